@@ -23,7 +23,7 @@ VENDOR: Final = Vendor(
     ),
     places=("/usr/local/lib/libdrd.so*", "/usr/local/lib/libdhd.so*", "~/.local/lib/libdrd.so*"),
     remedy=(
-        "install the vendor's SDK 3.14 or later (https://www.forcedimension.com/software/sdk), and set FDSDK to its"
+        "install the vendor's SDK 3.16 or later (https://www.forcedimension.com/software/sdk), and set FDSDK to its"
         " folder or the option library to its libdrd.so"
     ),
 )

@@ -103,12 +103,23 @@ class VendorDevice(ABC, Generic[Session]):
 
     def open(self) -> None:
         """Goes through the checklist and opens the device; no force."""
-        session = self._connect(Checklist(self.name))
+        if self._session is not None:
+            message = f"{self.name}: is open"
+            raise ValueError(message)
+        if self._reopening is not None and self._reopening.is_alive():
+            message = f"{self.name}: it is still opened anew from before: open it once that has ended"
+            raise RuntimeError(message)
+        self._ending.clear()
+        self._sample, self._fault, self._shown, self._fresh = None, None, None, False
+        self._reopened = self._reopening = None
+        self._session = self._connect(Checklist(self.name))
         if self._ending.is_set():
-            self._release(session)
+            # By another thread, which may have found nothing to close.
+            session, self._session = self._session, None
+            if session is not None:
+                self._release(session)
             message = "closed before it was open"
             raise RefusedError(message)
-        self._session = session
 
     def read(self) -> MasterSample:
         """The newest sample; the last one and a fault where there is none."""
@@ -150,10 +161,10 @@ class VendorDevice(ABC, Generic[Session]):
             self._release(session)
         if self._reopening is not None:
             self._reopening.join(JOIN_S)
-        left, self._reopened = self._reopened, None
-        for session in (self._take_lost(), None if isinstance(left, str) else left):
-            if session is not None:
-                self._release(session)
+        self._release_reopened()
+        lost = self._take_lost()
+        if lost is not None:
+            self._release(lost)
 
     # ------------------------------------------------------------------------------------------------- faults
 
@@ -207,6 +218,14 @@ class VendorDevice(ABC, Generic[Session]):
             self._reopened = self._connect(Checklist(self.name))
         except Exception as error:  # whatever it is: the operator has to learn of it
             self._reopened = f"not ready: {error}"
+        if self._ending.is_set():
+            # `close` waits for a while only.
+            self._release_reopened()
+
+    def _release_reopened(self) -> None:
+        left, self._reopened = self._reopened, None
+        if left is not None and not isinstance(left, str):
+            self._release(left)
 
     def _take_reopened(self) -> None:
         reopened = self._reopened

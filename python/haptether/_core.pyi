@@ -2592,9 +2592,7 @@ class HdCallback:
         ValueError: An address of 0, or a number that cannot be.
     """
 
-    def __new__(
-        cls, functions: Sequence[int], device: int, *, watchdog_s: float, max_force_n: float
-    ) -> HdCallback: ...
+    def __new__(cls, functions: Sequence[int], device: int, *, watchdog_s: float, max_force_n: float) -> HdCallback: ...
     @property
     def address(self) -> int:
         """What hdScheduleAsynchronous is to call."""
@@ -2610,9 +2608,7 @@ class HdCallback:
     def write(self, force: Sequence[float]) -> None:
         """The force in N from the next frame on, in the vendor's frame."""
 
-    def wait(
-        self, after: int, limit_s: float
-    ) -> tuple[int, list[float], list[float], int, int, int, int] | None:
+    def wait(self, after: int, limit_s: float) -> tuple[int, list[float], list[float], int, int, int, int] | None:
         """The newest sample after a frame, as soon as there is one; none within the time.
 
         Returns:

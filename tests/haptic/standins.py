@@ -1,12 +1,40 @@
 """Stand-ins for the vendors' libraries: built from C when a test needs them, steered and read by name."""
 
 import ctypes
+import itertools
 import os
 import subprocess
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 HERE = Path(__file__).parent
 BUILD_S = 60.0
+TURNS = [
+    [sign + axis for sign, axis in zip(signs, names, strict=True)]
+    for names in itertools.permutations("xyz")
+    for signs in itertools.product(("", "-"), repeat=3)
+]
+"""All ways to name three axes, of which half are right-handed."""
+
+
+def axes_matrix(axes: list[str]) -> NDArray[np.float64]:
+    """C, which turns a vector of the device into ours."""
+    rows = [(-1.0 if axis[0] == "-" else 1.0) * np.eye(3)["xyz".index(axis[-1])] for axis in axes]
+    return np.array(rows)
+
+
+RIGHT_HANDED = [axes for axes in TURNS if np.linalg.det(axes_matrix(axes)) > 0.0]
+
+
+def rotation_matrix(quat_wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rodrigues' formula, with the axis and angle of a unit quaternion."""
+    sine = float(np.linalg.norm(quat_wxyz[1:]))
+    angle = 2.0 * np.arctan2(sine, quat_wxyz[0])
+    x, y, z = quat_wxyz[1:] / sine if sine > 0.0 else np.zeros(3)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
 
 
 class Standin:

@@ -1,6 +1,7 @@
 """The driver of Force Dimension devices against a stand-in of the SDK: calls, frames, units, forces, faults."""
 
 import math
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -8,13 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.haptic.standins import Failing, Standin, built
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.haptic.standins import RIGHT_HANDED, Failing, Standin, axes_matrix, built, rotation_matrix
 
 from haptether.bridge import load_master
 from haptether.bridge.devices.standalone import StandaloneRun, wait_until
-from haptether.checklist import RefusedError
+from haptether.checklist import Checklist, RefusedError
 from haptether.master import MasterSample
 from haptether.master.force_dimension import ForceDimension
+from haptether.master.force_dimension.driver import Session
 
 pytestmark = pytest.mark.live
 
@@ -151,6 +155,29 @@ def test_a_pose_is_turned_and_an_active_wrist_exerts_torque(dhd: Standin) -> Non
         assert dhd.get("tz") == pytest.approx(0.2)
         step(driver, REST, 3)
         assert dhd.get("tz") == 0.0
+
+
+@settings(max_examples=15)
+@given(st.sampled_from(RIGHT_HANDED), st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
+def test_whatever_the_axes_and_the_turn_are_all_is_in_one_frame(
+    shared: Standin, axes: list[str], parts: list[float]
+) -> None:
+    """R is C R C^T, a point C x, a force C^T f: by matrices, of which the driver has none."""
+    norm = float(np.linalg.norm(parts))
+    quat = np.array(parts) / norm if norm > 0.1 else np.array([1.0, 0.0, 0.0, 0.0])
+    turn, dhd = axes_matrix(axes), shared
+    dhd.reset()
+    dhd.set(qw=quat[0], qx=quat[1], qy=quat[2], qz=quat[3], type=SIGMA_7, watchdog_slack=SLACK)
+    force = np.array([0.3, -0.2, 0.1])
+    with opened(dhd, wrist=True, axes=axes) as driver:
+        sample = until(driver, lambda sample: sample.fault is None)
+        assert sample.orientation is not None
+        seen = rotation_matrix(np.array(sample.orientation))
+        np.testing.assert_allclose(seen, turn @ rotation_matrix(quat) @ turn.T, atol=1e-9)
+        driver.read()
+        driver.write(tuple(force), tuple(0.1 * force))
+        np.testing.assert_allclose(dhd.force(), turn.T @ force, atol=1e-12)
+        np.testing.assert_allclose([dhd.get(name) for name in ("tx", "ty", "tz")], 0.1 * turn.T @ force, atol=1e-12)
 
 
 def test_a_passive_wrist_exerts_no_torque_and_says_so(dhd: Standin, capfd: pytest.CaptureFixture[str]) -> None:
@@ -428,6 +455,58 @@ def test_it_closes_whatever_it_was_in(dhd: Standin) -> None:
         until(driver, lambda sample: sample.fault is not None)
         driver.acknowledge()
     assert dhd.get("open") == 0
+
+
+def test_it_is_opened_again_as_new_and_not_twice(dhd: Standin) -> None:
+    driver = ForceDimension(library=str(dhd.path), **SLOW)
+    for _ in range(2):
+        driver.open()
+        with pytest.raises(ValueError, match="force-dimension: is open"):
+            driver.open()
+        assert step(driver, (1.0, 0.0, 0.0), 5).fault is None
+        assert dhd.force() == (1.0, 0.0, 0.0)
+        dhd.fail("dhdGetPosition", 2)
+        until(driver, lambda sample: sample.fault is not None)
+        driver.close()
+        assert dhd.get("open") == 0
+
+
+def test_what_is_closed_while_it_opens_is_closed(dhd: Standin, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = ForceDimension(library=str(dhd.path), **SLOW)
+    connect = driver._connect
+
+    def slowly(checklist: Checklist) -> Session:
+        session = connect(checklist)
+        # Another thread closes it just now.
+        driver.close()
+        return session
+
+    monkeypatch.setattr(driver, "_connect", slowly)
+    with pytest.raises(RefusedError, match="closed before it was open"):
+        driver.open()
+    assert dhd.get("open") == 0
+
+
+def test_what_is_opened_anew_after_the_end_is_closed(dhd: Standin, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("haptether.master.vendor.device.JOIN_S", 0.05)
+    goes_on = threading.Event()
+    with opened(dhd) as driver:
+        step(driver)
+        connect = driver._connect
+
+        def slowly(checklist: Checklist) -> Session:
+            goes_on.wait(20.0)
+            return connect(checklist)
+
+        monkeypatch.setattr(driver, "_connect", slowly)
+        dhd.fail("dhdGetPosition", 2)
+        until(driver, lambda sample: sample.fault is not None)
+        driver.acknowledge()
+        reopening = driver._reopening
+    goes_on.set()
+    assert reopening is not None
+    reopening.join(20.0)
+    assert (reopening.is_alive(), dhd.get("open"), dhd.calls()[-1]) == (False, 0, "dhdClose()")
 
 
 # ----------------------------------------------------------------------------------------------------------- options

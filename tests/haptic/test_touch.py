@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.haptic.standins import Failing, Standin, built
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.haptic.standins import RIGHT_HANDED, Failing, Standin, axes_matrix, built, rotation_matrix
 
 from haptether._core import HdCallback
 from haptether.bridge import load_master
@@ -161,6 +163,27 @@ def test_a_pose_is_turned_into_our_frame_and_torque_is_left_out(hd: Standin, cap
         driver.read()
         driver.write((0.0, 0.0, 1.0), (0.0, 0.0, 0.3))
     assert "torque: none is exerted: the stylus is turned and does not turn" in capfd.readouterr().err
+
+
+@settings(max_examples=15)
+@given(st.sampled_from(RIGHT_HANDED), st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
+def test_whatever_the_axes_and_the_turn_are_all_is_in_one_frame(
+    shared: Standin, axes: list[str], parts: list[float]
+) -> None:
+    """R is C R C^T, a point C x, a force C^T f: by matrices, of which the driver has none."""
+    norm = float(np.linalg.norm(parts))
+    quat = np.array(parts) / norm if norm > 0.1 else np.array([1.0, 0.0, 0.0, 0.0])
+    turn, hd = axes_matrix(axes), shared
+    hd.reset()
+    hd.set(qw=quat[0], qx=quat[1], qy=quat[2], qz=quat[3])
+    force = np.array([0.3, -0.2, 0.1])
+    with opened(hd, orientation=True, axes=axes) as driver:
+        sample = until(driver, lambda sample: sample.fault is None)
+        assert sample.orientation is not None
+        seen = rotation_matrix(np.array(sample.orientation))
+        np.testing.assert_allclose(seen, turn @ rotation_matrix(quat) @ turn.T, atol=1e-9)
+        x, y, z = (turn.T @ force).tolist()
+        exerted(hd, driver, tuple(force.tolist()), (x, y, z))
 
 
 def test_long_forces_are_shortened_and_bad_ones_are_none(hd: Standin) -> None:

@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from tests.haptic.standins import built
 
+from haptether.bridge import read_recording
+
 # A loop of 1 kHz that a full machine keeps waiting for 18 ms has a fault.
 pytestmark = pytest.mark.alone
 
@@ -103,9 +105,18 @@ def test_check_device_says_what_is_missing(tmp_path: Path) -> None:
 class Pair:
     """A slave with a wall, and a master with the driver, as processes."""
 
-    def __init__(self, driver: str, library: Path, tmp_path: Path, *, duration_s: float | None, **standin: str) -> None:
+    def __init__(
+        self,
+        driver: str,
+        library: Path,
+        tmp_path: Path,
+        *,
+        duration_s: float | None,
+        scene_text: str = SCENE,
+        **standin: str,
+    ) -> None:
         scene = tmp_path / "scene.toml"
-        text = SCENE.replace("DRIVER", driver).replace("LIBRARY", str(library)).replace("AXES", ALONG[driver])
+        text = scene_text.replace("DRIVER", driver).replace("LIBRARY", str(library)).replace("AXES", ALONG[driver])
         scene.write_text(text.replace("PATIENT", PATIENT[driver].replace("=", " = ")))
         here = environment(tmp_path, **standin)
         self.slave = subprocess.Popen(
@@ -122,7 +133,7 @@ class Pair:
         ends = [] if duration_s is None else ["--duration-s", str(duration_s)]
         self.master = subprocess.Popen(
             [*COMMAND, "master", "--peer", found[1], "--insecure", "--scene", str(scene), "--trace",
-             str(tmp_path / "master.npz"), *ends],
+             str(tmp_path / "master.npz"), "--record", str(tmp_path / "master.mcap"), *ends],
             env=here, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
 
@@ -169,6 +180,38 @@ def test_a_hand_feels_a_wall_through_the_whole_bridge(driver: str, libraries: di
     # Forces grow from zero.
     assert abs(force[0]) == 0.0
     assert calls(tmp_path)[-1] == CLOSED[driver]
+
+
+# A gripper that holds something at 0.6 of its stroke, of whose 40 N the finger feels a twentieth.
+GRIPPING = """
+schema = 1
+[master]
+driver = "DRIVER"
+mass_kg = 0.2
+options = { library = "LIBRARY", axes = AXES, gripper_open_m = 0.03, PATIENT }
+[master.gripper]
+travel_m = 0.03
+mass_kg = 0.05
+[slave.gripper]
+speed = 1.8
+force_n = 40.0
+object = 0.6
+[safety]
+controllers = []
+"""
+
+
+def test_a_finger_feels_what_the_gripper_holds(libraries: dict[str, Path], tmp_path: Path) -> None:
+    driver = "force-dimension"
+    standin = {"set": "watchdog_slack=50", "after": f"{MOVES_S}:finger=0"}
+    with Pair(driver, libraries[driver], tmp_path, duration_s=4.5, scene_text=GRIPPING, **standin) as pair:
+        _, said = pair.master.communicate(timeout=60)
+        assert pair.master.returncode == 0, said
+    signals = read_recording(tmp_path / "master.mcap").signals
+    # Opening is negative. The finger of 200 N/m means to be closed, and 2 N hold it 10 of 30 mm open.
+    assert signals["trigger_device_force"][-1] == pytest.approx(-2.0, abs=0.05)
+    assert signals["trigger"][-1] == pytest.approx(1.0 - 2.0 / 200.0 / 0.03, abs=0.02)
+    assert signals["trigger"][100] == pytest.approx(0.0, abs=0.02)
 
 
 @pytest.mark.parametrize("driver", SOURCES)
