@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from haptether.dynamixel.emulator import ArmLoad, Server, Servo
+    from haptether.dynamixel.emulator import ArmLoad, Bus, Server, Servo
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +45,9 @@ class DynamixelEmulator:
     """Version that they report; fast reads are known from 45 on, by 330 models from 46 on."""
     start: Annotated[tuple[float, ...], tyro.conf.arg(metavar="Q")] = ()
     """Joint angles at the begin, in rad from the mechanical centre; by default 0."""
+    stops: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID=A:B")] = ()
+    """Something rigid stops the output of a servo at two angles from its mechanical centre, such as jaws or an object
+    between them, as ID=A:B in rad."""
     return_delay: int = 0
     """Return Delay Time that they begin with, in 2 us; out of the box it is 250."""
     wire_time: bool = False
@@ -88,6 +91,7 @@ class DynamixelEmulator:
             raise ValueError(message)
         servos, load = self._servos()
         bus = Bus(servos, self.seed, load)
+        self._stop(bus)
         tcp = None if self.tcp is None else TcpLine(self.tcp, self.baud)
         server = Server(
             bus,
@@ -124,6 +128,22 @@ class DynamixelEmulator:
         if self.json is not None:
             write_report(self.json, figures)
         return 0
+
+    def _stop(self, bus: "Bus") -> None:
+        import math
+
+        from haptether.dynamixel.emulator import stops_of
+
+        for text in self.stops:
+            number, _, ends = text.partition("=")
+            try:
+                at = [float(end) for end in ends.split(":")]
+                if not (number.isdecimal() and len(number) <= 3 and len(at) == 2 and all(map(math.isfinite, at))):
+                    raise ValueError("must be ID=A:B with two angles in rad")
+                bus.servo(int(number)).joint.stops = stops_of(at)
+            except ValueError as error:
+                message = f"stops = {text}: {error}"
+                raise ValueError(message) from None
 
     def _headline(self, server: "Server") -> str:
         names = ", ".join(f"{servo.id} {servo.model.name}" for servo in server.bus.servos)
