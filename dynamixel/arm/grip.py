@@ -106,6 +106,7 @@ class GripServo:
         self._current_a = 0.0
         self._pressed_s: float | None = None
         self._held_at = 0.0
+        self._held_side = 1.0
         self._is_sent = True
         """Whether the servo has the goal."""
         self._are_limits_sent = True
@@ -204,10 +205,9 @@ class GripServo:
         self._current_a = closing * current_units * self._unit_a
         self.force_n = abs(self._current_a) * self.settings.constant_nm_per_a / self.settings.lever_m
         if self.holds_object:
-            away = self._goal - self._held_at
-            self.holds_object = abs(away) > BESIDE and (self.position - self._held_at) * (away) <= abs(away) * SLIPPED
-            # What has stopped them is left behind, or lets go.
-            self.holds_object = self.holds_object and (self._goal - self.position) * away > 0.0
+            # Left behind where it gives way, or where the goal is on its other side.
+            on = (self.position - self._held_at) * self._held_side
+            self.holds_object = (self._goal - self._held_at) * self._held_side > BESIDE and on <= SLIPPED
             self._pressed_s = None
         elif not self._presses(PRESSES):
             self._pressed_s = None
@@ -215,6 +215,7 @@ class GripServo:
             self._pressed_s = now_s
         elif now_s - self._pressed_s >= STALL_S:
             self.holds_object, self._held_at = True, self.position
+            self._held_side = 1.0 if self._goal > self.position else -1.0
 
     def write(self, position: float, speed: float, force_n: float) -> None:
         """A goal, 0 to 1, with a speed in 1/s and a force in N, which are cut to what it may."""
