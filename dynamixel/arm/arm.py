@@ -672,7 +672,8 @@ class ServoArm:
         if self._bus is None:
             return
         restarted = []
-        for servo_id in self._ids:
+        failed = self.grip is not None and self.grip.fault is not None
+        for servo_id in (*self._ids, *self._grip_ids[len(self._position_ids) :]) if failed else self._ids:
             with contextlib.suppress(OSError, RuntimeError):
                 if self._bus.read(servo_id, HARDWARE_STATUS, 1) != b"\0":
                     self._bus.reboot(servo_id)

@@ -156,7 +156,7 @@ class ControlLine:
     def _stops(self, arguments: list[str], now_s: float) -> None:
         servo = self._servo(arguments)
         servo.advance(now_s)
-        servo.joint.stops = None if arguments[1:] == ["off"] else stops_of(_numbers(arguments[1:], 2))
+        servo.joint.stops = None if arguments[1:] == ["off"] else stops_of(arguments[1:])
 
     def _hand(self, arguments: list[str], now_s: float) -> None:
         if arguments == ["off"]:
@@ -214,13 +214,13 @@ class ControlLine:
         return self._bus.servo(int(arguments[0][:6]))
 
 
-def stops_of(ends: list[float]) -> tuple[float, float]:
+def stops_of(ends: list[str]) -> tuple[float, float]:
     """What stops an output at two angles in rad, in either order.
 
     Raises:
         ValueError: Ends that cannot be.
     """
-    low, high = sorted(ends)
+    low, high = sorted(_numbers(ends, 2))
     if not (low < high and max(-low, high) <= MAX_STOP_RAD):
         _refuse(f"{low:g} {high:g}: must be two angles within {MAX_STOP_RAD:g} rad")
     return low, high

@@ -130,19 +130,16 @@ class DynamixelEmulator:
         return 0
 
     def _stop(self, bus: "Bus") -> None:
-        import math
-
         from haptether.dynamixel.emulator import stops_of
 
         for text in self.stops:
             number, _, ends = text.partition("=")
             try:
-                at = [float(end) for end in ends.split(":")]
-                if not (number.isdecimal() and len(number) <= 3 and len(at) == 2 and all(map(math.isfinite, at))):
-                    raise ValueError("must be ID=A:B with two angles in rad")
-                bus.servo(int(number)).joint.stops = stops_of(at)
+                servo = bus.servo(int(number))
+                servo.joint.stops = stops_of(ends.split(":"))
             except ValueError as error:
-                message = f"stops = {text}: {error}"
+                why = f"{error}" if number.isdecimal() else "must be ID=A:B"
+                message = f"stops = {text}: {why}"
                 raise ValueError(message) from None
 
     def _headline(self, server: "Server") -> str:
