@@ -25,6 +25,8 @@ JOINT: Final = 2
 """That is pushed, counted from 1."""
 OBJECT: Final = 0.5
 """Where the jaws meet what is between them, 0 (open) to 1 (closed)."""
+BEGUN: Final = 0.05
+"""Of the trigger, which rests at 0."""
 GRIP_N: Final = 1.5
 """Below what the smallest servo presses with."""
 WITHIN_RAD: Final = 0.03
@@ -340,8 +342,8 @@ def draw_follow(scene: FollowScene, results: Sequence[FollowResult], path: Path)
     )
     for result in results:
         with np.load(path.parent / f"follow-{result.controller}.npz") as arrays:
-            near = {name: arrays[name] for name in (*NEAR, "state")}
-        near_s = near["time_s"] - near["time_s"][np.flatnonzero(near["state"] == ENGAGED)[0]]
+            near = {name: arrays[name] for name in (*NEAR, "trigger", "state")}
+        near_s = near["time_s"] - _begun_s(scene, near)
         for panel, (signal, label) in zip(panels[1], signals, strict=True):
             panel.plot(near_s, near[signal][:, JOINT - 1], label=names[result.controller], lw=1.3)
             panel.set_ylabel(label)
@@ -350,10 +352,11 @@ def draw_follow(scene: FollowScene, results: Sequence[FollowResult], path: Path)
     far = read_recording(path.parent / f"follow-{first}.mcap").signals
     with np.load(path.parent / f"follow-{first}.npz") as arrays:
         near = {name: arrays[name] for name in (*NEAR, "trigger", "state")}
-    # Each side has a clock of its own: from its engagement on.
+    near_s = near["time_s"] - _begun_s(scene, near)
+    # Each side has a clock of its own: they engage at the same time, but for the delay.
     far_s = far["time_ns"] * 1e-9
     far_s = far_s - far_s[np.flatnonzero(np.isin(far["state"], ("engaged", "stale")))[0]]
-    near_s = near["time_s"] - near["time_s"][np.flatnonzero(near["state"] == ENGAGED)[0]]
+    far_s = far_s + near_s[np.flatnonzero(near["state"] == ENGAGED)[0]]
     joints, jaws, force = panels[0]
     for index in range(near["position"].shape[1]):
         joints.plot(near_s, near["position"][:, index] - near["position"][0, index], color=f"C{index}", lw=1.3)
@@ -369,8 +372,13 @@ def draw_follow(scene: FollowScene, results: Sequence[FollowResult], path: Path)
     force.set_ylabel("force [N]")
     force.legend(fontsize=9)
     for panel in panels.flat:
-        panel.set_xlabel("time since engagement [s]")
-        panel.set_xlim(left=0.0)
+        panel.set_xlabel("time since the hand begins [s]")
+        panel.set_xlim(0.0, scene.duration_s)
         panel.grid(visible=True, alpha=0.3)
     with private_file(path) as target:
         figure.savefig(target, dpi=120)
+
+
+def _begun_s(scene: FollowScene, near: dict[str, npt.NDArray[Any]]) -> float:
+    """When the hand began, by the master's clock: its trigger closes first."""
+    return float(near["time_s"][np.flatnonzero(near["trigger"] > BEGUN)[0]]) - scene.close_at_s

@@ -156,10 +156,9 @@ class Joint:
         if self.stops is not None and (deep := self._deep(self.stops)) != 0.0:
             torque -= J * STOP_STIFFNESS * deep
             b += J * (STOP_DAMPING + STEP_S * STOP_STIFFNESS)
-        w = (before + STEP_S / J * torque) / (1.0 + STEP_S * b / J)
-        # Dry friction takes away what it can, down to standing still.
-        slowed = STEP_S / J * c
-        self.velocity_rad_s = math.copysign(max(abs(w) - slowed, 0.0), w)
+        w = before + STEP_S / J * torque
+        # J (w' - w) / dt = torque - b w' - c sign(w'): dry friction takes away what it can, down to standing still.
+        self.velocity_rad_s = math.copysign(max(abs(w) - STEP_S / J * c, 0.0) / (1.0 + STEP_S * b / J), w)
         self.hand_nm = 0.0
         if hand is not None:
             self.hand_nm = stretched - (hand.damping + STEP_S * hand.stiffness) * self.velocity_rad_s
