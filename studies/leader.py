@@ -135,7 +135,7 @@ def emulated_arm(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest"
     port = free_port()
     process = stack.enter_context(child_process(
         "dynamixel-emulator", "--arm", LEADER, "--duration-s", limit, "--control", f"127.0.0.1:{port}",
-        "--link", str(folder / "bus"), *more, says="servos ",
+        "--socket", str(folder / "bus"), *more, says="servos ",
     ))  # fmt: skip
     process.headline(stopped)
     emulated = Emulated(f"127.0.0.1:{port}")

@@ -44,7 +44,9 @@ STOPS: Final = 3
 """So often a stop is sent: nobody answers it."""
 FIRED: Final = 0xFF
 """Of the bus watchdog."""
-GONE: Final = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF, errno.ENOENT)
+GONE: Final = (
+    errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF, errno.ENOENT, errno.EPIPE, errno.ECONNRESET, errno.ECONNREFUSED,
+)  # fmt: skip
 """What a port says that was unplugged."""
 MOVED_RAD: Final = 0.2
 """At most so far a joint may move while its torque comes on with nothing commanded."""

@@ -6,7 +6,7 @@ from haptether.dynamixel.emulator.joint import HeldBy, Joint, JointSettings
 from haptether.dynamixel.emulator.load import ArmLoad, servos_of
 from haptether.dynamixel.emulator.server import Server
 from haptether.dynamixel.emulator.servo import HardwareError, Servo
-from haptether.dynamixel.emulator.tcp import TcpLine
+from haptether.dynamixel.emulator.tcp import StreamLine, TcpLine, UnixLine
 
 __all__ = [
     "Answer",
@@ -20,7 +20,9 @@ __all__ = [
     "JointSettings",
     "Server",
     "Servo",
+    "StreamLine",
     "TcpLine",
+    "UnixLine",
     "servos_of",
     "stops_of",
 ]

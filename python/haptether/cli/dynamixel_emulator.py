@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from haptether.dynamixel.emulator import ArmLoad, Bus, Server, Servo
+    from haptether.dynamixel.emulator import ArmLoad, Bus, Server, Servo, StreamLine
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +58,9 @@ class DynamixelEmulator:
     """A symbolic link to the terminal, which stays the same when it is unplugged and plugged."""
     tcp: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
     """The same bus over TCP besides, raw bytes for one client at a time; port 0 is any free one."""
+    socket: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """The same bus behind a Unix socket besides, which `port` of a driver may name: a pseudo-terminal hands bytes on by
+    threads of the kernel without priority, late where others compute."""
     seed: int = 0
     """Seed of which bytes are lost or wrong."""
     control: Annotated[str | None, tyro.conf.arg(metavar="-|127.0.0.1:PORT|PATH")] = None
@@ -78,7 +81,7 @@ class DynamixelEmulator:
         from haptether.cli.shared.output import check_target, table_goes_to_stderr, write_report
         from haptether.cli.shared.stop import Stopped
         from haptether.control_channel import ControlChannel
-        from haptether.dynamixel.emulator import Bus, ControlLine, Server, TcpLine
+        from haptether.dynamixel.emulator import Bus, ControlLine, Server
         from haptether.realtime import realtime
 
         check_duration("duration_s", self.duration_s)
@@ -92,7 +95,7 @@ class DynamixelEmulator:
         servos, load = self._servos()
         bus = Bus(servos, self.seed, load)
         self._stop(bus)
-        tcp = None if self.tcp is None else TcpLine(self.tcp, self.baud)
+        tcp = self._stream()
         server = Server(
             bus,
             link=self.link,
@@ -115,7 +118,7 @@ class DynamixelEmulator:
                 with realtime(self.realtime) as granted:
                     # Whoever started this process reads the line to learn which port it is.
                     stream = sys.stderr if table_goes_to_stderr(self.json) else sys.stdout
-                    reached = "" if tcp is None else f", TCP {tcp.address}"
+                    reached = "" if tcp is None else f", {'TCP' if self.socket is None else 'socket'} {tcp.address}"
                     controlled = "" if channel is None else f", controlled by {channel.address}"
                     headline = f"{self._headline(server)}{reached}{controlled}, real time: {granted}"
                     print(headline, file=stream, flush=True)
@@ -128,6 +131,22 @@ class DynamixelEmulator:
         if self.json is not None:
             write_report(self.json, figures)
         return 0
+
+    def _stream(self) -> "StreamLine | None":
+        """The second way to the bus.
+
+        Raises:
+            ValueError: Two of them.
+            OSError: An address or a path that cannot be used.
+        """
+        from haptether.dynamixel.emulator import TcpLine, UnixLine
+
+        if self.tcp is not None and self.socket is not None:
+            message = f"socket = {self.socket}: beside --tcp: must be one of the two"
+            raise ValueError(message)
+        if self.tcp is not None:
+            return TcpLine(self.tcp, self.baud)
+        return None if self.socket is None else UnixLine(self.socket, self.baud)
 
     def _stop(self, bus: "Bus") -> None:
         from haptether.dynamixel.emulator import stops_of
