@@ -18,7 +18,7 @@ from haptether.dynamixel.emulator import JointSettings, servos_of
 from haptether.master.dynamixel.options import LeaderOptions, arm_settings
 from haptether.private_file import private_file
 from haptether.studies.demo import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, Process, StopRequest, child_process
-from haptether.studies.leader import LEADER, ROW_S, Leader, along, emulated_arm
+from haptether.studies.leader import CLUTCH, LEADER, ROW_S, Leader, along, emulated_arm
 
 FOLLOW_CONTROLLERS: Final = ("none", "hsc", "wsc")
 JOINT: Final = 2
@@ -154,7 +154,8 @@ def run_follow(
         RuntimeError: A process failed; the message holds what it said.
     """
     local, lasts_s = "127.0.0.1:0", scene.settle_s + scene.duration_s + 1.0
-    limit = str(lasts_s + START_TIMEOUT_S + END_TIMEOUT_S)
+    # Of each process, from its own start on: the others may take their time until the last begins.
+    limit = str(lasts_s + 5 * START_TIMEOUT_S + END_TIMEOUT_S)
     trace, result, recording = (folder / f"follow-{controller}.{end}" for end in ("npz", "json", "mcap"))
     with contextlib.ExitStack() as stack:
         show(f"{controller}: starting", 0.0)
@@ -183,7 +184,7 @@ def run_follow(
         netsim_address = netsim.headline(stopped).split(",")[0].rsplit(" ", 1)[-1]
         master = stack.enter_context(child_process(
             "master", "--scene", str(text), "--peer", netsim_address, "--listen", local, "--key", str(key),
-            "--duration-s", str(lasts_s), "--trace", str(trace), "--json", str(result),
+            "--duration-s", str(lasts_s), "--trace", str(trace), "--json", str(result), *CLUTCH,
         ))  # fmt: skip
         master.headline(stopped)
         stopped.sleep(scene.settle_s)

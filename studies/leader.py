@@ -34,6 +34,8 @@ HAND_DAMPING: Final = (1.0, 1.0, 1.0, 0.2, 0.2, 0.2, 0.02)
 """N m s/rad, chosen."""
 SLOW: Final = ("timeout_s=0.1", "watchdog_s=0.5")
 """Options of drivers: several processes on one machine, which may be busy, answer late."""
+CLUTCH: Final = ("--clutch", "auto")
+"""The scripted hand presses it: that at the start of a process is void where it takes long to load. A hold is counted."""
 STEPS: Final = 20
 """Of Newton's method for one point."""
 NEAR: Final = 1e-9
@@ -123,7 +125,7 @@ def led_leader(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest", 
         options += [
             f"master.mass_kg={list(model.mass_kg)}", f"master.rotation.inertia_kg_m2={list(model.inertia_kg_m2)}",
         ]  # fmt: skip
-    leader.options = tuple(part for option in options for part in ("--set", option))
+    leader.options = (*CLUTCH, *(part for option in options for part in ("--set", option)))
     return leader
 
 

@@ -73,7 +73,8 @@ def run_pick(scene: PickScene, folder: Path, show: Callable[[str, float], None],
         RuntimeError: A process failed; the message holds what it said.
     """
     local, duration_s = "127.0.0.1:0", load_scene(SCENE).run.duration_s
-    limit = str(duration_s + START_TIMEOUT_S + END_TIMEOUT_S)
+    # Of each process, from its own start on: the others may take their time until the last begins.
+    limit = str(duration_s + 5 * START_TIMEOUT_S + END_TIMEOUT_S)
     recording, trace = folder / "pick.mcap", folder / "pick.npz"
     with contextlib.ExitStack() as stack:
         show("starting", 0.0)
