@@ -93,6 +93,8 @@ def run_pick(scene: PickScene, folder: Path, show: Callable[[str, float], None],
         ))  # fmt: skip
         netsim_address = netsim.headline(stopped).split(",")[0].rsplit(" ", 1)[-1]
         leader = None if scene.master == "simulated" else led_leader(limit, stack, stopped)
+        if leader is not None:
+            leader.prepare(duration_s)
         led = () if leader is None else leader.options
         # Its driver goes through the checklist, and its torque rises, before the hand begins.
         lasts_s = duration_s + (0.0 if leader is None else LEADER_S)
@@ -102,7 +104,7 @@ def run_pick(scene: PickScene, folder: Path, show: Callable[[str, float], None],
         ))  # fmt: skip
         master.headline(stopped)
         if leader is not None:
-            leader.lead(duration_s, stopped)
+            leader.lead(stopped)
         begun_s = time.monotonic()
         while master.process.poll() is None:
             at_s = time.monotonic() - begun_s
