@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 from math import exp, hypot, log, pi
 
+from haptether._core import PRESS_S, ROUND_TRIP_S
 from haptether.bridge.scene.errors import Path, SceneError, contradiction, wrong
 from haptether.bridge.scene.resolve import Spec, max_damping, side_kind, spec_of
 from haptether.bridge.scene.tables.master import OperatorRotationTable, OperatorTable, RotationTable, SeriesTable
@@ -190,7 +191,7 @@ def _felt_trigger(scene: Scene) -> Iterator[SceneError]:
         )
 
 
-AXES_OF_KIND = {"linear": (1, 2, 3), "joints": (1, 2, 3, 6, 7), "pose": (3,)}
+AXES_OF_KIND = {"linear": (1, 2, 3), "joints": (1, 2, 3, 4, 5, 6, 7), "pose": (3,)}
 
 
 def _kind(scene: Scene) -> Iterator[SceneError]:
@@ -260,12 +261,6 @@ def _turning_coupling(table: CouplingTable) -> Iterator[SceneError]:
             yield contradiction(path, "what is locked turns about no axis: give one of the two")
     if table.alignment is not None:
         yield from _alignment(table, table.alignment)
-
-
-PRESS_S = 5.0
-"""For how long a press waits in ALIGNING."""
-ROUND_TRIP_S = 1.0
-"""What of that a press takes to the slave, and the news that it has engaged takes back: 500 ms each way."""
 
 
 def _alignment(coupling: CouplingTable, table: AlignmentTable) -> Iterator[SceneError]:

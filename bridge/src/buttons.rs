@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use crate::ladder::{Button, LadderState};
+use crate::ladder::{Button, LadderState, PRESS_NS};
 
 /// Which button does what, by its bit from 0 to 31; what is none is done by no button.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
@@ -56,9 +56,6 @@ impl ButtonWord {
     /// A sample that does not say.
     pub const UNKNOWN: Self = Self(None);
 }
-
-/// How long a press of the switch waits to be taken up, in ns: as long as any press of the clutch counts.
-const PRESS_NS: u64 = 5_000_000_000;
 
 /// What the buttons of a device say, tick by tick.
 ///

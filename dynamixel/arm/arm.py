@@ -53,6 +53,10 @@ MOVED_RAD: Final = 0.2
 STILL_S: Final = 0.1
 """Between two looks at an arm with a fault."""
 RESTART_S: Final = 3.0
+PATIENT: Final = 0.4
+"""Share of the bus watchdog's time that may pass from `open` to the first `read`."""
+REOPENED_S: Final = 10.0
+"""Longest after `open` that an arm is opened anew: whoever started it is not known to be there any more."""
 CLOSED_S: Final = 15.0
 """Longest that a step of an `open` or a recovery takes, of many silent servos."""
 
@@ -93,6 +97,8 @@ class ServoArm:
         """After `close`: ids of the servos whose torque is not known to be off."""
         self._report = report or _to_stderr
         self._ids = bytes(servo.servo_id for servo in servos)
+        # With the shadows, which obey an id of those before them.
+        self._members = self._ids + bytes(shadow.servo_id for shadow, _ in settings.shadows)
         sign = np.array([float(servo.sign) for servo in servos])
         self._position_scale = sign * RAD_PER_TICK
         # Of the first turn.
@@ -106,10 +112,9 @@ class ServoArm:
         self._read: SyncRead
         self._read_joints: SyncRead
         """Without the gripper, which has a fault."""
-        self._status = SyncRead(TORQUE_ENABLE, 7, list(self._ids))
-        self._watchdogs = SyncRead(BUS_WATCHDOG, 1, list(self._ids))
-        self._ramp = 0.0
-        self._ramp_begin_s = self._heard_s = self._watch_at_s = 0.0
+        self._status = SyncRead(TORQUE_ENABLE, 7, list(self._members))
+        self._watchdogs = SyncRead(BUS_WATCHDOG, 1, list(self._members))
+        self._ramp = self._ramp_begin_s = self._heard_s = self._watch_at_s = self._watched_s = 0.0
         self._fault: ArmFaultError | None = None
         self._recovery: threading.Thread | None = None
         self._recovered: BaseException | None = None
@@ -160,6 +165,28 @@ class ServoArm:
                 self._disconnect()
                 raise
 
+    def reopen_if_late(self) -> None:
+        """Before the first `read`: opens it anew where this process took its time since `open`.
+
+        The watchdogs have ended the torque by then, or will.
+
+        Raises:
+            ArmRefusedError: What is wrong; or nobody has read it for longer than 10 s.
+        """
+        late_s = time.monotonic() - self._heard_s
+        if self._fault is not None or self._bus is None or late_s <= PATIENT * self.settings.watchdog_s:
+            return
+        with self._connecting:
+            try:
+                self._disconnect(quiet=True)
+                if late_s > REOPENED_S:
+                    message = f"{self.name}: it was opened {late_s:.0f} s ago and not read since: start anew"
+                    raise ArmRefusedError(message)
+                self._connect()
+            except BaseException:
+                self._disconnect()
+                raise
+
     def close(self) -> None:
         """Lets the arm down where its modes allow it, ends all torque, and names each servo that keeps it.
 
@@ -170,6 +197,9 @@ class ServoArm:
             message = f"{self.name}: the bus does not let go of its port: its servos may KEEP torque, cut their supply"
             raise RuntimeError(message)
         self._connecting.release()
+        if self._recovery is not None:
+            # One that has not begun yet must not begin in the next life of this arm.
+            self._recovery.join(CLOSED_S)
         self._recovery = None
         if self._bus is None:
             return
@@ -218,9 +248,9 @@ class ServoArm:
         np.copyto(self._before, self.position)
         if read.alerts:
             self._look_at_alert(read.alerts[0])
-        elif now_s > self._watch_at_s or now_s - self._heard_s > 0.5 * self.settings.watchdog_s:
+        if self._fault is None and (now_s > self._watch_at_s or now_s - self._heard_s > 0.5 * self.settings.watchdog_s):
             self._watch(now_s)
-        elif self.grip is not None:
+        elif self.grip is not None and self._fault is None:
             self._look_at_grip(self.grip, now_s)
         self._heard_s = now_s
         return self._fault is None
@@ -233,6 +263,7 @@ class ServoArm:
         if self._fault is not None:
             return
         wanted = self._wanted_a
+        self._check_count("currents", currents_a, wanted)
         wanted[:] = currents_a
         if not math.isfinite(wanted.sum()):
             self._latch(ArmFaultError(FaultKind.NOT_FINITE, "a current was commanded that is no number"))
@@ -254,6 +285,7 @@ class ServoArm:
         if self._fault is not None:
             return
         wanted = self._wanted_rad
+        self._check_count("angles", positions_rad, wanted)
         wanted[:] = positions_rad
         if not math.isfinite(wanted.sum()):
             self._latch(ArmFaultError(FaultKind.NOT_FINITE, "an angle was commanded that is no number"))
@@ -277,6 +309,11 @@ class ServoArm:
         # What is lost is sent again.
         with contextlib.suppress(OSError, RuntimeError):
             self.grip.send(self._bus)
+
+    def _check_count(self, what: str, given: Sequence[float] | Vector, wanted: Vector) -> None:
+        if len(given) != len(wanted):
+            message = f"{self.name}: {len(given)} {what}: must be {len(wanted)}, one of each servo that takes them"
+            raise ValueError(message)
 
     def stop(self, kind: FaultKind, text: str) -> None:
         """Ends all torque for a reason of the driver's: a fault like the others."""
@@ -316,7 +353,8 @@ class ServoArm:
             message = f"{self.name}: closed before it was open"
             raise ArmRefusedError(message)
 
-    def _connect(self) -> None:
+    def _connect(self, *, restart: bool = False) -> None:
+        """Goes through the checklist; with `restart` those servos start anew first that have a hardware error."""
         self._go_on()
         checklist = Checklist(self.name, self._report, ArmRefusedError)
         settings = self.settings
@@ -329,6 +367,8 @@ class ServoArm:
                 checklist.refuse("port", str(error), "end what else has it, and see that the adapter knows this rate")
                 checklist.finish()
         try:
+            if restart:
+                self._restart()
             self._check(checklist)
             checklist.finish()
             self._place(checklist)
@@ -349,14 +389,15 @@ class ServoArm:
             if (rate := answering_rate(settings)) is not None:
                 checklist.refuse("baud", f"servos answer at {rate} bit/s", f"set baud = {rate}, or address 8 of each")
             return
-        for servo in settings.servos:
+        for servo, obeys in (*((servo, None) for servo in settings.servos), *settings.shadows):
             if servo.servo_id not in firmware:
                 continue
             self._go_on()
             try:
-                check_servo(bus, servo, checklist)
-                registers = ServoRegisters(bus, servo)
-                self._pwm_units[self._ids.index(servo.servo_id)] = registers["PWM Limit"]
+                check_servo(bus, servo, checklist, obeys)
+                if obeys is None:
+                    registers = ServoRegisters(bus, servo)
+                    self._pwm_units[self._ids.index(servo.servo_id)] = registers["PWM Limit"]
             except (OSError, RuntimeError) as error:
                 checklist.refuse(f"servo {servo.servo_id}", str(error), "see its cables, then try again")
         if self.grip is not None and self.grip.servo_id in firmware:
@@ -364,14 +405,18 @@ class ServoArm:
                 self.grip.check(bus, checklist)
             except (OSError, RuntimeError) as error:
                 checklist.refuse(f"servo {self.grip.servo_id}", str(error), "see its cables, then try again")
-        if len(firmware) < len(self._every.servos):
+        if len(firmware) < len(self._members) + (self.grip is not None):
             return
         fast = knows_fast_reads(self._every, firmware)
         every = [servo.servo_id for servo in self._every.servos]
         self._read = SyncRead(PRESENT_CURRENT, MEASURED.itemsize, every, fast=fast)
         self._read_joints, self._status, self._watchdogs = (
-            SyncRead(address, length, list(self._ids), fast=fast)
-            for address, length in ((PRESENT_CURRENT, MEASURED.itemsize), (TORQUE_ENABLE, 7), (BUS_WATCHDOG, 1))
+            SyncRead(address, length, list(ids), fast=fast)
+            for address, length, ids in (
+                (PRESENT_CURRENT, MEASURED.itemsize, self._ids),
+                (TORQUE_ENABLE, 7, self._members),
+                (BUS_WATCHDOG, 1, self._members),
+            )
         )
         checklist.ok("reads", "fast" if fast else "not fast: the firmware of a servo is too old; update it for 1 kHz")
 
@@ -402,11 +447,12 @@ class ServoArm:
         self._goal_shift = self._shift[self._in_position]
 
     def _torque_on(self, checklist: Checklist) -> None:
-        bus, ids, units = self._opened, self._ids, self.settings.watchdog_units
+        bus, ids, units = self._opened, self._members, self.settings.watchdog_units
         self._arm_watchdogs(checklist)
-        for index, servo_id in enumerate(ids):
+        servos = (*self.settings.servos, *(shadow for shadow, _ in self.settings.shadows))
+        for servo_id, servo in zip(ids, servos, strict=True):
             # A change of the mode has set them to their limits.
-            address = GOAL_CURRENT if index in self._capped else GOAL_PWM
+            address = GOAL_CURRENT if servo.limits_current else GOAL_PWM
             bus.write(servo_id, address, b"\0\0")
             if bus.read(servo_id, address, 2) != b"\0\0":
                 checklist.refuse(f"servo {servo_id}", "its goal is not 0", "it does not take it: see its firmware")
@@ -443,11 +489,12 @@ class ServoArm:
             self.grip.begin(bus)
         self._ramp = 0.0
         self._ramp_begin_s = self._heard_s = time.monotonic()
+        self._watched_s = self._heard_s
         self._watch_at_s = self._heard_s + self.settings.watch_s
 
     def _arm_watchdogs(self, checklist: Checklist, tried: bytes | None = None) -> None:
         bus, units = self._opened, self.settings.watchdog_units
-        for index, servo_id in enumerate(self._ids):
+        for index, servo_id in enumerate(self._members):
             # Only 0 is taken by one that has fired.
             bus.write(servo_id, BUS_WATCHDOG, b"\0")
             bus.write(servo_id, BUS_WATCHDOG, bytes((units,)))
@@ -517,10 +564,13 @@ class ServoArm:
 
     # ----------------------------------------------------------------------------------------------------- faults
 
-    def _missed(self, error: Exception, now_s: float) -> None:
+    def _missed(self, error: Exception, now_s: float, since_s: float | None = None) -> None:
+        """An exchange that failed: a fault where none succeeded for too long."""
         if isinstance(error, OSError) and error.errno in GONE:
             self._latch(ArmFaultError(FaultKind.UNPLUGGED, f"{error}: plug the adapter in, then acknowledge"))
-        elif now_s - self._heard_s > self.settings.lost_after_s and not self._misses_grip_alone():
+        elif now_s - (self._heard_s if since_s is None else since_s) > self.settings.lost_after_s and (
+            since_s is not None or not self._misses_grip_alone()
+        ):
             self._end_torque()
             self._latch(self._lost(error))
 
@@ -552,7 +602,7 @@ class ServoArm:
     def _lost(self, error: Exception) -> ArmFaultError:
         """Who does not answer any more."""
         missing = []
-        for servo_id in self._ids:
+        for servo_id in self._members:
             try:
                 self._opened.ping(servo_id)
             except TimeoutError:
@@ -565,7 +615,7 @@ class ServoArm:
             if isinstance(error, TimeoutError):
                 return ArmFaultError(FaultKind.SILENT, f"{error}; it does again: see cables, then acknowledge")
             return ArmFaultError(FaultKind.UNREADABLE, f"{error}: see cables and rate, then acknowledge")
-        if len(missing) == len(self._ids):
+        if len(missing) == len(self._members):
             return ArmFaultError(
                 FaultKind.BROWN_OUT, "no servo answers any more: see the supply and the cable, then acknowledge"
             )
@@ -590,10 +640,17 @@ class ServoArm:
             watchdogs = self._opened.sync_read(self._watchdogs)
             torque = self._opened.sync_read(self._status)[::7]
         except (OSError, RuntimeError) as error:
-            self._missed(error, now_s)
+            # What is measured may come all the same: it does not say that the torque is on.
+            self._missed(error, now_s, self._watched_s + self.settings.watch_s)
+            self._watch_at_s = now_s
             return
+        self._watched_s = now_s
+        if self._status.alerts:
+            self._look_at_alert(self._status.alerts[0])
+            if self._fault is not None:
+                return
         units = self.settings.watchdog_units
-        for servo_id, watchdog, on in zip(self._ids, watchdogs, torque, strict=True):
+        for servo_id, watchdog, on in zip(self._members, watchdogs, torque, strict=True):
             if watchdog == FIRED:
                 text = (
                     f"servo {servo_id} heard nothing for {20 * units} ms and ended its torque: this process was halted,"
@@ -607,6 +664,12 @@ class ServoArm:
                 )
                 kind = FaultKind.REBOOTED if watchdog != units else FaultKind.TORQUE_OFF
                 self._latch(ArmFaultError(kind, f"servo {servo_id} {text}, then acknowledge"))
+            elif watchdog != units:
+                text = (
+                    f"servo {servo_id} has torque, and its watchdog is {20 * watchdog} ms: was {20 * units}: see who"
+                    " else writes, then acknowledge"
+                )
+                self._latch(ArmFaultError(FaultKind.WATCHDOG, text))
             else:
                 continue
             return
@@ -623,12 +686,12 @@ class ServoArm:
         """Zero currents and no torque, sent several times: it waits for no answer."""
         if self._bus is None:
             return
-        zeros = bytes(2 * len(self._ids))
+        zeros = bytes(2 * len(self._members))
         with contextlib.suppress(OSError, RuntimeError):
             if self._current_ids:
                 self._bus.stop(GOAL_CURRENT, 2, self._current_ids, zeros[: 2 * len(self._current_ids)])
         with contextlib.suppress(OSError, RuntimeError):
-            self._bus.stop(TORQUE_ENABLE, 1, self._ids, zeros[: len(self._ids)])
+            self._bus.stop(TORQUE_ENABLE, 1, self._members, zeros[: len(self._members)])
 
     def _read_at_rest(self) -> bool:
         """With a fault: looks from time to time, and sends the stop again until all are known to be without torque."""
@@ -661,10 +724,10 @@ class ServoArm:
         with self._connecting:
             try:
                 self._go_on()
-                if self.fault_kind == FaultKind.UNPLUGGED:
+                if self.fault_kind in {FaultKind.UNPLUGGED, FaultKind.NOT_READY}:
+                    # Its port may be one that is gone.
                     self._disconnect(quiet=True)
-                self._restart()
-                self._connect()
+                self._connect(restart=True)
             except Exception as error:  # whatever it is, the arm stays without torque and says it
                 self._end_torque()
                 self._recovered = error
@@ -675,7 +738,7 @@ class ServoArm:
             return
         restarted = []
         failed = self.grip is not None and self.grip.fault is not None
-        for servo_id in (*self._ids, *self._grip_ids[len(self._position_ids) :]) if failed else self._ids:
+        for servo_id in (*self._members, *self._grip_ids[len(self._position_ids) :]) if failed else self._members:
             with contextlib.suppress(OSError, RuntimeError):
                 if self._bus.read(servo_id, HARDWARE_STATUS, 1) != b"\0":
                     self._bus.reboot(servo_id)
@@ -714,7 +777,7 @@ class ServoArm:
             if self.grip is not None:
                 self.grip.hold()
                 self.send_grip()
-            self.kept = tuple(servo_id for servo_id in self._ids if not _is_off(bus, servo_id))
+            self.kept = tuple(servo_id for servo_id in self._members if not _is_off(bus, servo_id))
         finally:
             bus.close()
             self._bus = None

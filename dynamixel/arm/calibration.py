@@ -22,6 +22,7 @@ class _Servo(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     high_rad: Angle = 3.141592653589793
     near_rad: Angle | None = None
     cap_a: float | None = None
+    shadows: tuple[int, ...] = ()
 
 
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -83,4 +84,6 @@ def calibration_text(baud: int, servos: tuple[ServoSettings, ...]) -> str:
             lines.append(f"near_rad = {servo.near_rad:.4f}\n")
         if servo.cap_a is not None:
             lines.append(f"cap_a = {servo.cap_a:.4f}\n")
+        if servo.shadows:
+            lines.append(f"shadows = {list(servo.shadows)}\n")
     return "".join(lines)

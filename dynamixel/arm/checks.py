@@ -8,16 +8,21 @@ from typing import Final
 from haptether._core import DynamixelBus
 from haptether.checklist import Checklist, RefusedError
 from haptether.dynamixel.arm.faults import HARDWARE_ERRORS
-from haptether.dynamixel.arm.settings import ArmSettings, ServoSettings
+from haptether.dynamixel.arm.settings import MAX_ID, ArmSettings, ServoSettings
 from haptether.dynamixel.models import BAUD_RATES, SERVO_MODELS_BY_NUMBER
 
 LATENCY_MS: Final = 1
+STARTUP: Final = 60
 MARGIN_C: Final = 5
 """Below the temperature limit, at the begin."""
 PROTECTS: Final = 1 << 2 | 1 << 5
 """Of the shutdown mask: overheating and overload."""
 TORQUE_BY_GOAL: Final = 1 << 3
 """Of the drive mode."""
+TORQUE_AT_START: Final = 1 << 0
+"""Of the startup configuration, which only newer firmware has."""
+ANSWERS_ALL: Final = 2
+"""Status return level."""
 BESIDE_RAD: Final = 0.1
 """How far beyond its limits a joint may stand at the begin."""
 SYSTEM: Final = Path("/sys")
@@ -83,7 +88,7 @@ def check_present(bus: DynamixelBus, settings: ArmSettings, checklist: Checklist
         OSError: The port is gone.
     """
     found = {}
-    for servo in settings.servos:
+    for servo in (*settings.servos, *(shadow for shadow, _ in settings.shadows)):
         what = f"servo {servo.servo_id}"
         try:
             number, firmware = bus.ping(servo.servo_id)
@@ -109,7 +114,8 @@ def check_present(bus: DynamixelBus, settings: ArmSettings, checklist: Checklist
 
 def knows_fast_reads(settings: ArmSettings, firmware: dict[int, int]) -> bool:
     """Whether all servos know fast sync read."""
-    return all(firmware[one.servo_id] >= one.servo.fast_read_firmware for one in settings.servos)
+    servos = (*settings.servos, *(shadow for shadow, _ in settings.shadows))
+    return all(firmware[one.servo_id] >= one.servo.fast_read_firmware for one in servos)
 
 
 class ServoRegisters:
@@ -142,7 +148,7 @@ class _ServoLine:
     """What is found at one servo: one line of what is good, and one of each thing that is not."""
 
     def __init__(self, servo: ServoSettings, checklist: Checklist, what: str | None = None) -> None:
-        self._what = what or f"servo {servo.servo_id}"
+        self.what = what or f"servo {servo.servo_id}"
         self._checklist = checklist
         self._good: list[str] = []
 
@@ -150,14 +156,20 @@ class _ServoLine:
         if good:
             self._good.append(found)
         else:
-            self._checklist.refuse(self._what, found, remedy)
+            self._checklist.refuse(self.what, found, remedy)
 
     def finish(self) -> None:
-        self._checklist.ok(self._what, ", ".join(self._good))
+        self._checklist.ok(self.what, ", ".join(self._good))
 
 
-def check_servo(bus: DynamixelBus, servo: ServoSettings, checklist: Checklist) -> None:
+def check_servo(bus: DynamixelBus, servo: ServoSettings, checklist: Checklist, obeys: int | None = None) -> None:
     """Takes the torque of a servo off, sets its mode and its return delay, and looks at what it says of itself.
+
+    Args:
+        bus: What it is on.
+        servo: Which it is.
+        checklist: Takes the lines.
+        obeys: Of a shadow the id that it obeys beside its own.
 
     Raises:
         OSError: It does not answer, or the port is gone.
@@ -165,9 +177,16 @@ def check_servo(bus: DynamixelBus, servo: ServoSettings, checklist: Checklist) -
     """
     line = _ServoLine(servo, checklist)
     registers = ServoRegisters(bus, servo)
+    if (level := registers["Status Return Level"]) != ANSWERS_ALL:
+        # A write that is not answered is not known to be done.
+        checklist.refuse(
+            line.what, f"status return level {level}", f"it must answer all: set address 68 to {ANSWERS_ALL}"
+        )
+        return
     if registers["Torque Enable"]:
         registers["Torque Enable"] = 0
         line.check("had torque, and has none now")
+    _check_secondary_id(registers, servo, line, obeys)
     _check_health(registers, servo, line)
     if delay := registers["Return Delay Time"]:
         registers["Return Delay Time"] = 0
@@ -183,6 +202,12 @@ def check_servo(bus: DynamixelBus, servo: ServoSettings, checklist: Checklist) -
         f"drive mode {drive_mode}", good=not drive_mode & TORQUE_BY_GOAL,
         remedy="a goal must not switch torque on: clear bit 3 of address 10",
     )  # fmt: skip
+    if servo.servo.table.by_address.get(STARTUP) is not None:
+        startup = registers["Startup Configuration"]
+        line.check(
+            f"startup configuration {startup}", good=not startup & TORQUE_AT_START,
+            remedy="it must not start with torque: clear bit 0 of address 60",
+        )  # fmt: skip
     _check_shutdown(registers, line)
     if servo.servo.has_current_control:
         limit_a = registers.scaled("Current Limit")
@@ -218,6 +243,21 @@ def _check_shutdown(registers: ServoRegisters, line: _ServoLine) -> None:
         f"shutdown {shutdown}", good=shutdown & PROTECTS == PROTECTS,
         remedy=f"it must end its torque when overheated or overloaded: set address 63 to {shutdown | PROTECTS}",
     )  # fmt: skip
+
+
+def _check_secondary_id(registers: ServoRegisters, servo: ServoSettings, line: _ServoLine, obeys: int | None) -> None:
+    secondary = registers["Secondary(Shadow) ID"]
+    if obeys is not None:
+        turned = ", reversed" if registers["Drive Mode"] & 1 else ""
+        line.check(
+            f"obeys id {obeys}{turned}" if secondary == obeys else f"secondary id {secondary}", good=secondary == obeys,
+            remedy=f"it turns the joint of servo {obeys}: set address 12 to {obeys}",
+        )  # fmt: skip
+    elif secondary <= MAX_ID and secondary != servo.servo_id:
+        line.check(
+            f"obeys id {secondary}, too", good=False,
+            remedy="it would do what is meant for that one: set address 12 to 255, or name it as its shadow",
+        )  # fmt: skip
 
 
 def _check_health(registers: ServoRegisters, servo: ServoSettings, line: _ServoLine) -> None:

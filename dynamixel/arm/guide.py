@@ -73,6 +73,7 @@ class Guide:
         servos: In the order of the joints, all of known models.
         say: Takes a line for the person.
         answer: The person's next line within so many seconds; none yet: none.
+        forget: Drops what was typed before a question.
     """
 
     def __init__(
@@ -81,11 +82,13 @@ class Guide:
         servos: Sequence[FoundServo],
         say: Callable[[str], None],
         answer: Callable[[float], str | None],
+        forget: Callable[[], None] = lambda: None,
     ) -> None:
         self._bus = bus
         self._servos = servos
         self._say = say
         self._answer = answer
+        self._forget = forget
         self._read = SyncRead(PRESENT_POSITION, 4, [servo.servo_id for servo in servos], fast=False)
         self._last: Vector | None = None
 
@@ -157,6 +160,7 @@ class Guide:
 
     def _ask(self, what: str, seen: Callable[[Vector], None] | None = None) -> None:
         """Until the person presses Enter: reads all the time, and shows the angles."""
+        self._forget()
         self._say(what)
         passed_s = 0.0
         while self._answer(READ_S) is None:

@@ -1,7 +1,7 @@
 """What an arm of servos is: its bus, and of each servo how its angle becomes that of a joint."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from haptether.dynamixel.models import CURRENT_MODES, SERVO_MODELS, OperatingMode, ServoModel
@@ -50,11 +50,14 @@ class ServoSettings:
     cap_a: float | None = None
     """Greatest current in A; by default 0.3 of what the model can."""
     mode: OperatingMode = OperatingMode.CURRENT
+    shadows: tuple[int, ...] = ()
+    """Servos of the same model that turn the same joint, and obey this one's id (address 12 of each)."""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.servo_id <= MAX_ID:
-            message = f"id {self.servo_id}: must be 0 to {MAX_ID}"
-            raise ValueError(message)
+        for servo_id in (self.servo_id, *self.shadows):
+            if not 0 <= servo_id <= MAX_ID:
+                message = f"id {servo_id}: must be 0 to {MAX_ID}"
+                raise ValueError(message)
         if self.model not in SERVO_MODELS:
             self._refuse(f"model = {self.model!r}: must be one of {', '.join(SERVO_MODELS)}")
         if self.sign not in {1, -1}:
@@ -137,8 +140,8 @@ class ArmSettings:
     """Let the bus watchdog bite once, with torque on and nothing commanded."""
 
     def __post_init__(self) -> None:
-        ids = [servo.servo_id for servo in self.servos]
-        if not 1 <= len(ids) <= MAX_SERVOS:
+        ids = [servo_id for servo in self.servos for servo_id in (servo.servo_id, *servo.shadows)]
+        if not (self.servos and len(ids) <= MAX_SERVOS):
             message = f"servos: {len(ids)}: must be 1 to {MAX_SERVOS}"
             raise ValueError(message)
         for servo_id in ids:
@@ -156,5 +159,14 @@ class ArmSettings:
 
     @property
     def watchdog_units(self) -> int:
-        """Address 98, in 20 ms."""
-        return max(1, round(self.watchdog_s / 0.02))
+        """Address 98, in 20 ms: no longer than is set."""
+        return max(1, math.floor(self.watchdog_s / 0.02 + 1e-9))
+
+    @property
+    def shadows(self) -> tuple[tuple[ServoSettings, int], ...]:
+        """Each shadow, with the id that it obeys."""
+        return tuple(
+            (replace(servo, servo_id=servo_id, shadows=()), servo.servo_id)
+            for servo in self.servos
+            for servo_id in servo.shadows
+        )

@@ -11,7 +11,7 @@ MAX_START_RAD: Final = 13.0
 
 
 def servos_of(arm: ArmDescription, *, baud: int, firmware: int, start: Sequence[float] = ()) -> list[Servo]:
-    """The servos of a description with their loads, and that of its trigger, open.
+    """The servos of a description with their loads, that of its trigger, open, and the shadows.
 
     A joint's inertia is that of motor and gears, by default what a servo of its model moves well, and that of the links
     at the start, which stays as it is: joints are coupled by gravity alone.
@@ -64,6 +64,14 @@ def servos_of(arm: ArmDescription, *, baud: int, firmware: int, start: Sequence[
                 position_rad=arm.trigger.open_rad,
             )
         )
+    for joint, servo in zip(arm.joints, list(servos), strict=False):
+        for servo_id in joint.shadows:
+            shadow = Servo(joint.servo_model, servo_id, baud=baud, firmware=firmware)
+            # The other is driven for all that turn the joint.
+            shadow.joint = servo.joint
+            item = shadow.model.table["Secondary(Shadow) ID"]
+            shadow.write(item.address, item.encoded(joint.servo), 0.0)
+            servos.append(shadow)
     return servos
 
 

@@ -33,7 +33,6 @@ class Compensation:
         self.gravity_gain = default if options.gravity_gain is None else options.gravity_gain
         self._gravity = kinematics.gravity
         self._speed = options.friction_speed
-        self._margin = options.limit_margin
         self._stiffness = options.limit_stiffness
         self._limit_damping = options.limit_damping
         self._joints = [
@@ -41,6 +40,8 @@ class Compensation:
                 options.friction_gain * (joint.coulomb_nm or 0.0),
                 options.friction_gain * (joint.viscous_nm_s or 0.0) - options.damping,
                 joint.low_rad, joint.high_rad, bound,
+                # Two that met would leave a step between them.
+                min(options.limit_margin, 0.5 * (joint.high_rad - joint.low_rad)),
             )
             for joint, bound in zip(arm.joints, most, strict=True)
         ]  # fmt: skip
@@ -48,13 +49,13 @@ class Compensation:
     def torques(self, q: Numbers, w: Numbers) -> list[float]:
         """N m of each joint, at its angle and velocity."""
         found = []
-        for angle, speed, weight, (coulomb, viscous, low, high, most) in zip(
+        for angle, speed, weight, (coulomb, viscous, low, high, most, margin) in zip(
             q, w, self._gravity(q), self._joints, strict=True
         ):
             torque = self.gravity_gain * weight + coulomb * math.tanh(speed / self._speed) + viscous * speed
-            if (deep := angle - high + self._margin) > 0.0:
+            if (deep := angle - high + margin) > 0.0:
                 torque -= self._stiffness * deep + self._limit_damping * max(speed, 0.0)
-            elif (deep := low + self._margin - angle) > 0.0:
+            elif (deep := low + margin - angle) > 0.0:
                 torque += self._stiffness * deep - self._limit_damping * min(speed, 0.0)
             found.append(min(max(torque, -most), most))
         return found

@@ -5,18 +5,14 @@ grasp takes for F_device. That estimate holds m A + b V + c sign(V) = F_device +
 with its compensation is not either. What is left of the two, and the springs before the limits, it takes for the hand.
 """
 
-import time
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any
 
 from haptether.dynamixel.arm import FaultKind, ServoArm
 from haptether.dynamixel.description import ArmKinematics
 from haptether.master.device import MasterSample
 from haptether.master.dynamixel.compensation import Compensation
 from haptether.master.dynamixel.options import arm_settings, leader_options, with_unit
-
-PATIENT: Final = 0.4
-"""Share of the bus watchdog's time that may pass from `open` to the first `read`."""
 
 
 class DynamixelMaster:
@@ -61,7 +57,8 @@ class DynamixelMaster:
         self._q: list[float] = []
         self._w: list[float] = []
         self._sample: MasterSample | None = None
-        self._opened_s = 0.0
+        self._shown: str | None = None
+        """The fault of the last sample."""
         if trigger is not None:
             self.write_trigger = self._write_trigger
 
@@ -71,10 +68,9 @@ class DynamixelMaster:
         Raises:
             ArmRefusedError: What is wrong, each with what to do.
         """
-        self._sample = None
+        self._sample = self._shown = None
         self._trigger_nm = 0.0
         self.servos.open()
-        self._opened_s = time.monotonic()
 
     def close(self) -> None:
         """Damps the arm down and ends its torque."""
@@ -82,7 +78,9 @@ class DynamixelMaster:
 
     def acknowledge(self) -> None:
         """A person has mended the fault: the checklist runs again."""
-        self.servos.acknowledge()
+        if self._shown is not None and self._shown == self.servos.fault:
+            # One since the last sample was not shown to anybody.
+            self.servos.acknowledge()
 
     def read(self) -> MasterSample:
         """The newest sample; what is not measured now is not returned as if it were: it is measured, or a fault.
@@ -91,18 +89,17 @@ class DynamixelMaster:
             RuntimeError: A fault before anything was measured.
         """
         servos = self.servos
-        if self._sample is None and time.monotonic() - self._opened_s > PATIENT * self.options.watchdog_s:
-            # Between the two this process took its time, and the servos have ended their torque meanwhile.
-            servos.close()
-            servos.open()
+        if self._sample is None:
+            servos.reopen_if_late()
         while not servos.read() and servos.fault is None:
             pass
+        self._shown = servos.fault
         if servos.fault is None:
             self._sample = self._measured()
             return self._sample
         if self._sample is None:
             raise RuntimeError(servos.fault)
-        return self._sample._replace(fault=servos.fault)
+        return self._sample._replace(fault=self._shown)
 
     def write(self, force: Sequence[float], torque: Sequence[float] | None = None) -> None:
         """Exerts F_device, in N m at the joints, or in N and N m at the tool point, until the next call."""

@@ -124,7 +124,7 @@ def arm_settings(options: LeaderOptions, arm: ArmDescription) -> ArmSettings:
         ServoSettings(
             servo_id=joint.servo, model=joint.model, sign=joint.sign, offset_rad=joint.offset_rad,
             low_rad=joint.low_rad - BEYOND_RAD, high_rad=joint.high_rad + BEYOND_RAD, near_rad=joint.start_rad,
-            cap_a=joint.cap_a,
+            cap_a=joint.cap_a, shadows=joint.shadows,
         )
         for joint in arm.joints
     ]  # fmt: skip

@@ -38,7 +38,7 @@ class Channel:
     def __init__(self, host: str, port: int) -> None:
         self._protocol = ClientProtocol(parse_uri(f"ws://{host}:{port}/"), max_size=MAX_FRAME)
         self._frames: list[bytes] = []
-        self._partial = b""
+        self._partial = bytearray()
         end_s = time.monotonic() + CONNECT_S
         try:
             self._socket = socket.create_connection((host, port), CONNECT_S)
@@ -73,20 +73,24 @@ class Channel:
             raise ChannelError(_text(error)) from None
 
     def frame(self, limit_s: float) -> bytes | None:
-        """The next frame, or none within a time in s; 0 does not wait.
+        """The next frame, or none within a time in s, whatever else arrives meanwhile; 0 does not wait.
 
         Raises:
             ChannelError: The connection is lost.
         """
         end_s = time.monotonic() + limit_s
+        left_s = limit_s
         while not self._frames:
             try:
-                self._receive(max(0.0, end_s - time.monotonic()))
+                self._receive(max(0.0, left_s))
             except (TimeoutError, BlockingIOError):
                 return None
             except (OSError, WebSocketException) as error:
                 raise ChannelError(_text(error)) from None
-        return self._frames.pop(0)
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
+                break
+        return self._frames.pop(0) if self._frames else None
 
     def close(self, wait_s: float = 0.0) -> None:
         """Says goodbye, and waits for the end of the other side for so many s at most.
@@ -135,13 +139,13 @@ class Channel:
 
     def _take(self, frame: Frame) -> None:
         if frame.opcode in {Opcode.TEXT, Opcode.BINARY, Opcode.CONT}:
-            self._partial += bytes(frame.data)
+            self._partial += frame.data
             if len(self._partial) > MAX_FRAME:
                 message = f"a message of more than {MAX_FRAME} bytes"
                 raise ConnectionError(message)
             if frame.fin:
-                self._frames.append(self._partial)
-                self._partial = b""
+                self._frames.append(bytes(self._partial))
+                self._partial.clear()
 
 
 def _text(error: Exception) -> str:

@@ -27,6 +27,8 @@ STATUS: Final = (
     ("in_use", False, "in use", "another program moves it: end that"),
 )
 """What each flag must be, the fault where it is not, and the remedy."""
+MAX_EVENTS: Final = 100
+"""That are heard in a tick: a flood must not hold it up."""
 EBRAKE: Final = "e-brake"
 TRIPS: Final = {
     "ebrake_triggered": f"{EBRAKE}: the emergency brake is on: see why, release it, acknowledge",
@@ -59,8 +61,8 @@ def grip_fault(grip: Grip, kind: str) -> str | None:
 def event_fault(told: Event, device_id: str, grip_id: str | None) -> str | None:
     """The fault that an event is, if it is one of these devices."""
     details = told.data or {}
-    about = details.get("device_id", device_id)
-    if about not in {device_id, grip_id}:
+    about = _about(told, device_id)
+    if about not in (device_id, grip_id):
         return None
     which = "grip" if about == grip_id else "device"
     if told.name == "device-disconnected":
@@ -73,6 +75,19 @@ def event_fault(told: Event, device_id: str, grip_id: str | None) -> str | None:
         trip = str(details.get("safety_type"))
         return None if trip == "ebrake_released" else TRIPS.get(trip, f"safety stop: {trip}: see the vendor's hub")
     return None
+
+
+def brake(told: Event, device_id: str) -> bool | None:
+    """Whether the emergency brake of the device is on, where an event says it."""
+    if told.name != "device-safety-triggered" or _about(told, device_id) != device_id:
+        return None
+    return {"ebrake_triggered": True, "ebrake_released": False}.get(str((told.data or {}).get("safety_type")))
+
+
+def _about(told: Event, device_id: str) -> object:
+    """The device that an event names; one that names none may be about ours."""
+    about = (told.data or {}).get("device_id")
+    return device_id if about is None else about
 
 
 def first_frame(channel: Channel) -> Reply:
@@ -169,8 +184,11 @@ def told(events: Channel) -> list[Event]:
     Raises:
         ChannelError: The channel is lost, or says something else.
     """
-    found = []
+    found: list[Event] = []
     while (received := events.frame(0.0)) is not None:
+        if len(found) >= MAX_EVENTS:
+            message = f"more than {MAX_EVENTS} events at once"
+            raise ChannelError(message)
         try:
             found.append(event(received))
         except MessageError as error:

@@ -13,6 +13,7 @@ from haptether.master.frame import clipped
 from haptether.master.inverse3.channel import Channel, ChannelError
 from haptether.master.inverse3.checks import (
     EBRAKE,
+    brake,
     chosen_device,
     chosen_grip,
     event_fault,
@@ -31,8 +32,11 @@ ADDED_SHARE: Final = 0.1
 """How much longer than what was sent a force may be said to be, in N and as a share."""
 ADDED_REPLIES: Final = 20
 """So many replies in a row that say so are a fault: it may be told some ticks late."""
+CLOSED: Final = "closed before it was open"
 JOIN_S: Final = 3.0
 CLOSE_S: Final = 0.1
+MAX_UNASKED: Final = 20
+"""Frames that are dropped in a tick: a flood must not hold it up."""
 
 
 class Session(NamedTuple):
@@ -94,8 +98,21 @@ class Inverse3:
 
     def open(self) -> None:
         """Goes through the checklist and connects; no force."""
-        self._session = self._connected(Checklist(self._name))
-        self._owed = 0
+        if self._session is not None:
+            message = f"{self._name}: is open"
+            raise ValueError(message)
+        if self._mending is not None and self._mending.is_alive():
+            message = f"{self._name}: it still connects from before: open it once that has ended"
+            raise RuntimeError(message)
+        self._ending.clear()
+        self._sample, self._fault, self._shown, self._fresh, self._braked = None, None, None, False, False
+        self._sent, self._added, self._mended, self._mending = [0.0, 0.0, 0.0], 0, None, None
+        session = self._connected(Checklist(self._name))
+        self._session, self._owed = session, 0
+        if self._ending.is_set():
+            self._session = None
+            session.close()
+            raise RefusedError(CLOSED)
 
     def read(self) -> MasterSample:
         """The reply to the last message; the last position and a fault where there is none."""
@@ -111,7 +128,9 @@ class Inverse3:
             return self._faulty()
         try:
             for happened in told(session.events):
-                self._hear(event_fault(happened, session.device_id, session.grip_id), happened.data or {})
+                braked = brake(happened, session.device_id)
+                self._braked = self._braked if braked is None else braked
+                self._hear(event_fault(happened, session.device_id, session.grip_id))
             if self._owed == 0:
                 self._send(session, REST)
             device, orientation, buttons = self._reply(session)
@@ -201,8 +220,7 @@ class Inverse3:
                 checklist.refuse("reply", "none within 1 s", "does the service answer the vendor's own demos?")
                 checklist.finish()
             if self._ending.is_set():
-                message = "closed before it was open"
-                raise RefusedError(message)
+                raise RefusedError(CLOSED)
         except BaseException:
             channel.close()
             if events is not None:
@@ -215,7 +233,7 @@ class Inverse3:
     def _mend(self) -> None:
         try:
             self._mended = self._connected(Checklist(self._name))
-        except (RefusedError, ChannelError) as error:
+        except Exception as error:  # whatever it is, it is to be seen and may be tried again
             self._mended = f"not ready: {error}"
 
     def _look_at_mending(self) -> None:
@@ -254,7 +272,7 @@ class Inverse3:
         if device is None:
             message = f"device disconnected: the service has no {session.device_id} any more: see its cable"
             raise ChannelError(message)
-        self._hear(status_fault(device.status), {})
+        self._hear(status_fault(device.status))
         if session.grip_id is None:
             return device, None, None
         grips = state.grips(GRIPS[self.options.grip])
@@ -262,20 +280,21 @@ class Inverse3:
         if grip is None or grip.state.orientation is None:
             message = f"grip lost: the service has no {session.grip_id} any more: is it charged and in reach?"
             raise ChannelError(message)
-        self._hear(grip_fault(grip, self.options.grip), {})
+        self._hear(grip_fault(grip, self.options.grip))
         return device, grip.state.orientation.wxyz, grip.buttons
 
     def _drop_unasked(self, session: Session) -> None:
         """A frame that nobody asked for would make each reply after it the one of the tick before."""
-        while self._owed == 0 and session.channel.frame(0.0) is not None:
+        for _ in range(MAX_UNASKED):
+            if self._owed != 0 or session.channel.frame(0.0) is None:
+                return
             self._latch("unasked frame: does another program use this session? acknowledge")
+        message = f"more than {MAX_UNASKED} unasked frames at once"
+        raise ChannelError(message)
 
     # --------------------------------------------------------------------------------------------------- faults
 
-    def _hear(self, fault: str | None, details: dict[str, Any]) -> None:
-        trip = details.get("safety_type")
-        if trip in {"ebrake_triggered", "ebrake_released"}:
-            self._braked = trip == "ebrake_triggered"
+    def _hear(self, fault: str | None) -> None:
         if fault is not None:
             self._latch(fault)
         elif self._braked:

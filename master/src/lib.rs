@@ -3,6 +3,7 @@
 mod axes;
 mod device;
 mod hand;
+mod live;
 mod path;
 mod polynomial;
 mod rotation;
@@ -19,6 +20,7 @@ mod wall;
 pub use axes::{Axes, Real};
 pub use device::{DeviceParameters, Friction};
 pub use hand::{Hand, Regrasp, Release, ReleaseKind, Tremor};
+pub use live::{HdCallback, HdErrorInfo, HdFunctions, HdSample};
 pub use path::{Leg, LegShape, Path};
 pub use rotation::{
     RotationHand, RotationHandParameters, RotationLeg, RotationParameters, RotationSample, SimulatedRotation,

@@ -4,7 +4,7 @@ Units are SI, angles in rad; a positive force pushes the device along +x. Arrays
 shape `(n_ticks, axes)`, for one axis also `(n_ticks,)`, and must hold float64; results have the shape
 of the first argument, and one number per tick the shape `(n_ticks,)`. Strides do not matter. One sample
 is a float for one axis, else a sequence of `axes` floats; it comes back as an array of shape `(axes,)`.
-Devices have 1, 2, 3, 6 or 7 axes.
+Devices have 1 to 7 axes.
 
 What every call refuses: another shape, length or range with `ValueError`, which says what was seen and
 what is allowed; another type, an array of another dtype among them, with `TypeError`; a negative
@@ -26,6 +26,8 @@ __all__ = [
     "CONTROLLERS",
     "ESTIMATORS",
     "OBSERVERS",
+    "PRESS_S",
+    "ROUND_TRIP_S",
     "DeviceModel",
     "DirectionStatistics",
     "DynamixelBus",
@@ -36,6 +38,7 @@ __all__ = [
     "Hand",
     "HandGraspObserver",
     "HapticDevice",
+    "HdCallback",
     "Intervention",
     "Interventions",
     "Limiter",
@@ -94,6 +97,10 @@ _Rows: TypeAlias = tuple[Sequence[float], Sequence[float], Sequence[float], Sequ
 
 __version__: str
 
+PRESS_S: float
+"""For how long in s a press of the clutch counts, and waits in ALIGNING."""
+ROUND_TRIP_S: float
+"""What of `PRESS_S` a press takes over the slowest link, besides a turn: 500 ms each way."""
 CONTROLLERS: tuple[tuple[str, str, str], ...]
 """Name, title and source of each safety controller, in the order of the bits of `tripped`."""
 OBSERVERS: tuple[tuple[str, str, str], ...]
@@ -114,7 +121,7 @@ class DeviceModel:
         mass_kg: m in kg, above 0; one value serves all axes.
         viscous: b in N s/m, of any sign; the paper's device has b = -0.005.
         coulomb: c in N, 0 or more.
-        axes: 1, 2, 3, 6 or 7.
+        axes: 1 to 7.
 
     Raises:
         ValueError: A parameter outside its range, values of another number than `axes`, or no such `axes`.
@@ -251,7 +258,7 @@ class Estimator:
     Args:
         kind: Which estimator; without it the default of `EstimatorKind`.
         period_s: dT in s, above 0.
-        axes: 1, 2, 3, 6 or 7.
+        axes: 1 to 7.
 
     Raises:
         ValueError: A parameter of `kind` or `period_s` outside its range, or no such `axes`.
@@ -322,7 +329,7 @@ class VelocityForceObserver:
         velocity_threshold: V_t in m/s, above 0.
         force_threshold_n: F_t in N, above 0.
         form: Which reading of Eq. 1.
-        axes: 1, 2, 3, 6 or 7.
+        axes: 1 to 7.
 
     Raises:
         ValueError: A threshold outside its range, no such `form` or no such `axes`.
@@ -369,7 +376,7 @@ class HandGraspObserver:
 
     Args:
         grasp_floor_n: alpha in N, above 0.
-        axes: 1, 2, 3, 6 or 7.
+        axes: 1 to 7.
 
     Raises:
         ValueError: alpha outside its range or no such `axes`.
@@ -511,7 +518,7 @@ class PassivityObserver:
     it took. Force times displacement is the exact work of a force that is held over a tick.
 
     Args:
-        axes: 1, 2, 3, 6 or 7.
+        axes: 1 to 7.
 
     Raises:
         ValueError: No such `axes`.
@@ -779,7 +786,7 @@ class Limiter:
     Args:
         settings: Bounds; without them the defaults of `LimiterSettings`.
         period_s: dT in s, above 0.
-        axes: 1, 2, 3, 6 or 7.
+        axes: 1 to 7.
 
     Raises:
         ValueError: A bound or `period_s` outside its range, or no such `axes`.
@@ -2564,6 +2571,56 @@ class DynamixelBus:
 
     def close(self) -> None:
         """Gives the port back; any other call raises `ValueError` then."""
+
+# -------------------------------------------------------------------------------------------- OpenHaptics
+
+@final
+class HdCallback:
+    """What the scheduler of OpenHaptics calls: one frame of a device, in Rust and without the interpreter's lock.
+
+    It exerts the newest force, and zero before the first one, once that is older than the watchdog's time, after an
+    error until it is acknowledged, and in its last frame. Its memory is never given back.
+
+    Args:
+        functions: Addresses of hdMakeCurrentDevice, hdBeginFrame, hdEndFrame, hdGetDoublev, hdGetIntegerv, hdSetDoublev,
+            hdGetError and hdCheckCalibration, in this order; any others end the process.
+        device: Its handle.
+        watchdog_s: 0.001 to 0.1 s.
+        max_force_n: Longer forces are shortened to this.
+
+    Raises:
+        ValueError: An address of 0, or a number that cannot be.
+    """
+
+    def __new__(cls, functions: Sequence[int], device: int, *, watchdog_s: float, max_force_n: float) -> HdCallback: ...
+    @property
+    def address(self) -> int:
+        """What hdScheduleAsynchronous is to call."""
+
+    @property
+    def context(self) -> int:
+        """What it is to be called with."""
+
+    @property
+    def starved(self) -> int:
+        """Frames without force because the newest one was too old."""
+
+    def write(self, force: Sequence[float]) -> None:
+        """The force in N from the next frame on, in the vendor's frame."""
+
+    def wait(self, after: int, limit_s: float) -> tuple[int, list[float], list[float], int, int, int, int] | None:
+        """The newest sample after a frame, as soon as there is one; none within the time.
+
+        Returns:
+            Number of the frame, transform (column by column, mm), velocity (mm/s), buttons, what hdCheckCalibration
+            said, the first error since the last acknowledgement and its internal code.
+        """
+
+    def acknowledge(self) -> None:
+        """Forgets the first error."""
+
+    def end(self, limit_s: float) -> bool:
+        """Has the next frame be the last, of zero force; whether that was within the time."""
 
 # ---------------------------------------------------------------------------------------------- scenes
 

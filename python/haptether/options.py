@@ -83,7 +83,10 @@ def _range(meta: Meta) -> str:
 
 def _numbers(value: object) -> Iterator[float]:
     if isinstance(value, float | int):
-        yield float(value)
+        try:
+            yield float(value)
+        except OverflowError:
+            yield math.inf
     elif isinstance(value, list | tuple):
         for part in value:
             yield from _numbers(part)

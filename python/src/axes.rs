@@ -4,7 +4,7 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 
 /// What is said of a number of axes that no device has.
 pub(crate) fn refuse_axes(axes: usize) -> PyErr {
-    PyValueError::new_err(format!("axes = {axes}: must be 1, 2, 3, 6 or 7"))
+    PyValueError::new_err(format!("axes = {axes}: must be 1 to 7"))
 }
 
 /// Any error of the crates, as `ValueError`: they all say what was seen and what is allowed.
@@ -26,6 +26,14 @@ macro_rules! of_axes {
             }
             3 => {
                 const $n: usize = 3;
+                $body
+            }
+            4 => {
+                const $n: usize = 4;
+                $body
+            }
+            5 => {
+                const $n: usize = 5;
                 $body
             }
             6 => {
@@ -53,6 +61,8 @@ macro_rules! per_axes {
             One($inner<1>),
             Two($inner<2>),
             Three($inner<3>),
+            Four($inner<4>),
+            Five($inner<5>),
             Six($inner<6>),
             Seven($inner<7>),
         }
@@ -76,6 +86,16 @@ macro_rules! with_axes {
             $name::Three($inner) => {
                 #[allow(dead_code)]
                 const N: usize = 3;
+                $body
+            }
+            $name::Four($inner) => {
+                #[allow(dead_code)]
+                const N: usize = 4;
+                $body
+            }
+            $name::Five($inner) => {
+                #[allow(dead_code)]
+                const N: usize = 5;
                 $body
             }
             $name::Six($inner) => {
@@ -108,6 +128,14 @@ macro_rules! build_axes {
                 const N: usize = 3;
                 $name::Three($body)
             }
+            4 => {
+                const N: usize = 4;
+                $name::Four($body)
+            }
+            5 => {
+                const N: usize = 5;
+                $name::Five($body)
+            }
             6 => {
                 const N: usize = 6;
                 $name::Six($body)
@@ -128,6 +156,8 @@ macro_rules! build_like {
             AnyDevice::One($model) => $name::One($body),
             AnyDevice::Two($model) => $name::Two($body),
             AnyDevice::Three($model) => $name::Three($body),
+            AnyDevice::Four($model) => $name::Four($body),
+            AnyDevice::Five($model) => $name::Five($body),
             AnyDevice::Six($model) => $name::Six($body),
             AnyDevice::Seven($model) => $name::Seven($body),
         }

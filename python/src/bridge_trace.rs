@@ -104,7 +104,7 @@ macro_rules! rowed {
     };
 }
 
-rowed!(One 1, Two 2, Three 3, Six 6, Seven 7);
+rowed!(One 1, Two 2, Three 3, Four 4, Five 5, Six 6, Seven 7);
 
 impl Rowed for MasterRecord<3, MasterRotation> {
     type Rows = MasterRows;

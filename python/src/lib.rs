@@ -19,6 +19,7 @@ mod reserve;
 mod safety;
 mod scene;
 mod signals;
+mod touch;
 mod ur;
 mod ur_environment;
 
@@ -31,6 +32,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     ur::register(module)?;
     netsim::register(module)?;
     dynamixel::register(module)?;
+    touch::register(module)?;
     scene::register(module)?;
     ur_environment::register(module)?;
     bridge_trace::register(module)?;

@@ -9,11 +9,11 @@ use std::{
     time::Duration,
 };
 
-use haptether_bridge::SideKind;
 use haptether_bridge::scene::{
     self, Outcome, Progress, Refused, SceneError, SceneRun, SceneSpec, Signal, SweepSettings, Variation,
     simulate, sweep,
 };
+use haptether_bridge::{SideKind, coupling::ROUND_TRIP_S, ladder::PRESS_NS};
 use numpy::{PyArrayMethods, PyReadonlyArray1, ToPyArray};
 use pyo3::{
     prelude::*,
@@ -29,6 +29,8 @@ use crate::{
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PySceneRun>()?;
+    module.add("PRESS_S", PRESS_NS as f64 / 1e9)?;
+    module.add("ROUND_TRIP_S", ROUND_TRIP_S)?;
     module.add_function(wrap_pyfunction!(scene_schema, module)?)?;
     module.add_function(wrap_pyfunction!(simulate_scene, module)?)?;
     module.add_function(wrap_pyfunction!(sweep_scenes, module)?)

@@ -64,6 +64,7 @@ class DynamixelSlave:
         """A command that was not obeyed; the arm holds its joints where they are."""
         self._shown: str | None = None
         self._read_s = self._written_s = 0.0
+        self._is_measured = False
 
     def carry(self, grip: GripServo) -> None:
         """Takes a gripper to the bus of its joints, before it is open.
@@ -75,7 +76,7 @@ class DynamixelSlave:
 
     def open(self) -> None:
         """Goes through the checklist; then the arm takes up its own weight where it stands."""
-        self._goal, self._led, self._refused = None, False, None
+        self._goal, self._led, self._refused, self._is_measured = None, False, None, False
         self.servos.open()
         self._torque.reset()
         self._read_s = self._written_s = time.monotonic()
@@ -83,6 +84,9 @@ class DynamixelSlave:
     def read(self) -> SlaveSample:
         """The newest sample; where a read fails it is asked again, until there is one or a fault."""
         arm = self.servos
+        if not self._is_measured:
+            arm.reopen_if_late()
+            self._is_measured = True
         fresh = arm.read()
         while not fresh and arm.fault is None:
             fresh = arm.read()

@@ -100,6 +100,7 @@ def _with_mode(servo: ServoSettings, mode: OperatingMode) -> ServoSettings:
         near_rad=servo.near_rad,
         cap_a=servo.cap_a,
         mode=mode,
+        shadows=servo.shadows,
     )
 
 

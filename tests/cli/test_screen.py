@@ -264,7 +264,7 @@ def explained(tmp_path: Path, capsys: pytest.CaptureFixture[str], body: bytes, *
     return capsys.readouterr().out
 
 
-@pytest.mark.parametrize("axes", [1, 2, 3, 6, 7])
+@pytest.mark.parametrize("axes", [1, 2, 3, 4, 5, 6, 7])
 def test_explain_names_trips_and_cuts_no_number(
     axes: int, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -385,8 +385,8 @@ def test_only_the_screen_makes_a_console() -> None:
         (
             ["master", "--insecure", "--peer", "127.0.0.1:9", "--scene", "remote_push", "--set", "master.driver=tuch"],
             (
-                "[master] driver = tuch: no such driver (haptether.masters): there is dynamixel, inverse3; "
-                "without the key it is a model"
+                "[master] driver = tuch: no such driver (haptether.masters): did you mean touch? there is dynamixel, "
+                "force-dimension, inverse3, touch; without the key it is a model"
             ),
         ),
         (

@@ -217,3 +217,30 @@ def test_a_joint_of_several_turns_says_where_it_is_to_be() -> None:
     assert one.near_rad == pytest.approx(0.3)
     with pytest.raises(ValueError, match=r"joint 1 .servo 1. was moved 0\.010 rad: must be more than twice"):
         calibrated(found, (0.0,), np.zeros(1), [1], (np.zeros(1), np.full(1, 0.01)), rounded=True, margin_rad=0.05)
+
+
+def test_what_was_typed_before_a_question_is_no_answer_to_it(emulated: EmulatedBus, tmp_path: Path) -> None:
+    run = Calibration(emulated, tmp_path / "arm.toml")
+    try:
+        run.until("the arm has no torque")
+        assert run.process.stdin is not None
+        run.process.stdin.write(b"\n\n\n")
+        run.process.stdin.flush()
+        run.until("put the arm into the pose")
+        # The two that were too many are not taken for the pose: it is asked for until somebody answers.
+        with pytest.raises(TimeoutError):
+            run.said.line(0.5)
+        run.enter()
+        run.until("turn joint 1")
+    finally:
+        run.close()
+
+
+def test_answers_without_end_are_nobodys(emulated: EmulatedBus, tmp_path: Path) -> None:
+    command = (
+        f"yes '' | {sys.executable} -m haptether dynamixel calibrate {emulated.port} {tmp_path}/arm.toml --ids 1 2"
+    )
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert done.returncode == 1
+    assert "standard input does not wait for questions" in done.stderr
+    assert not (tmp_path / "arm.toml").exists()

@@ -247,3 +247,17 @@ def test_it_is_bounded() -> None:
     for _ in range(200):
         q, w = random.uniform(-6.0, 6.0, 6), random.uniform(-20.0, 20.0, 6)
         assert max(map(abs, compensation.torques(q.tolist(), w.tolist()))) <= 0.05
+
+
+def test_springs_that_would_meet_leave_no_step_between_them() -> None:
+    """A margin of more than half of a joint's range."""
+    arm = load_arm("factr")
+    joint = msgspec.structs.replace(arm.joints[0], low_rad=-0.1, high_rad=0.3, near_rad=None)
+    arm = msgspec.structs.replace(arm, joints=(joint, *arm.joints[1:]), gravity_m_s2=(0.0, 0.0, 0.0))
+    options = LeaderOptions(port="", arm="", limit_margin=1.0, limit_stiffness=2.0)
+    compensation = Compensation(options, arm, ArmKinematics(arm), [5.0] * len(arm.joints))
+    rest = [joint.start_rad for joint in arm.joints[1:]]
+    places = np.linspace(-0.15, 0.35, 501)
+    torques = np.array([compensation.torques([q, *rest], [0.0] * 7)[0] for q in places])
+    # -K (q - 0.1): of both springs, which meet amid the limits.
+    assert torques == pytest.approx(-2.0 * (places - 0.1), abs=1e-9)

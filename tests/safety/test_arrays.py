@@ -30,7 +30,7 @@ from haptether.safety import (
 
 Array = npt.NDArray[Any]
 
-AXES = (1, 2, 3, 6, 7)
+AXES = (1, 2, 3, 4, 5, 6, 7)
 TICKS = 60
 QUANTUM = 2.3e-5
 INTERVENTION = (
@@ -363,7 +363,7 @@ def test_an_observer_that_no_controller_reads_is_not_computed() -> None:
             assert np.isnan(getattr(step, column)) == (name != chosen)
 
 
-@pytest.mark.parametrize("axes", [0, 4, 5, 8])
+@pytest.mark.parametrize("axes", [0, 8])
 def test_no_other_number_of_axes(axes: int) -> None:
     builds: list[Callable[[int], Any]] = [
         lambda axes: DeviceModel(mass_kg=1.0, axes=axes),
@@ -371,5 +371,5 @@ def test_no_other_number_of_axes(axes: int) -> None:
         *(MACHINES[name].build for name in ("kalman", "vfo", "hgo", "po", "limiter")),
     ]
     for build in builds:
-        with pytest.raises(ValueError, match=f"^axes = {axes}: must be 1, 2, 3, 6 or 7$"):
+        with pytest.raises(ValueError, match=f"^axes = {axes}: must be 1 to 7$"):
             build(axes)

@@ -27,7 +27,7 @@ def motion(axes: int) -> tuple[np.ndarray, np.ndarray]:
     return np.round(position / 2.3e-5) * 2.3e-5, np.outer(np.full(TICKS, 6.0), along)
 
 
-@pytest.mark.parametrize("axes", [1, 2, 3, 6, 7])
+@pytest.mark.parametrize("axes", [1, 2, 3, 4, 5, 6, 7])
 def test_the_chain_is_the_sum_of_its_parts(axes: int) -> None:
     position, rendered = motion(axes)
     device = DeviceModel.phantom_desktop(axes)

@@ -670,3 +670,17 @@ def run_python(code: str, *arguments: str) -> str:
     return subprocess.run(
         [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True, timeout=60
     ).stdout
+
+
+@pytest.mark.parametrize(
+    ("scene", "change", "why"),
+    [
+        ("alignment", "coupling.alignment.max_angle=0.1", "arm is turned too far from the master"),
+        ("remote_push", "link.backward.loss=1.0", "master and slave did not hear each other"),
+        ("remote_push", "operator.clutch=[[6.0, 7.0]]", "the clutch was not pressed"),
+        ("remote_push", "run.duration_s=0.06", "the run ended before both sides had aligned"),
+    ],
+)
+def test_a_run_that_never_engages_says_why(scene: str, change: str, why: str) -> None:
+    (event,) = (event for event in simulate(scene, overrides=[change]).events if event.kind == "never-engaged")
+    assert event.detail == why

@@ -240,7 +240,7 @@ BAD_ARM_SCENES: list[tuple[dict[str, Any], str]] = [
     ({"safety.energy_threshold_j": 0.0}, "[safety] energy_threshold_j = 0: must be at least -1e9 and below 0"),
     ({"safety.energy_ratio": 1.5}, "[safety] energy_ratio = 1.5: must be above 0 and at most 1"),
     ({"safety.hold_off_s": 61.0}, "[safety] hold_off_s = 61: must be 0 to 60"),
-    ({"master.axes": 4}, "[master] axes = 4: must be one of 1, 2, 3, 6, 7"),
+    ({"master.axes": 8}, "[master] axes = 8: must be one of 1, 2, 3, 4, 5, 6, 7"),
     ({"master.mass_kg": 0.0}, "[master] mass_kg = 0: must be above 0"),
     ({"link.slave_clock": {"drift_ppm": 1e5}}, "[link.slave_clock] drift_ppm = 100000: must be -10000 to 10000"),
     ({"link.slave_clock": {"step_s": -1.0}}, "[link.slave_clock] step_s = -1: must be 0 or more: a monotonic clock is never"),
@@ -694,7 +694,7 @@ def numbers(low: float, high: float) -> st.SearchStrategy[float]:
 
 @st.composite
 def scenes(draw: st.DrawFn) -> dict[str, Any]:
-    axes = draw(st.sampled_from([1, 2, 3, 6, 7]))
+    axes = draw(st.sampled_from([1, 2, 3, 4, 5, 6, 7]))
     arm = draw(st.booleans())
 
     def per_axis(low: float, high: float) -> Any:

@@ -13,7 +13,7 @@ from haptether.slave import SlaveSample
 Side = Literal["master", "slave"]
 Kind = Literal["linear", "joints", "pose"]
 
-AXES: dict[str, tuple[int, ...]] = {"linear": (1, 2, 3), "joints": (1, 2, 3, 6, 7), "pose": (3,)}
+AXES: dict[str, tuple[int, ...]] = {"linear": (1, 2, 3), "joints": (1, 2, 3, 4, 5, 6, 7), "pose": (3,)}
 """Numbers of axes that a side of each kind has."""
 NORM_ERROR = 1e-9
 """How far the norm of a quaternion may lie from 1, as in the tick."""

@@ -59,7 +59,8 @@ _bit = Annotated[int, Meta(ge=0, le=31)]
 class ButtonsTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[master.buttons]`: what the buttons of a driven device do, each by its bit of `MasterSample.buttons`, 0 to 31.
 
-    With this table nothing but a press engages: neither the start nor a signal closes a clutch that a button works.
+    With this table nothing but a press engages: neither the start nor a signal closes a clutch that a button works. In
+    virtual time, where nobody presses, `[operator]` works clutch and gripper all the same.
     """
 
     clutch: _bit | None = None
@@ -115,7 +116,7 @@ class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """What the coordinates are: "linear" (1 to 3 axes), "joints" (1 to 7) or "pose" (3 axes and an orientation); by
     default "linear" up to 3 axes, else "joints"."""
     axes: Axis = 1
-    """Number of axes: 1, 2, 3, 6 or 7."""
+    """Number of axes: 1 to 7."""
     mass_kg: PositivePerAxis | None = None
     """m in kg, above 0."""
     viscous: PerAxis | None = None

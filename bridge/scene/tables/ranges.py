@@ -44,7 +44,7 @@ Force = Annotated[float, Meta(ge=-10000.0, le=10000.0)]
 """In N: what the safety layer takes for possible."""
 Angle = Annotated[float, Meta(gt=0.0, le=pi)]
 """In rad, between two orientations."""
-Axis: TypeAlias = Literal[1, 2, 3, 6, 7]
+Axis: TypeAlias = Literal[1, 2, 3, 4, 5, 6, 7]
 Unbounded: TypeAlias = Literal["unbounded"]
 """What is written where a number would be a bound and there is to be none."""
 UNBOUNDED = "unbounded"

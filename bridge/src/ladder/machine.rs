@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer};
 
 use super::{
+    PRESS_NS,
     input::{AlignmentState, LadderInput},
     table::{Facts, LadderState, Reason, next},
 };
@@ -319,9 +320,8 @@ fn whole_ns<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error>
     f64::deserialize(deserializer).map(|seconds| (seconds * 1e9).round() as u64)
 }
 
-/// Handshake, first frames and one repeat of each over a link of 500 ms each way.
 const fn default_align_ns() -> u64 {
-    5_000 * MS
+    PRESS_NS
 }
 
 impl Default for LadderSettings {
@@ -365,7 +365,7 @@ impl LadderSettings {
             ),
             ("fade_out", self.fade_out_ns, 50 * MS, 100 * MS),
             ("fade_in", self.fade_in_ns, 200 * MS, 60_000 * MS),
-            ("align", self.align_ns, 500 * MS, 5_000 * MS),
+            ("align", self.align_ns, 500 * MS, PRESS_NS),
         ] {
             if !(min..=max).contains(&seen) {
                 return Err(LadderError { name, seen, min, max });

@@ -15,6 +15,6 @@ pub use diagnosis::{Diagnosis, Explanation, PeerCause, Remedy, Step};
 pub use flight::{FlightEntry, FlightRecorder, FlightValues, Observed, thresholds};
 pub use input::{AlignmentState, LadderInput, LadderInputs, LinkView, PeerFrame, PeerReport};
 pub use machine::{History, Ladder, LadderError, LadderSettings, Transition};
-pub(crate) use operator::{Button, START_NS};
-pub use operator::{Clutch, ClutchError, ClutchOperator};
+pub(crate) use operator::Button;
+pub use operator::{Clutch, ClutchError, ClutchOperator, PRESS_NS};
 pub use table::{LadderState, Reason};

@@ -37,8 +37,9 @@ const OPEN_NS: u64 = 100_000_000;
 /// no more.
 const LATEST_NS: u64 = 2 * OPEN_NS;
 
-/// Within what time in ns of the start the first tick must be, for the start to be a press.
-pub(crate) const START_NS: u64 = 5_000_000_000;
+/// For how long a press counts, in ns: handshake, first frames and one repeat of each over a link of 500 ms each way. A
+/// start is one only if the first tick comes within it.
+pub const PRESS_NS: u64 = 5_000_000_000;
 
 /// Works the clutch of a side without a button, as [`Clutch`] and an operator's commands have it: a pure function of
 /// time and of what the ladder shows.
@@ -123,7 +124,7 @@ impl ClutchOperator {
             Clutch::Once => None,
         };
         if !std::mem::replace(&mut self.has_begun, true) {
-            self.pressed &= now_ns.saturating_sub(self.start_ns) <= START_NS;
+            self.pressed &= now_ns.saturating_sub(self.start_ns) <= PRESS_NS;
         }
         if std::mem::take(&mut self.requested) {
             self.requested_ns = Some(now_ns);

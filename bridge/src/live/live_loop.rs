@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     command::OperatorCommand,
-    ladder::{Diagnosis, FlightRecorder, LadderState, START_NS},
+    ladder::{Diagnosis, FlightRecorder, LadderState, PRESS_NS},
     link::{LinkStatistics, LinkTime},
     pace::{TickTime, Wake},
     path::PathReport,
@@ -96,7 +96,7 @@ fn is_prompt(
     let is_young = now_ns.saturating_sub(at_ns) <= PROMPT_NS;
     match command {
         // A time that has not been yet would never grow old.
-        OperatorCommand::Start => now_ns.checked_sub(at_ns).is_some_and(|age_ns| age_ns <= START_NS),
+        OperatorCommand::Start => now_ns.checked_sub(at_ns).is_some_and(|age_ns| age_ns <= PRESS_NS),
         OperatorCommand::Press | OperatorCommand::Takeover => {
             is_young && stalled_ns.is_none_or(|stalled| at_ns > stalled + PROMPT_NS)
         }

@@ -173,6 +173,7 @@ where
         coupling,
         states: [LadderState::Disengaged; 2],
         engaged_s: None,
+        ended_by: None,
         engaged_ns: [u64::MAX; 2],
         newest: None,
         far_force: Axes::zeros(),
@@ -261,6 +262,8 @@ struct Watched<R, const N: usize> {
     /// Of the master and the slave.
     states: [LadderState; 2],
     engaged_s: Option<f64>,
+    /// What ended the first try to engage, of a side that aligned.
+    ended_by: Option<Reason>,
     /// When each side first was coupled, in ns since the start; `u64::MAX` if never.
     engaged_ns: [u64; 2],
     newest: Option<MasterRecord<N, R>>,
@@ -322,6 +325,10 @@ impl<R: MasterTurn, const N: usize> Watched<R, N> {
                 None => side.to_owned(),
             };
             self.log.add(time_s, state.name(), detail);
+            // The side that ends a try knows why; the other one hears it after that.
+            if before == LadderState::Aligning && !state.is_coupled() {
+                self.ended_by = self.ended_by.or(Reason::from_code(reason));
+            }
         }
     }
 
@@ -449,6 +456,18 @@ impl<R: MasterTurn, const N: usize> Watched<R, N> {
         ControlFlow::Continue(())
     }
 
+    /// Why the two never engaged.
+    fn never_engaged(&self, heard: bool) -> &'static str {
+        match self.ended_by {
+            _ if !heard => "master and slave did not hear each other",
+            Some(reason) => reason.text(),
+            None if self.states.contains(&LadderState::Aligning) => {
+                "the run ended before both sides had aligned"
+            }
+            None => "the clutch was not pressed",
+        }
+    }
+
     fn ending(&self) -> Ending {
         if self.diverged.is_some() {
             Ending::Diverged
@@ -481,7 +500,8 @@ impl<R: MasterTurn, const N: usize> Watched<R, N> {
         let end_s = newest_ns as f64 / 1e9 + scene.run.period_s;
         self.log.schedule(scene, self.engaged_s.unwrap_or(f64::INFINITY), &outcome);
         if self.engaged_s.is_none() && self.diverged.is_none() {
-            self.log.add(end_s, "never-engaged", "master and slave did not hear each other");
+            let heard = reports.iter().all(|report| report.link.fresh > 0);
+            self.log.add(end_s, "never-engaged", self.never_engaged(heard));
         }
         if self.settled {
             self.log.add(end_s, "settled", "nothing more happens");

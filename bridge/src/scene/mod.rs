@@ -35,7 +35,7 @@ pub fn simulate(scene: &[u8], stop: &AtomicBool) -> Result<SceneRun, SceneError>
     spec::of_axes!(
         scene_axes(scene)?,
         N => run::<N>(&serde_json::from_slice(scene)?, stop),
-        axes => assemble::contradiction(format!("master.axes = {axes}: must be 1, 2, 3, 6 or 7"))
+        axes => assemble::contradiction(format!("master.axes = {axes}: must be 1 to 7"))
     )
 }
 

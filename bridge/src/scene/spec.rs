@@ -42,6 +42,14 @@ macro_rules! of_axes {
                 const $n: usize = 3;
                 $body
             }
+            4 => {
+                const $n: usize = 4;
+                $body
+            }
+            5 => {
+                const $n: usize = 5;
+                $body
+            }
             6 => {
                 const $n: usize = 6;
                 $body
@@ -142,7 +150,7 @@ pub enum Integrator {
 pub struct MasterSpec<const N: usize> {
     /// What its coordinates are, and those of the slave.
     pub kind: SideKind,
-    /// Number of axes: 1, 2, 3, 6 or 7.
+    /// Number of axes: 1 to 7.
     pub axes: usize,
     /// Mechanics, encoder and motors.
     #[serde(flatten)]

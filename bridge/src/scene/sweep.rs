@@ -94,7 +94,7 @@ pub fn sweep(
     let run_block = of_axes!(
         scene_axes(scene).map_err(unread)?,
         N => run_block::<N>,
-        axes => return Err(SweepError::Scene(format!("master.axes = {axes}: must be 1, 2, 3, 6 or 7")))
+        axes => return Err(SweepError::Scene(format!("master.axes = {axes}: must be 1 to 7")))
     );
     let base: Value = serde_json::from_slice(scene).map_err(unread)?;
     let rows = variations.first().map_or(1, |first| first.values.len());

@@ -11,11 +11,13 @@ pub(crate) fn check(bytes: &[u8]) {
         Ok(1) => check_axes::<1>(bytes),
         Ok(2) => check_axes::<2>(bytes),
         Ok(3) => check_axes::<3>(bytes),
+        Ok(4) => check_axes::<4>(bytes),
+        Ok(5) => check_axes::<5>(bytes),
         Ok(6) => check_axes::<6>(bytes),
         Ok(7) => check_axes::<7>(bytes),
         Ok(axes) => {
             let said = simulate(bytes, &AtomicBool::new(true)).unwrap_err().to_string();
-            assert_eq!(said, format!("master.axes = {axes}: must be 1, 2, 3, 6 or 7"));
+            assert_eq!(said, format!("master.axes = {axes}: must be 1 to 7"));
         }
         Err(error) => assert_says_where(&error),
     }

@@ -27,6 +27,9 @@ use world::{Held, Loads, Motion, Servo, SetPose, World};
 const STEP_PHASE: f64 = 0.25;
 /// Largest rate in rad/s of the stiffest part: 400 sub-steps a ms.
 const MAX_RATE: f64 = 1e5;
+const ALLOWED_RATE: &str = "at most 1e5 rad/s of the stiffest part, sqrt(stiffness / mass_kg) or \
+                            sqrt(rotational_stiffness / inertia_kg_m2): make [slave.tool] or its contacts softer, or \
+                            what moves heavier";
 /// Longest time in s between two writes that is made up for at once: that of the slowest loop.
 const MAX_UNWRITTEN_S: f64 = 0.02;
 /// How far the jaws may be from what they hold and still hold it, of their way.
@@ -158,9 +161,7 @@ impl SimulatedTool {
             grip: None,
         };
         let rate = world.rate();
-        let allowed = "at most 1e5 rad/s of the stiffest part, sqrt(stiffness / mass_kg) or sqrt(rotational_stiffness / \
-                       inertia_kg_m2): make [slave.tool] or its contacts softer, or what moves heavier";
-        require("rate of tool and world", rate, rate <= MAX_RATE, allowed)?;
+        require("rate of tool and world", rate, rate <= MAX_RATE, ALLOWED_RATE)?;
         let tool_at = Rigid {
             position: finite("position", arm.position.into())?,
             velocity: Axes::zeros(),

@@ -3,6 +3,10 @@
 import os
 import select
 import sys
+from typing import Final
+
+READ: Final = 4096
+MAX_READS: Final = 100
 
 
 class Person:
@@ -28,7 +32,7 @@ class Person:
             readable, _, _ = select.select([0], [], [], patience_s)
             if not readable:
                 return None
-            received = os.read(0, 4096)
+            received = os.read(0, READ)
             if not received:
                 message = "standard input has ended: a person must answer"
                 raise RuntimeError(message)
@@ -38,6 +42,19 @@ class Person:
             return None
         self._received = rest
         return line.decode(errors="replace")
+
+    def forget(self) -> None:
+        """Drops what was typed so far: it answers no question that is asked next.
+
+        Raises:
+            RuntimeError: There is no end of it.
+        """
+        self._received = b""
+        for _ in range(MAX_READS):
+            if not select.select([0], [], [], 0.0)[0] or not os.read(0, READ):
+                return
+        message = "standard input does not wait for questions: a person must answer"
+        raise RuntimeError(message)
 
     def wait(self) -> str:
         """The next line."""

@@ -68,7 +68,8 @@ class Calibrate:
         person = Person()
         bus = DynamixelBus(self.port, baud=baud, timeout_s=0.1)
         try:
-            guide = Guide(bus, servos, person.say, person.answer)
+            guide = Guide(bus, servos, person.say, person.answer, person.forget)
+            person.forget()
             person.say("the arm has no torque from now on: hold it; press Enter")
             person.wait()
             guide.loosen()

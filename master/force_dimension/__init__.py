@@ -1,0 +1,5 @@
+"""Force Dimension omega, delta and sigma through the vendor's SDK: the driver `force-dimension`."""
+
+from haptether.master.force_dimension.driver import ForceDimension
+
+__all__ = ["ForceDimension"]

@@ -1,0 +1,5 @@
+"""3D Systems Touch through OpenHaptics: the driver `touch`."""
+
+from haptether.master.touch.driver import Touch
+
+__all__ = ["Touch"]
