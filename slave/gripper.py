@@ -66,7 +66,8 @@ class Gripper(Protocol):
 
     Loaded by the name of an entry point of the group `haptether.grippers`, which is called with the options of the
     scene as keywords. A driver may have `acknowledge()`, called when the operator at this side says that a fault is
-    mended; it does not move the jaws.
+    mended; it does not move the jaws. One on the bus of its arm may have `attach(arm)`, called with the arm's driver
+    before `open`; the arm is opened then, and closed first.
     """
 
     def open(self) -> None:

@@ -1,33 +1,39 @@
-"""The demonstration of two arms of servos: a hand leads one, something pushes the other, and the hand lets go."""
+"""The demonstration of two arms of servos: the one that a hand leads, and one that grips, carries and is pushed."""
 
 import contextlib
 import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from haptether.bridge import write_key
+from haptether.bridge import read_recording, write_key
 from haptether.dynamixel.arm import calibration_text
-from haptether.dynamixel.description import ArmDescription
-from haptether.dynamixel.emulator import servos_of
+from haptether.dynamixel.description import ArmDescription, Trigger
+from haptether.dynamixel.emulator import JointSettings, servos_of
 from haptether.master.dynamixel.options import LeaderOptions, arm_settings
 from haptether.private_file import private_file
 from haptether.studies.demo import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, Process, StopRequest, child_process
-from haptether.studies.leader import HAND, LEADER, Leader, emulated_arm
+from haptether.studies.leader import CLUTCH, LEADER, ROW_S, Leader, along, emulated_arm
 
 FOLLOW_CONTROLLERS: Final = ("none", "hsc", "wsc")
 JOINT: Final = 2
-"""That is led and pushed, counted from 1."""
-SIGNALS: Final = {
-    "velocity": "velocity [rad/s]",
-    "device_force": "reflected torque [N m]",
-    "position": "angle [rad]",
-}
+"""That is pushed, counted from 1."""
+OBJECT: Final = 0.5
+"""Where the jaws meet what is between them, 0 (open) to 1 (closed)."""
+BEGUN: Final = 0.05
+"""Of the trigger, which rests at 0."""
+GRIP_N: Final = 1.5
+"""Below what the smallest servo presses with."""
+WITHIN_RAD: Final = 0.03
+"""How near to the hand's way each joint must carry: what friction of both arms and a pixel of an encoder leave."""
+NEAR: Final = ("time_s", "position", "velocity", "device_force", "trigger_device_force")
+ENGAGED: Final = 2
+"""Of the state in a trace."""
 SCENE: Final = """\
 schema = 1
 title = "A leader and a follower of servos"
@@ -47,6 +53,14 @@ encoder_quantum = 1.5339808e-3 # rad
 driver = "dynamixel"
 options = {{ port = "{leader}", arm = "{arm}", timeout_s = 0.1, watchdog_s = 0.5 }}
 
+[master.gripper]
+travel_m = {travel}
+mass_kg = {finger_mass}
+viscous = {finger_viscous}
+coulomb = {finger_coulomb}
+encoder_quantum = {finger_quantum}
+force_scale = 0.3
+
 [slave]
 device = "dynamixel"
 period_s = 0.004
@@ -58,6 +72,18 @@ max_speed = 6.0
 timeout_s = 0.1
 watchdog_s = 0.5
 lost_after_s = 0.3
+
+[slave.gripper]
+device = "dynamixel"
+speed = 1.8
+force_n = {grip_n}
+
+[slave.gripper.options]
+id = {grip_id}
+model = "{grip_model}"
+open_rad = {open_rad}
+closed_rad = {closed_rad}
+lever_m = {lever}
 
 [safety]
 controllers = {controllers}
@@ -78,28 +104,44 @@ class FollowScene(msgspec.Struct, frozen=True, kw_only=True):
     settle_s: float = 2.5
     """From the start of the master on: its checklist, and until its torque has risen."""
     led_rad: float = 0.3
-    """How far the hand leads the joint, in 1 s."""
-    push_at_s: float = 1.5
+    """How far the hand leads each joint while the follower holds something."""
+    close_at_s: float = 0.3
+    carry_at_s: float = 1.4
+    carry_s: float = 1.6
+    open_at_s: float = 3.5
+    push_at_s: float = 4.6
     push_nm: float = 0.5
-    release_at_s: float = 2.3
-    push_ends_s: float = 2.8
-    duration_s: float = 3.5
+    release_at_s: float = 5.4
+    push_ends_s: float = 5.9
+    duration_s: float = 6.6
 
 
 class FollowResult(msgspec.Struct, frozen=True, kw_only=True):
-    """What happened at the leader and at the follower, in rad, rad/s and N m."""
+    """What happened at the leader and at the follower, in rad, rad/s, N and N m."""
 
     controller: str
+    grips: int
+    """How often the follower's gripper took hold of something."""
+    grip_n: float
+    """With which it held that, by its motor's current."""
+    finger_n: float
+    """Greatest force that the finger felt at the trigger."""
+    open_at_end: bool
     led_rad: float
-    """How far the leader's joint was led."""
-    followed_rad: float
-    """How far that of the follower came, before the push."""
+    """How far each of the leader's joints was led: the least of them."""
+    carried_rad: float
+    """How far each of the follower's joints came meanwhile, holding it: the least of them."""
     felt_nm: float
     """Greatest reflected torque at the joint while the hand held it."""
     thrown_rad_s: float
     """Fastest that the joint moved after the hand had let go."""
     final_state: str
     holds: int
+
+    @property
+    def is_carried(self) -> bool:
+        """Whether it was picked up once, carried by all joints as far as they were led, and let go."""
+        return self.grips == 1 and self.open_at_end and abs(self.carried_rad - self.led_rad) < WITHIN_RAD
 
 
 def run_follow(
@@ -112,22 +154,26 @@ def run_follow(
         RuntimeError: A process failed; the message holds what it said.
     """
     local, lasts_s = "127.0.0.1:0", scene.settle_s + scene.duration_s + 1.0
-    limit = str(lasts_s + START_TIMEOUT_S + END_TIMEOUT_S)
-    trace, result = folder / f"follow-{controller}.npz", folder / f"follow-{controller}.json"
+    # Of each process, from its own start on: the others may take their time until the last begins.
+    limit = str(lasts_s + 5 * START_TIMEOUT_S + END_TIMEOUT_S)
+    trace, result, recording = (folder / f"follow-{controller}.{end}" for end in ("npz", "json", "mcap"))
     with contextlib.ExitStack() as stack:
         show(f"{controller}: starting", 0.0)
         private = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         key, file, text = private / "demo.key", private / "follower.toml", private / "scene.toml"
         write_key(key)
         leader = emulated_arm(limit, stack, stopped)
+        trigger = trigger_of(leader.arm)
+        met = trigger.open_rad + OBJECT * (trigger.closed_rad - trigger.open_rad)
         # A driver of a follower does not know the weight of its arm, which would be felt as a load: it has none here.
-        follower = emulated_arm(limit, stack, stopped, "--mass-scale", "0")
+        follower = emulated_arm(limit, stack, stopped, "--mass-scale", "0",
+                                "--stops", f"{trigger.servo}={trigger.open_rad}:{met}")  # fmt: skip
         leader.hold()
         file.write_text(follower_file(leader.arm), encoding="utf-8")
         text.write_text(scene_text(scene, controller, leader.arm, (leader.port, follower.port), file), encoding="utf-8")
         slave = stack.enter_context(child_process(
             "slave", "--scene", str(text), "--listen", local, "--key", str(key), "--duration-s", limit,
-            "--patience-s", limit,
+            "--patience-s", limit, "--record", str(recording), "--min-free-bytes", "0",
         ))  # fmt: skip
         slave_address = slave.headline(stopped).rsplit(" ", 1)[-1]
         netsim = stack.enter_context(child_process(
@@ -138,76 +184,105 @@ def run_follow(
         netsim_address = netsim.headline(stopped).split(",")[0].rsplit(" ", 1)[-1]
         master = stack.enter_context(child_process(
             "master", "--scene", str(text), "--peer", netsim_address, "--listen", local, "--key", str(key),
-            "--duration-s", str(lasts_s), "--trace", str(trace), "--json", str(result),
+            "--duration-s", str(lasts_s), "--trace", str(trace), "--json", str(result), *CLUTCH,
         ))  # fmt: skip
         master.headline(stopped)
         stopped.sleep(scene.settle_s)
-        followed = _play(
+        whole = _play(
             scene, master, (leader, follower), lambda stage, at_s: show(f"{controller}: {stage}", at_s), stopped
         )
         if stopped:
             raise Interrupted
-        if master.process.returncode != 0 or followed is None:
+        if master.process.returncode != 0 or not whole:
             message = f"the master ended with status {master.process.returncode}: {master.last()}; {slave.last()}"
             raise RuntimeError(message)
+        # Its recording is whole once it has ended.
+        slave.end()
+        far = read_recording(recording).signals
     report = msgspec.json.decode(result.read_bytes())
     with np.load(trace) as arrays:
-        signals = {name: arrays[name] for name in ("time_s", "position", "velocity", "device_force")}
-    return measured(controller, signals, followed, report)
+        near = {name: arrays[name] for name in NEAR}
+    return measured(controller, near, far, report)
 
 
 def _play(
     scene: FollowScene, master: Process, arms: tuple[Leader, Leader],
     show: Callable[[str, float], None], stopped: StopRequest,
-) -> float | None:  # fmt: skip
-    """Has the hand lead and let go, and something push, until the master ends; how far the follower came before."""
+) -> bool:  # fmt: skip
+    """Has the hand lead and let go, and something push, until the master ends; whether all of that came to pass."""
     leader, follower = arms
     joint = leader.arm.joints[JOINT - 1]
-    goal = joint.sign * (joint.start_rad + scene.led_rad) + joint.offset_rad
-    push = -joint.sign * scene.push_nm
+    path = leader.folder / "hand.csv"
+    path.write_text(hand_path(scene, leader), encoding="utf-8")
     events = [
-        (0.0, "the hand leads", leader, f"hand {joint.servo} {goal} {HAND[JOINT - 1]} 1.0 1.0"),
-        (scene.push_at_s, "the follower is pushed", follower, f"push {joint.servo} {push}"),
+        (0.0, "the hand leads joints and gripper", leader, f"lead {path}"),
+        (scene.push_at_s, "the follower is pushed", follower, f"push {joint.servo} {-joint.sign * scene.push_nm}"),
         (scene.release_at_s, "the hand has let go", leader, f"hand {joint.servo} off"),
         (scene.push_ends_s, "the push has ended", follower, f"push {joint.servo} 0"),
     ]
-    stage, followed, begun_s = "", None, time.monotonic()
+    stage, begun_s = "", time.monotonic()
     while master.process.poll() is None and not stopped:
         at_s = time.monotonic() - begun_s
         if events and at_s >= events[0][0]:
             _, stage, arm, line = events.pop(0)
-            if arm is follower and followed is None:
-                q = _angle(follower.emulated.say("status"), joint.servo, joint.sign, joint.offset_rad)
-                followed = q - joint.start_rad
             arm.emulated.say(line)
         show(stage, min(at_s, scene.duration_s))
         if at_s > scene.duration_s + START_TIMEOUT_S:
             message = f"the master did not end within {scene.duration_s + START_TIMEOUT_S:g} s"
             raise RuntimeError(message)
         stopped.sleep(0.01)
-    return followed if not events else None
+    return not events
+
+
+def hand_path(scene: FollowScene, leader: Leader) -> str:
+    """The hand's path as angles of the servos: the trigger closes, all joints go on, the trigger opens."""
+    times = scene.close_at_s, scene.close_at_s + 0.5, scene.open_at_s, scene.open_at_s + 0.4
+    closed = 0.0, 1.0, 1.0, 0.0
+    legs = [(scene.carry_at_s, np.zeros(3)), (scene.carry_s, np.full(3, scene.led_rad))]
+    start = np.array([joint.start_rad for joint in leader.arm.joints])
+    lines = ["time_s," + ",".join(map(str, leader.servo_ids))]
+    for row in range(round(scene.push_at_s / ROW_S)):
+        at_s = row * ROW_S
+        q = start + along(legs, at_s, absolute=True)[0]
+        angles = leader.servo_angles(q, float(np.interp(at_s, times, closed)))
+        lines.append(",".join(f"{number:.9g}" for number in (at_s, *angles)))
+    return "\n".join(lines) + "\n"
 
 
 def measured(
     controller: str,
-    signals: dict[str, npt.NDArray[np.float64]],
-    followed_rad: float,
+    near: dict[str, npt.NDArray[Any]],
+    far: dict[str, npt.NDArray[Any]],
     report: dict[str, object],
 ) -> FollowResult:
-    """What a run shows, from the trace of the master and how far the follower came."""
-    position, velocity = signals["position"][:, JOINT - 1], signals["velocity"][:, JOINT - 1]
-    force = signals["device_force"][:, JOINT - 1]
-    # The hand that holds leads at 0.56 rad/s at most, in the other direction than the push.
+    """What a run shows, from the trace of the master and the recording of the slave."""
+    position, velocity = near["position"], near["velocity"][:, JOINT - 1]
+    force = near["device_force"][:, JOINT - 1]
+    held = far["holds_object"].astype(bool)
+    carried = far["position"][held]
+    # No hand leads that joint in the direction in which it is pushed.
     pushed = np.abs(np.minimum(velocity, 0.0))
     return FollowResult(
         controller=controller,
-        led_rad=float(position.max() - position[0]),
-        followed_rad=followed_rad,
+        grips=int(np.count_nonzero(held[1:] & ~held[:-1])) + int(held[0]),
+        grip_n=float(np.median(far["gripper_force"][held])) if held.any() else 0.0,
+        finger_n=float(np.abs(near["trigger_device_force"]).max()),
+        open_at_end=not held[-1] and float(far["gripper"][-1]) < OBJECT,
+        led_rad=float((position.max(axis=0) - position[0]).min()),
+        carried_rad=float((carried.max(axis=0) - carried[0]).min()) if held.any() else 0.0,
         felt_nm=float(np.abs(force).max()),
         thrown_rad_s=float(pushed.max()),
         final_state=str(report["final_state"]),
         holds=int(str(report["holds"])),
     )
+
+
+def trigger_of(arm: ArmDescription) -> Trigger:
+    """That of the leader; the servo of the same place turns the follower's gripper."""
+    if arm.trigger is None:
+        message = f"{arm.name}: must have a trigger"
+        raise ValueError(message)
+    return arm.trigger
 
 
 def follower_file(arm: ArmDescription) -> str:
@@ -218,6 +293,8 @@ def follower_file(arm: ArmDescription) -> str:
 
 def scene_text(scene: FollowScene, controller: str, arm: ArmDescription, ports: tuple[str, str], file: Path) -> str:
     """The scene of both sides; the device is that which the emulator has."""
+    trigger = trigger_of(arm)
+    finger = JointSettings.of(trigger.servo_model)
     loads = [servo.joint.settings for servo in servos_of(arm, baud=4_000_000, firmware=52)][: len(arm.joints)]
     return SCENE.format(
         duration_s=scene.duration_s,
@@ -229,48 +306,80 @@ def scene_text(scene: FollowScene, controller: str, arm: ArmDescription, ports: 
         arm=LEADER,
         follower=ports[1],
         file=file,
+        travel=round(abs(trigger.closed_rad - trigger.open_rad) * trigger.lever_m, 6),
+        finger_mass=round(finger.inertia / trigger.lever_m**2, 6),
+        finger_viscous=round(finger.viscous / trigger.lever_m**2, 6),
+        finger_coulomb=round(finger.coulomb / trigger.lever_m, 6),
+        finger_quantum=1.5339808e-3 * trigger.lever_m,
+        grip_n=GRIP_N,
+        grip_id=trigger.servo,
+        grip_model=trigger.model,
+        open_rad=trigger.open_rad,
+        closed_rad=trigger.closed_rad,
+        lever=trigger.lever_m,
         controllers=[] if controller == "none" else [controller],
     ).replace("'", '"')
 
 
-def _angle(status: str, servo_id: int, sign: int, offset_rad: float) -> float:
-    for servo in msgspec.json.decode(status)["servos"]:
-        if servo["id"] == servo_id:
-            return sign * (float(servo["position_rad"]) - offset_rad)
-    message = f"no servo {servo_id}"
-    raise RuntimeError(message)
-
-
 def draw_follow(scene: FollowScene, results: Sequence[FollowResult], path: Path) -> None:
-    """Draws velocity, reflected torque and angle of the leader's joint, whose traces lie beside `path`.
+    """Draws joints and gripper of the first run, and of each run what the hand felt, from the files beside `path`.
 
     Raises:
         ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(13.0, 4.2), layout="constrained")
+    figure = Figure(figsize=(13.0, 8.0), layout="constrained")
     figure.suptitle(
-        f"An emulated follower is pushed with {scene.push_nm:g} N m, and the hand lets go of an emulated leader; "
-        f"{scene.delay_s * 1e3:g} ms each way, {scene.loss:.1%} loss"
+        f"An emulated follower takes something and carries it, is pushed with {scene.push_nm:g} N m, and the hand lets"
+        f" go of an emulated leader;\n{scene.delay_s * 1e3:g} ms each way, {scene.loss:.1%} loss"
     )
-    panels = figure.subplots(1, 3)
+    panels = figure.subplots(2, 3)
     names = {"none": "no controller", "hsc": "HSC", "wsc": "WSC"}
+    signals = (
+        ("velocity", "velocity [rad/s]"),
+        ("device_force", "reflected torque [N m]"),
+        ("position", f"angle of joint {JOINT} [rad]"),
+    )
     for result in results:
         with np.load(path.parent / f"follow-{result.controller}.npz") as arrays:
-            for panel, (signal, label) in zip(
-                panels,
-                (
-                    ("velocity", "velocity [rad/s]"),
-                    ("device_force", "reflected torque [N m]"),
-                    ("position", "angle [rad]"),
-                ),
-                strict=True,
-            ):
-                panel.plot(arrays["time_s"], arrays[signal][:, JOINT - 1], label=names[result.controller], lw=1.3)
-                panel.set_ylabel(label)
-                panel.set_xlabel("time [s]")
-                panel.grid(visible=True, alpha=0.3)
-    panels[0].legend(fontsize=9)
+            near = {name: arrays[name] for name in (*NEAR, "trigger", "state")}
+        near_s = near["time_s"] - _begun_s(scene, near)
+        for panel, (signal, label) in zip(panels[1], signals, strict=True):
+            panel.plot(near_s, near[signal][:, JOINT - 1], label=names[result.controller], lw=1.3)
+            panel.set_ylabel(label)
+    panels[1][0].legend(fontsize=9)
+    first = results[0].controller
+    far = read_recording(path.parent / f"follow-{first}.mcap").signals
+    with np.load(path.parent / f"follow-{first}.npz") as arrays:
+        near = {name: arrays[name] for name in (*NEAR, "trigger", "state")}
+    near_s = near["time_s"] - _begun_s(scene, near)
+    # Each side has a clock of its own: they engage at the same time, but for the delay.
+    far_s = far["time_ns"] * 1e-9
+    far_s = far_s - far_s[np.flatnonzero(np.isin(far["state"], ("engaged", "stale")))[0]]
+    far_s = far_s + near_s[np.flatnonzero(near["state"] == ENGAGED)[0]]
+    joints, jaws, force = panels[0]
+    for index in range(near["position"].shape[1]):
+        joints.plot(near_s, near["position"][:, index] - near["position"][0, index], color=f"C{index}", lw=1.3)
+        joints.plot(far_s, far["position"][:, index] - far["position"][0, index], color=f"C{index}", ls="--", lw=1.0)
+    joints.set_ylabel("angles of leader (-) and follower (- -) [rad]")
+    jaws.plot(near_s, near["trigger"], label="trigger", lw=1.3)
+    jaws.plot(far_s, far["gripper"], label="jaws", lw=1.3)
+    jaws.fill_between(far_s, 0.0, 1.0, where=far["holds_object"].astype(bool).tolist(), color="0.9", label="holds")
+    jaws.set_ylabel("gripper, 0 (open) to 1 (closed)")
+    jaws.legend(fontsize=9)
+    force.plot(far_s, far["gripper_force"], label="jaws", lw=1.3)
+    force.plot(near_s, np.abs(near["trigger_device_force"]), label="finger", lw=1.3)
+    force.set_ylabel("force [N]")
+    force.legend(fontsize=9)
+    for panel in panels.flat:
+        panel.set_xlabel("time since the hand begins [s]")
+        panel.set_xlim(0.0, scene.duration_s)
+        panel.grid(visible=True, alpha=0.3)
     with private_file(path) as target:
         figure.savefig(target, dpi=120)
+
+
+def _begun_s(scene: FollowScene, near: dict[str, npt.NDArray[Any]]) -> float:
+    """When the hand began, by the master's clock: its trigger closes first."""
+    return float(near["time_s"][np.flatnonzero(near["trigger"] > BEGUN)[0]]) - scene.close_at_s

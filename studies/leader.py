@@ -34,6 +34,8 @@ HAND_DAMPING: Final = (1.0, 1.0, 1.0, 0.2, 0.2, 0.2, 0.02)
 """N m s/rad, chosen."""
 SLOW: Final = ("timeout_s=0.1", "watchdog_s=0.5")
 """Options of drivers: several processes on one machine, which may be busy, answer late."""
+CLUTCH: Final = ("--clutch", "auto")
+"""The scripted hand presses it: a press at the start of a process is void where that loads slowly."""
 STEPS: Final = 20
 """Of Newton's method for one point."""
 NEAR: Final = 1e-9
@@ -85,13 +87,19 @@ class Leader:
         ):
             self.emulated.say(f"hand {servo} {place:.6f} {stiffness} {damping}")
 
-    def lead(self, duration_s: float, stopped: "StopRequest") -> None:
-        """Begins to lead it as the hand of the scene `ur_pick` leads."""
-        path = self.folder / "hand.csv"
-        path.write_text(hand_path(self, duration_s), encoding="utf-8")
+    def prepare(self, duration_s: float) -> None:
+        """Writes down how the hand of the scene `ur_pick` leads, which takes its time."""
+        self._path.write_text(hand_path(self, duration_s), encoding="utf-8")
+
+    def lead(self, stopped: "StopRequest") -> None:
+        """Begins to lead it like that."""
         stopped.sleep(SETTLE_S)
         if not stopped:
-            self.emulated.say(f"lead {path}")
+            self.emulated.say(f"lead {self._path}")
+
+    @property
+    def _path(self) -> Path:
+        return self.folder / "hand.csv"
 
     @property
     def servo_ids(self) -> list[int]:
@@ -123,7 +131,7 @@ def led_leader(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest", 
         options += [
             f"master.mass_kg={list(model.mass_kg)}", f"master.rotation.inertia_kg_m2={list(model.inertia_kg_m2)}",
         ]  # fmt: skip
-    leader.options = tuple(part for option in options for part in ("--set", option))
+    leader.options = (*CLUTCH, *(part for option in options for part in ("--set", option)))
     return leader
 
 
@@ -135,7 +143,7 @@ def emulated_arm(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest"
     port = free_port()
     process = stack.enter_context(child_process(
         "dynamixel-emulator", "--arm", LEADER, "--duration-s", limit, "--control", f"127.0.0.1:{port}",
-        "--link", str(folder / "bus"), *more, says="servos ",
+        "--socket", str(folder / "bus"), *more, says="servos ",
     ))  # fmt: skip
     process.headline(stopped)
     emulated = Emulated(f"127.0.0.1:{port}")

@@ -73,7 +73,8 @@ def run_pick(scene: PickScene, folder: Path, show: Callable[[str, float], None],
         RuntimeError: A process failed; the message holds what it said.
     """
     local, duration_s = "127.0.0.1:0", load_scene(SCENE).run.duration_s
-    limit = str(duration_s + START_TIMEOUT_S + END_TIMEOUT_S)
+    # Of each process, from its own start on: the others may take their time until the last begins.
+    limit = str(duration_s + 5 * START_TIMEOUT_S + END_TIMEOUT_S)
     recording, trace = folder / "pick.mcap", folder / "pick.npz"
     with contextlib.ExitStack() as stack:
         show("starting", 0.0)
@@ -92,6 +93,8 @@ def run_pick(scene: PickScene, folder: Path, show: Callable[[str, float], None],
         ))  # fmt: skip
         netsim_address = netsim.headline(stopped).split(",")[0].rsplit(" ", 1)[-1]
         leader = None if scene.master == "simulated" else led_leader(limit, stack, stopped)
+        if leader is not None:
+            leader.prepare(duration_s)
         led = () if leader is None else leader.options
         # Its driver goes through the checklist, and its torque rises, before the hand begins.
         lasts_s = duration_s + (0.0 if leader is None else LEADER_S)
@@ -101,7 +104,7 @@ def run_pick(scene: PickScene, folder: Path, show: Callable[[str, float], None],
         ))  # fmt: skip
         master.headline(stopped)
         if leader is not None:
-            leader.lead(duration_s, stopped)
+            leader.lead(stopped)
         begun_s = time.monotonic()
         while master.process.poll() is None:
             at_s = time.monotonic() - begun_s

@@ -30,6 +30,10 @@ TRACE_SIGNALS = (
     "overshoot_s",
     "fault",
 )
+FINGER_SIGNALS = (
+    "trigger_velocity", "trigger_rendered_force", "trigger_safety_force", "trigger_device_force", "trigger_tripped",
+)  # fmt: skip
+"""What a trigger that is felt has besides."""
 ROTATION_SIGNALS = (
     "orientation", "angular_velocity", "hand_torque", "rendered_torque", "grasp_torque", "safety_torque",
     "device_torque",
@@ -145,5 +149,7 @@ def save_master_trace(trace: MasterTrace, path: Path) -> None:
         signals["trigger"] = trace.trigger
     if trace.orientation is not None:
         signals |= {name: getattr(trace, name) for name in ROTATION_SIGNALS}
+    if trace.trigger_velocity is not None:
+        signals |= {name: getattr(trace, name) for name in FINGER_SIGNALS}
     with private_file(path) as file:
         np.savez_compressed(file, **signals)

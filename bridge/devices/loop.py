@@ -161,7 +161,7 @@ def drive_slave(
                     gripper.hold()
 
     # The arm is closed first: a gripper's driver may take its time.
-    with opened_gripper(gripper), opened(device, notes, "[slave] period_s", period_s):
+    with opened_gripper(gripper, device), opened(device, notes, "[slave] period_s", period_s):
         _drive(device, loop, notes, step, come_to_rest, gripper=gripper)
 
 

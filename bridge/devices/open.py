@@ -126,16 +126,22 @@ def opened(
 
 
 @contextlib.contextmanager
-def opened_gripper(gripper: "Gripper | None") -> Iterator[None]:
+def opened_gripper(gripper: "Gripper | None", device: "SlaveDevice") -> Iterator[None]:
     """Within it the gripper is open, if there is one; whatever ends it, the gripper keeps its grip.
 
+    Args:
+        gripper: What is opened.
+        device: The arm that it is at, on whose bus it may be.
+
     Raises:
-        DeviceError: It could not be opened.
+        DeviceError: It could not be opened, or cannot be at this arm.
     """
     if gripper is None:
         yield
         return
     try:
+        if (attach := getattr(gripper, "attach", None)) is not None:
+            attach(device)
         gripper.open()
     except Exception as error:
         # What it had opened by then, nobody else closes.

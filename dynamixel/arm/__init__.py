@@ -4,6 +4,7 @@ from haptether.dynamixel.arm.arm import ServoArm, Vector
 from haptether.dynamixel.arm.calibration import calibration_text, read_calibration
 from haptether.dynamixel.arm.checks import ArmRefusedError
 from haptether.dynamixel.arm.faults import ArmFaultError, FaultKind
+from haptether.dynamixel.arm.grip import GripServo, GripSettings
 from haptether.dynamixel.arm.settings import ArmSettings, ServoSettings
 
 __all__ = [
@@ -11,6 +12,8 @@ __all__ = [
     "ArmRefusedError",
     "ArmSettings",
     "FaultKind",
+    "GripServo",
+    "GripSettings",
     "ServoArm",
     "ServoSettings",
     "Vector",

@@ -3,10 +3,12 @@
 import contextlib
 import errno
 import math
+import struct
 import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -25,23 +27,26 @@ from haptether.dynamixel.arm.checks import (
     knows_fast_reads,
 )
 from haptether.dynamixel.arm.faults import ArmFaultError, FaultKind, hardware_error
-from haptether.dynamixel.arm.settings import ArmSettings
+from haptether.dynamixel.arm.grip import GripServo
+from haptether.dynamixel.arm.settings import TURN, ArmSettings, ServoSettings
 from haptether.dynamixel.control_table import CENTRE, RAD_PER_TICK, RAD_S_PER_UNIT
 from haptether.dynamixel.models import OperatingMode
 
 Vector = NDArray[np.float64]
 
-TURN: Final = 2.0 * math.pi
 BROADCAST: Final = 254
 TORQUE_ENABLE, HARDWARE_STATUS, BUS_WATCHDOG, GOAL_PWM, GOAL_CURRENT, GOAL_POSITION = 64, 70, 98, 100, 102, 116
 PRESENT_CURRENT: Final = 126
 MEASURED: Final = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
 """Addresses 126 to 135 of every model; the first is a load in servos without current control."""
+ONE_MEASURED: Final = struct.Struct("<hii")
 STOPS: Final = 3
 """So often a stop is sent: nobody answers it."""
 FIRED: Final = 0xFF
 """Of the bus watchdog."""
-GONE: Final = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF, errno.ENOENT)
+GONE: Final = (
+    errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF, errno.ENOENT, errno.EPIPE, errno.ECONNRESET, errno.ECONNREFUSED,
+)  # fmt: skip
 """What a port says that was unplugged."""
 MOVED_RAD: Final = 0.2
 """At most so far a joint may move while its torque comes on with nothing commanded."""
@@ -65,10 +70,20 @@ class ServoArm:
     Args:
         settings: Bus and servos.
         report: Takes each line of the checklist and of what happens; by default they go to standard error.
+        grip: The servo of a gripper on the same bus: it is in the reads and writes of the joints, and keeps its torque
+            whatever becomes of theirs.
+
+    Raises:
+        ValueError: The gripper has the id of a joint.
     """
 
-    def __init__(self, settings: ArmSettings, report: Callable[[str], None] | None = None) -> None:
+    def __init__(
+        self, settings: ArmSettings, report: Callable[[str], None] | None = None, grip: GripServo | None = None
+    ) -> None:
         self.settings = settings
+        self.grip = grip
+        self._every = settings if grip is None else replace(settings, servos=(*settings.servos, grip.settings.servo))
+        """The joints and the gripper."""
         self.name = f"dynamixel {settings.port}"
         servos = settings.servos
         count = len(servos)
@@ -91,35 +106,44 @@ class ServoArm:
         self._velocity_scale = sign * RAD_S_PER_UNIT
         units = np.array([servo.servo.current_unit_a or math.nan for servo in servos])
         self._current_scale = sign * units
-        self._in_current = np.array([i for i, s in enumerate(servos) if s.mode == OperatingMode.CURRENT], dtype=int)
-        self._in_position = np.array([i for i, s in enumerate(servos) if s.mode != OperatingMode.CURRENT], dtype=int)
+        self._sort_by_mode(settings.servos)
+        self._before, self._moved = np.empty(count), np.empty(count)
+        self._bus: DynamixelBus | None = None
+        self._read: SyncRead
+        self._read_joints: SyncRead
+        """Without the gripper, which has a fault."""
+        self._status = SyncRead(TORQUE_ENABLE, 7, list(self._members))
+        self._watchdogs = SyncRead(BUS_WATCHDOG, 1, list(self._members))
+        self._ramp = self._ramp_begin_s = self._heard_s = self._watch_at_s = self._watched_s = 0.0
+        self._fault: ArmFaultError | None = None
+        self._recovery: threading.Thread | None = None
+        self._recovered: BaseException | None = None
+        self._ending = False
+        self._connecting = threading.Lock()
+        """Held by whoever opens or recovers: `close` may come from another thread meanwhile."""
+
+    def _sort_by_mode(self, servos: Sequence[ServoSettings]) -> None:
+        """Who takes currents and who goals, and their caps, limits and units."""
+        count, grip = len(servos), self.grip
+        in_position = [i for i, s in enumerate(servos) if s.mode != OperatingMode.CURRENT]
+        self._in_current = np.array([i for i in range(count) if i not in in_position], dtype=int)
+        self._in_position = np.array(in_position, dtype=int)
         self._capped = np.array([i for i, s in enumerate(servos) if s.limits_current], dtype=int)
-        self._limited = np.array([i for i in self._in_position if i in self._capped], dtype=int)
-        self._driven = np.array([i for i in self._in_position if i not in self._capped], dtype=int)
+        self._limited, self._driven = (
+            np.array([i for i in in_position if (i in self._capped) == limits], dtype=int) for limits in (True, False)
+        )
         self._caps = np.array([servo.current_cap_a for servo in servos])
         self._cap_units = np.array([math.floor(s.current_cap_a / (s.servo.current_unit_a or 1.0)) for s in servos])
         self._pwm_units = np.zeros(count)
         self._current_ids = bytes(self._ids[i] for i in self._in_current)
         self._position_ids = bytes(self._ids[i] for i in self._in_position)
+        self._grip_ids = self._position_ids if grip is None else self._position_ids + bytes((grip.servo_id,))
         self._units_per_a = 1.0 / self._current_scale[self._in_current]
         self._current_cap = self._caps[self._in_current]
         self._wanted_a, self._wanted_rad = np.empty(len(self._in_current)), np.empty(len(self._in_position))
         self._ticks_per_rad = 1.0 / self._position_scale[self._in_position]
         self._goal_shift = self._shift[self._in_position]
-        limits = np.array([(servo.low_rad, servo.high_rad) for servo in servos])
-        self._low_goal, self._high_goal = limits[self._in_position].T
-        self._before, self._moved = np.empty(count), np.empty(count)
-        self._bus: DynamixelBus | None = None
-        self._read: SyncRead
-        self._status = SyncRead(TORQUE_ENABLE, 7, list(self._members))
-        self._watchdogs = SyncRead(BUS_WATCHDOG, 1, list(self._members))
-        self._ramp = self._ramp_begin_s = self._heard_s = self._watch_at_s = self._watched_s = 0.0
-        self._fault: ArmFaultError | None = None
-        self._connecting = threading.Lock()
-        """Held by whoever opens or recovers: `close` may come from another thread meanwhile."""
-        self._ending = False
-        self._recovery: threading.Thread | None = None
-        self._recovered: BaseException | None = None
+        self._low_goal, self._high_goal = np.array([(s.low_rad, s.high_rad) for s in servos])[self._in_position].T
 
     # ----------------------------------------------------------------------------------------------- begin and end
 
@@ -208,7 +232,7 @@ class ServoArm:
             return self._read_at_rest()
         now_s = time.monotonic()
         try:
-            self._take(self._opened.sync_read(self._read))
+            read = self._measure()
         except (OSError, RuntimeError) as error:
             self._nothing()
             self._missed(error, now_s)
@@ -222,10 +246,12 @@ class ServoArm:
             self._latch(ArmFaultError(FaultKind.JUMP, text))
             return False
         np.copyto(self._before, self.position)
-        if self._read.alerts:
-            self._look_at_alert(self._read.alerts[0])
+        if read.alerts:
+            self._look_at_alert(read.alerts[0])
         if self._fault is None and (now_s > self._watch_at_s or now_s - self._heard_s > 0.5 * self.settings.watchdog_s):
             self._watch(now_s)
+        elif self.grip is not None and self._fault is None:
+            self._look_at_grip(self.grip, now_s)
         self._heard_s = now_s
         return self._fault is None
 
@@ -269,7 +295,20 @@ class ServoArm:
             self._limit(self._ramp)
         np.minimum(wanted, self._high_goal, out=wanted)
         np.maximum(wanted, self._low_goal, out=wanted)
-        self._send(GOAL_POSITION, 4, self._position_ids, self._goal_ticks(wanted))
+        ids, goals, grip = self._position_ids, self._goal_ticks(wanted), self.grip
+        if grip is not None and grip.fault is None:
+            if grip.are_limits_due:
+                self.send_grip()
+            ids, goals = self._grip_ids, goals + grip.goal
+        self._send(GOAL_POSITION, 4, ids, goals)
+
+    def send_grip(self) -> None:
+        """Sends the gripper its goal in a write of its own, where it does not have it; with a fault of the arm, too."""
+        if self.grip is None or self._bus is None or self._recovery is not None:
+            return
+        # What is lost is sent again.
+        with contextlib.suppress(OSError, RuntimeError):
+            self.grip.send(self._bus)
 
     def _check_count(self, what: str, given: Sequence[float] | Vector, wanted: Vector) -> None:
         if len(given) != len(wanted):
@@ -343,7 +382,7 @@ class ServoArm:
 
     def _check(self, checklist: Checklist) -> None:
         settings, bus = self.settings, self._opened
-        firmware = check_present(bus, settings, checklist)
+        firmware = check_present(bus, self._every, checklist)
         if not firmware and not any("model" in line for line in checklist.refused):
             bus.close()
             self._bus = None
@@ -361,10 +400,17 @@ class ServoArm:
                     self._pwm_units[self._ids.index(servo.servo_id)] = registers["PWM Limit"]
             except (OSError, RuntimeError) as error:
                 checklist.refuse(f"servo {servo.servo_id}", str(error), "see its cables, then try again")
-        if len(firmware) < len(self._members):
+        if self.grip is not None and self.grip.servo_id in firmware:
+            try:
+                self.grip.check(bus, checklist)
+            except (OSError, RuntimeError) as error:
+                checklist.refuse(f"servo {self.grip.servo_id}", str(error), "see its cables, then try again")
+        if len(firmware) < len(self._members) + (self.grip is not None):
             return
-        fast = knows_fast_reads(settings, firmware)
-        self._read, self._status, self._watchdogs = (
+        fast = knows_fast_reads(self._every, firmware)
+        every = [servo.servo_id for servo in self._every.servos]
+        self._read = SyncRead(PRESENT_CURRENT, MEASURED.itemsize, every, fast=fast)
+        self._read_joints, self._status, self._watchdogs = (
             SyncRead(address, length, list(ids), fast=fast)
             for address, length, ids in (
                 (PRESENT_CURRENT, MEASURED.itemsize, self._ids),
@@ -377,7 +423,9 @@ class ServoArm:
     def _place(self, checklist: Checklist) -> None:
         """Finds the turn of each servo, and whether the joints are within their limits."""
         near = np.array([servo.middle_rad for servo in self.settings.servos])
-        self._take(self._opened.sync_read(self._read))
+        self._take(self._opened.sync_read(self._read_joints))
+        if self.grip is not None:
+            self.grip.place(self._opened, checklist)
         self._turn_towards(near)
         for index, servo in enumerate(self.settings.servos):
             q = float(self.position[index])
@@ -413,7 +461,7 @@ class ServoArm:
         for servo_id in ids:
             self._go_on()
             bus.write(servo_id, TORQUE_ENABLE, b"\1")
-        self._take(bus.sync_read(self._read))
+        self._take(bus.sync_read(self._read_joints))
         # Torque may count the angle anew, by whole turns.
         self._turn_towards(before)
         self._hold()
@@ -422,7 +470,7 @@ class ServoArm:
             fired = bus.sync_read(self._watchdogs)
             self._arm_watchdogs(checklist, tried=fired)
             checklist.finish()
-            self._take(bus.sync_read(self._read))
+            self._take(bus.sync_read(self._read_joints))
             self._hold()
         status = bus.sync_read(self._status)[::7]
         for servo_id, torque in zip(ids, status, strict=True):
@@ -437,6 +485,8 @@ class ServoArm:
         )  # fmt: skip
         checklist.finish()
         self._go_on()
+        if self.grip is not None:
+            self.grip.begin(bus)
         self._ramp = 0.0
         self._ramp_begin_s = self._heard_s = time.monotonic()
         self._watched_s = self._heard_s
@@ -466,8 +516,18 @@ class ServoArm:
 
     # ------------------------------------------------------------------------------------------------- every tick
 
+    def _measure(self) -> SyncRead:
+        """Takes what all servos measure; of a gripper with a fault nothing is asked."""
+        if self.grip is None or self.grip.fault is not None:
+            self._take(self._opened.sync_read(self._read_joints))
+            return self._read_joints
+        received = self._opened.sync_read(self._read)
+        self.grip.take(ONE_MEASURED.unpack_from(received, len(self._ids) * MEASURED.itemsize), time.monotonic())
+        self._take(received)
+        return self._read
+
     def _take(self, received: bytes) -> None:
-        fields = np.frombuffer(received, MEASURED)
+        fields = np.frombuffer(received, MEASURED, len(self._ids))
         np.multiply(fields["position"], self._position_scale, out=self.position)
         self.position += self._shift
         np.multiply(fields["velocity"], self._velocity_scale, out=self.velocity)
@@ -508,9 +568,36 @@ class ServoArm:
         """An exchange that failed: a fault where none succeeded for too long."""
         if isinstance(error, OSError) and error.errno in GONE:
             self._latch(ArmFaultError(FaultKind.UNPLUGGED, f"{error}: plug the adapter in, then acknowledge"))
-        elif now_s - (self._heard_s if since_s is None else since_s) > self.settings.lost_after_s:
+        elif now_s - (self._heard_s if since_s is None else since_s) > self.settings.lost_after_s and (
+            since_s is not None or not self._misses_grip_alone()
+        ):
             self._end_torque()
             self._latch(self._lost(error))
+
+    def _misses_grip_alone(self) -> bool:
+        """Whether the joints answer and the gripper does not, which is a fault of the gripper."""
+        grip = self.grip
+        if grip is None or grip.fault is not None:
+            return False
+        try:
+            self._opened.sync_read(self._read_joints)
+        except (OSError, RuntimeError):
+            return False
+        text = f"of servo {grip.servo_id} (gripper): see its cable and its supply, then acknowledge"
+        self._fail_grip(ArmFaultError(FaultKind.SILENT, text))
+        return True
+
+    def _look_at_grip(self, grip: GripServo, now_s: float) -> None:
+        before = grip.fault
+        if (said := grip.look(self._opened, now_s)) is not None:
+            self._report(f"{self.name}: {said}")
+        if grip.fault is not None and grip.fault is not before:
+            self._report(f"{self.name}: fault of the gripper: {grip.fault}")
+
+    def _fail_grip(self, error: ArmFaultError) -> None:
+        assert self.grip is not None
+        self.grip.fail(error)
+        self._report(f"{self.name}: fault of the gripper: {error}")
 
     def _lost(self, error: Exception) -> ArmFaultError:
         """Who does not answer any more."""
@@ -541,7 +628,9 @@ class ServoArm:
         except (OSError, RuntimeError) as error:
             self._missed(error, time.monotonic())
             return
-        if status:
+        if status and self.grip is not None and servo_id == self.grip.servo_id:
+            self._fail_grip(hardware_error(servo_id, status))
+        elif status:
             self._latch(hardware_error(servo_id, status))
 
     def _watch(self, now_s: float) -> None:
@@ -624,7 +713,7 @@ class ServoArm:
         try:
             if any(self._opened.sync_read(self._status)[::7]):
                 self._end_torque()
-            self._take(self._opened.sync_read(self._read))
+            self._measure()
         except (OSError, RuntimeError):
             self._nothing()
             self._end_torque()
@@ -648,7 +737,8 @@ class ServoArm:
         if self._bus is None:
             return
         restarted = []
-        for servo_id in self._members:
+        failed = self.grip is not None and self.grip.fault is not None
+        for servo_id in (*self._members, *self._grip_ids[len(self._position_ids) :]) if failed else self._members:
             with contextlib.suppress(OSError, RuntimeError):
                 if self._bus.read(servo_id, HARDWARE_STATUS, 1) != b"\0":
                     self._bus.reboot(servo_id)
@@ -684,6 +774,9 @@ class ServoArm:
         bus = self._bus
         try:
             self._end_torque()
+            if self.grip is not None:
+                self.grip.hold()
+                self.send_grip()
             self.kept = tuple(servo_id for servo_id in self._members if not _is_off(bus, servo_id))
         finally:
             bus.close()

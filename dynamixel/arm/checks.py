@@ -147,8 +147,8 @@ class ServoRegisters:
 class _ServoLine:
     """What is found at one servo: one line of what is good, and one of each thing that is not."""
 
-    def __init__(self, servo: ServoSettings, checklist: Checklist) -> None:
-        self.what = f"servo {servo.servo_id}"
+    def __init__(self, servo: ServoSettings, checklist: Checklist, what: str | None = None) -> None:
+        self.what = what or f"servo {servo.servo_id}"
         self._checklist = checklist
         self._good: list[str] = []
 
@@ -208,11 +208,7 @@ def check_servo(bus: DynamixelBus, servo: ServoSettings, checklist: Checklist, o
             f"startup configuration {startup}", good=not startup & TORQUE_AT_START,
             remedy="it must not start with torque: clear bit 0 of address 60",
         )  # fmt: skip
-    shutdown = registers["Shutdown"]
-    line.check(
-        f"shutdown {shutdown}", good=shutdown & PROTECTS == PROTECTS,
-        remedy=f"it must end its torque when overheated or overloaded: set address 63 to {shutdown | PROTECTS}",
-    )  # fmt: skip
+    _check_shutdown(registers, line)
     if servo.servo.has_current_control:
         limit_a = registers.scaled("Current Limit")
         line.check(
@@ -226,6 +222,27 @@ def check_servo(bus: DynamixelBus, servo: ServoSettings, checklist: Checklist, o
             f"homing offset {offset} ticks{', reversed' if drive_mode & 1 else ''} (offset_rad counts from there)"
         )
     line.finish()
+
+
+def check_servo_health(registers: ServoRegisters, servo: ServoSettings, checklist: Checklist, what: str) -> None:
+    """Hardware error, supply, temperature and shutdown of a servo that keeps the torque that it has.
+
+    Raises:
+        OSError: It does not answer, or the port is gone.
+        RuntimeError: It refuses, or its answer cannot be read.
+    """
+    line = _ServoLine(servo, checklist, what)
+    _check_health(registers, servo, line)
+    _check_shutdown(registers, line)
+    line.finish()
+
+
+def _check_shutdown(registers: ServoRegisters, line: _ServoLine) -> None:
+    shutdown = registers["Shutdown"]
+    line.check(
+        f"shutdown {shutdown}", good=shutdown & PROTECTS == PROTECTS,
+        remedy=f"it must end its torque when overheated or overloaded: set address 63 to {shutdown | PROTECTS}",
+    )  # fmt: skip
 
 
 def _check_secondary_id(registers: ServoRegisters, servo: ServoSettings, line: _ServoLine, obeys: int | None) -> None:

@@ -6,6 +6,7 @@ from typing import Final
 
 from haptether.dynamixel.models import CURRENT_MODES, SERVO_MODELS, OperatingMode, ServoModel
 
+TURN: Final = 2.0 * math.pi
 MAX_SERVOS: Final = 32
 MAX_ID: Final = 252
 MAX_ANGLE: Final = 512.0 * math.pi

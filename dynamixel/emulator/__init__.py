@@ -1,12 +1,12 @@
 """Emulated servos on a bus, for real clients; `haptether dynamixel-emulator` runs them as a process."""
 
 from haptether.dynamixel.emulator.bus import Answer, Bus, Faults
-from haptether.dynamixel.emulator.control import ControlLine
+from haptether.dynamixel.emulator.control import ControlLine, stops_of
 from haptether.dynamixel.emulator.joint import HeldBy, Joint, JointSettings
 from haptether.dynamixel.emulator.load import ArmLoad, servos_of
 from haptether.dynamixel.emulator.server import Server
 from haptether.dynamixel.emulator.servo import HardwareError, Servo
-from haptether.dynamixel.emulator.tcp import TcpLine
+from haptether.dynamixel.emulator.tcp import StreamLine, TcpLine, UnixLine
 
 __all__ = [
     "Answer",
@@ -20,6 +20,9 @@ __all__ = [
     "JointSettings",
     "Server",
     "Servo",
+    "StreamLine",
     "TcpLine",
+    "UnixLine",
     "servos_of",
+    "stops_of",
 ]

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 MAX_TORQUE_NM: Final = 1000.0
 MAX_STIFFNESS: Final = 1e4
 """Of a hand, N m/rad and N m s/rad."""
+MAX_STOP_RAD: Final = 1000.0
 MAX_PATH_BYTES: Final = 1 << 22
 MAX_COUNT: Final = 1_000_000
 MAX_DURATION_S: Final = 3600.0
@@ -56,6 +57,7 @@ class ControlLine:
             "temperature": self._temperature,
             "push": self._push,
             "place": self._place,
+            "stops": self._stops,
             "hand": self._hand,
             "lead": self._lead,
         }
@@ -151,6 +153,11 @@ class ControlLine:
         servo.joint.position_rad, servo.joint.velocity_rad_s = position_rad, 0.0
         servo.advance(now_s)
 
+    def _stops(self, arguments: list[str], now_s: float) -> None:
+        servo = self._servo(arguments)
+        servo.advance(now_s)
+        servo.joint.stops = None if arguments[1:] == ["off"] else stops_of(arguments[1:])
+
     def _hand(self, arguments: list[str], now_s: float) -> None:
         if arguments == ["off"]:
             for servo in self._bus.servos:
@@ -205,6 +212,18 @@ class ControlLine:
         if not arguments or not arguments[0].isdecimal():
             _refuse("the first must be the id of a servo")
         return self._bus.servo(int(arguments[0][:6]))
+
+
+def stops_of(ends: list[str]) -> tuple[float, float]:
+    """What stops an output at two angles in rad, in either order.
+
+    Raises:
+        ValueError: Ends that cannot be.
+    """
+    low, high = sorted(_numbers(ends, 2))
+    if not (low < high and max(-low, high) <= MAX_STOP_RAD):
+        _refuse(f"{low:g} {high:g}: must be two angles within {MAX_STOP_RAD:g} rad")
+    return low, high
 
 
 def _refuse(message: str) -> None:

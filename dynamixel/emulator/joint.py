@@ -13,6 +13,10 @@ MAX_CATCH_UP_S: Final = 0.5
 """Time that is integrated after a pause; more is lost."""
 POSITION_BANDWIDTH: Final = 25.0
 """Of the position loop, rad/s, critically damped."""
+STOP_STIFFNESS: Final = 5e5
+"""Of something rigid, over the inertia, 1/s^2: an output of 1e-3 kg m^2 goes 1e-3 rad into it at 0.5 N m."""
+STOP_DAMPING: Final = 1e3
+"""Ibid., 1/s."""
 VELOCITY_BANDWIDTH: Final = 50.0
 """Of the velocity loop, 1/s."""
 
@@ -105,6 +109,8 @@ class Joint:
         """Of whoever pushes."""
         self.load_nm = 0.0
         """Of what it carries."""
+        self.stops: tuple[float, float] | None = None
+        """Angles in rad beyond which something rigid stops the output."""
         self.hand: HeldBy | None = None
         self.hand_nm = 0.0
         """Of the hand, in the last step."""
@@ -112,6 +118,8 @@ class Joint:
         self._stall_nm = model.recommended.torque_nm
         self._no_load_rad_s = model.no_load_rad_s
         self._time_s: float | None = None
+        self._reference_rad: float | None = None
+        """Where a profile is on its way to the goal."""
 
     @property
     def current_a(self) -> float:
@@ -133,7 +141,10 @@ class Joint:
 
     def _step(self, drive: "Drive | None") -> None:
         J, b, c = self.settings.inertia, self.settings.viscous, self.settings.coulomb
-        self.torque_nm = 0.0 if drive is None else self._motor(drive)
+        if drive is None:
+            self.torque_nm, self._reference_rad = 0.0, None
+        else:
+            self.torque_nm = self._motor(drive)
         torque = self.motors * self.torque_nm + self.pushed_nm + self.load_nm
         before = self.velocity_rad_s
         hand, stretched = self.hand, 0.0
@@ -142,14 +153,31 @@ class Joint:
             stretched = (hand.place_rad(self._time_s or 0.0) - self.position_rad) * hand.stiffness
             torque += stretched
             b += hand.damping + STEP_S * hand.stiffness
-        w = (before + STEP_S / J * torque) / (1.0 + STEP_S * b / J)
-        # Dry friction takes away what it can, down to standing still.
-        slowed = STEP_S / J * c
-        self.velocity_rad_s = math.copysign(max(abs(w) - slowed, 0.0), w)
+        if self.stops is not None and (deep := self._deep(self.stops)) != 0.0:
+            torque -= J * STOP_STIFFNESS * deep
+            b += J * (STOP_DAMPING + STEP_S * STOP_STIFFNESS)
+        w = before + STEP_S / J * torque
+        # J (w' - w) / dt = torque - b w' - c sign(w'): dry friction takes away what it can, down to standing still.
+        self.velocity_rad_s = math.copysign(max(abs(w) - STEP_S / J * c, 0.0) / (1.0 + STEP_S * b / J), w)
         self.hand_nm = 0.0
         if hand is not None:
             self.hand_nm = stretched - (hand.damping + STEP_S * hand.stiffness) * self.velocity_rad_s
         self.position_rad += STEP_S * self.velocity_rad_s
+
+    def _deep(self, stops: tuple[float, float]) -> float:
+        """How far it is in what stops it, with its sign; 0 between them."""
+        low, high = stops
+        return max(self.position_rad - high, 0.0) + min(self.position_rad - low, 0.0)
+
+    def _towards(self, drive: "Drive") -> float:
+        """The goal, or where a profile of constant speed is on its way there."""
+        if drive.speed_rad_s == math.inf:
+            self._reference_rad = None
+            return drive.goal
+        at = self.position_rad if self._reference_rad is None else self._reference_rad
+        step = STEP_S * drive.speed_rad_s
+        self._reference_rad = at + min(max(drive.goal - at, -step), step)
+        return self._reference_rad
 
     def _motor(self, drive: "Drive") -> float:
         J, w = self.settings.inertia, self.velocity_rad_s
@@ -161,7 +189,7 @@ class Joint:
         elif drive.mode == OperatingMode.PWM:
             wanted = drive.goal * self._stall_nm - self._stall_nm * w / self._no_load_rad_s
         else:
-            error = drive.goal - self.position_rad
+            error = self._towards(drive) - self.position_rad
             wanted = J * (POSITION_BANDWIDTH**2 * error - 2.0 * POSITION_BANDWIDTH * w) + self._friction(error)
         # What the supply leaves over the voltage that the motor induces.
         ahead = max(self._stall_nm * (1.0 - max(w, 0.0) / self._no_load_rad_s), 0.0)
@@ -181,8 +209,10 @@ class Drive:
         mode: Its operating mode.
         goal: In A, rad/s, rad or a fraction of the supply, by the mode.
         limit_a: Of the current.
+        speed_rad_s: Of the profile on which it goes to a position.
     """
 
     mode: OperatingMode
     goal: float
     limit_a: float
+    speed_rad_s: float = math.inf

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from haptether.control_channel import ControlChannel
     from haptether.dynamixel.emulator.bus import Bus
-    from haptether.dynamixel.emulator.tcp import TcpLine
+    from haptether.dynamixel.emulator.tcp import StreamLine
 
 RECEIVE: Final = 4096
 WATCH_S: Final = 0.01
@@ -53,7 +53,7 @@ class Server:
         wire_time: bool = False,
         latency_s: float = 0.0,
         any_rate: bool = False,
-        tcp: "TcpLine | None" = None,
+        tcp: "StreamLine | None" = None,
     ) -> None:
         if not 0.0 <= latency_s <= 1.0:
             message = f"latency_s = {latency_s:g}: must be 0 to 1 s"

@@ -277,7 +277,9 @@ class Servo:
             return Drive(mode=mode, goal=sign * self.value("Goal PWM") / 885.0, limit_a=limit_a)
         if mode == OperatingMode.CURRENT_BASED_POSITION:
             limit_a = min(limit_a, abs(self._scaled("Goal Current")))
-        return Drive(mode=mode, goal=self._goal_rad(), limit_a=limit_a)
+        # 0 is as fast as it can.
+        speed = self._scaled("Profile Velocity") or float("inf")
+        return Drive(mode=mode, goal=self._goal_rad(), limit_a=limit_a, speed_rad_s=speed)
 
     def _stop(self) -> None:
         """What the bus watchdog does: no current, no velocity, and the place where it is."""

@@ -1,35 +1,29 @@
-"""An emulated bus over TCP: raw bytes either way, as ser2net hands them on."""
+"""An emulated bus over a socket: raw bytes either way, as ser2net hands them on."""
 
 import contextlib
 import socket
+from pathlib import Path
 from typing import Final
 
 RECEIVE: Final = 4096
 
 
-class TcpLine:
+class StreamLine:
     """Listens for one client at a time; one that comes while another is connected is closed at once.
 
     Args:
-        address: Where it listens, `HOST:PORT`; port 0 is any free one.
+        listening: Where.
+        address: As it is shown.
         baud: Rate of the wire behind it in bit/s, for a client says none.
-
-    Raises:
-        ValueError: No such form of address.
-        OSError: An address that cannot be used.
     """
 
-    def __init__(self, address: str, baud: int) -> None:
-        host, _, port = address.rpartition(":")
-        if not (host and port.isdecimal() and int(port) <= 65535):
-            message = f"tcp = {address}: must be HOST:PORT with a port of 0 to 65535"
-            raise ValueError(message)
+    def __init__(self, listening: socket.socket, address: str, baud: int) -> None:
         self.baud = baud
         self.is_plugged = True
-        self._listening = socket.create_server((host, int(port)))
+        self._listening = listening
         self._listening.setblocking(False)
         self._client: socket.socket | None = None
-        self.address = f"{host}:{self._listening.getsockname()[1]}"
+        self.address = address
 
     def readers(self) -> list[int]:
         """Descriptors to wait for."""
@@ -80,5 +74,56 @@ class TcpLine:
                 client.close()
                 return
             client.setblocking(False)
-            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if client.family != socket.AF_UNIX:
+                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._client = client
+
+
+class TcpLine(StreamLine):
+    """Over TCP.
+
+    Args:
+        address: Where it listens, `HOST:PORT`; port 0 is any free one.
+        baud: Of the wire behind it.
+
+    Raises:
+        ValueError: No such form of address.
+        OSError: An address that cannot be used.
+    """
+
+    def __init__(self, address: str, baud: int) -> None:
+        host, _, port = address.rpartition(":")
+        if not (host and port.isdecimal() and int(port) <= 65535):
+            message = f"tcp = {address}: must be HOST:PORT with a port of 0 to 65535"
+            raise ValueError(message)
+        listening = socket.create_server((host, int(port)))
+        super().__init__(listening, f"{host}:{listening.getsockname()[1]}", baud)
+
+
+class UnixLine(StreamLine):
+    """Over a Unix socket, which `DynamixelBus` takes for a port.
+
+    Args:
+        path: Where it is made; nothing must be there.
+        baud: Of the wire behind it.
+
+    Raises:
+        OSError: A path that cannot be used.
+    """
+
+    def __init__(self, path: Path, baud: int) -> None:
+        listening = socket.socket(socket.AF_UNIX)
+        try:
+            listening.bind(str(path))
+            listening.listen(1)
+        except OSError as error:
+            listening.close()
+            message = f"socket = {path}: {error.strerror or error}: must be a path that is free"
+            raise OSError(message) from None
+        self._path = path
+        super().__init__(listening, str(path), baud)
+
+    def close(self) -> None:
+        """As of any; the path is free again."""
+        super().close()
+        self._path.unlink(missing_ok=True)

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from haptether.dynamixel.arm import ArmSettings, ServoArm, Vector
+from haptether.dynamixel.arm import ArmSettings, GripServo, ServoArm, Vector
 from haptether.slave.device import SlaveSample
 from haptether.slave.dynamixel.options import DynamixelSlaveOptions, dynamixel_slave_options
 from haptether.slave.dynamixel.torque import JointTorque
@@ -41,7 +41,8 @@ class DynamixelSlave:
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
         self.options: DynamixelSlaveOptions = dynamixel_slave_options(options)
         self.settings: ArmSettings = self.options.settings()
-        self._arm = ServoArm(self.settings)
+        self.servos = ServoArm(self.settings)
+        """On their bus."""
         self._torque = JointTorque(
             self.settings.servos,
             constant=self.options.torque_constant,
@@ -65,16 +66,24 @@ class DynamixelSlave:
         self._read_s = self._written_s = 0.0
         self._is_measured = False
 
+    def carry(self, grip: GripServo) -> None:
+        """Takes a gripper to the bus of its joints, before it is open.
+
+        Raises:
+            ValueError: It has the id of a joint.
+        """
+        self.servos = ServoArm(self.settings, grip=grip)
+
     def open(self) -> None:
         """Goes through the checklist; then the arm takes up its own weight where it stands."""
         self._goal, self._led, self._refused, self._is_measured = None, False, None, False
-        self._arm.open()
+        self.servos.open()
         self._torque.reset()
         self._read_s = self._written_s = time.monotonic()
 
     def read(self) -> SlaveSample:
         """The newest sample; where a read fails it is asked again, until there is one or a fault."""
-        arm = self._arm
+        arm = self.servos
         if not self._is_measured:
             arm.reopen_if_late()
             self._is_measured = True
@@ -102,7 +111,7 @@ class DynamixelSlave:
 
     def write(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:  # noqa: ARG002  # of SlaveDevice
         """Sends the joints on, within their limits and their speed; nothing where there is a fault."""
-        if self._goal is None or self._refused is not None or self._arm.fault is not None:
+        if self._goal is None or self._refused is not None or self.servos.fault is not None:
             return
         now_s = time.monotonic()
         wanted = np.array(position, dtype=float)
@@ -124,30 +133,30 @@ class DynamixelSlave:
         step = self.options.max_speed * min(now_s - self._written_s, MAX_STEP_S)
         self._written_s = now_s
         self._goal = np.clip(wanted, self._goal - step, self._goal + step)
-        self._arm.write_positions(self._goal)
+        self.servos.write_positions(self._goal)
 
     def stop(self) -> None:
         """Holds the joints where they were sent last, which no command was faster than its limit to reach."""
         self._led = False
-        if self._goal is not None and self._arm.fault is None:
-            self._arm.write_positions(self._goal)
+        if self._goal is not None and self.servos.fault is None:
+            self.servos.write_positions(self._goal)
 
     def acknowledge(self) -> None:
         """The operator has removed the fault: the checklist runs again, and says when the arm is ready."""
-        if self._shown is None or self._shown != (self._arm.fault or self._refused):
+        if self._shown is None or self._shown != (self.servos.fault or self._refused):
             # One since the last sample was not shown to anybody.
             return
         self._refused, self._led = None, False
-        self._arm.acknowledge()
+        self.servos.acknowledge()
 
     def close(self) -> None:
         """Lets the arm down where its mode allows it, and ends all torque."""
-        self._arm.close()
+        self.servos.close()
 
     def _refuse(self, text: str) -> None:
         self.stop()
         self._refused = text
-        print(f"{self._arm.name}: fault: {text}", file=sys.stderr, flush=True)
+        print(f"{self.servos.name}: fault: {text}", file=sys.stderr, flush=True)
 
     def _within(self, angles: Vector) -> Vector:
         return np.clip(angles, self._low, self._high)

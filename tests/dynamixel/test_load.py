@@ -109,6 +109,23 @@ def test_a_hand_leads_without_a_jerk_and_lets_go(two: ArmDescription) -> None:
     assert world.servos[0].joint.hand is None
 
 
+@pytest.mark.parametrize("stiffness", [1.0, 200.0, 1e4])
+@pytest.mark.parametrize("damping", [0.1, 2.0])
+def test_a_hand_that_leads_at_a_constant_speed_needs_what_friction_takes(stiffness: float, damping: float) -> None:
+    """F = c + b w, however stiff the hand is."""
+    model = SERVO_MODELS["XL330-M288"]
+    joint = Joint(model, JointSettings.of(model))
+    speed = 0.5
+    joint.hand = HeldBy(
+        goal_rad=0.0, stiffness=stiffness, damping=damping, path=((0.0, 100.0), (0.0, 100.0 * speed))
+    )  # fmt: skip
+    joint.advance(0.0, None)
+    for index in range(20_000):
+        joint.advance(1e-3 * index, None)
+    assert joint.velocity_rad_s == pytest.approx(speed, rel=1e-3)
+    assert joint.hand_nm == pytest.approx(joint.settings.coulomb + joint.settings.viscous * speed, rel=1e-3)
+
+
 @pytest.mark.parametrize("stiffness", [0.0, 1.0, 100.0, 1e4])
 @pytest.mark.parametrize("damping", [0.0, 1.0, 1e4])
 def test_hands_are_stable_however_stiff(stiffness: float, damping: float) -> None:

@@ -43,6 +43,11 @@ def test_it_ends_cleanly(how: str, tmp_path: Path) -> None:
         (["--latency-ms", "-1"], "latency_ms = -1: must be 0 to 1000 ms"),
         (["--control", "192.0.2.1:9000"], "control = "),
         (["--seed", "-1"], "seed = -1"),
+        (["--stops", "1"], "stops = 1: '': must be 2 finite numbers"),
+        (["--stops", "1=0.1:nan"], "stops = 1=0.1:nan: '0.1 nan': must be 2 finite numbers"),
+        (["--stops", "1=0.1:0.1"], "stops = 1=0.1:0.1: 0.1 0.1: must be two angles within 1000 rad"),
+        (["--stops", "x=0:1"], "stops = x=0:1: must be ID=A:B"),
+        (["--stops", "9=0:1"], "stops = 9=0:1: id 9: must be one of 1, 2, 3"),
     ],
 )
 def test_bad_requests_are_refused(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:

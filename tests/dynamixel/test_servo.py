@@ -128,6 +128,54 @@ def test_positions_are_reached(mode: OperatingMode, model: str) -> None:
     assert (world.value("Moving"), world.value("Moving Status")) == (0, 1)
 
 
+@pytest.mark.parametrize("mode", [OperatingMode.POSITION, OperatingMode.CURRENT_BASED_POSITION])
+def test_a_profile_goes_to_a_position_at_its_speed(mode: OperatingMode) -> None:
+    """1000 ticks are 1.534 rad; 20 units of 0.229 rev/min are 0.48 rad/s."""
+    world = World()
+    world.torque_on(mode)
+    assert world.write("Profile Velocity", 20) == NONE
+    assert world.write("Goal Position", 3048) == NONE
+    world.run(1.6)
+    assert world.value("Present Velocity") == pytest.approx(20, abs=1)
+    assert world.servo.joint.position_rad == pytest.approx(0.48 * 1.6, abs=0.05)
+    world.run(2.0)
+    assert world.value("Present Position") == pytest.approx(3048, abs=3)
+
+
+@pytest.mark.parametrize("goal", [3000, 1000])
+def test_something_rigid_stops_it_with_the_current_of_its_cap(goal: int) -> None:
+    world = World("XL330-M288")
+    joint = world.servo.joint
+    joint.stops = -0.2, 0.2
+    world.torque_on(OperatingMode.CURRENT_BASED_POSITION)
+    assert world.write("Goal Current", 300) == NONE
+    assert world.write("Goal Position", goal) == NONE
+    world.run(1.0)
+    sign = 1 if goal > 2048 else -1
+    # J = 2e-3 s^2 times the stall torque; friction holds a part of what presses.
+    deep = 0.3 * joint.constant_nm_per_a / (5e5 * joint.settings.inertia)
+    assert sign * joint.position_rad == pytest.approx(0.2 + deep, abs=0.2 * deep)
+    assert world.value("Present Current") == sign * 300
+    assert joint.velocity_rad_s == pytest.approx(0.0, abs=1e-3)
+    joint.stops = None
+    world.run(1.0)
+    assert world.value("Present Position") == pytest.approx(goal, abs=3)
+
+
+def test_what_is_measured_is_that_of_the_last_time_however_it_is_read() -> None:
+    world = World()
+    world.torque_on(OperatingMode.CURRENT)
+    assert world.write("Goal Current", 500) == NONE
+    for _ in range(5):
+        world.now_s += 0.01
+        world.servo.heard(world.now_s)
+        world.servo.move(world.now_s)
+        by_name = world.value("Present Position")
+        _, read = world.servo.read(132, 4)
+        assert int.from_bytes(read, "little") == by_name
+    assert by_name == round(world.servo.joint.position_rad / RAD_PER_TICK) + 2048 != 2048
+
+
 def test_current_is_torque() -> None:
     world = World()
     world.torque_on(OperatingMode.CURRENT)

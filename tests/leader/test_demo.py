@@ -49,7 +49,7 @@ def test_a_led_arm_picks_something_up(slave: Literal["simulated", "ur"], tmp_pat
 
 @pytest.mark.alone
 @pytest.mark.timeout(400)
-def test_a_follower_is_led_and_a_push_reaches_the_hand_damped(tmp_path: Path) -> None:
+def test_a_follower_grips_and_carries_and_a_push_reaches_the_hand_damped(tmp_path: Path) -> None:
     scene = FollowScene(jitter_s=0.0, loss=0.0)
     thrown = {}
     for controller in ("none", "wsc"):
@@ -61,7 +61,11 @@ def test_a_follower_is_led_and_a_push_reaches_the_hand_damped(tmp_path: Path) ->
             assert stalls.worst_s > STALL_S, "it held or failed though the machine did not stand still"
         else:
             pytest.fail(STALLED)
-        assert result.followed_rad == pytest.approx(result.led_rad, abs=0.05)
+        assert result.is_carried, result
+        assert result.led_rad == pytest.approx(scene.led_rad, abs=0.02)
+        # What the gripper is set to, as its current says; 0.3 of it at the trigger.
+        assert result.grip_n == pytest.approx(1.5, abs=0.1)
+        assert result.finger_n == pytest.approx(0.45, abs=0.1)
         assert result.felt_nm > 0.1
         thrown[controller] = result.thrown_rad_s
     assert thrown["wsc"] < thrown["none"], thrown
@@ -93,7 +97,7 @@ def test_the_hand_leads_the_tool_as_the_scene_says() -> None:
         (["--slave", "dynamixel"], "master = simulated: must be dynamixel with --slave dynamixel"),
         (
             ["--master", "dynamixel", "--slave", "dynamixel", "--task", "pick"],
-            "task = pick: the follower of",
+            "task = pick: --slave dynamixel shows both in one",
         ),
         (
             ["--master", "dynamixel", "--task", "push"],

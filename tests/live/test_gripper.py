@@ -155,6 +155,38 @@ def test_it_is_led_by_the_trigger_and_keeps_its_grip_when_the_master_ends() -> N
     assert (done.gripper[-1], done.holds_object[-1], done.gripper_force[-1]) == (0.7, 1, 30.0)
 
 
+class JawsOfArm(Jaws):
+    """On the bus of their arm."""
+
+    def __init__(self, refused: str = "") -> None:
+        super().__init__()
+        self.refused = refused
+
+    def attach(self, arm: object) -> None:
+        self.orders.append(f"attach {type(arm).__name__}")
+        if self.refused:
+            raise ValueError(self.refused)
+
+
+def test_one_that_is_on_the_bus_of_its_arm_learns_of_it_first() -> None:
+    jaws = JawsOfArm()
+    slave, _ = slave_of(jaws)
+    until(slave.ready)
+    slave.finish()
+    assert slave.error is None
+    assert jaws.orders == ["attach Arm", "open", "hold", "close"]
+
+
+def test_one_that_cannot_be_at_this_arm_ends_the_run() -> None:
+    jaws = JawsOfArm("must be at an arm of servos")
+    slave, arm = slave_of(jaws)
+    until(lambda: slave.finished)
+    slave.finish()
+    assert "ValueError: must be at an arm of servos" in str(slave.error)
+    assert "open" not in jaws.orders
+    assert arm.stops == 0
+
+
 @anew_after_stalls
 def test_a_fault_of_the_gripper_stops_the_arm_and_is_named_and_acknowledged() -> None:
     jaws = Jaws()

@@ -1,11 +1,11 @@
-//! A serial port that nobody else of ours has, and the clock of its deadlines.
+//! A serial port that nobody else of ours has, or a socket in its place, and the clock of its deadlines.
 
-use std::path::Path;
+use std::{os::unix::net::UnixStream, path::Path};
 
 use rustix::{
     event::{PollFd, PollFlags, poll},
     fd::OwnedFd,
-    fs::{FlockOperation, Mode, OFlags, flock, open},
+    fs::{FileType, FlockOperation, Mode, OFlags, flock, open, stat},
     io::{Errno, read, write},
     termios::{ControlModes, OptionalActions, QueueSelector, tcflush, tcgetattr, tcsetattr},
     thread::{ClockId, nanosleep},
@@ -31,15 +31,26 @@ pub(super) fn sleep_ns(duration_ns: u64) {
     let _ = nanosleep(&duration);
 }
 
-/// A serial port: raw, 8 bits, no parity, one stop bit.
+/// A serial port: raw, 8 bits, no parity, one stop bit; or a Unix socket that hands the same bytes on.
+///
+/// A pseudo-terminal hands bytes on by threads of the kernel without priority, a socket by those that send and receive.
 #[derive(Debug)]
 pub(super) struct SerialPort {
     descriptor: OwnedFd,
+    is_socket: bool,
 }
 
 impl SerialPort {
     /// Opens it at a rate in bit/s; [`Errno::WOULDBLOCK`] if another process of ours has it.
+    ///
+    /// Behind a socket is whoever has bound it: he says who else may have it, and at which rate.
     pub(super) fn open(path: &Path, baud: u32) -> Result<Self, Errno> {
+        if FileType::from_raw_mode(stat(path)?.st_mode) == FileType::Socket {
+            let stream = UnixStream::connect(path)
+                .and_then(|stream| stream.set_nonblocking(true).map(|()| stream))
+                .map_err(|error| Errno::from_io_error(&error).unwrap_or(Errno::IO))?;
+            return Ok(Self { descriptor: stream.into(), is_socket: true });
+        }
         let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
         let descriptor = open(path, flags, Mode::empty())?;
         flock(&descriptor, FlockOperation::NonBlockingLockExclusive)?;
@@ -49,12 +60,23 @@ impl SerialPort {
         settings.control_modes &= !(ControlModes::CSTOPB | ControlModes::CRTSCTS);
         settings.set_speed(baud)?;
         tcsetattr(&descriptor, OptionalActions::Flush, &settings)?;
-        Ok(Self { descriptor })
+        Ok(Self { descriptor, is_socket: false })
     }
 
     /// Forgets what has arrived.
     pub(super) fn discard(&self) -> Result<(), Errno> {
-        tcflush(&self.descriptor, QueueSelector::IFlush)
+        if !self.is_socket {
+            return tcflush(&self.descriptor, QueueSelector::IFlush);
+        }
+        let mut forgotten = [0; 256];
+        loop {
+            match read(&self.descriptor, &mut forgotten) {
+                Ok(0) => return Err(Errno::IO),
+                Ok(_) | Err(Errno::INTR) => {}
+                Err(Errno::AGAIN) => return Ok(()),
+                Err(error) => return Err(error),
+            }
+        }
     }
 
     /// Sends all bytes before a deadline; [`Errno::TIMEDOUT`] otherwise.

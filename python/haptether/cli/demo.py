@@ -26,9 +26,10 @@ class Demo:
     15 s. Exit status 0 says that it did.
 
     --master dynamixel: an emulated leader arm of servos, whose joints a scripted hand leads. With --slave ur or
-    simulated it picks something up, as --task pick; with --slave dynamixel, an emulated follower, that is pushed, and
-    the hand lets go, 20 ms each way. Exit status 0 of the latter says that the leader was thrown slower with HSC and
-    with WSC than without a controller.
+    simulated it picks something up, as --task pick. With --slave dynamixel, an emulated follower, 20 ms each way: its
+    gripper takes something, six joints carry it, and it is let go; then the follower is pushed and the hand lets go of
+    the leader, without a controller and with each. Exit status 0 of the latter says that each carried it, and that the
+    leader was thrown slower with HSC and with WSC than without a controller. Takes about 50 s.
 
     Examples:
 
@@ -135,8 +136,8 @@ class Demo:
             if self.master != "dynamixel":
                 message = f"master = {self.master}: must be dynamixel with --slave dynamixel, joint for joint"
                 raise ValueError(message)
-            if self.task == "pick":
-                message = "task = pick: the follower of servos has no gripper: must be push, or --slave ur"
+            if self.task is not None:
+                message = f"task = {self.task}: --slave dynamixel shows both in one: leave --task out"
                 raise ValueError(message)
             return "push"
         if self.master == "dynamixel" and self.task == "push":
@@ -156,9 +157,9 @@ class Demo:
         console.print(
             f"an emulated follower arm - slave - network ({scene.delay_s * 1e3:g} ms, sigma "
             f"{scene.jitter_s * 1e3:g} ms, each way, {self.loss:.1%} loss) - master -\n"
-            f"  an emulated leader arm, as processes on this machine; the hand leads a joint; at "
-            f"{scene.push_at_s:g} s\n  {scene.push_nm:g} N m push the follower, at "
-            f"{scene.release_at_s:g} s the hand lets go",
+            f"  an emulated leader arm, as processes on this machine; the hand closes the gripper on something,\n"
+            f"  carries it with six joints and lets it go; at {scene.push_at_s:g} s {scene.push_nm:g} N m push the "
+            f"follower,\n  at {scene.release_at_s:g} s the hand lets go of the leader",
             highlight=False,
         )
         columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
@@ -179,16 +180,21 @@ class Demo:
         draw_follow(scene, results, picture)
         bare, *guarded = results
         protected = all(one.thrown_rad_s < bare.thrown_rad_s for one in guarded) and not any(r.holds for r in results)
-        write_report(self.json, {"scene": scene, "protected": protected, "picture": str(picture), "results": results})
+        carried = all(one.is_carried for one in results)
+        write_report(self.json, {"scene": scene, "protected": protected, "carried": carried, "picture": str(picture),
+                                 "results": results})  # fmt: skip
         for one in results:
             console.print(
-                f"{one.controller}: led by {one.led_rad:.3f} rad, the follower came {one.followed_rad:.3f} rad; the "
-                f"hand felt up to {one.felt_nm:.2f} N m; let go, the joint was thrown at {one.thrown_rad_s:.2f} rad/s; "
-                f"{one.holds} holds, {one.final_state} at the end",
+                f"{one.controller}: {'carried' if one.is_carried else 'NOT carried as it was led'}: gripped "
+                f"{one.grips} time(s) with {one.grip_n:.1f} N, of which the finger felt {one.finger_n:.1f} N; six "
+                f"joints led by {one.led_rad:.3f} rad, the follower's came {one.carried_rad:.3f} rad with it"
+                f"{', and let go' if one.open_at_end else ', and is still held'}; the push was felt with "
+                f"{one.felt_nm:.2f} N m; let go, the joint was thrown at {one.thrown_rad_s:.2f} rad/s; {one.holds} "
+                f"holds, {one.final_state} at the end",
                 highlight=False,
             )
         console.print(f"picture: {picture}", highlight=False)
-        return 0 if protected else 1
+        return 0 if protected and carried else 1
 
     def _pick(self, scene: "PickScene") -> int:
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from haptether.dynamixel.emulator import ArmLoad, Server, Servo
+    from haptether.dynamixel.emulator import ArmLoad, Bus, Server, Servo, StreamLine
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +45,9 @@ class DynamixelEmulator:
     """Version that they report; fast reads are known from 45 on, by 330 models from 46 on."""
     start: Annotated[tuple[float, ...], tyro.conf.arg(metavar="Q")] = ()
     """Joint angles at the begin, in rad from the mechanical centre; by default 0."""
+    stops: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID=A:B")] = ()
+    """Something rigid stops the output of a servo at two angles from its mechanical centre, such as jaws or an object
+    between them, as ID=A:B in rad."""
     return_delay: int = 0
     """Return Delay Time that they begin with, in 2 us; out of the box it is 250."""
     wire_time: bool = False
@@ -55,6 +58,9 @@ class DynamixelEmulator:
     """A symbolic link to the terminal, which stays the same when it is unplugged and plugged."""
     tcp: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
     """The same bus over TCP besides, raw bytes for one client at a time; port 0 is any free one."""
+    socket: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """The same bus behind a Unix socket besides, which `port` of a driver may name: a pseudo-terminal hands bytes on by
+    threads of the kernel without priority, late where others compute."""
     seed: int = 0
     """Seed of which bytes are lost or wrong."""
     control: Annotated[str | None, tyro.conf.arg(metavar="-|127.0.0.1:PORT|PATH")] = None
@@ -75,7 +81,7 @@ class DynamixelEmulator:
         from haptether.cli.shared.output import check_target, table_goes_to_stderr, write_report
         from haptether.cli.shared.stop import Stopped
         from haptether.control_channel import ControlChannel
-        from haptether.dynamixel.emulator import Bus, ControlLine, Server, TcpLine
+        from haptether.dynamixel.emulator import Bus, ControlLine, Server
         from haptether.realtime import realtime
 
         check_duration("duration_s", self.duration_s)
@@ -88,7 +94,8 @@ class DynamixelEmulator:
             raise ValueError(message)
         servos, load = self._servos()
         bus = Bus(servos, self.seed, load)
-        tcp = None if self.tcp is None else TcpLine(self.tcp, self.baud)
+        self._stop(bus)
+        tcp = self._stream()
         server = Server(
             bus,
             link=self.link,
@@ -111,7 +118,7 @@ class DynamixelEmulator:
                 with realtime(self.realtime) as granted:
                     # Whoever started this process reads the line to learn which port it is.
                     stream = sys.stderr if table_goes_to_stderr(self.json) else sys.stdout
-                    reached = "" if tcp is None else f", TCP {tcp.address}"
+                    reached = "" if tcp is None else f", {'TCP' if self.socket is None else 'socket'} {tcp.address}"
                     controlled = "" if channel is None else f", controlled by {channel.address}"
                     headline = f"{self._headline(server)}{reached}{controlled}, real time: {granted}"
                     print(headline, file=stream, flush=True)
@@ -124,6 +131,35 @@ class DynamixelEmulator:
         if self.json is not None:
             write_report(self.json, figures)
         return 0
+
+    def _stream(self) -> "StreamLine | None":
+        """The second way to the bus.
+
+        Raises:
+            ValueError: Two of them.
+            OSError: An address or a path that cannot be used.
+        """
+        from haptether.dynamixel.emulator import TcpLine, UnixLine
+
+        if self.tcp is not None and self.socket is not None:
+            message = f"socket = {self.socket}: beside --tcp: must be one of the two"
+            raise ValueError(message)
+        if self.tcp is not None:
+            return TcpLine(self.tcp, self.baud)
+        return None if self.socket is None else UnixLine(self.socket, self.baud)
+
+    def _stop(self, bus: "Bus") -> None:
+        from haptether.dynamixel.emulator import stops_of
+
+        for text in self.stops:
+            number, _, ends = text.partition("=")
+            try:
+                servo = bus.servo(int(number))
+                servo.joint.stops = stops_of(ends.split(":"))
+            except ValueError as error:
+                why = f"{error}" if number.isdecimal() else "must be ID=A:B"
+                message = f"stops = {text}: {why}"
+                raise ValueError(message) from None
 
     def _headline(self, server: "Server") -> str:
         names = ", ".join(f"{servo.id} {servo.model.name}" for servo in server.bus.servos)

@@ -1,0 +1,1 @@
+"""A gripper on a servo of the bus of its arm: `[slave.gripper] device = "dynamixel"`."""
