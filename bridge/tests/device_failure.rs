@@ -1,13 +1,13 @@
 //! A device that fails: what a person did before anybody could see it takes nothing of it away.
 #![allow(clippy::unwrap_used)] // a test may
 
-use std::{net::SocketAddr, ops::ControlFlow, time::Duration};
+use std::{f64::consts::PI, net::SocketAddr, ops::ControlFlow, time::Duration};
 
 use haptether_bridge::{
     Clutch, DrivenMaster, DrivenSlave, Event, FaultText, LadderSettings, LadderState, LinkTime,
-    MasterEndpoint, MasterSettings, MasterSide, OperatorCommand, Side, SlaveEndpoint, SlaveSettings,
-    SlaveSide, TickTime, VirtualSettings,
-    coupling::CommandBounds,
+    MasterEndpoint, MasterSettings, MasterSide, OperatorCommand, Side, SlaveEndpoint, SlaveReading,
+    SlaveRotationSettings, SlaveSettings, SlaveSide, TickTime, VirtualSettings,
+    coupling::{CommandBounds, RotationBounds, RotationLock, RotationState},
     live::{
         DriverLoop, Ineffective, LiveSettings, Paced, PacedLoop, PeerAddress, PeerSocket, RealtimeDemand,
         RealtimeSettings, Security, now_ns, paced_by_device,
@@ -18,8 +18,9 @@ use haptether_bridge::{
 };
 use haptether_netsim::LinkSettings;
 use haptether_safety::{
-    DeviceModel, Fault, LimiterSettings, Signal, controller::SafetySettings, estimator::EstimatorKind,
+    Axes, DeviceModel, Fault, LimiterSettings, Signal, controller::SafetySettings, estimator::EstimatorKind,
 };
+use nalgebra::UnitQuaternion;
 
 const MS: u64 = 1_000_000;
 
@@ -406,6 +407,70 @@ fn a_force_that_cannot_be_measured_stops_both_sides() {
         // The press still settles, by less than that; the least of the shove would be a newton, the limiter's step.
         assert!(most(&near[pushed..]) <= most(&near[..pushed]) + 1e-6, "{force_n}");
         assert!(most(&near[..pushed]) > 1.0, "the hand felt the wall");
+    }
+}
+
+#[test]
+fn a_place_that_no_arm_can_have_reached_is_a_fault_at_its_tick() {
+    let jumped = Fault::OutOfRange(Signal::Velocity).code();
+    // 1 m in 1 ms is 1000 m/s; two ticks that follow closely are a period apart at least.
+    for (by, after_ns, is_jump) in
+        [(0.9, MS, false), (1.1, MS, true), (-5.0, MS, true), (1.1, 2 * MS, false), (0.9, MS / 100, false)]
+    {
+        let mut side = slave();
+        side.begin(0);
+        for n in 0..50 {
+            side.plant.sample[0][0] = 1e-4 * n as f64;
+            assert_eq!(side.tick(TickTime::at(n * MS)).fault, 0);
+        }
+        side.plant.sample[0][0] += by;
+        let record = side.tick(TickTime::at(49 * MS + after_ns));
+        assert_eq!(record.fault == jumped, is_jump, "{by}: {}", record.fault);
+        if !is_jump {
+            continue;
+        }
+        assert_eq!(record.state, LadderState::Fault);
+        assert_eq!(side.tick(TickTime::at(51 * MS)).fault, jumped, "it is latched");
+        side.command(52 * MS, OperatorCommand::Acknowledge).unwrap();
+        assert_eq!(side.tick(TickTime::at(52 * MS)).fault, 0, "where it is now it may stay");
+    }
+}
+
+/// 1 rad in 1 ms is 1000 rad/s; a turn past pi is the short one the other way.
+#[test]
+fn a_tool_that_turns_as_no_arm_does_is_a_fault_at_its_tick() {
+    let jumped = Some(Fault::OutOfRange(Signal::AngularVelocity));
+    for (by, is_jump) in [(0.9, false), (1.1, true), (-3.0, true), (2.0 * PI - 0.5, false)] {
+        let settings = SlaveSettings {
+            period_ns: MS,
+            run_id: 2,
+            position_scale: 1.0,
+            bounds: CommandBounds::default(),
+            ladder: LadderSettings::default(),
+        };
+        let rotation = SlaveRotationSettings {
+            rotation_scale: 1.0,
+            lock: RotationLock::Free,
+            bounds: RotationBounds::default(),
+            alignment: None,
+        };
+        let mut arm = SlaveEndpoint::<3>::of_pose(&settings, &rotation).unwrap();
+        let mut at = |now_ns, angle| {
+            let turned = RotationState {
+                orientation: UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.6, 0.0, -0.8) * angle),
+                angular_velocity: Axes::zeros(),
+                torque: Axes::zeros(),
+            };
+            let point = SlaveReading::point([Axes::zeros(); 3]);
+            arm.tick(now_ns, &SlaveReading { rotation: Some(turned), ..point })
+        };
+        assert_eq!(at(0, 0.3).fault, None);
+        let seen = at(MS, 0.3 + by);
+        assert_eq!(
+            (seen.fault, seen.state == LadderState::Fault),
+            (jumped.filter(|_| is_jump), is_jump),
+            "{by}"
+        );
     }
 }
 

@@ -95,6 +95,10 @@ pub struct SlaveEndpoint<const N: usize> {
     /// When the last command was made, in ns.
     commanded_ns: u64,
     fault: Option<Fault>,
+    /// When in ns the arm was where, at the last sample that can be.
+    last: Option<(u64, Axes<N>, Option<UnitQuaternion<f64>>)>,
+    /// The period of its loop, in s.
+    period_s: f64,
     /// The longest time in s that one step of an alignment makes up for: two periods.
     max_step_s: f64,
 }
@@ -114,6 +118,8 @@ impl<const N: usize> SlaveEndpoint<N> {
             command: None,
             commanded_ns: 0,
             fault: None,
+            last: None,
+            period_s: period_s(settings.period_ns),
             max_step_s: 2.0 * period_s(settings.period_ns),
         })
     }
@@ -152,7 +158,8 @@ impl<const N: usize> SlaveEndpoint<N> {
             .and_then(|()| match &self.rotation {
                 None => Ok(()),
                 Some(_) => SlaveRotation::check(reading.rotation.as_ref()),
-            });
+            })
+            .and_then(|()| self.check_jump(now_ns, reading));
         if let Err(fault) = checked {
             self.fault.get_or_insert(fault);
             self.exchange.fault(now_ns, fault);
@@ -226,6 +233,18 @@ impl<const N: usize> SlaveEndpoint<N> {
             limited,
             fault: self.fault,
         }
+    }
+
+    /// Refuses a sample that is further from the last than any arm moves in the time between, and begins anew from there:
+    /// `|x - x_last| / t` and `|log(R R_last^T)| / t`, with a period at least for two ticks that follow closely.
+    fn check_jump(&mut self, now_ns: u64, reading: &SlaveReading<N>) -> Result<(), Fault> {
+        let orientation = reading.rotation.as_ref().map(|rotation| rotation.orientation);
+        let last = self.last.replace((now_ns, reading.position, orientation));
+        let Some((last_ns, position, before)) = last else { return Ok(()) };
+        let elapsed_s = (now_ns.saturating_sub(last_ns) as f64 * 1e-9).max(self.period_s);
+        Signal::Velocity.check(&((reading.position - position) / elapsed_s))?;
+        let angle = before.zip(orientation).map_or(0.0, |(before, now)| before.angle_to(&now));
+        Signal::AngularVelocity.check(&Axes::<1>::repeat(angle / elapsed_s))
     }
 
     /// The next step towards the master's newest orientation, of an arm that is turned there before the two engage.
