@@ -70,6 +70,7 @@ class StreamLine:
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
             client, _ = self._listening.accept()
+            self._forget_gone()
             if self._client is not None or not self.is_plugged:
                 client.close()
                 return
@@ -77,6 +78,16 @@ class StreamLine:
             if client.family != socket.AF_UNIX:
                 client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._client = client
+
+    def _forget_gone(self) -> None:
+        """The end of a connection may be read after the beginning of the next."""
+        if self._client is not None:
+            with contextlib.suppress(BlockingIOError):
+                received = b""
+                with contextlib.suppress(ConnectionError):
+                    received = self._client.recv(1, socket.MSG_PEEK)
+                if not received:
+                    self.hang_up()
 
 
 class TcpLine(StreamLine):
