@@ -38,6 +38,8 @@ from haptether.bridge.scene.tables.slave import (
 SLAVE_PERIOD_S = (1e-5, 2e-2)
 MAX_STEPS = 1e9
 """Of the integrator in one run."""
+MAX_REFERENCE_M = 10.0
+"""Of a point of the tool from the tool point."""
 KALMAN_BANDWIDTH = (1e-3, 10.0)
 """Bounds on omega dT of the Kalman filter."""
 
@@ -211,6 +213,7 @@ def _kind(scene: Scene) -> Iterator[SceneError]:
         ("safety", "rotation"): scene.safety.rotation,
         ("coupling", "rotation_axis"): scene.coupling and scene.coupling.rotation_axis,
         ("coupling", "alignment"): scene.coupling and scene.coupling.alignment,
+        ("coupling", "reference_point"): scene.coupling and scene.coupling.reference_point,
         ("environment", "torques"): world and world.torques,
         ("environment", "holes"): world and world.holes,
         ("environment", "handles"): world and world.handles,
@@ -259,6 +262,9 @@ def _turning_coupling(table: CouplingTable) -> Iterator[SceneError]:
             yield wrong(path, table.rotation_axis, f"of length 1, not {length:g}")
         if table.locks_rotation:
             yield contradiction(path, "what is locked turns about no axis: give one of the two")
+    if table.reference_point is not None and hypot(*table.reference_point) > MAX_REFERENCE_M:
+        allowed = f"within {MAX_REFERENCE_M:g} m of the tool point"
+        yield wrong(("coupling", "reference_point"), table.reference_point, allowed)
     if table.alignment is not None:
         yield from _alignment(table, table.alignment)
 

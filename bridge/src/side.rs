@@ -7,7 +7,7 @@ use haptether_safety::SafetyTick;
 use crate::{
     buttons::{ButtonError, ButtonSettings, Buttons},
     command::OperatorCommand,
-    coupling::{CouplingError, GripperState},
+    coupling::{CouplingError, GripperState, ReferencePoint},
     endpoint::{Exchange, MasterEndpoint, MasterReading, SlaveEndpoint, SlaveReading},
     gripper::{FingerTruth, LedGripper, Trigger},
     ladder::{Button, Clutch, ClutchError, ClutchOperator, LadderState},
@@ -300,6 +300,8 @@ pub struct SlaveSide<P, const N: usize, R = ()> {
     was_led: bool,
     /// Its gripper, if it has one.
     pub gripper: Option<LedGripper>,
+    /// The point of the tool that is coupled; none for the tool point.
+    reference_point: Option<ReferencePoint>,
     records: PhantomData<R>,
 }
 
@@ -307,14 +309,28 @@ impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
     /// A side whose arm has not been commanded yet.
     pub fn new(plant: P, endpoint: SlaveEndpoint<N>) -> Self {
         let stood = LadderState::Disengaged;
-        Self { plant, endpoint, stood, was_led: false, gripper: None, records: PhantomData }
+        Self {
+            plant,
+            endpoint,
+            stood,
+            was_led: false,
+            gripper: None,
+            reference_point: None,
+            records: PhantomData,
+        }
     }
 
     /// The same side with records of an arm that turns.
     #[must_use]
     pub fn turning(self) -> SlaveSide<P, N, SlaveRotation> {
-        let Self { plant, endpoint, stood, was_led, gripper, .. } = self;
-        SlaveSide { plant, endpoint, stood, was_led, gripper, records: PhantomData }
+        let Self { plant, endpoint, stood, was_led, gripper, reference_point, .. } = self;
+        SlaveSide { plant, endpoint, stood, was_led, gripper, reference_point, records: PhantomData }
+    }
+
+    /// The same side coupled at another point of its tool than the tool point, of an arm that turns.
+    #[must_use]
+    pub fn about(self, reference_point: Option<ReferencePoint>) -> Self {
+        Self { reference_point, ..self }
     }
 
     /// The same side with a gripper.
@@ -335,9 +351,11 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side<N> for SlaveSide<P, N,
     }
 
     fn tick(&mut self, time: TickTime) -> SlaveRecord<N, R> {
-        self.endpoint.set_braking(self.plant.braking_speeds());
+        let brakes = self.plant.braking_speeds();
+        self.endpoint.set_braking(self.reference_point.map_or(brakes, |point| point.speeds(brakes)));
         let [position, velocity, environment_force] = self.plant.read(time.now_ns);
         let reading = SlaveReading { position, velocity, environment_force, rotation: self.plant.rotation() };
+        let reading = self.reference_point.map_or(reading, |point| point.measured(&reading));
         if let Some(gripper) = &mut self.gripper {
             let measured = gripper.read(time.now_ns);
             if let Some(between) = self.plant.grip(&measured) {
@@ -357,7 +375,12 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side<N> for SlaveSide<P, N,
             None
         };
         if let Some(rest) = rest {
-            self.endpoint.rests(&rest, self.plant.rest_orientation().as_ref());
+            let orientation = self.plant.rest_orientation();
+            let rest = match (self.reference_point, &orientation) {
+                (Some(point), Some(orientation)) => point.of_tool(&rest, orientation),
+                _ => rest,
+            };
+            self.endpoint.rests(&rest, orientation.as_ref());
             tick.command = self.endpoint.last_command();
             tick.orientation = self.endpoint.last_orientation();
         }
@@ -365,7 +388,9 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side<N> for SlaveSide<P, N,
             if let Some(orientation) = &tick.orientation {
                 self.plant.write_rotation(orientation, &tick.angular_velocity);
             }
-            self.plant.write(&command, &tick.command_velocity);
+            let of_tool = self.reference_point.and_then(|point| point.commanded(&tick));
+            let [command, velocity] = of_tool.unwrap_or([command, tick.command_velocity]);
+            self.plant.write(&command, &velocity);
         }
         if tick.state.is_coupled() {
             self.plant.engaged(time.now_ns);

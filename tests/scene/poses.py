@@ -179,6 +179,8 @@ def turning_couplings(draw: st.DrawFn, duration_s: float) -> Raw:
             command_turn=real(0.05, 3.0) | st.just("unbounded"),
         )
     )
+    if draw(st.booleans()):
+        coupling["reference_point"] = draw(vectors(-0.3, 0.3))
     match draw(st.sampled_from(["free", "free", "locked", "about"])):
         case "locked":
             coupling["locks_rotation"] = True

@@ -306,6 +306,32 @@ def test_the_shipped_alignment_beside_none_and_beyond_its_bound(change: str, eng
     assert run.signals["device_torque"].any() == engages
 
 
+def test_a_tool_that_is_coupled_at_its_tip_turns_about_it() -> None:
+    tip = np.array([0.0, 0.1, 0.0])
+    run = simulate("torque_release", overrides=["coupling.reference_point=[0.0, 0.1, 0.0]"])
+    place, turned = run.signals["slave_position"], run.signals["slave_orientation"]
+    known = np.isfinite(turned).all(axis=1)
+    place, turned = place[known], turned[known]
+    # The hand turns and goes nowhere; the servo holds the tip against the mass that circles about it.
+    assert np.linalg.norm(place - tip, axis=1).max() < 0.05 * np.linalg.norm(tip)
+    as_rows = np.broadcast_to([0.0, *tip], turned.shape)
+    tool = place - product(product(turned, as_rows), conjugate(turned))[:, 1:]
+    angle_about_z = 2.0 * np.arctan2(turned[:, 3], turned[:, 0])
+    # A chord of the circle of radius |r|.
+    chord = 2.0 * np.linalg.norm(tip) * np.abs(np.sin(0.5 * angle_about_z))
+    assert chord.max() > 0.15
+    assert np.linalg.norm(tool, axis=1) == pytest.approx(chord, abs=0.005)
+
+
+def test_the_tool_point_as_reference_point_changes_nothing() -> None:
+    plain, named = (
+        simulate("valve", overrides=["run.duration_s=2.0", *change])
+        for change in ([], ["coupling.reference_point=[0.0, 0.0, 0.0]"])
+    )
+    for name, values in plain.signals.items():
+        assert np.array_equal(values, named.signals[name], equal_nan=True), name
+
+
 def test_a_tool_that_is_too_far_off_stays_and_never_engages() -> None:
     run = aligned(0.8, 0.7)
     command = run.signals["slave_command_orientation"]
@@ -386,6 +412,12 @@ REFUSED = [
         "environment.holes.0.chamfer_m=0.5",
         "holes.0] chamfer_m = 0.5: must be at most depth",
     ),
+    (
+        "torque_release",
+        "coupling.reference_point=[0.0, 11.0, 0.0]",
+        "[coupling] reference_point = [0, 11, 0]: must be within 10 m",
+    ),
+    ("remote_push", "coupling.reference_point=[0.0, 0.1, 0.0]", 'is for what turns: give [master] kind = "pose"'),
     # Its world.
     (
         "torque_release",

@@ -150,6 +150,10 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Largest angle in rad of the commanded orientation from how the arm began, or "unbounded"."""
     alignment: AlignmentTable | None = None
     """How the slave turns to the master before the two engage; without, they engage however they are turned."""
+    reference_point: Vector3 | None = None
+    """The point of the slave's tool of kind "pose" that is coupled, in m from the tool point in the tool's frame, as
+    the tip of a long tool: position, velocity, reach and moment of the slave are those of it, and the tool turns about
+    it; by default the tool point."""
     changes: tuple[ChangeTable, ...] = ()
     """What is changed while it runs."""
 

@@ -60,6 +60,7 @@ pub(crate) fn simulate_pose(scene: &SceneSpec<3>, stop: &AtomicBool) -> Result<S
     }
     let slave = SlaveSide::new(pose::simulated_tool(scene)?, slave_endpoint(scene, SESSIONS.1)?)
         .with_gripper(simulated_gripper(scene)?)
+        .about(pose::reference_point(coupled(scene)?.1)?)
         .turning();
     match scene.run.integrator {
         Integrator::Exact => {

@@ -199,10 +199,12 @@ pub fn simulated_pose_slave(
     scene: &SceneSpec<3>,
     run_id: u64,
 ) -> Result<Timed<SlaveSide<SimulatedTool, 3, SlaveRotation>>, SceneError> {
+    let (_, coupling) = coupled(scene)?;
     let side = SlaveSide::new(pose::simulated_tool(scene)?, slave_endpoint(scene, run_id)?)
         .with_gripper(simulated_gripper(scene)?)
+        .about(pose::reference_point(coupling)?)
         .turning();
-    Ok(Timed::new(side, commands::<3>(coupled(scene)?.1)?))
+    Ok(Timed::new(side, commands::<3>(coupling)?))
 }
 
 /// The side of the hand with a device whose driver is elsewhere; `simulated_clutch` has a simulated operator press anew
@@ -239,6 +241,8 @@ pub fn driven_slave<const N: usize>(
     let plant = DrivenSlave::new(slave.max_acceleration.unwrap_or(DECELERATION))
         .map_err(|error| SceneError::Contradiction(format!("slave.max_acceleration: {error}")))?;
     let gripper = slave.gripper.map(LedGripper::driven).transpose()?;
-    let side = SlaveSide::new(plant, slave_endpoint(scene, run_id)?).with_gripper(gripper);
+    let side = SlaveSide::new(plant, slave_endpoint(scene, run_id)?)
+        .with_gripper(gripper)
+        .about(pose::reference_point(coupling)?);
     Ok(Timed::new(side, commands::<N>(coupling)?))
 }

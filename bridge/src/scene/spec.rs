@@ -372,6 +372,8 @@ pub struct CouplingSpec {
     pub rotation_bounds: RotationBounds,
     /// How the slave turns to the master before the two engage.
     pub alignment: Option<AlignmentSettings>,
+    /// The point of the tool that is coupled, in its frame.
+    pub reference_point: Option<[f64; 3]>,
     /// What is changed while it runs.
     pub changes: Vec<ChangeSpec>,
 }

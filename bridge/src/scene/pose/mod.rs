@@ -19,7 +19,7 @@ use super::{
 };
 use crate::{
     MasterRotationSettings, SideKind, SlaveRotationSettings, TurningMaster,
-    coupling::{CouplingError, RotationLock},
+    coupling::{CouplingError, ReferencePoint, RotationLock},
 };
 
 /// The scene as one of poses, if it is one.
@@ -146,6 +146,12 @@ pub(super) fn slave_rotation(coupling: &CouplingSpec) -> Result<SlaveRotationSet
         bounds: coupling.rotation_bounds,
         alignment: coupling.alignment,
     })
+}
+
+/// The point of the tool that is coupled, where it is not the tool point.
+pub(super) fn reference_point(coupling: &CouplingSpec) -> Result<Option<ReferencePoint>, SceneError> {
+    let wrong = |error| SceneError::Contradiction(format!("coupling.{error}"));
+    coupling.reference_point.map(ReferencePoint::new).transpose().map_err(wrong)
 }
 
 /// The scene's tool in its world.

@@ -1,0 +1,156 @@
+//! The point of a tool at which it is coupled, where that is not the tool point.
+
+use haptether_safety::Axes;
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::{Twist, Wrench};
+use crate::endpoint::{SlaveReading, SlaveTick};
+
+/// How far in m it may be from the tool point.
+const MAX_M: f64 = 10.0;
+
+/// A point of the tool, r in m from the tool point in the tool's frame: position, velocity and torque are taken there,
+/// `p = x + R r`, and what is commanded of it is what is written to the arm, `x = p - R r`.
+///
+/// Source: Murray, Li and Sastry 1994, sections 2.4.2 and 2.5.1, adjoint of a translation, as [`Twist::shifted`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReferencePoint(Vector3<f64>);
+
+/// Why there is no such point.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("reference_point = {0:?} m: must be within 10 m of the tool point")]
+pub struct ReferencePointError(pub [f64; 3]);
+
+fn vector<const N: usize>(of: &Axes<N>) -> Vector3<f64> {
+    Vector3::from_fn(|axis, _| if axis < N { of[axis] } else { 0.0 })
+}
+
+fn axes<const N: usize>(of: &Vector3<f64>) -> Axes<N> {
+    Axes::from_fn(|axis, _| if axis < 3 { of[axis] } else { 0.0 })
+}
+
+impl ReferencePoint {
+    /// The point `from_tool` in m, in the tool's frame.
+    pub fn new(from_tool: [f64; 3]) -> Result<Self, ReferencePointError> {
+        let by = Vector3::from(from_tool);
+        if by.norm() <= MAX_M { Ok(Self(by)) } else { Err(ReferencePointError(from_tool)) }
+    }
+
+    /// What an arm measures, about the point. A point without a rotation stays as it is.
+    #[must_use]
+    pub fn measured<const N: usize>(&self, reading: &SlaveReading<N>) -> SlaveReading<N> {
+        let Some(mut rotation) = reading.rotation else { return *reading };
+        let by = rotation.orientation * self.0;
+        if !by.iter().all(|number| number.is_finite()) {
+            // The orientation is at fault, and not the position.
+            return *reading;
+        }
+        let angular_velocity = rotation.angular_velocity;
+        let twist = Twist { velocity: vector(&reading.velocity), angular_velocity }.shifted(&by);
+        let force = vector(&reading.environment_force);
+        rotation.torque = Wrench { force, torque: rotation.torque }.shifted(&by).torque;
+        SlaveReading {
+            position: reading.position + axes(&by),
+            velocity: axes(&twist.velocity),
+            rotation: Some(rotation),
+            ..*reading
+        }
+    }
+
+    /// Position and velocity of the tool point for what is commanded of this one.
+    #[must_use]
+    pub fn commanded<const N: usize>(&self, tick: &SlaveTick<N>) -> Option<[Axes<N>; 2]> {
+        let by = tick.orientation? * self.0;
+        let angular_velocity = tick.angular_velocity;
+        let twist = Twist { velocity: vector(&tick.command_velocity), angular_velocity }.shifted(&-by);
+        Some([tick.command? - axes(&by), axes(&twist.velocity)])
+    }
+
+    /// Where the point is in m, of a tool at `position`.
+    #[must_use]
+    pub fn of_tool<const N: usize>(&self, position: &Axes<N>, orientation: &UnitQuaternion<f64>) -> Axes<N> {
+        position + axes(&(orientation * self.0))
+    }
+
+    /// Speed in m/s of the point, and in rad/s, at most, of a tool with these.
+    pub(crate) fn speeds(&self, [speed, angular_speed]: [f64; 2]) -> [f64; 2] {
+        [speed + self.0.norm() * angular_speed, angular_speed]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        coupling::{
+            Limited, RotationState,
+            drawn::{orientation, vector as drawn},
+        },
+        ladder::LadderState,
+    };
+    use proptest::prelude::*;
+
+    /// Sums of products of numbers up to 10 with 10 and 2 over 9 terms, an ulp for each.
+    const ROUNDING: f64 = 1800.0 * 18.0 * f64::EPSILON;
+
+    proptest! {
+        /// `f·v + tau·w` is that of the tool point for every twist, and what is commanded where the arm is, is where it is.
+        #[test]
+        fn a_shift_keeps_the_power_and_a_command_brings_the_tool_back(
+            (position, velocity, force) in (drawn(10.0), drawn(10.0), drawn(10.0)),
+            (turned, angular_velocity, torque, by) in (orientation(), drawn(10.0), drawn(10.0), drawn(2.0)),
+        ) {
+            let point = ReferencePoint::new(by.into()).unwrap();
+            let rotation = Some(RotationState { orientation: turned, angular_velocity, torque });
+            let tool = SlaveReading::<3> { position, velocity, environment_force: force, rotation };
+            let seen = point.measured(&tool);
+            let power = |of: &SlaveReading<3>| {
+                let rotation = of.rotation.unwrap();
+                of.environment_force.dot(&of.velocity) + rotation.torque.dot(&rotation.angular_velocity)
+            };
+            prop_assert!((power(&seen) - power(&tool)).abs() < ROUNDING);
+            prop_assert!((seen.position - position - turned * by).norm() < ROUNDING);
+            prop_assert_eq!(seen.position, point.of_tool(&position, &turned));
+            let tick = SlaveTick {
+                command: Some(seen.position),
+                command_velocity: seen.velocity,
+                orientation: Some(turned),
+                angular_velocity,
+                is_led: true,
+                state: LadderState::Engaged,
+                age_ns: None,
+                limited: Limited::default(),
+                fault: None,
+            };
+            let [command, command_velocity] = point.commanded(&tick).unwrap();
+            prop_assert!((command - position).norm() < ROUNDING && (command_velocity - velocity).norm() < ROUNDING);
+        }
+    }
+
+    /// A force of 5 N along y at the tip of a tool of 0.2 m along x has no moment about the tip.
+    #[test]
+    fn a_force_at_the_point_has_no_moment_about_it() {
+        let point = ReferencePoint::new([0.2, 0.0, 0.0]).unwrap();
+        let rotation = RotationState {
+            orientation: UnitQuaternion::identity(),
+            angular_velocity: Vector3::new(0.0, 0.0, 3.0),
+            torque: Vector3::new(0.0, 0.0, 1.0),
+        };
+        let mut tool =
+            SlaveReading::<3>::point([Axes::zeros(), Axes::zeros(), Axes::<3>::new(0.0, 5.0, 0.0)]);
+        assert_eq!(point.measured(&tool), tool, "without a rotation there is nothing to shift by");
+        tool.rotation = Some(rotation);
+        let seen = point.measured(&tool);
+        assert_eq!(seen.rotation.unwrap().torque, Vector3::zeros());
+        assert_eq!(seen.velocity, Axes::<3>::new(0.0, 3.0 * 0.2, 0.0));
+        assert_eq!(point.speeds([0.5, 3.0]), [0.5 + 0.2 * 3.0, 3.0]);
+    }
+
+    #[test]
+    fn a_point_that_no_tool_has_is_refused() {
+        for bad in [[f64::NAN, 0.0, 0.0], [10.1, 0.0, 0.0], [0.0, f64::INFINITY, 0.0]] {
+            let error = ReferencePoint::new(bad).unwrap_err().to_string();
+            assert!(error.starts_with("reference_point = ") && error.contains("within 10 m"), "{error}");
+        }
+    }
+}
