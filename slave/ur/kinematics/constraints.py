@@ -9,6 +9,7 @@ far upper arm and forearm lie beside the plane through the shoulder, "measured f
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -285,15 +286,35 @@ def link_levers(kinematics: "UrKinematics") -> tuple[float, ...]:
     Joints before a capsule turn ball and capsule alike, and a capsule on the axis of a joint is the same when that
     turns the ball.
     """
-    rows, body = kinematics.rows, arm_body(kinematics.model)
+    body = arm_body(kinematics.model)
     levers = [0.0] * 6
     for ball, capsule in ((body.balls[ball], body.capsules[capsule]) for ball, capsule in body.pairs):
         is_on_axis = not any((*capsule.start[:2], *capsule.end[:2]))
         for joint in range(capsule.link + is_on_axis, ball.link):
-            # Along the axis the joint's own d is no lever.
-            between = sum(abs(rows.a[i]) + abs(rows.d[i]) for i in range(joint + 1, ball.link))
-            levers[joint] = max(levers[joint], abs(rows.a[joint]) + between + math.hypot(*ball.place))
+            levers[joint] = max(levers[joint], _lever(kinematics, joint, ball.link, ball.place))
     return tuple(levers)
+
+
+def plane_levers(kinematics: "UrKinematics", planes: Iterable[WorkspacePlane]) -> tuple[float, ...]:
+    """How fast a distance to a plane can change by each joint, m/rad: the base's axis moves nothing along itself."""
+    x, y, z = kinematics.tool[:3, 3].tolist()
+    tool = (6, (x, y, z))
+    balls = tuple((ball.link, ball.place) for ball in arm_body(kinematics.model).balls)
+    levers = [0.0] * 6
+    for plane in planes:
+        for link, place in (tool, *(balls if plane.whole_arm else ())):
+            for joint in range(link):
+                share = math.hypot(*plane.normal[:2]) if joint == 0 else 1.0
+                levers[joint] = max(levers[joint], share * _lever(kinematics, joint, link, place))
+    return tuple(levers)
+
+
+def _lever(kinematics: "UrKinematics", joint: int, link: int, place: Vector) -> float:
+    """How far a point of a link can be from the axis of a joint before it, m."""
+    rows = kinematics.rows
+    # Along the axis the joint's own d is no lever.
+    between = sum(abs(rows.a[i]) + abs(rows.d[i]) for i in range(joint + 1, link))
+    return abs(rows.a[joint]) + between + math.hypot(*place)
 
 
 @dataclass(frozen=True, slots=True)

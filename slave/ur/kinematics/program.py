@@ -18,6 +18,7 @@ from haptether.slave.ur.kinematics.constraints import (
     clearance,
     height,
     link_levers,
+    plane_levers,
     tool_height,
 )
 from haptether.slave.ur.kinematics.joint_bounds import joint_bounds
@@ -35,6 +36,9 @@ MAX_MULTIPLIER: Final = 1e6
 REGULAR: Final = 1e-8
 # What has drifted out of bounds by the curvature of its path is brought back no faster than this, m/s.
 RETURN_M_S: Final = 1e-3
+# Kinds of distances that a program may leave out.
+ITSELF: Final = 0
+PLANES: Final = 1
 
 
 class BoundedProgram:
@@ -46,6 +50,7 @@ class BoundedProgram:
         cost: Weights and damping.
         period_s: Time between two calls in s.
         keeps_itself: Whether the distances of the arm to itself are among the rows.
+        keeps_planes: Whether those to planes are.
     """
 
     def __init__(
@@ -56,6 +61,7 @@ class BoundedProgram:
         period_s: float,
         *,
         keeps_itself: bool = True,
+        keeps_planes: bool = True,
     ) -> None:
         casadi = casadi_module()
         chain, q = kinematics.chain, kinematics.chain.q
@@ -67,9 +73,9 @@ class BoundedProgram:
         hessian = casadi.mtimes(weighted, chain.jacobian) + damping * casadi.SX.eye(6)
         lows, highs = joint_bounds(q, before, limits, period_s)
 
-        distances = _distances(kinematics, limits, keeps_itself=keeps_itself)
+        distances = _distances(kinematics, limits, keeps_itself=keeps_itself, keeps_planes=keeps_planes)
         n = len(distances)
-        floors, certificate = casadi.SX.sym("floors", n), casadi.SX.sym("certificate", 7)
+        floors, certificate = casadi.SX.sym("floors", n), casadi.SX.sym("certificate", 14)
         # d(distance)/dt >= -rate distance: an approach that would take for ever.
         left = [distance.value - floors[row] for row, (_, _, distance) in enumerate(distances)]
         lower = casadi.vertcat(*lows, *[casadi.fmin(-limits.approach_rate_hz * each, RETURN_M_S) for each in left])
@@ -86,18 +92,25 @@ class BoundedProgram:
             within.append(limits.max_tool_speed - casadi.norm_2(casadi.mtimes(linear, free)))
             speed = [linear.T, casadi.mtimes(linear.T, linear)]
 
-        # Of all joints within their bounds, the fastest that a distance of the arm to itself can change, over the rate.
-        levers = casadi.DM(list(link_levers(kinematics)))
-        need = casadi.dot(levers, casadi.fmax(casadi.fabs(lower[:6]), casadi.fabs(upper))) / limits.approach_rate_hz
-        itself = [each for each, (_, normal, _) in zip(left, distances, strict=True) if not any(normal)]
-        nearest = casadi.mmin(casadi.vertcat(*itself)) if itself else casadi.SX(UNBOUNDED)
-        spare = certificate[6] - casadi.dot(levers, casadi.fabs(q - certificate[:6])) - need
+        # Of all joints within their bounds, the fastest that a distance can change, over the rate: to itself, to planes.
+        fastest = casadi.fmax(casadi.fabs(lower[:6]), casadi.fabs(upper))
+        spares, nearest, needs = [], [], []
+        for kind, each in enumerate((link_levers(kinematics), plane_levers(kinematics, limits.planes))):
+            levers = casadi.DM(list(each))
+            need = casadi.dot(levers, fastest) / limits.approach_rate_hz
+            kept = [one for one, (_, normal, _) in zip(left, distances, strict=True) if any(normal) == bool(kind)]
+            at, apart = certificate[7 * kind : 7 * kind + 6], certificate[7 * kind + 6]
+            needs.append(need)
+            nearest.append(casadi.mmin(casadi.vertcat(*kept)) if kept else casadi.SX(UNBOUNDED))
+            if not (keeps_itself, keeps_planes)[kind]:
+                spares.append(apart - casadi.dot(levers, casadi.fabs(q - at)) - need)
+        spare = casadi.mmin(casadi.vertcat(*spares)) if spares else casadi.SX(0)
 
         # A factor that is none, by rounding, makes each of the six not a number, and with them the least of these.
         slack = casadi.mmin(casadi.vertcat(*within))
         bounds = casadi.vertcat(upper, UNBOUNDED * casadi.SX.ones(n))
         results = [hessian, -casadi.mtimes(weighted, twist), rows.T, lower, bounds, values, free, *speed]
-        scalars = [slack, spare, nearest, need]
+        scalars = [slack, spare, casadi.vertcat(*nearest), casadi.vertcat(*needs)]
         self.function = Buffered("streaming", [q, before, twist, floors, certificate], [*results, *scalars], kept=2)
         self.rows = tuple(name for name, _, _ in distances)
         """What each row of A is, as text."""
@@ -112,6 +125,8 @@ class BoundedProgram:
         self._normals = np.array([normal for _, normal, _ in distances]).reshape(n, 3)
         self._distances, self._free = memory[5], memory[6]
         self._slack, self._spare, self._nearest, self._need = self.function.numbers[-4:]
+        self._certificate = np.zeros(14)
+        """For each kind the joint angles of its certificate, and how far the arm was away there."""
         self._solver = QuadraticSolver()
         self._unheld = np.zeros(6 + n)
         self.multipliers = self._unheld
@@ -128,16 +143,23 @@ class BoundedProgram:
         self.function.all(q, np.zeros(6), np.zeros(6))
         self.function.keep(0, np.minimum(floors, self._distances))
 
-    def certify(self, near: "BoundedProgram", q: Numbers) -> bool:
-        """Takes over how far the arm is from itself; whether that is twice what one period needs."""
-        left = near._nearest[0]
-        if not left > 2.0 * near._need[0]:
+    def certify(self, seen: "BoundedProgram", q: Numbers, kind: int) -> bool:
+        """Takes over how far the arm is from itself or from planes; whether that is twice what one period needs.
+
+        Args:
+            seen: A program that has the distances of this kind, called at `q`.
+            q: Joint angles in rad, (6,).
+            kind: `ITSELF` or `PLANES`.
+        """
+        left = seen._nearest[kind]
+        if not left > 2.0 * seen._need[kind]:
             return False
-        self.function.keep(1, np.array((*q, left)))
+        self._certificate[7 * kind : 7 * kind + 7] = (*q, left)
+        self.function.keep(1, self._certificate)
         return True
 
     def is_apart(self) -> bool:
-        """Whether nothing of the arm can be kept from itself in this period, by the last certificate.
+        """Whether no distance that is left out can hold anything back in this period, by the last certificates.
 
         A distance h was at least h_c at the angles q_c, and changes by at most `sum L_i |dq_i|`. A row
         `dh/dt >= -rate h` then holds for all velocities within the joints' bounds w if
@@ -192,13 +214,13 @@ def _damping(kinematics: UrKinematics, cost: StreamingCost) -> Symbol:
 
 
 def _distances(
-    kinematics: UrKinematics, limits: StreamingLimits, *, keeps_itself: bool
+    kinematics: UrKinematics, limits: StreamingLimits, *, keeps_itself: bool, keeps_planes: bool
 ) -> list[tuple[str, Vector, Distance]]:
     """The distances that are kept, each with what it is of, as text, and the normal of its plane, if it is to one."""
     chain, keep_out = kinematics.chain, limits.self_keep_out
     body = arm_body(kinematics.model, None if keep_out is None else keep_out.radius_m)
     found: list[tuple[str, Vector, Distance]] = []
-    for number, plane in enumerate(limits.planes):
+    for number, plane in enumerate(limits.planes if keeps_planes else ()):
         where, normal = f"planes[{number}]", plane.normal
         found.append((f"{where}, tool", normal, tool_height(chain, normal, plane.offset_m)))
         if plane.whole_arm:

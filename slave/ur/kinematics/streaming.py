@@ -17,7 +17,7 @@ import numpy as np
 from haptether.slave.ur.kinematics.arm import UrKinematics
 from haptether.slave.ur.kinematics.constraints import StreamingCost, StreamingLimits
 from haptether.slave.ur.kinematics.pose import Array, Numbers
-from haptether.slave.ur.kinematics.program import BoundedProgram
+from haptether.slave.ur.kinematics.program import ITSELF, PLANES, BoundedProgram
 from haptether.slave.ur.kinematics.quadratic import UNBOUNDED, QuadraticProgram, QuadraticSolver
 
 
@@ -28,8 +28,9 @@ class UrStreaming:
     joins the cost as `m/2 |J qd|^2`, and m is searched for which the speed is at its limit, from the m of the period
     before: what comes out is the optimum in the ball, not in a box or in facets around it.
 
-    Distances of the arm to itself are most of the program. While the arm is so far from itself that no velocity within
-    the joints' bounds could be held back by them (`BoundedProgram.is_apart`), the program without them is solved.
+    Distances are most of the program. While the arm is so far from itself, or from itself and from all planes, that no
+    velocity within the joints' bounds could be held back by them (`BoundedProgram.is_apart`), the program without them
+    is solved.
 
     Args:
         kinematics: The arm with its tool.
@@ -64,7 +65,14 @@ class UrStreaming:
         self._far: BoundedProgram | None = None
         if limits.self_keep_out is not None:
             self._far = BoundedProgram(kinematics, limits, cost, period_s, keeps_itself=False)
+        self._free: BoundedProgram | None = None
+        """Without any distance; none where there are no planes, for then `_far` is that."""
+        if limits.planes:
+            # Where it does not keep itself there is nothing to certify.
+            itself = limits.self_keep_out is None
+            self._free = BoundedProgram(kinematics, limits, cost, period_s, keeps_itself=itself, keeps_planes=False)
         self._is_far = False
+        self._is_free = False
         self._last = self._near
         self.rows = self._near.rows
         """What each row of the program is, as text."""
@@ -79,14 +87,14 @@ class UrStreaming:
 
     @property
     def looks_away(self) -> bool:
-        """Whether the last program was without distances of the arm to itself, which could not hold it back."""
+        """Whether the last program was without distances that could not hold the arm back."""
         return self._last is not self._near
 
     @property
     def multipliers(self) -> Array:
         """Of the last solution, (6 + n,): positive where an upper bound holds, negative where a lower one does."""
         found = self._last.multipliers
-        # Distances of the arm to itself are the last rows, and hold nothing where they are not looked at.
+        # Those to planes are the first rows, those of the arm to itself the last. What is not looked at holds nothing.
         return np.concatenate((found, np.zeros(6 + len(self.rows) - len(found))))
 
     @property
@@ -108,8 +116,8 @@ class UrStreaming:
         Raises:
             ValueError: A number is not finite.
         """
-        self._is_far = False
-        for program in (self._near, self._far):
+        self._is_far = self._is_free = False
+        for program in (self._near, self._far, self._free):
             if program is not None:
                 program.begin(q, np.array(offset, dtype=np.float64))
 
@@ -140,14 +148,24 @@ class UrStreaming:
         return solution
 
     def _evaluated(self, q: Numbers, qd: Numbers, twist: Numbers) -> "BoundedProgram":
-        """The program of this period: the one without the arm's own links where none of them can hold it back."""
-        near, far = self._near, self._far
+        """The program of this period: without those distances of which none can hold the arm back."""
+        near, far, free = self._near, self._far, self._free
+        if free is not None and self._is_free:
+            free.function.all(q, qd, twist)
+            if free.is_apart():
+                return free
+        self._is_free = False
         if far is not None and self._is_far:
             far.function.all(q, qd, twist)
             if far.is_apart():
+                # From itself it was seen apart when this program's certificate was taken, and is still.
+                self._is_free = free is not None and free.certify(far, q, PLANES)
                 return far
         near.function.all(q, qd, twist)
-        self._is_far = far is not None and far.certify(near, q)
+        self._is_far = far is not None and far.certify(near, q, ITSELF)
+        if free is not None:
+            is_apart = far is None or (self._is_far and free.certify(near, q, ITSELF))
+            self._is_free = is_apart and free.certify(near, q, PLANES)
         return near
 
     def _conflict(self, braking: Array) -> str:
