@@ -92,19 +92,9 @@ class BoundedProgram:
             within.append(limits.max_tool_speed - casadi.norm_2(casadi.mtimes(linear, free)))
             speed = [linear.T, casadi.mtimes(linear.T, linear)]
 
-        # Of all joints within their bounds, the fastest that a distance can change, over the rate: to itself, to planes.
-        fastest = casadi.fmax(casadi.fabs(lower[:6]), casadi.fabs(upper))
-        spares, nearest, needs = [], [], []
-        for kind, each in enumerate((link_levers(kinematics), plane_levers(kinematics, limits.planes))):
-            levers = casadi.DM(list(each))
-            need = casadi.dot(levers, fastest) / limits.approach_rate_hz
-            kept = [one for one, (_, normal, _) in zip(left, distances, strict=True) if any(normal) == bool(kind)]
-            at, apart = certificate[7 * kind : 7 * kind + 6], certificate[7 * kind + 6]
-            needs.append(need)
-            nearest.append(casadi.mmin(casadi.vertcat(*kept)) if kept else casadi.SX(UNBOUNDED))
-            if not (keeps_itself, keeps_planes)[kind]:
-                spares.append(apart - casadi.dot(levers, casadi.fabs(q - at)) - need)
-        spare = casadi.mmin(casadi.vertcat(*spares)) if spares else casadi.SX(0)
+        left_out = [kind for kind, is_kept in enumerate((keeps_itself, keeps_planes)) if not is_kept]
+        nearest = [_least(left, distances, kind) for kind in (ITSELF, PLANES)]
+        needs, spare = _needs_and_spare(kinematics, limits, (q, lower[:6], upper), certificate, left_out)
 
         # A factor that is none, by rounding, makes each of the six not a number, and with them the least of these.
         slack = casadi.mmin(casadi.vertcat(*within))
@@ -211,6 +201,34 @@ def _damping(kinematics: UrKinematics, cost: StreamingCost) -> Symbol:
     below = cost.damping_below * a2 * a3 * (a2 + a3)
     manipulability = casadi.fabs(kinematics.determinant)
     return cost.damping * casadi.fmax(1 - manipulability / below, 0.0) ** 2
+
+
+def _least(left: list[Symbol], distances: list[tuple[str, Vector, Distance]], kind: int) -> Symbol:
+    """What is left of the distances of one kind, at least; without any, nothing is near."""
+    casadi = casadi_module()
+    kept = [one for one, (_, normal, _) in zip(left, distances, strict=True) if any(normal) == (kind == PLANES)]
+    return casadi.mmin(casadi.vertcat(*kept)) if kept else casadi.SX(UNBOUNDED)
+
+
+def _needs_and_spare(
+    kinematics: UrKinematics,
+    limits: StreamingLimits,
+    joints: tuple[Symbol, Symbol, Symbol],
+    certificate: Symbol,
+    left_out: list[int],
+) -> tuple[list[Symbol], Symbol]:
+    """What one period needs of each kind of distance, and what the certificates of those left out have beside it."""
+    casadi = casadi_module()
+    q, lower, upper = joints
+    # Of all joints within their bounds, the fastest that a distance can change, over the rate.
+    fastest = casadi.fmax(casadi.fabs(lower), casadi.fabs(upper))
+    levers = [casadi.DM(list(each)) for each in (link_levers(kinematics), plane_levers(kinematics, limits.planes))]
+    needs = [casadi.dot(each, fastest) / limits.approach_rate_hz for each in levers]
+    spares = []
+    for kind in left_out:
+        at, apart = certificate[7 * kind : 7 * kind + 6], certificate[7 * kind + 6]
+        spares.append(apart - casadi.dot(levers[kind], casadi.fabs(q - at)) - needs[kind])
+    return needs, casadi.mmin(casadi.vertcat(*spares)) if spares else casadi.SX(0)
 
 
 def _distances(
