@@ -86,6 +86,18 @@ pub(crate) fn pack<T, P: SimdValue>(of: &[T], value: impl Fn(&T) -> P::Element) 
     Some(packed)
 }
 
+/// What an innovation is taken for zero below: the least whose cube is still a normal number, with room.
+pub(crate) const NEGLIGIBLE: f64 = 1e-100;
+
+/// The same axes, zero where they are [`NEGLIGIBLE`].
+///
+/// At rest a recursive filter decays towards zero without reaching it: its state would end among the subnormal numbers,
+/// with which a multiplication takes some 150 cycles instead of 4. A NaN stays one.
+#[inline(always)]
+pub(crate) fn without_residue<const N: usize, S: Real>(innovation: Axes<N, S>) -> Axes<N, S> {
+    innovation.map(|x| S::splat(0.0).select(x.magnitude().simd_lt(S::splat(NEGLIGIBLE)), x))
+}
+
 /// The lesser of two, the second where they cannot be compared. What `simd_min` does there depends on the lanes' type.
 #[inline(always)]
 pub(crate) fn lesser<S: Real>(a: S, b: S) -> S {

@@ -191,3 +191,22 @@ fn a_bad_parameter_is_named() {
     }
     assert_eq!(EstimatorKind::default().build::<1>(0.0).unwrap_err().name, "period_s");
 }
+
+/// A multiplication with a subnormal number is some forty times as slow, and rest is where a device mostly is.
+#[test]
+fn what_is_left_of_a_motion_does_not_end_among_the_subnormal_numbers() {
+    for kind in KINDS {
+        let mut estimator = kind.build::<1>(PERIOD_S).unwrap();
+        estimator.step(&Axes::from([0.0]));
+        // The slowest of them, 0.1 / tick, is through 1e-308 after 7000 ticks.
+        for n in 0..20_000_i32 {
+            let moves = f64::from((200 - n).max(0));
+            let motion = estimator.step(&Axes::from([0.2 - 1e-3 * moves]));
+            let force = estimator.align(&Axes::from([moves]));
+            for x in [motion.velocity[0], motion.acceleration[0], force[0]] {
+                // The square, as an energy has it, is to be a normal number as well.
+                assert!(x == 0.0 || (x * x).is_normal(), "{kind:?} at tick {n}: {x:e}");
+            }
+        }
+    }
+}

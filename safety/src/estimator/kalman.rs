@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::{Estimator, Motion};
-use crate::lanes::{option, pack, shared};
+use crate::lanes::{option, pack, shared, without_residue};
 use crate::parameter::{ParameterError, in_range, positive};
 use crate::{About, Axes, Real};
 
@@ -98,7 +98,7 @@ impl<const N: usize, S: Real> Estimator<N, S> for Kalman<N, S> {
         let [k_x, k_v, k_a] = self.gain.into();
         let last = self.position.unwrap_or(*position);
         let predicted = last + self.velocity + self.acceleration / S::splat(2.0);
-        let innovation = position - predicted;
+        let innovation = without_residue(position - predicted);
         self.position = Some(predicted + innovation * k_x);
         self.velocity += self.acceleration + innovation * k_v;
         self.acceleration += innovation * k_a;
@@ -112,7 +112,9 @@ impl<const N: usize, S: Real> Estimator<N, S> for Kalman<N, S> {
     fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
         let [k_x, k_v, k_a] = self.gain.into();
         let unseen = device_force - self.aligned_force;
-        let innovation = self.force_position_error + self.force_velocity_error + unseen / S::splat(2.0);
+        let innovation = without_residue(
+            self.force_position_error + self.force_velocity_error + unseen / S::splat(2.0),
+        );
         self.force_position_error = innovation * (S::splat(1.0) - k_x);
         self.force_velocity_error += unseen - innovation * k_v;
         self.aligned_force += innovation * k_a;

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use super::{BackwardDifference, Estimator, Motion};
-use crate::lanes::{pack, part, shared};
+use crate::lanes::{pack, part, shared, without_residue};
 use crate::parameter::{ParameterError, in_range, positive};
 use crate::{About, Axes, Real};
 
@@ -71,7 +71,7 @@ impl<const N: usize, S: Real> Estimator<N, S> for LowPass<N, S> {
     #[inline(always)]
     fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
         let difference = self.difference.step(position).velocity;
-        let change = (difference - self.velocity) * self.share;
+        let change = without_residue(difference - self.velocity) * self.share;
         self.velocity += change;
         Motion { velocity: self.velocity, acceleration: change / S::splat(self.period_s) }
     }
@@ -79,7 +79,7 @@ impl<const N: usize, S: Real> Estimator<N, S> for LowPass<N, S> {
     #[inline(always)]
     fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
         let mean = self.difference.align(device_force);
-        self.aligned_force += (mean - self.aligned_force) * self.share;
+        self.aligned_force += without_residue(mean - self.aligned_force) * self.share;
         self.aligned_force
     }
 
