@@ -86,16 +86,16 @@ pub(crate) fn pack<T, P: SimdValue>(of: &[T], value: impl Fn(&T) -> P::Element) 
     Some(packed)
 }
 
-/// What an innovation is taken for zero below: the least whose cube is still a normal number, with room.
-pub(crate) const NEGLIGIBLE: f64 = 1e-100;
+/// Added and taken away again, it leaves all that is above 1e-84 as it is, bit for bit, and nothing below 1e-117.
+const NEGLIGIBLE: f64 = 1e-100;
 
-/// The same axes, zero where they are [`NEGLIGIBLE`].
+/// The same axes, zero where they are negligible beside [`NEGLIGIBLE`].
 ///
 /// At rest a recursive filter decays towards zero without reaching it: its state would end among the subnormal numbers,
-/// with which a multiplication takes some 150 cycles instead of 4. A NaN stays one.
+/// with which a multiplication takes some 150 cycles instead of 4. Two sums cost less than a comparison in each lane.
 #[inline(always)]
 pub(crate) fn without_residue<const N: usize, S: Real>(innovation: Axes<N, S>) -> Axes<N, S> {
-    innovation.map(|x| S::splat(0.0).select(x.magnitude().simd_lt(S::splat(NEGLIGIBLE)), x))
+    innovation.map(|x| (x + S::splat(NEGLIGIBLE)) - S::splat(NEGLIGIBLE))
 }
 
 /// The lesser of two, the second where they cannot be compared. What `simd_min` does there depends on the lanes' type.

@@ -112,9 +112,8 @@ impl<const N: usize, S: Real> Estimator<N, S> for Kalman<N, S> {
     fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
         let [k_x, k_v, k_a] = self.gain.into();
         let unseen = device_force - self.aligned_force;
-        let innovation = without_residue(
-            self.force_position_error + self.force_velocity_error + unseen / S::splat(2.0),
-        );
+        let innovation =
+            without_residue(self.force_position_error + self.force_velocity_error + unseen / S::splat(2.0));
         self.force_position_error = innovation * (S::splat(1.0) - k_x);
         self.force_velocity_error += unseen - innovation * k_v;
         self.aligned_force += innovation * k_a;
