@@ -237,6 +237,7 @@ fn what_must_never_be_is_not_in_ten_thousand_scenes() {
             seen.refused,
         ];
         assert!(rest.iter().all(|count| *count > cases / 10), "{seen:?}");
+        assert!(seen.turn.fading > 0, "{seen:?}");
         let parts = [&seen.turn.all()[..], &seen.buttons.all(), &seen.gripper.all()];
         assert!(parts.concat().iter().all(|count| *count > cases / 50), "{seen:?}");
     }

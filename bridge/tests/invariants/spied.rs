@@ -424,8 +424,8 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
             let torque = record.rotation.rotation().map_or(0.0, |turn| turn.rendered_torque.norm());
             let rendered = (record.rendered_force.norm(), torque);
             self.watch.hold(rendered == (0.0, 0.0), time, || format!("{rendered:?} of an arm that is turned"));
-            self.watch.seen.turn.fading += u64::from(self.watch.gain > 0.0);
         }
+        self.watch.seen.turn.fading += u64::from(turning && self.watch.gain > 0.0);
     }
 
     /// Norm and growth of the force. Unloading is free; the growth is exceeded only by what the power bound takes.

@@ -181,13 +181,17 @@ impl DrawnPose {
         }
         self.slave.rotation_scale = 1.0;
         self.slave.alignment = Some(AlignmentSettings { speed, max_angle });
-        if n.chance(0.8) {
-            let off = direction(n) * n.real(0.0, 1.2 * max_angle);
+        if n.chance(0.9) {
+            // Most of them soon enough for the scene to go on.
+            let most = if n.chance(0.7) { f64::min(0.1 * speed, max_angle) } else { 1.2 * max_angle };
+            let off = direction(n) * n.real(0.0, most);
             self.starts[0] = UnitQuaternion::from_scaled_axis(off) * self.starts[1];
         }
-        if n.chance(0.6) {
+        if n.chance(0.7) {
             // A hand that the arm can catch.
-            self.turns.iter_mut().for_each(|(_, velocity)| *velocity = velocity.cap_magnitude(0.3 * speed));
+            for (_, velocity) in &mut self.turns {
+                *velocity = velocity.cap_magnitude(0.3 * speed);
+            }
         }
         self
     }
