@@ -362,13 +362,24 @@ pub(crate) struct OrientationWatch {
     home: Option<UnitQuaternion<f64>>,
     command: Option<UnitQuaternion<f64>>,
     was_coupled: bool,
+    /// The bound on the angle has acted since the two engaged.
+    is_led_off: bool,
 }
 
 impl OrientationWatch {
     pub(crate) fn new(settings: &SlaveRotationSettings, period_s: f64) -> Self {
         let SlaveRotationSettings { bounds, lock, alignment, .. } = *settings;
         let max_step_s = 2.0 * period_s;
-        Self { bounds, lock, alignment, max_step_s, home: None, command: None, was_coupled: false }
+        Self {
+            bounds,
+            lock,
+            alignment,
+            max_step_s,
+            home: None,
+            command: None,
+            was_coupled: false,
+            is_led_off: false,
+        }
     }
 
     /// The arm stood so at its first sample that could be.
@@ -420,7 +431,9 @@ impl OrientationWatch {
             let (out, was_out) = (from_home(&command), from_home(&before));
             let most = turn.max(was_out) + ANGLE;
             watch.hold(out <= most, time, || format!("commanded {out} rad from the first, beyond {turn}"));
-            let is_free = limited & TURN != 0;
+            // What the bound on the angle has led off the axis comes back to it, no faster than it may.
+            self.is_led_off = (self.is_led_off && was_coupled) || limited & TURN != 0;
+            let is_free = self.is_led_off;
             // Anchored where both are: what the hand did while they were apart leads nothing.
             let jumps = !was_coupled && step > aligns_by * (1.0 + ROUNDING) + ANGLE;
             watch.hold(is_free || !jumps, time, || format!("jumped by {step} when it engaged"));
