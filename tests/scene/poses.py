@@ -33,6 +33,24 @@ def directions() -> st.SearchStrategy[Vector]:
     return long.map(lambda vector: [part / math.hypot(*vector) for part in vector])
 
 
+IDENTITY: Vector = [1.0, 0.0, 0.0, 0.0]
+
+
+def conjugate(of: Vector) -> Vector:
+    return [of[0], -of[1], -of[2], -of[3]]
+
+
+def product(left: Vector, right: Vector) -> Vector:
+    """Of two quaternions w, x, y, z: first the turn of the right one."""
+    (a, b, c, d), (w, x, y, z) = left, right
+    return [
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    ]
+
+
 @st.composite
 def orientations(draw: st.DrawFn) -> Vector:
     half, axis = draw(real(-3.1, 3.1)), draw(directions())
@@ -270,6 +288,38 @@ def safeties_of_rotation() -> st.SearchStrategy[Raw]:
 
 
 @st.composite
+def with_gripper(draw: st.DrawFn, scene: Raw) -> Raw:
+    """The same scene with a gripper, whose trigger the finger may feel."""
+    gripper = scene["slave"]["gripper"] = draw(grippers())
+    operator, duration_s = scene.get("operator"), scene["run"]["duration_s"]
+    if operator is not None:
+        operator |= draw(table({}, trigger=triggers()))
+    if draw(st.booleans()):
+        scene["master"]["gripper"] = draw(felt_triggers())
+        scene["safety"] |= draw(table({}, gripper=safeties_of_trigger()))
+        if operator is not None:
+            operator |= draw(table({}, finger=fingers(duration_s)))
+            if draw(st.booleans()):
+                # It closes on something at once.
+                opening = gripper.setdefault("position", 0.0)
+                gripper["object"] = opening + 0.1
+                operator["trigger"] = [[0.0, opening], [0.2 * duration_s, 1.0]]
+    return scene
+
+
+@st.composite
+def near_the_hand(draw: st.DrawFn, scene: Raw) -> Vector:
+    """An orientation of the tool from which it is turned to the hand within the scene."""
+    coupling, duration_s = scene["coupling"], scene["run"]["duration_s"]
+    speed, max_angle = coupling["alignment"]["speed"], coupling["alignment"]["max_angle"]
+    half = 0.5 * draw(real(0.0, min(0.2 * duration_s * speed, max_angle)))
+    frame = coupling.get("quat_wxyz", IDENTITY)
+    hand = scene.get("operator", {}).get("rotation", {}).get("start_wxyz", IDENTITY)
+    off = [math.cos(half), *(math.sin(half) * part for part in draw(directions()))]
+    return product(off, product(product(frame, hand), conjugate(frame)))
+
+
+@st.composite
 def raw_poses(draw: st.DrawFn) -> Raw:
     """Tables of a scene of kind "pose", valid but where a body is none that can be."""
     period_s = draw(st.sampled_from([5e-4, 1e-3, 2e-3, 5e-3]))
@@ -297,14 +347,7 @@ def raw_poses(draw: st.DrawFn) -> Raw:
         if draw(st.integers(0, 3)) > 0:
             scene["operator"]["rotation"] = draw(turning_hands(duration_s))
     if draw(st.booleans()):
-        scene["slave"]["gripper"] = draw(grippers())
-        if "operator" in scene:
-            scene["operator"] |= draw(table({}, trigger=triggers()))
-        if draw(st.booleans()):
-            master["gripper"] = draw(felt_triggers())
-            scene["safety"] |= draw(table({}, gripper=safeties_of_trigger()))
-            if "operator" in scene:
-                scene["operator"] |= draw(table({}, finger=fingers(duration_s)))
+        draw(with_gripper(scene))
     if draw(st.integers(0, 3)) == 0:
         bits = draw(st.lists(st.integers(0, 31), min_size=2, max_size=2, unique=True))
         buttons = {draw(st.sampled_from(["clutch", "engage"])): bits[0]}
@@ -317,11 +360,15 @@ def raw_poses(draw: st.DrawFn) -> Raw:
         scene["safety"]["rotation"] = draw(safeties_of_rotation())
     if draw(st.booleans()):
         scene["safety"]["ladder"] = draw(ladders())
-    return scene | draw(
+    scene |= draw(
         table(
-            {},
+            {"coupling": turning_couplings(duration_s)},
             link=table({}, forward=links(), backward=links()),
-            coupling=turning_couplings(duration_s),
             security=table({}, secure=st.booleans()),
         )
     )
+    if draw(st.integers(0, 4)) == 0:
+        del scene["coupling"]
+    elif "alignment" in scene["coupling"] and draw(st.integers(0, 3)) > 0:
+        scene["slave"]["tool"]["quat_wxyz"] = draw(near_the_hand(scene))
+    return scene

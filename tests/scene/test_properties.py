@@ -153,7 +153,7 @@ def check_hand(run: Run, scene: Scene) -> None:
 
 
 def check_finger(run: Run, scene: Scene) -> None:
-    """A trigger that is felt only ever opens, by no more than its scale of what the jaws press with, within its bound."""
+    """A trigger that is felt only opens, by its scale of what the jaws press with at most, within its bounds."""
     assert ("trigger_device_force" in run.signals) == (scene.master.gripper is not None)
     trigger = scene.master.gripper
     if trigger is None or "gripper_force" not in run.signals:

@@ -307,7 +307,9 @@ impl TorqueWatch {
         let share = if squared > 0.0 { (last.dot(&torque) / squared).clamp(0.0, 1.0) } else { 0.0 };
         let (growth, most) = ((torque - last * share).norm(), slew * period_s);
         let by_power = record.acted & Acted::POWER.bits() != 0;
-        watch.hold(by_power || growth <= most * (1.0 + ROUNDING) + 1e-12, time, || {
+        // An orientation whose norm is off by up to 1e-9 scales what it turns by twice that.
+        let rounding = ROUNDING * (most + 2.0 * last.norm()) + 1e-12;
+        watch.hold(by_power || growth <= most + rounding, time, || {
             format!("growth of the torque {growth} > {most}")
         });
         let dead = watch.gain == 0.0;
