@@ -466,6 +466,51 @@ fn a_hand_that_turns_out_of_reach_ends_it() {
     pair.comes_to_rest(300);
 }
 
+/// An arm that somebody has turned beyond `command_turn` since it began is led back no faster than any other.
+#[test]
+fn an_arm_that_stands_beyond_its_bound_is_turned_no_faster() {
+    let bounds = RotationBounds { speed: 2.5, turn: 0.5 };
+    let set = off_by(Set { bounds, ..Set::default() }, 0.3);
+    let mut pair = Pair::new(set);
+    // It began at set.start[1]; 1.1 rad from there the other way, it is 1.4 rad off the hand.
+    let way = UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.6, 0.0, -0.8) * -1.1);
+    let turned_away = way * set.start[1];
+    for n in 1..=500 {
+        let part = UnitQuaternion::identity().slerp(&way, f64::from(n) / 500.0);
+        pair.slave.plant.rotation.as_mut().unwrap().orientation = part * set.start[1];
+        pair.tick();
+    }
+    let ticks = aligns(&mut pair, SPEED, |_| None) as f64;
+    let expected = 1.4 / (SPEED * 1e-3);
+    assert!((ticks - expected).abs() <= 3.0, "{ticks} ticks, must be {expected}");
+    assert!(turned_away.angle_to(&pair.target()) > 1.39 && pair.order().0.angle_to(&pair.target()) < 1e-7);
+}
+
+/// Pressed again before the force has faded, the hand feels nothing of what the arm touches while it is turned.
+#[test]
+fn what_still_fades_has_nothing_of_what_the_arm_touches_while_it_turns() {
+    let mut pair = Pair::new(off_by(Set { delays: [0, 0], ..Set::default() }, 0.01));
+    aligns(&mut pair, SPEED, |_| None);
+    assert_eq!(pair.ticks(400), [Engaged; 2]);
+    assert!(pair.pushes());
+    pair.press(false);
+    pair.ticks(15);
+    let away = turned(0.2, 0.0, 0.1) * pair.master.plant.rotation.unwrap().orientation;
+    pair.hand(away);
+    pair.ticks(10);
+    pair.press(true);
+    let states = pair.ticks(3);
+    assert_eq!(states, [Aligning; 2]);
+    for n in 0..20 {
+        pair.slave.plant.sample[2] = Axes::<3>::new(3.0, 0.0, f64::from(n));
+        pair.tick();
+        let newest = pair.master.exchange().link().newest().unwrap();
+        assert_eq!((newest.force, newest.rotation.unwrap().torque), (Axes::zeros(), Axes::zeros()));
+        let gain = pair.master.exchange().ladder().gain();
+        assert!(!pair.pushes() && gain > 0.2, "{n}: {gain}");
+    }
+}
+
 /// What ends it midway, and what that leaves the two in.
 #[test]
 fn whatever_is_wrong_midway_brakes_the_arm_and_needs_a_new_press() {

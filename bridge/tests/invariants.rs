@@ -25,8 +25,9 @@ use std::ops::ControlFlow;
 use drawn::{Control, Drawn};
 use gripped::DrawnGripper;
 use haptether_bridge::{
-    LadderState, MasterEndpoint, MasterPlant, MasterSettings, MasterSide, MasterTurn, SlaveEndpoint,
-    SlavePlant, SlaveSettings, SlaveSide, SlaveTurn, VirtualSettings, run_virtual,
+    Feeling, LadderState, MasterEndpoint, MasterPlant, MasterSettings, MasterSide, MasterTurn, SlaveEndpoint,
+    SlavePlant, SlaveSettings, SlaveSide, SlaveTurn, VirtualSettings, coupling::ReferencePoint,
+    run_virtual,
 };
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, SimulatedMaster};
 use haptether_netsim::EndpointClock;
@@ -35,7 +36,7 @@ use haptether_slave::{
     ArmControl, ArmModel, Contact, ContactLaw, Environment, Object, PushShape, Pusher, Shape, SimulatedSlave,
 };
 use plant::Plant;
-use spied::{Far, Near, Seen, Sent};
+use spied::{Far, Near, Seen, Sent, Turning};
 use turned::DrawnPose;
 use turning::{Arm, Complaint};
 
@@ -112,9 +113,10 @@ fn far_settings(drawn: &Drawn) -> SlaveSettings {
 fn run<const N: usize>(drawn: &Drawn) -> Result<Seen, String> {
     let near = MasterEndpoint::new(&near_settings(drawn)).map_err(|error| error.to_string())?;
     let far = SlaveEndpoint::new(&far_settings(drawn)).map_err(|error| error.to_string())?;
-    let near = near_side(near_plant(device::<N>(drawn), drawn), near, drawn);
+    let near = near_side(near_plant(device::<N>(drawn), drawn), with_felt_trigger(near, drawn)?, drawn);
     let far = SlaveSide::new(Plant::new(arm::<N>(drawn), drawn.broken[1]), far);
-    between(drawn, near, far.with_gripper(drawn.gripper.as_ref().map(DrawnGripper::led)))
+    let far = far.with_gripper(drawn.gripper.as_ref().map(DrawnGripper::led));
+    between(drawn, near.feeling(), far, Turning::default())
 }
 
 /// The same of a hand and an arm that turn.
@@ -123,11 +125,27 @@ fn run_pose(drawn: &Drawn, pose: &DrawnPose) -> Result<Seen, String> {
         .map_err(|error| error.to_string())?;
     let far = SlaveEndpoint::of_pose(&far_settings(drawn), &pose.slave).map_err(|error| error.to_string())?;
     let device = near_plant(turning::device(device(drawn), pose), drawn).turning(pose.broken[0]);
-    let complaint = Complaint::default();
-    let arm = Plant::new(Arm::new(drawn, pose, complaint.clone()), drawn.broken[1]).turning(pose.broken[1]);
-    let far = SlaveSide::new(arm, far).with_gripper(drawn.gripper.as_ref().map(DrawnGripper::led));
-    let seen = between(drawn, near_side(device, near, drawn).turning(), far.turning())?;
+    let (complaint, turning) = (Complaint::default(), Turning::default());
+    let arm = Arm::new(drawn, pose, complaint.clone(), turning.clone());
+    let arm = Plant::new(arm, drawn.broken[1]).turning(pose.broken[1]);
+    let reference_point = pose.reference_m.map(|by| ReferencePoint::new(by.into()).unwrap());
+    let far = SlaveSide::new(arm, far)
+        .with_gripper(drawn.gripper.as_ref().map(DrawnGripper::led))
+        .about(reference_point)
+        .turning();
+    let near = near_side(device, with_felt_trigger(near, drawn)?, drawn).turning().feeling();
+    let seen = between(drawn, near, far, turning)?;
     complaint.take().map_or(Ok(seen), Err)
+}
+
+fn with_felt_trigger<const N: usize>(
+    endpoint: MasterEndpoint<N>,
+    drawn: &Drawn,
+) -> Result<MasterEndpoint<N>, String> {
+    match drawn.gripper.as_ref().and_then(|gripper| gripper.felt) {
+        Some(felt) => endpoint.with_trigger(&felt.settings).map_err(|error| error.to_string()),
+        None => Ok(endpoint),
+    }
 }
 
 fn near_plant<P, const N: usize>(model: P, drawn: &Drawn) -> Plant<P, N> {
@@ -149,8 +167,9 @@ fn near_side<P: MasterPlant<N>, const N: usize>(
 /// Both sides over the network between them.
 fn between<P, Q, R, S, const N: usize>(
     drawn: &Drawn,
-    near: MasterSide<Plant<P, N>, N, R>,
+    near: MasterSide<Plant<P, N>, N, Feeling<R>>,
     far: SlaveSide<Plant<Q, N>, N, S>,
+    turning: Turning,
 ) -> Result<Seen, String>
 where
     P: MasterPlant<N>,
@@ -159,8 +178,8 @@ where
     S: SlaveTurn,
 {
     let sent = drawn.secure.then(Sent::default);
-    let mut near = Near::new(near, drawn, sent.clone());
-    let mut far = Far::new(far, drawn, sent);
+    let mut near = Near::new(near, drawn, sent.clone(), turning.clone());
+    let mut far = Far::new(far, drawn, sent, turning);
     let [master_clock, slave_clock] =
         drawn.clocks.map(|clock| clock.map(|settings| EndpointClock::new(&settings).unwrap()));
     let [forward, backward] = drawn.links.clone();
@@ -218,6 +237,7 @@ fn what_must_never_be_is_not_in_ten_thousand_scenes() {
             seen.refused,
         ];
         assert!(rest.iter().all(|count| *count > cases / 10), "{seen:?}");
+        assert!(seen.turn.fading > 0, "{seen:?}");
         let parts = [&seen.turn.all()[..], &seen.buttons.all(), &seen.gripper.all()];
         assert!(parts.concat().iter().all(|count| *count > cases / 50), "{seen:?}");
     }

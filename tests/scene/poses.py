@@ -33,6 +33,24 @@ def directions() -> st.SearchStrategy[Vector]:
     return long.map(lambda vector: [part / math.hypot(*vector) for part in vector])
 
 
+IDENTITY: Vector = [1.0, 0.0, 0.0, 0.0]
+
+
+def conjugate(of: Vector) -> Vector:
+    return [of[0], -of[1], -of[2], -of[3]]
+
+
+def product(left: Vector, right: Vector) -> Vector:
+    """Of two quaternions w, x, y, z: first the turn of the right one."""
+    (a, b, c, d), (w, x, y, z) = left, right
+    return [
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    ]
+
+
 @st.composite
 def orientations(draw: st.DrawFn) -> Vector:
     half, axis = draw(real(-3.1, 3.1)), draw(directions())
@@ -116,6 +134,46 @@ def grippers(draw: st.DrawFn) -> Raw:
 
 
 @st.composite
+def felt_triggers(draw: st.DrawFn) -> Raw:
+    return draw(
+        table(
+            {"travel_m": real(5e-3, 0.05), "mass_kg": real(0.01, 0.5)},
+            viscous=real(0.0, 1.0),
+            coulomb=real(0.0, 0.5),
+            encoder_quantum=real(1e-6, 1e-4),
+            force_scale=real(1e-3, 1.0),
+            max_force_n=real(0.1, 20.0),
+            max_slew_n_per_s=real(1.0, 1e4),
+            max_power_w=real(0.01, 50.0),
+        )
+    )
+
+
+@st.composite
+def fingers(draw: st.DrawFn, duration_s: float) -> Raw:
+    finger: Raw = draw(table({}, stiffness=real(0.0, 1000.0), damping=real(0.0, 20.0), strength_n=real(0.0, 50.0)))
+    if draw(st.booleans()):
+        kinds = ["strength", "gain"] if "strength_n" in finger else ["gain"]
+        release = {"at_s": real(0.0, duration_s), "kind": st.sampled_from(kinds)}
+        finger["release"] = draw(table(release, decay_s=real(0.0, 0.1)))
+    return finger
+
+
+def safeties_of_trigger() -> st.SearchStrategy[Raw]:
+    return table(
+        {},
+        reach_m=real(0.01, 1.0),
+        controllers=st.lists(st.sampled_from(["vfc", "hsc", "wsc", "pc"]), unique=True),
+        velocity_threshold=real(1e-3, 2.0),
+        vfc_force_threshold_n=real(1e-3, 5.0),
+        grasp_threshold=real(1.01, 5.0),
+        grasp_floor_n=real(1e-5, 1.0),
+        hsc_force_threshold_n=real(0.0, 1.0),
+        energy_threshold_j=real(-0.1, -1e-5),
+    )
+
+
+@st.composite
 def triggers(draw: st.DrawFn) -> list[list[float]]:
     times = sorted(draw(st.lists(st.integers(0, 400), max_size=5, unique=True)))
     return [[time * 1e-3, draw(real(0.0, 1.0) | st.sampled_from([0.0, 1.0]))] for time in times]
@@ -166,6 +224,26 @@ def worlds(draw: st.DrawFn) -> Raw:
     }
 
 
+def alignments(coupling: Raw) -> st.SearchStrategy[Raw]:
+    """Within the bound on the angular speed; most of them fast enough to end within a scene."""
+    bound = coupling.get("command_angular_speed", 2.5)
+    fastest = 30.0 if isinstance(bound, str) else min(bound, 30.0)
+    # A press waits 5 s, and the slowest link takes one of them.
+    speeds = real(0.3 * fastest, fastest)
+    return speeds.flatmap(
+        lambda speed: table({"speed": st.just(speed), "max_angle": real(1e-2, min(3.1, 3.9 * speed))})
+    )
+
+
+def aligned(coupling: Raw, alignment: Raw) -> Raw:
+    """The same that turns to its master: with a scale of rotation other than 1 it would not last."""
+    kept = {key: value for key, value in coupling.items() if key != "rotation_scale"}
+    changes = [
+        {key: value for key, value in change.items() if key != "rotation_scale"} for change in coupling["changes"]
+    ]
+    return kept | {"changes": changes, "alignment": alignment}
+
+
 @st.composite
 def turning_couplings(draw: st.DrawFn, duration_s: float) -> Raw:
     scales = {"rotation_scale": real(0.1, 5.0), "torque_scale": real(0.1, 5.0)}
@@ -181,7 +259,9 @@ def turning_couplings(draw: st.DrawFn, duration_s: float) -> Raw:
     )
     if draw(st.booleans()):
         coupling["reference_point"] = draw(vectors(-0.3, 0.3))
-    match draw(st.sampled_from(["free", "free", "locked", "about"])):
+    match draw(st.sampled_from(["free", "free", "aligned", "aligned", "locked", "about"])):
+        case "aligned":
+            coupling = aligned(coupling, draw(alignments(coupling)))
         case "locked":
             coupling["locks_rotation"] = True
         case "about":
@@ -205,6 +285,38 @@ def safeties_of_rotation() -> st.SearchStrategy[Raw]:
         max_slew_n_m_per_s=real(0.1, 1e3),
         max_power_w=real(0.1, 100.0),
     )
+
+
+@st.composite
+def with_gripper(draw: st.DrawFn, scene: Raw) -> Raw:
+    """The same scene with a gripper, whose trigger the finger may feel."""
+    gripper = scene["slave"]["gripper"] = draw(grippers())
+    operator, duration_s = scene.get("operator"), scene["run"]["duration_s"]
+    if operator is not None:
+        operator |= draw(table({}, trigger=triggers()))
+    if draw(st.booleans()):
+        scene["master"]["gripper"] = draw(felt_triggers())
+        scene["safety"] |= draw(table({}, gripper=safeties_of_trigger()))
+        if operator is not None:
+            operator |= draw(table({}, finger=fingers(duration_s)))
+            if draw(st.booleans()):
+                # It closes on something at once.
+                opening = gripper.setdefault("position", 0.0)
+                gripper["object"] = opening + 0.1
+                operator["trigger"] = [[0.0, opening], [0.2 * duration_s, 1.0]]
+    return scene
+
+
+@st.composite
+def near_the_hand(draw: st.DrawFn, scene: Raw) -> Vector:
+    """An orientation of the tool from which it is turned to the hand within the scene."""
+    coupling, duration_s = scene["coupling"], scene["run"]["duration_s"]
+    speed, max_angle = coupling["alignment"]["speed"], coupling["alignment"]["max_angle"]
+    half = 0.5 * draw(real(0.0, min(0.2 * duration_s * speed, max_angle)))
+    frame = coupling.get("quat_wxyz", IDENTITY)
+    hand = scene.get("operator", {}).get("rotation", {}).get("start_wxyz", IDENTITY)
+    off = [math.cos(half), *(math.sin(half) * part for part in draw(directions()))]
+    return product(off, product(product(frame, hand), conjugate(frame)))
 
 
 @st.composite
@@ -235,24 +347,28 @@ def raw_poses(draw: st.DrawFn) -> Raw:
         if draw(st.integers(0, 3)) > 0:
             scene["operator"]["rotation"] = draw(turning_hands(duration_s))
     if draw(st.booleans()):
-        scene["slave"]["gripper"] = draw(grippers())
-        if "operator" in scene:
-            scene["operator"] |= draw(table({}, trigger=triggers()))
+        draw(with_gripper(scene))
     if draw(st.integers(0, 3)) == 0:
         bits = draw(st.lists(st.integers(0, 31), min_size=2, max_size=2, unique=True))
         buttons = {draw(st.sampled_from(["clutch", "engage"])): bits[0]}
-        master["buttons"] = buttons | ({"gripper": bits[1]} if "gripper" in scene["slave"] else {})
+        # Where a button works the gripper no finger leads it, and a trigger that is felt is refused.
+        is_free = "gripper" in scene["slave"] and "gripper" not in master
+        master["buttons"] = buttons | ({"gripper": bits[1]} if is_free else {})
     if draw(st.integers(0, 4)) > 0:
         scene["environment"] = draw(worlds())
     if draw(st.booleans()):
         scene["safety"]["rotation"] = draw(safeties_of_rotation())
     if draw(st.booleans()):
         scene["safety"]["ladder"] = draw(ladders())
-    return scene | draw(
+    scene |= draw(
         table(
-            {},
+            {"coupling": turning_couplings(duration_s)},
             link=table({}, forward=links(), backward=links()),
-            coupling=turning_couplings(duration_s),
             security=table({}, secure=st.booleans()),
         )
     )
+    if draw(st.integers(0, 4)) == 0:
+        del scene["coupling"]
+    elif "alignment" in scene["coupling"] and draw(st.integers(0, 3)) > 0:
+        scene["slave"]["tool"]["quat_wxyz"] = draw(near_the_hand(scene))
+    return scene

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 from hypothesis import HealthCheck, assume, example, given, seed, settings
 from hypothesis import strategies as st
-from tests.faults.signals import ENGAGED, STALE
+from tests.faults.signals import ALIGNING, ENGAGED, STALE
 from tests.scene.poses import is_rigid, raw_poses
 from tests.scene.strategies import Raw, raw_scenes, real, scenes
 
@@ -144,12 +144,45 @@ def check_hand(run: Run, scene: Scene) -> None:
     last = np.maximum.accumulate(np.where(coupled, ticks, -1))
     faded = (ticks - last) * scene.run.period_s > LONGEST_FADE_S + 2.0 * scene.run.period_s
     faded |= last < 0
-    for name in ("device_force", "device_torque"):
+    for name in {"device_force", "device_torque", "trigger_device_force"} & set(signals):
         assert not signals[name][faded].any(), name
     rotation, limiter = scene.safety.rotation, scene.safety.limiter
     if limiter.enabled and rotation is not None and rotation.max_torque_n_m is not None:
         torque = np.linalg.norm(signals["device_torque"], axis=1)
         assert torque.max(initial=0.0) <= rotation.max_torque_n_m * (1.0 + ROUNDING)
+
+
+def check_finger(run: Run, scene: Scene) -> None:
+    """A trigger that is felt only opens, by its scale of what the jaws press with at most, within its bounds."""
+    assert ("trigger_device_force" in run.signals) == (scene.master.gripper is not None)
+    trigger = scene.master.gripper
+    if trigger is None or "gripper_force" not in run.signals:
+        return
+    rendered, force = run.signals["trigger_rendered_force"], run.signals["trigger_device_force"]
+    strongest = np.nan_to_num(run.signals["gripper_force"]).max(initial=0.0)
+    assert rendered.max(initial=0.0) <= 0.0
+    assert rendered.min(initial=0.0) >= -trigger.force_scale * strongest * (1.0 + ROUNDING)
+    assert np.abs(force).max(initial=0.0) <= trigger.max_force_n * (1.0 + ROUNDING)
+    # Its growth is beyond its bound only by what the bound on the power takes, and unloading is free.
+    grows = np.abs(rendered[1:]) - np.abs(rendered[:-1])
+    assert grows.max(initial=0.0) <= trigger.max_slew_n_per_s * scene.run.period_s * (1.0 + 1e-6) + ROUNDING
+
+
+def check_alignment(run: Run, coupling: CouplingTable) -> None:
+    """Before the two engage the arm is turned no faster than the alignment says, about a point that stays."""
+    signals = run.signals
+    aligning = signals["slave_state"] == ALIGNING
+    command, tool = signals["slave_command_orientation"], signals["slave_orientation"]
+    # Before the first command it is where the tool is.
+    commanded = (command != tool).any(axis=1)
+    turning = aligning[1:] & aligning[:-1] & commanded[:-1]
+    if coupling.alignment is None:
+        assert (command[1:] == command[:-1])[turning].all()
+        return
+    elapsed_s = np.diff(signals["slave_time_s"])
+    assert (turns(command) <= coupling.alignment.speed * elapsed_s * (1.0 + 1e-6) + ANGLE)[turning].all()
+    point = signals["slave_command"]
+    assert (point[1:] == point[:-1])[turning].all()
 
 
 def check_arm(run: Run, scene: Scene) -> None:
@@ -170,8 +203,9 @@ def check_arm(run: Run, scene: Scene) -> None:
     began = np.cumsum(coupled) > 0
     led = began[:-1] & coupled[1:]
     assert (turns(command) <= speed * elapsed_s * (1.0 + 1e-6) + ANGLE)[led].all()
-    stays = began[:-1] & ~coupled[1:] & (state[1:] == state[:-1])
+    stays = began[:-1] & ~coupled[1:] & (state[1:] == state[:-1]) & (state[1:] != ALIGNING)
     assert (command[1:] == command[:-1])[stays].all()
+    check_alignment(run, coupling)
     if turn < math.pi and speed < math.inf:
         # A stop comes to rest where it is set to be by then, at most a period further.
         first = np.broadcast_to(signals["slave_orientation"][0], command.shape)
@@ -217,6 +251,7 @@ def test_any_scene_of_poses_runs_or_is_refused_by_its_place(raw: Raw) -> None:
         norms = np.linalg.norm(run.signals[name].reshape(-1, 4), axis=1)
         assert np.abs(norms - 1.0).max(initial=0.0) <= ROUNDING, name
     check_hand(run, scene)
+    check_finger(run, scene)
     check_arm(run, scene)
 
 

@@ -107,7 +107,7 @@ class ChangeTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
 class AlignmentTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[coupling.alignment]`: after a press the slave turns to the master, `R_s -> C R_m C'`, before the two engage.
 
-    Its tool point stays where it is, and no force or torque acts on the hand until then.
+    Its tool point stays where it is, and the hand feels nothing of that.
     """
 
     speed: Positive = 0.5

@@ -137,6 +137,11 @@ impl Alignment {
         })
     }
 
+    /// Its largest speed in rad/s.
+    pub(crate) fn max_speed(&self) -> f64 {
+        self.max_speed
+    }
+
     /// Changes C, a unit quaternion of the rotation from the master's frame to the slave's.
     pub fn set_frame(&mut self, quat_wxyz: [f64; 4]) -> Result<(), CouplingError> {
         let [w, x, y, z] = normalised(quat_wxyz)?;

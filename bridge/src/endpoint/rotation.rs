@@ -14,6 +14,9 @@ use crate::{
 /// How far in rad a command may stay behind the master: beyond pi the shorter way is the other one.
 const MAX_LAG_RAD: f64 = std::f64::consts::FRAC_PI_2;
 
+/// Rounding of a step of an alignment, as a share of it: no bound acts on that.
+const ROUNDING: f64 = 1e-9;
+
 /// How the rotation of a slave's endpoint is built.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlaveRotationSettings {
@@ -103,15 +106,15 @@ impl SlaveRotation {
         let is_within = alignment.target(&master.orientation).angle_to(&home) <= self.bounds.turn;
         let step = alignment.step(&master.orientation, &from, elapsed_s).ok().filter(|_| is_within);
         let Some(mut step) = step else { return (AlignmentState::TooFar, None) };
-        // Its speed is within that of the bounds, but for what still brakes.
-        let brakes = self.left.speed < self.bounds.speed;
-        let speed = if brakes { self.left.speed } else { f64::INFINITY };
+        // An arm that stands beyond the bound on its turn is led back no faster, either.
+        let speed = self.left.speed.min(alignment.max_speed() * (1.0 + ROUNDING));
         let turn = RotationBounds { speed, ..self.bounds };
         let mut limited = Limited::default();
         step.orientation = turned_within(&turn, elapsed_s, [&home, &from, &step.orientation], &mut limited);
         if limited.any() {
             let way = (step.orientation * from.inverse()).scaled_axis();
-            step.angular_velocity = if elapsed_s > 0.0 { way / elapsed_s } else { Axes::zeros() };
+            let velocity = if elapsed_s > 0.0 { way / elapsed_s } else { Axes::zeros() };
+            step.angular_velocity = velocity.cap_magnitude(alignment.max_speed());
         }
         let is_near = turns && step.remaining_rad <= ALIGNED_RAD;
         self.near_s = if is_near { self.near_s + elapsed_s } else { 0.0 };

@@ -78,6 +78,13 @@ pub struct SlaveTick<const N: usize> {
     pub fault: Option<Fault>,
 }
 
+fn without_wrench<const N: usize>(outgoing: &mut PortState<N>) {
+    outgoing.force = Axes::zeros();
+    if let Some(rotation) = &mut outgoing.rotation {
+        rotation.torque = Axes::zeros();
+    }
+}
+
 /// The slave's side as a state machine: `(sample, frames, time) -> (command, frame)`.
 #[derive(Clone, Debug)]
 pub struct SlaveEndpoint<const N: usize> {
@@ -219,7 +226,7 @@ impl<const N: usize> SlaveEndpoint<N> {
         }
         self.commanded_ns = now_ns;
         self.exchange.limited_ticks += u64::from(limited.any());
-        self.report(reading, power_w, &turning, elapsed_s);
+        self.report(reading, power_w, &turning, elapsed_s, turns);
         let command = self.command.unwrap_or(*position);
         self.exchange.end_tick(now_ns, [position, &command, environment_force], Observed::NOTHING);
         SlaveTick {
@@ -262,26 +269,28 @@ impl<const N: usize> SlaveEndpoint<N> {
         step
     }
 
-    /// Leaves what the next frame says of the arm; the energy is that of the whole wrench, `f·v + tau·w`.
+    /// Leaves what the next frame says of the arm; the energy is that of the whole wrench, `f·v + tau·w`. While it turns to
+    /// the master (`turns`) there is no wrench: what fades on the hand from before must have nothing of that motion.
     fn report(
         &mut self,
         reading: &SlaveReading<N>,
         power_w: f64,
         angular_velocity: &Axes<3>,
         elapsed_s: f64,
+        turns: bool,
     ) {
         let outgoing = &mut self.exchange.outgoing;
         if self.fault.is_some() {
-            outgoing.force = Axes::zeros();
-            if let Some(rotation) = &mut outgoing.rotation {
-                rotation.torque = Axes::zeros();
-            }
+            without_wrench(outgoing);
             return;
         }
         let SlaveReading { position, velocity, environment_force: force, rotation } = *reading;
         let turning = rotation.map_or(0.0, |measured| measured.torque.dot(angular_velocity));
         outgoing.energy.add(power_w + turning, elapsed_s);
         *outgoing = PortState { position, velocity, force, rotation, ..*outgoing };
+        if turns {
+            without_wrench(outgoing);
+        }
     }
 
     fn disengage(&mut self) {

@@ -137,8 +137,9 @@ impl Drawn {
         let turns = n.chance(0.33);
         let axes = if turns || n.chance(0.1) { 3 } else { 1 };
         let stale_after_ns = n.whole(MS / 2, 10 * MS);
+        let align_ns = if is_long { 500 * MS } else { LadderSettings::default().align_ns };
         let hold_after_ns = stale_after_ns + n.whole(MS / 2, 30 * MS);
-        Self {
+        let drawn = Self {
             axes,
             periods_ns: [n.one_of(&[MS, MS, 2 * MS, 3 * MS]), n.one_of(&[MS, MS, 2 * MS, 4 * MS])],
             end_ns,
@@ -162,7 +163,7 @@ impl Drawn {
                 extrapolate_ns: n.whole(0, (20 * MS).min(hold_after_ns - stale_after_ns)),
                 fade_out_ns: n.whole(50 * MS, 100 * MS),
                 fade_in_ns: n.whole(200 * MS, 400 * MS),
-                align_ns: if is_long { 500 * MS } else { LadderSettings::default().align_ns },
+                align_ns,
             },
             // Held from the start, over a silence that is longer than a press waits.
             clutch: if is_long { Clutch::Schedule(vec![(0, end_ns)]) } else { clutch(n, end_ns) },
@@ -180,10 +181,19 @@ impl Drawn {
             broken: [Broken::draw(n, end_ns), Broken::draw(n, end_ns)],
             commands: commands(n, end_ns, axes),
             secure: n.chance(0.5),
-            pose: turns.then(|| DrawnPose::draw(n, end_ns)),
+            pose: turns.then(|| DrawnPose::draw(n, end_ns, align_ns)),
             buttons: n.chance(0.25).then(|| DrawnButtons::draw(n, end_ns)),
             gripper: n.chance(0.4).then(|| DrawnGripper::draw(n, end_ns)),
+        };
+        drawn.without_what_is_refused()
+    }
+
+    /// An arm that is turned to its master keeps its scale of rotation.
+    fn without_what_is_refused(mut self) -> Self {
+        if self.pose.as_ref().is_some_and(|pose| pose.slave.alignment.is_some()) {
+            self.commands.retain(|(_, command)| !matches!(command, OperatorCommand::RotationScale(_)));
         }
+        self
     }
 }
 

@@ -1,15 +1,77 @@
-//! A gripper and the trigger that leads it: drawn, and what must never be of them.
+//! A gripper and the trigger that leads it, which the finger may feel: drawn, and what must never be of them.
 
-use haptether_bridge::{GripperOrder, LedGripper, TickTime, Trigger};
+use haptether_bridge::{
+    FingerTick, GripperOrder, HeldTrigger, LadderState, LedGripper, TickTime, Trigger, TriggerSettings,
+    coupling::GripperState,
+};
+use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path};
+use haptether_safety::{
+    Acted, Axes, DeviceModel, LimiterSettings, SafetyTick,
+    controller::{ControllerKind, SafetySettings, Tripped},
+};
 use haptether_slave::{GripperCommand, GripperSample, GripperSettings, SimulatedGripper};
 
 use crate::{
-    drawn::{Broken, MS, Numbers},
+    drawn::{Broken, Drawn, MS, Numbers, estimator, safety},
     spied::{ROUNDING, Watch},
 };
 
 /// How near a trigger must be to the last command to take the gripper along.
 const PICKS_UP_WITHIN: f64 = 0.02;
+
+/// A trigger that the finger feels.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct DrawnFelt {
+    pub(crate) settings: TriggerSettings,
+    mass_kg: f64,
+    /// Stiffness and damping of the finger.
+    finger: [f64; 2],
+}
+
+impl DrawnFelt {
+    fn draw(n: &mut Numbers) -> Self {
+        let mass_kg = n.real(0.02, 0.2);
+        // Now and then of so long a way that a jump along it is one that no finger makes.
+        let travel_m = if n.chance(0.1) { 1.0 } else { n.real(5e-3, 5e-2) };
+        let max_force_n = n.real(0.5, 5.0);
+        let scaled = safety(n).at_scale(max_force_n / 7.9, travel_m / 0.14);
+        // What a loop of the longest period can apply.
+        let most = mass_kg / (5.0 * 3e-3) * 0.99;
+        let settings = TriggerSettings {
+            travel_m,
+            device: DeviceModel::uniform(mass_kg, n.real(0.0, 0.5), n.one_of(&[0.0, 0.1])).unwrap(),
+            estimator: estimator(n),
+            safety: SafetySettings {
+                damping: scaled.damping.min(most),
+                pc_max_damping: scaled.pc_max_damping.min(most),
+                ..scaled
+            },
+            limiter: LimiterSettings {
+                max_force_n,
+                max_slew_n_per_s: n.one_of(&[10.0, 100.0, 3000.0]),
+                max_power_w: n.one_of(&[0.02, 5.0, 1e4]),
+                ramp_in_s: 0.0,
+            },
+            force_scale: n.one_of(&[0.01, 0.05, 1.0]),
+        };
+        Self { settings, mass_kg, finger: [n.real(20.0, 800.0), n.real(0.0, 20.0)] }
+    }
+
+    /// A model of it, in a finger that means to be at `course`.
+    fn held(&self, course: &[[f64; 2]]) -> HeldTrigger {
+        let (travel_m, [stiffness, damping]) = (self.settings.travel_m, self.finger);
+        let (mut from_s, at) = (0.0, |position: f64| Axes::<1>::new(position * travel_m));
+        let legs = course.iter().map(|&[until_s, position]| {
+            let duration_s = until_s - std::mem::replace(&mut from_s, until_s);
+            Leg { duration_s, end: at(position), shape: LegShape::Linear }
+        });
+        let path = Path::new(at(0.0), legs.collect()).unwrap();
+        let finger = Hand::new(stiffness, damping, f64::INFINITY, path, None).unwrap();
+        let device =
+            DeviceParameters { measures_velocity: false, ..DeviceParameters::ideal(self.mass_kg, 0.0, 0.0) };
+        HeldTrigger::new(device, travel_m, finger).unwrap()
+    }
+}
 
 /// Of a gripper and its trigger.
 #[derive(Clone, Debug)]
@@ -20,6 +82,7 @@ pub(crate) struct DrawnGripper {
     /// Time in s and position of the trigger.
     pub(crate) course: Vec<[f64; 2]>,
     pub(crate) broken: [Option<Broken>; 2],
+    pub(crate) felt: Option<DrawnFelt>,
 }
 
 impl DrawnGripper {
@@ -42,12 +105,17 @@ impl DrawnGripper {
             is_driven: [n.chance(0.5), n.chance(0.5)],
             course,
             broken: [Broken::draw(n, end_ns), Broken::draw(n, end_ns)],
+            felt: n.chance(0.5).then(|| DrawnFelt::draw(n)),
         }
     }
 
     /// What leads it.
     pub(crate) fn trigger(&self) -> Trigger {
-        if self.is_driven[0] { Trigger::Driven(None) } else { Trigger::simulated(&self.course).unwrap() }
+        match &self.felt {
+            _ if self.is_driven[0] => Trigger::Driven(None),
+            Some(felt) => Trigger::Held(Box::new(felt.held(&self.course))),
+            None => Trigger::simulated(&self.course).unwrap(),
+        }
     }
 
     /// What is led.
@@ -81,6 +149,13 @@ pub(crate) struct SeenGripper {
     /// How often one met something.
     pub(crate) grips: u64,
     pub(crate) broken: u64,
+    /// Ticks at which a finger felt its trigger, coupled, while that faded, and beside a controller that tripped.
+    pub(crate) felt: u64,
+    pub(crate) faded: u64,
+    pub(crate) tripped: u64,
+    /// Ticks at which it did not though something was held: the trigger was not known, or the jaws did not follow it.
+    pub(crate) unfelt: [u64; 2],
+    pub(crate) faults: u64,
 }
 
 impl SeenGripper {
@@ -91,12 +166,19 @@ impl SeenGripper {
             waited: self.waited + other.waited,
             grips: self.grips + other.grips,
             broken: self.broken + other.broken,
+            felt: self.felt + other.felt,
+            faded: self.faded + other.faded,
+            tripped: self.tripped + other.tripped,
+            unfelt: std::array::from_fn(|why| self.unfelt[why] + other.unfelt[why]),
+            faults: self.faults + other.faults,
         }
     }
 
     /// What a run of ten thousand scenes must have met.
-    pub(crate) fn all(&self) -> [u64; 5] {
-        [self.led, self.kept, self.waited, self.grips, self.broken]
+    pub(crate) fn all(&self) -> [u64; 11] {
+        let Self { led, kept, waited, grips, broken, felt, faded, tripped, faults, .. } = *self;
+        let [unknown, apart] = self.unfelt;
+        [led, kept, waited, grips, broken, felt, faded, tripped, unknown, apart, faults]
     }
 }
 
@@ -190,5 +272,115 @@ impl GripperWatch {
         seen.waited += u64::from(coupled && !self.was_led && trigger.is_some());
         seen.grips += u64::from(holds && sampled.is_some_and(|last| !last.holds_object));
         seen.broken += u64::from(is_broken);
+    }
+}
+
+/// What was the case at a tick of a trigger that the finger feels.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FingerTickSeen {
+    pub(crate) felt: Option<SafetyTick<1>>,
+    pub(crate) recorded: FingerTick,
+    /// What leads the gripper; NaN where it is not known.
+    pub(crate) position: f64,
+    /// As the peer's newest frame says.
+    pub(crate) jaws: Option<GripperState>,
+    /// The loop slept before it.
+    pub(crate) stalled: bool,
+}
+
+/// What the force on a finger is held to.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FingerWatch {
+    settings: TriggerSettings,
+    /// Whether a button leads the gripper, and not the finger.
+    is_button: bool,
+    period_s: f64,
+    /// By how much the share of the jaws' force may rise at a tick.
+    rise: f64,
+    /// The most that this share can be.
+    share: f64,
+    /// The trigger was not known since the two sides engaged.
+    is_lost: bool,
+    force_n: f64,
+}
+
+impl FingerWatch {
+    pub(crate) fn new(drawn: &Drawn) -> Option<Self> {
+        let settings = drawn.gripper.as_ref()?.felt?.settings;
+        let period_s = drawn.periods_ns[0] as f64 * 1e-9;
+        Some(Self {
+            settings,
+            is_button: drawn.buttons.as_ref().is_some_and(|buttons| buttons.settings.gripper.is_some()),
+            period_s,
+            rise: drawn.periods_ns[0] as f64 / drawn.ladder.fade_in_ns as f64,
+            share: 0.0,
+            is_lost: false,
+            force_n: 0.0,
+        })
+    }
+
+    /// After a tick: it only opens, by no more than its share of what the jaws press with, within its bounds, and not at all
+    /// where that is not known.
+    pub(crate) fn tick(&mut self, watch: &mut Watch, time: TickTime, tick: &FingerTickSeen) {
+        let FingerTickSeen { felt, recorded, position, jaws, stalled } = *tick;
+        let (state, gain, coupled) = (watch.state, watch.gain, watch.state.is_coupled());
+        let Some(felt) = felt else {
+            return watch.hold(false, time, || "a trigger with a motor without a force".into());
+        };
+        let before_n = std::mem::replace(&mut self.force_n, felt.device_force[0]);
+        let (force_n, rendered_n) = (self.force_n, felt.rendered_force[0]);
+        let safety_n = felt.intervention.safety_force[0];
+        let is_recorded = (recorded.device_force, recorded.rendered_force) == (force_n, rendered_n);
+        watch.hold(is_recorded, time, || format!("{recorded:?} recorded of {felt:?}"));
+
+        let is_known = !self.is_button && !position.is_nan();
+        let follows = jaws.is_some_and(|jaws| jaws.follows);
+        self.is_lost = coupled && (self.is_lost || !is_known);
+        if stalled || !is_known {
+            self.share = 0.0;
+        }
+        self.share = if coupled && follows && is_known && !self.is_lost {
+            (self.share + self.rise).min(1.0)
+        } else if coupled || gain == 0.0 {
+            0.0
+        } else {
+            self.share
+        };
+        let pressing_n = jaws.filter(|jaws| jaws.holds_object).map_or(0.0, |jaws| jaws.force_n);
+        let share = self.share;
+        let most_n = self.settings.force_scale * pressing_n * share * gain * (1.0 + ROUNDING);
+        watch.hold((-most_n..=0.0).contains(&rendered_n), time, || {
+            format!("{rendered_n} N rendered to the finger of {jaws:?}, share {share}, gain {gain}, {state:?}")
+        });
+
+        let LimiterSettings { max_force_n, max_slew_n_per_s, .. } = self.settings.limiter;
+        let fits = force_n.abs() <= max_force_n * (1.0 + ROUNDING);
+        watch.hold(fits, time, || format!("{force_n} N on the finger, beyond {max_force_n}"));
+        let unloads = force_n * before_n >= 0.0;
+        let growth_n = if unloads { force_n.abs() - before_n.abs() } else { force_n.abs() };
+        let by_power = felt.acted.bits() & Acted::POWER.bits() != 0;
+        let most_n = max_slew_n_per_s * self.period_s * (1.0 + ROUNDING) + 1e-12;
+        watch.hold(by_power || growth_n <= most_n, time, || {
+            format!("{before_n} to {force_n} N on the finger, by more than {most_n}")
+        });
+        let dead = gain == 0.0 || state == LadderState::Fault || felt.fault.is_some() || !is_known;
+        watch.hold(!dead || force_n == 0.0, time, || {
+            format!("{force_n} N on the finger in {state:?}, gain {gain}, at {position}")
+        });
+        // The damping of controllers aside, nothing is felt of nothing.
+        let is_none = rendered_n == 0.0 && safety_n == 0.0;
+        watch.hold(!is_none || force_n == 0.0, time, || format!("{force_n} N on the finger of nothing"));
+        let stops = felt.fault.is_none() || state == LadderState::Fault;
+        watch.hold(stops, time, || format!("{:?} of the finger in {state:?}", felt.fault));
+
+        let holds = coupled && pressing_n > 0.0;
+        let of_pc = Tripped::of(ControllerKind::Pc).bits();
+        let seen = &mut watch.seen.gripper;
+        seen.felt += u64::from(coupled && force_n != 0.0);
+        seen.faded += u64::from(!coupled && force_n != 0.0);
+        seen.tripped += u64::from(felt.intervention.tripped.bits() & !of_pc != 0);
+        seen.unfelt[0] += u64::from(holds && !is_known);
+        seen.unfelt[1] += u64::from(holds && !follows);
+        seen.faults += u64::from(felt.fault.is_some());
     }
 }

@@ -22,6 +22,8 @@ pub(crate) struct Plant<P, const N: usize> {
     wrong: Option<Wrong>,
     buttons: Option<DrawnButtons>,
     word: Option<ButtonWord>,
+    /// Position, velocity and force of an arm, as measured at the last tick.
+    pub(crate) sample: [Axes<N>; 3],
     pub(crate) written: Option<[Axes<N>; 2]>,
     pub(crate) torque: Option<Axes<3>>,
     pub(crate) turned: Option<(UnitQuaternion<f64>, Axes<3>)>,
@@ -37,6 +39,7 @@ impl<P, const N: usize> Plant<P, N> {
             wrong: None,
             buttons: None,
             word: None,
+            sample: [Axes::zeros(); 3],
             written: None,
             torque: None,
             turned: None,
@@ -144,6 +147,7 @@ impl<P: SlavePlant<N>, const N: usize> SlavePlant<N> for Plant<P, N> {
             sample[(now_ns % 3) as usize][N - 1] = value;
         }
         self.wrong = BrokenTurn::at(self.broken_turn, now_ns);
+        self.sample = sample;
         sample
     }
 

@@ -1,25 +1,32 @@
 //! Both sides, with every tick held against what must never be.
 
-use std::{cell::RefCell, rc::Rc};
+use std::{
+    cell::{Cell, RefCell},
+    rc::Rc,
+};
 
 use haptether_bridge::{
-    ButtonWord, Exchange, LadderState, LinkTime, MasterPlant, MasterRecord, MasterSide, MasterTurn,
-    OperatorCommand, RejectReason, Side, SlavePlant, SlaveRecord, SlaveSide, SlaveTurn, TickTime,
+    ButtonWord, Exchange, Feeling, LadderState, LinkTime, MasterPlant, MasterRecord, MasterSide, MasterTurn,
+    OperatorCommand, Reason, RejectReason, Side, SlavePlant, SlaveRecord, SlaveSide, SlaveTurn, TickTime,
     coupling::{CommandBounds, CouplingError, PortEnergy},
     wire::{Frame, FrameLayout, MAX_FRAME, Role},
 };
 use haptether_safety::{Acted, Axes, LimiterSettings};
+use nalgebra::{Quaternion, UnitQuaternion};
 
 use crate::{
     drawn::Drawn,
-    gripped::{DrawnGripper, GripperWatch, SeenGripper},
+    gripped::{DrawnGripper, FingerTickSeen, FingerWatch, GripperWatch, SeenGripper},
     plant::Plant,
     pressed::{ButtonWatch, SeenButtons},
-    turned::{OrientationWatch, SeenTurn, TorqueWatch, Wrong},
+    turned::{OrientationWatch, SeenTurn, TorqueWatch, TurnTick, Wrong},
 };
 
 /// Rounding of sums of a few numbers of their size.
 pub(crate) const ROUNDING: f64 = 1e-9;
+
+/// Longest interval in ns between two frames of a peer that a side takes for its period.
+const MAX_INTERVAL_NS: u64 = 20_000_000;
 
 /// That the bound on the reach acted on a command.
 const REACH: u8 = 2;
@@ -69,6 +76,8 @@ pub(crate) struct Watch {
     side: usize,
     pub(crate) state: LadderState,
     pub(crate) gain: f64,
+    /// By how much that rose at the last tick.
+    rise: f64,
     clock_ns: Option<u64>,
     holds: u64,
     /// Whether the clutch was seen open, and then closed, since the last hold began.
@@ -78,6 +87,13 @@ pub(crate) struct Watch {
     closed_ns: Option<u64>,
     align_ns: u64,
     was_closed: bool,
+    /// The frame of the peer that it acts on: when it was taken, on the clock of the side, where the peer stands and whether
+    /// its clutch is closed.
+    heard: Option<(u64, LadderState, bool)>,
+    /// How long in ns of silence nobody moves by a frame: what leads to HOLD, and the longest interval that a peer may have.
+    silent_ns: u64,
+    /// C.
+    frame: UnitQuaternion<f64>,
     /// When it was last coupled, on the clock of the side, and how long in ns a force may take to fade.
     coupled_ns: u64,
     fade_out_ns: u64,
@@ -94,6 +110,39 @@ pub(crate) struct Watch {
     wrong: Option<String>,
 }
 
+/// The arm as turned to the master at the slave's last tick, for both sides to see.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Turning {
+    turns: Rc<Cell<bool>>,
+    /// Sequence of the first frame that was sent since it turns without a pause.
+    since: Rc<Cell<Option<u64>>>,
+}
+
+impl Turning {
+    pub(crate) fn get(&self) -> bool {
+        self.turns.get()
+    }
+
+    /// It turns now, or not; gives whether it did.
+    fn replace(&self, turns: bool) -> bool {
+        if !turns {
+            self.since.set(None);
+        }
+        self.turns.replace(turns)
+    }
+
+    fn sent(&self, sequence: u64) {
+        if self.get() {
+            self.since.set(self.since.get().or(Some(sequence)));
+        }
+    }
+
+    /// Whether a frame was sent while it turned, as it still does.
+    fn is_of(&self, sequence: u64) -> bool {
+        self.since.get().is_some_and(|since| since <= sequence)
+    }
+}
+
 /// The frames of the master and of the slave, by sequence.
 pub(crate) type Sent = Rc<RefCell<[Vec<Vec<u8>>; 2]>>;
 
@@ -104,6 +153,7 @@ impl Watch {
             side,
             state,
             gain: 0.0,
+            rise: 0.0,
             clock_ns: None,
             holds: 0,
             opened: true,
@@ -111,6 +161,9 @@ impl Watch {
             closed_ns: None,
             align_ns: drawn.ladder.align_ns,
             was_closed: false,
+            heard: None,
+            silent_ns: drawn.ladder.hold_after_ns + MAX_INTERVAL_NS,
+            frame: UnitQuaternion::identity(),
             coupled_ns: 0,
             fade_out_ns: drawn.ladder.fade_out_ns,
             energy: PortEnergy::default(),
@@ -132,10 +185,11 @@ impl Watch {
     }
 
     /// What a side sends is a frame, and its energies are those that were seen here.
-    fn send<const N: usize>(&mut self, time: LinkTime, frame: &[u8], layout: FrameLayout) {
+    fn send<const N: usize>(&mut self, time: LinkTime, frame: &[u8], layout: FrameLayout) -> Option<Frame<N>> {
         let (tick, role) = (TickTime::at(time.tick_ns), [Role::Master, Role::Slave][self.side]);
-        match Frame::<N>::decode(frame, role, layout) {
-            Ok(Frame { energy, .. }) => {
+        let decoded = Frame::<N>::decode(frame, role, layout);
+        match &decoded {
+            &Ok(Frame { energy, .. }) => {
                 let said = std::mem::replace(&mut self.said, energy);
                 let rises = energy.in_j >= said.in_j && energy.out_j >= said.out_j;
                 self.hold(rises, tick, || format!("energies {said:?}, then {energy:?}"));
@@ -149,6 +203,7 @@ impl Watch {
         if let Some(sent) = &self.sent {
             sent.borrow_mut()[self.side].push(frame.to_vec());
         }
+        decoded.ok()
     }
 
     /// The frame that a side took must be newer than what it had and, in a session, one that the peer sent.
@@ -171,6 +226,8 @@ impl Watch {
             self.hold(is_sent, time, || format!("acted on {}, which the peer never sent", frame.sequence));
             self.seen.authentic += 1;
         }
+        let stands = LadderState::from_code(frame.state).unwrap_or(LadderState::Fault);
+        self.heard = Some((now_ns, stands, frame.clutch));
         let newest = self.newest.replace((frame.run_id, frame.sequence));
         // In the clear, who repairs the checksum may well feign another session once the peer is silent.
         let may_change = self.sent.is_none();
@@ -195,6 +252,7 @@ impl Watch {
         let before = std::mem::replace(&mut self.state, state);
         let elapsed_ns = time.clock_ns - self.clock_ns.replace(time.clock_ns).unwrap_or(time.clock_ns);
         let rise = gain - std::mem::replace(&mut self.gain, gain);
+        self.rise = rise;
         self.seen.ticks[self.side][usize::from(state.code())] += 1;
         self.hold((0.0..=1.0).contains(&gain), time, || format!("gain {gain}"));
         self.hold(rise <= elapsed_ns as f64 / 200e6 + ROUNDING, time, || format!("gain rose by {rise}"));
@@ -227,7 +285,10 @@ impl Watch {
             let pressed = self.pressed && self.holds == holds;
             self.hold(pressed, time, || format!("{before:?} to {state:?} without a press after a release"));
         }
-        if holds > self.holds || state == LadderState::Fault {
+        // A press that ended without the two being engaged is over, too.
+        let is_unanswered =
+            before == LadderState::Aligning && state == LadderState::Disengaged && self.was_closed;
+        if holds > self.holds || state == LadderState::Fault || is_unanswered {
             (self.opened, self.pressed) = (false, false);
         }
         self.holds = holds;
@@ -235,10 +296,33 @@ impl Watch {
     }
 }
 
+impl Watch {
+    /// Of an arm that was turned to the master at the last tick, and is at this one: within a press only, and only by what
+    /// the master has said since it was silent.
+    fn aligning(&mut self, time: TickTime, (turned, turns): (bool, bool), clutch: bool) {
+        let (state, waited_ns) = (self.state, self.closed_ns.map_or(u64::MAX, |since| time.clock_ns - since));
+        let may = state == LadderState::Aligning && clutch && self.pressed && waited_ns <= self.align_ns;
+        self.hold(!turns || may, time, || format!("turned in {state:?}, clutch {clutch}, {waited_ns} ns on"));
+        let is_led_there = self.heard.is_some_and(|(at_ns, stands, clutch)| {
+            clutch && stands.is_aligned() && time.clock_ns - at_ns <= self.silent_ns
+        });
+        let heard = self.heard;
+        self.hold(!turns || is_led_there, time, || format!("turned by {heard:?}"));
+        let seen = &mut self.seen.turn;
+        seen.aligning += u64::from(turns);
+        seen.aligned += u64::from(turned && state.is_coupled());
+        seen.cut += u64::from(turned && !turns && !state.is_coupled());
+    }
+}
+
+fn axes<const N: usize>(of: Axes<3>) -> Axes<N> {
+    Axes::from_fn(|axis, _| of[axis])
+}
+
 /// The side of the hand, watched.
 #[derive(Clone, Debug)]
 pub(crate) struct Near<P, const N: usize, R> {
-    side: MasterSide<Plant<P, N>, N, R>,
+    side: MasterSide<Plant<P, N>, N, Feeling<R>>,
     watch: Watch,
     limiter: LimiterSettings,
     period_s: f64,
@@ -246,8 +330,11 @@ pub(crate) struct Near<P, const N: usize, R> {
     torque: Option<TorqueWatch>,
     buttons: Option<ButtonWatch>,
     gripper: Option<DrawnGripper>,
+    finger: Option<FingerWatch>,
     stalled: bool,
     measures: bool,
+    /// Of the arm at the other side.
+    turning: Turning,
 }
 
 /// The side of the robot, watched.
@@ -258,13 +345,24 @@ pub(crate) struct Far<P, const N: usize, S> {
     bounds: CommandBounds,
     home: Option<Axes<N>>,
     command: Option<Axes<N>>,
+    /// The coupled point from the tool point in m, in the tool's frame.
+    reference_m: Option<Axes<3>>,
+    /// Power in W of the measured wrench, and the sum of its parts.
+    power_w: Option<(f64, f64)>,
     clock_ns: u64,
     orientation: Option<OrientationWatch>,
+    /// Whether it was being turned to the master at the last tick.
+    turning: Turning,
     gripper: Option<GripperWatch>,
 }
 
 impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
-    pub(crate) fn new(side: MasterSide<Plant<P, N>, N, R>, drawn: &Drawn, sent: Option<Sent>) -> Self {
+    pub(crate) fn new(
+        side: MasterSide<Plant<P, N>, N, Feeling<R>>,
+        drawn: &Drawn,
+        sent: Option<Sent>,
+        turning: Turning,
+    ) -> Self {
         let pose = drawn.pose.as_ref();
         Self {
             side,
@@ -275,8 +373,10 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
             torque: pose.map(|pose| TorqueWatch::new(&pose.master)),
             buttons: drawn.buttons.as_ref().map(|buttons| ButtonWatch::new(buttons.settings)),
             gripper: drawn.gripper.clone(),
+            finger: FingerWatch::new(drawn),
             stalled: false,
             measures: pose.is_some_and(|pose| pose.measures),
+            turning,
         }
     }
 
@@ -285,14 +385,15 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
     }
 
     /// The device is given no torque but what is recorded, and none where it measures no orientation.
-    fn turn(&mut self, time: TickTime, record: &MasterRecord<N, R>) {
+    fn turn(&mut self, time: TickTime, record: &MasterRecord<N, Feeling<R>>) {
         let (Some(torque), Some(rotation)) = (&mut self.torque, record.rotation.rotation()) else { return };
         let (plant, watch) = (&mut self.side.plant, &mut self.watch);
         let written = plant.torque.take();
         torque.tick(watch, time, self.period_s, rotation, record.tripped, written);
         let Some(wrong) = plant.wrong() else { return };
-        let is_told = self.measures || !matches!(wrong, Wrong::Speed(_));
-        if wrong.is_none() && is_told && !matches!(wrong, Wrong::Torque(_)) {
+        // What the device does not measure is in no sample, whatever is wrong with it; a device has no sensor of torque.
+        let is_sampled = self.measures || !matches!(wrong, Wrong::Speed(_));
+        if wrong.is_none() && is_sampled && !matches!(wrong, Wrong::Torque(_)) {
             watch.seen.turn.faults[0] += 1;
             let dead = record.state == LadderState::Fault && record.device_force == Axes::<N>::zeros();
             watch.hold(dead, time, || format!("{:?} of {wrong:?}", record.state));
@@ -300,7 +401,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
     }
 
     /// `-(F·V + tau·w) dT`, of what is requested as far as the device can render it.
-    fn energy(&mut self, time: TickTime, record: &MasterRecord<N, R>) {
+    fn energy(&mut self, time: TickTime, record: &MasterRecord<N, Feeling<R>>) {
         if record.fault != 0 {
             return;
         }
@@ -310,8 +411,25 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
         self.watch.energy.add(-power_w, self.period_s * (time.missed + 1) as f64);
     }
 
+    /// Of an arm that is turned to the master nothing is rendered, but for what still fades of what was before.
+    fn while_turned(&mut self, time: TickTime, record: &MasterRecord<N, Feeling<R>>) {
+        let coupled = record.state.is_coupled();
+        let turning = self.turning.get();
+        self.watch.hold(!(turning && coupled), time, || "engaged with an arm that is turned".into());
+        let rise = self.watch.rise;
+        self.watch.hold(!turning || rise <= 0.0, time, || format!("gain rose by {rise} as the arm turned"));
+        // In the clear, somebody else may say of an arm what he likes.
+        let newest = self.side.exchange().link().newest().filter(|_| self.watch.sent.is_some());
+        if newest.is_some_and(|frame| self.turning.is_of(frame.sequence)) {
+            let torque = record.rotation.rotation().map_or(0.0, |turn| turn.rendered_torque.norm());
+            let rendered = (record.rendered_force.norm(), torque);
+            self.watch.hold(rendered == (0.0, 0.0), time, || format!("{rendered:?} of an arm that is turned"));
+        }
+        self.watch.seen.turn.fading += u64::from(turning && self.watch.gain > 0.0);
+    }
+
     /// Norm and growth of the force. Unloading is free; the growth is exceeded only by what the power bound takes.
-    fn force(&mut self, time: TickTime, record: &MasterRecord<N, R>) {
+    fn force(&mut self, time: TickTime, record: &MasterRecord<N, Feeling<R>>) {
         let last = std::mem::replace(&mut self.force, record.device_force);
         let force = self.force;
         let LimiterSettings { max_force_n, max_slew_n_per_s, .. } = self.limiter;
@@ -335,7 +453,12 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
 }
 
 impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
-    pub(crate) fn new(mut side: SlaveSide<Plant<P, N>, N, S>, drawn: &Drawn, sent: Option<Sent>) -> Self {
+    pub(crate) fn new(
+        mut side: SlaveSide<Plant<P, N>, N, S>,
+        drawn: &Drawn,
+        sent: Option<Sent>,
+        turning: Turning,
+    ) -> Self {
         if drawn.buttons.is_some() {
             side.exchange_mut().carry_buttons();
         }
@@ -345,8 +468,14 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
             bounds: drawn.bounds,
             home: None,
             command: None,
+            power_w: None,
+            reference_m: drawn.pose.as_ref().and_then(|pose| pose.reference_m),
             clock_ns: 0,
-            orientation: drawn.pose.as_ref().map(|pose| OrientationWatch::new(&pose.slave)),
+            orientation: drawn
+                .pose
+                .as_ref()
+                .map(|pose| OrientationWatch::new(&pose.slave, drawn.periods_ns[1] as f64 * 1e-9)),
+            turning,
             gripper: drawn.gripper.as_ref().map(GripperWatch::new),
         }
     }
@@ -355,28 +484,94 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
         self.watch.wrong.map_or(Ok(self.watch.seen), Err)
     }
 
-    /// `F_e·V + tau_e·w` of what it was given, over the time since the tick before.
-    fn energy(&mut self, record: &SlaveRecord<N, S>, elapsed_s: f64) {
+    /// `F_e·V + tau_e·w` of what it was given, over the time since the tick before: of the wrench about the tool point, as the
+    /// arm measures it, and of the twist there of a tool whose coupled point moves and turns as that which was written.
+    fn energy(&mut self, time: TickTime, record: &SlaveRecord<N, S>, elapsed_s: f64) {
         let plant = &self.side.plant;
-        let moving = plant.written.map_or(0.0, |[_, velocity]| record.environment_force.dot(&velocity));
-        let turning = record.rotation.rotation().zip(plant.turned);
-        let turning =
-            turning.map_or(0.0, |(rotation, (_, velocity))| rotation.environment_torque.dot(&velocity));
-        self.watch.energy.add(moving + turning, elapsed_s);
+        let [_, measured_velocity, force] = plant.sample;
+        let (measured, turned) = (plant.rotation(), plant.turned);
+        let by = self.reference_m.zip(measured).map(|(reference_m, measured)| measured.orientation * reference_m);
+        let moving = plant.written.map_or(0.0, |written| {
+            let ([_, velocity], _) = self.about(written, turned);
+            let round = by.zip(turned).map_or(Axes::zeros(), |(by, (_, w))| axes(w.cross(&by)));
+            force.dot(&(velocity - round))
+        });
+        let turning = measured.zip(turned).map_or(0.0, |(measured, (_, w))| measured.torque.dot(&w));
+        // What an arm touches while it is turned to the master is not felt.
+        let power_w = if record.state.is_coupled() { moving + turning } else { 0.0 };
+        self.watch.energy.add(power_w, elapsed_s);
+        self.power_w = measured.filter(|_| record.fault == 0).map(|measured| {
+            let (moving, w) = (force.dot(&measured_velocity), measured.angular_velocity);
+            let turning = measured.torque.dot(&w);
+            let most_round = by.map_or(0.0, |by| force.norm() * by.norm() * w.norm());
+            (moving + turning, moving.abs() + turning.abs() + most_round)
+        });
+    }
+
+    /// As measured, the power of a wrench is the same about any point of the tool. Of an arm that is turned to the master
+    /// there is none.
+    fn power(&mut self, time: LinkTime, frame: &Frame<N>) {
+        self.turning.sent(frame.sequence);
+        if self.turning.get() {
+            let torque = frame.rotation.map_or(0.0, |seen| seen.torque.norm());
+            let is_still = (frame.force.norm(), torque) == (0.0, 0.0);
+            return self.watch.hold(is_still, TickTime::at(time.tick_ns), || {
+                format!("sent {:?}, {torque} N m of an arm that is turned", frame.force)
+            });
+        }
+        let Some((power_w, most_w)) = self.power_w.take() else { return };
+        let turning = frame.rotation.map_or(0.0, |seen| seen.torque.dot(&seen.angular_velocity));
+        let sent_w = frame.force.dot(&frame.velocity) + turning;
+        self.watch.hold((sent_w - power_w).abs() <= ROUNDING * most_w, TickTime::at(time.tick_ns), || {
+            format!("sent of a wrench that does {sent_w} W, of {power_w} W at the tool")
+        });
+    }
+
+    /// Position and velocity of the coupled point, of what is written of the tool point and its rotation; and how far rounding
+    /// may have shifted the velocity, in m/s.
+    fn about(
+        &self,
+        [position, velocity]: [Axes<N>; 2],
+        turned: Option<(UnitQuaternion<f64>, Axes<3>)>,
+    ) -> ([Axes<N>; 2], f64) {
+        let Some((reference_m, (orientation, w))) = self.reference_m.zip(turned) else {
+            return ([position, velocity], 0.0);
+        };
+        let by = orientation * reference_m;
+        let round = axes(w.cross(&by));
+        ([position + axes(by), velocity + round], ROUNDING * round.norm())
     }
 
     /// What of its rotation is commanded.
-    fn turn(&mut self, time: TickTime, record: &SlaveRecord<N, S>, elapsed_s: f64, stops: bool) {
+    fn turn(
+        &mut self,
+        time: TickTime,
+        record: &SlaveRecord<N, S>,
+        elapsed_s: f64,
+        (stops, turns): (bool, bool),
+    ) {
         let (Some(orientation), Some(_)) = (&mut self.orientation, record.rotation.rotation()) else {
             return;
         };
         let (side, watch) = (&mut self.side, &mut self.watch);
-        if let Some(measured) = side.plant.rotation().filter(|_| !side.plant.is_broken(time.now_ns)) {
-            orientation.begin(measured.orientation);
+        let measured = side.plant.rotation().filter(|_| !side.plant.is_broken(time.now_ns));
+        let measured = measured.map(|measured| measured.orientation);
+        if let Some(measured) = measured {
+            orientation.begin(measured);
         }
-        let written = (side.plant.turned.take(), side.plant.written.is_some());
-        let command = side.endpoint.last_orientation();
-        orientation.tick(watch, time, elapsed_s, command, written, (stops, record.limited));
+        let newest = side.exchange().link().newest().and_then(|frame| frame.rotation);
+        let turn_tick = TurnTick {
+            command: side.endpoint.last_orientation(),
+            written: (side.plant.turned.take(), side.plant.written.is_some()),
+            measured,
+            target: newest.map(|master| watch.frame * master.orientation * watch.frame.inverse()),
+            stops,
+            limited: record.limited,
+            turns,
+        };
+        orientation.tick(watch, time, elapsed_s, &turn_tick);
+        let refuses = Reason::from_code(record.reason) == Some(Reason::TurnRefused);
+        watch.seen.turn.refused += u64::from(refuses);
         watch.seen.turn.speed_limited += u64::from(record.limited & 4 != 0);
         watch.seen.turn.turn_limited += u64::from(record.limited & 8 != 0);
         if let Some(wrong) = side.plant.wrong().filter(|wrong| wrong.is_none()) {
@@ -387,7 +582,17 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
     }
 
     /// What is commanded: nothing moves but while coupled, and then no faster and no further than it may.
-    fn command(&mut self, time: TickTime, elapsed_s: f64, stops: bool, limited: u8, was_coupled: bool) {
+    fn command(
+        &mut self,
+        time: TickTime,
+        elapsed_s: f64,
+        stops: bool,
+        record: &SlaveRecord<N, S>,
+        was_coupled: bool,
+        turned: Option<(UnitQuaternion<f64>, Axes<3>)>,
+    ) {
+        let limited = record.limited;
+        let measured = (!self.side.plant.is_broken(time.now_ns)).then_some(record.position);
         let state = self.watch.state;
         let command = self.side.endpoint.last_command();
         let before = std::mem::replace(&mut self.command, command);
@@ -396,16 +601,22 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
         let stopped = matches!(state, LadderState::Stop | LadderState::Fault);
         self.watch
             .hold(!(stopped && written.is_some()), time, || format!("written {written:?} in {state:?}"));
-        if let Some([position, velocity]) = written {
-            self.watch
-                .hold(Some(position) == command, time, || format!("{position:?} written, not {command:?}"));
-            let most = if state.is_coupled() { speed * (1.0 + ROUNDING) } else { 0.0 };
+        if let Some(written) = written {
+            let ([position, velocity], rounding) = self.about(written, turned);
+            let fits = match self.reference_m {
+                None => Some(position) == command,
+                Some(_) => command.is_some_and(|command| (position - command).norm() <= 1e-12),
+            };
+            self.watch.hold(fits, time, || format!("{position:?} written, not {command:?}"));
+            let most = if state.is_coupled() { speed * (1.0 + ROUNDING) } else { 0.0 } + rounding;
             self.watch
                 .hold(velocity.norm() <= most, time, || format!("velocity {} in {state:?}", velocity.norm()));
+            self.watch.seen.turn.about_a_point += u64::from(self.reference_m.is_some() && state.is_coupled());
         }
-        let has_engaged = self.watch.seen.engagements[1] > 0;
+        let has_engaged = self.watch.seen.engagements[1] > 0 || self.watch.seen.turn.aligning > 0;
         self.watch.hold(has_engaged || command.is_none(), time, || format!("{command:?} before it engaged"));
-        let Some((before, command)) = before.zip(command) else { return };
+        // The first goes on from where the arm is.
+        let Some((before, command)) = before.or(measured).zip(command) else { return };
         let step = (command - before).norm();
         if state.is_coupled() {
             let most = speed * elapsed_s * (1.0 + ROUNDING) + 1e-12;
@@ -425,7 +636,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
 }
 
 impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for Near<P, N, R> {
-    type Record = MasterRecord<N, R>;
+    type Record = MasterRecord<N, Feeling<R>>;
 
     fn begin(&mut self, now_ns: u64) {
         self.side.begin(now_ns);
@@ -438,7 +649,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for Near<P, N, R>
         taken
     }
 
-    fn tick(&mut self, time: TickTime) -> MasterRecord<N, R> {
+    fn tick(&mut self, time: TickTime) -> MasterRecord<N, Feeling<R>> {
         let released = act(&mut self.side, &mut self.watch, time);
         if let Some(read) = self.gripper.as_ref().and_then(|drawn| drawn.read_trigger(time.now_ns)) {
             self.side.trigger = Some(read);
@@ -450,8 +661,19 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for Near<P, N, R>
         self.watch.ladder(time, record.state, gain, holds, record.clutch);
         self.force(time, &record);
         self.turn(time, &record);
+        self.while_turned(time, &record);
         self.energy(time, &record);
         let stalled = std::mem::take(&mut self.stalled);
+        if let Some(finger) = &mut self.finger {
+            let tick = FingerTickSeen {
+                felt: self.side.felt().copied(),
+                recorded: record.rotation.finger,
+                position: record.trigger,
+                jaws: self.side.exchange().peer_gripper(),
+                stalled,
+            };
+            finger.tick(&mut self.watch, time, &tick);
+        }
         if let Some(buttons) = &mut self.buttons {
             if released {
                 buttons.release();
@@ -515,18 +737,23 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Side<N> for Far<P, N, S> {
         let record = self.side.tick(time);
         let ladder = self.side.exchange().ladder();
         let (gain, holds) = (ladder.gain(), ladder.holds());
+        let turns = ladder.turns();
         let before = self.watch.ladder(time, record.state, gain, holds, record.clutch);
         self.home.get_or_insert(record.position);
         let stopped = self.side.plant.stops - stops;
         let dead = |state| matches!(state, LadderState::Stop | LadderState::Fault);
-        let due = dead(record.state) && !dead(before) || before.is_coupled() && !record.state.is_coupled();
+        let turned = self.turning.replace(turns);
+        let (was_led, is_led) = (before.is_coupled() || turned, record.state.is_coupled() || turns);
+        let due = dead(record.state) && !dead(before) || was_led && !is_led;
+        self.watch.aligning(time, (turned, turns), record.clutch);
         self.watch.hold(stopped == u64::from(due), time, || format!("stopped {stopped} times, due {due}"));
         self.watch.seen.soft_stops += stopped;
         self.watch.seen.commands_limited += u64::from(record.limited != 0);
         let elapsed_s = (time.clock_ns - std::mem::replace(&mut self.clock_ns, time.clock_ns)) as f64 * 1e-9;
-        self.energy(&record, elapsed_s);
-        self.turn(time, &record, elapsed_s, stopped > 0);
-        self.command(time, elapsed_s, stopped > 0, record.limited, before.is_coupled());
+        self.energy(time, &record, elapsed_s);
+        let oriented = self.side.plant.turned;
+        self.turn(time, &record, elapsed_s, (stopped > 0, turns));
+        self.command(time, elapsed_s, stopped > 0, &record, before.is_coupled(), oriented);
         if let (Some(watch), Some(gripper)) = (&mut self.gripper, &self.side.gripper) {
             let trigger = self.side.exchange().peer_gripper().and_then(|state| state.position);
             watch.tick(&mut self.watch, time, gripper, trigger);
@@ -537,7 +764,9 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Side<N> for Far<P, N, S> {
     fn send<'a>(&mut self, time: LinkTime, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
         let layout = self.side.exchange().link().layout();
         let frame = self.side.send(time, buffer);
-        self.watch.send::<N>(time, frame, layout);
+        if let Some(frame) = self.watch.send::<N>(time, frame, layout) {
+            self.power(time, &frame);
+        }
         frame
     }
 
@@ -564,6 +793,9 @@ fn act<const N: usize>(side: &mut impl Side<N>, watch: &mut Watch, time: TickTim
     let due = watch.commands.iter().take_while(|(at_ns, _)| *at_ns <= time.now_ns).count();
     for (_, command) in watch.commands.drain(..due) {
         released |= command == OperatorCommand::Release;
+        if let OperatorCommand::Frame { quat_wxyz: [w, x, y, z], .. } = command {
+            watch.frame = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+        }
         let done = side.command(time.clock_ns, command);
         if done.is_err() {
             watch.wrong.get_or_insert_with(|| format!("{command:?}: {done:?}"));

@@ -2,7 +2,7 @@
 
 use haptether_bridge::{
     MasterRotation, MasterRotationSettings, SlaveRotationSettings, TickTime,
-    coupling::{RotationBounds, RotationLock},
+    coupling::{AlignmentSettings, RotationBounds, RotationLock},
 };
 use haptether_safety::{
     Acted, Axes, LimiterSettings, RotationModel,
@@ -21,6 +21,8 @@ const LEVER_M: f64 = 0.05;
 const ANGLE: f64 = 3e-8;
 /// That the bound on the angle acted on a command.
 const TURN: u8 = 8;
+/// How near in rad an arm that is turned to its master must be when the two engage.
+const ALIGNED: f64 = 0.01;
 
 /// What a sensor of rotation says that is out of order.
 #[derive(Clone, Copy, Debug)]
@@ -96,6 +98,8 @@ pub(crate) struct DrawnPose {
     pub(crate) lock: RotationLock,
     pub(crate) master: MasterRotationSettings,
     pub(crate) slave: SlaveRotationSettings,
+    /// The point of the tool that is coupled, in m from the tool point in the tool's frame.
+    pub(crate) reference_m: Option<Axes<3>>,
 }
 
 fn direction(n: &mut Numbers) -> Axes<3> {
@@ -109,7 +113,8 @@ fn orientation(n: &mut Numbers) -> UnitQuaternion<f64> {
 }
 
 impl DrawnPose {
-    pub(crate) fn draw(n: &mut Numbers, end_ns: u64) -> Self {
+    /// `align_ns` is how long a press waits.
+    pub(crate) fn draw(n: &mut Numbers, end_ns: u64, align_ns: u64) -> Self {
         let inertia_kg_m2 = n.real(1e-4, 2e-3);
         let mut at_s = 0.0;
         // About one axis beyond 2 pi, or about any.
@@ -161,7 +166,34 @@ impl DrawnPose {
             lock,
             master,
             slave: SlaveRotationSettings { rotation_scale, lock, bounds, alignment: None },
+            reference_m: n.chance(0.4).then(|| direction(n) * n.real(0.0, 0.3)),
         }
+        .aligned(n, align_ns)
+    }
+
+    /// Some of what can be turned to its master before the two engage is, and most of that within the time there is.
+    fn aligned(mut self, n: &mut Numbers, align_ns: u64) -> Self {
+        let speed = f64::min(n.one_of(&[0.5, 2.5, 10.0, 30.0]), self.slave.bounds.speed);
+        let max_angle = f64::min(n.one_of(&[0.2, 1.0, 3.1]), 0.7e-9 * speed * align_ns as f64);
+        // A link of 500 ms each way takes a second of it.
+        if self.lock != RotationLock::Free || align_ns <= 1000 * MS || !n.chance(0.5) {
+            return self;
+        }
+        self.slave.rotation_scale = 1.0;
+        self.slave.alignment = Some(AlignmentSettings { speed, max_angle });
+        if n.chance(0.9) {
+            // Most of them soon enough for the scene to go on.
+            let most = if n.chance(0.7) { f64::min(0.1 * speed, max_angle) } else { 1.2 * max_angle };
+            let off = direction(n) * n.real(0.0, most);
+            self.starts[0] = UnitQuaternion::from_scaled_axis(off) * self.starts[1];
+        }
+        if n.chance(0.7) {
+            // A hand that the arm can catch.
+            for (_, velocity) in &mut self.turns {
+                *velocity = velocity.cap_magnitude(0.3 * speed);
+            }
+        }
+        self
     }
 }
 
@@ -186,6 +218,16 @@ pub(crate) struct SeenTurn {
     pub(crate) speed_limited: u64,
     pub(crate) turn_limited: u64,
     pub(crate) faults: [u64; 2],
+    /// Ticks at which an arm was turned to its master, how often that ended with the two engaged, how often else, and
+    /// ticks at which it was refused.
+    pub(crate) aligning: u64,
+    pub(crate) aligned: u64,
+    pub(crate) cut: u64,
+    pub(crate) refused: u64,
+    /// Ticks at which the hand's force faded while the arm was turned: few press so soon.
+    pub(crate) fading: u64,
+    /// Ticks at which an arm was led at another point than its tool point.
+    pub(crate) about_a_point: u64,
 }
 
 impl SeenTurn {
@@ -200,11 +242,17 @@ impl SeenTurn {
             speed_limited: self.speed_limited + other.speed_limited,
             turn_limited: self.turn_limited + other.turn_limited,
             faults: std::array::from_fn(|side| self.faults[side] + other.faults[side]),
+            aligning: self.aligning + other.aligning,
+            aligned: self.aligned + other.aligned,
+            cut: self.cut + other.cut,
+            refused: self.refused + other.refused,
+            fading: self.fading + other.fading,
+            about_a_point: self.about_a_point + other.about_a_point,
         }
     }
 
     /// What a run of ten thousand scenes must have met.
-    pub(crate) fn all(&self) -> [u64; 11] {
+    pub(crate) fn all(&self) -> [u64; 16] {
         let Self { engagements: [near, far], faults: [near_faults, far_faults], .. } = *self;
         [
             near,
@@ -218,6 +266,11 @@ impl SeenTurn {
             self.turn_limited,
             near_faults,
             far_faults,
+            self.aligning,
+            self.aligned,
+            self.cut,
+            self.refused,
+            self.about_a_point,
         ]
     }
 }
@@ -254,7 +307,9 @@ impl TorqueWatch {
         let share = if squared > 0.0 { (last.dot(&torque) / squared).clamp(0.0, 1.0) } else { 0.0 };
         let (growth, most) = ((torque - last * share).norm(), slew * period_s);
         let by_power = record.acted & Acted::POWER.bits() != 0;
-        watch.hold(by_power || growth <= most * (1.0 + ROUNDING) + 1e-12, time, || {
+        // An orientation whose norm is off by up to 1e-9 scales what it turns by twice that.
+        let rounding = ROUNDING * (most + 2.0 * last.norm()) + 1e-12;
+        watch.hold(by_power || growth <= most + rounding, time, || {
             format!("growth of the torque {growth} > {most}")
         });
         let dead = watch.gain == 0.0;
@@ -279,20 +334,54 @@ impl TorqueWatch {
     }
 }
 
+/// What was the case at a tick of an arm that turns.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TurnTick {
+    /// What the endpoint commands.
+    pub(crate) command: Option<UnitQuaternion<f64>>,
+    /// What the arm was given, and whether it was given a position.
+    pub(crate) written: (Option<(UnitQuaternion<f64>, Axes<3>)>, bool),
+    /// As measured, if that can be.
+    pub(crate) measured: Option<UnitQuaternion<f64>>,
+    /// `C R_m C'` of the master's newest frame.
+    pub(crate) target: Option<UnitQuaternion<f64>>,
+    /// It came to rest elsewhere.
+    pub(crate) stops: bool,
+    /// Which bounds acted.
+    pub(crate) limited: u8,
+    /// It is being turned to the master.
+    pub(crate) turns: bool,
+}
+
 /// What a commanded orientation is held to.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OrientationWatch {
     bounds: RotationBounds,
     lock: RotationLock,
+    alignment: Option<AlignmentSettings>,
+    /// The longest time in s that one step of it makes up for.
+    max_step_s: f64,
     home: Option<UnitQuaternion<f64>>,
     command: Option<UnitQuaternion<f64>>,
     was_coupled: bool,
+    /// The bound on the angle has acted since the two engaged.
+    is_led_off: bool,
 }
 
 impl OrientationWatch {
-    pub(crate) fn new(settings: &SlaveRotationSettings) -> Self {
-        let SlaveRotationSettings { bounds, lock, .. } = *settings;
-        Self { bounds, lock, home: None, command: None, was_coupled: false }
+    pub(crate) fn new(settings: &SlaveRotationSettings, period_s: f64) -> Self {
+        let SlaveRotationSettings { bounds, lock, alignment, .. } = *settings;
+        let max_step_s = 2.0 * period_s;
+        Self {
+            bounds,
+            lock,
+            alignment,
+            max_step_s,
+            home: None,
+            command: None,
+            was_coupled: false,
+            is_led_off: false,
+        }
     }
 
     /// The arm stood so at its first sample that could be.
@@ -300,17 +389,8 @@ impl OrientationWatch {
         self.home.get_or_insert(measured);
     }
 
-    /// `command` is the endpoint's, `written` what the arm was given and whether it was given a position; `stops` that it came
-    /// to rest elsewhere, `limited` which bounds acted.
-    pub(crate) fn tick(
-        &mut self,
-        watch: &mut Watch,
-        time: TickTime,
-        elapsed_s: f64,
-        command: Option<UnitQuaternion<f64>>,
-        written: (Option<(UnitQuaternion<f64>, Axes<3>)>, bool),
-        (stops, limited): (bool, u8),
-    ) {
+    pub(crate) fn tick(&mut self, watch: &mut Watch, time: TickTime, elapsed_s: f64, turn_tick: &TurnTick) {
+        let TurnTick { command, written, measured, target, stops, limited, turns } = *turn_tick;
         let before = std::mem::replace(&mut self.command, command);
         let was_coupled = std::mem::replace(&mut self.was_coupled, watch.state.is_coupled());
         let (state, RotationBounds { speed, turn }) = (watch.state, self.bounds);
@@ -318,13 +398,33 @@ impl OrientationWatch {
         watch.hold(written.is_some() == moves, time, || format!("{written:?} beside a position"));
         if let Some((orientation, velocity)) = written {
             watch.hold(command == Some(orientation), time, || format!("{orientation:?}, not {command:?}"));
-            let most = if state.is_coupled() { speed * (1.0 + ROUNDING) } else { 0.0 };
+            let most = match self.alignment {
+                _ if state.is_coupled() => speed,
+                Some(alignment) if turns => alignment.speed,
+                _ => 0.0,
+            } * (1.0 + ROUNDING);
             watch.hold(velocity.norm() <= most, time, || format!("turns with {velocity:?} in {state:?}"));
             let norm = orientation.quaternion().norm();
             watch.hold((norm - 1.0).abs() <= 1e-9, time, || format!("commanded a norm of {norm}"));
         }
-        let Some((before, command)) = before.zip(command) else { return };
+        // The first goes on from where the arm is.
+        let Some((before, command)) = before.or(measured).zip(command) else { return };
         let step = angle(&before, &command);
+        // As far as it may be turned to the master within this tick, where the two are not engaged yet.
+        let aligns_by =
+            self.alignment.map_or(0.0, |alignment| alignment.speed * elapsed_s.min(self.max_step_s));
+        if let Some((alignment, target)) = self.alignment.zip(target) {
+            let (was_off, off) = (angle(&before, &target), angle(&command, &target));
+            let engages = state.is_coupled() && !was_coupled;
+            watch.hold(!engages || off <= ALIGNED + ANGLE, time, || format!("engaged {off} rad off the master"));
+            let from_home = |of| self.home.map_or(0.0, |home| angle(&home, of));
+            let (out, was_out) = (from_home(&target), from_home(&before));
+            let may = was_off <= alignment.max_angle + ANGLE && out <= turn + ANGLE;
+            watch.hold(!turns || may, time, || format!("turned from {was_off} off to {out} from the first"));
+            // From beyond the bound on its angle it is led back within that first.
+            let nears = off <= was_off + ANGLE || was_out > turn;
+            watch.hold(!turns || nears, time, || format!("turned from {was_off} to {off} off"));
+        }
         if state.is_coupled() {
             let most = speed * elapsed_s * (1.0 + ROUNDING) + ANGLE;
             watch.hold(step <= most, time, || format!("commanded turn {step} > {most} in {state:?}"));
@@ -333,9 +433,11 @@ impl OrientationWatch {
             let (out, was_out) = (from_home(&command), from_home(&before));
             let most = turn.max(was_out) + ANGLE;
             watch.hold(out <= most, time, || format!("commanded {out} rad from the first, beyond {turn}"));
-            let is_free = limited & TURN != 0;
+            // What the bound on the angle has led off the axis comes back to it, no faster than it may.
+            self.is_led_off = (self.is_led_off && was_coupled) || limited & TURN != 0;
+            let is_free = self.is_led_off;
             // Anchored where both are: what the hand did while they were apart leads nothing.
-            let jumps = !was_coupled && step > ANGLE;
+            let jumps = !was_coupled && step > aligns_by * (1.0 + ROUNDING) + ANGLE;
             watch.hold(is_free || !jumps, time, || format!("jumped by {step} when it engaged"));
             let way = (command * before.inverse()).scaled_axis();
             let off = match self.lock {
@@ -344,6 +446,9 @@ impl OrientationWatch {
                 RotationLock::Locked => step,
             };
             watch.hold(is_free || off <= ANGLE, time, || format!("turned by {way:?} with {:?}", self.lock));
+        } else if turns {
+            let most = aligns_by * (1.0 + ROUNDING) + ANGLE;
+            watch.hold(step <= most, time, || format!("turned by {step} > {most} in {state:?}"));
         } else if !stops {
             watch.hold(before == command, time, || format!("turned by {step} in {state:?}"));
         }

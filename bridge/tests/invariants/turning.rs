@@ -16,7 +16,11 @@ use haptether_slave::{
 };
 use nalgebra::{Unit, UnitQuaternion};
 
-use crate::{drawn::Drawn, turned::DrawnPose};
+use crate::{
+    drawn::Drawn,
+    spied::Turning,
+    turned::DrawnPose,
+};
 
 /// Of a driven arm that is no longer led, in rad/s².
 const ANGULAR_DECELERATION: f64 = 25.0;
@@ -118,6 +122,7 @@ pub(crate) struct DrivenArm {
     /// The angular velocity of that order, and whether the last was of a tick at which it was led.
     ordered_turn: Axes<3>,
     is_led: bool,
+    turning: Turning,
     past_s: [f64; 2],
     /// How fast it may be ordered in m/s and rad/s, what still brakes included.
     fastest: [f64; 2],
@@ -163,7 +168,8 @@ impl DrivenArm {
         let turn = rotation.map_or(Axes::zeros(), |(_, velocity)| velocity);
         let changed = (turn - std::mem::replace(&mut self.ordered_turn, turn)).norm();
         // Left alone it brakes evenly, and never at once.
-        let brakes = self.is_led || before.is_none() || changed <= ANGULAR_DECELERATION * over_s + 1e-6;
+        let is_led = self.is_led || self.turning.get();
+        let brakes = is_led || before.is_none() || changed <= ANGULAR_DECELERATION * over_s + 1e-6;
         let follows = before.zip(self.ordered).is_none_or(|((from, turned_from), (to, turned_to))| {
             let most = |of: usize| self.fastest[of] * over_s * (1.0 + 1e-6) + 1e-7;
             (to - from).norm() <= most(0) && turned_to.angle_to(&turned_from) <= most(1)
@@ -184,11 +190,14 @@ pub(crate) enum Arm {
 }
 
 impl Arm {
-    pub(crate) fn new(drawn: &Drawn, pose: &DrawnPose, complaint: Complaint) -> Self {
+    pub(crate) fn new(drawn: &Drawn, pose: &DrawnPose, complaint: Complaint, turning: Turning) -> Self {
         let [mass_kg, bandwidth_hz, speed] = drawn.arm;
         let ([stiffness, damping], start) = (drawn.wall, pose.starts[1]);
         let position = Axes::<3>::new(0.02, 0.0, 0.0);
         if !pose.is_modelled[1] {
+            let angular_speed = pose.slave.bounds.speed;
+            // Where the coupled point stays, the tool point goes round it.
+            let round = pose.reference_m.map_or(0.0, |reference_m| reference_m.norm() * angular_speed);
             let arm = DrivenSlave::new(5.0).unwrap();
             return Self::Driven(Box::new(DrivenArm {
                 arm,
@@ -201,12 +210,13 @@ impl Arm {
                 ordered: None,
                 ordered_turn: Axes::zeros(),
                 is_led: false,
+                turning,
                 past_s: [0.0; 2],
                 // By a clock that is set what is due at once is more.
                 fastest: if drawn.clocks[1].is_some() {
                     [f64::INFINITY; 2]
                 } else {
-                    [drawn.bounds.speed, pose.slave.bounds.speed]
+                    [drawn.bounds.speed + round, angular_speed]
                 },
                 complaint,
             }));
