@@ -1,7 +1,7 @@
 """An arm of servos on one bus: what a leader and a follower both stand on."""
 
 from haptether.dynamixel.arm.arm import ServoArm, Vector
-from haptether.dynamixel.arm.calibration import calibration_text, read_calibration
+from haptether.dynamixel.arm.calibration import calibration_text, read_calibration, write_calibration
 from haptether.dynamixel.arm.checks import ArmRefusedError
 from haptether.dynamixel.arm.faults import ArmFaultError, FaultKind
 from haptether.dynamixel.arm.grip import GripServo, GripSettings
@@ -19,4 +19,5 @@ __all__ = [
     "Vector",
     "calibration_text",
     "read_calibration",
+    "write_calibration",
 ]

@@ -1,6 +1,8 @@
 """The file of an arm: its rate, and of each servo how its angle becomes that of a joint."""
 
 import json
+import os
+import tempfile
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -65,6 +67,27 @@ def _settings(servo_id: int, fields: dict[str, object]) -> ServoSettings:
     modes = OperatingMode.CURRENT, OperatingMode.EXTENDED_POSITION
     mode = modes[0] if model is None or model.has_current_control else modes[1]
     return ServoSettings(servo_id=servo_id, mode=mode, **fields)  # type: ignore[arg-type]  # checked there
+
+
+def write_calibration(path: Path, baud: int, servos: tuple[ServoSettings, ...]) -> None:
+    """Writes the file of a rate and servos, and reads it again, before it takes the place of one that is there.
+
+    Raises:
+        OSError: It cannot be written; what was there stays.
+    """
+    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            file.write(calibration_text(baud, servos))
+            file.flush()
+            os.fsync(file.fileno())
+        read_calibration(Path(name))
+        # That of a temporary file is 0o600.
+        Path(name).chmod(0o644)
+        Path(name).replace(path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
 
 
 def calibration_text(baud: int, servos: tuple[ServoSettings, ...]) -> str:

@@ -13,7 +13,7 @@ from tests.dynamixel.emulated import EmulatedBus, emulated_bus
 from tests.ur.emulated import Emulated
 
 from haptether.dynamixel import DynamixelBus
-from haptether.dynamixel.arm import ServoSettings, calibration_text, read_calibration
+from haptether.dynamixel.arm import ServoSettings, read_calibration, write_calibration
 from haptether.dynamixel.arm.guide import FoundServo, calibrated
 
 pytestmark = pytest.mark.live
@@ -165,7 +165,7 @@ def test_nobody_there(emulated: EmulatedBus, tmp_path: Path) -> None:
 
 def test_find(emulated: EmulatedBus) -> None:
     command = [sys.executable, "-m", "haptether", "dynamixel", "find", emulated.port, "--ids", "2", "1", "9"]
-    found = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    found = subprocess.run(command, check=False, capture_output=True, text=True, timeout=PATIENCE_S)
     assert found.returncode == 0, found.stderr
     assert found.stdout.splitlines() == [
         "id 2: XL330-M288, firmware 52, 1000000 bit/s",
@@ -196,7 +196,7 @@ def test_a_file_comes_back(tmp_path: Path) -> None:
         ServoSettings(servo_id=2, model="XM430-W350", near_rad=0.5),
     )
     path = tmp_path / "arm.toml"
-    path.write_text(calibration_text(57_600, servos))
+    write_calibration(path, 57_600, servos)
     baud, found = read_calibration(path)
     assert baud == 57_600
     assert [(s.servo_id, s.model, s.sign, s.cap_a, s.near_rad) for s in found] == [
@@ -204,6 +204,23 @@ def test_a_file_comes_back(tmp_path: Path) -> None:
     ]  # fmt: skip
     assert found[0].offset_rad == 1.25
     assert (found[1].low_rad, found[1].high_rad) == pytest.approx((-math.pi, math.pi), abs=1e-4)
+
+
+def test_a_file_that_cannot_be_written_leaves_the_one_that_is_there(tmp_path: Path) -> None:
+    path = tmp_path / "arm.toml"
+    path.write_text("what was there")
+    with pytest.raises(ValueError, match="baud = 5"):
+        write_calibration(path, 5, (ServoSettings(servo_id=1, model="XM430-W350"),))
+    assert [file.name for file in tmp_path.iterdir()] == ["arm.toml"]
+    assert path.read_text() == "what was there"
+
+
+def test_where_the_file_cannot_be_the_arm_is_not_touched(tmp_path: Path) -> None:
+    path = tmp_path / "missing" / "arm.toml"
+    command = [sys.executable, "-m", "haptether", "dynamixel", "calibrate", str(tmp_path / "no-port"), str(path)]
+    said = subprocess.run(command, check=False, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert said.returncode == 2
+    assert f"{path}: its folder must be one that can be written to" in said.stderr
 
 
 def test_a_joint_of_several_turns_says_where_it_is_to_be() -> None:

@@ -47,10 +47,11 @@ class Calibrate:
     def run(self) -> int:
         """Asks step by step, and writes the file."""
         import math
+        import os
 
         from haptether.cli.dynamixel.asking import Person
         from haptether.dynamixel import DynamixelBus
-        from haptether.dynamixel.arm import calibration_text, read_calibration
+        from haptether.dynamixel.arm import write_calibration
         from haptether.dynamixel.arm.guide import Guide, calibrated
 
         if self.path.exists() and not self.force:
@@ -58,6 +59,9 @@ class Calibrate:
             raise ValueError(message)
         if not 0.0 <= self.margin <= 0.5:
             message = f"margin = {self.margin:g}: must be 0 to 0.5 rad"
+            raise ValueError(message)
+        if not (self.path.parent.is_dir() and os.access(self.path.parent, os.W_OK)):
+            message = f"{self.path}: its folder must be one that can be written to"
             raise ValueError(message)
         servos = self._servos()
         pose = self.pose or (0.0,) * len(servos)
@@ -81,8 +85,7 @@ class Calibrate:
         arm, left = calibrated(
             servos, pose, at_pose, signs, ranges, rounded=self.round, margin_rad=self.margin
         )  # fmt: skip
-        self.path.write_text(calibration_text(baud, arm), encoding="utf-8")
-        read_calibration(self.path)
+        write_calibration(self.path, baud, arm)
         for joint, one in enumerate(arm):
             self._print(joint, one, float(left[joint]))
         print(f"{self.path}: written; [slave.options] arm = {str(self.path)!r}")
