@@ -26,8 +26,7 @@ use drawn::{Control, Drawn};
 use gripped::DrawnGripper;
 use haptether_bridge::{
     Feeling, LadderState, MasterEndpoint, MasterPlant, MasterSettings, MasterSide, MasterTurn, SlaveEndpoint,
-    SlavePlant, SlaveSettings, SlaveSide, SlaveTurn, VirtualSettings, coupling::ReferencePoint,
-    run_virtual,
+    SlavePlant, SlaveSettings, SlaveSide, SlaveTurn, VirtualSettings, coupling::ReferencePoint, run_virtual,
 };
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, SimulatedMaster};
 use haptether_netsim::EndpointClock;

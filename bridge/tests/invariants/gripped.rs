@@ -350,7 +350,9 @@ impl FingerWatch {
         let share = self.share;
         let most_n = self.settings.force_scale * pressing_n * share * gain * (1.0 + ROUNDING);
         watch.hold((-most_n..=0.0).contains(&rendered_n), time, || {
-            format!("{rendered_n} N rendered to the finger of {jaws:?}, share {share}, gain {gain}, {state:?}")
+            format!(
+                "{rendered_n} N rendered to the finger of {jaws:?}, share {share}, gain {gain}, {state:?}"
+            )
         });
 
         let LimiterSettings { max_force_n, max_slew_n_per_s, .. } = self.settings.limiter;

@@ -185,7 +185,12 @@ impl Watch {
     }
 
     /// What a side sends is a frame, and its energies are those that were seen here.
-    fn send<const N: usize>(&mut self, time: LinkTime, frame: &[u8], layout: FrameLayout) -> Option<Frame<N>> {
+    fn send<const N: usize>(
+        &mut self,
+        time: LinkTime,
+        frame: &[u8],
+        layout: FrameLayout,
+    ) -> Option<Frame<N>> {
         let (tick, role) = (TickTime::at(time.tick_ns), [Role::Master, Role::Slave][self.side]);
         let decoded = Frame::<N>::decode(frame, role, layout);
         match &decoded {
@@ -423,7 +428,8 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
         if newest.is_some_and(|frame| self.turning.is_of(frame.sequence)) {
             let torque = record.rotation.rotation().map_or(0.0, |turn| turn.rendered_torque.norm());
             let rendered = (record.rendered_force.norm(), torque);
-            self.watch.hold(rendered == (0.0, 0.0), time, || format!("{rendered:?} of an arm that is turned"));
+            self.watch
+                .hold(rendered == (0.0, 0.0), time, || format!("{rendered:?} of an arm that is turned"));
         }
         self.watch.seen.turn.fading += u64::from(turning && self.watch.gain > 0.0);
     }
@@ -490,7 +496,8 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
         let plant = &self.side.plant;
         let [_, measured_velocity, force] = plant.sample;
         let (measured, turned) = (plant.rotation(), plant.turned);
-        let by = self.reference_m.zip(measured).map(|(reference_m, measured)| measured.orientation * reference_m);
+        let by =
+            self.reference_m.zip(measured).map(|(reference_m, measured)| measured.orientation * reference_m);
         let moving = plant.written.map_or(0.0, |written| {
             let ([_, velocity], _) = self.about(written, turned);
             let round = by.zip(turned).map_or(Axes::zeros(), |(by, (_, w))| axes(w.cross(&by)));

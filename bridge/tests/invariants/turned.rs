@@ -100,6 +100,8 @@ pub(crate) struct DrawnPose {
     pub(crate) slave: SlaveRotationSettings,
     /// The point of the tool that is coupled, in m from the tool point in the tool's frame.
     pub(crate) reference_m: Option<Axes<3>>,
+    /// Somebody turns the arm of a driver so, in rad, before it is led.
+    pub(crate) moved_rad: Option<Axes<3>>,
 }
 
 fn direction(n: &mut Numbers) -> Axes<3> {
@@ -167,6 +169,7 @@ impl DrawnPose {
             master,
             slave: SlaveRotationSettings { rotation_scale, lock, bounds, alignment: None },
             reference_m: n.chance(0.4).then(|| direction(n) * n.real(0.0, 0.3)),
+            moved_rad: None,
         }
         .aligned(n, align_ns)
     }
@@ -186,6 +189,13 @@ impl DrawnPose {
             let most = if n.chance(0.7) { f64::min(0.1 * speed, max_angle) } else { 1.2 * max_angle };
             let off = direction(n) * n.real(0.0, most);
             self.starts[0] = UnitQuaternion::from_scaled_axis(off) * self.starts[1];
+        }
+        if n.chance(0.15) {
+            // Beyond the bound on its angle, and the hand where the arm was.
+            self.slave.bounds.turn = 0.1;
+            self.is_modelled[1] = false;
+            self.moved_rad = Some(direction(n) * n.real(0.0, f64::min(0.9, max_angle)));
+            self.starts[0] = self.starts[1];
         }
         if n.chance(0.7) {
             // A hand that the arm can catch.
@@ -416,7 +426,9 @@ impl OrientationWatch {
         if let Some((alignment, target)) = self.alignment.zip(target) {
             let (was_off, off) = (angle(&before, &target), angle(&command, &target));
             let engages = state.is_coupled() && !was_coupled;
-            watch.hold(!engages || off <= ALIGNED + ANGLE, time, || format!("engaged {off} rad off the master"));
+            watch.hold(!engages || off <= ALIGNED + ANGLE, time, || {
+                format!("engaged {off} rad off the master")
+            });
             let from_home = |of| self.home.map_or(0.0, |home| angle(&home, of));
             let (out, was_out) = (from_home(&target), from_home(&before));
             let may = was_off <= alignment.max_angle + ANGLE && out <= turn + ANGLE;

@@ -16,11 +16,7 @@ use haptether_slave::{
 };
 use nalgebra::{Unit, UnitQuaternion};
 
-use crate::{
-    drawn::Drawn,
-    spied::Turning,
-    turned::DrawnPose,
-};
+use crate::{drawn::Drawn, spied::Turning, turned::DrawnPose};
 
 /// Of a driven arm that is no longer led, in rad/s².
 const ANGULAR_DECELERATION: f64 = 25.0;
@@ -124,6 +120,7 @@ pub(crate) struct DrivenArm {
     is_led: bool,
     turning: Turning,
     past_s: [f64; 2],
+    moved_rad: Option<Axes<3>>,
     /// How fast it may be ordered in m/s and rad/s, what still brakes included.
     fastest: [f64; 2],
     complaint: Complaint,
@@ -212,6 +209,7 @@ impl Arm {
                 is_led: false,
                 turning,
                 past_s: [0.0; 2],
+                moved_rad: pose.moved_rad,
                 // By a clock that is set what is due at once is more.
                 fastest: if drawn.clocks[1].is_some() {
                     [f64::INFINITY; 2]
@@ -288,6 +286,10 @@ impl SlavePlant<3> for Arm {
             let past_ns = now_ns - std::mem::replace(&mut driven.now_ns, now_ns);
             driven.past_s = [driven.past_s[1], past_ns.max(1) as f64 * 1e-9];
             driven.check();
+            if past_ns > 0 && *driven.arm.order() == SlaveOrder::Wait {
+                let by = driven.moved_rad.take().unwrap_or_default();
+                driven.orientation = turned(by, &driven.orientation);
+            }
             driven.follow(driven.past_s[1]);
         }
         self.plant().read(now_ns)
