@@ -87,9 +87,9 @@ pub(crate) struct Watch {
     closed_ns: Option<u64>,
     align_ns: u64,
     was_closed: bool,
-    /// The frame of the peer that it acts on: when it was taken, on the clock of the side, where the peer stands and whether
-    /// its clutch is closed.
-    heard: Option<(u64, LadderState, bool)>,
+    /// The frame of the peer that it acts on: when it was taken, on the clock of the side, where the peer stands, and whether
+    /// its clutch is closed and it hears this side.
+    heard: Option<(u64, LadderState, bool, bool)>,
     /// How long in ns of silence nobody moves by a frame: what leads to HOLD, and the longest interval that a peer may have.
     silent_ns: u64,
     /// C.
@@ -232,7 +232,7 @@ impl Watch {
             self.seen.authentic += 1;
         }
         let stands = LadderState::from_code(frame.state).unwrap_or(LadderState::Fault);
-        self.heard = Some((now_ns, stands, frame.clutch));
+        self.heard = Some((now_ns, stands, frame.clutch, frame.hears_peer));
         let newest = self.newest.replace((frame.run_id, frame.sequence));
         // In the clear, who repairs the checksum may well feign another session once the peer is silent.
         let may_change = self.sent.is_none();
@@ -308,8 +308,8 @@ impl Watch {
         let (state, waited_ns) = (self.state, self.closed_ns.map_or(u64::MAX, |since| time.clock_ns - since));
         let may = state == LadderState::Aligning && clutch && self.pressed && waited_ns <= self.align_ns;
         self.hold(!turns || may, time, || format!("turned in {state:?}, clutch {clutch}, {waited_ns} ns on"));
-        let is_led_there = self.heard.is_some_and(|(at_ns, stands, clutch)| {
-            clutch && stands.is_aligned() && time.clock_ns - at_ns <= self.silent_ns
+        let is_led_there = self.heard.is_some_and(|(at_ns, stands, clutch, hears)| {
+            clutch && hears && stands.is_aligned() && time.clock_ns - at_ns <= self.silent_ns
         });
         let heard = self.heard;
         self.hold(!turns || is_led_there, time, || format!("turned by {heard:?}"));
