@@ -492,7 +492,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
 
     /// `F_e·V + tau_e·w` of what it was given, over the time since the tick before: of the wrench about the tool point, as the
     /// arm measures it, and of the twist there of a tool whose coupled point moves and turns as that which was written.
-    fn energy(&mut self, time: TickTime, record: &SlaveRecord<N, S>, elapsed_s: f64) {
+    fn energy(&mut self, record: &SlaveRecord<N, S>, elapsed_s: f64) {
         let plant = &self.side.plant;
         let [_, measured_velocity, force] = plant.sample;
         let (measured, turned) = (plant.rotation(), plant.turned);
@@ -757,7 +757,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Side<N> for Far<P, N, S> {
         self.watch.seen.soft_stops += stopped;
         self.watch.seen.commands_limited += u64::from(record.limited != 0);
         let elapsed_s = (time.clock_ns - std::mem::replace(&mut self.clock_ns, time.clock_ns)) as f64 * 1e-9;
-        self.energy(time, &record, elapsed_s);
+        self.energy(&record, elapsed_s);
         let oriented = self.side.plant.turned;
         self.turn(time, &record, elapsed_s, (stopped > 0, turns));
         self.command(time, elapsed_s, stopped > 0, &record, before.is_coupled(), oriented);
