@@ -87,9 +87,9 @@ pub(crate) struct Watch {
     closed_ns: Option<u64>,
     align_ns: u64,
     was_closed: bool,
-    /// The frame of the peer that it acts on: when it was taken, on the clock of the side, where the peer stands and whether
-    /// its clutch is closed.
-    heard: Option<(u64, LadderState, bool)>,
+    /// The frame of the peer that it acts on: when it was taken, on the clock of the side, where the peer stands, and whether
+    /// its clutch is closed and it hears this side.
+    heard: Option<(u64, LadderState, bool, bool)>,
     /// How long in ns of silence nobody moves by a frame: what leads to HOLD, and the longest interval that a peer may have.
     silent_ns: u64,
     /// C.
@@ -232,7 +232,7 @@ impl Watch {
             self.seen.authentic += 1;
         }
         let stands = LadderState::from_code(frame.state).unwrap_or(LadderState::Fault);
-        self.heard = Some((now_ns, stands, frame.clutch));
+        self.heard = Some((now_ns, stands, frame.clutch, frame.hears_peer));
         let newest = self.newest.replace((frame.run_id, frame.sequence));
         // In the clear, who repairs the checksum may well feign another session once the peer is silent.
         let may_change = self.sent.is_none();
@@ -308,8 +308,8 @@ impl Watch {
         let (state, waited_ns) = (self.state, self.closed_ns.map_or(u64::MAX, |since| time.clock_ns - since));
         let may = state == LadderState::Aligning && clutch && self.pressed && waited_ns <= self.align_ns;
         self.hold(!turns || may, time, || format!("turned in {state:?}, clutch {clutch}, {waited_ns} ns on"));
-        let is_led_there = self.heard.is_some_and(|(at_ns, stands, clutch)| {
-            clutch && stands.is_aligned() && time.clock_ns - at_ns <= self.silent_ns
+        let is_led_there = self.heard.is_some_and(|(at_ns, stands, clutch, hears)| {
+            clutch && hears && stands.is_aligned() && time.clock_ns - at_ns <= self.silent_ns
         });
         let heard = self.heard;
         self.hold(!turns || is_led_there, time, || format!("turned by {heard:?}"));
@@ -492,7 +492,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
 
     /// `F_e·V + tau_e·w` of what it was given, over the time since the tick before: of the wrench about the tool point, as the
     /// arm measures it, and of the twist there of a tool whose coupled point moves and turns as that which was written.
-    fn energy(&mut self, time: TickTime, record: &SlaveRecord<N, S>, elapsed_s: f64) {
+    fn energy(&mut self, record: &SlaveRecord<N, S>, elapsed_s: f64) {
         let plant = &self.side.plant;
         let [_, measured_velocity, force] = plant.sample;
         let (measured, turned) = (plant.rotation(), plant.turned);
@@ -757,7 +757,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Side<N> for Far<P, N, S> {
         self.watch.seen.soft_stops += stopped;
         self.watch.seen.commands_limited += u64::from(record.limited != 0);
         let elapsed_s = (time.clock_ns - std::mem::replace(&mut self.clock_ns, time.clock_ns)) as f64 * 1e-9;
-        self.energy(time, &record, elapsed_s);
+        self.energy(&record, elapsed_s);
         let oriented = self.side.plant.turned;
         self.turn(time, &record, elapsed_s, (stopped > 0, turns));
         self.command(time, elapsed_s, stopped > 0, &record, before.is_coupled(), oriented);
