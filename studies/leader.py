@@ -124,6 +124,8 @@ def led_leader(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest", 
     links = ArmKinematics(arm).link_inertia([joint.start_rad for joint in arm.joints])
     options = [
         "master.driver=dynamixel", f"master.options.port={leader.port}", f"master.options.arm={LEADER}",
+        f"master.options.offsets={[joint.offset_rad for joint in leader.arm.joints]}",
+        f"master.options.signs={[joint.sign for joint in leader.arm.joints]}",
         f"master.options.kind={kind}", "run.period_s=0.004", *(f"master.options.{key}" for key in SLOW),
     ]  # fmt: skip
     if kind == "pose":

@@ -25,8 +25,8 @@ class DynamixelMaster:
     paces = False
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # checked by leader_options
-        self.options, described = leader_options(options)
-        self.arm = arm = with_unit(self.options, described)
+        self.options, self.arm = with_unit(*leader_options(options))
+        arm = self.arm
         self.kinds = (self.options.kind,)
         settings = arm_settings(self.options, arm)
         self.servos = ServoArm(settings)

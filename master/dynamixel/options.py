@@ -9,10 +9,11 @@ from msgspec import Meta
 
 from haptether.dynamixel import BAUD_RATES
 from haptether.dynamixel.arm import ArmSettings, ServoSettings, read_calibration
-from haptether.dynamixel.description import ArmDescription, load_arm
+from haptether.dynamixel.description import ArmDescription, Joint, arm_names, load_arm
 from haptether.options import converted, refused
 
 DRIVER: Final = "driver = dynamixel"
+DEFAULT_BAUD: Final = 4_000_000
 BEYOND_RAD: Final = 0.5
 """How far a trigger may be beyond its ends."""
 
@@ -26,14 +27,15 @@ class LeaderOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """A shipped description, or the path of one."""
     kind: Literal["joints", "pose"] = "joints"
     """That of the scene: angles of the joints, or place and orientation of the tool by forward kinematics."""
-    baud: int = 4_000_000
-    """In bit/s, as the servos are set."""
+    baud: int | None = None
+    """In bit/s, as the servos are set; by default that of the calibration, or 4 Mbit/s."""
     offsets: tuple[float, ...] | None = None
     """Angle of each joint's servo in rad where q is 0, of this unit; by default those of the description."""
     signs: tuple[Literal[-1, 1], ...] | None = None
     """Direction of each joint's servo; by default those of the description."""
     calibration: str | None = None
-    """File of this unit that `haptether dynamixel calibrate` wrote: signs and offsets of its servos, by their ids."""
+    """File of this unit that `haptether dynamixel calibrate` wrote: by the ids of its servos signs and offsets, limits
+    and caps beside those of the description; and its rate."""
     gravity_gain: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
     """Share of the described gravity that is compensated; by default 1 where the masses are known."""
     friction_gain: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.0
@@ -72,7 +74,7 @@ def leader_options(given: Mapping[str, Any]) -> tuple[LeaderOptions, ArmDescript
         arm = load_arm(options.arm)
     except ValueError as error:
         raise refused(DRIVER, "arm", options.arm, str(error)) from None
-    if options.baud not in BAUD_RATES:
+    if options.baud is not None and options.baud not in BAUD_RATES:
         raise refused(DRIVER, "baud", options.baud, f"must be one of {', '.join(map(str, BAUD_RATES))}")
     for key, values in (("offsets", options.offsets), ("signs", options.signs)):
         if values is not None and len(values) != len(arm.joints):
@@ -86,11 +88,23 @@ def leader_options(given: Mapping[str, Any]) -> tuple[LeaderOptions, ArmDescript
     for joint in (*arm.joints, *((arm.trigger,) if arm.trigger is not None else ())):
         if not joint.servo_model.has_current_control:
             raise refused(DRIVER, "arm", options.arm, f"servo {joint.servo}: a {joint.model} has no current control")
+    given_both = options.offsets is not None and options.signs is not None
+    if options.calibration is not None:
+        for key in ("offsets", "signs"):
+            if getattr(options, key) is not None:
+                raise refused(DRIVER, key, getattr(options, key), "must not be given where the calibration has them")
+    elif options.arm in arm_names() and not given_both:
+        # Weight, springs and the direction of each force go by where the zeros are.
+        text = (
+            "its zeros are of one build, not of this unit: give calibration, the file that `haptether dynamixel"
+            " calibrate` writes, or offsets and signs"
+        )
+        raise refused(DRIVER, "arm", options.arm, text)
     return options, arm
 
 
-def with_unit(options: LeaderOptions, arm: ArmDescription) -> ArmDescription:
-    """The description with the offsets and signs of this unit.
+def with_unit(options: LeaderOptions, arm: ArmDescription) -> tuple[LeaderOptions, ArmDescription]:
+    """The description with what is known of this unit: offsets and signs, closer limits and lower caps, and its rate.
 
     Raises:
         ValueError: A calibration that cannot be read, or that lacks a servo or has another model of it.
@@ -98,7 +112,7 @@ def with_unit(options: LeaderOptions, arm: ArmDescription) -> ArmDescription:
     joints = list(arm.joints)
     if options.calibration is not None:
         try:
-            _, servos = read_calibration(Path(options.calibration))
+            baud, servos = read_calibration(Path(options.calibration))
         except (OSError, ValueError) as error:
             raise refused(DRIVER, "calibration", options.calibration, str(error)) from None
         found = {servo.servo_id: servo for servo in servos}
@@ -108,14 +122,42 @@ def with_unit(options: LeaderOptions, arm: ArmDescription) -> ArmDescription:
                 seen = "lacks it" if servo is None else f"has it as a {servo.model}"
                 message = f"servo {joint.servo} must be a {joint.model}: the file {seen}"
                 raise refused(DRIVER, "calibration", options.calibration, message)
-            joints[index] = msgspec.structs.replace(joint, sign=servo.sign, offset_rad=servo.offset_rad)
+            joints[index] = _of_unit(options.calibration, joint, servo)
+        if options.baud not in {None, baud}:
+            message = f"must be {baud}, which {options.calibration} has"
+            raise refused(DRIVER, "baud", options.baud, message)
+        options = msgspec.structs.replace(options, baud=baud)
     if options.offsets is not None:
         joints = [
             msgspec.structs.replace(joint, offset_rad=at) for joint, at in zip(joints, options.offsets, strict=True)
         ]
     if options.signs is not None:
         joints = [msgspec.structs.replace(joint, sign=sign) for joint, sign in zip(joints, options.signs, strict=True)]
-    return msgspec.structs.replace(arm, joints=tuple(joints))
+    return options, msgspec.structs.replace(arm, joints=tuple(joints))
+
+
+def _of_unit(file: str, joint: Joint, servo: ServoSettings) -> Joint:
+    """A joint as it is described, with the servo that this unit has there.
+
+    Raises:
+        ValueError: Both cannot be.
+    """
+    if servo.shadows and servo.shadows != joint.shadows:
+        message = f"servo {servo.servo_id}: shadows {list(servo.shadows)}: the description has {list(joint.shadows)}"
+        raise refused(DRIVER, "calibration", file, message)
+    caps = [cap for cap in (joint.cap_a, servo.cap_a) if cap is not None]
+    try:
+        return msgspec.structs.replace(
+            joint,
+            sign=servo.sign,
+            offset_rad=servo.offset_rad,
+            low_rad=max(joint.low_rad, servo.low_rad),
+            high_rad=min(joint.high_rad, servo.high_rad),
+            cap_a=min(caps, default=None),
+        )
+    except ValueError as error:
+        message = f"servo {servo.servo_id}, with the limits of the description: {error}"
+        raise refused(DRIVER, "calibration", file, message) from None
 
 
 def arm_settings(options: LeaderOptions, arm: ArmDescription) -> ArmSettings:
@@ -142,7 +184,7 @@ def arm_settings(options: LeaderOptions, arm: ArmDescription) -> ArmSettings:
             )
         )
     return ArmSettings(
-        port=options.port, servos=tuple(servos), baud=options.baud, timeout_s=options.timeout_s,
+        port=options.port, servos=tuple(servos), baud=options.baud or DEFAULT_BAUD, timeout_s=options.timeout_s,
         watchdog_s=options.watchdog_s, lost_after_s=0.6 * options.watchdog_s, ramp_s=options.ramp_s,
         verify_watchdog=options.verify_watchdog,
     )  # fmt: skip

@@ -105,7 +105,7 @@ class Inverse3:
             message = f"{self._name}: it still connects from before: open it once that has ended"
             raise RuntimeError(message)
         self._ending.clear()
-        self._sample, self._fault, self._shown, self._fresh, self._braked = None, None, None, False, False
+        self._sample, self._fault, self._shown, self._fresh = None, None, None, False
         self._sent, self._added, self._mended, self._mending = [0.0, 0.0, 0.0], 0, None, None
         session = self._connected(Checklist(self._name))
         self._session, self._owed = session, 0
@@ -245,7 +245,6 @@ class Inverse3:
             self._latch(mended, anew=True)
             return
         self._session, self._owed = mended, 0
-        self._braked = False
         self._fault = "connected anew: acknowledge to go on"
 
     def _send(self, session: Session, force: Sequence[float]) -> None:
@@ -298,7 +297,10 @@ class Inverse3:
         if fault is not None:
             self._latch(fault)
         elif self._braked:
-            self._latch(f"{EBRAKE}: the emergency brake is still on: release it, acknowledge")
+            self._latch(
+                f"{EBRAKE}: the emergency brake is still on, or was when it was last heard of: release it (where it is"
+                " released, press it and release it), acknowledge"
+            )
 
     def _compare(self, device: InverseDevice) -> None:
         """Whether the service exerts more than it was sent: forces of several programs add."""

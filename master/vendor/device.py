@@ -173,14 +173,19 @@ class VendorDevice(ABC, Generic[Session]):
         self._take_reopened()
         session = self._session
         if session is None:
-            if self._lost is not None and self._halts < HALTS:
-                # It may be back by now, and exert what it was told last.
+            # Another thread takes it to release it.
+            lost = self._lost
+            if lost is not None and self._halts < HALTS:
+                # It may be back by now, and exert what it was sent last.
                 self._halts += 1
-                self._halt(self._lost)
+                self._halt(lost)
             if self.paces:
                 # Nobody else waits.
                 time.sleep(self.period_s or 1e-3)
             return self._faulty()
+        if self._fault is not None:
+            # The first time may have failed, and nothing is written while there is a fault.
+            self._halt(session)
         try:
             sample = self._measure(session)
         except LostError as error:

@@ -13,6 +13,8 @@ from haptether.slave.dynamixel.torque import JointTorque
 
 MAX_STEP_S: Final = 0.02
 """Of the speed limit, after a pause."""
+REST_LAG: Final = 0.05
+"""How far in rad beyond where it is a joint may be held at rest: what lifts its weight is a goal beyond it."""
 
 
 class DynamixelSlave:
@@ -132,13 +134,16 @@ class DynamixelSlave:
             self._written_s = now_s
         step = self.options.max_speed * min(now_s - self._written_s, MAX_STEP_S)
         self._written_s = now_s
-        self._goal = np.clip(wanted, self._goal - step, self._goal + step)
+        goal = np.clip(wanted, self._goal - step, self._goal + step)
+        lag = self.options.max_lag
+        self._goal = self._within(np.clip(goal, self._position - lag, self._position + lag))
         self.servos.write_positions(self._goal)
 
     def stop(self) -> None:
-        """Holds the joints where they were sent last, which no command was faster than its limit to reach."""
+        """Holds the joints where they are; what carries their weight, a goal that is a little beyond them, stays."""
         self._led = False
         if self._goal is not None and self.servos.fault is None:
+            self._goal = self._within(np.clip(self._goal, self._position - REST_LAG, self._position + REST_LAG))
             self.servos.write_positions(self._goal)
 
     def acknowledge(self) -> None:

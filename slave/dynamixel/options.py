@@ -35,6 +35,8 @@ class DynamixelSlaveOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_un
     """Fastest that a joint is sent."""
     max_jump: Annotated[float, Meta(gt=0.0, le=0.5, extra={"unit": "rad"})] = 0.1
     """How far from the joints a first command may be."""
+    max_lag: Annotated[float, Meta(ge=0.05, le=1.0, extra={"unit": "rad"})] = 0.3
+    """How far a joint is sent beyond where it is: so far it springs when what blocked it gives way."""
     start: Literal["refuse", "ramp"] = "refuse"
     """What a first command does that is further: it is a fault, or the joints go there at `max_speed`."""
     torque_constant: tuple[Annotated[float, Meta(gt=0.0, le=20.0, extra={"unit": "N m/A"})], ...] = ()

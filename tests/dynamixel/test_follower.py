@@ -126,6 +126,34 @@ def test_joints_follow_within_limits_and_speed(emulated: EmulatedBus, tmp_path: 
         assert driver.read().fault is None
 
 
+def test_what_blocks_a_joint_lets_it_go_no_further_than_its_lag(emulated: EmulatedBus, tmp_path: Path) -> None:
+    with opened(emulated, tmp_path, max_speed=2.0, max_jump=0.5, start="ramp", max_lag=0.2) as driver:
+
+        def pressed(seconds: float) -> float:
+            end = time.monotonic() + seconds
+            while time.monotonic() < end:
+                driver.read()
+                driver.write((1.5, 0.0), (0.0, 0.0))
+            return float(driver.read().position[0])  # type: ignore[index]
+
+        def freed() -> float:
+            emulated.do("stops 1 off")
+            time.sleep(0.3)
+            return float(driver.read().position[0])  # type: ignore[index]
+
+        led(driver, (0.3, 0.0), near((0.3, 0.0)))
+        emulated.do("stops 1 -1 0.4")
+        # For much longer than the way to the goal takes.
+        blocked = pressed(1.5)
+        assert blocked == pytest.approx(0.4, abs=0.02)
+        # Nothing new is commanded: the lag, and what the servo overshoots of it.
+        assert freed() == pytest.approx(blocked + 0.2, abs=0.04)
+        emulated.do("stops 1 -1 0.7")
+        blocked = pressed(0.5)
+        driver.stop()
+        assert freed() == pytest.approx(blocked + 0.05, abs=0.04)
+
+
 def test_a_first_command_far_away_is_refused(emulated: EmulatedBus, tmp_path: Path) -> None:
     with opened(emulated, tmp_path) as driver:
         led(driver, (0.35, 0.0), near((0.35, 0.0)))

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.dynamixel.emulated import EmulatedBus, emulated_bus
@@ -15,6 +16,7 @@ from tests.dynamixel.test_arm import TIMEOUT_S, arm_of, opened, refused, torques
 from haptether.dynamixel import DynamixelBus
 from haptether.dynamixel.arm import ArmRefusedError, ArmSettings, FaultKind, ServoArm, ServoSettings, read_calibration
 from haptether.dynamixel.arm.calibration import calibration_text
+from haptether.dynamixel.description import load_arm
 
 pytestmark = pytest.mark.live
 
@@ -158,7 +160,9 @@ def test_a_described_arm_with_shadows_is_opened_with_them() -> None:
     with emulated_bus("--arm", "aloha-wx250s") as bus:
         for servo in bus.status()["servos"]:
             bus.do(f"hand {servo['id']} {servo['position_rad']} 40 1")
-        leader = DynamixelMaster(port=bus.port, arm="aloha-wx250s", watchdog_s=0.5, timeout_s=0.1)
+        joints = load_arm("aloha-wx250s").joints
+        unit: dict[str, Any] = {"offsets": [0.0] * len(joints), "signs": [joint.sign for joint in joints]}
+        leader = DynamixelMaster(port=bus.port, arm="aloha-wx250s", watchdog_s=0.5, timeout_s=0.1, **unit)
         try:
             leader.open()
             servos = {servo["id"]: servo["torque"] for servo in bus.status()["servos"]}

@@ -400,6 +400,21 @@ def test_a_call_that_fails_once_is_a_fault_and_what_is_lost_is_opened_anew(
         assert dhd.get("open") == 1
 
 
+def test_a_stop_that_fails_is_tried_again(dhd: Standin) -> None:
+    with opened(dhd) as driver:
+        step(driver, (0.5, 0.0, 0.0), 10)
+        # A stall of the bus: neither the position nor the stop gets through, and the connection stays.
+        dhd.fail("dhdGetPosition", 7)
+        dhd.fail("dhdStop", 7, 3)
+        assert until(driver, lambda sample: sample.fault is not None, (0.5, 0.0, 0.0)).fault is not None
+        step(driver, (0.5, 0.0, 0.0), 5)
+        assert dhd.force() == REST
+        # Once it has got through it is not said again.
+        before = dhd.calls().count("dhdStop()")
+        step(driver, (0.5, 0.0, 0.0), 5)
+        assert dhd.calls().count("dhdStop()") == before
+
+
 def test_an_unplugged_device_is_not_taken_for_one_that_is_there(dhd: Standin) -> None:
     with opened(dhd) as driver:
         step(driver, (0.5, 0.0, 0.0), 5)

@@ -276,6 +276,25 @@ def test_a_brake_that_is_still_on_is_a_fault_again(service: EmulatedInverse) -> 
         assert "still on" in sample.fault
 
 
+def test_a_brake_outlasts_the_connection(service: EmulatedInverse) -> None:
+    with opened(service) as driver:
+        service.do("ebrake on")
+        until(driver, lambda sample: sample.fault is not None)
+        service.do("disconnect")
+        until(driver, lambda sample: "acknowledge to connect anew" in str(sample.fault))
+        driver.acknowledge()
+        until(driver, lambda sample: "connected anew" in str(sample.fault))
+        driver.acknowledge()
+        sample = step(driver, (2.0, 0.0, 0.0), ticks=5)
+        assert "the emergency brake is still on" in str(sample.fault)
+        assert service.status()["commanded"] == [0.0, 0.0, 0.0]
+        service.do("ebrake off")
+        time.sleep(0.05)
+        step(driver)
+        driver.acknowledge()
+        assert step(driver, ticks=5).fault is None
+
+
 def test_a_reply_that_does_not_come_holds_the_loop_for_less_than_20_ms(service: EmulatedInverse) -> None:
     taken = []
     for _ in range(5):

@@ -235,9 +235,47 @@ def test_a_calibration_has_signs_and_offsets_of_a_unit(tmp_path: Path) -> None:
 
 
 def test_an_arm_without_masses_is_not_compensated() -> None:
-    leader = DynamixelMaster(port="x", arm="koch-v1-1")
+    unit: dict[str, Any] = {"port": "x", "offsets": [0.0] * 5, "signs": [1] * 5}
+    leader = DynamixelMaster(arm="koch-v1-1", **unit)
     assert leader.compensation.gravity_gain == 0.0
-    assert DynamixelMaster(port="x", arm="factr").compensation.gravity_gain == 1.0
+    count = len(load_arm("factr").joints)
+    unit = {"port": "x", "offsets": [0.0] * count, "signs": [1] * count}
+    assert DynamixelMaster(arm="factr", **unit).compensation.gravity_gain == 1.0
+
+
+@pytest.mark.parametrize("more", [{}, {"offsets": [0.0] * 6}, {"signs": [1] * 6}, {"gravity_gain": 0.0}])
+def test_a_shipped_arm_whose_zeros_are_not_known_is_refused(more: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="its zeros are of one build, not of this unit: give calibration"):
+        DynamixelMaster(port="x", arm="gello-ur", **more)
+
+
+def test_a_calibration_holds_beside_the_description(tmp_path: Path) -> None:
+    file = tmp_path / "unit.toml"
+    arm = load_arm("gello-ur")
+
+    def written(low: float, high: float, more: str = "") -> dict[str, Any]:
+        servos = [
+            f'[[servo]]\nid = {joint.servo}\nmodel = "{joint.model}"\ncap_a = 0.1\n'
+            f"low_rad = {low}\nhigh_rad = {high}\n{more}"
+            for joint in arm.joints
+        ]
+        file.write_text("baud = 57600\n" + "".join(servos))
+        return {"port": "x", "arm": "gello-ur", "calibration": str(file)}
+
+    leader = DynamixelMaster(**written(-2.0, 2.0))
+    assert leader.servos.settings.baud == 57_600
+    for joint, described, servo in zip(leader.arm.joints, arm.joints, leader.servos.settings.servos, strict=False):
+        assert joint.low_rad == max(described.low_rad, -2.0)
+        assert joint.high_rad == min(described.high_rad, 2.0)
+        assert joint.cap_a == servo.cap_a == 0.1
+    with pytest.raises(ValueError, match="must not be given where the calibration has them"):
+        DynamixelMaster(**written(-2.0, 2.0), offsets=[0.0] * 6)
+    with pytest.raises(ValueError, match=r"baud = 1000000: must be 57600"):
+        DynamixelMaster(**written(-2.0, 2.0), baud=1_000_000)
+    with pytest.raises(ValueError, match="servo 1, with the limits of the description"):
+        DynamixelMaster(**written(-20.0, -19.0))
+    with pytest.raises(ValueError, match=r"servo 1: shadows \[11\]: the description has"):
+        DynamixelMaster(**written(-2.0, 2.0, "shadows = [11]\n"))
 
 
 def test_the_model_of_the_device_comes_from_the_description(two: Path) -> None:

@@ -19,8 +19,10 @@ typedef unsigned int uint;
 static __thread int last_error;
 static double position[3], velocity[3], commanded[7], compensation, gap, gap_velocity, advanced_s, last_force_s;
 static double earlier[3], earlier_s;
-static char failing[64];
-static int failures, failure_error;
+static struct {
+    char name[64];
+    int times, error;
+} failing[4];
 
 static void defaults(void) {
     set_all("devices=1;type=35;watchdog_slack=1;serial=1234;power=1;connected=1;started=1;wrist_started=1;mass=0.2;hand_k=200;hand_b=8;"
@@ -31,7 +33,7 @@ static void defaults(void) {
     compensation = gap_velocity = 0.0;
     gap = 0.03;
     advanced_s = now_s();
-    failures = 0;
+    memset(failing, 0, sizeof failing);
 }
 
 static bool is(int a, int b, int c, int d) {
@@ -83,10 +85,11 @@ static int fail(int error) {
 /* Begins a call: 0, or -1 with its error. */
 static int begin(const char *name, char id) {
     advance();
-    if (failures > 0 && !strcmp(failing, name)) {
-        failures--;
-        return fail(failure_error);
-    }
+    for (size_t i = 0; i < sizeof failing / sizeof *failing; i++)
+        if (failing[i].times > 0 && !strcmp(failing[i].name, name)) {
+            failing[i].times--;
+            return fail(failing[i].error);
+        }
     if (!N("open") || (id != 0 && id != -1)) return fail(15);
     return N("connected") ? 0 : fail(2);
 }
@@ -102,9 +105,13 @@ static int begin(const char *name, char id) {
 /* The next calls of a function fail. */
 void standin_fail(const char *name, int error, int times) {
     pthread_mutex_lock(&lock);
-    snprintf(failing, sizeof failing, "%s", name);
-    failure_error = error;
-    failures = times;
+    for (size_t i = 0; i < sizeof failing / sizeof *failing; i++)
+        if (failing[i].times <= 0) {
+            snprintf(failing[i].name, sizeof failing[i].name, "%s", name);
+            failing[i].error = error;
+            failing[i].times = times;
+            break;
+        }
     pthread_mutex_unlock(&lock);
 }
 
