@@ -51,7 +51,14 @@ coulomb = {coulomb}    # N m
 friction = "axis"
 encoder_quantum = 1.5339808e-3 # rad
 driver = "dynamixel"
-options = {{ port = "{leader}", arm = "{arm}", timeout_s = 0.1, watchdog_s = 0.5 }}
+
+[master.options]
+port = "{leader}"
+arm = "{arm}"
+offsets = {offsets} # rad: the emulated unit is as it is described
+signs = {signs}
+timeout_s = 0.1
+watchdog_s = 0.5
 
 [master.gripper]
 travel_m = {travel}
@@ -297,6 +304,8 @@ def scene_text(scene: FollowScene, controller: str, arm: ArmDescription, ports: 
     finger = JointSettings.of(trigger.servo_model)
     loads = [servo.joint.settings for servo in servos_of(arm, baud=4_000_000, firmware=52)][: len(arm.joints)]
     return SCENE.format(
+        offsets=[joint.offset_rad for joint in arm.joints],
+        signs=[joint.sign for joint in arm.joints],
         duration_s=scene.duration_s,
         axes=len(arm.joints),
         mass=[round(load.inertia, 6) for load in loads],
