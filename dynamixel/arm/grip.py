@@ -173,7 +173,10 @@ class GripServo:
         registers["Bus Watchdog"] = 0
         if registers["Torque Enable"]:
             self._goal_ticks = registers["Goal Position"]
-            self._cap_units = min(abs(registers["Goal Current"]), self._units_of(self.settings.servo.current_cap_a))
+            pressing = abs(registers["Goal Current"])
+            self._cap_units = min(pressing, self._units_of(self.settings.servo.current_cap_a))
+            if pressing > self._cap_units:
+                registers["Goal Current"] = self._cap_units
             self._speed_units = registers["Profile Velocity"]
         else:
             self._cap_units = self._units_of(self.settings.servo.current_cap_a)

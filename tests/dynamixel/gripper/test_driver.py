@@ -153,6 +153,18 @@ def test_it_keeps_its_grip_through_the_end_and_the_next_begin(emulated: Emulated
     assert pressing(emulated) == pytest.approx(0.282, abs=0.01)
 
 
+def test_a_grip_that_is_stronger_than_the_cap_is_let_down_to_it(emulated: EmulatedBus, tmp_path: Path) -> None:
+    with opened(emulated, tmp_path) as pair:
+        pair.until(grips, CLOSE)
+    pair = Pair(emulated.port, tmp_path / "arm.toml", cap_a=0.1)
+    try:
+        # Before anything is commanded.
+        time.sleep(0.1)
+        assert pressing(emulated) == pytest.approx(0.1, abs=0.01)
+    finally:
+        pair.close()
+
+
 def test_an_arm_that_is_refused_leaves_it_its_grip(emulated: EmulatedBus, tmp_path: Path) -> None:
     with opened(emulated, tmp_path) as pair:
         pair.until(grips, CLOSE)
