@@ -382,11 +382,11 @@ class ServoArm:
 
     def _check(self, checklist: Checklist) -> None:
         settings, bus = self.settings, self._opened
-        firmware = check_present(bus, self._every, checklist)
+        firmware = check_present(bus, self._every, checklist, self._go_on)
         if not firmware and not any("model" in line for line in checklist.refused):
             bus.close()
             self._bus = None
-            if (rate := answering_rate(settings)) is not None:
+            if (rate := answering_rate(settings, self._go_on)) is not None:
                 checklist.refuse("baud", f"servos answer at {rate} bit/s", f"set baud = {rate}, or address 8 of each")
             return
         for servo, obeys in (*((servo, None) for servo in settings.servos), *settings.shadows):

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -61,8 +62,8 @@ def check_port(port: str, checklist: Checklist, system: Path = SYSTEM) -> None:
     )  # fmt: skip
 
 
-def answering_rate(settings: ArmSettings) -> int | None:
-    """Another rate at which a servo of the arm answers; none found: none."""
+def answering_rate(settings: ArmSettings, go_on: Callable[[], None]) -> int | None:
+    """Another rate at which a servo of the arm answers; none found: none. `go_on` is called before each, may raise."""
     for baud in BAUD_RATES:
         if baud == settings.baud:
             continue
@@ -70,6 +71,7 @@ def answering_rate(settings: ArmSettings) -> int | None:
         try:
             bus = DynamixelBus(settings.port, baud=baud, timeout_s=settings.timeout_s)
             for servo in settings.servos:
+                go_on()
                 with contextlib.suppress(TimeoutError, RuntimeError):
                     bus.ping(servo.servo_id)
                     return baud
@@ -81,14 +83,19 @@ def answering_rate(settings: ArmSettings) -> int | None:
     return None
 
 
-def check_present(bus: DynamixelBus, settings: ArmSettings, checklist: Checklist) -> dict[int, int]:
+def check_present(
+    bus: DynamixelBus, settings: ArmSettings, checklist: Checklist, go_on: Callable[[], None]
+) -> dict[int, int]:
     """Whether the servos are there and are those that are named; firmware of each that is, by id.
+
+    `go_on` is called before each, and may raise.
 
     Raises:
         OSError: The port is gone.
     """
     found = {}
     for servo in (*settings.servos, *(shadow for shadow, _ in settings.shadows)):
+        go_on()
         what = f"servo {servo.servo_id}"
         try:
             number, firmware = bus.ping(servo.servo_id)

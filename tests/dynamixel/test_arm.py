@@ -394,6 +394,31 @@ def test_the_end_says_who_keeps_torque(emulated: EmulatedBus) -> None:
     until(lambda: torques(emulated) == [False] * 3)
 
 
+def test_closing_does_not_wait_for_servos_that_are_silent() -> None:
+    near, far = os.openpty()
+    arm = arm_of(os.ttyname(far), timeout_s=0.1)
+    refusals: list[str] = []
+
+    def run() -> None:
+        try:
+            arm.open()
+        except ArmRefusedError as error:
+            refusals.append(str(error))
+
+    try:
+        opening = threading.Thread(target=run)
+        opening.start()
+        # It has begun to ask, and has three servos and seven rates before it.
+        assert os.read(near, 1)
+        arm.close()
+        opening.join(PATIENCE_S)
+        assert not opening.is_alive()
+        assert "closed before it was open" in refusals[0]
+    finally:
+        os.close(near)
+        os.close(far)
+
+
 def test_an_arm_that_is_closed_while_it_opens_has_no_torque(emulated: EmulatedBus) -> None:
     arm = arm_of(emulated.port, verify_watchdog=True, watchdog_s=2.0)
     refusals = []
