@@ -70,10 +70,11 @@ def _settings(servo_id: int, fields: dict[str, object]) -> ServoSettings:
 
 
 def write_calibration(path: Path, baud: int, servos: tuple[ServoSettings, ...]) -> None:
-    """Writes the file of a rate and servos, and reads it again, before it takes the place of one that is there.
+    """Writes the file of a rate in bit/s and servos, and reads it, before it takes the place of one that is there.
 
     Raises:
         OSError: It cannot be written; what was there stays.
+        ValueError: It would be none that can be read; likewise.
     """
     descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:

@@ -24,15 +24,15 @@ class LeaderOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     port: str
     """Such as /dev/serial/by-id/usb-FTDI_..."""
     arm: str
-    """A shipped description, or the path of one."""
+    """A shipped description, which needs `calibration`, or `offsets` and `signs`; or the path of one."""
     kind: Literal["joints", "pose"] = "joints"
     """That of the scene: angles of the joints, or place and orientation of the tool by forward kinematics."""
     baud: int | None = None
     """In bit/s, as the servos are set; by default that of the calibration, or 4 Mbit/s."""
     offsets: tuple[float, ...] | None = None
-    """Angle of each joint's servo in rad where q is 0, of this unit; by default those of the description."""
+    """Angle of each joint's servo in rad where q is 0, of this unit; by default those of a description of your own."""
     signs: tuple[Literal[-1, 1], ...] | None = None
-    """Direction of each joint's servo; by default those of the description."""
+    """Direction of each joint's servo; by default those of a description of your own."""
     calibration: str | None = None
     """File of this unit that `haptether dynamixel calibrate` wrote: by the ids of its servos signs and offsets, limits
     and caps beside those of the description; and its rate."""

@@ -165,7 +165,7 @@ def test_nobody_there(emulated: EmulatedBus, tmp_path: Path) -> None:
 
 def test_find(emulated: EmulatedBus) -> None:
     command = [sys.executable, "-m", "haptether", "dynamixel", "find", emulated.port, "--ids", "2", "1", "9"]
-    found = subprocess.run(command, check=False, capture_output=True, text=True, timeout=PATIENCE_S)
+    found = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert found.returncode == 0, found.stderr
     assert found.stdout.splitlines() == [
         "id 2: XL330-M288, firmware 52, 1000000 bit/s",

@@ -134,12 +134,12 @@ def test_what_blocks_a_joint_lets_it_go_no_further_than_its_lag(emulated: Emulat
             while time.monotonic() < end:
                 driver.read()
                 driver.write((1.5, 0.0), (0.0, 0.0))
-            return float(driver.read().position[0])  # type: ignore[index]
+            return float(emulated.servo(1)["position_rad"])
 
         def freed() -> float:
             emulated.do("stops 1 off")
             time.sleep(0.3)
-            return float(driver.read().position[0])  # type: ignore[index]
+            return float(emulated.servo(1)["position_rad"])
 
         led(driver, (0.3, 0.0), near((0.3, 0.0)))
         emulated.do("stops 1 -1 0.4")

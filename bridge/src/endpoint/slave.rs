@@ -78,6 +78,7 @@ pub struct SlaveTick<const N: usize> {
     pub fault: Option<Fault>,
 }
 
+/// Takes force and torque out of what the next frame says.
 fn without_wrench<const N: usize>(outgoing: &mut PortState<N>) {
     outgoing.force = Axes::zeros();
     if let Some(rotation) = &mut outgoing.rotation {
