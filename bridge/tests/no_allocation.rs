@@ -10,7 +10,7 @@ use haptether_bridge::{
     Clutch, HeldTrigger, LadderSettings, LadderState, LedGripper, LinkTime, MasterEndpoint,
     MasterRotationSettings, MasterSettings, MasterSide, Side, SlaveEndpoint, SlaveRotationSettings,
     SlaveSettings, SlaveSide, TickTime, Trigger, TriggerSettings, TurningMaster,
-    coupling::{CommandBounds, RotationBounds, RotationLock},
+    coupling::{AlignmentSettings, CommandBounds, RotationBounds, RotationLock},
     session::{Incoming, MAX_DATAGRAM, PreSharedKey, Received, SessionEnd, SessionSettings, SystemEntropy},
     wire::{MAX_FRAME, Role},
 };
@@ -220,7 +220,8 @@ fn turning_master() -> TurningMaster<SimulatedMaster<3>> {
 }
 
 /// A tool with a body between its jaws, and a handle beside it.
-fn holding_tool() -> SimulatedTool {
+fn holding_tool(turned_rad: f64) -> SimulatedTool {
+    let turned = 0.5 * turned_rad;
     let arm = ArmSettings {
         control: ControlKind::Pd,
         mass_kg: 0.5,
@@ -240,7 +241,7 @@ fn holding_tool() -> SimulatedTool {
         rotational_stiffness: 3.6,
         rotational_damping: 0.12,
         max_angular_speed: None,
-        quat_wxyz: [1.0, 0.0, 0.0, 0.0],
+        quat_wxyz: [turned.cos(), 0.0, 0.0, turned.sin()],
         points: vec![[0.0; 3]],
         jaw_width_m: 0.08,
         jaw_friction: 0.5,
@@ -275,6 +276,15 @@ fn holding_tool() -> SimulatedTool {
 
 #[test]
 fn a_tick_of_two_poses_with_a_gripper_allocates_nothing() {
+    poses_allocate_nothing(None);
+}
+
+#[test]
+fn a_tick_of_an_arm_that_is_aligned_first_allocates_nothing() {
+    poses_allocate_nothing(Some(AlignmentSettings { speed: 0.5, max_angle: 1.0 }));
+}
+
+fn poses_allocate_nothing(alignment: Option<AlignmentSettings>) {
     let safety = SafetySettings { controllers: ControllerKind::ALL.into(), ..SafetySettings::default() };
     let settings = MasterSettings {
         period_ns: MS,
@@ -308,24 +318,25 @@ fn a_tick_of_two_poses_with_a_gripper_allocates_nothing() {
         ladder: LadderSettings::default(),
     };
     let rotation = SlaveRotationSettings {
-        rotation_scale: 1.5,
+        rotation_scale: if alignment.is_some() { 1.0 } else { 1.5 },
         lock: RotationLock::Free,
         bounds: RotationBounds::default(),
-        alignment: None,
+        alignment,
     };
     let jaws = GripperSettings { position: 0.0, speed: 2.0, force_n: 40.0, object: Some(0.6) };
     let endpoint = SlaveEndpoint::of_pose(&settings, &rotation).unwrap();
-    let mut slave = SlaveSide::new(holding_tool(), endpoint)
+    let mut slave = SlaveSide::new(holding_tool(if alignment.is_some() { 0.1 } else { 0.0 }), endpoint)
         .with_gripper(Some(LedGripper::simulated(jaws).unwrap()))
         .turning();
     let mut buffer = [0; MAX_FRAME];
-    let (mut tripped, mut holds, mut turned) = (false, false, 0.0_f64);
+    let (mut tripped, mut holds, mut turned, mut aligning) = (false, false, 0.0_f64, 0);
 
     let before = allocations();
     for tick in 0..2000 {
         let now_ns = tick * MS;
         let record = master.tick(TickTime::at(now_ns));
         tripped |= record.tripped != 0 || record.rotation.tripped != 0;
+        aligning += u64::from(master.exchange().state() == LadderState::Aligning);
         let _ = slave.receive(LinkTime::at(now_ns), master.send(LinkTime::at(now_ns), &mut buffer));
         let record = slave.tick(TickTime::at(now_ns));
         holds |= record.holds_object;
@@ -337,6 +348,8 @@ fn a_tick_of_two_poses_with_a_gripper_allocates_nothing() {
     assert_eq!(allocated, 0);
     assert!(master.exchange().state() == LadderState::Engaged, "{:?}", master.exchange().state());
     assert!(tripped && holds && turned > 0.1, "{tripped} {holds} {turned}");
+    // 0.1 rad at 0.5 rad/s, but for what counts as aligned.
+    assert_eq!(aligning > 100, alignment.is_some(), "{aligning} ms");
 }
 
 #[test]
