@@ -80,6 +80,8 @@ class Intervention(msgspec.Struct, frozen=True, kw_only=True):
 
     time_s: float
     until_s: float
+    layer: str = "translation"
+    """"translation", "rotation" or "trigger": each has observers and thresholds of its own."""
     trips: list[Trip]
 
 

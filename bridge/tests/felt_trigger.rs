@@ -315,5 +315,10 @@ fn a_trip_of_the_finger_takes_nothing_from_the_hand_and_the_other_way() {
             }
         }
         assert_eq!(tripped, [!is_finger, is_finger]);
+        let log: serde_json::Value =
+            serde_json::from_str(&pair.master.exchange().flight().to_json()).unwrap();
+        let rows = log["interventions"].as_array().unwrap();
+        let layer = if is_finger { "trigger" } else { "translation" };
+        assert!(!rows.is_empty() && rows.iter().all(|row| row["layer"] == layer), "{rows:?}");
     }
 }

@@ -429,5 +429,10 @@ fn a_trip_of_the_torque_acts_on_the_force_where_trips_are_shared() {
             }
         }
         assert!(seen, "the torque must have tripped");
+        let log: serde_json::Value =
+            serde_json::from_str(&pair.master.exchange().flight().to_json()).unwrap();
+        let mut rows = log["interventions"].as_array().unwrap().iter();
+        let row = rows.find(|row| row["layer"] == "rotation").unwrap();
+        assert_eq!(row["trips"][0]["controller"], "hsc");
     }
 }

@@ -249,7 +249,7 @@ def flight(text: str, *, axes: int = 1, ticks: int = 3) -> bytes:
         "interventions": [
             {"time_s": 1.0, "until_s": 2.0, "trips": [
                 {"controller": "wsc", "observer": "E_wso [J]", "observed": -0.0312, "threshold": -0.03}]},
-            {"time_s": 3.0, "until_s": 4.0, "trips": [
+            {"time_s": 3.0, "until_s": 4.0, "layer": "rotation", "trips": [
                 {"controller": "hsc", "observer": "S_h", "observed": 1.75, "threshold": 1.5}]},
         ],
         "interventions_seen": 40,
@@ -273,7 +273,7 @@ def test_explain_names_trips_and_cuts_no_number(
     fits(text)
     assert "interventions of safety controllers: 40, the last 2:" in text
     assert "1.0000 to 2.0000 s  wsc: E_wso [J] = -0.0312, below -0.03" in text
-    assert "3.0000 to 4.0000 s  hsc: S_h = 1.75, above 1.5" in text
+    assert "3.0000 to 4.0000 s  rotation: hsc: S_h = 1.75, above 1.5" in text
     assert "hsc wsc held" in text
     assert text.count("-0.1235") == text.count("1.235e-12") == text.count("none") == 3 * axes
     assert "12345.6789" in text

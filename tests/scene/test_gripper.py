@@ -303,6 +303,10 @@ def test_with_a_controller_the_shipped_trigger_is_slower(controller: str) -> Non
     run = simulate("felt_trigger", overrides=[f"safety.gripper.controllers=[{controller}]"])
     assert 0.1 < -run.signals["trigger_velocity"].min() < 0.5 * CLOSED_FORM
     assert run.signals["trigger_tripped"].any()
+    trips = [(event.time_s, event.detail) for event in run.events if event.kind == "trip"]
+    tripped_s = run.signals["time_s"][run.signals["trigger_tripped"] != 0]
+    assert trips[0] == (pytest.approx(tripped_s[0]), f"trigger {controller}")
+    assert "recover" in {event.kind for event in run.events if event.detail == "trigger"}
 
 
 def test_a_force_that_grows_fast_throws_the_shipped_trigger_back() -> None:

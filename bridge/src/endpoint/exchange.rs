@@ -7,7 +7,7 @@ use crate::{
     coupling::GripperState,
     fault_text::{FaultText, HeardText, SpokenText},
     ladder::{
-        AlignmentState, Diagnosis, FlightEntry, FlightRecorder, FlightValues, Ladder, LadderError,
+        AlignmentState, Diagnosis, FlightEntry, FlightRecorder, FlightValues, LAYERS, Ladder, LadderError,
         LadderInputs, LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame, Reason,
     },
     link::{FrameLink, LinkStatistics, LinkTime, PortState, RejectReason, Status},
@@ -224,7 +224,12 @@ impl<const N: usize> Exchange<N> {
     }
 
     /// Ends a tick: keeps measured position, command and force, and what controllers saw, in the flight recorder.
-    pub(super) fn end_tick(&mut self, now_ns: u64, values: [&Axes<N>; 3], observed: Observed) {
+    pub(super) fn end_tick(
+        &mut self,
+        now_ns: u64,
+        values: [&Axes<N>; 3],
+        observed: [Observed; LAYERS.len()],
+    ) {
         let entry = FlightEntry {
             time_ns: now_ns,
             state: self.ladder.state(),
@@ -232,10 +237,11 @@ impl<const N: usize> Exchange<N> {
             age_ns: self.link.age_ns(now_ns),
             clutch: self.inputs.clutch(),
             gain: self.ladder.gain(),
-            observed,
+            tripped: observed.map(|seen| seen.tripped),
             values: FlightValues::new(values),
         };
         let diagnosis = self.diagnosis(now_ns);
+        self.flight.observe(now_ns, &observed);
         self.flight.take(entry, self.ladder.history(), diagnosis.as_ref());
         self.events = TickEvents::default();
     }

@@ -13,7 +13,7 @@ use crate::{
     SideKind,
     command::OperatorCommand,
     coupling::{CouplingError, FrameMap, PositionForce, RotationCoupling, RotationLock, RotationState},
-    ladder::{LadderSettings, LadderState, Observed, thresholds},
+    ladder::{LAYERS, LadderSettings, LadderState, Observed, ROTATION, TRANSLATION, TRIGGER, thresholds},
     link::PortState,
     wire::Role,
 };
@@ -94,6 +94,7 @@ impl<const N: usize> MasterEndpoint<N> {
 
     /// The same with a trigger that the finger feels.
     pub fn with_trigger(mut self, settings: &TriggerSettings) -> Result<Self, EndpointError> {
+        self.exchange.flight.hold_against(TRIGGER, thresholds(&settings.safety));
         let fade_in_s = period_s(self.exchange.ladder.settings().fade_in_ns);
         self.trigger = Some(Box::new(TriggerFeedback::new(settings, self.period_s, fade_in_s)?));
         Ok(self)
@@ -113,7 +114,10 @@ impl<const N: usize> MasterEndpoint<N> {
         };
         let layer = Layer::new(translation, rotation)?;
         let mut exchange = Exchange::new(Role::Master, settings.run_id, settings.period_ns, settings.ladder)?;
-        exchange.flight.hold_against(thresholds(&settings.safety));
+        exchange.flight.hold_against(TRANSLATION, thresholds(&settings.safety));
+        if let Some(rotation) = rotation {
+            exchange.flight.hold_against(ROTATION, thresholds(&rotation.safety));
+        }
         Ok(Self {
             layer,
             coupling: PositionForce::new(1.0, settings.force_scale)?,
@@ -185,7 +189,14 @@ impl<const N: usize> MasterEndpoint<N> {
         } else {
             self.report(reading, &safety, rotation.as_ref(), missed);
         }
-        let observed = Observed::of(&safety.intervention);
+        let mut observed = [Observed::NOTHING; LAYERS.len()];
+        observed[TRANSLATION] = Observed::of(&safety.intervention);
+        if let Some(tick) = &rotation {
+            observed[ROTATION] = Observed::of(&tick.intervention);
+        }
+        if let Some(tick) = &trigger {
+            observed[TRIGGER] = Observed::of(&tick.intervention);
+        }
         let values = [&reading.position, &safety.device_force, &safety.rendered_force];
         self.exchange.end_tick(now_ns, values, observed);
         MasterTick { safety, rotation, trigger, state: self.exchange.ladder.state(), age_ns }

@@ -15,7 +15,7 @@ use crate::{
         AlignmentStep, CommandBounds, CouplingError, FrameMap, Limited, PositionForce, RotationState,
         bounded, decayed,
     },
-    ladder::{AlignmentState, LadderSettings, LadderState, Observed},
+    ladder::{AlignmentState, LAYERS, LadderSettings, LadderState, Observed},
     link::PortState,
     wire::Role,
 };
@@ -229,7 +229,11 @@ impl<const N: usize> SlaveEndpoint<N> {
         self.exchange.limited_ticks += u64::from(limited.any());
         self.report(reading, power_w, &turning, elapsed_s, turns);
         let command = self.command.unwrap_or(*position);
-        self.exchange.end_tick(now_ns, [position, &command, environment_force], Observed::NOTHING);
+        self.exchange.end_tick(
+            now_ns,
+            [position, &command, environment_force],
+            [Observed::NOTHING; LAYERS.len()],
+        );
         SlaveTick {
             command: self.command,
             command_velocity,

@@ -31,8 +31,8 @@ pub struct FlightEntry {
     pub clutch: bool,
     /// Share of the force that may be rendered.
     pub gain: f64,
-    /// What the safety controllers saw.
-    pub observed: Observed,
+    /// Who tripped in each layer, in the order of [`LAYERS`].
+    pub tripped: [Tripped; LAYERS.len()],
     /// What was measured and commanded.
     pub values: FlightValues,
 }
@@ -66,7 +66,7 @@ impl FlightEntry {
         age_ns: None,
         clutch: false,
         gain: 0.0,
-        observed: Observed::NOTHING,
+        tripped: [Tripped::NONE; LAYERS.len()],
         values: FlightValues { axes: 0, rows: [[0.0; MAX_AXES]; 3] },
     };
 }
@@ -80,7 +80,8 @@ pub struct FlightRecorder {
     /// Up to the tick at which the side was last coupled no more by a hold or a fault.
     at_hold: Option<Ring>,
     history: History,
-    interventions: Interventions,
+    /// Of each layer.
+    interventions: [Interventions; LAYERS.len()],
     /// Why the two were not coupled, and since when in ns.
     diagnoses: [Option<(u64, Diagnosis)>; KEPT_DIAGNOSES],
     diagnosed: usize,
@@ -110,21 +111,28 @@ impl FlightRecorder {
             latest: Ring { entries, count: 0 },
             at_hold: None,
             history: History::default(),
-            interventions: Interventions::NONE,
+            interventions: [Interventions::NONE; LAYERS.len()],
             diagnoses: [None; KEPT_DIAGNOSES],
             diagnosed: 0,
             diagnosis: None,
         }
     }
 
-    /// What the observers of this side are held against, see [`thresholds`].
-    pub(crate) fn hold_against(&mut self, thresholds: PerController<f64>) {
-        self.interventions.thresholds = thresholds;
+    /// What the observers of a layer are held against, see [`thresholds`]; `layer` counts as [`LAYERS`] does.
+    pub(crate) fn hold_against(&mut self, layer: usize, thresholds: PerController<f64>) {
+        self.interventions[layer].thresholds = thresholds;
     }
 
     /// When the side went to FAULT, in ns; none unless that was its last step.
     pub(crate) fn failed_ns(&self) -> Option<u64> {
         self.history.last().filter(|last| last.to == LadderState::Fault).map(|last| last.time_ns)
+    }
+
+    /// Keeps what the controllers of each layer saw at a tick.
+    pub(crate) fn observe(&mut self, now_ns: u64, observed: &[Observed; LAYERS.len()]) {
+        for (interventions, seen) in self.interventions.iter_mut().zip(observed) {
+            interventions.take(now_ns, seen);
+        }
     }
 
     /// Keeps a tick, and what led to a hold or a fault when there is one.
@@ -147,7 +155,6 @@ impl FlightRecorder {
         let before = self.latest.count.checked_sub(1).map(|last| self.latest.entries[last % KEPT].state);
         self.latest.entries[self.latest.count % KEPT] = entry;
         self.latest.count += 1;
-        self.interventions.take(entry.time_ns, &entry.observed);
         if self.history.count() != history.count() {
             self.history = *history;
         }
@@ -174,6 +181,14 @@ impl FlightRecorder {
         causes
     }
 
+    /// The interventions that are kept of all layers, as they began.
+    fn rows(&self, seconds: impl Fn(u64) -> f64) -> Vec<Row> {
+        let of_layers = self.interventions.iter().zip(LAYERS);
+        let mut rows: Vec<_> = of_layers.flat_map(|(kept, layer)| kept.rows(layer, &seconds)).collect();
+        rows.sort_by(|one, other| one.time_s.total_cmp(&other.time_s));
+        rows
+    }
+
     /// What is kept, as JSON: times in s since the first tick, transitions with their reasons, ticks with their values.
     pub fn to_json(&self) -> String {
         let start_ns = self.start_ns.unwrap_or(0);
@@ -192,8 +207,8 @@ impl FlightRecorder {
                     reason: one.reason.text(),
                 })
                 .collect(),
-            interventions: self.interventions.rows(seconds),
-            interventions_seen: self.interventions.count(),
+            interventions: self.rows(seconds),
+            interventions_seen: self.interventions.iter().map(Interventions::count).sum(),
             causes: self.causes(seconds),
             at_hold: self.at_hold.as_ref().map(ticks).unwrap_or_default(),
             latest: ticks(&self.latest),
@@ -239,7 +254,7 @@ struct Tick {
     age_s: Option<f64>,
     clutch: bool,
     gain: f64,
-    tripped: Vec<&'static str>,
+    tripped: Vec<String>,
     position: Vec<Option<f64>>,
     command: Vec<Option<f64>>,
     force: Vec<Option<f64>>,
@@ -258,7 +273,7 @@ impl Tick {
             age_s: entry.age_ns.map(|age| age as f64 * 1e-9),
             clutch: entry.clutch,
             gain: entry.gain,
-            tripped: entry.observed.tripped.names().collect(),
+            tripped: names(entry.tripped),
             position,
             command,
             force,
@@ -266,7 +281,25 @@ impl Tick {
     }
 }
 
-/// What the safety controllers saw at a tick, and which of them tripped.
+/// Who tripped: by its name alone in the layer of translation, else with that of the layer, as `rotation:hsc`.
+fn names(tripped: [Tripped; LAYERS.len()]) -> Vec<String> {
+    let of_layer = |(index, tripped): (usize, Tripped)| {
+        let prefix = if index == TRANSLATION { String::new() } else { format!("{}:", LAYERS[index]) };
+        tripped.names().map(move |name| format!("{prefix}{name}")).collect::<Vec<_>>()
+    };
+    tripped.into_iter().enumerate().flat_map(of_layer).collect()
+}
+
+/// The safety layers of a hand, each with observers and thresholds of its own.
+pub const LAYERS: [&str; 3] = ["translation", "rotation", "trigger"];
+/// Index of the layer of the force.
+pub(crate) const TRANSLATION: usize = 0;
+/// Index of the layer of the torque.
+pub(crate) const ROTATION: usize = 1;
+/// Index of the layer of a trigger that the finger feels.
+pub(crate) const TRIGGER: usize = 2;
+
+/// What the safety controllers of a layer saw at a tick, and which of them tripped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observed {
     /// Who tripped.
@@ -290,7 +323,7 @@ pub fn thresholds(settings: &SafetySettings) -> PerController<f64> {
     PerController::of(|kind| kind.threshold(settings))
 }
 
-/// How many interventions are kept.
+/// How many interventions of each layer are kept.
 const KEPT_INTERVENTIONS: usize = 16;
 
 /// Ticks that lie together, from the first at which a controller acted to the last.
@@ -355,7 +388,7 @@ impl Interventions {
     }
 
     /// Those that are kept, the oldest first, as they are written.
-    fn rows(&self, seconds: impl Fn(u64) -> f64) -> Vec<Row> {
+    fn rows(&self, layer: &'static str, seconds: impl Fn(u64) -> f64) -> Vec<Row> {
         let first = self.count.saturating_sub(KEPT_INTERVENTIONS);
         (first..self.count)
             .map(|index| {
@@ -371,6 +404,7 @@ impl Interventions {
                 Row {
                     time_s: seconds(span.begun_ns),
                     until_s: seconds(span.ended_ns),
+                    layer,
                     trips: ControllerKind::ALL.into_iter().filter_map(trip).collect(),
                 }
             })
@@ -387,6 +421,7 @@ fn finite(value: f64) -> Option<f64> {
 struct Row {
     time_s: f64,
     until_s: f64,
+    layer: &'static str,
     trips: Vec<Trip>,
 }
 
@@ -538,13 +573,15 @@ mod tests {
     #[test]
     fn interventions_are_held_against_their_thresholds() {
         let mut recorder = FlightRecorder::new("master");
-        recorder.hold_against(PerController([1.0, 1.5, -0.03, 0.0]));
+        recorder.hold_against(TRANSLATION, PerController([1.0, 1.5, -0.03, 0.0]));
         for (time_ns, tripped) in [(0, 0), (1_000_000_000, 2), (2_000_000_000, 0), (3_000_000_000, 2)] {
             let observed = Observed {
                 tripped: Tripped::from_bits(tripped),
                 values: PerController([0.0, 2.0, 0.0, 0.0]),
             };
-            let entry = FlightEntry { observed, ..at(5 + time_ns) };
+            let mut entry = at(5 + time_ns);
+            entry.tripped[TRANSLATION] = observed.tripped;
+            recorder.observe(5 + time_ns, &[observed, Observed::NOTHING, Observed::NOTHING]);
             recorder.take(entry, &History::default(), None);
         }
         let log = read(&recorder);
@@ -555,6 +592,35 @@ mod tests {
         assert_eq!(log["interventions"][1]["time_s"], 3.0);
         assert_eq!(log["interventions"][0]["trips"][0]["threshold"], 1.5);
         assert_eq!(log["latest"][1]["tripped"], serde_json::json!(["hsc"]));
+    }
+
+    #[test]
+    fn each_layer_has_interventions_and_thresholds_of_its_own() {
+        let mut recorder = FlightRecorder::new("master");
+        recorder.hold_against(TRANSLATION, PerController([1.0, 1.5, -0.03, 0.0]));
+        recorder.hold_against(ROTATION, PerController([1.0, 0.2, -0.01, 0.0]));
+        recorder.hold_against(TRIGGER, PerController([1.0, 0.7, -0.02, 0.0]));
+        // The trigger before the rotation, and both at once.
+        for (time_ns, bits) in [(0, [0, 0, 2]), (1_000_000_000, [0, 2, 2]), (2_000_000_000, [0, 0, 0])] {
+            let values = PerController([0.0, 3.0, 0.0, 0.0]);
+            let tripped = bits.map(Tripped::from_bits);
+            recorder.observe(5 + time_ns, &tripped.map(|tripped| Observed { tripped, values }));
+            let entry = FlightEntry { tripped, ..at(5 + time_ns) };
+            recorder.take(entry, &History::default(), None);
+        }
+        let log = read(&recorder);
+        let row = |time_s: f64, layer: &str, threshold: f64| {
+            let trip = serde_json::json!(
+                {"controller": "hsc", "observer": "S_h", "observed": 3.0, "threshold": threshold}
+            );
+            serde_json::json!({"time_s": time_s, "until_s": 1.0, "layer": layer, "trips": [trip]})
+        };
+        assert_eq!(
+            log["interventions"],
+            serde_json::json!([row(0.0, "trigger", 0.7), row(1.0, "rotation", 0.2)])
+        );
+        assert_eq!(log["interventions_seen"], 2);
+        assert_eq!(log["latest"][1]["tripped"], serde_json::json!(["rotation:hsc", "trigger:hsc"]));
     }
 }
 
@@ -591,8 +657,8 @@ mod intervention_tests {
         for (tick, seen) in ticks.iter().enumerate() {
             kept.take(tick as u64, seen);
         }
-        let rows = serde_json::to_value(kept.rows(|ns| ns as f64)).unwrap();
-        let expected = serde_json::json!([{"time_s": 1.0, "until_s": 3.0, "trips": [
+        let rows = serde_json::to_value(kept.rows("rotation", |ns| ns as f64)).unwrap();
+        let expected = serde_json::json!([{"time_s": 1.0, "until_s": 3.0, "layer": "rotation", "trips": [
             {"controller": "hsc", "observer": "S_h", "observed": 1.7, "threshold": 1.5},
             {"controller": "wsc", "observer": "E_wso [J]", "observed": -0.031, "threshold": -0.03},
         ]}]);
@@ -605,7 +671,7 @@ mod intervention_tests {
         for tick in 0..200_u64 {
             kept.take(tick, &seen(if tick % 2 == 0 { 2 } else { 0 }, 2.0, f64::NAN));
         }
-        let rows = serde_json::to_value(kept.rows(|ns| ns as f64)).unwrap();
+        let rows = serde_json::to_value(kept.rows("rotation", |ns| ns as f64)).unwrap();
         assert_eq!((kept.count(), rows.as_array().unwrap().len()), (100, KEPT_INTERVENTIONS));
         assert_eq!((&rows[0]["time_s"], &rows[15]["time_s"]), (&168.0.into(), &198.0.into()));
         assert_eq!((&rows[0]["until_s"], &rows[15]["until_s"]), (&168.0.into(), &198.0.into()));

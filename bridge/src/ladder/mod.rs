@@ -12,7 +12,8 @@ mod operator;
 pub mod table;
 
 pub use diagnosis::{Diagnosis, Explanation, PeerCause, Remedy, Step};
-pub use flight::{FlightEntry, FlightRecorder, FlightValues, Observed, thresholds};
+pub use flight::{FlightEntry, FlightRecorder, FlightValues, LAYERS, Observed, thresholds};
+pub(crate) use flight::{ROTATION, TRANSLATION, TRIGGER};
 pub use input::{AlignmentState, LadderInput, LadderInputs, LinkView, PeerFrame, PeerReport};
 pub use machine::{History, Ladder, LadderError, LadderSettings, Transition};
 pub(crate) use operator::Button;

@@ -368,6 +368,9 @@ impl<R: MasterTurn, const N: usize> Watched<R, N> {
         self.settled = settled == Some(true) && self.engaged_s.is_some();
         self.ticks += 1;
         self.log.tripped(time_s, Tripped::from_bits(tripped));
+        if let Some(felt) = side.felt() {
+            self.log.trigger_tripped(time_s, felt.intervention.tripped);
+        }
         let coupled = self.states.iter().all(|state| state.is_coupled());
         if let (Some(rotation), Some(turn)) = (&mut self.rotation, turn) {
             rotation.near(time_s, turn, coupled);

@@ -110,7 +110,8 @@ pub struct SceneEvent {
     /// When, in s.
     pub time_s: f64,
     /// `disengaged`, `aligning`, `engaged`, `hold`, `stop` and `fault` of the ladder, `release` and `regrasp` of the
-    /// hand, `contact` and `free` of what is touched, `grip` and `drop` of the gripper, `trip` and `recover` of the controllers, `settled`, `diverged`,
+    /// hand, `contact` and `free` of what is touched, `grip` and `drop` of the gripper, `trip` and `recover` of the controllers (`trigger` where they are those of a felt
+    /// trigger), `settled`, `diverged`,
     /// `coarse`, `lost` or `refused`.
     pub kind: &'static str,
     /// What more there is to say.
@@ -121,7 +122,8 @@ pub struct SceneEvent {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct EventLog {
     events: Vec<SceneEvent>,
-    tripped: u8,
+    /// Of the hand, and of the trigger that a finger feels.
+    tripped: [u8; 2],
     /// Trips and contacts beyond those that are kept.
     dropped: u64,
     touches: bool,
@@ -148,19 +150,31 @@ impl EventLog {
         }
     }
 
-    /// Who intervenes at this tick.
+    /// Who intervenes at this tick on force and torque of the hand.
     #[inline]
     pub(crate) fn tripped(&mut self, time_s: f64, tripped: Tripped) {
-        let (before, now) = (self.tripped, tripped.bits());
+        self.changed(time_s, 0, tripped);
+    }
+
+    /// Who intervenes at this tick on the force of a trigger that the finger feels.
+    #[inline]
+    pub(crate) fn trigger_tripped(&mut self, time_s: f64, tripped: Tripped) {
+        self.changed(time_s, 1, tripped);
+    }
+
+    #[inline]
+    fn changed(&mut self, time_s: f64, which: usize, tripped: Tripped) {
+        let (before, now) = (self.tripped[which], tripped.bits());
         if before == now {
             return;
         }
-        self.tripped = now;
+        self.tripped[which] = now;
+        let at = if which == 0 { "" } else { "trigger" };
         if before == 0 {
-            let who: Vec<_> = tripped.names().collect();
+            let who: Vec<_> = (!at.is_empty()).then_some(at).into_iter().chain(tripped.names()).collect();
             self.add(time_s, "trip", who.join(" "));
         } else if now == 0 {
-            self.add(time_s, "recover", "");
+            self.add(time_s, "recover", at);
         }
     }
 

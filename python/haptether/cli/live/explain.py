@@ -90,7 +90,8 @@ def _intervention_lines(flight: "Flight") -> list[str]:
         lines[0] += f", the last {len(flight.interventions)}:"
     for one in flight.interventions:
         what = "; ".join(map(_trip, one.trips)) or "held on"
-        lines.append(f"  {one.time_s:.4f} to {one.until_s:.4f} s  {what}")
+        layer = "" if one.layer == "translation" else f"{one.layer}: "
+        lines.append(f"  {one.time_s:.4f} to {one.until_s:.4f} s  {layer}{what}")
     return lines
 
 
