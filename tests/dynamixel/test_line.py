@@ -74,7 +74,7 @@ def line() -> Iterator[Line]:
 
 def test_a_stop_goes_out_on_a_line_that_is_never_silent(line: Line) -> None:
     bus = DynamixelBus(line.port, baud=4_000_000, timeout_s=0.02)
-    with pytest.raises(RuntimeError, match="bytes arrive without an instruction"):
+    with pytest.raises(RuntimeError, match="bytes that nobody asked for arrive without end"):
         # Of one servo an answer is wanted, and what comes now is none: it is not sent.
         bus.write(1, 64, b"\0")
     before = line.heard

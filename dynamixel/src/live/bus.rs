@@ -42,8 +42,9 @@ pub enum BusError {
         /// How long was waited.
         timeout_ms: u64,
     },
-    /// After a failure the line went on: two controllers, or an adapter that echoes.
-    #[error("bytes arrive without an instruction: the bus must have one controller, and no echo")]
+    /// The line did not fall silent, before an instruction or until the deadline of its answer: two controllers, or an
+    /// adapter that echoes.
+    #[error("bytes that nobody asked for arrive without end: the bus must have one controller, and no echo")]
     Noise,
     /// A packet that is none.
     #[error(transparent)]
@@ -95,6 +96,8 @@ pub struct Bus {
     busy_until_ns: u64,
     /// Until when the answer that was asked for last takes, where it is not known to be over.
     answer_until_ns: u64,
+    /// Bytes that are still looked at after the deadline, for an answer that was there before this thread was.
+    late: usize,
 }
 
 impl Bus {
@@ -113,6 +116,7 @@ impl Bus {
             unsettled: true,
             busy_until_ns: 0,
             answer_until_ns: 0,
+            late: 0,
         })
     }
 
@@ -151,13 +155,13 @@ impl Bus {
 
     fn exchange(&mut self, read: &mut SyncRead) -> Result<(), BusError> {
         let expected = read.answer_size();
-        self.port.discard()?;
+        self.discard()?;
         let request = read.begin();
         let deadline_ns = self.begin(request.len(), expected);
         self.port.send(request, deadline_ns)?;
         let mut buffer = [0; 256];
         loop {
-            let count = self.port.receive(&mut buffer, deadline_ns)?;
+            let count = self.receive(&mut buffer, deadline_ns)?;
             if count == 0 {
                 let id = read.unanswered().first().copied().unwrap_or(BROADCAST);
                 return Err(self.silent(id));
@@ -219,13 +223,13 @@ impl Bus {
 
     fn answered(&mut self, id: u8, answer: &mut [u8]) -> Result<bool, BusError> {
         self.parser.reset();
-        self.port.discard()?;
+        self.discard()?;
         let deadline_ns = self.begin(self.packet.bytes().len(), STATUS_OVERHEAD + 2 * answer.len());
         self.port.send(self.packet.bytes(), deadline_ns)?;
         let silent = self.silent(id);
         let mut buffer = [0; 256];
         loop {
-            let count = self.port.receive(&mut buffer, deadline_ns)?;
+            let count = self.receive(&mut buffer, deadline_ns)?;
             if count == 0 {
                 return Err(silent);
             }
@@ -257,7 +261,8 @@ impl Bus {
         }
         let mut buffer = [0; 256];
         let given_up_ns = now_ns() + MAX_SETTLING * self.timeout_ns;
-        while self.port.receive(&mut buffer, now_ns() + self.timeout_ns)? > 0 {
+        self.late = buffer.len();
+        while self.receive(&mut buffer, now_ns() + self.timeout_ns)? > 0 {
             if now_ns() > given_up_ns {
                 return Err(BusError::Noise);
             }
@@ -266,11 +271,35 @@ impl Bus {
         Ok(())
     }
 
+    /// Forgets what has arrived: it is no answer to what is asked now.
+    fn discard(&self) -> Result<(), BusError> {
+        if self.port.discard()? { Ok(()) } else { Err(BusError::Noise) }
+    }
+
+    /// Bytes that arrive before a deadline; 0 if none do. Of those that are there at the deadline an answer's worth is
+    /// taken: where there are more, the line is noisy.
+    fn receive(&mut self, buffer: &mut [u8], deadline_ns: u64) -> Result<usize, BusError> {
+        loop {
+            let left_ns = deadline_ns.saturating_sub(now_ns());
+            if left_ns == 0 && self.late == 0 {
+                return Err(BusError::Noise);
+            }
+            let count = self.port.receive(buffer, left_ns)?;
+            if left_ns == 0 {
+                self.late = self.late.saturating_sub(count);
+            }
+            if count > 0 || left_ns == 0 {
+                return Ok(count);
+            }
+        }
+    }
+
     /// Counts bytes that are sent now, and those of their answer; the deadline of both. What was sent before is still on
     /// the line, and goes first.
     fn begin(&mut self, sent: usize, answered: usize) -> u64 {
         self.busy_until_ns = self.busy_until_ns.max(now_ns()) + self.wire_ns(sent);
         let end_ns = self.busy_until_ns + self.wire_ns(answered);
+        self.late = answered;
         if answered > 0 {
             self.answer_until_ns = end_ns;
         }

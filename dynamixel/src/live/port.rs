@@ -13,6 +13,8 @@ use rustix::{
 };
 
 const SECOND_NS: u64 = 1_000_000_000;
+/// Bytes. Source: Linux, `N_TTY_BUF_SIZE`.
+const TERMINAL_KEEPS: usize = 4096;
 
 /// Time of the system's monotonic clock in ns.
 pub(super) fn now_ns() -> u64 {
@@ -63,20 +65,21 @@ impl SerialPort {
         Ok(Self { descriptor, is_socket: false })
     }
 
-    /// Forgets what has arrived.
-    pub(super) fn discard(&self) -> Result<(), Errno> {
+    /// Forgets what has arrived; whether that was all. Of a socket no more is read than a terminal keeps.
+    pub(super) fn discard(&self) -> Result<bool, Errno> {
         if !self.is_socket {
-            return tcflush(&self.descriptor, QueueSelector::IFlush);
+            return tcflush(&self.descriptor, QueueSelector::IFlush).map(|()| true);
         }
         let mut forgotten = [0; 256];
-        loop {
+        for _ in 0..TERMINAL_KEEPS / forgotten.len() {
             match read(&self.descriptor, &mut forgotten) {
                 Ok(0) => return Err(Errno::IO),
                 Ok(_) | Err(Errno::INTR) => {}
-                Err(Errno::AGAIN) => return Ok(()),
+                Err(Errno::AGAIN) => return Ok(true),
                 Err(error) => return Err(error),
             }
         }
+        Ok(false)
     }
 
     /// Sends all bytes before a deadline; [`Errno::TIMEDOUT`] otherwise.
@@ -85,7 +88,8 @@ impl SerialPort {
             match write(&self.descriptor, bytes) {
                 Ok(count) => bytes = &bytes[count..],
                 Err(Errno::AGAIN | Errno::INTR) => {
-                    if !self.wait(PollFlags::OUT, deadline_ns)? {
+                    let left_ns = deadline_ns.saturating_sub(now_ns());
+                    if !self.wait(PollFlags::OUT, left_ns)? && left_ns == 0 {
                         return Err(Errno::TIMEDOUT);
                     }
                 }
@@ -95,36 +99,31 @@ impl SerialPort {
         Ok(())
     }
 
-    /// Bytes that arrive before a deadline; 0 if none do.
-    pub(super) fn receive(&self, buffer: &mut [u8], deadline_ns: u64) -> Result<usize, Errno> {
-        loop {
-            if !self.wait(PollFlags::IN, deadline_ns)? {
-                return Ok(0);
-            }
-            match read(&self.descriptor, &mut *buffer) {
-                // The end of a file: the adapter is gone.
-                Ok(0) => return Err(Errno::IO),
-                Ok(count) => return Ok(count),
-                Err(Errno::AGAIN | Errno::INTR) => {}
-                Err(error) => return Err(error),
-            }
+    /// Bytes that arrive within a while; 0 if none do, or if a signal ends the wait.
+    pub(super) fn receive(&self, buffer: &mut [u8], wait_ns: u64) -> Result<usize, Errno> {
+        if !self.wait(PollFlags::IN, wait_ns)? {
+            return Ok(0);
+        }
+        match read(&self.descriptor, buffer) {
+            // The end of a file: the adapter is gone.
+            Ok(0) => Err(Errno::IO),
+            Ok(count) => Ok(count),
+            Err(Errno::AGAIN | Errno::INTR) => Ok(0),
+            Err(error) => Err(error),
         }
     }
 
-    fn wait(&self, flags: PollFlags, deadline_ns: u64) -> Result<bool, Errno> {
-        loop {
-            let left_ns = deadline_ns.saturating_sub(now_ns());
-            #[allow(clippy::cast_possible_wrap)] // 292 years
-            let timeout =
-                Timespec { tv_sec: (left_ns / SECOND_NS) as i64, tv_nsec: (left_ns % SECOND_NS) as i64 };
-            let mut waited = [PollFd::new(&self.descriptor, flags)];
-            match poll(&mut waited, Some(&timeout)) {
-                Ok(0) => return Ok(false),
-                // What went wrong is what the call says that comes next.
-                Ok(_) => return Ok(true),
-                Err(Errno::INTR) => {}
-                Err(error) => return Err(error),
-            }
+    /// Whether the port is ready within a while; not if a signal ends the wait.
+    fn wait(&self, flags: PollFlags, wait_ns: u64) -> Result<bool, Errno> {
+        #[allow(clippy::cast_possible_wrap)] // 292 years
+        let timeout =
+            Timespec { tv_sec: (wait_ns / SECOND_NS) as i64, tv_nsec: (wait_ns % SECOND_NS) as i64 };
+        let mut waited = [PollFd::new(&self.descriptor, flags)];
+        match poll(&mut waited, Some(&timeout)) {
+            Ok(0) | Err(Errno::INTR) => Ok(false),
+            // What went wrong is what the call says that comes next.
+            Ok(_) => Ok(true),
+            Err(error) => Err(error),
         }
     }
 }

@@ -1,0 +1,174 @@
+//! The bus on a Unix socket, whose other end is a test's: it floods or answers.
+#![allow(clippy::unwrap_used)] // a test may
+
+use std::{
+    env, fs,
+    io::{ErrorKind, Read, Write},
+    os::unix::net::UnixListener,
+    path::PathBuf,
+    process,
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::{self, JoinHandle},
+    time::{Duration, Instant},
+};
+
+use haptether_dynamixel::{Bus, BusError, SyncRead};
+
+const BAUD: u32 = 4_000_000;
+const TIMEOUT_NS: u64 = 20_000_000;
+/// Eight timeouts are what a call waits for silence.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// So long a test that fails floods.
+const FLOODED: Duration = Duration::from_secs(10);
+/// Source: ROBOTIS e-Manual, "Ping", the answer of id 1.
+const PONG: [u8; 14] = [0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x07, 0x00, 0x55, 0x00, 0x06, 0x04, 0x26, 0x65, 0x5D];
+
+/// What the other end does.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Peer {
+    /// Floods from the begin.
+    Floods,
+    /// Floods once something is asked.
+    FloodsWhenAsked,
+    /// Answers the first instruction as if it were a ping, and floods then.
+    FloodsAfterAnAnswer,
+}
+
+/// The other end of a bus.
+struct Line {
+    path: PathBuf,
+    over: Arc<AtomicBool>,
+    /// Whether all is there that a socket keeps.
+    full: Arc<AtomicBool>,
+    heard: Arc<Mutex<Vec<u8>>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Line {
+    fn new(name: &str, peer: Peer) -> Self {
+        let path = env::temp_dir().join(format!("haptether-{}-{name}", process::id()));
+        let _ = fs::remove_file(&path);
+        let listener = UnixListener::bind(&path).unwrap();
+        let over = Arc::new(AtomicBool::new(false));
+        let full = Arc::new(AtomicBool::new(false));
+        let heard = Arc::new(Mutex::new(Vec::new()));
+        let of_thread = (Arc::clone(&over), Arc::clone(&full), Arc::clone(&heard));
+        let thread =
+            Some(thread::spawn(move || serve(&listener, peer, &of_thread.0, &of_thread.1, &of_thread.2)));
+        Self { path, over, full, heard, thread }
+    }
+
+    fn bus(&self) -> Bus {
+        Bus::open(&self.path, BAUD, TIMEOUT_NS).unwrap()
+    }
+
+    fn heard(&self) -> usize {
+        self.heard.lock().unwrap().len()
+    }
+}
+
+impl Drop for Line {
+    fn drop(&mut self) {
+        self.over.store(true, Ordering::Relaxed);
+        self.thread.take().unwrap().join().unwrap();
+        let _ = fs::remove_file(&self.path);
+    }
+}
+
+fn serve(listener: &UnixListener, peer: Peer, over: &AtomicBool, full: &AtomicBool, heard: &Mutex<Vec<u8>>) {
+    let (mut stream, _) = listener.accept().unwrap();
+    stream.set_nonblocking(true).unwrap();
+    let end = Instant::now() + FLOODED;
+    let (mut floods, mut buffer) = (peer == Peer::Floods, [0; 1024]);
+    while !over.load(Ordering::Relaxed) && Instant::now() < end {
+        match stream.read(&mut buffer) {
+            Ok(0) => return,
+            Ok(count) => {
+                heard.lock().unwrap().extend(&buffer[..count]);
+                if peer == Peer::FloodsAfterAnAnswer && !floods {
+                    stream.write_all(&PONG).unwrap();
+                }
+                floods = true;
+            }
+            Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+            // The bus is closed.
+            Err(_) => return,
+        }
+        if !floods {
+            thread::sleep(Duration::from_micros(100));
+        } else if (0..32).any(|_| stream.write(&[0x55; 4096]).is_err()) {
+            // No header was in it, and no more of it fits.
+            full.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+/// What a call gives, which has to end.
+fn ended<T>(call: impl FnOnce() -> T) -> T {
+    let begin = Instant::now();
+    let result = call();
+    assert!(begin.elapsed() < PATIENCE, "{:?}", begin.elapsed());
+    result
+}
+
+#[test]
+fn a_line_that_is_flooded_is_given_up_before_anything_is_asked() {
+    let line = Line::new("floods", Peer::Floods);
+    let mut bus = line.bus();
+    for _ in 0..2 {
+        assert_eq!(ended(|| bus.ping(1)), Err(BusError::Noise));
+    }
+    assert_eq!(line.heard(), 0);
+    // What waits for nothing is sent.
+    ended(|| bus.sync_write(102, 2, &[1], &[0, 0])).unwrap();
+    ended(|| bus.stop(64, 1, &[1], &[0])).unwrap();
+}
+
+/// Whether a call on a line that is flooded once it asks ends with the name of that. In a gap of the flood, which a
+/// machine that is busy makes, it ends with the other: then it is tried anew.
+fn is_told(name: &str, call: impl Fn(&mut Bus) -> Option<BusError>) -> bool {
+    (0..20).any(|_| {
+        let line = Line::new(name, Peer::FloodsWhenAsked);
+        let mut bus = line.bus();
+        let error = ended(|| call(&mut bus)).unwrap();
+        assert!(line.heard() > 0);
+        assert!(matches!(error, BusError::Noise | BusError::Silent { .. }), "{error}");
+        error == BusError::Noise
+    })
+}
+
+#[test]
+fn a_call_ends_at_its_deadline_whatever_comes_in() {
+    assert!(is_told("ping", |bus| bus.ping(1).err()));
+}
+
+#[test]
+fn a_read_of_several_ends_at_its_deadline_whatever_comes_in() {
+    for fast in [true, false] {
+        assert!(is_told("several", |bus| {
+            let mut read = SyncRead::new(fast, 126, 10, &[1, 2, 3]).unwrap();
+            let error = bus.sync_read(&mut read).err();
+            assert!(read.replies().is_none());
+            error
+        }));
+    }
+}
+
+#[test]
+fn what_has_arrived_before_an_instruction_is_not_forgotten_without_end() {
+    let line = Line::new("answers", Peer::FloodsAfterAnAnswer);
+    let mut bus = line.bus();
+    assert_eq!(ended(|| bus.ping(1)), Ok((1030, 38)));
+    let asked = line.heard();
+    // The line counts as quiet still, and is not.
+    ended(|| {
+        while !line.full.load(Ordering::Relaxed) {
+            thread::yield_now();
+        }
+    });
+    assert_eq!(ended(|| bus.ping(1)), Err(BusError::Noise));
+    assert_eq!(line.heard(), asked);
+}
