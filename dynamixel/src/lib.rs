@@ -2,7 +2,7 @@
 //!
 //! [`Packet`] encodes an [`Instruction`], [`StatusParser`] turns bytes into checked answers, and [`SyncRead`] is one read
 //! of several servos, which gives the values of all of them or none. They own no port and no clock, and allocate nothing;
-//! [`Bus`] has both and drives them.
+//! [`Bus`] has both and drives them, [`SharedBus`] for several threads.
 //!
 //! Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0.
 
@@ -16,6 +16,6 @@ mod sync_read;
 pub use crc::{Crc16, crc16};
 pub use error::{Refusal, StatusError};
 pub use instruction::{BROADCAST, BulkItem, Instruction, MAX_ID, MAX_PACKET, Packet, RequestError};
-pub use live::{Bus, BusError};
+pub use live::{Bus, BusError, SharedBus};
 pub use parser::{FastReply, FrameError, Received, Status, StatusParser};
 pub use sync_read::{MAX_SERVOS, Progress, Reply, SyncRead, SyncReadError};

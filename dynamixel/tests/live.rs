@@ -15,14 +15,16 @@ use std::{
     time::{Duration, Instant},
 };
 
-use haptether_dynamixel::{Bus, BusError, SyncRead};
+use haptether_dynamixel::{Bus, BusError, Instruction, Packet, SharedBus, SyncRead};
 
 const BAUD: u32 = 4_000_000;
 const TIMEOUT_NS: u64 = 20_000_000;
 /// Eight timeouts are what a call waits for silence.
 const PATIENCE: Duration = Duration::from_secs(2);
 /// So long a test that fails floods.
-const FLOODED: Duration = Duration::from_secs(10);
+const FLOODED: Duration = Duration::from_secs(30);
+/// Of a call that nobody answers.
+const LONG: Duration = Duration::from_secs(4);
 /// Source: ROBOTIS e-Manual, "Ping", the answer of id 1.
 const PONG: [u8; 14] = [0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x07, 0x00, 0x55, 0x00, 0x06, 0x04, 0x26, 0x65, 0x5D];
 
@@ -35,6 +37,8 @@ enum Peer {
     FloodsWhenAsked,
     /// Answers the first instruction as if it were a ping, and floods then.
     FloodsAfterAnAnswer,
+    /// Answers the first instructions as if each were a ping, and is silent then.
+    Answers(usize),
 }
 
 /// The other end of a bus.
@@ -65,8 +69,24 @@ impl Line {
         Bus::open(&self.path, BAUD, TIMEOUT_NS).unwrap()
     }
 
+    fn shared(&self, timeout: Duration) -> SharedBus {
+        let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap();
+        SharedBus::new(Bus::open(&self.path, BAUD, timeout_ns).unwrap())
+    }
+
     fn heard(&self) -> usize {
         self.heard.lock().unwrap().len()
+    }
+
+    /// Waits until so many of the packets have come, whole and one after the other.
+    fn hears(&self, packet: &[u8], times: usize) {
+        let expected = packet.repeat(times);
+        ended(|| {
+            while !self.heard.lock().unwrap().ends_with(&expected) {
+                assert!(!self.over.load(Ordering::Relaxed));
+                thread::yield_now();
+            }
+        });
     }
 }
 
@@ -82,16 +102,22 @@ fn serve(listener: &UnixListener, peer: Peer, over: &AtomicBool, full: &AtomicBo
     let (mut stream, _) = listener.accept().unwrap();
     stream.set_nonblocking(true).unwrap();
     let end = Instant::now() + FLOODED;
-    let (mut floods, mut buffer) = (peer == Peer::Floods, [0; 1024]);
+    let (mut floods, mut answered, mut buffer) = (peer == Peer::Floods, 0, [0; 1024]);
     while !over.load(Ordering::Relaxed) && Instant::now() < end {
         match stream.read(&mut buffer) {
             Ok(0) => return,
             Ok(count) => {
                 heard.lock().unwrap().extend(&buffer[..count]);
-                if peer == Peer::FloodsAfterAnAnswer && !floods {
+                let answers = match peer {
+                    Peer::FloodsAfterAnAnswer => 1,
+                    Peer::Answers(first) => first,
+                    Peer::Floods | Peer::FloodsWhenAsked => 0,
+                };
+                if answered < answers {
                     stream.write_all(&PONG).unwrap();
+                    answered += 1;
                 }
-                floods = true;
+                floods |= !matches!(peer, Peer::Answers(_));
             }
             Err(error) if error.kind() == ErrorKind::WouldBlock => {}
             // The bus is closed.
@@ -171,4 +197,107 @@ fn what_has_arrived_before_an_instruction_is_not_forgotten_without_end() {
     });
     assert_eq!(ended(|| bus.ping(1)), Err(BusError::Noise));
     assert_eq!(line.heard(), asked);
+}
+
+/// Torque Enable of two servos to 0.
+fn stop(bus: &SharedBus) -> Result<(), BusError> {
+    bus.stop(64, 1, &[1, 2], &[0, 0])
+}
+
+fn stop_packet() -> Vec<u8> {
+    let mut packet = Packet::default();
+    packet.encode(&Instruction::SyncWrite { address: 64, length: 1, ids: &[1, 2], data: &[0, 0] }).unwrap();
+    packet.bytes().to_vec()
+}
+
+#[test]
+fn a_stop_cuts_off_a_call_that_waits_for_a_line_to_fall_silent() {
+    for (peer, name) in [(Peer::Answers(0), "settling"), (Peer::Floods, "flooded")] {
+        let line = Line::new(name, peer);
+        let bus = line.shared(LONG);
+        thread::scope(|scope| {
+            let call = scope.spawn(|| bus.call(|bus| bus.ping(1)));
+            thread::sleep(Duration::from_millis(50));
+            assert!(!call.is_finished());
+            ended(|| stop(&bus)).unwrap();
+            assert_eq!(ended(|| call.join().unwrap()), Err(BusError::Stopped));
+        });
+        line.hears(&stop_packet(), 3);
+    }
+}
+
+#[test]
+fn a_stop_cuts_off_a_call_that_waits_for_an_answer() {
+    let line = Line::new("asking", Peer::Answers(1));
+    let bus = line.shared(LONG);
+    // The line has been silent for the timeout then.
+    assert!(bus.call(|bus| bus.ping(1)).is_ok());
+    let asked = line.heard();
+    thread::scope(|scope| {
+        let call = scope.spawn(|| bus.call(|bus| bus.ping(1)));
+        ended(|| {
+            while line.heard() == asked {
+                thread::yield_now();
+            }
+        });
+        assert!(!call.is_finished());
+        ended(|| stop(&bus)).unwrap();
+        assert_eq!(ended(|| call.join().unwrap()), Err(BusError::Stopped));
+    });
+    line.hears(&stop_packet(), 3);
+}
+
+#[test]
+fn a_stop_is_before_all_calls_that_wait() {
+    let line = Line::new("crowded", Peer::Answers(0));
+    let bus = line.shared(LONG);
+    let over = AtomicBool::new(false);
+    let mut stops = 0;
+    thread::scope(|scope| {
+        let calls = [(); 4].map(|()| {
+            scope.spawn(|| {
+                while !over.load(Ordering::Relaxed) {
+                    // Each waits for the line to fall silent.
+                    assert_eq!(bus.call(|bus| bus.ping(1)), Err(BusError::Stopped));
+                }
+            })
+        });
+        // Those that wait at the end have a stop each.
+        while !calls.iter().all(thread::ScopedJoinHandle::is_finished) {
+            over.store(stops >= 5, Ordering::Relaxed);
+            thread::sleep(Duration::from_millis(20));
+            ended(|| stop(&bus)).unwrap();
+            stops += 1;
+        }
+    });
+    line.hears(&stop_packet(), 3 * stops);
+}
+
+#[test]
+fn calls_of_several_threads_are_one_after_the_other() {
+    let line = Line::new("threads", Peer::Answers(usize::MAX));
+    let bus = line.shared(Duration::from_millis(500));
+    thread::scope(|scope| {
+        for _ in 0..4 {
+            scope.spawn(|| {
+                for _ in 0..50 {
+                    assert_eq!(bus.call(|bus| bus.ping(1)), Ok((1030, 38)));
+                }
+            });
+        }
+    });
+    // Ten bytes each.
+    assert_eq!(line.heard(), 4 * 50 * 10);
+}
+
+#[test]
+fn a_bus_that_another_thread_has_closed_is_closed() {
+    let line = Line::new("closed", Peer::Answers(0));
+    let bus = line.shared(Duration::from_millis(100));
+    thread::scope(|scope| {
+        scope.spawn(|| bus.close());
+    });
+    assert_eq!(bus.call(|bus| bus.ping(1)), Err(BusError::Closed));
+    assert_eq!(stop(&bus), Err(BusError::Closed));
+    bus.close();
 }

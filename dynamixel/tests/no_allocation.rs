@@ -4,9 +4,19 @@
 use std::{
     alloc::{GlobalAlloc, Layout, System},
     cell::Cell,
+    env, fs,
+    io::{Read, Write},
+    os::unix::net::UnixListener,
+    process, thread,
 };
 
-use haptether_dynamixel::{Instruction, Packet, Progress, SyncRead};
+use haptether_dynamixel::{Bus, Instruction, Packet, Progress, SharedBus, SyncRead};
+
+/// Source: ROBOTIS e-Manual, "Fast Sync Read", example.
+const ANSWER: [u8; 32] = [
+    0xFF, 0xFF, 0xFD, 0x00, 0xFE, 0x19, 0x00, 0x55, 0x00, 0x03, 0xA6, 0x00, 0x00, 0x00, 0x84, 0x08, 0x00,
+    0x07, 0x1F, 0x08, 0x00, 0x00, 0x16, 0xCA, 0x00, 0x04, 0xFF, 0x03, 0x00, 0x00, 0xD1, 0x9E,
+];
 
 thread_local! {
     /// Of this thread alone: the harness allocates in another.
@@ -39,11 +49,7 @@ static COUNTING: Counting = Counting;
 
 #[test]
 fn a_cycle_allocates_nothing() {
-    // Source: ROBOTIS e-Manual, "Fast Sync Read", example.
-    let answer = [
-        0xFF, 0xFF, 0xFD, 0x00, 0xFE, 0x19, 0x00, 0x55, 0x00, 0x03, 0xA6, 0x00, 0x00, 0x00, 0x84, 0x08, 0x00,
-        0x07, 0x1F, 0x08, 0x00, 0x00, 0x16, 0xCA, 0x00, 0x04, 0xFF, 0x03, 0x00, 0x00, 0xD1, 0x9E,
-    ];
+    let answer = ANSWER;
     let mut broken = answer;
     broken[20] ^= 1;
     let ids = [3, 7, 4];
@@ -64,4 +70,38 @@ fn a_cycle_allocates_nothing() {
     // The counter counts.
     drop(Box::new(read));
     assert!(allocations() > before);
+}
+
+#[test]
+fn a_cycle_of_a_bus_that_threads_share_allocates_nothing() {
+    let path = env::temp_dir().join(format!("haptether-{}-cycle", process::id()));
+    let listener = UnixListener::bind(&path).unwrap();
+    let peer = thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let mut buffer = [0; 1024];
+        loop {
+            let count = stream.read(&mut buffer).unwrap();
+            if count == 0 {
+                return;
+            }
+            // A fast sync read of three servos.
+            if buffer[..count].windows(4).any(|bytes| bytes == [0x0A, 0x00, 0x8A, 132]) {
+                stream.write_all(&ANSWER).unwrap();
+            }
+        }
+    });
+    let bus = SharedBus::new(Bus::open(&path, 4_000_000, 200_000_000).unwrap());
+    fs::remove_file(&path).unwrap();
+    let ids = [3, 7, 4];
+    let mut read = SyncRead::new(true, 132, 4, &ids).unwrap();
+    let before = allocations();
+    for _ in 0..3 {
+        bus.call(|bus| bus.sync_read(&mut read)).unwrap();
+        assert_eq!(read.replies().into_iter().flatten().count(), 3);
+        bus.call(|bus| bus.sync_write(102, 2, &ids, &[0; 6])).unwrap();
+    }
+    bus.stop(64, 1, &ids, &[0; 3]).unwrap();
+    assert_eq!(allocations(), before);
+    bus.close();
+    peer.join().unwrap();
 }

@@ -1,11 +1,15 @@
 //! `haptether.dynamixel`: servos on a serial port.
 
-use std::path::Path;
+use std::{
+    path::Path,
+    sync::{Mutex, MutexGuard, PoisonError},
+};
 
-use haptether_dynamixel::{Bus, BusError, SyncRead};
+use haptether_dynamixel::{Bus, BusError, SharedBus, SyncRead};
 use pyo3::{
     exceptions::{PyOSError, PyRuntimeError, PyTimeoutError, PyValueError},
     prelude::*,
+    sync::MutexExt,
     types::{PyBytes, PyTuple},
 };
 
@@ -17,9 +21,16 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 const BAUD: std::ops::RangeInclusive<u32> = 1200..=10_000_000;
 const TIMEOUT_S: std::ops::RangeInclusive<f64> = 1e-3..=10.0;
 
-#[pyclass(name = "SyncRead", module = "haptether._core")]
+#[pyclass(name = "SyncRead", module = "haptether._core", frozen)]
 struct PySyncRead {
-    read: SyncRead,
+    /// Had by a read from its begin until its values are taken.
+    read: Mutex<SyncRead>,
+}
+
+impl PySyncRead {
+    fn lock(&self, py: Python<'_>) -> MutexGuard<'_, SyncRead> {
+        self.read.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 #[pymethods]
@@ -29,40 +40,40 @@ impl PySyncRead {
     fn new(address: u16, length: u16, ids: Vec<u8>, fast: bool) -> PyResult<Self> {
         let read = SyncRead::new(fast, address, length, &ids)
             .map_err(|error| PyValueError::new_err(error.to_string()))?;
-        Ok(Self { read })
+        Ok(Self { read: Mutex::new(read) })
     }
 
     #[getter]
     fn alerts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        let replies = self.read.replies().into_iter().flatten();
+        let read = self.lock(py);
+        let replies = read.replies().into_iter().flatten();
         let ids: Vec<u8> = replies.filter(|reply| reply.alert).map(|reply| reply.id).collect();
+        drop(read);
         PyTuple::new(py, ids)
     }
 }
 
-#[pyclass(name = "DynamixelBus", module = "haptether._core")]
+#[pyclass(name = "DynamixelBus", module = "haptether._core", frozen)]
 struct PyBus {
-    bus: Option<Bus>,
+    bus: SharedBus,
     port: String,
 }
 
 impl PyBus {
     /// Runs something on the bus, without the interpreter's lock.
     fn with<T: Send>(
-        &mut self,
+        &self,
         py: Python<'_>,
         run: impl FnOnce(&mut Bus) -> Result<T, BusError> + Send,
     ) -> PyResult<T> {
-        let Some(bus) = self.bus.as_mut() else {
-            return Err(PyValueError::new_err(format!("{}: is closed", self.port)));
-        };
-        py.detach(|| run(bus)).map_err(|error| raised(&self.port, error))
+        py.detach(|| self.bus.call(run)).map_err(|error| raised(&self.port, error))
     }
 }
 
 fn raised(port: &str, error: BusError) -> PyErr {
     match error {
         BusError::Request(_) => PyValueError::new_err(error.to_string()),
+        BusError::Closed => PyValueError::new_err(format!("{port}: {error}")),
         BusError::Port(errno) => {
             let code = errno.raw_os_error();
             let text = std::io::Error::from_raw_os_error(code).to_string();
@@ -91,15 +102,15 @@ impl PyBus {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked above
         let timeout_ns = (timeout_s * 1e9) as u64;
         let opened = py.detach(|| Bus::open(Path::new(&port), baud, timeout_ns));
-        Ok(Self { bus: Some(opened.map_err(|error| raised(&port, error))?), port })
+        Ok(Self { bus: SharedBus::new(opened.map_err(|error| raised(&port, error))?), port })
     }
 
-    fn ping(&mut self, py: Python<'_>, servo_id: u8) -> PyResult<(u16, u8)> {
+    fn ping(&self, py: Python<'_>, servo_id: u8) -> PyResult<(u16, u8)> {
         self.with(py, |bus| bus.ping(servo_id))
     }
 
     fn read<'py>(
-        &mut self,
+        &self,
         py: Python<'py>,
         servo_id: u8,
         address: u16,
@@ -110,22 +121,19 @@ impl PyBus {
         Ok(PyBytes::new(py, &bytes))
     }
 
-    fn write(&mut self, py: Python<'_>, servo_id: u8, address: u16, written: &[u8]) -> PyResult<bool> {
+    fn write(&self, py: Python<'_>, servo_id: u8, address: u16, written: &[u8]) -> PyResult<bool> {
         self.with(py, |bus| bus.write(servo_id, address, written))
     }
 
-    fn reboot(&mut self, py: Python<'_>, servo_id: u8) -> PyResult<()> {
+    fn reboot(&self, py: Python<'_>, servo_id: u8) -> PyResult<()> {
         self.with(py, |bus| bus.reboot(servo_id))?;
         Ok(())
     }
 
-    fn sync_read<'py>(
-        &mut self,
-        py: Python<'py>,
-        mut read: PyRefMut<'py, PySyncRead>,
-    ) -> PyResult<Bound<'py, PyBytes>> {
-        let read = &mut read.read;
-        self.with(py, |bus| bus.sync_read(read))?;
+    fn sync_read<'py>(&self, py: Python<'py>, read: &PySyncRead) -> PyResult<Bound<'py, PyBytes>> {
+        let mut read = read.lock(py);
+        let asked = &mut *read;
+        self.with(py, |bus| bus.sync_read(asked))?;
         // None of it where an answer is missing: then the call has failed.
         let length = read.replies().into_iter().flatten().map(|reply| reply.data.len()).sum();
         PyBytes::new_with(py, length, |mut bytes| {
@@ -139,7 +147,7 @@ impl PyBus {
     }
 
     fn sync_write(
-        &mut self,
+        &self,
         py: Python<'_>,
         address: u16,
         length: u16,
@@ -149,18 +157,11 @@ impl PyBus {
         self.with(py, |bus| bus.sync_write(address, length, ids, written))
     }
 
-    fn stop(
-        &mut self,
-        py: Python<'_>,
-        address: u16,
-        length: u16,
-        ids: &[u8],
-        written: &[u8],
-    ) -> PyResult<()> {
-        self.with(py, |bus| bus.stop(address, length, ids, written))
+    fn stop(&self, py: Python<'_>, address: u16, length: u16, ids: &[u8], written: &[u8]) -> PyResult<()> {
+        py.detach(|| self.bus.stop(address, length, ids, written)).map_err(|error| raised(&self.port, error))
     }
 
-    fn close(&mut self) {
-        self.bus = None;
+    fn close(&self, py: Python<'_>) {
+        py.detach(|| self.bus.close());
     }
 }

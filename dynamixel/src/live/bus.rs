@@ -1,10 +1,13 @@
 //! Instructions with their answers, each within a deadline.
 
-use std::path::Path;
+use std::{path::Path, sync::Arc};
 
 use rustix::io::Errno;
 
-use super::port::{SerialPort, now_ns, sleep_ns};
+use super::{
+    port::{SerialPort, now_ns, sleep_ns},
+    shared::Stops,
+};
 use crate::{
     error::StatusError,
     instruction::{BROADCAST, Instruction, Packet, RequestError},
@@ -21,6 +24,8 @@ const SECOND_NS: u64 = 1_000_000_000;
 const STOPS: u32 = 3;
 /// A line that does not fall silent after a failure is given up after so many timeouts.
 const MAX_SETTLING: u64 = 8;
+/// So often a call that waits looks whether a stop does.
+const LOOK_NS: u64 = 2_000_000;
 
 /// Why an instruction has no result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -78,6 +83,12 @@ pub enum BusError {
     /// A read of several servos failed.
     #[error(transparent)]
     SyncRead(#[from] SyncReadError),
+    /// Another thread sends a stop: what was asked was not waited for, or not sent.
+    #[error("a stop cut this call off")]
+    Stopped,
+    /// By one of the threads that have the bus.
+    #[error("is closed")]
+    Closed,
 }
 
 /// The servos on one serial port, of which this is the only controller.
@@ -98,6 +109,7 @@ pub struct Bus {
     answer_until_ns: u64,
     /// Bytes that are still looked at after the deadline, for an answer that was there before this thread was.
     late: usize,
+    stops: Arc<Stops>,
 }
 
 impl Bus {
@@ -117,7 +129,13 @@ impl Bus {
             busy_until_ns: 0,
             answer_until_ns: 0,
             late: 0,
+            stops: Arc::default(),
         })
+    }
+
+    /// Ends calls early for these stops.
+    pub(super) fn end_for(&mut self, stops: Arc<Stops>) {
+        self.stops = stops;
     }
 
     /// Model number and firmware version of a servo.
@@ -177,7 +195,7 @@ impl Bus {
     /// bytes take and at most the timeout.
     pub fn sync_write(&mut self, address: u16, length: u16, ids: &[u8], data: &[u8]) -> Result<(), BusError> {
         self.packet.encode(&Instruction::SyncWrite { address, length, ids, data })?;
-        self.let_by();
+        self.let_by()?;
         Ok(self.send_packet()?)
     }
 
@@ -207,7 +225,7 @@ impl Bus {
         self.packet.encode(instruction)?;
         if id == BROADCAST {
             return if answer.is_empty() {
-                self.let_by();
+                self.let_by()?;
                 self.send_packet()?;
                 Ok(false)
             } else {
@@ -280,11 +298,15 @@ impl Bus {
     /// taken: where there are more, the line is noisy.
     fn receive(&mut self, buffer: &mut [u8], deadline_ns: u64) -> Result<usize, BusError> {
         loop {
-            let left_ns = deadline_ns.saturating_sub(now_ns());
+            let now_ns = now_ns();
+            if self.stops.cut(now_ns) {
+                return Err(BusError::Stopped);
+            }
+            let left_ns = deadline_ns.saturating_sub(now_ns);
             if left_ns == 0 && self.late == 0 {
                 return Err(BusError::Noise);
             }
-            let count = self.port.receive(buffer, left_ns)?;
+            let count = self.port.receive(buffer, left_ns.min(LOOK_NS))?;
             if left_ns == 0 {
                 self.late = self.late.saturating_sub(count);
             }
@@ -307,12 +329,19 @@ impl Bus {
     }
 
     /// Waits for the end of an answer that failed before its last byte.
-    fn let_by(&mut self) {
-        let left_ns = self.answer_until_ns.saturating_sub(now_ns());
-        if left_ns > 0 {
-            sleep_ns(left_ns.min(self.timeout_ns));
+    fn let_by(&mut self) -> Result<(), BusError> {
+        let begin_ns = now_ns();
+        let until_ns = self.answer_until_ns.min(begin_ns + self.timeout_ns);
+        let mut now = begin_ns;
+        while now < until_ns {
+            if self.stops.cut(now) {
+                return Err(BusError::Stopped);
+            }
+            sleep_ns((until_ns - now).min(LOOK_NS));
+            now = now_ns();
         }
         self.answer_until_ns = 0;
+        Ok(())
     }
 
     fn wire_ns(&self, bytes: usize) -> u64 {

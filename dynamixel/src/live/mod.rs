@@ -2,5 +2,7 @@
 
 mod bus;
 mod port;
+mod shared;
 
 pub use bus::{Bus, BusError};
+pub use shared::SharedBus;
