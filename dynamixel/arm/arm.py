@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Final, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,7 @@ CLOSED_S: Final = 15.0
 
 
 class ServoArm:
-    """An arm of servos on one bus, for one thread.
+    """An arm of servos on one bus, for one thread; `stop` and `close` may come from any other.
 
     Measured values are in the order and in the frame of the joints: q = sign (p - offset) + 2 pi k, and a current is
     positive where its torque is. They are NaN until the first read, and after each that failed.
@@ -116,6 +116,10 @@ class ServoArm:
         self._watchdogs = SyncRead(BUS_WATCHDOG, 1, list(self._members))
         self._ramp = self._ramp_begin_s = self._heard_s = self._watch_at_s = self._watched_s = 0.0
         self._fault: ArmFaultError | None = None
+        self._stopped: ArmFaultError | None = None
+        """By `stop`, since the last `open` or acknowledgement: what gives torque ends."""
+        self._unsent: str | None = None
+        """Why the last stop could not be sent."""
         self._recovery: threading.Thread | None = None
         self._recovered: BaseException | None = None
         self._ending = False
@@ -156,7 +160,7 @@ class ServoArm:
         if self._bus is not None:
             message = f"{self.name}: is open"
             raise ValueError(message)
-        self._fault = None
+        self._fault = self._stopped = self._unsent = None
         self._ending = False
         with self._connecting:
             try:
@@ -190,16 +194,24 @@ class ServoArm:
     def close(self) -> None:
         """Lets the arm down where its modes allow it, ends all torque, and names each servo that keeps it.
 
-        May be called again, and after any exception.
+        May be called again, and after any exception. An `open` or a recovery in progress is stopped first, then waited
+        for.
+
+        Raises:
+            RuntimeError: That does not end.
         """
         self._ending = True
-        if not self._connecting.acquire(timeout=CLOSED_S):
-            message = f"{self.name}: the bus does not let go of its port: its servos may KEEP torque, cut their supply"
-            raise RuntimeError(message)
+        if not self._connecting.acquire(blocking=False):
+            # It may be giving torque.
+            self._end_torque()
+            if not self._connecting.acquire(timeout=CLOSED_S):
+                self._refuse_to_end()
         self._connecting.release()
-        if self._recovery is not None:
+        if (recovery := self._recovery) is not None:
             # One that has not begun yet must not begin in the next life of this arm.
-            self._recovery.join(CLOSED_S)
+            recovery.join(CLOSED_S)
+            if recovery.is_alive():
+                self._refuse_to_end()
         self._recovery = None
         if self._bus is None:
             return
@@ -208,6 +220,12 @@ class ServoArm:
                 self._let_down()
         finally:
             self._disconnect()
+
+    def _refuse_to_end(self) -> NoReturn:
+        """What opens or recovers does not end: its torque does."""
+        self._end_torque()
+        message = f"{self.name}: the bus does not let go of its port: its servos may KEEP torque, cut their supply"
+        raise RuntimeError(message)
 
     # -------------------------------------------------------------------------------------------------- every tick
 
@@ -316,9 +334,16 @@ class ServoArm:
             raise ValueError(message)
 
     def stop(self, kind: FaultKind, text: str) -> None:
-        """Ends all torque for a reason of the driver's: a fault like the others."""
+        """Ends all torque for a reason of the driver's: a fault like the others.
+
+        From any thread, at any time: it is sent before what other threads have the bus do, and an `open` or a recovery
+        in progress fails.
+        """
+        self._stopped = error = ArmFaultError(kind, text)
         if self._fault is None:
-            self._latch(ArmFaultError(kind, text))
+            self._latch(error)
+        else:
+            self._end_torque()
 
     # ------------------------------------------------------------------------------------------------ after a fault
 
@@ -334,7 +359,7 @@ class ServoArm:
         """
         if self._fault is None or self._recovery is not None:
             return
-        self._recovered = None
+        self._recovered = self._stopped = None
         self._recovery = threading.Thread(target=self._recover, name="dynamixel-recovery", daemon=True)
         self._recovery.start()
 
@@ -348,9 +373,12 @@ class ServoArm:
         return self._bus
 
     def _go_on(self) -> None:
-        """Ends an `open` or a recovery whose arm is being closed."""
+        """Ends an `open` or a recovery whose arm is being closed or stopped."""
         if self._ending:
             message = f"{self.name}: closed before it was open"
+            raise ArmRefusedError(message)
+        if (stopped := self._stopped) is not None:
+            message = f"{self.name}: stopped before it was open: {stopped}"
             raise ArmRefusedError(message)
 
     def _connect(self, *, restart: bool = False) -> None:
@@ -375,6 +403,8 @@ class ServoArm:
             checklist.finish()
             self._torque_on(checklist)
         except (OSError, RuntimeError) as error:
+            # What fails because of a stop or a close says so.
+            self._go_on()
             if isinstance(error, ArmRefusedError):
                 raise
             checklist.refuse("bus", str(error), "see cables and supply, then try again")
@@ -461,6 +491,8 @@ class ServoArm:
         for servo_id in ids:
             self._go_on()
             bus.write(servo_id, TORQUE_ENABLE, b"\1")
+        # A stop between the look before and the write went out before the torque.
+        self._go_on()
         self._take(bus.sync_read(self._read_joints))
         # Torque may count the angle anew, by whole turns.
         self._turn_towards(before)
@@ -566,6 +598,9 @@ class ServoArm:
 
     def _missed(self, error: Exception, now_s: float, since_s: float | None = None) -> None:
         """An exchange that failed: a fault where none succeeded for too long."""
+        if self._fault is not None:
+            # A stop of another thread cut it off.
+            return
         if isinstance(error, OSError) and error.errno in GONE:
             self._latch(ArmFaultError(FaultKind.UNPLUGGED, f"{error}: plug the adapter in, then acknowledge"))
         elif now_s - (self._heard_s if since_s is None else since_s) > self.settings.lost_after_s and (
@@ -675,23 +710,35 @@ class ServoArm:
             return
 
     def _latch(self, error: ArmFaultError) -> None:
-        # First the arm: whoever reads the report may be slow.
-        self._end_torque()
+        # Other threads send nothing more.
         self._fault = error
+        # Then the arm: whoever reads the report may be slow.
+        self._end_torque()
         self._ramp = 0.0
         self._watch_at_s = 0.0
         self._report(f"{self.name}: fault: {error}")
 
     def _end_torque(self) -> None:
-        """Zero currents and no torque, sent several times: it waits for no answer."""
-        if self._bus is None:
+        """Zero currents and no torque, each sent several times, before what other threads have the bus do.
+
+        Why it could not be sent is told, the first time of several in a row.
+        """
+        bus = self._bus
+        if bus is None:
             return
-        zeros = bytes(2 * len(self._members))
-        with contextlib.suppress(OSError, RuntimeError):
-            if self._current_ids:
-                self._bus.stop(GOAL_CURRENT, 2, self._current_ids, zeros[: 2 * len(self._current_ids)])
-        with contextlib.suppress(OSError, RuntimeError):
-            self._bus.stop(TORQUE_ENABLE, 1, self._members, zeros[: len(self._members)])
+        unsent = None
+        for address, size, ids in ((GOAL_CURRENT, 2, self._current_ids), (TORQUE_ENABLE, 1, self._members)):
+            try:
+                if ids:
+                    bus.stop(address, size, ids, bytes(size * len(ids)))
+            except (OSError, RuntimeError, ValueError) as error:
+                unsent = str(error)
+        before, self._unsent = self._unsent, unsent
+        if unsent is not None and unsent != before:
+            self._report(
+                f"{self.name}: the stop could not be sent: {unsent}. Bus watchdogs, where they were armed, end the"
+                f" torque after {20 * self.settings.watchdog_units} ms of silence"
+            )
 
     def _read_at_rest(self) -> bool:
         """With a fault: looks from time to time, and sends the stop again until all are known to be without torque."""
@@ -701,6 +748,10 @@ class ServoArm:
             self._recovery = None
             if self._recovered is None:
                 self._fault = None
+                # In this order: a stop of another thread either sees that there is no fault, or is seen here.
+                if (stopped := self._stopped) is not None:
+                    self._latch(stopped)
+                    return False
                 self._report(f"{self.name}: ready")
                 return self.read()
             text = " ".join(str(self._recovered).split())

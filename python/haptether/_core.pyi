@@ -2517,10 +2517,11 @@ class SyncRead:
 
 @final
 class DynamixelBus:
-    """The servos on one serial port, with Protocol 2.0 in Rust; one thread at a time.
+    """The servos on one serial port, with Protocol 2.0 in Rust; calls of several threads are one after the other.
 
     An answer must be there `timeout_s` after its bytes could be. Before the first instruction, and after one that
-    failed, the line must be silent for as long, so that no late answer is taken for a new one.
+    failed, the line must be silent for as long, so that no late answer is taken for a new one; it is given up after eight
+    times that. A call that waits while another thread calls `stop` ends within a few ms with `RuntimeError`.
 
     Args:
         port: Path of the serial port.
@@ -2562,7 +2563,10 @@ class DynamixelBus:
         """
 
     def stop(self, address: int, length: int, ids: bytes, written: bytes) -> None:
-        """Sets `length` bytes of each servo, whatever the line does: sent three times, without waiting for its silence.
+        """Sets `length` bytes of each servo, whatever the line does and other threads have the bus do.
+
+        It is sent three times. The first goes out at once, or after the few ms in which a call of another thread ends;
+        the others each after the time that was left of an answer it may have collided with, at most `timeout_s`.
 
         Raises:
             ValueError: Bytes that do not fit the ids.

@@ -209,7 +209,7 @@ impl Bus {
             if index > 0 && gap_ns > 0 {
                 sleep_ns(gap_ns);
             }
-            result = self.send_packet().or(result);
+            result = result.or(self.send_packet());
         }
         Ok(result?)
     }
