@@ -227,7 +227,23 @@ _COMMON: Final = ControlTable(
     )
 )  # fmt: skip
 
+# Of every model; the present current is a load in servos without current control.
+HOMING_OFFSET: Final = _COMMON["Homing Offset"].address
+TORQUE_ENABLE: Final = _COMMON["Torque Enable"].address
+HARDWARE_STATUS: Final = _COMMON["Hardware Error Status"].address
+STATUS_SIZE: Final = HARDWARE_STATUS + 1 - TORQUE_ENABLE
+"""Bytes from Torque Enable to Hardware Error Status."""
+BUS_WATCHDOG: Final = _COMMON["Bus Watchdog"].address
+GOAL_PWM: Final = _COMMON["Goal PWM"].address
+GOAL_CURRENT: Final = _COMMON["Goal Current"].address
+GOAL_POSITION: Final = _COMMON["Goal Position"].address
+PRESENT_CURRENT: Final = _COMMON["Present Current"].address
+PRESENT_POSITION: Final = _COMMON["Present Position"].address
+PRESENT_TEMPERATURE: Final = _COMMON["Present Temperature"].address
+
 _STARTUP: Final = Item(name="Startup Configuration", address=60, size=1, maximum=3)
+STARTUP: Final = _STARTUP.address
+"""Of models with newer firmware alone."""
 _BACKUP: Final = Item(name="Backup Ready", address=147, size=1, writable=False)
 _LARGE_INDIRECT: Final = (*_indirect(168, 224, 28, 661), *_indirect(578, 634, 28, 661, first=29))
 

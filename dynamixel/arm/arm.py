@@ -29,16 +29,25 @@ from haptether.dynamixel.arm.checks import (
 from haptether.dynamixel.arm.faults import ArmFaultError, FaultKind, hardware_error
 from haptether.dynamixel.arm.grip import GripServo
 from haptether.dynamixel.arm.settings import TURN, ArmSettings, ServoSettings
-from haptether.dynamixel.control_table import CENTRE, RAD_PER_TICK, RAD_S_PER_UNIT
+from haptether.dynamixel.control_table import (
+    BUS_WATCHDOG,
+    CENTRE,
+    GOAL_CURRENT,
+    GOAL_POSITION,
+    GOAL_PWM,
+    HARDWARE_STATUS,
+    PRESENT_CURRENT,
+    RAD_PER_TICK,
+    RAD_S_PER_UNIT,
+    STATUS_SIZE,
+    TORQUE_ENABLE,
+)
 from haptether.dynamixel.models import OperatingMode
 
 Vector = NDArray[np.float64]
 
-BROADCAST: Final = 254
-TORQUE_ENABLE, HARDWARE_STATUS, BUS_WATCHDOG, GOAL_PWM, GOAL_CURRENT, GOAL_POSITION = 64, 70, 98, 100, 102, 116
-PRESENT_CURRENT: Final = 126
 MEASURED: Final = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
-"""Addresses 126 to 135 of every model; the first is a load in servos without current control."""
+"""From Present Current on; it is a load in servos without current control."""
 ONE_MEASURED: Final = struct.Struct("<hii")
 STOPS: Final = 3
 """So often a stop is sent: nobody answers it."""
@@ -112,7 +121,7 @@ class ServoArm:
         self._read: SyncRead
         self._read_joints: SyncRead
         """Without the gripper, which has a fault."""
-        self._status = SyncRead(TORQUE_ENABLE, 7, list(self._members))
+        self._status = SyncRead(TORQUE_ENABLE, STATUS_SIZE, list(self._members))
         self._watchdogs = SyncRead(BUS_WATCHDOG, 1, list(self._members))
         self._ramp = self._ramp_begin_s = self._heard_s = self._watch_at_s = self._watched_s = 0.0
         self._fault: ArmFaultError | None = None
@@ -444,7 +453,7 @@ class ServoArm:
             SyncRead(address, length, list(ids), fast=fast)
             for address, length, ids in (
                 (PRESENT_CURRENT, MEASURED.itemsize, self._ids),
-                (TORQUE_ENABLE, 7, self._members),
+                (TORQUE_ENABLE, STATUS_SIZE, self._members),
                 (BUS_WATCHDOG, 1, self._members),
             )
         )
@@ -504,7 +513,7 @@ class ServoArm:
             checklist.finish()
             self._take(bus.sync_read(self._read_joints))
             self._hold()
-        status = bus.sync_read(self._status)[::7]
+        status = bus.sync_read(self._status)[::STATUS_SIZE]
         for servo_id, torque in zip(ids, status, strict=True):
             if not torque:
                 checklist.refuse(
@@ -673,7 +682,7 @@ class ServoArm:
         self._watch_at_s = now_s + self.settings.watch_s
         try:
             watchdogs = self._opened.sync_read(self._watchdogs)
-            torque = self._opened.sync_read(self._status)[::7]
+            torque = self._opened.sync_read(self._status)[::STATUS_SIZE]
         except (OSError, RuntimeError) as error:
             # What is measured may come all the same: it does not say that the torque is on.
             self._missed(error, now_s, self._watched_s + self.settings.watch_s)
@@ -762,7 +771,7 @@ class ServoArm:
             return False
         self._watch_at_s = now_s + STILL_S
         try:
-            if any(self._opened.sync_read(self._status)[::7]):
+            if any(self._opened.sync_read(self._status)[::STATUS_SIZE]):
                 self._end_torque()
             self._measure()
         except (OSError, RuntimeError):

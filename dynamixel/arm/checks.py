@@ -10,10 +10,10 @@ from haptether._core import DynamixelBus
 from haptether.checklist import Checklist, RefusedError
 from haptether.dynamixel.arm.faults import HARDWARE_ERRORS
 from haptether.dynamixel.arm.settings import MAX_ID, ArmSettings, ServoSettings
+from haptether.dynamixel.control_table import STARTUP
 from haptether.dynamixel.models import BAUD_RATES, SERVO_MODELS_BY_NUMBER
 
 LATENCY_MS: Final = 1
-STARTUP: Final = 60
 MARGIN_C: Final = 5
 """Below the temperature limit, at the begin."""
 PROTECTS: Final = 1 << 2 | 1 << 5

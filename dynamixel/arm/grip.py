@@ -14,13 +14,19 @@ from haptether.checklist import Checklist
 from haptether.dynamixel.arm.checks import ServoRegisters, check_servo_health
 from haptether.dynamixel.arm.faults import ArmFaultError, FaultKind, hardware_error
 from haptether.dynamixel.arm.settings import TURN, ServoSettings
-from haptether.dynamixel.control_table import CENTRE, RAD_PER_TICK, RAD_S_PER_UNIT
+from haptether.dynamixel.control_table import (
+    CENTRE,
+    GOAL_CURRENT,
+    PRESENT_TEMPERATURE,
+    RAD_PER_TICK,
+    RAD_S_PER_UNIT,
+    STATUS_SIZE,
+    TORQUE_ENABLE,
+)
 from haptether.dynamixel.models import OperatingMode
 
 GOALS: Final = struct.Struct("<hiIIi")
 """Goal Current, Goal Velocity, Profile Acceleration, Profile Velocity, Goal Position: addresses 102 to 119."""
-GOALS_ADDRESS: Final = 102
-STATUS_ADDRESS, STATUS_SIZE, TEMPERATURE_ADDRESS = 64, 7, 146
 TIME_PROFILE: Final = 1 << 2
 """Of the drive mode: profiles are times rather than speeds."""
 LOOK_S: Final = 0.5
@@ -256,7 +262,7 @@ class GripServo:
         """
         if self.is_due:
             goals = GOALS.pack(self._cap_units, 0, 0, self._speed_units, self._goal_ticks)
-            bus.sync_write(GOALS_ADDRESS, len(goals), bytes((self.servo_id,)), goals)
+            bus.sync_write(GOAL_CURRENT, len(goals), bytes((self.servo_id,)), goals)
             self._is_sent = self._are_limits_sent = True
 
     @property
@@ -296,7 +302,7 @@ class GripServo:
         self._look_at_s = 0.0
 
     def _look_at_torque(self, bus: DynamixelBus) -> str | None:
-        found = bus.read(self.servo_id, STATUS_ADDRESS, STATUS_SIZE)
+        found = bus.read(self.servo_id, TORQUE_ENABLE, STATUS_SIZE)
         if found[-1]:
             self.fail(hardware_error(self.servo_id, found[-1]))
         elif not found[0]:
@@ -305,7 +311,7 @@ class GripServo:
         return None
 
     def _look_at_temperature(self, bus: DynamixelBus) -> str | None:
-        self.temperature_c = bus.read(self.servo_id, TEMPERATURE_ADDRESS, 1)[0]
+        self.temperature_c = bus.read(self.servo_id, PRESENT_TEMPERATURE, 1)[0]
         # Nobody answers a sync write: what was lost of it is sent again.
         self._are_limits_sent = False
         limit_c = self.settings.servo.servo.table["Temperature Limit"].default
@@ -318,7 +324,7 @@ class GripServo:
         return None
 
     def _mend(self, bus: DynamixelBus) -> str | None:
-        status = bus.read(self.servo_id, STATUS_ADDRESS, STATUS_SIZE)
+        status = bus.read(self.servo_id, TORQUE_ENABLE, STATUS_SIZE)
         if status[-1]:
             bus.reboot(self.servo_id)
             return None

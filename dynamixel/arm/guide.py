@@ -11,11 +11,9 @@ import numpy as np
 from haptether._core import DynamixelBus, SyncRead
 from haptether.dynamixel.arm.arm import Vector
 from haptether.dynamixel.arm.settings import ServoSettings
-from haptether.dynamixel.control_table import CENTRE, RAD_PER_TICK
+from haptether.dynamixel.control_table import CENTRE, HOMING_OFFSET, PRESENT_POSITION, RAD_PER_TICK, TORQUE_ENABLE
 from haptether.dynamixel.models import BAUD_RATES, SERVO_MODELS_BY_NUMBER, OperatingMode, ServoModel
 
-BROADCAST: Final = 254
-TORQUE_ENABLE, HOMING_OFFSET, PRESENT_POSITION = 64, 20, 132
 STILL_RAD: Final = 0.01
 """A pose is taken while no joint moves more between two reads."""
 TURNED_RAD: Final = 0.2
@@ -99,7 +97,7 @@ class Guide:
             OSError: The port, or a servo that does not answer.
             RuntimeError: A servo keeps its torque.
         """
-        self._bus.write(BROADCAST, TORQUE_ENABLE, b"\0")
+        self._bus.write(DynamixelBus.BROADCAST, TORQUE_ENABLE, b"\0")
         for servo in self._servos:
             if self._bus.read(servo.servo_id, TORQUE_ENABLE, 1) != b"\0":
                 message = f"servo {servo.servo_id} keeps its torque: cut its supply"

@@ -2533,6 +2533,9 @@ class DynamixelBus:
         OSError: A port that cannot be opened, or that another process has.
     """
 
+    BROADCAST: ClassVar[int]
+    """The id that every servo listens to, and none answers to."""
+
     def __new__(cls, port: str, *, baud: int, timeout_s: float = 0.02) -> DynamixelBus: ...
     def ping(self, servo_id: int) -> tuple[int, int]:
         """Model number and firmware version.
@@ -2547,7 +2550,7 @@ class DynamixelBus:
         """Bytes from an address on."""
 
     def write(self, servo_id: int, address: int, written: bytes) -> bool:
-        """Sets bytes from an address on; whether the servo has a hardware error. Of id 254, all, nothing is answered."""
+        """Sets bytes from an address on; whether the servo has a hardware error. Of `BROADCAST` nothing is answered."""
 
     def reboot(self, servo_id: int) -> None:
         """Starts a servo anew, which is silent for a while then."""

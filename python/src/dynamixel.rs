@@ -5,7 +5,7 @@ use std::{
     sync::{Mutex, MutexGuard, PoisonError},
 };
 
-use haptether_dynamixel::{Bus, BusError, SharedBus, SyncRead};
+use haptether_dynamixel::{BROADCAST, Bus, BusError, SharedBus, SyncRead};
 use pyo3::{
     exceptions::{PyOSError, PyRuntimeError, PyTimeoutError, PyValueError},
     prelude::*,
@@ -88,6 +88,10 @@ fn raised(port: &str, error: BusError) -> PyErr {
 
 #[pymethods]
 impl PyBus {
+    #[classattr]
+    #[pyo3(name = "BROADCAST")]
+    const EVERY_SERVO: u8 = BROADCAST;
+
     #[new]
     #[pyo3(signature = (port, *, baud, timeout_s=0.02))]
     fn new(py: Python<'_>, port: String, baud: u32, timeout_s: f64) -> PyResult<Self> {

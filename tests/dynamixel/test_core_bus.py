@@ -122,6 +122,7 @@ def test_a_value_like_a_header_comes_through(bus: DynamixelBus) -> None:
 
 
 def test_all_are_written_to_and_none_answers(bus: DynamixelBus) -> None:
+    assert DynamixelBus.BROADCAST == 254
     assert bus.write(254, LED, b"\1") is False
     assert set(bus.sync_read(SyncRead(LED, 1, list(IDS.values())))) == {1}
     with pytest.raises(ValueError, match="id 254: must be 0 to 252"):

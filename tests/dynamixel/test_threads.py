@@ -16,7 +16,7 @@ from haptether.dynamixel.arm import ArmRefusedError, FaultKind, ServoArm, ServoS
 pytestmark = pytest.mark.live
 
 IDS = (1, 2)
-BROADCAST, TORQUE_ENABLE, PRESENT_POSITION = 254, 64, 132
+TORQUE_ENABLE, PRESENT_POSITION = 64, 132
 LONG_S = 2.0
 """Of a call that nobody answers."""
 SOON_S = 1.0
