@@ -1,4 +1,4 @@
-"""What is on the line: deadlines that count it, and a stop that waits for nothing."""
+"""What is on the line: deadlines that count it, and a stop that does not wait for its silence."""
 
 import contextlib
 import os
