@@ -23,6 +23,8 @@ class DynamixelMaster:
     """
 
     paces = False
+    exerts_by_itself = True
+    """Compensation, springs and damping, with zero written, too."""
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # checked by leader_options
         self.options, self.arm = with_unit(*leader_options(options))

@@ -64,6 +64,8 @@ class ForceDimension(VendorDevice[Session]):
         self.options: ForceDimensionOptions = force_dimension_options(options)
         super().__init__("force-dimension", len(self.options.axes), turns=self.options.wrist)
         self.kinds: tuple[str, ...] = ("linear", "pose") if self.options.wrist else ("linear",)
+        self.exerts_by_itself = self.options.gravity_compensation
+        """The SDK adds the device's weight to each force, a zero force, too."""
         self._frame = self.options.frame
         self._trigger_n = 0.0
         if self.options.gripper_open_m is not None:

@@ -68,6 +68,8 @@ class Inverse3:
     """
 
     paces = False
+    exerts_by_itself = True
+    """The vendor's service may add the device's weight to each force, as it is set there: known once it is open."""
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
         self.options: Inverse3Options = inverse3_options(options)

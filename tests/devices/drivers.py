@@ -73,6 +73,12 @@ class Stylus:
         note("close")
 
 
+class BearsItself(Stylus):
+    """Exerts against its weight from `open` on."""
+
+    exerts_by_itself = True
+
+
 class OfAnyKind(Stylus):
     """Says that it may be of joints as well."""
 
@@ -273,6 +279,12 @@ class HungInRead(Stylus):
         if len(self.forces) == 50:
             threading.Event().wait(60.0)
         return super().read()
+
+
+class HangsAndBearsItself(HungInRead):
+    """Both."""
+
+    exerts_by_itself = True
 
 
 class Pose(Stylus):

@@ -181,3 +181,64 @@ def test_a_driver_that_cannot_be_loaded_is_listed_with_the_reason(tmp_path: Path
     assert named.returncode == 2
     assert "cannot be loaded: KeyError: 'no licence'" in named.stderr
     assert 'broken_vendor.py", line 1' in named.stderr
+
+
+OWN_FORCE = "EXERTS FORCE OR TORQUE BY ITSELF"
+COMMANDS = [("check-device", "--duration-s", "0.5"), ("identify",)]
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[0])
+def test_a_device_that_exerts_by_itself_is_not_opened_before_a_person_says_yes(
+    tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    written = tmp_path / "written"
+    environment = declared(tmp_path, bears="BearsItself") | {WRITTEN: str(written)}
+    name, *more = command
+    refused = run(environment, name, "bears", *more)
+    assert (refused.returncode, refused.stdout) == (2, "")
+    if name == "check-device":
+        assert "bears exerts a force by itself as soon as it is open: a person must say yes" in refused.stderr
+    assert not written.exists()
+    terminal = Terminal(environment, name, "bears", *more)
+    terminal.until(QUESTION)
+    assert OWN_FORCE in terminal.printed
+    assert not written.exists()
+    terminal.answer("no\n")
+    assert terminal.end() == 1
+    assert "nobody said yes: it was not opened" in terminal.printed
+    assert not written.exists()
+    ended = Terminal(environment, name, "bears", *more)
+    ended.until(QUESTION)
+    ended.process.send_signal(signal.SIGINT)
+    assert ended.end() == 130
+    assert not written.exists()
+
+
+def test_each_time_that_a_device_exerts_by_itself_its_begin_and_its_end_are_said(tmp_path: Path) -> None:
+    environment = declared(tmp_path, bears="BearsItself", hangs="HangsAndBearsItself")
+    terminal = Terminal(environment, "check-device", "bears", "--duration-s", "0.5")
+    terminal.until(QUESTION)
+    terminal.answer("yes\n")
+    assert terminal.end() == 0, terminal.printed
+    begun, closed = "bears: is opened: from now on it exerts force by itself", "bears: is closed: its force has ended"
+    assert terminal.printed.index(OWN_FORCE) < terminal.printed.index(begun) < terminal.printed.index(closed)
+    assert (terminal.printed.count(begun), terminal.printed.count(closed)) == (2, 2)
+    assert "zero force beside its own" in terminal.printed
+    hung = run(environment, "check-device", "hangs", "--duration-s", "0.5", "--yes")
+    assert OWN_FORCE in hung.stderr
+    assert "hangs: is NOT known to be closed: it may still exert, switch it off" in hung.stderr
+    assert "hangs: is closed" not in hung.stderr
+
+
+def test_identify_asks_to_support_it_and_then_to_let_go(tmp_path: Path) -> None:
+    written = tmp_path / "written"
+    terminal = Terminal(
+        declared(tmp_path, bears="BearsItself") | {WRITTEN: str(written)}, "identify", "bears", "--axes", "0"
+    )
+    terminal.until(QUESTION)
+    terminal.answer("yes\n")
+    terminal.until("Nobody may hold or touch it")
+    assert written.read_text().startswith("open")
+    terminal.answer("no\n")
+    assert terminal.end() == 1
+    assert "bears: is closed: its force has ended" in terminal.printed

@@ -77,7 +77,7 @@ def test_check_device_passes_it_and_closes_it_twice(
     options = [f"library={libraries[driver]}", PATIENT[driver], *(TURNS[driver] if kind == "pose" else [])]
     given = [word for option in options for word in ("--options", option)]
     ended = subprocess.run(
-        [*COMMAND, "check-device", driver, "--duration-s", "1", "--kind", kind, "--json", "-", *given],
+        [*COMMAND, "check-device", driver, "--duration-s", "1", "--kind", kind, "--json", "-", "--yes", *given],
         env=environment(tmp_path, set="hand_x=0.02;watchdog_slack=50;qw=0.8;qz=0.6"), stdin=subprocess.DEVNULL,
         capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip

@@ -297,3 +297,12 @@ def test_the_model_of_the_device_comes_from_the_description(two: Path) -> None:
     assert pose.mass_kg[2] == pytest.approx(1.0 / (0.25**2 / first))
     assert pose.inertia_kg_m2[1] == pytest.approx(1.0 / (1.0 / first + 1.0 / second))
     assert leader_options({"port": "x", "arm": str(two)})[1] == arm
+
+
+def test_drivers_say_whether_they_exert_by_themselves(two: Path) -> None:
+    assert load_master("dynamixel", {"port": "x", "arm": str(two)}).exerts_by_itself  # type: ignore[attr-defined]
+    for compensated in (True, False):
+        device = load_master("force-dimension", {"gravity_compensation": compensated})
+        assert device.exerts_by_itself == compensated  # type: ignore[attr-defined]
+    assert load_master("inverse3", {}).exerts_by_itself  # type: ignore[attr-defined]
+    assert not hasattr(load_master("touch", {}), "exerts_by_itself")

@@ -25,7 +25,8 @@ class CheckDevice(DriverOptions):
     A haptic device is written zero force all the time, and an arm is not moved. Nothing is coupled: there is no other
     side. Move the device by hand while it runs, along every axis: what does not move shows no velocity. It is opened a
     second time, to see that it is closed after an exception. Its loop has real time where the system
-    gives it.
+    gives it. One that exerts by itself as soon as it is open, such as a leader arm against its weight, is opened only
+    after a person's yes on the terminal.
 
     --push-n has a haptic device push once, with at most 1 N (0.1 N m of joints), up and down a ramp within 1.5 s. A
     person is asked on the terminal first. It ends at once by Ctrl-C, a motion too far or too fast, a late sample or a
@@ -49,7 +50,8 @@ class CheckDevice(DriverOptions):
     push_axis: int = 0
     """Along which axis."""
     yes: bool = False
-    """Do not ask before the push: whoever gives this flag stands beside the device, and holds it."""
+    """Do not ask before the push, nor before a device is opened that exerts by itself: whoever gives this flag stands
+    beside the device, and holds it."""
 
     def run(self) -> int:
         """Checks, and says what was found.
@@ -60,6 +62,7 @@ class CheckDevice(DriverOptions):
         from haptether.bridge.devices.check.finding import Finding
         from haptether.bridge.devices.check.report import DeviceCheck, kind_of
         from haptether.bridge.devices.open import KEEPS
+        from haptether.cli.device.consent import announced, ask_before_open, exerts_by_itself
         from haptether.cli.device.options import (
             await_open,
             certain_kind,
@@ -79,16 +82,20 @@ class CheckDevice(DriverOptions):
             kind = self.kind or kind_of(device)
             if self.push_n is not None:
                 self._check_push(certain_kind(self, device))
-            check = DeviceCheck(device, side, kind, period_s=self.period_s, stopped=lambda: bool(stopped))
+            ask_before_open(self.name, device, stopped, yes=self.yes, times="twice")
             found: list[Finding] = []
             unpushed = None
-            if await_open(self, check.run, stopped):
-                headline = f"{self.name}: open, a {side} of kind {check.kind}; "
-                headline += "zero force: move it along every axis" if side == "master" else "it is not moved"
-                wait(headline, lambda: _status(check), lambda: is_over(check.run), stopped, self.duration_s)
-                if self.push_n is not None and not is_over(check.run):
-                    unpushed = self._push(check, stopped)
-            check.end()
+            with announced(self.name, device) as runs:
+                check = DeviceCheck(device, side, kind, period_s=self.period_s, stopped=lambda: bool(stopped))
+                runs.append(check.run)
+                if await_open(self, check.run, stopped):
+                    headline = f"{self.name}: open, a {side} of kind {check.kind}; "
+                    zero = "zero force beside its own" if exerts_by_itself(device) else "zero force"
+                    headline += f"{zero}: move it along every axis" if side == "master" else "it is not moved"
+                    wait(headline, lambda: _status(check), lambda: is_over(check.run), stopped, self.duration_s)
+                    if self.push_n is not None and not is_over(check.run):
+                        unpushed = self._push(check, stopped)
+                check.end()
             if stopped:
                 if not check.ended:
                     print(f"{self.name}: the driver does not return: {KEEPS.rstrip(': ')}", file=sys.stderr, flush=True)
@@ -111,16 +118,19 @@ class CheckDevice(DriverOptions):
         from haptether.bridge.devices.check.finding import Finding
         from haptether.bridge.devices.check.report import SecondRun
         from haptether.bridge.devices.standalone import wait_until
+        from haptether.cli.device.consent import announced
         from haptether.cli.device.options import await_open, loaded_device, show_tracebacks
 
         try:
             device = loaded_device(self, side)
         except (DeviceError, ValueError) as error:
             return Finding("close after an exception", "mend", f"it cannot be made a second time: {error}")
-        second = SecondRun(device, check)
-        await_open(self, second.run, stopped)
-        wait_until(lambda: second.run.finished or bool(stopped), 5.0)
-        found = second.finding()
+        with announced(self.name, device) as runs:
+            second = SecondRun(device, check)
+            runs.append(second.run)
+            await_open(self, second.run, stopped)
+            wait_until(lambda: second.run.finished or bool(stopped), 5.0)
+            found = second.finding()
         show_tracebacks(self, second.run)
         return found
 

@@ -4,9 +4,12 @@ import os
 import select
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from haptether.bridge.devices.standalone import StandaloneRun
     from haptether.cli.shared.stop import Stopped
 
 WAITS_S = 60.0
@@ -54,3 +57,65 @@ def consents(question: str, stopped: "Stopped", *, yes: bool) -> bool:
                 return typed.strip().lower() == b"yes"
     print(file=sys.stderr, flush=True)
     return False
+
+
+def exerts_by_itself(device: object) -> bool:
+    """Whether a driver says that its device exerts a force between `open` and `close` while zero is written."""
+    return bool(getattr(device, "exerts_by_itself", False))
+
+
+def ask_before_open(name: str, device: object, stopped: "Stopped", *, yes: bool, times: str = "once") -> None:
+    """Says what a device will exert by itself as soon as it is open, and asks; nothing of one that does not.
+
+    Args:
+        name: Of the driver.
+        device: The driver.
+        stopped: Ends the wait.
+        yes: Given as a flag: it is said and not asked.
+        times: How often it will be opened.
+
+    Raises:
+        ValueError: Nobody can be asked.
+        RuntimeError: Nobody said yes.
+        KeyboardInterrupt: Ctrl-C instead.
+    """
+    if not exerts_by_itself(device):
+        return
+    check_terminal(f"{name} exerts a force by itself as soon as it is open", yes=yes)
+    question = (
+        f"{name} will be opened {times}. It EXERTS FORCE OR TORQUE BY ITSELF as soon as it is open, such as against its"
+        " weight, also while zero force is commanded, and may fall when it is closed.\nIts base is clamped and its"
+        " supply in reach; one hand supports it at its grip or from outside, no fingers are between its links. Ctrl-C"
+        " ends it."
+    )
+    if not consents(question, stopped, yes=yes):
+        if stopped:
+            raise KeyboardInterrupt
+        message = f"{name}: nobody said yes: it was not opened"
+        raise RuntimeError(message)
+
+
+@contextmanager
+def announced(name: str, device: object) -> Iterator[list["StandaloneRun"]]:
+    """Says before a device is opened that it exerts by itself, and at the end whether it does not any more.
+
+    Yields:
+        Where the run that opens it is to be put.
+    """
+    runs: list[StandaloneRun] = []
+    if not exerts_by_itself(device):
+        yield runs
+        return
+    print(f"{name}: is opened: from now on it exerts force by itself", file=sys.stderr, flush=True)
+    try:
+        yield runs
+    finally:
+        # One whose end was waited for in vain has `failed_at`.
+        closed = all(
+            (run.finished or (run.failed_at is None and run.end())) and "close" not in run.watched.failed
+            for run in runs
+        )
+        said = "is closed: its force has ended, but for what the driver names above"
+        if not closed:
+            said = "is NOT known to be closed: it may still exert, switch it off"
+        print(f"{name}: {said}", file=sys.stderr, flush=True)

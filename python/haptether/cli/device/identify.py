@@ -26,8 +26,9 @@ class Identify(DriverOptions):
     `m A + b V + c sign(V) = F(t - delay) + F_0` of each axis, fitted by least squares, with 95 % intervals. A mass is
     that of this posture, at the tool. Of a device of kind "pose" only the translation is identified.
 
-    A person is asked on the terminal first. Force, travel and speed are bounded; the motion ends by itself, and at once
-    by Ctrl-C, beyond a bound, by a late sample or a fault. About 25 s an axis.
+    A person is asked on the terminal first; of a device that exerts by itself, such as a leader arm against its weight,
+    also before it is opened, and it is supported until it is. Force, travel and speed are bounded; the motion ends by
+    itself, and at once by Ctrl-C, beyond a bound, by a late sample or a fault. About 25 s an axis.
 
     Exit status 0 says that mass and friction of every axis were found, 1 that something of it was not.
 
@@ -47,7 +48,7 @@ class Identify(DriverOptions):
     max_speed: float | None = None
     """Fastest in m/s (rad/s), at most 1 (10); by default 0.3 (3)."""
     yes: bool = False
-    """Do not ask before it moves: whoever gives this flag stands beside it, and nobody holds it."""
+    """Do not ask before it is opened or moves: whoever gives this flag stands beside it, and nobody holds it."""
 
     def run(self) -> int:
         """Moves it, and says what was found.
@@ -57,7 +58,7 @@ class Identify(DriverOptions):
             RuntimeError: The motion did not come to its end.
         """
         from haptether.bridge.devices.standalone import StandaloneRun, wait_until
-        from haptether.cli.device.consent import check_terminal, consents
+        from haptether.cli.device.consent import announced, ask_before_open, check_terminal, consents
         from haptether.cli.device.options import (
             await_open,
             certain_kind,
@@ -79,17 +80,22 @@ class Identify(DriverOptions):
             paced_s = getattr(device, "period_s", None)
             period_s = paced_s if isinstance(paced_s, int | float) and paced_s > 0.0 else self.period_s
             lead = Excitation(kind, bounds, period_s=period_s, axes=self.axes or None)
-            run = StandaloneRun(device, lead, period_s=self.period_s, stopped=lambda: bool(stopped))
-            if await_open(self, run, stopped):
-                wait_until(lambda: lead.form.axes is not None or run.finished or bool(stopped), 5.0)
-            count = lead.form.axes
-            if count is not None and not run.finished and not stopped:
-                self._check_axes(run, count)
-                if consents(self._question(lead, count, kind), stopped, yes=self.yes):
-                    lead.request()
-                    most_s = lead.duration_s(count) + MARGIN_S
-                    wait("identifying: hands off", lambda: _status(lead, run), lambda: is_over(run), stopped, most_s)
-            ended = run.end()
+            ask_before_open(self.name, device, stopped, yes=self.yes)
+            with announced(self.name, device) as runs:
+                run = StandaloneRun(device, lead, period_s=self.period_s, stopped=lambda: bool(stopped))
+                runs.append(run)
+                if await_open(self, run, stopped):
+                    wait_until(lambda: lead.form.axes is not None or run.finished or bool(stopped), 5.0)
+                count = lead.form.axes
+                if count is not None and not run.finished and not stopped:
+                    self._check_axes(run, count)
+                    if consents(self._question(lead, count, kind), stopped, yes=self.yes):
+                        lead.request()
+                        most_s = lead.duration_s(count) + MARGIN_S
+                        wait(
+                            "identifying: hands off", lambda: _status(lead, run), lambda: is_over(run), stopped, most_s
+                        )
+                ended = run.end()
             if stopped and ended:
                 raise KeyboardInterrupt
             show_tracebacks(self, run)
