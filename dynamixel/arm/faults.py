@@ -20,6 +20,7 @@ class FaultKind(StrEnum):
     OVERLOAD = "overload"
     WATCHDOG = "bus watchdog"
     JUMP = "jump of a position"
+    OVER_SPEED = "over-speed"
     NOT_FINITE = "number that is none"
     NOT_READY = "not ready"
 

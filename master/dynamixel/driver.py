@@ -12,7 +12,7 @@ from haptether.dynamixel.arm import FaultKind, ServoArm
 from haptether.dynamixel.description import ArmKinematics
 from haptether.master.device import MasterSample
 from haptether.master.dynamixel.compensation import Compensation
-from haptether.master.dynamixel.options import arm_settings, leader_options, with_unit
+from haptether.master.dynamixel.options import arm_settings, leader_options, speed_limits, with_unit
 
 
 class DynamixelMaster:
@@ -35,6 +35,8 @@ class DynamixelMaster:
         self._kinematics = ArmKinematics(arm)
         self._poses = self.options.kind == "pose"
         self._joints = len(arm.joints)
+        self.max_speed = speed_limits(self.options, arm)
+        """Of each joint in rad/s; beyond it is a fault."""
         self._amperes = [
             1.0 / (servo.servo.torque_constant_nm_per_a or servo.servo.stall_ratio_nm_per_a)
             for servo in settings.servos
@@ -95,10 +97,10 @@ class DynamixelMaster:
             servos.reopen_if_late()
         while not servos.read() and servos.fault is None:
             pass
-        self._shown = servos.fault
         if servos.fault is None:
             self._sample = self._measured()
-            return self._sample
+            self._check_speed()
+        self._shown = servos.fault
         if self._sample is None:
             raise RuntimeError(servos.fault)
         return self._sample._replace(fault=self._shown)
@@ -131,6 +133,16 @@ class DynamixelMaster:
     def stop(self, text: str) -> None:
         """Ends all torque, as a fault of this arm."""
         self.servos.stop(FaultKind.NOT_READY, text)
+
+    def _check_speed(self) -> None:
+        for joint, speed, most in zip(self.arm.joints, self._w, self.max_speed, strict=True):
+            if abs(speed) > most:
+                text = (
+                    f"joint {joint.name} (servo {joint.servo}) moved at {speed:+.2f} rad/s: must be within {most:.2f}:"
+                    " support the arm, see what threw it, then acknowledge"
+                )
+                self.servos.stop(FaultKind.OVER_SPEED, text)
+                return
 
     def _measured(self) -> MasterSample:
         position, velocity = self.servos.position.tolist(), self.servos.velocity.tolist()

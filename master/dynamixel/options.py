@@ -13,6 +13,8 @@ from haptether.dynamixel.description import ArmDescription, Joint, arm_names, lo
 from haptether.options import converted, refused
 
 DRIVER: Final = "driver = dynamixel"
+SPEED_SHARE: Final = 0.7
+"""Of the no-load speed: a motor that drives nothing but its joint goes on to all of it."""
 DEFAULT_BAUD: Final = 4_000_000
 BEYOND_RAD: Final = 0.5
 """How far a trigger may be beyond its ends."""
@@ -52,6 +54,9 @@ class LeaderOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """Of each joint, everywhere."""
     force_share: Annotated[float, Meta(ge=0.1, le=1.0)] = 0.3
     """Of each joint's greatest torque, what compensation and springs leave to the reflected force."""
+    max_speed: tuple[Annotated[float, Meta(ge=0.1, le=60.0, extra={"unit": "rad/s"})], ...] | None = None
+    """Of each joint in rad/s, beyond which it is a fault that ends all torque: nobody leads it so; by default 0.7 of its
+    servo's no-load speed."""
     ramp_s: Annotated[float, Meta(ge=0.1, le=10.0, extra={"unit": "s"})] = 1.0
     """In which all torque rises from 0 after the start, and after a fault, in s."""
     timeout_s: Annotated[float, Meta(ge=0.001, le=0.1, extra={"unit": "s"})] = 0.02
@@ -76,7 +81,7 @@ def leader_options(given: Mapping[str, Any]) -> tuple[LeaderOptions, ArmDescript
         raise refused(DRIVER, "arm", options.arm, str(error)) from None
     if options.baud is not None and options.baud not in BAUD_RATES:
         raise refused(DRIVER, "baud", options.baud, f"must be one of {', '.join(map(str, BAUD_RATES))}")
-    for key, values in (("offsets", options.offsets), ("signs", options.signs)):
+    for key, values in (("offsets", options.offsets), ("signs", options.signs), ("max_speed", options.max_speed)):
         if values is not None and len(values) != len(arm.joints):
             raise refused(DRIVER, key, values, f"must be {len(arm.joints)} numbers, one of each joint of {arm.name}")
     if options.gravity_gain and not arm.knows_masses:
@@ -158,6 +163,11 @@ def _of_unit(file: str, joint: Joint, servo: ServoSettings) -> Joint:
     except ValueError as error:
         message = f"servo {servo.servo_id}, with the limits of the description: {error}"
         raise refused(DRIVER, "calibration", file, message) from None
+
+
+def speed_limits(options: LeaderOptions, arm: ArmDescription) -> tuple[float, ...]:
+    """In rad/s of each joint."""
+    return options.max_speed or tuple(SPEED_SHARE * joint.servo_model.no_load_rad_s for joint in arm.joints)
 
 
 def arm_settings(options: LeaderOptions, arm: ArmDescription) -> ArmSettings:

@@ -13,6 +13,7 @@ from tests.dynamixel.emulated import EmulatedBus, emulated_bus
 from tests.dynamixel.test_description import TWO_LINKS
 
 from haptether.bridge import load_master
+from haptether.dynamixel.arm import FaultKind
 from haptether.dynamixel.description import ArmKinematics, load_arm
 from haptether.master.dynamixel import DynamixelMaster, joint_model, leader_options, pose_model
 
@@ -306,3 +307,48 @@ def test_drivers_say_whether_they_exert_by_themselves(two: Path) -> None:
         assert device.exerts_by_itself == compensated  # type: ignore[attr-defined]
     assert load_master("inverse3", {}).exerts_by_itself  # type: ignore[attr-defined]
     assert not hasattr(load_master("touch", {}), "exerts_by_itself")
+
+
+@pytest.mark.live
+@pytest.mark.parametrize(("servo", "joint", "push_nm"), [(1, "first", 1.0), (1, "first", -1.0), (2, "second", -0.3)])
+def test_a_joint_that_is_thrown_is_a_fault_that_ends_all_torque(
+    two: Path, servo: int, joint: str, push_nm: float
+) -> None:
+    with opened(two, 0.2, 0.5, max_speed=[1.5, 1.5], limit_stiffness=0.0) as (leader, bus):
+        run(leader, 0.4, (0.0, 0.0))
+        assert leader.read().fault is None
+        assert any(abs(torque) > 0.1 for torque in motors(bus))
+        bus.do("hand off")
+        bus.do(f"push {servo} {push_nm}")
+        end_s = time.monotonic() + 5.0
+        while (sample := leader.read()).fault is None:
+            leader.write((0.0, 0.0))
+            assert time.monotonic() < end_s
+        assert sample.fault.startswith(f"over-speed: joint {joint} (servo {servo}) moved at ")
+        assert leader.servos.fault_kind == FaultKind.OVER_SPEED
+        # Its own direction, by the sign of its servo.
+        forward = push_nm > 0.0 if servo == 1 else push_nm < 0.0
+        assert ("moved at +" if forward else "moved at -") in sample.fault
+        assert "rad/s: must be within 1.50" in sample.fault
+        leader.write((0.5, 0.5))
+        # Nobody waits for the stop.
+        time.sleep(0.1)
+        assert motors(bus) == [0.0, 0.0, 0.0]
+        assert not any(one["torque"] for one in bus.status()["servos"])
+        # It stays, though the arm stands again.
+        for servo_id in (1, 2):
+            bus.do(f"push {servo_id} 0")
+            bus.do(f"hand {servo_id} {bus.servo(servo_id)['position_rad']} 40 1")
+        run(leader, 0.3, (0.0, 0.0))
+        assert leader.read().fault == sample.fault
+
+
+def test_the_greatest_speeds_of_the_joints(two: Path) -> None:
+    unit: dict[str, Any] = {"port": "x", "arm": str(two)}
+    # The makers' no-load speeds are 46 and 65 rpm.
+    assert DynamixelMaster(**unit).max_speed == pytest.approx((0.7 * 46 * math.pi / 30, 0.7 * 65 * math.pi / 30))
+    assert DynamixelMaster(**unit, max_speed=[1.0, 2.0]).max_speed == (1.0, 2.0)
+    with pytest.raises(ValueError, match=r"max_speed = .*: must be 2 numbers"):
+        DynamixelMaster(**unit, max_speed=[1.0])
+    with pytest.raises(ValueError, match="max_speed"):
+        DynamixelMaster(**unit, max_speed=[1.0, 0.0])
