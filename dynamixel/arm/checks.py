@@ -26,6 +26,8 @@ ANSWERS_ALL: Final = 2
 """Status return level."""
 BESIDE_RAD: Final = 0.1
 """How far beyond its limits a joint may stand at the begin."""
+PROFILES: Final = ("Profile Acceleration", "Profile Velocity")
+"""0 is none: goals are led by the driver, and a profile of another program's would lag behind them."""
 SYSTEM: Final = Path("/sys")
 
 
@@ -170,7 +172,7 @@ class _ServoLine:
 
 
 def check_servo(bus: DynamixelBus, servo: ServoSettings, checklist: Checklist, obeys: int | None = None) -> None:
-    """Takes the torque of a servo off, sets its mode and its return delay, and looks at what it says of itself.
+    """Takes the torque of a servo off, sets its mode, its profile and its return delay, and looks at what it says of itself.
 
     Args:
         bus: What it is on.
@@ -204,6 +206,7 @@ def check_servo(bus: DynamixelBus, servo: ServoSettings, checklist: Checklist, o
         f"operating mode {servo.mode.value}", good=registers["Operating Mode"] == servo.mode,
         remedy="it does not take it: see its firmware",
     )  # fmt: skip
+    _end_profile(registers, line)
     drive_mode = registers["Drive Mode"]
     line.check(
         f"drive mode {drive_mode}", good=not drive_mode & TORQUE_BY_GOAL,
@@ -242,6 +245,15 @@ def check_servo_health(registers: ServoRegisters, servo: ServoSettings, checklis
     _check_health(registers, servo, line)
     _check_shutdown(registers, line)
     line.finish()
+
+
+def _end_profile(registers: ServoRegisters, line: _ServoLine) -> None:
+    for name in PROFILES:
+        if before := registers[name]:
+            registers[name] = 0
+            after = registers[name]
+            now = f"was {before}, and is 0 now" if after == 0 else f"is {after}"
+            line.check(f"{name.lower()} {now}", good=after == 0, remedy="it does not take 0: see its firmware")
 
 
 def _check_shutdown(registers: ServoRegisters, line: _ServoLine) -> None:

@@ -20,7 +20,7 @@ from tests.dynamixel.emulated import EmulatedBus, emulated_bus
 from haptether.checklist import Checklist
 from haptether.dynamixel import SERVO_MODELS, DynamixelBus, OperatingMode
 from haptether.dynamixel.arm import ArmRefusedError, ArmSettings, FaultKind, ServoArm, ServoSettings
-from haptether.dynamixel.arm.checks import check_port
+from haptether.dynamixel.arm.checks import check_port, check_servo
 
 pytestmark = pytest.mark.live
 
@@ -511,3 +511,51 @@ def test_the_current_ends_with_the_process(emulated: EmulatedBus, end: str) -> N
         finally:
             process.kill()
             process.wait()
+
+
+@pytest.mark.parametrize("mode", [OperatingMode.CURRENT_BASED_POSITION, OperatingMode.EXTENDED_POSITION])
+def test_a_profile_of_another_program_is_ended(emulated: EmulatedBus, mode: OperatingMode) -> None:
+    bus = DynamixelBus(emulated.port, baud=4_000_000, timeout_s=TIMEOUT_S)
+    # The mode is as it shall be, for a change of it would reset the profile: 2 units are 0.05 rad/s.
+    for address, value in ((11, bytes((mode,))), (108, struct.pack("<I", 7)), (112, struct.pack("<I", 2))):
+        bus.write(3, address, value)
+    bus.close()
+    servos = (ServoSettings(servo_id=3, model="XL330-M288", mode=mode),)
+    lines: list[str] = []
+    arm = arm_of(emulated.port, servos=servos)
+    arm._report = lines.append
+    try:
+        arm.open()
+        (line,) = [line for line in lines if "operating mode" in line]
+        assert "profile acceleration was 7, and is 0 now, profile velocity was 2, and is 0 now" in line
+        end_s = time.monotonic() + PATIENCE_S
+        goal = arm.position + 0.5
+        while not (arm.read() and arm.velocity[0] > 0.3):
+            arm.write_positions(goal)
+            assert time.monotonic() < end_s
+    finally:
+        arm.close()
+
+
+@pytest.mark.parametrize(("address", "name"), [(108, "profile acceleration"), (112, "profile velocity")])
+def test_a_servo_that_keeps_its_profile_is_refused(emulated: EmulatedBus, address: int, name: str) -> None:
+    bus = DynamixelBus(emulated.port, baud=4_000_000, timeout_s=TIMEOUT_S)
+    servo = ServoSettings(servo_id=3, model="XL330-M288", mode=OperatingMode.CURRENT_BASED_POSITION)
+    bus.write(3, 11, b"\5")
+    bus.write(3, address, struct.pack("<I", 9))
+
+    class Keeps:
+        """Does not take what is written there."""
+
+        read = staticmethod(bus.read)
+
+        @staticmethod
+        def write(servo_id: int, at: int, value: bytes) -> None:
+            if at != address:
+                bus.write(servo_id, at, value)
+
+    checklist = Checklist("arm", lambda _line: None, ArmRefusedError)
+    check_servo(Keeps(), servo, checklist)  # type: ignore[arg-type]  # as much of one as is called
+    bus.close()
+    assert len(checklist.refused) == 1
+    assert checklist.refused[0].startswith(f"servo 3: {name} is 9: it does not take 0")
