@@ -3,7 +3,7 @@
 from haptether.dynamixel.emulator.bus import Answer, Bus, Faults
 from haptether.dynamixel.emulator.control import ControlLine, stops_of
 from haptether.dynamixel.emulator.joint import HeldBy, Joint, JointSettings
-from haptether.dynamixel.emulator.load import ArmLoad, servos_of
+from haptether.dynamixel.emulator.load import ArmLoad, mounted, servos_of
 from haptether.dynamixel.emulator.server import Server
 from haptether.dynamixel.emulator.servo import HardwareError, Servo
 from haptether.dynamixel.emulator.tcp import StreamLine, TcpLine, UnixLine
@@ -23,6 +23,7 @@ __all__ = [
     "StreamLine",
     "TcpLine",
     "UnixLine",
+    "mounted",
     "servos_of",
     "stops_of",
 ]

@@ -3,11 +3,49 @@
 from collections.abc import Sequence
 from typing import Final
 
+import msgspec
+
 from haptether.dynamixel.description import ArmDescription, ArmKinematics
 from haptether.dynamixel.emulator.joint import MAX_CATCH_UP_S, STEP_S, JointSettings
 from haptether.dynamixel.emulator.servo import Servo
 
 MAX_START_RAD: Final = 13.0
+
+
+def mounted(arm: ArmDescription, offsets: Sequence[float] = (), signs: Sequence[int] = ()) -> ArmDescription:
+    """An arm as it is described, whose servos are built in otherwise: what a calibration of this unit has to find.
+
+    p = sign_0 sign q + offset_0 + offset, with sign_0 and offset_0 of the description.
+
+    Args:
+        arm: The description.
+        offsets: Of each joint in rad; by default 0.
+        signs: 1 or -1 of each; by default 1.
+
+    Raises:
+        ValueError: Another number of them, or one that cannot be.
+    """
+    count = len(arm.joints)
+    for name, values in (("offsets", offsets), ("signs", signs)):
+        if values and len(values) != count:
+            message = f"{name}: {len(values)}: must be {count}, one of each joint of {arm.name}"
+            raise ValueError(message)
+    for offset in offsets:
+        if not abs(offset) <= MAX_START_RAD:
+            message = f"offset = {offset:g}: must be at most {MAX_START_RAD:g} rad"
+            raise ValueError(message)
+    for sign in signs:
+        if sign not in {1, -1}:
+            message = f"sign = {sign}: must be 1 or -1"
+            raise ValueError(message)
+    joints = zip(arm.joints, offsets or (0.0,) * count, signs or (1,) * count, strict=True)
+    return msgspec.structs.replace(
+        arm,
+        joints=tuple(
+            msgspec.structs.replace(joint, offset_rad=joint.offset_rad + offset, sign=joint.sign * sign)
+            for joint, offset, sign in joints
+        ),
+    )
 
 
 def servos_of(arm: ArmDescription, *, baud: int, firmware: int, start: Sequence[float] = ()) -> list[Servo]:

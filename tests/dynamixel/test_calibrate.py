@@ -34,9 +34,9 @@ def emulated() -> Iterator[EmulatedBus]:
 class Calibration:
     """The command, and whoever answers it."""
 
-    def __init__(self, emulated: EmulatedBus, path: Path, *arguments: str) -> None:
+    def __init__(self, emulated: EmulatedBus, path: Path, *arguments: str, ids: tuple[str, ...] = ("1", "2")) -> None:
         command = [
-            sys.executable, "-m", "haptether", "dynamixel", "calibrate", emulated.port, str(path), "--ids", "1", "2",
+            sys.executable, "-m", "haptether", "dynamixel", "calibrate", emulated.port, str(path), "--ids", *ids,
             *arguments,
         ]  # fmt: skip
         self.emulated = emulated
@@ -81,7 +81,7 @@ def guided(emulated: EmulatedBus, path: Path, *arguments: str, beside: float = 0
     """A calibration from begin to end."""
     run = Calibration(emulated, path, *arguments, "--pose", *map(str, POSE))
     try:
-        run.until("the arm has no torque")
+        run.until("hold the arm")
         run.enter()
         run.until("put the arm into the pose (0, -1.5708)")
         run.place(POSE[0] + beside, POSE[1] - beside)
@@ -163,6 +163,25 @@ def test_nobody_there(emulated: EmulatedBus, tmp_path: Path) -> None:
     assert not (tmp_path / "arm.toml").exists()
 
 
+def test_the_torque_ends_after_enter_and_what_loses_it_is_said_before(emulated: EmulatedBus, tmp_path: Path) -> None:
+    bus = DynamixelBus(emulated.port, baud=1_000_000, timeout_s=0.1)
+    for servo_id in (1, 2):
+        bus.write(servo_id, 64, b"\1")
+    bus.close()
+    # The second is a gripper's, of which the arm's calibration has nothing.
+    run = Calibration(emulated, tmp_path / "arm.toml", ids=("1",))
+    try:
+        before = run.until("hold the arm")
+        assert "EVERY servo on this bus loses its torque, that of a gripper, too" in before[-1]
+        assert not any("no torque" in line for line in before)
+        assert all(emulated.servo(servo_id)["torque"] for servo_id in (1, 2))
+        run.enter()
+        assert run.until("no torque")[-1] == "no torque: servo 1, verified"
+        assert not any(emulated.servo(servo_id)["torque"] for servo_id in (1, 2))
+    finally:
+        run.close()
+
+
 def test_find(emulated: EmulatedBus) -> None:
     command = [sys.executable, "-m", "haptether", "dynamixel", "find", emulated.port, "--ids", "2", "1", "9"]
     found = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
@@ -239,7 +258,7 @@ def test_a_joint_of_several_turns_says_where_it_is_to_be() -> None:
 def test_what_was_typed_before_a_question_is_no_answer_to_it(emulated: EmulatedBus, tmp_path: Path) -> None:
     run = Calibration(emulated, tmp_path / "arm.toml")
     try:
-        run.until("the arm has no torque")
+        run.until("hold the arm")
         assert run.process.stdin is not None
         run.process.stdin.write(b"\n\n\n")
         run.process.stdin.flush()

@@ -37,6 +37,11 @@ class DynamixelEmulator:
     """The servos of this description of an arm instead, which gravity pulls at; `--start` are then its joint angles."""
     mass_scale: float = 1.0
     """What the masses of `--arm` weigh, of what its description says."""
+    mount_offsets: Annotated[tuple[float, ...], tyro.conf.arg(metavar="RAD")] = ()
+    """By how much the servo of each joint of `--arm` is built in otherwise than described; a client learns it by
+    calibration alone."""
+    mount_signs: Annotated[tuple[int, ...], tyro.conf.arg(metavar="SIGN")] = ()
+    """1 of each joint whose servo turns as described, -1 of one that turns the other way."""
     baud: int = 4_000_000
     """Rate that the servos are set to, in bit/s: a client of another rate gets no answer."""
     any_rate: bool = False
@@ -171,6 +176,9 @@ class DynamixelEmulator:
 
         if self.arm is not None:
             return self._arm(self.arm)
+        if self.mount_offsets or self.mount_signs:
+            message = "mount_offsets, mount_signs: are of the joints of an arm: give --arm"
+            raise ValueError(message)
         if self.start and len(self.start) != len(self.servos):
             message = f"start: {len(self.start)} angles: must be {len(self.servos)}, one of each servo"
             raise ValueError(message)
@@ -193,7 +201,7 @@ class DynamixelEmulator:
 
     def _arm(self, name: str) -> "tuple[list[Servo], ArmLoad | None]":
         from haptether.dynamixel.description import load_arm
-        from haptether.dynamixel.emulator import ArmLoad, servos_of
+        from haptether.dynamixel.emulator import ArmLoad, mounted, servos_of
 
         if self.servos != type(self).servos:
             message = f"arm = {name}: has servos of its own: leave --servos out"
@@ -201,7 +209,7 @@ class DynamixelEmulator:
         if not 0.0 <= self.mass_scale <= 10.0:
             message = f"mass_scale = {self.mass_scale:g}: must be 0 to 10"
             raise ValueError(message)
-        arm = load_arm(name)
+        arm = mounted(load_arm(name), self.mount_offsets, self.mount_signs)
         servos = servos_of(arm, baud=self.baud, firmware=self.firmware, start=self.start)
         self._set_delay(servos)
         return servos, ArmLoad(arm, servos, mass_scale=self.mass_scale)

@@ -74,9 +74,13 @@ class Calibrate:
         try:
             guide = Guide(bus, servos, person.say, person.answer, person.forget)
             person.forget()
-            person.say("the arm has no torque from now on: hold it; press Enter")
+            person.say(
+                "hold the arm, and what its gripper holds: as soon as you press Enter EVERY servo on this bus loses its"
+                " torque, that of a gripper, too"
+            )
             person.wait()
             guide.loosen()
+            person.say(f"no torque: servo {', '.join(str(servo.servo_id) for servo in servos)}, verified")
             at_pose = guide.pose(pose)
             signs = guide.directions()
             ranges = guide.ranges()
