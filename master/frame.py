@@ -7,6 +7,8 @@ from typing import Final, TypeAlias
 Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
 
+REST: Final = (0.0, 0.0, 0.0)
+"""No force, no torque, no velocity."""
 AXES: Final = ("x", "y", "z")
 UNIT_WITHIN: Final = 0.02
 """How far the norm of an orientation may be from 1: that of one which a device sends in 14 bits is within 1e-3."""

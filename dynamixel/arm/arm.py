@@ -7,7 +7,7 @@ import struct
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import replace
 from typing import Final, NoReturn
 
@@ -64,6 +64,8 @@ STILL_S: Final = 0.1
 RESTART_S: Final = 3.0
 PATIENT: Final = 0.4
 """Share of the bus watchdog's time that may pass from `open` to the first `read`."""
+HELD_S: Final = 3.0
+"""In which a person takes hold of an arm whose torque, another program's, is taken off."""
 REOPENED_S: Final = 10.0
 """Longest after `open` that an arm is opened anew: whoever started it is not known to be there any more."""
 CLOSED_S: Final = 15.0
@@ -428,6 +430,7 @@ class ServoArm:
             if (rate := answering_rate(settings, self._go_on)) is not None:
                 checklist.refuse("baud", f"servos answer at {rate} bit/s", f"set baud = {rate}, or address 8 of each")
             return
+        self._caution_of_torque(firmware, checklist)
         for servo, obeys in (*((servo, None) for servo in settings.servos), *settings.shadows):
             if servo.servo_id not in firmware:
                 continue
@@ -458,6 +461,23 @@ class ServoArm:
             )
         )
         checklist.ok("reads", "fast" if fast else "not fast: the firmware of a servo is too old; update it for 1 kHz")
+
+    def _caution_of_torque(self, present: Container[int], checklist: Checklist) -> None:
+        """Says which servos have torque already, before it is taken off them, and leaves time to hold what they bear."""
+        loaded = []
+        for servo_id in self._members:
+            # One that refuses is looked at below.
+            with contextlib.suppress(TimeoutError, RuntimeError):
+                if servo_id in present and self._opened.read(servo_id, TORQUE_ENABLE, 1) != b"\0":
+                    loaded.append(str(servo_id))
+        if not loaded:
+            return
+        found = f"has torque already, of whoever had this bus before: it is taken off in {HELD_S:g} s"
+        checklist.caution(f"servo {', '.join(loaded)}", found, "HOLD THE ARM: what it bears falls")
+        end_s = time.monotonic() + HELD_S
+        while time.monotonic() < end_s:
+            self._go_on()
+            time.sleep(0.02)
 
     def _place(self, checklist: Checklist) -> None:
         """Finds the turn of each servo, and whether the joints are within their limits."""

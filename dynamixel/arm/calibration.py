@@ -1,8 +1,10 @@
 """The file of an arm: its rate, and of each servo how its angle becomes that of a joint."""
 
+import contextlib
 import json
 import os
-import tempfile
+import secrets
+import stat
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -72,23 +74,33 @@ def _settings(servo_id: int, fields: dict[str, object]) -> ServoSettings:
 def write_calibration(path: Path, baud: int, servos: tuple[ServoSettings, ...]) -> None:
     """Writes the file of a rate in bit/s and servos, and reads it, before it takes the place of one that is there.
 
+    A symbolic link stays, and what it leads to is written. The mode is that of what was there, or as of any new file.
+
     Raises:
         OSError: It cannot be written; what was there stays.
         ValueError: It would be none that can be read; likewise.
     """
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+    path = Path(os.path.realpath(path))
+    beside = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
+    # Opened so, its mode follows the umask.
+    with beside.open("x", encoding="utf-8") as file:
+        try:
             file.write(calibration_text(baud, servos))
             file.flush()
+            with contextlib.suppress(FileNotFoundError):
+                os.fchmod(file.fileno(), stat.S_IMODE(path.stat().st_mode))
             os.fsync(file.fileno())
-        read_calibration(Path(name))
-        # That of a temporary file is 0o600.
-        Path(name).chmod(0o644)
-        Path(name).replace(path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+            read_calibration(beside)
+            beside.replace(path)
+        except BaseException:
+            beside.unlink(missing_ok=True)
+            raise
+    # Without it a new name may be gone after the supply was.
+    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
 
 
 def calibration_text(baud: int, servos: tuple[ServoSettings, ...]) -> str:

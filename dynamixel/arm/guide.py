@@ -10,7 +10,7 @@ import numpy as np
 
 from haptether._core import DynamixelBus, SyncRead
 from haptether.dynamixel.arm.arm import Vector
-from haptether.dynamixel.arm.settings import ServoSettings
+from haptether.dynamixel.arm.settings import TURN, ServoSettings
 from haptether.dynamixel.control_table import CENTRE, HOMING_OFFSET, PRESENT_POSITION, RAD_PER_TICK, TORQUE_ENABLE
 from haptether.dynamixel.models import BAUD_RATES, SERVO_MODELS_BY_NUMBER, OperatingMode, ServoModel
 
@@ -24,7 +24,6 @@ SHOWN_S: Final = 0.2
 """Between two lines of live angles."""
 READ_S: Final = 0.01
 QUARTER: Final = 0.5 * math.pi
-TURN: Final = 2.0 * math.pi
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

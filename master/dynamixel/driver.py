@@ -130,10 +130,6 @@ class DynamixelMaster:
             self._currents[-1] = 0.0
             self.servos.write_currents(self._currents)
 
-    def stop(self, text: str) -> None:
-        """Ends all torque, as a fault of this arm."""
-        self.servos.stop(FaultKind.NOT_READY, text)
-
     def _check_speed(self) -> None:
         for joint, speed, most in zip(self.arm.joints, self._w, self.max_speed, strict=True):
             if abs(speed) > most:

@@ -133,9 +133,12 @@ def with_unit(options: LeaderOptions, arm: ArmDescription) -> tuple[LeaderOption
             raise refused(DRIVER, "baud", options.baud, message)
         options = msgspec.structs.replace(options, baud=baud)
     if options.offsets is not None:
-        joints = [
-            msgspec.structs.replace(joint, offset_rad=at) for joint, at in zip(joints, options.offsets, strict=True)
-        ]
+        for index, (joint, at) in enumerate(zip(joints, options.offsets, strict=True)):
+            try:
+                joints[index] = msgspec.structs.replace(joint, offset_rad=at)
+            except ValueError as error:
+                why = f"joint {joint.name} (servo {joint.servo}): {error}"
+                raise refused(DRIVER, "offsets", options.offsets, why) from None
     if options.signs is not None:
         joints = [msgspec.structs.replace(joint, sign=sign) for joint, sign in zip(joints, options.signs, strict=True)]
     return options, msgspec.structs.replace(arm, joints=tuple(joints))

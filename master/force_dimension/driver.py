@@ -19,10 +19,9 @@ from haptether.master.force_dimension.library import (
     DhdError,
 )
 from haptether.master.force_dimension.options import ForceDimensionOptions, force_dimension_options
-from haptether.master.frame import Vector, clipped, quaternion
+from haptether.master.frame import REST, Vector, clipped, quaternion
 from haptether.master.vendor import BadSampleError, LostError, VendorDevice, load_library
 
-REST: Final = (0.0, 0.0, 0.0)
 STATUS_EVERY: Final = 4
 """Each so many samples the status is looked at."""
 OLD: Final = 20

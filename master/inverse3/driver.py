@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 
 from haptether.checklist import Checklist, RefusedError
 from haptether.master.device import MasterSample
-from haptether.master.frame import clipped
+from haptether.master.frame import REST, clipped
 from haptether.master.inverse3.channel import Channel, ChannelError
 from haptether.master.inverse3.checks import (
     EBRAKE,
@@ -26,7 +26,6 @@ from haptether.master.inverse3.checks import (
 from haptether.master.inverse3.messages import GRIPS, ForceMessage, InverseDevice, MessageError, configuration, reply
 from haptether.master.inverse3.options import Inverse3Options, inverse3_options
 
-REST: Final = (0.0, 0.0, 0.0)
 ADDED_N: Final = 0.3
 ADDED_SHARE: Final = 0.1
 """How much longer than what was sent a force may be said to be, in N and as a share."""

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 from haptether._core import HdCallback
 from haptether.checklist import Checklist
 from haptether.master.device import MasterSample
-from haptether.master.frame import clipped, quaternion
+from haptether.master.frame import REST, clipped, quaternion
 from haptether.master.touch.checks import INKWELL, check_frames, examined, initialised
 from haptether.master.touch.library import (
     CALIBRATION_NEEDS_HAND,
@@ -28,7 +28,6 @@ from haptether.master.touch.library import (
 from haptether.master.touch.options import TouchOptions, touch_options
 from haptether.master.vendor import BadSampleError, LostError, VendorDevice, load_library
 
-REST: Final = (0.0, 0.0, 0.0)
 MM: Final = 1e-3
 END_S: Final = 0.1
 """How long the last frame, of zero force, may take."""

@@ -9,9 +9,9 @@ from typing import Final, Generic, TypeVar
 
 from haptether.checklist import Checklist, RefusedError
 from haptether.master.device import MasterSample
+from haptether.master.frame import REST
 
 Session = TypeVar("Session")
-REST: Final = (0.0, 0.0, 0.0)
 JOIN_S: Final = 3.0
 HALTS: Final = 20
 """So often a device that does not answer is told to end its force."""

@@ -29,6 +29,10 @@ class Checklist:
         """It is as it should be."""
         self._report(f"{self._device}: ok       {what}: {found}")
 
+    def caution(self, what: str, found: str, act: str) -> None:
+        """It goes on, and a person has to do something meanwhile."""
+        self._report(f"{self._device}: CAUTION  {what}: {found}: {act}")
+
     def refuse(self, what: str, found: str, remedy: str) -> None:
         """It is not."""
         self._report(f"{self._device}: REFUSED  {what}: {found}: {remedy}")

@@ -20,6 +20,7 @@ from tests.dynamixel.emulated import EmulatedBus, emulated_bus
 from haptether.checklist import Checklist
 from haptether.dynamixel import SERVO_MODELS, DynamixelBus, OperatingMode
 from haptether.dynamixel.arm import ArmRefusedError, ArmSettings, FaultKind, ServoArm, ServoSettings
+from haptether.dynamixel.arm.arm import HELD_S
 from haptether.dynamixel.arm.checks import check_port, check_servo
 
 pytestmark = pytest.mark.live
@@ -559,3 +560,63 @@ def test_a_servo_that_keeps_its_profile_is_refused(emulated: EmulatedBus, addres
     bus.close()
     assert len(checklist.refused) == 1
     assert checklist.refused[0].startswith(f"servo 3: {name} is 9: it does not take 0")
+
+
+def test_an_arm_that_another_program_holds_is_named_before_its_torque_is_taken_off(emulated: EmulatedBus) -> None:
+    bus = DynamixelBus(emulated.port, baud=4_000_000, timeout_s=TIMEOUT_S)
+    for servo_id in (1, 3):
+        bus.write(servo_id, 64, b"\1")
+    bus.close()
+    held: list[dict[int, bool]] = []
+    begun_s: list[float] = []
+    lines: list[str] = []
+
+    def report(line: str) -> None:
+        lines.append(line)
+        if "CAUTION" in line:
+            begun_s.append(time.monotonic())
+            held.append({servo_id: emulated.servo(servo_id)["torque"] for servo_id in (1, 2, 3)})
+        if "had torque" in line:
+            begun_s.append(time.monotonic())
+
+    arm = arm_of(emulated.port)
+    arm._report = report
+    try:
+        arm.open()
+    finally:
+        arm.close()
+    (caution,) = [line for line in lines if "CAUTION" in line]
+    assert "servo 1, 3: has torque already" in caution
+    assert "HOLD THE ARM: what it bears falls" in caution
+    assert held == [{1: True, 2: False, 3: True}]
+    assert len(begun_s) == 3
+    assert begun_s[1] - begun_s[0] >= HELD_S
+    # Nothing to hold, and no wait.
+    lines.clear()
+    arm.open()
+    arm.close()
+    assert not any("CAUTION" in line for line in lines)
+
+
+def test_an_arm_is_closed_while_a_person_takes_hold_of_it(emulated: EmulatedBus) -> None:
+    bus = DynamixelBus(emulated.port, baud=4_000_000, timeout_s=TIMEOUT_S)
+    bus.write(1, 64, b"\1")
+    bus.close()
+    arm = arm_of(emulated.port)
+    cautioned = threading.Event()
+    arm._report = lambda line: cautioned.set() if "CAUTION" in line else None
+    ended: list[BaseException] = []
+
+    def opens() -> None:
+        try:
+            arm.open()
+        except ArmRefusedError as error:
+            ended.append(error)
+
+    thread = threading.Thread(target=opens)
+    thread.start()
+    assert cautioned.wait(PATIENCE_S)
+    arm.close()
+    thread.join(PATIENCE_S)
+    assert not thread.is_alive()
+    assert "closed before it was open" in str(ended[0])

@@ -1,6 +1,8 @@
 """`haptether dynamixel find` and `calibrate`, with an emulated arm that answers as a person's would."""
 
 import math
+import os
+import stat
 import subprocess
 import sys
 import time
@@ -280,3 +282,45 @@ def test_answers_without_end_are_nobodys(emulated: EmulatedBus, tmp_path: Path) 
     assert done.returncode == 1
     assert "standard input does not wait for questions" in done.stderr
     assert not (tmp_path / "arm.toml").exists()
+
+
+ONE = (ServoSettings(servo_id=1, model="XM430-W350"),)
+
+
+def test_a_link_to_a_file_stays_and_the_file_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "kept").mkdir()
+    file, link = tmp_path / "kept" / "arm.toml", tmp_path / "link.toml"
+    link.symlink_to(file)
+    # One that leads to nothing yet, and then to a file.
+    for baud in (57_600, 1_000_000):
+        write_calibration(link, baud, ONE)
+        assert link.is_symlink()
+        assert not file.is_symlink()
+        assert read_calibration(file)[0] == baud
+    assert [one.name for one in file.parent.iterdir()] == ["arm.toml"]
+
+
+@pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])
+def test_the_mode_is_that_of_any_new_file_or_of_the_one_before(tmp_path: Path, mask: int) -> None:
+    path = tmp_path / "arm.toml"
+    before = os.umask(mask)
+    try:
+        write_calibration(path, 57_600, ONE)
+        assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~mask
+        path.chmod(0o640)
+        write_calibration(path, 57_600, ONE)
+        assert stat.S_IMODE(path.stat().st_mode) == 0o640
+    finally:
+        os.umask(before)
+
+
+def test_file_and_folder_are_synchronised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, seen = tmp_path / "arm.toml", list[tuple[bool, bool]]()
+
+    def fsync(descriptor: int) -> None:
+        seen.append((stat.S_ISDIR(os.fstat(descriptor).st_mode), path.exists()))
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    write_calibration(path, 57_600, ONE)
+    # The file before it has its name, its folder after.
+    assert seen == [(False, False), (True, True)]

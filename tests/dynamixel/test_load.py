@@ -168,6 +168,9 @@ def test_hands_that_cannot_be_are_refused(two: ArmDescription, line: str, said: 
         (["--arm", "gello-ur", "--servos", "1=XM430-W350"], "arm = gello-ur: has servos of its own"),
         (["--arm", "gello-ur", "--start", "0", "1"], "start: 2 angles: must be 6"),
         (["--arm", "gello-ur", "--start", *["nan"] * 6], "start = nan: must be at most 13 rad"),
+        (["--arm", "gello-ur", "--mount-offsets", "0", "1"], "offsets: 2: must be 6, one of each joint of gello-ur"),
+        (["--arm", "gello-ur", "--mount-signs", *["0"] * 6], "sign = 0: must be 1 or -1"),
+        (["--mount-offsets", "0"], "mount_offsets, mount_signs: are of the joints of an arm: give --arm"),
         (["--arm", "gello-ur", "--mass-scale", "-1"], "mass_scale = -1: must be 0 to 10"),
     ],
 )

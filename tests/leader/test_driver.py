@@ -204,6 +204,10 @@ def test_the_end_is_without_torque(two: Path) -> None:
         ({"port": "x", "arm": "koch-v1-1", "gravity_gain": 0.5}, "has joints without a mass: must be 0"),
         ({"port": "x", "arm": "gello-ur", "friction_gain": 0.5}, "has joints without a friction: must be 0"),
         ({"port": "x", "arm": "gello-ur", "offsets": [0.0, 1.0]}, "must be 6 numbers, one of each joint of gello-ur"),
+        (
+            {"port": "x", "arm": "gello-ur", "offsets": [0.0, 0.0, 700.0, 0.0, 0.0, 0.0], "signs": [1] * 6},
+            "offsets = (0.0, 0.0, 700.0, 0.0, 0.0, 0.0): joint elbow (servo 3): `offset_rad` = 700: must be",
+        ),
         ({"port": "x", "arm": "gello-ur", "signs": [1, 1, 1, 1, 1, 2]}, "signs"),
         ({"port": "x", "arm": "gello-ur", "kind": "linear"}, "kind = 'linear': must be one of joints, pose"),
         ({"port": "x", "arm": "gello-ur", "baud": 1234}, "baud = 1234: must be one of 9600"),

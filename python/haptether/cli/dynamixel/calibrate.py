@@ -18,7 +18,8 @@ class Calibrate:
     It writes the file of the arm, for the options of the drivers. Of each servo it keeps id, model, direction, offset
     of the zero, and limits. A servo knows one turn: an offset counts from the mechanical centre of its output, with the
     homing offset that it has, and the limits say which turn is meant. A joint that may turn more than once is to be
-    near the calibration's pose when its supply comes on.
+    near the calibration's pose when its supply comes on. Shadows of a joint and the ends of a gripper are not
+    found: write `shadows` into the file, and `open_rad` and `closed_rad` into the scene.
 
     Examples:
 
@@ -60,7 +61,8 @@ class Calibrate:
         if not 0.0 <= self.margin <= 0.5:
             message = f"margin = {self.margin:g}: must be 0 to 0.5 rad"
             raise ValueError(message)
-        if not (self.path.parent.is_dir() and os.access(self.path.parent, os.W_OK)):
+        folder = Path(os.path.realpath(self.path)).parent
+        if not (folder.is_dir() and os.access(folder, os.W_OK)):
             message = f"{self.path}: its folder must be one that can be written to"
             raise ValueError(message)
         servos = self._servos()
