@@ -43,9 +43,9 @@ class MasterDevice(Protocol):
     after each `write`, with F_device in N at the finger, positive closing, to be exerted until the next call. Without
     it such a scene is refused; in other scenes it is not called.
 
-    A driver whose device exerts a force by itself from `open` on, also while zero is written, such as against its weight,
-    has `exerts_by_itself = True`; without it, it is False. `haptether check-device` and `identify` say so before they
-    open it, and ask a person on the terminal.
+    A driver whose device exerts a force by itself from `open` on, also while zero is written, such as against its
+    weight, has `exerts_by_itself = True`; without it, it is False. `haptether check-device` and `identify` say so
+    before they open it, and ask a person on the terminal.
 
     A driver that paces the loop may have `period_s`, the seconds between two samples, known once it is open. A scene
     whose `[run] period_s` is off by more than 1 % is refused then, before any force.

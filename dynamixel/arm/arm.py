@@ -463,7 +463,7 @@ class ServoArm:
         checklist.ok("reads", "fast" if fast else "not fast: the firmware of a servo is too old; update it for 1 kHz")
 
     def _caution_of_torque(self, present: Container[int], checklist: Checklist) -> None:
-        """Says which servos have torque already, before it is taken off them, and leaves time to hold what they bear."""
+        """Says which servos have torque before it is taken off them, and leaves time to hold what they bear."""
         loaded = []
         for servo_id in self._members:
             # One that refuses is looked at below.

@@ -172,7 +172,7 @@ class _ServoLine:
 
 
 def check_servo(bus: DynamixelBus, servo: ServoSettings, checklist: Checklist, obeys: int | None = None) -> None:
-    """Takes the torque of a servo off, sets its mode, its profile and its return delay, and looks at what it says of itself.
+    """Takes the torque of a servo off, sets its mode, profile and return delay, and looks at what it says of itself.
 
     Args:
         bus: What it is on.

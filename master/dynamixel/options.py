@@ -55,8 +55,8 @@ class LeaderOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     force_share: Annotated[float, Meta(ge=0.1, le=1.0)] = 0.3
     """Of each joint's greatest torque, what compensation and springs leave to the reflected force."""
     max_speed: tuple[Annotated[float, Meta(ge=0.1, le=60.0, extra={"unit": "rad/s"})], ...] | None = None
-    """Of each joint in rad/s, beyond which it is a fault that ends all torque: nobody leads it so; by default 0.7 of its
-    servo's no-load speed."""
+    """Of each joint in rad/s, beyond which it is a fault that ends all torque; by default 0.7 of its servo's no-load
+    speed."""
     ramp_s: Annotated[float, Meta(ge=0.1, le=10.0, extra={"unit": "s"})] = 1.0
     """In which all torque rises from 0 after the start, and after a fault, in s."""
     timeout_s: Annotated[float, Meta(ge=0.001, le=0.1, extra={"unit": "s"})] = 0.02
