@@ -65,7 +65,7 @@ def calibrated(bus: EmulatedBus, arm: ArmDescription, path: Path) -> None:
         calibration.close()
 
 
-@pytest.mark.live
+@pytest.mark.alone
 @pytest.mark.timeout(120)
 def test_a_calibrated_arm_is_compensated_in_its_own_frame_and_one_that_is_not_is_not(
     two: Path, bus: EmulatedBus, tmp_path: Path
