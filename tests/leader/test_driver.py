@@ -35,6 +35,11 @@ def opened(arm: Path | str, *start: float, **given: object) -> Iterator[tuple[Dy
     with emulated_bus("--arm", str(arm), *(("--start", *map(str, start)) if start else ())) as bus:
         for servo in bus.status()["servos"]:
             bus.do(f"hand {servo['id']} {servo['position_rad']} 40 1")
+        # It has fallen until it was held: an arm that still moves is none that is held.
+        end_s = time.monotonic() + 10.0
+        while any(abs(servo["velocity_rad_s"]) > 0.01 for servo in bus.status()["servos"]):
+            assert time.monotonic() < end_s
+            time.sleep(0.01)
         leader = DynamixelMaster(port=bus.port, arm=str(arm), **options)
         try:
             leader.open()
