@@ -92,6 +92,17 @@ from haptether.bridge.scene.tables.slave import (
     TorqueTable,
 )
 from haptether.bridge.session_key import read_key, wipe_key, write_key
+from haptether.bridge.telemetry import (
+    TelemetryCause,
+    TelemetryChange,
+    TelemetryEnd,
+    TelemetryHello,
+    TelemetryLost,
+    TelemetryMessage,
+    TelemetryReader,
+    TelemetrySample,
+    TelemetrySignal,
+)
 
 __all__ = [
     "GRIPPERS",
@@ -168,6 +179,15 @@ __all__ = [
     "Sphere",
     "Spring",
     "Sweep",
+    "TelemetryCause",
+    "TelemetryChange",
+    "TelemetryEnd",
+    "TelemetryHello",
+    "TelemetryLost",
+    "TelemetryMessage",
+    "TelemetryReader",
+    "TelemetrySample",
+    "TelemetrySignal",
     "ToolTable",
     "TorqueTable",
     "TremorTable",

@@ -26,6 +26,7 @@ mod ring;
 pub mod scene;
 pub mod session;
 mod side;
+pub mod telemetry;
 mod virtual_time;
 pub mod wire;
 

@@ -10,7 +10,7 @@ use haptether_bridge::{
     coupling::{CommandBounds, RotationBounds, RotationLock, RotationState},
     live::{
         DriverLoop, Ineffective, LiveSettings, Paced, PacedLoop, PeerAddress, PeerSocket, RealtimeDemand,
-        RealtimeSettings, Security, now_ns, paced_by_device,
+        RealtimeSettings, RecordOutputs, Security, now_ns, paced_by_device,
     },
     run_virtual,
     scene::{SceneSpec, driven_master, simulated_master, simulated_slave},
@@ -154,7 +154,7 @@ fn started<S: Seen>(side: S, role: Role, started_ns: Option<u64>) -> Paced<S, 1>
         realtime: RealtimeSettings { demand: RealtimeDemand::Off, ..RealtimeSettings::default() },
     };
     let socket = PeerSocket::bind(local, PeerAddress::Learned).unwrap();
-    paced_by_device(side, socket, settings, Security::Insecure, None).unwrap()
+    paced_by_device(side, socket, settings, Security::Insecure, RecordOutputs::default()).unwrap()
 }
 
 /// The same in the loop that drivers turn: an act waits when the sample comes that says so.

@@ -2251,6 +2251,7 @@ class LiveMaster(_MasterSide):
         cpu: Processor that the loop stays on; without it the kernel chooses.
         record: File for an MCAP recording of every tick (`read_recording`); one that is there is replaced.
         min_free_bytes: The recording ends, and nothing else does, when fewer are free on its disk.
+        telemetry: A Unix socket of this path sends samples and events, see `TelemetryReader`; the loop waits for no reader.
 
     Raises:
         ValueError: An address that is none, a time outside 0 to 1e9 s, a start that is to come, a key of another length,
@@ -2276,6 +2277,7 @@ class LiveMaster(_MasterSide):
         cpu: int | None = None,
         record: str | PathLike[str] | None = None,
         min_free_bytes: int = ...,
+        telemetry: str | PathLike[str] | None = None,
     ) -> LiveMaster: ...
     @property
     def realtime(self) -> str:
@@ -2313,6 +2315,7 @@ class LiveSlave(_SlaveSide):
         cpu: int | None = None,
         record: str | PathLike[str] | None = None,
         min_free_bytes: int = ...,
+        telemetry: str | PathLike[str] | None = None,
     ) -> LiveSlave: ...
     @property
     def realtime(self) -> str:
@@ -2356,6 +2359,7 @@ class MasterLoop(_MasterSide, _DrivenLoop):
         cpu: int | None = None,
         record: str | PathLike[str] | None = None,
         min_free_bytes: int = ...,
+        telemetry: str | PathLike[str] | None = None,
     ) -> MasterLoop: ...
     def step(
         self,
@@ -2430,6 +2434,7 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
         cpu: int | None = None,
         record: str | PathLike[str] | None = None,
         min_free_bytes: int = ...,
+        telemetry: str | PathLike[str] | None = None,
     ) -> SlaveLoop: ...
     def step(
         self,

@@ -17,7 +17,7 @@ use crate::{
     bridge_trace::{MasterRows, MasterTrace, PyLoopReport, PyRecordingReport, Rowed, SlaveRows, SlaveTrace},
     live::{
         How, Place, Watched, constructor, finished_before, locked, master_methods, not_begun,
-        realtime_settings, recorder_settings, security, slave_methods, watch_methods,
+        realtime_settings, recorder_settings, security, slave_methods, telemetry_settings, watch_methods,
     },
     scene::{live_periods, scene_axes, scene_spec},
 };
@@ -42,9 +42,9 @@ where
 {
     py.detach(|| {
         // Before the loop: it locks what memory there is.
-        let (newest, recorder) = (place.newest()?, place.recorder()?);
+        let (newest, outputs) = (place.newest()?, place.outputs()?);
         let (run, watch, reader) =
-            run_live(side, place.socket, place.settings, place.security, recorder).map_err(not_begun)?;
+            run_live(side, place.socket, place.settings, place.security, outputs).map_err(not_begun)?;
         Ok((Mutex::new(run), Watched::new(watch, reader, newest)))
     })
 }

@@ -28,7 +28,7 @@ use crate::{
     bridge_trace::{MasterRows, MasterTrace, PyLoopReport, PyRecordingReport, Rowed, SlaveRows, SlaveTrace},
     live::{
         How, Place, Watched, constructor, finished_before, locked, master_methods, not_begun,
-        realtime_settings, recorder_settings, security, slave_methods, watch_methods,
+        realtime_settings, recorder_settings, security, slave_methods, telemetry_settings, watch_methods,
     },
     scene::{live_periods, scene_axes, scene_spec},
 };
@@ -494,9 +494,9 @@ where
     S: Side<N, Record: Rowed> + Send,
 {
     py.detach(|| {
-        let (newest, recorder) = (place.newest()?, place.recorder()?);
+        let (newest, outputs) = (place.newest()?, place.outputs()?);
         let (paced, watch, reader) =
-            paced_by_device(side, place.socket, place.settings, place.security, recorder)
+            paced_by_device(side, place.socket, place.settings, place.security, outputs)
                 .map_err(not_begun)?;
         Ok((paced, Watched::new(watch, reader, newest)))
     })

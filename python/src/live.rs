@@ -2,7 +2,7 @@
 
 use std::{
     mem::MaybeUninit,
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::{Mutex, MutexGuard, PoisonError},
 };
 
@@ -10,9 +10,10 @@ use haptether_bridge::{
     OperatorCommand,
     live::{
         LiveHandle, LiveSettings, LiveWatch, PeerAddress, PeerSocket, RealtimeDemand, RealtimeSettings,
-        RecordReader, Security, StartError, now_ns,
+        RecordOutputs, RecordReader, Security, StartError, now_ns,
     },
     recorder::{Recorded, Recorder, RecorderSettings, SecurityMark},
+    telemetry::{Telemetry, TelemetrySettings},
     session::{KeyError, PreSharedKey},
     wire::Role,
 };
@@ -63,6 +64,7 @@ pub(crate) struct Place {
     pub(crate) security: Security,
     kept: usize,
     record: Option<RecorderSettings>,
+    telemetry: Option<TelemetrySettings>,
 }
 
 impl Place {
@@ -97,7 +99,7 @@ impl Place {
         period_ns: u64,
         how: How,
     ) -> PyResult<Self> {
-        let How { security, duration_s, patience_s, keep_s, realtime, record } = how;
+        let How { security, duration_s, patience_s, keep_s, realtime, record, telemetry } = how;
         if !(keep_s > 0.0 && keep_s <= MAX_KEPT_S) {
             let text = format!("keep_s = {keep_s}: must be above 0 and at most {MAX_KEPT_S} s");
             return Err(PyValueError::new_err(text));
@@ -126,16 +128,22 @@ impl Place {
         if !reserve::fill() {
             return Err(PyMemoryError::new_err("no memory can be set aside for the end of a run"));
         }
-        Ok(Self { socket, settings, security, kept, record })
+        Ok(Self { socket, settings, security, kept, record, telemetry })
     }
 
-    /// The recorder, if there is to be one: after the socket, so that a run that cannot be replaces no file.
-    pub(crate) fn recorder<R: Recorded>(&self) -> PyResult<Option<Recorder<R>>> {
-        let begin = |to: &RecorderSettings| {
-            Recorder::begin(to)
-                .map_err(|error| PyOSError::new_err(format!("record = {}: {error}", to.path.display())))
+    /// Recorder and telemetry, if there are to be any: after the socket, so that a run that cannot be replaces no file.
+    pub(crate) fn outputs<R: Recorded>(&self) -> PyResult<RecordOutputs<R>> {
+        let refused = |name: &str, path: &Path, error: std::io::Error| {
+            PyOSError::new_err(format!("{name} = {}: {error}", path.display()))
         };
-        self.record.as_ref().map(begin).transpose()
+        // The socket first: it replaces nothing that is in use.
+        let begin = |to: &TelemetrySettings| {
+            Telemetry::begin(to).map_err(|error| refused("telemetry", &to.path, error))
+        };
+        let telemetry = self.telemetry.as_ref().map(begin).transpose()?;
+        let begin =
+            |to: &RecorderSettings| Recorder::begin(to).map_err(|error| refused("record", &to.path, error));
+        Ok(RecordOutputs { recorder: self.record.as_ref().map(begin).transpose()?, telemetry })
     }
 
     /// Room for the newest records.
@@ -169,6 +177,7 @@ pub(crate) struct How {
     pub(crate) keep_s: f64,
     pub(crate) realtime: RealtimeSettings,
     pub(crate) record: Option<RecorderSettings>,
+    pub(crate) telemetry: Option<TelemetrySettings>,
 }
 
 /// Why a loop did not begin.
@@ -288,7 +297,7 @@ macro_rules! constructor {
             #[new]
             #[pyo3(signature = (scene, *, $place, run_id, key=None, insecure=false, $($own=$default,)*
                 duration_s=None, patience_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None,
-                record=None, min_free_bytes=1_000_000_000))]
+                record=None, min_free_bytes=1_000_000_000, telemetry=None))]
             fn new(
                 $py: Python<'_>,
                 scene: &[u8],
@@ -305,6 +314,7 @@ macro_rules! constructor {
                 cpu: Option<u16>,
                 record: Option<PathBuf>,
                 min_free_bytes: u64,
+                telemetry: Option<PathBuf>,
             ) -> PyResult<Self> {
                 let $run_id = run_id;
                 let $how = How {
@@ -314,6 +324,7 @@ macro_rules! constructor {
                     keep_s,
                     realtime: realtime_settings(realtime, priority, cpu)?,
                     record: recorder_settings(record, min_free_bytes, insecure),
+                    telemetry: telemetry_settings(telemetry, insecure),
                 };
                 of_axes!(scene_axes(scene)?, N => {
                     let $scene = scene_spec::<N>(scene)?;
@@ -476,12 +487,21 @@ pub(crate) fn realtime_settings(demand: &str, priority: u8, cpu: Option<u16>) ->
     Ok(RealtimeSettings { demand, priority, cpu })
 }
 
+/// How the frames of a run travel.
+fn mark(insecure: bool) -> SecurityMark {
+    if insecure { SecurityMark::Insecure } else { SecurityMark::Secure }
+}
+
 /// Where to record, if anywhere.
 pub(crate) fn recorder_settings(
     path: Option<PathBuf>,
     min_free_bytes: u64,
     insecure: bool,
 ) -> Option<RecorderSettings> {
-    let security = if insecure { SecurityMark::Insecure } else { SecurityMark::Secure };
-    path.map(|path| RecorderSettings { path, min_free_bytes, security })
+    path.map(|path| RecorderSettings { path, min_free_bytes, security: mark(insecure) })
+}
+
+/// Where to send telemetry, if anywhere.
+pub(crate) fn telemetry_settings(path: Option<PathBuf>, insecure: bool) -> Option<TelemetrySettings> {
+    path.map(|path| TelemetrySettings { path, security: mark(insecure) })
 }

@@ -30,7 +30,7 @@ MAY_IMPORT = {
 ROOMS = tuple(room for room in MAY_IMPORT if (PACKAGE / room).exists())
 
 # The runners and the threads beside them: they, and nothing else in Rust, may know what time it is.
-CLOCK_OWNERS = ("live", "proxy", "recorder", "writer")
+CLOCK_OWNERS = ("live", "proxy", "recorder", "telemetry", "writer")
 CLOCK = re.compile(
     r"\bInstant\b|\bSystemTime\b|\bUNIX_EPOCH\b|\bclock_gettime\b|\bclock_nanosleep\b"
     r"|\bnanosleep\b|\bthread::sleep\b|\bsleep(_ms|_until)?\s*\("

@@ -14,6 +14,7 @@ use crate::{
     ladder::{Diagnosis, FlightRecorder, LadderState},
     recorder::{Recorder, Recording, RecordingReport},
     ring::ring,
+    telemetry::Telemetry,
 };
 
 /// Commands and shows a loop from any thread, without a lock.
@@ -251,32 +252,57 @@ impl CommandQueue {
     }
 }
 
-/// Where the records of a loop go: to whoever reads them, and to the recorder; neither is ever waited for.
+/// Who gets every record of a loop besides its reader; nobody by default.
+#[derive(Debug)]
+pub struct RecordOutputs<R> {
+    /// A file.
+    pub recorder: Option<Recorder<R>>,
+    /// Whoever looks on.
+    pub telemetry: Option<Telemetry<R>>,
+}
+
+impl<R> Default for RecordOutputs<R> {
+    fn default() -> Self {
+        Self { recorder: None, telemetry: None }
+    }
+}
+
+/// Where the records of a loop go; nobody there is ever waited for.
 #[derive(Debug)]
 pub(super) struct RecordSinks<R> {
     read: rtrb::Producer<R>,
-    recorder: Option<Recorder<R>>,
+    outputs: RecordOutputs<R>,
 }
 
 impl<R: Copy> RecordSinks<R> {
-    /// Hands a record to both; returns it where nobody reads in time.
+    /// Hands a record to all; returns it where nobody reads in time.
     pub(super) fn push(&mut self, record: R) -> Result<(), rtrb::PushError<R>> {
-        if let Some(recorder) = &mut self.recorder {
+        if let Some(recorder) = &mut self.outputs.recorder {
             recorder.take(record);
+        }
+        if let Some(telemetry) = &mut self.outputs.telemetry {
+            telemetry.take(record);
         }
         self.read.push(record)
     }
 
-    /// Hands the recording why the two sides are not coupled, since `time_ns` after the start or shortly before.
+    /// Hands on why the two sides are not coupled, since `time_ns` after the start or shortly before.
     pub(super) fn note(&mut self, time_ns: u64, diagnosis: &Diagnosis) {
-        if let Some(recorder) = &mut self.recorder {
+        if let Some(recorder) = &mut self.outputs.recorder {
             recorder.note(time_ns, diagnosis);
+        }
+        if let Some(telemetry) = &mut self.outputs.telemetry {
+            telemetry.note(time_ns, diagnosis);
         }
     }
 
-    /// Ends the recording.
+    /// Ends the telemetry and the recording.
     pub(super) fn end(self) -> Option<RecordingReport> {
-        self.recorder.map(Recorder::end)
+        let RecordOutputs { recorder, telemetry } = self.outputs;
+        if let Some(telemetry) = telemetry {
+            telemetry.end();
+        }
+        recorder.map(Recorder::end)
     }
 }
 
@@ -303,7 +329,7 @@ pub(super) fn channels<R>(
     capacity: usize,
     started_ns: u64,
     address: SocketAddr,
-    recorder: Option<Recorder<R>>,
+    outputs: RecordOutputs<R>,
 ) -> (LoopChannels<R>, LiveWatch, RecordReader<R>, Arc<Shared>) {
     let shared = Arc::<Shared>::default();
     let (to_reader, records) = ring(capacity);
@@ -320,10 +346,10 @@ pub(super) fn channels<R>(
         diagnosis: None,
         commands,
         address,
-        recording: recorder.as_ref().map(Recorder::recording),
+        recording: outputs.recorder.as_ref().map(Recorder::recording),
     };
     let channels = LoopChannels {
-        records: RecordSinks { read: to_reader, recorder },
+        records: RecordSinks { read: to_reader, outputs },
         events: to_events,
         flights: to_flights,
         diagnoses: to_diagnoses,

@@ -9,7 +9,7 @@ mod socket;
 mod system;
 
 pub use channel::Security;
-pub use handle::{Ineffective, LiveHandle, LiveWatch, RecordReader};
+pub use handle::{Ineffective, LiveHandle, LiveWatch, RecordOutputs, RecordReader};
 pub use handshakes::{SecurityEvent, StartError};
 pub use live_loop::{LiveSettings, LoopReport};
 pub use run::{DriverLoop, Ended, LiveRun, Paced, PacedLoop, paced_by_device, run_live};

@@ -9,7 +9,7 @@ use std::{
 
 use super::{
     channel::{LiveChannel, Security},
-    handle::{LiveHandle, LiveWatch, LoopChannels, RecordReader, Shared, channels},
+    handle::{LiveHandle, LiveWatch, LoopChannels, RecordOutputs, RecordReader, Shared, channels},
     handshakes::StartError,
     live_loop::{LiveLoop, LiveSettings, LoopReport},
     socket::PeerSocket,
@@ -19,7 +19,6 @@ use crate::{
     fault_text::{FaultText, PIECES},
     ladder::FlightRecorder,
     pace::{DevicePace, Wake},
-    recorder::Recorder,
     side::Side,
 };
 
@@ -34,7 +33,7 @@ pub struct LiveRun {
     realtime: RealtimeReport,
 }
 
-/// Starts the loop of one side on a thread of its own; `recorder` gets every record, too.
+/// Starts the loop of one side on a thread of its own; `outputs` get every record, too.
 ///
 /// Fails where real-time scheduling is required and not all of it was granted.
 pub fn run_live<S: Side<N> + Send + 'static, const N: usize>(
@@ -42,7 +41,7 @@ pub fn run_live<S: Side<N> + Send + 'static, const N: usize>(
     socket: PeerSocket,
     settings: LiveSettings,
     security: Security,
-    recorder: Option<Recorder<S::Record>>,
+    outputs: RecordOutputs<S::Record>,
 ) -> Result<(LiveRun, LiveWatch, RecordReader<S::Record>), StartError> {
     let channel = LiveChannel::start(
         settings.role,
@@ -52,7 +51,7 @@ pub fn run_live<S: Side<N> + Send + 'static, const N: usize>(
     )?;
     let started_ns = settings.started_ns.unwrap_or_else(system::now_ns);
     let (channels, watch, records, shared) =
-        channels(settings.ring, started_ns, socket.local_address()?, recorder);
+        channels(settings.ring, started_ns, socket.local_address()?, outputs);
     let (to_starter, granted) = mpsc::sync_channel(1);
     let thread = std::thread::Builder::new().name("haptether-loop".into()).spawn(move || {
         let (realtime, _kept) = system::prepare(settings.realtime);
@@ -131,13 +130,13 @@ pub struct PacedLoop<S: Side<N>, const N: usize> {
 /// A loop that is not begun, its watch and its records.
 pub type Paced<S, const N: usize> = (PacedLoop<S, N>, LiveWatch, RecordReader<<S as Side<N>>::Record>);
 
-/// Prepares the loop of one side; `recorder` gets every record, too.
+/// Prepares the loop of one side; `outputs` get every record, too.
 pub fn paced_by_device<S: Side<N>, const N: usize>(
     side: S,
     socket: PeerSocket,
     settings: LiveSettings,
     security: Security,
-    recorder: Option<Recorder<S::Record>>,
+    outputs: RecordOutputs<S::Record>,
 ) -> Result<Paced<S, N>, StartError> {
     let channel = LiveChannel::start(
         settings.role,
@@ -147,7 +146,7 @@ pub fn paced_by_device<S: Side<N>, const N: usize>(
     )?;
     let started_ns = settings.started_ns.unwrap_or_else(system::now_ns);
     let (channels, watch, records, shared) =
-        channels(settings.ring, started_ns, socket.local_address()?, recorder);
+        channels(settings.ring, started_ns, socket.local_address()?, outputs);
     let paced = PacedLoop {
         stage: Stage::Ready(Box::new((side, socket, channel, channels))),
         settings,

@@ -79,7 +79,7 @@ impl<R: MasterTurn> MasterTurn for Feeling<R> {
             (
                 "trigger_tripped",
                 "bits of the controllers that tripped by the trigger",
-                Value::Count(tripped.into()),
+                Value::Bits(tripped.into()),
             ),
         ] {
             take(field);

@@ -201,13 +201,9 @@ impl MasterTurn for MasterRotation {
             (
                 "rotation_tripped",
                 "bits of the controllers that tripped by the rotation",
-                Value::Count(self.tripped.into()),
+                Value::Bits(self.tripped.into()),
             ),
-            (
-                "rotation_acted",
-                "bits of the bounds that acted on the torque",
-                Value::Count(self.acted.into()),
-            ),
+            ("rotation_acted", "bits of the bounds that acted on the torque", Value::Bits(self.acted.into())),
         ] {
             take(field);
         }

@@ -16,8 +16,10 @@ pub enum Value<'a> {
     Axes(&'a [f64]),
     /// A number; what is not finite becomes null.
     Number(f64),
-    /// A count, a code or a set of bits.
+    /// A count or a code.
     Count(u64),
+    /// A set of bits.
+    Bits(u64),
     /// A name.
     Name(&'static str),
     /// Yes or no.
@@ -30,7 +32,7 @@ impl Value<'_> {
         match self {
             Self::Axes(_) => json!({"type": "array", "items": {"type": ["number", "null"]}}),
             Self::Number(_) => json!({"type": ["number", "null"]}),
-            Self::Count(_) => json!({"type": "integer"}),
+            Self::Count(_) | Self::Bits(_) => json!({"type": "integer"}),
             Self::Name(_) => json!({"type": "string"}),
             Self::Flag(_) => json!({"type": "boolean"}),
         }
@@ -41,7 +43,7 @@ impl Value<'_> {
         let _ = match self {
             Self::Axes(values) => serde_json::to_writer(out, values),
             Self::Number(value) => serde_json::to_writer(out, &value),
-            Self::Count(value) => serde_json::to_writer(out, &value),
+            Self::Count(value) | Self::Bits(value) => serde_json::to_writer(out, &value),
             Self::Name(value) => serde_json::to_writer(out, value),
             Self::Flag(value) => serde_json::to_writer(out, &value),
         };
@@ -152,8 +154,8 @@ impl<const N: usize, R: MasterTurn> Recorded for MasterRecord<N, R> {
             ("trigger", TRIGGER, Value::Number(self.trigger)),
         ];
         let state = [
-            ("tripped", "bits of the controllers that tripped", Value::Count(self.tripped.into())),
-            ("acted", "bits of the limiter's bounds that acted", Value::Count(self.acted.into())),
+            ("tripped", "bits of the controllers that tripped", Value::Bits(self.tripped.into())),
+            ("acted", "bits of the limiter's bounds that acted", Value::Bits(self.acted.into())),
             ("state", STATE, Value::Name(self.state.name())),
             ("reason", REASON, reason(self.reason)),
             ("peer_state", PEER_STATE, peer_state(self.peer[0])),
@@ -197,7 +199,7 @@ impl<const N: usize, R: SlaveTurn> Recorded for SlaveRecord<N, R> {
             ),
             ("gripper_force", "between its jaws in N", Value::Number(self.gripper_force)),
             ("holds_object", "whether something stops its jaws", Value::Flag(self.holds_object)),
-            ("limited", "bits of the bounds that acted on the command", Value::Count(self.limited.into())),
+            ("limited", "bits of the bounds that acted on the command", Value::Bits(self.limited.into())),
             ("state", STATE, Value::Name(self.state.name())),
             ("reason", REASON, reason(self.reason)),
             ("peer_state", PEER_STATE, peer_state(self.peer[0])),

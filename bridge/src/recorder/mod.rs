@@ -93,9 +93,10 @@ const NOTES: usize = 16;
 
 /// Why the two sides are not coupled, since when.
 #[derive(Clone, Copy, Debug)]
-struct Note {
-    time_ns: u64,
-    diagnosis: Diagnosis,
+pub(crate) struct Note {
+    /// Since the run began.
+    pub(crate) time_ns: u64,
+    pub(crate) diagnosis: Diagnosis,
 }
 
 /// How long the end of a run waits for the disk.

@@ -34,6 +34,8 @@ class LiveOptions:
     """Record every tick as MCAP, about 2 GB an hour; what a slow or full disk does not take is dropped and counted."""
     min_free_bytes: Annotated[int, tyro.conf.arg(metavar="N")] = 1_000_000_000
     """End the recording, and nothing else, when fewer bytes than this are free on its disk."""
+    telemetry: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Send samples and events to whoever reads them, at a Unix socket of this path; see docs/telemetry.md."""
 
 
 def live_arguments(command: "Master | Slave", key: bytearray | None) -> dict[str, Any]:
@@ -71,6 +73,7 @@ def live_arguments(command: "Master | Slave", key: bytearray | None) -> dict[str
         "cpu": command.cpu,
         "record": command.record,
         "min_free_bytes": command.min_free_bytes,
+        "telemetry": command.telemetry,
     }
 
 

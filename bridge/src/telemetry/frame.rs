@@ -1,0 +1,268 @@
+//! What the ticks of a frame come to: the range of each number, and the changes of all else.
+
+use serde_json::json;
+
+use crate::{
+    ladder::Explanation,
+    recorder::{Note, Recorded, SecurityMark, Value},
+};
+
+/// Of the lines, raised when a reader of before would misread them.
+const SCHEMA: u32 = 1;
+/// Changes of one frame that are sent; more are counted.
+const MAX_EVENTS: usize = 256;
+
+/// The first line that a reader gets: whose samples these are, and the name, kind, size and meaning of each signal.
+pub(super) fn hello<R: Recorded>(security: SecurityMark) -> Vec<u8> {
+    let mut signals = Vec::new();
+    R::any().fields(&mut |(name, meaning, value)| {
+        if name != TIME {
+            signals.push(json!({
+                "name": name, "kind": kind(&value), "size": size(&value), "meaning": meaning,
+            }));
+        }
+    });
+    line(&json!({
+        "kind": "hello", "schema": SCHEMA, "side": R::SIDE, "security": security.name(), "signals": signals,
+    }))
+}
+
+/// Why the two sides are not coupled, as a line.
+pub(super) fn cause(note: &Note) -> Vec<u8> {
+    #[derive(serde::Serialize)]
+    struct Cause {
+        kind: &'static str,
+        time_ns: u64,
+        #[serde(flatten)]
+        explanation: Explanation,
+    }
+    line(&Cause { kind: "cause", time_ns: note.time_ns, explanation: note.diagnosis.explain() })
+}
+
+fn line(of: &impl serde::Serialize) -> Vec<u8> {
+    // A vector takes all that is written, and JSON has all these values.
+    let mut out = serde_json::to_vec(of).unwrap_or_default();
+    out.push(b'\n');
+    out
+}
+
+/// The field that is the time of each line and no signal.
+const TIME: &str = "time_ns";
+
+fn kind(value: &Value<'_>) -> &'static str {
+    match value {
+        Value::Axes(_) => "axes",
+        Value::Number(_) => "number",
+        Value::Count(_) => "count",
+        Value::Bits(_) => "bits",
+        Value::Name(_) => "name",
+        Value::Flag(_) => "flag",
+    }
+}
+
+fn size(value: &Value<'_>) -> usize {
+    if let Value::Axes(values) = value { values.len() } else { 1 }
+}
+
+/// A number in the ticks of a frame; what is none is left out of its bounds.
+#[derive(Clone, Copy)]
+struct Range {
+    min: f64,
+    max: f64,
+    last: f64,
+}
+
+impl Range {
+    const EMPTY: Self = Self { min: f64::INFINITY, max: f64::NEG_INFINITY, last: f64::NAN };
+
+    fn take(&mut self, value: f64) {
+        *self = Self { min: self.min.min(value), max: self.max.max(value), last: value };
+    }
+
+    /// What is not finite becomes null: of a frame without a number all three.
+    fn write(&self, out: &mut Vec<u8>) {
+        let _ = serde_json::to_writer(out, &[self.min, self.max, self.last]);
+    }
+}
+
+/// What is no number.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Discrete {
+    Count(u64),
+    /// Those of any tick of the frame, and of the last.
+    Bits([u64; 2]),
+    Name(&'static str),
+    Flag(bool),
+}
+
+impl Discrete {
+    fn write(self, out: &mut Vec<u8>) {
+        let _ = match self {
+            Self::Count(count) => serde_json::to_writer(out, &count),
+            Self::Bits(bits) => serde_json::to_writer(out, &bits),
+            Self::Name(name) => serde_json::to_writer(out, name),
+            Self::Flag(flag) => serde_json::to_writer(out, &flag),
+        };
+    }
+
+    /// As it was at the last tick.
+    fn last(self) -> serde_json::Value {
+        match self {
+            Self::Count(count) | Self::Bits([_, count]) => count.into(),
+            Self::Name(name) => name.into(),
+            Self::Flag(flag) => flag.into(),
+        }
+    }
+}
+
+enum Content {
+    Ranges(Vec<Range>),
+    Number(Range),
+    Discrete(Option<Discrete>),
+}
+
+struct Signal {
+    name: &'static str,
+    content: Content,
+}
+
+/// The ticks since the last sample.
+pub(super) struct Frame {
+    signals: Vec<Signal>,
+    time_ns: u64,
+    ticks: u64,
+    events: Vec<u8>,
+    count: usize,
+    /// Changes that were not sent, over the run.
+    unsent: u64,
+    sample: Vec<u8>,
+}
+
+impl Frame {
+    pub(super) fn of<R: Recorded>() -> Self {
+        let mut signals = Vec::new();
+        R::any().fields(&mut |(name, _, value)| {
+            let content = match value {
+                Value::Axes(values) => Content::Ranges(vec![Range::EMPTY; values.len()]),
+                Value::Number(_) => Content::Number(Range::EMPTY),
+                _ => Content::Discrete(None),
+            };
+            signals.push(Signal { name, content });
+        });
+        Self {
+            signals,
+            time_ns: 0,
+            ticks: 0,
+            events: Vec::with_capacity(4096),
+            count: 0,
+            unsent: 0,
+            sample: Vec::with_capacity(4096),
+        }
+    }
+
+    /// Adds a tick.
+    pub(super) fn take(&mut self, record: &impl Recorded) {
+        let Self { signals, events, count, unsent, .. } = self;
+        let time_ns = record.time_ns();
+        let mut signals = signals.iter_mut();
+        record.fields(&mut |(name, _, value)| {
+            let Some(signal) = signals.next() else { return };
+            match (&mut signal.content, value) {
+                (Content::Ranges(ranges), Value::Axes(values)) => {
+                    ranges.iter_mut().zip(values).for_each(|(range, value)| range.take(*value));
+                }
+                (Content::Number(range), Value::Number(value)) => range.take(value),
+                (Content::Discrete(before), value) => {
+                    let now = match value {
+                        Value::Count(count) => Discrete::Count(count),
+                        Value::Bits(bits) => Discrete::Bits([bits, bits]),
+                        Value::Name(name) => Discrete::Name(name),
+                        Value::Flag(flag) => Discrete::Flag(flag),
+                        Value::Axes(_) | Value::Number(_) => return,
+                    };
+                    if let (Some(before), true) = (*before, name != TIME)
+                        && !matches!(now, Discrete::Count(_))
+                        && before.last() != now.last()
+                    {
+                        if *count < MAX_EVENTS {
+                            *count += 1;
+                            let change = json!({
+                                "kind": "change", "time_ns": time_ns, "signal": name, "from": before.last(),
+                                "to": now.last(),
+                            });
+                            events.extend(line(&change));
+                        } else {
+                            *unsent += 1;
+                        }
+                    }
+                    *before = Some(match (*before, now) {
+                        (Some(Discrete::Bits([any, _])), Discrete::Bits([bits, _])) => {
+                            Discrete::Bits([any | bits, bits])
+                        }
+                        _ => now,
+                    });
+                }
+                _ => {}
+            }
+        });
+        self.time_ns = time_ns;
+        self.ticks += 1;
+    }
+
+    /// Hands over the changes since they were last taken, one line each.
+    pub(super) fn events(&mut self, take: impl FnOnce(&[u8])) {
+        take(&self.events);
+        self.events.clear();
+        self.count = 0;
+    }
+
+    /// The sample of the frame and how many ticks it stands for, and begins the next; none where there was no tick.
+    pub(super) fn sample(&mut self, dropped: u64) -> Option<(&[u8], u64)> {
+        if self.ticks == 0 {
+            return None;
+        }
+        let Self { signals, time_ns, ticks, sample: out, unsent, .. } = self;
+        out.clear();
+        let head = format!(
+            r#"{{"kind":"sample","time_ns":{time_ns},"ticks":{ticks},"dropped":{dropped},"unsent_changes":{unsent}"#
+        );
+        out.extend_from_slice(head.as_bytes());
+        out.extend_from_slice(br#","signals":{"#);
+        let mut is_first = true;
+        for signal in signals.iter_mut().filter(|signal| signal.name != TIME) {
+            if !std::mem::replace(&mut is_first, false) {
+                out.push(b',');
+            }
+            Discrete::Name(signal.name).write(out);
+            out.push(b':');
+            match &mut signal.content {
+                Content::Ranges(ranges) => {
+                    out.push(b'[');
+                    for (index, range) in ranges.iter_mut().enumerate() {
+                        if index > 0 {
+                            out.push(b',');
+                        }
+                        std::mem::replace(range, Range::EMPTY).write(out);
+                    }
+                    out.push(b']');
+                }
+                Content::Number(range) => std::mem::replace(range, Range::EMPTY).write(out),
+                Content::Discrete(Some(value)) => {
+                    value.write(out);
+                    if let Discrete::Bits([any, last]) = value {
+                        *any = *last;
+                    }
+                }
+                Content::Discrete(None) => out.extend_from_slice(b"null"),
+            }
+        }
+        out.extend_from_slice(b"}}\n");
+        let ticks = std::mem::take(&mut self.ticks);
+        Some((&self.sample, ticks))
+    }
+
+    /// The last line of a run.
+    pub(super) fn end_line(&self) -> Vec<u8> {
+        line(&json!({"kind": "end", "time_ns": self.time_ns}))
+    }
+}

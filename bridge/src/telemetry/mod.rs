@@ -1,0 +1,136 @@
+//! What a live loop shows of itself while it runs: samples and events over a Unix socket, to any number of readers.
+//!
+//! The loop hands each record to a bounded ring and never waits. A thread of its own decimates them: of each frame of
+//! 1/60 s the smallest, the largest and the last value of each signal, so that a spike of one tick survives, and every
+//! change of what is a name, a flag or a set of bits. A reader that is slow loses samples, which are counted to it, and
+//! none of the others notices. Lines of JSON; see docs/telemetry.md.
+
+mod frame;
+mod readers;
+
+use std::{
+    io,
+    path::PathBuf,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+        mpsc,
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use frame::Frame;
+use readers::Readers;
+
+use crate::{
+    ladder::Diagnosis,
+    recorder::{Note, Recorded, SecurityMark},
+    ring::ring,
+};
+
+/// How telemetry is sent.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TelemetrySettings {
+    /// Its Unix socket, for its owner alone. A socket that nobody listens at is replaced, anything else is refused.
+    pub path: PathBuf,
+    /// What the run is marked as.
+    pub security: SecurityMark,
+}
+
+/// Records that wait for the thread: 0.5 s at 8 kHz, 4 s at 1 kHz.
+const RING: usize = 1 << 12;
+/// Diagnoses that wait for the thread.
+const NOTES: usize = 16;
+/// From one frame to the next.
+const FRAME: Duration = Duration::from_nanos(1_000_000_000 / 60);
+/// How long the end of a run waits for the thread.
+const PATIENCE: Duration = Duration::from_millis(500);
+/// How long the thread then waits for readers that have not taken all yet.
+const LAST: Duration = Duration::from_millis(200);
+
+/// The loop's end of the ring.
+#[derive(Debug)]
+pub struct Telemetry<R> {
+    records: rtrb::Producer<R>,
+    notes: rtrb::Producer<Note>,
+    /// Records that found the ring full.
+    dropped: Arc<AtomicU64>,
+    ended: mpsc::Receiver<()>,
+}
+
+impl<R: Recorded> Telemetry<R> {
+    /// Listens, and starts the thread that sends.
+    pub fn begin(settings: &TelemetrySettings) -> io::Result<Self> {
+        let readers = Readers::listen(&settings.path, frame::hello::<R>(settings.security))?;
+        let (records, waiting) = ring(RING);
+        let (notes, noted) = ring(NOTES);
+        let dropped = Arc::<AtomicU64>::default();
+        let (to_loop, ended) = mpsc::sync_channel(1);
+        let seen = Arc::clone(&dropped);
+        thread::Builder::new().name("haptether-telemetry".into()).spawn(move || {
+            send_while_open(readers, (waiting, noted), &seen);
+            let _ = to_loop.send(());
+        })?;
+        Ok(Self { records, notes, dropped, ended })
+    }
+}
+
+impl<R> Telemetry<R> {
+    /// Hands a record over, or drops and counts it where the thread does not keep up.
+    #[inline]
+    pub(crate) fn take(&mut self, record: R) {
+        if self.records.push(record).is_err() {
+            self.dropped.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Hands over why the two sides are not coupled, `time_ns` after the run began.
+    pub(crate) fn note(&mut self, time_ns: u64, diagnosis: &Diagnosis) {
+        let _ = self.notes.push(Note { time_ns, diagnosis: *diagnosis });
+    }
+
+    /// Waits until the end was sent, but not for readers that do not take it.
+    pub(crate) fn end(self) {
+        let Self { records, notes, ended, .. } = self;
+        drop((notes, records));
+        let _ = ended.recv_timeout(PATIENCE);
+    }
+}
+
+/// Sends a frame every 1/60 s until the other end of the ring is gone and all was sent.
+fn send_while_open<R: Recorded>(
+    mut readers: Readers,
+    (mut records, mut notes): (rtrb::Consumer<R>, rtrb::Consumer<Note>),
+    dropped: &AtomicU64,
+) {
+    let mut frame = Frame::of::<R>();
+    let mut due = Instant::now();
+    loop {
+        // Looked at first: what was pushed before the end is seen below.
+        let is_last = records.is_abandoned();
+        readers.accept();
+        // What comes while it is taken waits for the next frame: a loop that is faster does not hold it here.
+        for _ in 0..records.slots() {
+            let Ok(record) = records.pop() else { break };
+            frame.take(&record);
+        }
+        while let Ok(note) = notes.pop() {
+            readers.cause(&frame::cause(&note));
+        }
+        frame.events(|lines| readers.events(lines));
+        if let Some((sample, ticks)) = frame.sample(dropped.load(Ordering::Relaxed)) {
+            readers.sample(sample, ticks);
+        }
+        if is_last {
+            readers.end(&frame.end_line(), LAST);
+            return;
+        }
+        readers.flush();
+        due = (due + FRAME).max(Instant::now());
+        thread::sleep(due.saturating_duration_since(Instant::now()));
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,348 @@
+#![allow(clippy::unwrap_used)] // a test may
+
+use std::{
+    io::{BufRead, BufReader, Read},
+    os::unix::{
+        fs::{FileTypeExt, PermissionsExt},
+        net::{UnixListener, UnixStream},
+    },
+    path::Path,
+};
+
+use haptether_safety::controller::PerController;
+use serde_json::Value as Json;
+
+use super::*;
+use crate::{FaultText, LadderState, Reason, record::MasterRecord, wire::Role};
+
+type Record = MasterRecord<2>;
+
+/// A folder for the test of this name alone, empty.
+fn folder(name: &str) -> PathBuf {
+    let path = std::env::temp_dir().join(format!("haptether-telemetry-{}-{name}", std::process::id()));
+    let _ = std::fs::remove_dir_all(&path);
+    std::fs::create_dir(&path).unwrap();
+    path
+}
+
+fn settings(path: &Path) -> TelemetrySettings {
+    TelemetrySettings { path: path.to_owned(), security: SecurityMark::Insecure }
+}
+
+fn record(tick: u64) -> Record {
+    Record {
+        time_ns: tick * 1_000_000,
+        position: [tick as f64, -0.5].into(),
+        observers: PerController([0.25, f64::NAN, f64::INFINITY, f64::NAN]),
+        state: LadderState::Engaged,
+        ..Record::empty()
+    }
+}
+
+fn lines(bytes: &[u8]) -> Vec<Json> {
+    let is_line = |line: &&[u8]| !line.is_empty();
+    bytes
+        .split(|byte| *byte == b'\n')
+        .filter(is_line)
+        .map(|line| serde_json::from_slice(line).unwrap())
+        .collect()
+}
+
+fn of_kind<'a>(lines: &'a [Json], kind: &str) -> Vec<&'a Json> {
+    lines.iter().filter(|line| line["kind"] == kind).collect()
+}
+
+/// The sample of a frame, and its changes.
+fn framed(records: &[Record]) -> (Json, Vec<Json>) {
+    let mut frame = Frame::of::<Record>();
+    for record in records {
+        frame.take(record);
+    }
+    let mut changes = Vec::new();
+    frame.events(|of| changes = lines(of));
+    (lines(frame.sample(3).unwrap().0).remove(0), changes)
+}
+
+#[test]
+fn a_frame_has_the_smallest_the_largest_and_the_last_of_each_axis() {
+    let mut records: Vec<_> = (0..17).map(record).collect();
+    // A spike of one tick.
+    records[5].position[1] = 7.0;
+    records[9].position[1] = -8.0;
+    let (sample, _) = framed(&records);
+    assert_eq!(sample["signals"]["position"], serde_json::json!([[0.0, 16.0, 16.0], [-8.0, 7.0, -0.5]]));
+    assert_eq!(
+        [&sample["ticks"], &sample["time_ns"], &sample["dropped"]],
+        [&Json::from(17), &16_000_000.into(), &3.into()]
+    );
+}
+
+#[test]
+fn what_is_no_number_bounds_nothing() {
+    let mut records: Vec<_> = (0..3).map(record).collect();
+    records[1].trigger = 0.5;
+    records[0].trigger = f64::NAN;
+    records[2].trigger = f64::NAN;
+    let (sample, _) = framed(&records);
+    assert_eq!(sample["signals"]["trigger"], serde_json::json!([0.5, 0.5, null]));
+    let observers: Vec<_> = haptether_safety::controller::ControllerKind::cancelling()
+        .map(|kind| kind.observed().column)
+        .collect();
+    assert_eq!(sample["signals"][observers[0]], serde_json::json!([0.25, 0.25, 0.25]));
+    assert_eq!(sample["signals"][observers[1]], serde_json::json!([null, null, null]));
+}
+
+#[test]
+fn bits_of_any_tick_and_changes_survive() {
+    let mut records: Vec<_> = (0..5).map(record).collect();
+    records[2].tripped = 6;
+    records[3].state = LadderState::Hold;
+    records[4].state = LadderState::Hold;
+    let (sample, changes) = framed(&records);
+    assert_eq!(sample["signals"]["tripped"], serde_json::json!([6, 0]));
+    assert_eq!(sample["signals"]["state"], "hold");
+    let seen: Vec<_> = changes
+        .iter()
+        .map(|change| {
+            (change["time_ns"].as_u64().unwrap(), &change["signal"], &change["from"], &change["to"])
+        })
+        .collect();
+    let (tripped, state) = (Json::from("tripped"), Json::from("state"));
+    assert_eq!(
+        seen,
+        [
+            (2_000_000, &tripped, &0.into(), &6.into()),
+            (3_000_000, &tripped, &6.into(), &0.into()),
+            (3_000_000, &state, &"engaged".into(), &"hold".into()),
+        ]
+    );
+}
+
+/// The next frame begins with nothing of the one before, but knows what a name was.
+#[test]
+fn frames_follow_one_another() {
+    let mut frame = Frame::of::<Record>();
+    frame.take(&Record { tripped: 2, ..record(9) });
+    let _ = frame.sample(0).unwrap();
+    assert!(frame.sample(0).is_none(), "a frame without a tick says nothing");
+    frame.take(&Record { state: LadderState::Stop, ..record(1) });
+    let sample = lines(frame.sample(0).unwrap().0).remove(0);
+    assert_eq!(sample["signals"]["position"][0], serde_json::json!([1.0, 1.0, 1.0]));
+    assert_eq!(sample["signals"]["tripped"], serde_json::json!([2, 0]), "it was on until this frame");
+    let mut changes = Vec::new();
+    frame.events(|of| changes = lines(of));
+    assert_eq!(changes.len(), 2);
+}
+
+#[test]
+fn changes_without_end_are_counted() {
+    let mut frame = Frame::of::<Record>();
+    for tick in 0..1000 {
+        frame.take(&Record { clutch: tick % 2 == 0, ..record(tick) });
+    }
+    let mut changes = 0;
+    frame.events(|of| changes = lines(of).len());
+    assert_eq!(changes, 256);
+    assert_eq!(lines(frame.sample(0).unwrap().0)[0]["unsent_changes"], 999 - 256);
+}
+
+#[test]
+fn hello_names_every_signal_with_kind_and_size() {
+    let hello = lines(&frame::hello::<Record>(SecurityMark::Secure)).remove(0);
+    assert_eq!([&hello["side"], &hello["security"]], ["master", "secure"]);
+    let (sample, _) = framed(&[record(0)]);
+    let signals = hello["signals"].as_array().unwrap();
+    let names: Vec<_> = signals.iter().map(|signal| signal["name"].as_str().unwrap()).collect();
+    let mut sorted = names.clone();
+    sorted.sort_unstable();
+    assert_eq!(sorted, sample["signals"].as_object().unwrap().keys().collect::<Vec<_>>());
+    for signal in signals {
+        let value = &sample["signals"][signal["name"].as_str().unwrap()];
+        let is_right = match signal["kind"].as_str().unwrap() {
+            "axes" => value.as_array().unwrap().len() == signal["size"],
+            "number" => value.as_array().unwrap().len() == 3,
+            "bits" => value.as_array().unwrap().len() == 2,
+            "count" => value.is_u64(),
+            "name" => value.is_string(),
+            "flag" => value.is_boolean(),
+            _ => false,
+        };
+        assert!(is_right, "{signal} {value}");
+    }
+}
+
+fn read_to_end(mut stream: &UnixStream) -> Vec<Json> {
+    let mut bytes = Vec::new();
+    stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    stream.read_to_end(&mut bytes).unwrap();
+    lines(&bytes)
+}
+
+/// Takes one line; those who are connected have their first within a frame.
+fn hello_of(stream: &UnixStream) -> Json {
+    stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    let mut line = String::new();
+    // A byte at a time: what follows is left for others.
+    BufReader::with_capacity(1, stream).read_line(&mut line).unwrap();
+    serde_json::from_str(&line).unwrap()
+}
+
+#[test]
+fn each_reader_gets_all_ticks_and_the_end() {
+    let folder = folder("all");
+    let path = folder.join("socket");
+    let mut telemetry = Telemetry::<Record>::begin(&settings(&path)).unwrap();
+    let found = std::fs::metadata(&path).unwrap();
+    assert!(found.file_type().is_socket() && found.permissions().mode() & 0o777 == 0o600);
+    let readers = [(); 3].map(|()| UnixStream::connect(&path).unwrap());
+    for reader in &readers {
+        assert_eq!(hello_of(reader)["kind"], "hello");
+    }
+    let diagnosis = Diagnosis {
+        role: Role::Master,
+        state: LadderState::Hold,
+        reason: Some(Reason::PeerSilent),
+        fault: 0,
+        text: FaultText::EMPTY,
+        peer: None,
+        ended: false,
+        silent: true,
+        ends: false,
+    };
+    for tick in 0..500 {
+        telemetry.take(record(tick));
+        if tick == 250 {
+            telemetry.note(250_000_000, &diagnosis);
+        }
+    }
+    telemetry.end();
+    for reader in readers {
+        let seen = read_to_end(&reader);
+        let ticks: u64 = of_kind(&seen, "sample").iter().map(|line| line["ticks"].as_u64().unwrap()).sum();
+        assert_eq!(ticks, 500);
+        assert_eq!(of_kind(&seen, "cause")[0]["time_ns"], 250_000_000);
+        assert_eq!(seen.last().unwrap(), &serde_json::json!({"kind": "end", "time_ns": 499_000_000}));
+    }
+    assert!(!path.exists(), "its socket is gone");
+}
+
+/// One that does not read is not waited for and takes nothing from the others; what it lost is counted to it.
+#[test]
+fn a_stalled_reader_loses_samples_and_is_told_how_many() {
+    for reads_on in [true, false] {
+        let folder = folder(&format!("stalled-{reads_on}"));
+        let path = folder.join("socket");
+        let mut readers = Readers::listen(&path, b"{\"kind\":\"hello\"}\n".to_vec()).unwrap();
+        let [stalled, other] = [(); 2].map(|()| UnixStream::connect(&path).unwrap());
+        readers.accept();
+        readers.flush();
+        let reads = thread::spawn(move || read_to_end(&other));
+        let line = format!("{{\"kind\":\"sample\",\"ticks\":17,\"signals\":\"{}\"}}\n", "x".repeat(4000));
+        let frames = |readers: &mut Readers| {
+            for _ in 0..300 {
+                readers.sample(line.as_bytes(), 17);
+                readers.flush();
+                // The other one reads as fast as it can.
+                thread::sleep(Duration::from_millis(1));
+            }
+        };
+        frames(&mut readers);
+        let seen = if reads_on {
+            let reader = thread::spawn(move || read_to_end(&stalled));
+            frames(&mut readers);
+            readers.end(b"{\"kind\":\"end\"}\n", Duration::from_secs(5));
+            reader.join().unwrap()
+        } else {
+            frames(&mut readers);
+            let begun = Instant::now();
+            let ender =
+                thread::spawn(move || readers.end(b"{\"kind\":\"end\"}\n", Duration::from_millis(300)));
+            ender.join().unwrap();
+            assert!(begun.elapsed() < Duration::from_secs(5), "its end is not held up");
+            let mut bytes = Vec::new();
+            (&stalled).read_to_end(&mut bytes).unwrap();
+            bytes.truncate(bytes.iter().rposition(|byte| *byte == b'\n').unwrap());
+            lines(&bytes)
+        };
+        let sum = |lines: &[Json], kind: &str| -> u64 {
+            of_kind(lines, kind).iter().map(|line| line["ticks"].as_u64().unwrap()).sum()
+        };
+        if reads_on {
+            assert!(sum(&seen, "lost") > 0);
+            assert_eq!(
+                sum(&seen, "sample") + sum(&seen, "lost"),
+                600 * 17,
+                "each tick was sent or is counted"
+            );
+            assert_eq!(seen.last().unwrap()["kind"], "end");
+        } else {
+            assert!(sum(&seen, "sample") < 300 * 17);
+        }
+        let all = reads.join().unwrap();
+        assert_eq!((sum(&all, "sample"), sum(&all, "lost")), (600 * 17, 0));
+    }
+}
+
+#[test]
+fn a_loop_that_is_faster_than_the_thread_drops_and_counts() {
+    let folder = folder("fast");
+    let path = folder.join("socket");
+    let mut telemetry = Telemetry::<Record>::begin(&settings(&path)).unwrap();
+    let reader = UnixStream::connect(&path).unwrap();
+    hello_of(&reader);
+    for tick in 0..200_000 {
+        telemetry.take(record(tick));
+    }
+    let dropped = telemetry.dropped.load(Ordering::Relaxed);
+    telemetry.end();
+    let seen = read_to_end(&reader);
+    let samples = of_kind(&seen, "sample");
+    let ticks: u64 = samples.iter().map(|line| line["ticks"].as_u64().unwrap()).sum();
+    assert!(dropped > 0);
+    assert_eq!(ticks + dropped, 200_000);
+    assert_eq!(samples.last().unwrap()["dropped"], dropped);
+}
+
+#[test]
+fn a_path_that_cannot_be_is_refused_with_what_to_do() {
+    let folder = folder("refused");
+    let begin = |path: &Path| Telemetry::<Record>::begin(&settings(path)).map(|_| ());
+    let refusal = |path: &Path| begin(path).unwrap_err().to_string();
+    let file = folder.join("file");
+    std::fs::write(&file, "mine").unwrap();
+    assert!(refusal(&file).contains("is there and is no socket"));
+    assert_eq!(std::fs::read(&file).unwrap(), b"mine");
+    let link = folder.join("link");
+    std::os::unix::fs::symlink(&file, &link).unwrap();
+    assert!(refusal(&link).contains("is there and is no socket"));
+    assert!(refusal(&folder.join("x".repeat(200))).contains("must be at most 107"));
+    assert!(begin(&folder.join("none").join("socket")).is_err());
+    let taken = folder.join("taken");
+    let _other = UnixListener::bind(&taken).unwrap();
+    assert!(refusal(&taken).contains("another run"));
+    // Left behind by one that was killed: its file is there, and nobody listens.
+    let stale = folder.join("stale");
+    drop(UnixListener::bind(&stale).unwrap());
+    assert!(stale.exists());
+    begin(&stale).unwrap();
+}
+
+/// A reader that goes, and many that come, change nothing.
+#[test]
+fn readers_come_and_go() {
+    let folder = folder("come");
+    let path = folder.join("socket");
+    let mut telemetry = Telemetry::<Record>::begin(&settings(&path)).unwrap();
+    for tick in 0..40 {
+        let reader = UnixStream::connect(&path).unwrap();
+        telemetry.take(record(tick));
+        thread::sleep(FRAME / 2);
+        drop(reader);
+    }
+    let many: Vec<_> = (0..20).map(|_| UnixStream::connect(&path).unwrap()).collect();
+    thread::sleep(FRAME * 10);
+    telemetry.take(record(40));
+    telemetry.end();
+    let ended = many.iter().map(read_to_end).filter(|lines| !lines.is_empty()).count();
+    assert_eq!(ended, 16, "of 20, as many as there may be");
+}

@@ -1,0 +1,157 @@
+"""Reading what a live loop sends of itself while it runs."""
+
+import os
+import socket
+from collections.abc import Iterator
+from types import TracebackType
+from typing import Any, Self
+
+import msgspec
+
+from haptether.bridge.flight import Cause
+
+SCHEMA = 1
+MAX_LINE = 1 << 20
+"""Bytes of the longest line that is read."""
+
+
+class TelemetrySignal(msgspec.Struct, frozen=True, kw_only=True):
+    """A signal of the samples."""
+
+    name: str
+    kind: str
+    """"axes", "number", "bits", "count", "name" or "flag"."""
+    size: int
+    """Number of axes; 1 of all else."""
+    meaning: str
+    """What it is, with its unit."""
+
+
+class TelemetryHello(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="hello"):
+    """Whose samples these are."""
+
+    schema: int
+    side: str
+    """"master" or "slave"."""
+    security: str
+    """"insecure" if frames are in plain sight."""
+    signals: list[TelemetrySignal]
+
+
+class TelemetrySample(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="sample"):
+    """The ticks of 1/60 s; what was no finite number is None."""
+
+    time_ns: int
+    """Of the last tick, since the run began."""
+    ticks: int
+    dropped: int
+    """Records that did not reach the sender's thread, since the run began."""
+    unsent_changes: int
+    """Changes beyond 256 in one sample, since the run began."""
+    signals: dict[str, Any]
+    """`[min, max, last]` of a number, one such list for each axis of "axes", `[those of any tick, those of the last]`
+    of "bits", the last one of all else."""
+
+
+class TelemetryChange(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="change"):
+    """A name, a flag or a set of bits that is another than at the tick before."""
+
+    time_ns: int
+    signal: str
+    from_: str | int | bool = msgspec.field(name="from")
+    to: str | int | bool
+
+
+class TelemetryCause(Cause, frozen=True, kw_only=True, tag_field="kind", tag="cause"):
+    """Why the two sides are not coupled, from `time_ns` on."""
+
+    time_ns: int
+
+
+class TelemetryLost(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="lost"):
+    """This reader was too slow for samples of so many ticks."""
+
+    ticks: int
+
+
+class TelemetryEnd(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="end"):
+    """The loop has ended in good order; without it, its process was killed or this reader was closed for being slow."""
+
+    time_ns: int
+
+
+TelemetryMessage = TelemetryHello | TelemetrySample | TelemetryChange | TelemetryCause | TelemetryLost | TelemetryEnd
+
+
+class TelemetryReader:
+    """What a loop sends, line by line: iterates over messages until the loop or the connection ends.
+
+    Args:
+        path: The socket of `--telemetry` or `telemetry=`.
+        timeout_s: How long a message may take, in s; a loop sends 60 samples a second.
+
+    Raises:
+        OSError: Nobody sends there, or, as `TimeoutError`, nothing came in time.
+        ValueError: What is sent is no telemetry, or of another version.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, timeout_s: float = 5.0) -> None:
+        self._path = os.fspath(path)
+        self._decoder = msgspec.json.Decoder(TelemetryMessage)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
+        self._received = bytearray()
+        try:
+            self._socket.settimeout(timeout_s)
+            self._socket.connect(self._path)
+            line = self._line()
+            hello = None if line is None else self._decoded(line)
+            if not isinstance(hello, TelemetryHello):
+                message = f"{self._path}: sends no telemetry of Haptether"
+                raise ValueError(message)
+            if hello.schema != SCHEMA:
+                message = f"{self._path}: schema = {hello.schema}, must be {SCHEMA}"
+                raise ValueError(message)
+        except BaseException:
+            self._socket.close()
+            raise
+        self.hello = hello
+
+    def __iter__(self) -> Iterator[TelemetryMessage]:
+        while (line := self._line()) is not None:
+            yield self._decoded(line)
+
+    def close(self) -> None:
+        """Ends the connection; the loop does not notice."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _line(self) -> bytes | None:
+        """The next line; none at the end, where half a line counts for nothing."""
+        begin = 0
+        while (end := self._received.find(b"\n", begin)) < 0:
+            begin = len(self._received)
+            if begin > MAX_LINE:
+                message = f"{self._path}: a line of more than {MAX_LINE} bytes"
+                raise ValueError(message)
+            received = self._socket.recv(1 << 16)
+            if not received:
+                return None
+            self._received += received
+        line = bytes(self._received[:end])
+        del self._received[: end + 1]
+        return line
+
+    def _decoded(self, line: bytes) -> TelemetryMessage:
+        try:
+            message: TelemetryMessage = self._decoder.decode(line)
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            text = f"{self._path}: no line of telemetry ({error})"
+            raise ValueError(text) from None
+        return message
