@@ -51,7 +51,7 @@ demo: $(EXTENSION) ## run `haptether demo`
 test: $(EXTENSION) ## cargo test and pytest
 	cargo test --locked
 	$(BIN)/python -m pytest --numprocesses 2 -m 'not live and not alone'
-	$(BIN)/python -m pytest --numprocesses 3 -m live
+	$(BIN)/python -m pytest --numprocesses 3 -m 'live and not alone'
 	$(BIN)/python -m pytest -m alone
 
 .PHONY: quick
