@@ -50,8 +50,8 @@ demo: $(EXTENSION) ## run `haptether demo`
 .PHONY: test
 test: $(EXTENSION) ## cargo test and pytest
 	cargo test --locked
-	$(BIN)/python -m pytest --numprocesses 2 -m 'not live and not alone'
-	$(BIN)/python -m pytest --numprocesses 3 -m live
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m 'not live and not alone'
+	$(BIN)/python -m pytest --numprocesses 3 --dist worksteal -m 'live and not alone'
 	$(BIN)/python -m pytest -m alone
 
 .PHONY: quick

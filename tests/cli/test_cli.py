@@ -11,6 +11,7 @@ import msgspec
 import pytest
 
 from haptether.bridge import DeviceError, load_scene
+from haptether.cli import main
 from haptether.cli.live.sides import _opened, with_clutch
 from haptether.cli.shared.stop import Stopped
 
@@ -30,15 +31,23 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
-def test_version_and_help() -> None:
+def test_version_and_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def shown(*arguments: str) -> str:
+        with pytest.raises(SystemExit) as ended:
+            main(list(arguments))
+        assert ended.value.code == 0
+        return capsys.readouterr().out
+
     assert run("--version").stdout.startswith("haptether 0.")
-    shown = run("--help").stdout
+    assert "check-link" in run("--help").stdout
     for name in ("demo", "paper", "simulate", "sweep", "master", "slave", "netsim", "keygen", "explain", "check-link",
                  "check-device", "identify", "new-driver"):  # fmt: skip
-        assert name in shown
-        assert "Examples" in run(name, "--help").stdout
+        assert name in shown("--help")
+        assert "Examples" in shown(name, "--help")
     for name in ("list", "sample", "proxy", "set", "echo", "record", "compare"):
-        assert "Examples" in run("netsim", name, "--help").stdout
+        assert "Examples" in shown("netsim", name, "--help")
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from haptether.bridge.devices.standalone import wait_until
 from haptether.master import MasterSample
 from haptether.slave import SlaveSample
 
-alone = pytest.mark.alone
+live = pytest.mark.live
 
 
 def checked(device: object, seconds: float = 1.2, side: str = "master") -> dict[str, tuple[str, str]]:
@@ -30,7 +30,7 @@ def checked(device: object, seconds: float = 1.2, side: str = "master") -> dict[
     return {finding.check: (finding.verdict, finding.text) for finding in check.findings()}
 
 
-@alone
+@live
 @pytest.mark.parametrize("make", [drivers.Stylus, drivers.Paced, drivers.Pose])
 @anew_after_stalls
 def test_a_driver_that_is_right_passes_and_is_written_zero_only(make: Callable[[], drivers.Stylus]) -> None:
@@ -68,7 +68,7 @@ WRONG = {
 }  # fmt: skip
 
 
-@alone
+@live
 @pytest.mark.parametrize("name", WRONG)
 @anew_after_stalls
 def test_what_is_to_be_mended_is_named_with_the_remedy(name: str) -> None:
@@ -82,7 +82,7 @@ def test_what_is_to_be_mended_is_named_with_the_remedy(name: str) -> None:
     assert not any(any(force) for force in device.forces)
 
 
-@alone
+@live
 def test_a_driver_that_hangs_in_open_or_in_a_call_is_said_to(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("haptether.bridge.devices.standalone.LEAVE_S", 0.3)
     found = checked(drivers.HungInOpen(), 0.2)
@@ -94,7 +94,7 @@ def test_a_driver_that_hangs_in_open_or_in_a_call_is_said_to(monkeypatch: pytest
     assert device.closed == 1
 
 
-@alone
+@live
 @pytest.mark.parametrize("axes", [1, 3, 6])
 @anew_after_stalls
 def test_an_arm_is_read_and_stopped_and_never_moved(axes: int) -> None:
@@ -111,7 +111,7 @@ def test_an_arm_is_read_and_stopped_and_never_moved(axes: int) -> None:
         check.push(0.5, 0)
 
 
-@alone
+@live
 @pytest.mark.parametrize(
     ("make", "check", "said"),
     [
@@ -127,7 +127,7 @@ def test_what_is_wrong_with_an_arm_is_named(make: Callable[[], drivers.Arm], che
     assert said in found[check][1]
 
 
-@alone
+@live
 @pytest.mark.parametrize(("make", "verdict"), [(drivers.Stylus, "pass"), (drivers.Turned, "mend")])
 @anew_after_stalls
 def test_a_push_is_ramped_bounded_ends_by_itself_and_shows_the_sign(
@@ -155,7 +155,7 @@ def test_a_push_is_ramped_bounded_ends_by_itself_and_shows_the_sign(
     assert not any(force[1] or force[2] for force in device.forces)
 
 
-@alone
+@live
 def test_a_push_is_refused_beyond_its_bound_and_void_where_it_comes_late() -> None:
     check = DeviceCheck(drivers.Stylus(held=False), "master")
     wait_until(lambda: len(check.run.ticks) > 20, 5.0)
@@ -219,7 +219,7 @@ def test_the_ramp_of_a_push() -> None:
     assert MAX_PUSH == {"linear": 1.0, "pose": 1.0, "joints": 0.1}
 
 
-@alone
+@live
 def test_after_an_exception_in_the_loop_a_driver_is_at_rest_and_closed() -> None:
     check = DeviceCheck(drivers.Stylus(), "master")
     wait_until(lambda: len(check.run.ticks) > 5, 5.0)

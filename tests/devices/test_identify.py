@@ -143,7 +143,7 @@ def test_a_weight_is_found_and_said() -> None:
 )
 def test_a_device_that_the_motion_does_not_tell_is_no_number(plant: Plant, said: str) -> None:
     with pytest.raises(NotDeterminedError, match=said):
-        Motion(VirtualDevice([plant], **REAL)).fitted()
+        Motion(VirtualDevice([plant], **REAL), period_s=2e-3).fitted()
 
 
 class Held(Plant):
@@ -156,7 +156,7 @@ class Held(Plant):
 @pytest.mark.slow
 def test_a_hand_that_holds_it_shows_as_what_the_model_does_not_explain() -> None:
     """Why nobody may hold it."""
-    motion = Motion(VirtualDevice([Held(0.157, 0.0, 0.038)], **REAL))
+    motion = Motion(VirtualDevice([Held(0.157, 0.0, 0.038)], **REAL), period_s=2e-3)
     try:
         found = motion.fitted()
     except NotDeterminedError as error:

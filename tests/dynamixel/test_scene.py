@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from tests.dynamixel.emulated import emulated_bus
 
-pytestmark = [pytest.mark.live, pytest.mark.alone]
+pytestmark = pytest.mark.live
 
 PATIENCE_S = 60.0
 SCENE = """

@@ -13,11 +13,11 @@ from typing import Self
 import numpy as np
 import pytest
 from tests.haptic.standins import built
+from tests.ur.stalls import anew_after_stalls
 
 from haptether.bridge import read_recording
 
-# A loop of 1 kHz that a full machine keeps waiting for 18 ms has a fault.
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.live
 
 COMMAND = [sys.executable, "-m", "haptether"]
 SOURCES = {"force-dimension": "force_dimension/dhd.c", "touch": "touch/hd.c"}
@@ -50,6 +50,8 @@ def libraries(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def environment(tmp_path: Path, **standin: str) -> dict[str, str]:
+    """That of a process whose stand-in writes its calls anew."""
+    (tmp_path / "calls").unlink(missing_ok=True)
     given = {f"STANDIN_{name.upper()}": value for name, value in standin.items()}
     return {**os.environ, "STANDIN_LOG": str(tmp_path / "calls"), **given}
 
@@ -71,6 +73,7 @@ TURNS = {"force-dimension": ["wrist=true", "gripper_open_m=0.03"], "touch": ["or
 
 @pytest.mark.parametrize("kind", ["linear", "pose"])
 @pytest.mark.parametrize("driver", SOURCES)
+@anew_after_stalls
 def test_check_device_passes_it_and_closes_it_twice(
     driver: str, kind: str, libraries: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -103,7 +106,10 @@ def test_check_device_says_what_is_missing(tmp_path: Path) -> None:
 
 
 class Pair:
-    """A slave with a wall, and a master with the driver, as processes."""
+    """A slave with a wall, and a master with the driver, as processes.
+
+    Their loops of 1 kHz have a fault where a full machine keeps them waiting for 18 ms.
+    """
 
     def __init__(
         self,
@@ -167,6 +173,7 @@ def until_in_log(tmp_path: Path, line: str) -> None:
 
 
 @pytest.mark.parametrize("driver", SOURCES)
+@anew_after_stalls
 def test_a_hand_feels_a_wall_through_the_whole_bridge(driver: str, libraries: dict[str, Path], tmp_path: Path) -> None:
     with Pair(driver, libraries[driver], tmp_path, duration_s=4.0, **hand(driver)) as pair:
         _, said = pair.master.communicate(timeout=60)
@@ -201,6 +208,7 @@ controllers = []
 """
 
 
+@anew_after_stalls
 def test_a_finger_feels_what_the_gripper_holds(libraries: dict[str, Path], tmp_path: Path) -> None:
     driver = "force-dimension"
     standin = {"set": "watchdog_slack=50", "after": f"{MOVES_S}:finger=0"}
@@ -215,6 +223,7 @@ def test_a_finger_feels_what_the_gripper_holds(libraries: dict[str, Path], tmp_p
 
 
 @pytest.mark.parametrize("driver", SOURCES)
+@anew_after_stalls
 def test_ctrl_c_closes_the_device_without_a_force(driver: str, libraries: dict[str, Path], tmp_path: Path) -> None:
     begun = {"force-dimension": "dhdSetWatchdog(254)", "touch": "hdStartScheduler()"}[driver]
     with Pair(driver, libraries[driver], tmp_path, duration_s=None, **hand(driver)) as pair:
@@ -230,6 +239,7 @@ def test_ctrl_c_closes_the_device_without_a_force(driver: str, libraries: dict[s
 
 
 @pytest.mark.parametrize("driver", SOURCES)
+@anew_after_stalls
 def test_an_unplugged_device_is_a_fault_of_the_run_and_is_closed(
     driver: str, libraries: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -248,6 +258,7 @@ def test_an_unplugged_device_is_a_fault_of_the_run_and_is_closed(
 
 
 @pytest.mark.parametrize("driver", SOURCES)
+@anew_after_stalls
 def test_nothing_of_ours_outlives_a_kill(driver: str, libraries: dict[str, Path], tmp_path: Path) -> None:
     """What ends the force then is the controller's watchdog, armed with the first force, or the vendor's driver."""
     with Pair(driver, libraries[driver], tmp_path, duration_s=None, **hand(driver)) as pair:

@@ -28,7 +28,7 @@ class Never:
         time.sleep(seconds)
 
 
-@pytest.mark.alone
+@pytest.mark.live
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("slave", ["simulated", "ur"])
 def test_a_led_arm_picks_something_up(slave: Literal["simulated", "ur"], tmp_path: Path) -> None:
@@ -47,7 +47,7 @@ def test_a_led_arm_picks_something_up(slave: Literal["simulated", "ur"], tmp_pat
     assert result.lifted_m == pytest.approx(0.06, abs=3e-3)
 
 
-@pytest.mark.alone
+@pytest.mark.live
 @pytest.mark.timeout(400)
 def test_a_follower_grips_and_carries_and_a_push_reaches_the_hand_damped(tmp_path: Path) -> None:
     scene = FollowScene(jitter_s=0.0, loss=0.0)

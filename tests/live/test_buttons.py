@@ -22,7 +22,7 @@ from haptether.bridge import (
 from haptether.master import MasterSample
 from haptether.slave import SlaveSample
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.live
 
 ENGAGE, GRIPPER = 1 << 4, 1 << 0
 SPEC = scene_json(

@@ -39,7 +39,7 @@ from haptether.bridge import (
 from haptether.master import MasterDevice, MasterSample
 from haptether.slave import SlaveDevice, SlaveSample
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.live
 
 THREE = scene_json(load_scene("three_axis_box", ["link.forward={}", "link.backward={}", "safety.controllers=[]"]))
 ONE = scene_json(load_scene("remote_push", ["environment.pushers=[]"]))
@@ -113,6 +113,7 @@ def until(done: Callable[[], bool], seconds: float = 10.0) -> None:
     assert done()
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("side", [LiveSlave, SlaveLoop])
 @anew_after_stalls
 def test_a_side_that_begins_leaves_the_interpreter_to_the_loops_that_run(side: type[LiveSlave | SlaveLoop]) -> None:

@@ -25,7 +25,7 @@ from haptether.bridge import (
 from haptether.master import MasterSample
 from haptether.slave import Gripper, GripperCommand, GripperSample, RobotiqGripper, SlaveSample
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.live
 
 GRIPPING = override_scene(
     load_scene("remote_push", ["environment.pushers=[]"]),

@@ -28,7 +28,7 @@ from haptether.bridge import (
 from haptether.master import MasterSample
 from haptether.slave import SlaveSample
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.live
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 

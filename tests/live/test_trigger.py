@@ -24,7 +24,7 @@ from haptether.bridge import (
 )
 from haptether.master import MasterSample
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.live
 
 GRIPPING = override_scene(
     load_scene("remote_push", ["environment.pushers=[]"]),

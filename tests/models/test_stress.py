@@ -1,5 +1,6 @@
 """Loops far beyond what is physical: they end with numbers, in time, and say when and why they diverged."""
 
+import time
 from itertools import product
 from typing import Any
 
@@ -10,7 +11,7 @@ from tests.scene.test_properties import check
 
 from haptether.bridge import Run, Scene, SceneError, simulate, sweep
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 INTEGRATORS = ("exact", "semi-implicit-euler", "velocity-verlet", "rk4")
 STIFF = 1e7
@@ -23,15 +24,18 @@ SHAPES: dict[str, dict[str, Any]] = {
 }
 """Their surfaces, and the anchor of the spring, are put at x = 0."""
 MAX_OF_REAL_TIME = 100.0
+"""In time of the processor, which others that compute meanwhile do not lengthen."""
 
 
 def run(raw: dict[str, Any]) -> Run:
     """Runs a scene, and checks what holds of every run and that it took no more than 100 times as long."""
     scene = msgspec.convert(raw, Scene)
+    begun_s = time.process_time()
     done = simulate(scene)
+    took_s = time.process_time() - begun_s
     check(done, scene)
     simulated_s = done.metrics.ticks * scene.run.period_s
-    assert done.metrics.wall_time_s < 0.5 + MAX_OF_REAL_TIME * simulated_s, raw
+    assert took_s < 0.5 + MAX_OF_REAL_TIME * simulated_s, raw
     return done
 
 

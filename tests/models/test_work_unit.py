@@ -9,7 +9,7 @@ import pytest
 import haptether
 from haptether.bridge import load_scene, scene_json
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENE = ROOT / "benches" / "work_unit.toml"

@@ -11,7 +11,7 @@ import pytest
 
 from haptether.netsim import Echo, LinkSettings, Proxy, record
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.live
 
 PATIENCE_S = 5.0
 

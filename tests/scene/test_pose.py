@@ -5,6 +5,7 @@ from math import asin, cos, hypot, pi, sin
 import numpy as np
 import numpy.typing as npt
 import pytest
+from tests.scene.shipped import shipped
 
 from haptether.bridge import Run, SceneError, load_scene, override_scene, simulate, sweep
 from haptether.cli.scene.picture import angle_apart
@@ -110,7 +111,7 @@ def tilted(azimuth: float) -> str:
     ids=["shipped", "about x", "between points", "the other way", "no delay", "30 ms", "loss", "beside the hole"],
 )
 def test_a_tilted_peg_goes_to_the_bottom_of_the_hole(overrides: list[str]) -> None:
-    run = simulate("peg_in_hole", overrides=overrides)
+    run = shipped("peg_in_hole", *overrides)
     tilt = angle(run.signals["slave_orientation"])
     assert tilt[0] == pytest.approx(np.radians(5.0), abs=1e-12)
     # It lies on the bottom, which yields by what presses it: up to 10 N on one of its points.
@@ -163,7 +164,7 @@ def test_a_valve_is_turned_by_90_degrees_and_its_friction_is_felt(delay_s: float
 @pytest.mark.slow
 @pytest.mark.parametrize("overrides", [[], ["run.seed=1"], [*both_ways(0.02, 0.05), "run.seed=2"]])
 def test_a_box_is_carried_and_turned(overrides: list[str]) -> None:
-    run = simulate("pick_and_place", overrides=overrides)
+    run = shipped("pick_and_place", *overrides)
     place, turn = run.signals["body_position"], run.signals["body_orientation"]
     # Lifted by 80 mm, less what its weight of 4.9 N takes of the servo, 1 kN/m, and a fifth of it of the hand, 300 N/m.
     assert place[:, 2].max() == pytest.approx(0.1 - 4.905 / 1000.0 - 0.2 * 4.905 / 300.0, abs=1e-3)

@@ -20,7 +20,8 @@ Array = npt.NDArray[np.float64]
 
 pytestmark = pytest.mark.slow
 
-EXAMPLES = 1000
+EXAMPLES, POSES = (1000, 250) if settings().max_examples < 1000 else (4000, 2000)
+"""Of the profiles `fast` and `slow`."""
 SEED = 20260
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much])
 
@@ -239,7 +240,7 @@ def simulated(raw: Raw) -> Run | None:
 
 
 @seed(SEED)
-@settings(SLOW, max_examples=500, derandomize=False, database=None)
+@settings(SLOW, max_examples=POSES, derandomize=False, database=None)
 @given(raw=raw_poses())
 def test_any_scene_of_poses_runs_or_is_refused_by_its_place(raw: Raw) -> None:
     run = simulated(raw)

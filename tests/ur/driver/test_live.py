@@ -16,7 +16,7 @@ from tests.ur.watching import Watching, driven
 from haptether.slave import UrSlave
 
 pytest.importorskip("rtde_control")
-pytestmark = [pytest.mark.alone, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.live, pytest.mark.timeout(300)]
 
 HOST = "127.0.3.{}"
 MEND_S = 10.0

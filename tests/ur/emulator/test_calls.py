@@ -6,7 +6,7 @@ from tests.ur.emulated import Emulated, client
 from tests.ur.raw_rtde import Client
 from tests.ur.virtual import START
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.live
 
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this Python")
 

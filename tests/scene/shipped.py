@@ -1,0 +1,14 @@
+"""Runs of shipped scenes that several tests look at, and none changes."""
+
+from functools import lru_cache
+
+from haptether.bridge import Run, simulate
+
+
+@lru_cache(maxsize=16)
+def shipped(name: str, *overrides: str) -> Run:
+    """The run of a shipped scene, simulated once in a process."""
+    run = simulate(name, overrides=list(overrides))
+    for values in run.signals.values():
+        values.setflags(write=False)
+    return run
