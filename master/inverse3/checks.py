@@ -58,35 +58,35 @@ def grip_fault(grip: Grip, kind: str) -> str | None:
     return None
 
 
-def event_fault(told: Event, device_id: str, grip_id: str | None) -> str | None:
+def event_fault(received: Event, device_id: str, grip_id: str | None) -> str | None:
     """The fault that an event is, if it is one of these devices."""
-    details = told.data or {}
-    about = _about(told, device_id)
+    details = received.data or {}
+    about = _about(received, device_id)
     if about not in (device_id, grip_id):
         return None
     which = "grip" if about == grip_id else "device"
-    if told.name == "device-disconnected":
+    if received.name == "device-disconnected":
         return f"{which} disconnected: see its cable, acknowledge"
-    if told.name == "device-sleep":
+    if received.name == "device-sleep":
         return "grip asleep: press one of its buttons, acknowledge" if which == "grip" else "device asleep: wake it up"
-    if told.name == "device-busy":
+    if received.name == "device-busy":
         return f"{which} in use: another program has it: end that, acknowledge"
-    if told.name == "device-safety-triggered":
+    if received.name == "device-safety-triggered":
         trip = str(details.get("safety_type"))
         return None if trip == "ebrake_released" else TRIPS.get(trip, f"safety stop: {trip}: see the vendor's hub")
     return None
 
 
-def brake(told: Event, device_id: str) -> bool | None:
+def brake(received: Event, device_id: str) -> bool | None:
     """Whether the emergency brake of the device is on, where an event says it."""
-    if told.name != "device-safety-triggered" or _about(told, device_id) != device_id:
+    if received.name != "device-safety-triggered" or _about(received, device_id) != device_id:
         return None
-    return {"ebrake_triggered": True, "ebrake_released": False}.get(str((told.data or {}).get("safety_type")))
+    return {"ebrake_triggered": True, "ebrake_released": False}.get(str((received.data or {}).get("safety_type")))
 
 
-def _about(told: Event, device_id: str) -> object:
+def _about(received: Event, device_id: str) -> object:
     """The device that an event names; one that names none may be about ours."""
-    about = (told.data or {}).get("device_id")
+    about = (received.data or {}).get("device_id")
     return device_id if about is None else about
 
 
@@ -131,7 +131,7 @@ def chosen_device(found: Reply, options: Inverse3Options, checklist: Checklist) 
             "workspace", "as it is" if transform.is_identity else "moved, turned or scaled", good=transform.is_identity,
             remedy="another program has set a transform of the device: reset it in the vendor's hub",
         )  # fmt: skip
-    _tell_what_changes_force(device.config or {}, options, checklist)
+    _check_force_settings(device.config or {}, options, checklist)
     checklist.finish()
     return device
 
@@ -178,7 +178,7 @@ def opened_events(options: Inverse3Options, checklist: Checklist) -> Channel:
     return events
 
 
-def told(events: Channel) -> list[Event]:
+def pending_events(events: Channel) -> list[Event]:
     """The events that have come.
 
     Raises:
@@ -203,7 +203,7 @@ def _which(device_id: str, names: list[str]) -> str:
     return "give device_id, one of these" if names else "is it plugged in and on, and seen by the vendor's hub?"
 
 
-def _tell_what_changes_force(config: dict[str, Any], options: Inverse3Options, checklist: Checklist) -> None:
+def _check_force_settings(config: dict[str, Any], options: Inverse3Options, checklist: Checklist) -> None:
     filters = _table(config, "filters")
     gate = _table(filters, "force_gate").get("gain") if options.force_gate is None else options.force_gate
     damping = _table(filters, "damping").get("scalar") if options.damping is None else options.damping

@@ -20,8 +20,8 @@ from haptether.master.inverse3.checks import (
     first_frame,
     grip_fault,
     opened_events,
+    pending_events,
     status_fault,
-    told,
 )
 from haptether.master.inverse3.messages import GRIPS, ForceMessage, InverseDevice, MessageError, configuration, reply
 from haptether.master.inverse3.options import Inverse3Options, inverse3_options
@@ -128,10 +128,10 @@ class Inverse3:
         if session is None:
             return self._faulty()
         try:
-            for happened in told(session.events):
+            for happened in pending_events(session.events):
                 braked = brake(happened, session.device_id)
                 self._braked = self._braked if braked is None else braked
-                self._hear(event_fault(happened, session.device_id, session.grip_id))
+                self._take_fault(event_fault(happened, session.device_id, session.grip_id))
             if self._owed == 0:
                 self._send(session, REST)
             device, orientation, buttons = self._reply(session)
@@ -272,7 +272,7 @@ class Inverse3:
         if device is None:
             message = f"device disconnected: the service has no {session.device_id} any more: see its cable"
             raise ChannelError(message)
-        self._hear(status_fault(device.status))
+        self._take_fault(status_fault(device.status))
         if session.grip_id is None:
             return device, None, None
         grips = state.grips(GRIPS[self.options.grip])
@@ -280,7 +280,7 @@ class Inverse3:
         if grip is None or grip.state.orientation is None:
             message = f"grip lost: the service has no {session.grip_id} any more: is it charged and in reach?"
             raise ChannelError(message)
-        self._hear(grip_fault(grip, self.options.grip))
+        self._take_fault(grip_fault(grip, self.options.grip))
         return device, grip.state.orientation.wxyz, grip.buttons
 
     def _drop_unasked(self, session: Session) -> None:
@@ -294,7 +294,7 @@ class Inverse3:
 
     # --------------------------------------------------------------------------------------------------- faults
 
-    def _hear(self, fault: str | None) -> None:
+    def _take_fault(self, fault: str | None) -> None:
         if fault is not None:
             self._latch(fault)
         elif self._braked:

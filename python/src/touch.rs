@@ -70,6 +70,7 @@ impl PyHdCallback {
         self.callback.starved()
     }
 
+    // With the interpreter's lock, so that of several threads one writes at a time.
     fn write(&self, force: [f64; 3]) {
         self.callback.write(force);
     }

@@ -16,7 +16,7 @@ from tests.haptic.emulated import EmulatedInverse, emulated_service
 from haptether.checklist import RefusedError
 from haptether.master.inverse3 import Inverse3
 from haptether.master.inverse3.channel import Channel, ChannelError
-from haptether.master.inverse3.checks import MAX_EVENTS, brake, event_fault, told
+from haptether.master.inverse3.checks import MAX_EVENTS, brake, event_fault, pending_events
 from haptether.master.inverse3.messages import event
 
 pytestmark = pytest.mark.live
@@ -107,7 +107,7 @@ def test_a_flood_of_events_ends_the_connection() -> None:
         def hear() -> None:
             try:
                 while True:
-                    told(channel)
+                    pending_events(channel)
             except ChannelError as error:
                 said.append(str(error))
 
@@ -163,7 +163,7 @@ def test_the_release_of_another_brake_is_not_that_of_ours(
             driver.write((0.0, 0.0, 0.0))
             assert time.monotonic() < end_s
         other = event(trip("ebrake_released", "other"))
-        monkeypatch.setattr("haptether.master.inverse3.driver.told", lambda _events: [other])
+        monkeypatch.setattr("haptether.master.inverse3.driver.pending_events", lambda _events: [other])
         driver.acknowledge()
         driver.write((0.0, 0.0, 0.0))
         assert "still on" in (driver.read().fault or "")

@@ -25,9 +25,10 @@ from haptether.cli.device.check_device import CheckDevice
 from haptether.cli.device.identify import Identify
 from haptether.cli.device.new_driver import NewDriver
 from haptether.cli.dynamixel import DYNAMIXEL_COMMANDS, Dynamixel
-from haptether.cli.dynamixel_emulator import DynamixelEmulator
+from haptether.cli.emulators.dynamixel import DynamixelEmulator
+from haptether.cli.emulators.inverse3 import Inverse3Emulator
+from haptether.cli.emulators.ur import UrEmulator
 from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS
-from haptether.cli.inverse3_emulator import Inverse3Emulator
 from haptether.cli.keygen import Keygen
 from haptether.cli.list import List
 from haptether.cli.live.check_link import CheckLink
@@ -44,7 +45,6 @@ from haptether.cli.scene.simulate import Simulate
 from haptether.cli.scene.sweep import Sweep
 from haptether.cli.shared.numbers import NUMBERS
 from haptether.cli.shared.output import QueuedOutput, queued_output
-from haptether.cli.ur_emulator import UrEmulator
 from haptether.printable import printable
 
 

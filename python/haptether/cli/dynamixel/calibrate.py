@@ -50,7 +50,7 @@ class Calibrate:
         import math
         import os
 
-        from haptether.cli.dynamixel.asking import Person
+        from haptether.cli.dynamixel.prompt import Operator
         from haptether.dynamixel import DynamixelBus
         from haptether.dynamixel.arm import write_calibration
         from haptether.dynamixel.arm.guide import Guide, calibrated
@@ -71,18 +71,18 @@ class Calibrate:
             message = f"pose: {' '.join(f'{q:g}' for q in pose)}: must be {len(servos)} angles in rad, within 100"
             raise ValueError(message)
         baud = servos[0].baud
-        person = Person()
+        operator = Operator()
         bus = DynamixelBus(self.port, baud=baud, timeout_s=0.1)
         try:
-            guide = Guide(bus, servos, person.say, person.answer, person.forget)
-            person.forget()
-            person.say(
+            guide = Guide(bus, servos, operator.say, operator.answer, operator.forget)
+            operator.forget()
+            operator.say(
                 "hold the arm, and what its gripper holds: as soon as you press Enter EVERY servo on this bus loses its"
                 " torque, that of a gripper, too"
             )
-            person.wait()
+            operator.wait()
             guide.loosen()
-            person.say(f"no torque: servo {', '.join(str(servo.servo_id) for servo in servos)}, verified")
+            operator.say(f"no torque: servo {', '.join(str(servo.servo_id) for servo in servos)}, verified")
             at_pose = guide.pose(pose)
             signs = guide.directions()
             ranges = guide.ranges()

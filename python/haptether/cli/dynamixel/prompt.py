@@ -9,7 +9,7 @@ READ: Final = 4096
 MAX_READS: Final = 100
 
 
-class Person:
+class Operator:
     """Reads lines of standard input without waiting for them."""
 
     def __init__(self) -> None:
