@@ -178,6 +178,9 @@ def test_a_hand_feels_a_wall_through_the_whole_bridge(driver: str, libraries: di
     with Pair(driver, libraries[driver], tmp_path, duration_s=4.0, **hand(driver)) as pair:
         _, said = pair.master.communicate(timeout=60)
         assert pair.master.returncode == 0, said
+    # Said before it is opened: it holds up its own weight.
+    is_said = "it exerts force by itself" in said.partition(f"{driver}: ok ")[0]
+    assert is_said == (driver == "force-dimension")
     trace = np.load(tmp_path / "master.npz")
     position, force = trace["position"].ravel(), trace["device_force"].ravel()
     # The wall fills x < 0 and pushes out, where the hand of 200 N/m means to be 20 mm within: two springs in a row.

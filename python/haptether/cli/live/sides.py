@@ -114,6 +114,12 @@ def start_master(
     # The loop first: without a time of its own the start counts from here, and a driver may take its time to be loaded.
     loop = stopped.attached(MasterLoop(spec, clutch=command.clutch, **arguments))
     device = load_master(scene.master.driver, scene.master.options)
+    if getattr(device, "exerts_by_itself", False):
+        message = (
+            f"[master] driver = {scene.master.driver}: it exerts force by itself as soon as it is open, also before the"
+            " two sides engage: one hand supports it, no fingers are between its links"
+        )
+        print(message, file=sys.stderr, flush=True)
     run = MasterRun(device, loop, period_s=scene.run.period_s)
     if command.clutch == "auto":
         message = "--clutch auto: a simulated person presses the clutch of this device: it couples anew after each hold"
