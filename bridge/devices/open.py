@@ -175,8 +175,10 @@ def _check_period(device: "MasterDevice | SlaveDevice", key: str, period_s: floa
 def close_once(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None:
     """Closes it, unless somebody does already."""
     if notes.closing.acquire(blocking=False):
-        with contextlib.suppress(Exception):
+        try:
             device.close()
+        except Exception as error:  # nobody is left to whom it could be raised
+            print(f"{type(device).__name__}: not closed: {error}", file=sys.stderr, flush=True)
 
 
 def comes_to_rest(come_to_rest: Callable[[], None]) -> bool:

@@ -7,7 +7,7 @@ import struct
 import sys
 import threading
 import time
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final, NoReturn
 
@@ -73,7 +73,7 @@ CLOSED_S: Final = 15.0
 
 
 class ServoArm:
-    """An arm of servos on one bus, for one thread; `stop` and `close` may come from any other.
+    """An arm of servos on one bus, for one thread; `stop` and `close` may come from any other, which `close` ends then.
 
     Measured values are in the order and in the frame of the joints: q = sign (p - offset) + 2 pi k, and a current is
     positive where its torque is. They are NaN until the first read, and after each that failed.
@@ -134,8 +134,15 @@ class ServoArm:
         self._recovery: threading.Thread | None = None
         self._recovered: BaseException | None = None
         self._ending = False
-        self._connecting = threading.Lock()
-        """Held by whoever opens or recovers: `close` may come from another thread meanwhile."""
+        self._ends = 0
+        """Stops and closes so far: one that comes while an `open` waits counts for it."""
+        self._ticking: int | None = None
+        """The thread that reads; another that closes does so without it."""
+        self._held: frozenset[int] = frozenset()
+        """Servos whose torque is this arm's to end: those of before were announced."""
+        self._connecting, self._faulting = threading.Lock(), threading.Lock()
+        """Held by whoever opens or recovers, during which `close` may come from another thread; and, for a moment, by
+        whoever stops, closes or acknowledges."""
 
     def _sort_by_mode(self, servos: Sequence[ServoSettings]) -> None:
         """Who takes currents and who goals, and their caps, limits and units."""
@@ -171,9 +178,14 @@ class ServoArm:
         if self._bus is not None:
             message = f"{self.name}: is open"
             raise ValueError(message)
-        self._fault = self._stopped = self._unsent = None
-        self._ending = False
+        begun = self._ends
         with self._connecting:
+            with self._faulting:
+                if self._ends != begun:
+                    message = f"{self.name}: closed or stopped before it was open"
+                    raise ArmRefusedError(message)
+                self._fault = self._stopped = self._unsent = self._ticking = None
+                self._ending, self._held = False, frozenset()
             try:
                 self._connect()
             except BaseException:
@@ -206,12 +218,18 @@ class ServoArm:
         """Lets the arm down where its modes allow it, ends all torque, and names each servo that keeps it.
 
         May be called again, and after any exception. An `open` or a recovery in progress is stopped first, then waited
-        for.
+        for. From another thread than the one that reads, torque ends at once: that one may hang, and go on any time.
 
         Raises:
             RuntimeError: That does not end.
         """
-        self._ending = True
+        with self._faulting:
+            self._ending = True
+            self._ends += 1
+            others = {thread.ident for thread in threading.enumerate()} - {threading.get_ident()}
+            if self._ticking in others and self._fault is None:
+                # Whoever reads meanwhile commands nothing more.
+                self._fault = ArmFaultError(FaultKind.NOT_READY, "closed by another thread")
         if not self._connecting.acquire(blocking=False):
             # It may be giving torque.
             self._end_torque()
@@ -236,6 +254,8 @@ class ServoArm:
         """What opens or recovers does not end: its torque does."""
         self._end_torque()
         message = f"{self.name}: the bus does not let go of its port: its servos may KEEP torque, cut their supply"
+        # Here as well: who closes after an error may not look at another.
+        self._report(message)
         raise RuntimeError(message)
 
     # -------------------------------------------------------------------------------------------------- every tick
@@ -257,6 +277,7 @@ class ServoArm:
 
     def read(self) -> bool:
         """Measures; whether the values are those of now. It never raises for what an arm can do: see `fault`."""
+        self._ticking = threading.get_ident()
         if self._fault is not None:
             return self._read_at_rest()
         now_s = time.monotonic()
@@ -350,11 +371,17 @@ class ServoArm:
         From any thread, at any time: it is sent before what other threads have the bus do, and an `open` or a recovery
         in progress fails.
         """
-        self._stopped = error = ArmFaultError(kind, text)
-        if self._fault is None:
+        error = ArmFaultError(kind, text)
+        with self._faulting:
+            self._stopped = error
+            self._ends += 1
+            # The newest is the one that is shown: an acknowledgement of the one before does not count for it.
+            is_first, self._fault = self._fault is None, error
+        if is_first:
             self._latch(error)
         else:
             self._end_torque()
+            self._report(f"{self.name}: fault: {error}")
 
     # ------------------------------------------------------------------------------------------------ after a fault
 
@@ -363,14 +390,18 @@ class ServoArm:
         """Whether an acknowledged fault is being mended."""
         return self._recovery is not None
 
-    def acknowledge(self) -> None:
+    def acknowledge(self, shown: str | None) -> None:
         """A person has seen to the fault: the checklist runs again, on a thread of its own, until `fault` is none.
 
         Servos with a hardware error are started anew.
+
+        Args:
+            shown: The `fault` that the person saw; where there is another by now, nothing happens.
         """
-        if self._fault is None or self._recovery is not None:
-            return
-        self._recovered = self._stopped = None
+        with self._faulting:
+            if self._fault is None or str(self._fault) != shown or self._recovery is not None or self._ending:
+                return
+            self._recovered = self._stopped = None
         self._recovery = threading.Thread(target=self._recover, name="dynamixel-recovery", daemon=True)
         self._recovery.start()
 
@@ -378,10 +409,11 @@ class ServoArm:
 
     @property
     def _opened(self) -> DynamixelBus:
-        if self._bus is None:
+        if (bus := self._bus) is None:
             message = f"{self.name}: is not open"
-            raise ValueError(message)
-        return self._bus
+            # Closed by another thread in the middle of a tick, or never opened.
+            raise RuntimeError(message) if self._fault is not None else ValueError(message)
+        return bus
 
     def _go_on(self) -> None:
         """Ends an `open` or a recovery whose arm is being closed or stopped."""
@@ -423,14 +455,14 @@ class ServoArm:
 
     def _check(self, checklist: Checklist) -> None:
         settings, bus = self.settings, self._opened
-        firmware = check_present(bus, self._every, checklist, self._go_on)
-        if not firmware and not any("model" in line for line in checklist.refused):
+        answered, firmware = check_present(bus, self._every, checklist, self._go_on)
+        if not answered:
             bus.close()
             self._bus = None
             if (rate := answering_rate(settings, self._go_on)) is not None:
                 checklist.refuse("baud", f"servos answer at {rate} bit/s", f"set baud = {rate}, or address 8 of each")
             return
-        self._caution_of_torque(firmware, checklist)
+        self._caution_of_torque(answered, checklist)
         for servo, obeys in (*((servo, None) for servo in settings.servos), *settings.shadows):
             if servo.servo_id not in firmware:
                 continue
@@ -462,22 +494,26 @@ class ServoArm:
         )
         checklist.ok("reads", "fast" if fast else "not fast: the firmware of a servo is too old; update it for 1 kHz")
 
-    def _caution_of_torque(self, present: Container[int], checklist: Checklist) -> None:
+    def _caution_of_torque(self, present: set[int], checklist: Checklist) -> None:
         """Says which servos have torque before it is taken off them, and leaves time to hold what they bear."""
-        loaded = []
-        for servo_id in self._members:
-            # One that refuses is looked at below.
-            with contextlib.suppress(TimeoutError, RuntimeError):
-                if servo_id in present and self._opened.read(servo_id, TORQUE_ENABLE, 1) != b"\0":
-                    loaded.append(str(servo_id))
+        loaded = [str(one) for one in self._members if one in present and not self._is_without_torque(one)]
         if not loaded:
+            self._held = frozenset(one for one in self._members if one in present)
             return
-        found = f"has torque already, of whoever had this bus before: it is taken off in {HELD_S:g} s"
+        found = f"has torque already, or does not say: whoever had this bus before gave it; it is off in {HELD_S:g} s"
         checklist.caution(f"servo {', '.join(loaded)}", found, "HOLD THE ARM: what it bears falls")
         end_s = time.monotonic() + HELD_S
         while time.monotonic() < end_s:
             self._go_on()
             time.sleep(0.02)
+        self._held = frozenset(one for one in self._members if one in present)
+
+    def _is_without_torque(self, servo_id: int) -> bool:
+        """Whether it says so; one that does not is taken to have some."""
+        for _ in range(STOPS):
+            with contextlib.suppress(TimeoutError, RuntimeError):
+                return self._opened.read(servo_id, TORQUE_ENABLE, 1) == b"\0"
+        return False
 
     def _place(self, checklist: Checklist) -> None:
         """Finds the turn of each servo, and whether the joints are within their limits."""
@@ -753,13 +789,14 @@ class ServoArm:
         Why it could not be sent is told, the first time of several in a row.
         """
         bus = self._bus
-        if bus is None:
+        # Before they were announced, what torque there is bears a load for another program.
+        if bus is None or not self._held:
             return
         unsent = None
         for address, size, ids in ((GOAL_CURRENT, 2, self._current_ids), (TORQUE_ENABLE, 1, self._members)):
             try:
-                if ids:
-                    bus.stop(address, size, ids, bytes(size * len(ids)))
+                if held := bytes(one for one in ids if one in self._held):
+                    bus.stop(address, size, held, bytes(size * len(held)))
             except (OSError, RuntimeError, ValueError) as error:
                 unsent = str(error)
         before, self._unsent = self._unsent, unsent
@@ -854,10 +891,10 @@ class ServoArm:
         bus = self._bus
         try:
             self._end_torque()
-            if self.grip is not None:
+            if self.grip is not None and self._held:
                 self.grip.hold()
                 self.send_grip()
-            self.kept = tuple(servo_id for servo_id in self._members if not _is_off(bus, servo_id))
+            self.kept = tuple(one for one in self._members if one in self._held and not _is_off(bus, one))
         finally:
             bus.close()
             self._bus = None

@@ -98,7 +98,9 @@ def write_calibration(path: Path, baud: int, servos: tuple[ServoSettings, ...]) 
     # Without it a new name may be gone after the supply was.
     folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        os.fsync(folder)
+        # Some file systems have none of it; the file is there all the same.
+        with contextlib.suppress(OSError):
+            os.fsync(folder)
     finally:
         os.close(folder)
 

@@ -87,15 +87,15 @@ def answering_rate(settings: ArmSettings, go_on: Callable[[], None]) -> int | No
 
 def check_present(
     bus: DynamixelBus, settings: ArmSettings, checklist: Checklist, go_on: Callable[[], None]
-) -> dict[int, int]:
-    """Whether the servos are there and are those that are named; firmware of each that is, by id.
+) -> tuple[set[int], dict[int, int]]:
+    """Whether the servos are there and are those that are named; ids that answer, and firmware of each that is right.
 
     `go_on` is called before each, and may raise.
 
     Raises:
         OSError: The port is gone.
     """
-    found = {}
+    answered, found = set(), {}
     for servo in (*settings.servos, *(shadow for shadow, _ in settings.shadows)):
         go_on()
         what = f"servo {servo.servo_id}"
@@ -110,6 +110,7 @@ def check_present(
         except RuntimeError as error:
             checklist.refuse(what, str(error), "see cables and terminations, and that no two servos have one id")
             continue
+        answered.add(servo.servo_id)
         model = SERVO_MODELS_BY_NUMBER.get(number)
         name = f"model {number}" if model is None else model.name
         checklist.check(
@@ -118,7 +119,7 @@ def check_present(
         )  # fmt: skip
         if number == servo.servo.number:
             found[servo.servo_id] = firmware
-    return found
+    return answered, found
 
 
 def knows_fast_reads(settings: ArmSettings, firmware: dict[int, int]) -> bool:

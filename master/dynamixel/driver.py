@@ -82,9 +82,8 @@ class DynamixelMaster:
 
     def acknowledge(self) -> None:
         """A person has mended the fault: the checklist runs again."""
-        if self._shown is not None and self._shown == self.servos.fault:
-            # One since the last sample was not shown to anybody.
-            self.servos.acknowledge()
+        # One since the last sample was not shown to anybody.
+        self.servos.acknowledge(self._shown)
 
     def read(self) -> MasterSample:
         """The newest sample; what is not measured now is not returned as if it were: it is measured, or a fault.

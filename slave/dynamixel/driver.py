@@ -152,7 +152,7 @@ class DynamixelSlave:
             # One since the last sample was not shown to anybody.
             return
         self._refused, self._led = None, False
-        self.servos.acknowledge()
+        self.servos.acknowledge(self._shown)
 
     def close(self) -> None:
         """Lets the arm down where its mode allows it, and ends all torque."""

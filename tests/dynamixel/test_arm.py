@@ -19,7 +19,7 @@ from tests.dynamixel.emulated import EmulatedBus, emulated_bus
 
 from haptether.checklist import Checklist
 from haptether.dynamixel import SERVO_MODELS, DynamixelBus, OperatingMode
-from haptether.dynamixel.arm import ArmRefusedError, ArmSettings, FaultKind, ServoArm, ServoSettings
+from haptether.dynamixel.arm import ArmRefusedError, ArmSettings, FaultKind, ServoArm, ServoSettings, checks
 from haptether.dynamixel.arm.arm import HELD_S
 from haptether.dynamixel.arm.checks import check_port, check_servo
 
@@ -366,14 +366,14 @@ def test_an_acknowledged_fault_is_mended(tmp_path: Path, fault: str) -> None:
         with opened(emulated) as arm:
             driven_into(emulated, arm, fault)
             if fault == "unplug":
-                arm.acknowledge()
+                arm.acknowledge(arm.fault)
                 until(lambda: not (arm.recovering and not arm.read() and arm.recovering))
                 # It is not plugged in yet.
                 assert arm.fault_kind == FaultKind.NOT_READY
                 assert "is not there" in str(arm.fault)
                 emulated.do("plug")
             time.sleep(0.4)
-            arm.acknowledge()
+            arm.acknowledge(arm.fault)
             until(lambda: arm.read() or not arm.recovering)
             until(lambda: arm.read() and arm.fault is None)
             assert torques(emulated) == [True] * 3
@@ -446,7 +446,7 @@ def test_an_arm_that_is_closed_while_it_recovers_has_no_torque(emulated: Emulate
     arm.open()
     arm.stop(FaultKind.JUMP, "of a test")
     until(lambda: not any(torques(emulated)))
-    arm.acknowledge()
+    arm.acknowledge(arm.fault)
     until(lambda: all(torques(emulated)))
     arm.close()
     assert torques(emulated) == [False] * 3
@@ -596,6 +596,73 @@ def test_an_arm_that_another_program_holds_is_named_before_its_torque_is_taken_o
     arm.open()
     arm.close()
     assert not any("CAUTION" in line for line in lines)
+
+
+def test_torque_of_another_program_is_announced_where_the_arm_is_refused_too(
+    emulated: EmulatedBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Servo 2 is another than was said, and has torque; servo 9, which is not there, nobody speaks for."""
+    monkeypatch.setattr("haptether.dynamixel.arm.arm.HELD_S", 0.3)
+    bus = DynamixelBus(emulated.port, baud=4_000_000, timeout_s=TIMEOUT_S)
+    bus.write(2, 64, b"\1")
+    bus.close()
+    lines: list[str] = []
+    held: list[bool] = []
+
+    def report(line: str) -> None:
+        lines.append(line)
+        if "CAUTION" in line:
+            held.append(emulated.servo(2)["torque"])
+
+    arm = arm_of(emulated.port, servos=tuple(ServoSettings(servo_id=one, model="XM430-W350") for one in (2, 9)))
+    arm._report = report
+    begin = time.monotonic()
+    with pytest.raises(ArmRefusedError, match="the options have a XM430-W350 there"):
+        arm.open()
+    assert time.monotonic() - begin > 0.3
+    assert held == [True]
+    # It answered: its rate is not searched for.
+    assert not any("baud" in line for line in lines)
+    assert not emulated.servo(2)["torque"]
+
+
+def test_a_refusal_before_that_leaves_the_torque_of_another_program_alone(
+    emulated: EmulatedBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bus = DynamixelBus(emulated.port, baud=4_000_000, timeout_s=TIMEOUT_S)
+    bus.write(1, 64, b"\1")
+    bus.close()
+
+    def gone(*_arguments: object) -> object:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr("haptether.dynamixel.arm.arm.check_present", gone)
+    arm = arm_of(emulated.port)
+    with pytest.raises(ArmRefusedError, match="Input/output error"):
+        arm.open()
+    arm.close()
+    assert emulated.servo(1)["torque"]
+
+
+def test_a_servo_that_does_not_say_whether_it_has_torque_is_announced(
+    emulated: EmulatedBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("haptether.dynamixel.arm.arm.HELD_S", 0.2)
+    lines: list[str] = []
+    arm = arm_of(emulated.port)
+    arm._report = lines.append
+    present = checks.check_present
+
+    def then_silent(*arguments: Any) -> object:  # noqa: ANN401  # passed on
+        found = present(*arguments)
+        emulated.do("silent 1 on")
+        return found
+
+    monkeypatch.setattr("haptether.dynamixel.arm.arm.check_present", then_silent)
+    with pytest.raises(ArmRefusedError):
+        arm.open()
+    (caution,) = [line for line in lines if "CAUTION" in line]
+    assert "servo 1: has torque already, or does not say" in caution
 
 
 def test_an_arm_is_closed_while_a_person_takes_hold_of_it(emulated: EmulatedBus) -> None:

@@ -208,11 +208,11 @@ def test_an_adapter_that_is_pulled_while_it_recovers_recovers_at_the_next_acknow
             # The port that it has is one that is gone, and it does not know yet.
             emulated.do("unplug")
             for _ in range(2):
-                arm.acknowledge()
+                arm.acknowledge(arm.fault)
                 until(lambda: not (arm.recovering and not arm.read() and arm.recovering))
                 assert arm.fault_kind == FaultKind.NOT_READY
             emulated.do("plug")
-            arm.acknowledge()
+            arm.acknowledge(arm.fault)
             until(lambda: arm.read() or not arm.recovering)
             until(lambda: arm.read() and arm.fault is None)
 
@@ -231,7 +231,7 @@ def test_a_recovery_that_has_not_begun_does_not_begin_in_the_next_life(
         recover()
 
     monkeypatch.setattr(arm, "_recover", late)
-    arm.acknowledge()
+    arm.acknowledge(arm.fault)
     arm.close()
     arm.open()
     time.sleep(0.4)

@@ -197,7 +197,7 @@ def test_an_arm_that_is_stopped_while_it_recovers_stays_without_torque(
     with opened(emulated, servos=SERVOS, watchdog_s=2.54) as arm:
         arm.stop(FaultKind.JUMP, "of a test")
         come, on = paused(arm, monkeypatch)
-        arm.acknowledge()
+        arm.acknowledge(arm.fault)
         assert come.wait(PATIENCE_S)
         assert torques(emulated) == [True, True]
         with soon():
@@ -208,7 +208,7 @@ def test_an_arm_that_is_stopped_while_it_recovers_stays_without_torque(
         assert arm.fault_kind == FaultKind.NOT_READY
         assert torques(emulated) == [False, False]
         # A person acts, and it recovers.
-        arm.acknowledge()
+        arm.acknowledge(arm.fault)
         until(lambda: arm.read() and arm.fault is None)
         assert torques(emulated) == [True, True]
 
@@ -216,7 +216,7 @@ def test_an_arm_that_is_stopped_while_it_recovers_stays_without_torque(
 def test_a_stop_between_a_recovery_and_the_next_read_is_a_fault(emulated: EmulatedBus) -> None:
     with opened(emulated, servos=SERVOS, watchdog_s=2.54) as arm:
         arm.stop(FaultKind.JUMP, "of a test")
-        arm.acknowledge()
+        arm.acknowledge(arm.fault)
         assert arm._recovery is not None
         arm._recovery.join(PATIENCE_S)
         assert torques(emulated) == [True, True]
@@ -283,3 +283,85 @@ def test_a_stop_that_could_not_be_sent_is_told_once(emulated: EmulatedBus) -> No
     assert len(told) == 1
     assert "Input/output error" in told[0]
     assert "after 500 ms of silence" in told[0]
+
+
+def test_a_close_ends_the_arm_for_the_thread_that_leads_it(emulated: EmulatedBus) -> None:
+    """That one would be let down by nobody, and would go on to command."""
+    with opened(emulated, servos=SERVOS, watchdog_s=2.54, release_s=2.0) as arm:
+        ends = threading.Event()
+        ticks = [0, 0]
+
+        def leads() -> None:
+            while not ends.is_set():
+                arm.read()
+                arm.write_currents((0.3, 0.0))
+                ticks[arm.fault is not None] += 1
+                time.sleep(0.002)
+
+        leading = Call(leads)
+        until(lambda: ticks[0] > 20)
+        with soon():
+            arm.close()
+        assert torques(emulated) == [False, False]
+        closed = ticks[1]
+        # It goes on, and nothing comes of it.
+        until(lambda: ticks[1] > closed + 20)
+        assert torques(emulated) == [False, False]
+        assert all(servo["current_a"] == 0.0 for servo in emulated.status()["servos"])
+        assert "closed by another thread" in str(arm.fault)
+        ends.set()
+        leading.end()
+        assert leading.error is None
+        arm.open()
+        assert arm.fault is None
+        assert torques(emulated) == [True, True]
+
+
+def test_a_thread_that_has_ended_leaves_an_arm_that_is_let_down(emulated: EmulatedBus) -> None:
+    with opened(emulated, servos=SERVOS, watchdog_s=2.54, release_s=0.3) as arm:
+        reading = Call(arm.read)
+        reading.end()
+        begin = time.monotonic()
+        arm.close()
+        assert time.monotonic() - begin > 0.3
+        assert arm.fault is None
+
+
+def test_an_acknowledgement_of_one_fault_is_none_of_a_stop_after_it(emulated: EmulatedBus) -> None:
+    with opened(emulated, servos=SERVOS, watchdog_s=2.54) as arm:
+        arm.stop(FaultKind.JUMP, "the first")
+        shown = arm.fault
+        arm.stop(FaultKind.NOT_FINITE, "the second")
+        assert str(arm.fault).endswith("the second")
+        arm.acknowledge(shown)
+        assert not arm.recovering
+        assert torques(emulated) == [False, False]
+        arm.acknowledge(arm.fault)
+        until(lambda: arm.read() and arm.fault is None)
+
+
+def test_an_arm_that_was_closed_while_its_open_waited_does_not_open(emulated: EmulatedBus) -> None:
+    arm = arm_of(emulated.port, servos=SERVOS)
+    with arm._connecting:
+        opening = Call(arm.open)
+        time.sleep(0.1)
+        arm.stop(FaultKind.JUMP, "of a test")
+    opening.end()
+    assert isinstance(opening.error, ArmRefusedError)
+    assert torques(emulated) == [False, False]
+    arm.close()
+
+
+def test_what_does_not_let_go_is_said_whoever_closes(emulated: EmulatedBus, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("haptether.dynamixel.arm.arm.CLOSED_S", 0.2)
+    said: list[str] = []
+    arm = ServoArm(arm_of(emulated.port, servos=SERVOS, watchdog_s=2.54).settings, report=said.append)
+    come, on = paused(arm, monkeypatch)
+    opening = Call(arm.open)
+    assert come.wait(PATIENCE_S)
+    with pytest.raises(RuntimeError, match="may KEEP torque"):
+        arm.close()
+    assert any("may KEEP torque, cut their supply" in line for line in said)
+    on.set()
+    opening.end()
+    arm.close()
