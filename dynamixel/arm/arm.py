@@ -789,12 +789,12 @@ class ServoArm:
         Why it could not be sent is told, the first time of several in a row.
         """
         bus = self._bus
-        # Before they were announced, what torque there is bears a load for another program.
-        if bus is None or not self._held:
+        if bus is None:
             return
         unsent = None
         for address, size, ids in ((GOAL_CURRENT, 2, self._current_ids), (TORQUE_ENABLE, 1, self._members)):
             try:
+                # Of one that was not announced yet the torque may bear a load for another program.
                 if held := bytes(one for one in ids if one in self._held):
                     bus.stop(address, size, held, bytes(size * len(held)))
             except (OSError, RuntimeError, ValueError) as error:

@@ -271,7 +271,7 @@ def test_explain_names_trips_and_cuts_no_number(
     monkeypatch.setenv("COLUMNS", str(WIDTH))
     text = explained(tmp_path, capsys, flight("peer is silent " * 12, axes=axes))
     fits(text)
-    assert "interventions of safety controllers: 40, the last 2:" in text
+    assert "interventions of safety controllers: 40, of which 2 are kept:" in text
     assert "1.0000 to 2.0000 s  wsc: E_wso [J] = -0.0312, below -0.03" in text
     assert "3.0000 to 4.0000 s  rotation: hsc: S_h = 1.75, above 1.5" in text
     assert "hsc wsc held" in text

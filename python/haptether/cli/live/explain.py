@@ -87,7 +87,7 @@ def _intervention_lines(flight: "Flight") -> list[str]:
         return ["no safety controller intervened"] if flight.side == "master" else []
     lines = [f"interventions of safety controllers: {max(flight.interventions_seen, len(flight.interventions))}"]
     if flight.interventions_seen > len(flight.interventions):
-        lines[0] += f", the last {len(flight.interventions)}:"
+        lines[0] += f", of which {len(flight.interventions)} are kept:"
     for one in flight.interventions:
         what = "; ".join(map(_trip, one.trips)) or "held on"
         layer = "" if one.layer == "translation" else f"{one.layer}: "
