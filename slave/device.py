@@ -38,6 +38,9 @@ class SlaveDevice(Protocol):
     seconds between two samples, known once it is open: a scene whose `[slave] period_s` is off by more than 1 % is
     refused then, before anything moves.
 
+    A driver whose arm has torque of its own from `open` on, and may fall when it is closed, has `exerts_by_itself =
+    True`: `check-device` and `haptether slave` say so before they open it.
+
     `kinds` names the kinds of sides that a driver can be: "linear", "joints", "pose"; without it the first two. One of
     poses has `write(position, velocity, orientation=None, angular_velocity=None)`, tuples of four and three as in a
     sample: without an orientation, in a scene of points, the tool keeps that of the begin. Its samples have

@@ -191,8 +191,9 @@ class Inverse3:
             session.close(CLOSE_S)
         if self._mending is not None:
             self._mending.join(JOIN_S)
-        if isinstance(self._mended, Session):
-            self._mended.close()
+        mended, self._mended = self._mended, None
+        if isinstance(mended, Session):
+            mended.close()
 
     # ----------------------------------------------------------------------------------------------- connection
 
@@ -236,6 +237,12 @@ class Inverse3:
             self._mended = self._connected(Checklist(self._name))
         except Exception as error:  # whatever it is, it is to be seen and may be tried again
             self._mended = f"not ready: {error}"
+            return
+        if self._ending.is_set():
+            # Whoever closes may have waited in vain, and gone.
+            mended, self._mended = self._mended, None
+            if isinstance(mended, Session):
+                mended.close()
 
     def _look_at_mending(self) -> None:
         mended = self._mended

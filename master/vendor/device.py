@@ -59,6 +59,8 @@ class VendorDevice(ABC, Generic[Session]):
         """What the thread that opens it anew has found: a session, or why there is none."""
         self._reopening: threading.Thread | None = None
         self._ending = threading.Event()
+        self._taking = threading.Lock()
+        """Held for a moment by whoever takes a session that another thread may take, too."""
 
     # ------------------------------------------------------------------------------------------- of the vendor
 
@@ -212,7 +214,8 @@ class VendorDevice(ABC, Generic[Session]):
         self._lost, self._session, self._halts = self._session, None, 0
 
     def _take_lost(self) -> Session | None:
-        session, self._lost = self._lost, None
+        with self._taking:
+            session, self._lost = self._lost, None
         return session
 
     def _reopen(self) -> None:
@@ -228,15 +231,17 @@ class VendorDevice(ABC, Generic[Session]):
             self._release_reopened()
 
     def _release_reopened(self) -> None:
-        left, self._reopened = self._reopened, None
+        with self._taking:
+            left, self._reopened = self._reopened, None
         if left is not None and not isinstance(left, str):
             self._release(left)
 
     def _take_reopened(self) -> None:
-        reopened = self._reopened
+        with self._taking:
+            reopened, self._reopened = self._reopened, None
         if reopened is None:
             return
-        self._reopened = self._reopening = None
+        self._reopening = None
         if isinstance(reopened, str):
             self._latch(f"{reopened}: acknowledge to open it anew", anew=True)
             return

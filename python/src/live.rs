@@ -13,8 +13,8 @@ use haptether_bridge::{
         RecordOutputs, RecordReader, Security, StartError, now_ns,
     },
     recorder::{Recorded, Recorder, RecorderSettings, SecurityMark},
-    telemetry::{Telemetry, TelemetrySettings},
     session::{KeyError, PreSharedKey},
+    telemetry::{Telemetry, TelemetrySettings},
     wire::Role,
 };
 use pyo3::{

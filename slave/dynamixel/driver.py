@@ -28,6 +28,8 @@ class DynamixelSlave:
     """
 
     paces = False
+    exerts_by_itself = True
+    """It holds its joints from `open` on."""
     kinds = ("joints",)
 
     @property

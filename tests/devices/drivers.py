@@ -3,6 +3,7 @@
 import functools
 import math
 import os
+import signal
 import threading
 import time
 from collections.abc import Sequence
@@ -285,6 +286,25 @@ class HangsAndBearsItself(HungInRead):
     """Both."""
 
     exerts_by_itself = True
+
+
+class HangsInOpenAndBearsItself(Stylus):
+    """Does not return from `open`."""
+
+    exerts_by_itself = True
+
+    def open(self) -> None:
+        """Never ends."""
+        threading.Event().wait(60.0)
+
+
+class InterruptedAfterItsEnd(BearsItself):
+    """Has a person press Ctrl-C once it is closed, when its samples are looked at."""
+
+    def close(self) -> None:
+        """As another thread: the command has gone on by then."""
+        super().close()
+        threading.Timer(0.0, os.kill, (os.getpid(), signal.SIGINT)).start()
 
 
 class Pose(Stylus):

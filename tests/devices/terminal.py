@@ -22,13 +22,13 @@ class Terminal:
         os.close(slave)
         self.printed = ""
 
-    def until(self, text: str, seconds: float = 30.0) -> None:
-        """Reads until a text was printed."""
+    def until(self, text: str, seconds: float = 30.0, count: int = 1) -> None:
+        """Reads until a text was printed, so often."""
         end_s = time.monotonic() + seconds
-        while text not in self.printed:
+        while self.printed.count(text) < count:
             assert time.monotonic() < end_s, self.printed
             if not self.read(0.1):
-                assert text in self.printed, self.printed
+                assert self.printed.count(text) >= count, self.printed
 
     def read(self, seconds: float) -> bool:
         """Reads what there is; false at the end."""

@@ -225,13 +225,13 @@ def test_after_an_exception_in_the_loop_a_driver_is_at_rest_and_closed() -> None
     wait_until(lambda: len(check.run.ticks) > 5, 5.0)
     check.end()
     device = drivers.Stylus()
-    second = SecondRun(device, check)
+    second = SecondRun(device, check, lambda: False)
     wait_until(lambda: second.run.finished, 5.0)
     assert second.finding().verdict == "pass"
     assert "an exception in the middle of the loop" in str(second.run.error)
     assert (device.opened, device.closed, device.forces[-1]) == (1, 1, (0.0, 0.0, 0.0))
     for bad in (drivers.RaisesInClose(), drivers.RaisesInOpen()):
-        second = SecondRun(bad, check)
+        second = SecondRun(bad, check, lambda: False)
         wait_until(lambda run=second.run: run.finished, 5.0)  # type: ignore[misc]  # bound at once
         found = second.finding()
         assert found.verdict == "mend"

@@ -219,6 +219,10 @@ def test_each_time_that_a_device_exerts_by_itself_its_begin_and_its_end_are_said
     terminal = Terminal(environment, "check-device", "bears", "--duration-s", "0.5")
     terminal.until(QUESTION)
     terminal.answer("yes\n")
+    # Anew before it is opened again: the yes was about the first time.
+    terminal.until("bears will be opened again.")
+    terminal.until(QUESTION, count=2)
+    terminal.answer("yes\n")
     assert terminal.end() == 0, terminal.printed
     begun, closed = "bears: is opened: from now on it exerts force by itself", "bears: is closed: its force has ended"
     assert terminal.printed.index(OWN_FORCE) < terminal.printed.index(begun) < terminal.printed.index(closed)
@@ -228,6 +232,44 @@ def test_each_time_that_a_device_exerts_by_itself_its_begin_and_its_end_are_said
     assert OWN_FORCE in hung.stderr
     assert "hangs: is NOT known to be closed: it may still exert, switch it off" in hung.stderr
     assert "hangs: is closed" not in hung.stderr
+
+
+@pytest.mark.parametrize("answer", ["no", "interrupt"])
+def test_a_second_opening_has_a_yes_of_its_own(tmp_path: Path, answer: str) -> None:
+    written = tmp_path / "written"
+    environment = declared(tmp_path, bears="BearsItself") | {WRITTEN: str(written)}
+    terminal = Terminal(environment, "check-device", "bears", "--duration-s", "0.5")
+    terminal.until(QUESTION)
+    terminal.answer("yes\n")
+    terminal.until(QUESTION, count=2)
+    if answer == "no":
+        terminal.answer("no\n")
+    else:
+        terminal.process.send_signal(signal.SIGINT)
+    assert terminal.end() == (0 if answer == "no" else 130)
+    assert written.read_text().split().count("open") == 1
+    if answer == "no":
+        # What nobody looked at has not passed.
+        assert "close after an exception" in terminal.printed
+        assert "nobody said yes: it was not opened" in terminal.printed
+
+
+def test_ctrl_c_while_its_samples_are_looked_at_opens_nothing(tmp_path: Path) -> None:
+    """The findings of many samples take their time."""
+    written = tmp_path / "written"
+    environment = declared(tmp_path, bears="InterruptedAfterItsEnd") | {WRITTEN: str(written)}
+    ended = run(environment, "check-device", "bears", "--duration-s", "0.5", "--yes")
+    assert ended.returncode == 130
+    assert written.read_text().split().count("open") == 1
+
+
+def test_an_open_that_hangs_is_not_said_to_have_ended(tmp_path: Path) -> None:
+    terminal = Terminal(declared(tmp_path, hangs="HangsInOpenAndBearsItself"), "check-device", "hangs", "--yes")
+    terminal.until("from now on it exerts force by itself")
+    terminal.until("opening hangs")
+    terminal.process.send_signal(signal.SIGINT)
+    assert terminal.end() == 130
+    assert "hangs: is NOT known to be closed: it may still exert, switch it off" in terminal.printed
 
 
 def test_identify_asks_to_support_it_and_then_to_let_go(tmp_path: Path) -> None:

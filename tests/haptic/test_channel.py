@@ -227,6 +227,35 @@ def test_a_driver_that_is_closed_while_it_opens_has_no_connection(
     service.wait_for("clients", 0)
 
 
+def test_a_reconnection_that_comes_after_the_close_is_closed(
+    service: EmulatedInverse, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("haptether.master.inverse3.driver.JOIN_S", 0.1)
+    driver = Inverse3(**service.options)
+    driver.open()
+    connected = driver._connected
+    closed, entered = threading.Event(), threading.Event()
+
+    def late(checklist: object) -> object:
+        session = connected(checklist)  # type: ignore[arg-type]
+        entered.set()
+        assert closed.wait(20.0)
+        return session
+
+    service.do("disconnect")
+    end_s = time.monotonic() + 20.0
+    while driver.read().fault is None:
+        driver.write((0.0, 0.0, 0.0))
+        assert time.monotonic() < end_s
+    monkeypatch.setattr(driver, "_connected", late)
+    driver.acknowledge()
+    assert entered.wait(20.0)
+    driver.close()
+    closed.set()
+    service.wait_for("clients", 0)
+    assert "connected anew" not in (driver.read().fault or "")
+
+
 def test_a_reconnection_that_fails_in_any_way_can_be_tried_again(
     service: EmulatedInverse, monkeypatch: pytest.MonkeyPatch
 ) -> None:

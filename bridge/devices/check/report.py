@@ -242,10 +242,10 @@ class _Interrupted:
 class SecondRun:
     """The driver made and opened anew after it was closed, and closed after an exception in the middle of the loop."""
 
-    def __init__(self, device: object, check: DeviceCheck) -> None:
+    def __init__(self, device: object, check: DeviceCheck, stopped: Callable[[], bool]) -> None:
         self._is_arm = check.form.side == "slave"
         self._lead = _Interrupted(check.lead)
-        self.run = StandaloneRun(device, self._lead, period_s=check.loop_period_s, is_arm=self._is_arm)
+        self.run = StandaloneRun(device, self._lead, period_s=check.loop_period_s, is_arm=self._is_arm, stopped=stopped)
 
     def finding(self) -> Finding:
         """How it went; it is ended here."""

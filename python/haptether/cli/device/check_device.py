@@ -82,7 +82,7 @@ class CheckDevice(DriverOptions):
             kind = self.kind or kind_of(device)
             if self.push_n is not None:
                 self._check_push(certain_kind(self, device))
-            ask_before_open(self.name, device, stopped, yes=self.yes, times="twice")
+            ask_before_open(self.name, device, stopped, yes=self.yes)
             found: list[Finding] = []
             unpushed = None
             with announced(self.name, device) as runs:
@@ -105,7 +105,7 @@ class CheckDevice(DriverOptions):
             if unpushed is not None:
                 found.append(Finding("push", "unseen", unpushed))
             show_tracebacks(self, check.run)
-            if check.run.is_open and check.run.error is None and check.ended:
+            if check.run.is_open and check.run.error is None and check.ended and not stopped:
                 found.append(self._again(check, side, stopped))
             if stopped:
                 raise KeyboardInterrupt
@@ -118,15 +118,21 @@ class CheckDevice(DriverOptions):
         from haptether.bridge.devices.check.finding import Finding
         from haptether.bridge.devices.check.report import SecondRun
         from haptether.bridge.devices.standalone import wait_until
-        from haptether.cli.device.consent import announced
+        from haptether.cli.device.consent import announced, ask_before_open
         from haptether.cli.device.options import await_open, loaded_device, show_tracebacks
 
+        name = "close after an exception"
         try:
             device = loaded_device(self, side)
         except (DeviceError, ValueError) as error:
-            return Finding("close after an exception", "mend", f"it cannot be made a second time: {error}")
+            return Finding(name, "mend", f"it cannot be made a second time: {error}")
+        try:
+            # Anew: whoever held it for the first time has read meanwhile that its force has ended.
+            ask_before_open(self.name, device, stopped, yes=self.yes, again=True)
+        except RuntimeError as error:
+            return Finding(name, "unseen", str(error))
         with announced(self.name, device) as runs:
-            second = SecondRun(device, check)
+            second = SecondRun(device, check, lambda: bool(stopped))
             runs.append(second.run)
             await_open(self, second.run, stopped)
             wait_until(lambda: second.run.finished or bool(stopped), 5.0)

@@ -64,7 +64,7 @@ def exerts_by_itself(device: object) -> bool:
     return bool(getattr(device, "exerts_by_itself", False))
 
 
-def ask_before_open(name: str, device: object, stopped: "Stopped", *, yes: bool, times: str = "once") -> None:
+def ask_before_open(name: str, device: object, stopped: "Stopped", *, yes: bool, again: bool = False) -> None:
     """Says what a device will exert by itself as soon as it is open, and asks; nothing of one that does not.
 
     Args:
@@ -72,7 +72,7 @@ def ask_before_open(name: str, device: object, stopped: "Stopped", *, yes: bool,
         device: The driver.
         stopped: Ends the wait.
         yes: Given as a flag: it is said and not asked.
-        times: How often it will be opened.
+        again: It was open before, and is closed.
 
     Raises:
         ValueError: Nobody can be asked.
@@ -82,8 +82,9 @@ def ask_before_open(name: str, device: object, stopped: "Stopped", *, yes: bool,
     if not exerts_by_itself(device):
         return
     check_terminal(f"{name} exerts a force by itself as soon as it is open", yes=yes)
+    opened = "will be opened again" if again else "will be opened"
     question = (
-        f"{name} will be opened {times}. It EXERTS FORCE OR TORQUE BY ITSELF as soon as it is open, such as against its"
+        f"{name} {opened}. It EXERTS FORCE OR TORQUE BY ITSELF as soon as it is open, such as against its"
         " weight, also while zero force is commanded, and may fall when it is closed.\nIts base is clamped and its"
         " supply in reach; one hand supports it at its grip or from outside, no fingers are between its links. Ctrl-C"
         " ends it."
@@ -115,7 +116,12 @@ def announced(name: str, device: object) -> Iterator[list["StandaloneRun"]]:
             (run.finished or (run.failed_at is None and run.end())) and "close" not in run.watched.failed
             for run in runs
         )
-        said = "is closed: its force has ended, but for what the driver names above"
-        if not closed:
-            said = "is NOT known to be closed: it may still exert, switch it off"
-        print(f"{name}: {said}", file=sys.stderr, flush=True)
+        announce_end(name, closed=closed)
+
+
+def announce_end(name: str, *, closed: bool) -> None:
+    """Says whether a device that exerts by itself is closed."""
+    said = "is closed: its force has ended, but for what the driver names above"
+    if not closed:
+        said = "is NOT known to be closed: it may still exert, switch it off"
+    print(f"{name}: {said}", file=sys.stderr, flush=True)

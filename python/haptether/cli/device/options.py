@@ -146,6 +146,7 @@ def await_open(command: DriverOptions, run: "StandaloneRun", stopped: "Stopped")
     Raises:
         KeyboardInterrupt: Ctrl-C meanwhile; it is closed.
     """
+    from haptether.cli.device.consent import announce_end, exerts_by_itself
     from haptether.cli.shared.output import deliver_output
     from haptether.cli.shared.screen import Screen
 
@@ -156,6 +157,8 @@ def await_open(command: DriverOptions, run: "StandaloneRun", stopped: "Stopped")
     if stopped:
         if not run.end():
             # Threads of a vendor's library that still connects would end an orderly exit with an abort.
+            if exerts_by_itself(run.watched.device):
+                announce_end(command.name, closed=False)
             deliver_output()
             os._exit(130)
         raise KeyboardInterrupt

@@ -114,12 +114,7 @@ def start_master(
     # The loop first: without a time of its own the start counts from here, and a driver may take its time to be loaded.
     loop = stopped.attached(MasterLoop(spec, clutch=command.clutch, **arguments))
     device = load_master(scene.master.driver, scene.master.options)
-    if getattr(device, "exerts_by_itself", False):
-        message = (
-            f"[master] driver = {scene.master.driver}: it exerts force by itself as soon as it is open, also before the"
-            " two sides engage: one hand supports it, no fingers are between its links"
-        )
-        print(message, file=sys.stderr, flush=True)
+    _announce(f"[master] driver = {scene.master.driver}", device)
     run = MasterRun(device, loop, period_s=scene.run.period_s)
     if command.clutch == "auto":
         message = "--clutch auto: a simulated person presses the clutch of this device: it couples anew after each hold"
@@ -162,6 +157,7 @@ def start_slave(
     spec = scene_json(_within(scene, device))
     period_s = scene.run.period_s if scene.slave.period_s is None else scene.slave.period_s
     loop = stopped.attached(SlaveLoop(spec, **arguments))
+    _announce(f"[slave] device = {scene.slave.device}", device)
     run = SlaveRun(device, loop, period_s=period_s, gripper=gripper)
     return _opened(run, f"[slave] device = {scene.slave.device}", stopped)
 
@@ -197,6 +193,16 @@ def _within(scene: "Scene", device: "SlaveDevice") -> "Scene":
         if most is not None and (now if isinstance(now, int | float) else float("inf")) > most:
             slower.append(f"coupling.{key}={most}")
     return override_scene(scene, slower) if slower else scene
+
+
+def _announce(name: str, device: object) -> None:
+    """Says before it is opened that a device will exert by itself."""
+    if getattr(device, "exerts_by_itself", False):
+        message = (
+            f"{name}: it exerts force by itself as soon as it is open, also before the two sides engage: one hand"
+            " supports it, no fingers are between its links"
+        )
+        print(message, file=sys.stderr, flush=True)
 
 
 Run = TypeVar("Run", bound="DeviceRun")
