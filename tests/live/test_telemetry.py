@@ -150,7 +150,7 @@ def test_a_cause_reaches_those_who_come_later(tmp_path: Path) -> None:
         slave.finish()
 
 
-def test_a_reader_that_stalls_or_talks_holds_nothing_up(tmp_path: Path) -> None:
+def test_a_reader_that_does_not_read_or_talks_holds_nothing_up(tmp_path: Path) -> None:
     path = tmp_path / "master.sock"
     scene = scene_json(two_sides())
     master = LiveMaster(scene, peer=f"127.0.0.1:{free_port()}", run_id=1, insecure=True, patience_s=2.0, telemetry=path)
