@@ -95,6 +95,7 @@ from haptether.bridge.session_key import read_key, wipe_key, write_key
 from haptether.bridge.telemetry import (
     TelemetryCause,
     TelemetryChange,
+    TelemetryCleared,
     TelemetryEnd,
     TelemetryHello,
     TelemetryLost,
@@ -181,6 +182,7 @@ __all__ = [
     "Sweep",
     "TelemetryCause",
     "TelemetryChange",
+    "TelemetryCleared",
     "TelemetryEnd",
     "TelemetryHello",
     "TelemetryLost",

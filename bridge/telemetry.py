@@ -2,6 +2,7 @@
 
 import os
 import socket
+import time
 from collections.abc import Iterator
 from types import TracebackType
 from typing import Any, Self
@@ -68,6 +69,12 @@ class TelemetryCause(Cause, frozen=True, kw_only=True, tag_field="kind", tag="ca
     time_ns: int
 
 
+class TelemetryCleared(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="cleared"):
+    """The cause that was sent last is over."""
+
+    time_ns: int
+
+
 class TelemetryLost(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="lost"):
     """This reader was too slow for samples of so many ticks."""
 
@@ -75,12 +82,26 @@ class TelemetryLost(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind",
 
 
 class TelemetryEnd(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="end"):
-    """The loop has ended in good order; without it, its process was killed or this reader was closed for being slow."""
+    """The loop has ended in good order; without it, it failed or was killed, or this reader was too slow."""
 
     time_ns: int
 
 
-TelemetryMessage = TelemetryHello | TelemetrySample | TelemetryChange | TelemetryCause | TelemetryLost | TelemetryEnd
+class _Refused(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="refused"):
+    """Why this reader gets nothing."""
+
+    text: str
+
+
+TelemetryMessage = (
+    TelemetryHello
+    | TelemetrySample
+    | TelemetryChange
+    | TelemetryCause
+    | TelemetryCleared
+    | TelemetryLost
+    | TelemetryEnd
+)
 
 
 class TelemetryReader:
@@ -88,23 +109,29 @@ class TelemetryReader:
 
     Args:
         path: The socket of `--telemetry` or `telemetry=`.
-        timeout_s: How long a message may take, in s; a loop sends 60 samples a second.
+        timeout_s: How long to wait for each message, in s; a loop sends 60 samples a second.
 
     Raises:
-        OSError: Nobody sends there, or, as `TimeoutError`, nothing came in time.
+        OSError: Nobody sends there; as `TimeoutError`, no whole message came in time; as `ConnectionError`, 16 programs
+            read already, or the run was over before it began to send.
         ValueError: What is sent is no telemetry, or of another version.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, timeout_s: float = 5.0) -> None:
         self._path = os.fspath(path)
-        self._decoder = msgspec.json.Decoder(TelemetryMessage)
+        self._timeout_s = timeout_s
+        self._decoder: msgspec.json.Decoder[TelemetryMessage | _Refused]
+        self._decoder = msgspec.json.Decoder(TelemetryMessage | _Refused)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
         self._received = bytearray()
         try:
             self._socket.settimeout(timeout_s)
             self._socket.connect(self._path)
             line = self._line()
-            hello = None if line is None else self._decoded(line)
+            if line is None:
+                message = f"{self._path}: closed before it said what it sends"
+                raise ConnectionError(message)
+            hello = self._decoded(line)
             if not isinstance(hello, TelemetryHello):
                 message = f"{self._path}: sends no telemetry of Haptether"
                 raise ValueError(message)
@@ -135,11 +162,17 @@ class TelemetryReader:
     def _line(self) -> bytes | None:
         """The next line; none at the end, where half a line counts for nothing."""
         begin = 0
+        until_s = time.monotonic() + self._timeout_s
         while (end := self._received.find(b"\n", begin)) < 0:
             begin = len(self._received)
             if begin > MAX_LINE:
                 message = f"{self._path}: a line of more than {MAX_LINE} bytes"
                 raise ValueError(message)
+            left_s = until_s - time.monotonic()
+            if left_s <= 0.0:
+                message = f"{self._path}: no whole message within {self._timeout_s} s"
+                raise TimeoutError(message)
+            self._socket.settimeout(left_s)
             received = self._socket.recv(1 << 16)
             if not received:
                 return None
@@ -150,8 +183,11 @@ class TelemetryReader:
 
     def _decoded(self, line: bytes) -> TelemetryMessage:
         try:
-            message: TelemetryMessage = self._decoder.decode(line)
+            message = self._decoder.decode(line)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             text = f"{self._path}: no line of telemetry ({error})"
             raise ValueError(text) from None
+        if isinstance(message, _Refused):
+            text = f"{self._path}: {message.text}"
+            raise ConnectionError(text)
         return message

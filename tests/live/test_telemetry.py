@@ -23,6 +23,7 @@ from haptether.bridge import (
     TelemetryMessage,
     TelemetryReader,
     TelemetrySample,
+    ladder_state_name,
     scene_json,
 )
 
@@ -49,28 +50,37 @@ def changes(messages: list[TelemetryMessage], signal: str) -> list[tuple[object,
     return [(change.from_, change.to) for change in found if change.signal == signal]
 
 
+Readers = tuple[TelemetryReader, TelemetryReader]
+
+
 @pytest.fixture
-def sides(tmp_path: Path) -> Iterator[tuple[LiveMaster, LiveSlave, Path, Path]]:
+def sides(tmp_path: Path) -> Iterator[tuple[LiveMaster, LiveSlave, Readers]]:
+    """Two that engage, and who reads them: of the slave from before there is a master."""
     scene = scene_json(two_sides())
     paths = tmp_path / "master.sock", tmp_path / "slave.sock"
     slave = LiveSlave(
         scene, listen="127.0.0.1:0", run_id=secrets.randbits(64), insecure=True, patience_s=20.0, telemetry=paths[1]
     )
+    of_slave = TelemetryReader(paths[1], timeout_s=30.0)
     master = LiveMaster(
         scene, peer=slave.address, run_id=secrets.randbits(64), insecure=True, duration_s=1.5, patience_s=20.0,
         telemetry=paths[0],
     )  # fmt: skip
-    yield master, slave, *paths
+    with of_slave, TelemetryReader(paths[0], timeout_s=30.0) as of_master:
+        yield master, slave, (of_master, of_slave)
     for side in (master, slave):
         side.stop()
+    assert not any(path.exists() for path in paths)
 
 
 def test_both_sides_send_all_ticks_with_their_extremes_and_what_changes(
-    sides: tuple[LiveMaster, LiveSlave, Path, Path],
+    sides: tuple[LiveMaster, LiveSlave, Readers],
 ) -> None:
-    master, slave, *paths = sides
+    master, slave, pair = sides
     seen: tuple[list[TelemetryMessage], list[TelemetryMessage]] = ([], [])
-    readers = [threading.Thread(target=read_all, args=pair) for pair in zip(paths, seen, strict=True)]
+    readers = [
+        threading.Thread(target=messages.extend, args=(reader,)) for reader, messages in zip(pair, seen, strict=True)
+    ]
     for reader in readers:
         reader.start()
     end_s = time.monotonic() + 60.0
@@ -79,15 +89,29 @@ def test_both_sides_send_all_ticks_with_their_extremes_and_what_changes(
         assert time.monotonic() < end_s
     trace, report = master.finish()
     slave.stop()
-    _, of_slave = slave.finish()
+    of_slave, slave_report = slave.finish()
     for reader in readers:
         reader.join(30.0)
-    for messages, name, ticks in zip(seen, ("master", "slave"), (report.ticks, of_slave.ticks), strict=True):
-        assert isinstance(messages[-1], TelemetryEnd), name
-        # The begin of a run may be over before a reader is there.
-        assert 0.7 * ticks < sum(sample.ticks for sample in samples(messages)) <= ticks
-        assert ("aligning", "engaged") in changes(messages, "state")
-    assert samples(seen[0])[-1].time_ns == round(trace.time_s[-1] * 1e9)
+    for messages, ticks in zip(seen, (trace, of_slave), strict=True):
+        assert isinstance(messages[-1], TelemetryEnd)
+        time_ns = np.rint(ticks.time_s * 1e9).astype(np.int64)
+        assert samples(messages)[-1].time_ns == time_ns[-1]
+        # From its first sample on: what was before may have been over when the reader came.
+        first = samples(messages)[0]
+        assert sum(sample.ticks for sample in samples(messages)[1:]) == np.count_nonzero(time_ns > first.time_ns)
+        states = [ladder_state_name(int(code)) for code in ticks.state]
+        changed = [
+            (at, before, after)
+            for at, before, after in zip(time_ns[1:], states, states[1:], strict=False)
+            if before != after and at > first.time_ns
+        ]
+        assert [
+            (change.time_ns, change.from_, change.to)
+            for change in messages
+            if isinstance(change, TelemetryChange) and change.signal == "state" and change.time_ns > first.time_ns
+        ] == changed
+    assert ("aligning", "engaged") in changes(seen[1], "state")
+    assert report.dropped_records == slave_report.dropped_records == 0
     # Each sample against the ticks that it stands for.
     first_ns = samples(seen[0])[0].time_ns
     time_ns = np.rint(trace.time_s * 1e9).astype(np.int64)
@@ -98,7 +122,6 @@ def test_both_sides_send_all_ticks_with_their_extremes_and_what_changes(
         assert len(ticks_of) == sample.ticks
         assert sample.signals["device_force"][0] == [ticks_of.min(), ticks_of.max(), ticks_of[-1]]
         begin = end
-    assert not any(path.exists() for path in paths)
 
 
 def test_a_cause_reaches_those_who_come_later(tmp_path: Path) -> None:
@@ -127,7 +150,7 @@ def test_a_cause_reaches_those_who_come_later(tmp_path: Path) -> None:
         slave.finish()
 
 
-def test_a_reader_that_stalls_or_talks_holds_nothing_up(tmp_path: Path) -> None:
+def test_a_reader_that_does_not_read_or_talks_holds_nothing_up(tmp_path: Path) -> None:
     path = tmp_path / "master.sock"
     scene = scene_json(two_sides())
     master = LiveMaster(scene, peer=f"127.0.0.1:{free_port()}", run_id=1, insecure=True, patience_s=2.0, telemetry=path)
@@ -179,16 +202,21 @@ def test_the_command_has_it_and_killed_it_leaves_a_socket_that_the_next_replaces
 
 
 @pytest.mark.parametrize(
-    ("sent", "said"),
+    ("sent", "error", "said"),
     [
-        (b"SSH-2.0\n", "no line of telemetry"),
-        (b'{"kind":"end","time_ns":1}\n', "sends no telemetry"),
-        (b"", "sends no telemetry"),
-        (b'{"kind":"hello","schema":2,"side":"master","security":"secure","signals":[]}\n', "schema = 2, must be 1"),
-        (b"x" * (2 << 20), "a line of more than"),
+        (b"SSH-2.0\n", ValueError, "no line of telemetry"),
+        (b'{"kind":"end","time_ns":1}\n', ValueError, "sends no telemetry"),
+        (b"", ConnectionError, "closed before it said"),
+        (b'{"kind":"refused","text":"16 programs"}\n', ConnectionError, "16 programs"),
+        (
+            b'{"kind":"hello","schema":2,"side":"master","security":"secure","signals":[]}\n',
+            ValueError,
+            "schema = 2, must be 1",
+        ),
+        (b"x" * (2 << 20), ValueError, "a line of more than"),
     ],
 )
-def test_what_is_no_telemetry_is_refused(sent: bytes, said: str, tmp_path: Path) -> None:
+def test_what_is_no_telemetry_is_refused(sent: bytes, error: type[Exception], said: str, tmp_path: Path) -> None:
     path = tmp_path / "other.sock"
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(path))
@@ -205,9 +233,36 @@ def test_what_is_no_telemetry_is_refused(sent: bytes, said: str, tmp_path: Path)
 
         server = threading.Thread(target=serve)
         server.start()
-        with pytest.raises(ValueError, match=said):
+        with pytest.raises(error, match=said):
             TelemetryReader(path)
         server.join(30.0)
+
+
+def test_a_message_that_comes_byte_by_byte_is_not_waited_for_longer(tmp_path: Path) -> None:
+    path = tmp_path / "other.sock"
+    done = threading.Event()
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+        listener.listen()
+
+        def serve() -> None:
+            client, _ = listener.accept()
+            with client:
+                # Each byte well within the time, the line never.
+                for _ in range(200):
+                    if done.wait(0.05):
+                        return
+                    client.sendall(b" ")
+
+        server = threading.Thread(target=serve)
+        server.start()
+        begun_s = time.monotonic()
+        with pytest.raises(TimeoutError):
+            TelemetryReader(path, timeout_s=0.5)
+        took_s = time.monotonic() - begun_s
+        done.set()
+        server.join(30.0)
+    assert 0.5 <= took_s < 5.0
 
 
 def test_a_path_that_cannot_be_is_an_error_that_names_it(tmp_path: Path) -> None:

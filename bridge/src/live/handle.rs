@@ -286,9 +286,10 @@ impl<R: Copy> RecordSinks<R> {
         self.read.push(record)
     }
 
-    /// Hands on why the two sides are not coupled, since `time_ns` after the start or shortly before.
-    pub(super) fn note(&mut self, time_ns: u64, diagnosis: &Diagnosis) {
-        if let Some(recorder) = &mut self.outputs.recorder {
+    /// Hands on why the two sides are not coupled, since `time_ns` after the start or shortly before; none where that
+    /// is over, which a recording does not say.
+    pub(super) fn note(&mut self, time_ns: u64, diagnosis: Option<&Diagnosis>) {
+        if let (Some(recorder), Some(diagnosis)) = (&mut self.outputs.recorder, diagnosis) {
             recorder.note(time_ns, diagnosis);
         }
         if let Some(telemetry) = &mut self.outputs.telemetry {
@@ -296,12 +297,18 @@ impl<R: Copy> RecordSinks<R> {
         }
     }
 
-    /// Ends the telemetry and the recording.
-    pub(super) fn end(self) -> Option<RecordingReport> {
-        let RecordOutputs { recorder, telemetry } = self.outputs;
-        if let Some(telemetry) = telemetry {
+    /// Ends the telemetry and the recording of a loop.
+    pub(super) fn end(mut self) -> Option<RecordingReport> {
+        if let Some(telemetry) = self.outputs.telemetry.take() {
             telemetry.end();
         }
+        self.abandon()
+    }
+
+    /// Closes both where no loop began.
+    pub(super) fn abandon(self) -> Option<RecordingReport> {
+        let RecordOutputs { recorder, telemetry } = self.outputs;
+        drop(telemetry);
         recorder.map(Recorder::end)
     }
 }

@@ -132,13 +132,15 @@ struct DiagnosisReport {
     newest: Option<Diagnosis>,
     since_ns: u64,
     is_reported: bool,
+    /// Whether recording and telemetry have it: they do not wait for those who look.
+    is_noted: bool,
 }
 
 impl DiagnosisReport {
     /// Takes the newest; whether it is still to be reported.
     fn is_unreported(&mut self, newest: Option<&Diagnosis>) -> bool {
         if self.newest.as_ref() != newest {
-            (self.newest, self.is_reported) = (newest.copied(), false);
+            (self.newest, self.is_reported, self.is_noted) = (newest.copied(), false, false);
         }
         !self.is_reported
     }
@@ -158,8 +160,8 @@ impl DiagnosisReport {
     /// Reports it, `time_ns` after the start; again at the next tick where nobody has taken those before.
     fn report<R: Copy>(&mut self, time_ns: u64, channels: &mut LoopChannels<R>) {
         self.is_reported = channels.diagnoses.push(self.newest).is_ok();
-        if let Some(diagnosis) = self.newest.filter(|_| self.is_reported) {
-            channels.records.note(time_ns, &diagnosis);
+        if !std::mem::replace(&mut self.is_noted, true) {
+            channels.records.note(time_ns, self.newest.as_ref());
         }
     }
 }
@@ -205,7 +207,12 @@ impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
             start_ns,
             now_ns: start_ns,
             shown: LadderState::Disengaged,
-            diagnosis: DiagnosisReport { newest: None, since_ns: start_ns, is_reported: true },
+            diagnosis: DiagnosisReport {
+                newest: None,
+                since_ns: start_ns,
+                is_reported: true,
+                is_noted: true,
+            },
             has_announced_end: false,
             stalled_ns: None,
             buffer: [0; MAX_DATAGRAM],

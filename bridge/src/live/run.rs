@@ -57,7 +57,7 @@ pub fn run_live<S: Side<N> + Send + 'static, const N: usize>(
         let (realtime, _kept) = system::prepare(settings.realtime);
         let _ = to_starter.send(realtime);
         if realtime.check(settings.realtime.demand).is_err() {
-            let recording = channels.records.end();
+            let recording = channels.records.abandon();
             return (LoopReport { realtime, recording, ..LoopReport::default() }, None);
         }
         let mut deadline_ns = system::now_ns();
@@ -266,7 +266,7 @@ impl<S: Side<N>, const N: usize> DriverLoop for PacedLoop<S, N> {
                 Some((LoopReport { realtime, ..report }, Some(flight)))
             }
             Stage::Ready(parts) => {
-                let recording = parts.3.records.end();
+                let recording = parts.3.records.abandon();
                 Some((
                     LoopReport { recording, realtime, engaged_ns: u64::MAX, ..LoopReport::default() },
                     None,

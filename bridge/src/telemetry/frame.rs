@@ -3,8 +3,8 @@
 use serde_json::json;
 
 use crate::{
-    ladder::Explanation,
-    recorder::{Note, Recorded, SecurityMark, Value},
+    ladder::{Diagnosis, Explanation},
+    recorder::{Recorded, SecurityMark, Value},
 };
 
 /// Of the lines, raised when a reader of before would misread them.
@@ -28,7 +28,7 @@ pub(super) fn hello<R: Recorded>(security: SecurityMark) -> Vec<u8> {
 }
 
 /// Why the two sides are not coupled, as a line.
-pub(super) fn cause(note: &Note) -> Vec<u8> {
+pub(super) fn cause(time_ns: u64, diagnosis: &Diagnosis) -> Vec<u8> {
     #[derive(serde::Serialize)]
     struct Cause {
         kind: &'static str,
@@ -36,7 +36,17 @@ pub(super) fn cause(note: &Note) -> Vec<u8> {
         #[serde(flatten)]
         explanation: Explanation,
     }
-    line(&Cause { kind: "cause", time_ns: note.time_ns, explanation: note.diagnosis.explain() })
+    line(&Cause { kind: "cause", time_ns, explanation: diagnosis.explain() })
+}
+
+/// That the cause of before is over, as a line.
+pub(super) fn cleared(time_ns: u64) -> Vec<u8> {
+    line(&json!({"kind": "cleared", "time_ns": time_ns}))
+}
+
+/// Why a reader gets nothing, as a line.
+pub(super) fn refused(text: &str) -> Vec<u8> {
+    line(&json!({"kind": "refused", "text": text}))
 }
 
 fn line(of: &impl serde::Serialize) -> Vec<u8> {

@@ -13,7 +13,7 @@ use std::{
     path::PathBuf,
     sync::{
         Arc,
-        atomic::{AtomicU64, Ordering},
+        atomic::{AtomicU8, AtomicU64, Ordering},
         mpsc,
     },
     thread,
@@ -25,7 +25,7 @@ use readers::Readers;
 
 use crate::{
     ladder::Diagnosis,
-    recorder::{Note, Recorded, SecurityMark},
+    recorder::{Recorded, SecurityMark},
     ring::ring,
 };
 
@@ -40,7 +40,7 @@ pub struct TelemetrySettings {
 
 /// Records that wait for the thread: 0.5 s at 8 kHz, 4 s at 1 kHz.
 const RING: usize = 1 << 12;
-/// Diagnoses that wait for the thread.
+/// Diagnoses, and ends of them, that wait for the thread.
 const NOTES: usize = 16;
 /// From one frame to the next.
 const FRAME: Duration = Duration::from_nanos(1_000_000_000 / 60);
@@ -49,6 +49,15 @@ const PATIENCE: Duration = Duration::from_millis(500);
 /// How long the thread then waits for readers that have not taken all yet.
 const LAST: Duration = Duration::from_millis(200);
 
+/// How the loop stands.
+const RUNNING: u8 = 0;
+const ENDED: u8 = 1;
+/// It panicked, or never began.
+const FAILED: u8 = 2;
+
+/// Why the two sides are not coupled, so long after the run began; none where that is over.
+type Note = (u64, Option<Diagnosis>);
+
 /// The loop's end of the ring.
 #[derive(Debug)]
 pub struct Telemetry<R> {
@@ -56,7 +65,8 @@ pub struct Telemetry<R> {
     notes: rtrb::Producer<Note>,
     /// Records that found the ring full.
     dropped: Arc<AtomicU64>,
-    ended: mpsc::Receiver<()>,
+    state: Arc<AtomicU8>,
+    sent: mpsc::Receiver<()>,
 }
 
 impl<R: Recorded> Telemetry<R> {
@@ -66,13 +76,14 @@ impl<R: Recorded> Telemetry<R> {
         let (records, waiting) = ring(RING);
         let (notes, noted) = ring(NOTES);
         let dropped = Arc::<AtomicU64>::default();
-        let (to_loop, ended) = mpsc::sync_channel(1);
-        let seen = Arc::clone(&dropped);
+        let state = Arc::new(AtomicU8::new(RUNNING));
+        let (to_loop, sent) = mpsc::sync_channel(1);
+        let seen = (Arc::clone(&dropped), Arc::clone(&state));
         thread::Builder::new().name("haptether-telemetry".into()).spawn(move || {
-            send_while_open(readers, (waiting, noted), &seen);
+            send_while_running(readers, (waiting, noted), (&seen.0, &seen.1));
             let _ = to_loop.send(());
         })?;
-        Ok(Self { records, notes, dropped, ended })
+        Ok(Self { records, notes, dropped, state, sent })
     }
 }
 
@@ -85,45 +96,55 @@ impl<R> Telemetry<R> {
         }
     }
 
-    /// Hands over why the two sides are not coupled, `time_ns` after the run began.
-    pub(crate) fn note(&mut self, time_ns: u64, diagnosis: &Diagnosis) {
-        let _ = self.notes.push(Note { time_ns, diagnosis: *diagnosis });
+    /// Hands over why the two sides are not coupled, `time_ns` after the run began; none where that is over.
+    pub(crate) fn note(&mut self, time_ns: u64, diagnosis: Option<&Diagnosis>) {
+        let _ = self.notes.push((time_ns, diagnosis.copied()));
     }
 
-    /// Waits until the end was sent, but not for readers that do not take it.
+    /// The loop has ended in good order; what is dropped without it closes its readers without that line.
     pub(crate) fn end(self) {
-        let Self { records, notes, ended, .. } = self;
-        drop((notes, records));
-        let _ = ended.recv_timeout(PATIENCE);
+        self.state.store(ENDED, Ordering::Release);
     }
 }
 
-/// Sends a frame every 1/60 s until the other end of the ring is gone and all was sent.
-fn send_while_open<R: Recorded>(
+impl<R> Drop for Telemetry<R> {
+    /// Waits until all was sent, but not for readers that do not take it.
+    fn drop(&mut self) {
+        let _ = self.state.compare_exchange(RUNNING, FAILED, Ordering::Release, Ordering::Relaxed);
+        let _ = self.sent.recv_timeout(PATIENCE);
+    }
+}
+
+/// Sends a frame every 1/60 s until the loop is over and all was sent.
+fn send_while_running<R: Recorded>(
     mut readers: Readers,
     (mut records, mut notes): (rtrb::Consumer<R>, rtrb::Consumer<Note>),
-    dropped: &AtomicU64,
+    (dropped, state): (&AtomicU64, &AtomicU8),
 ) {
     let mut frame = Frame::of::<R>();
     let mut due = Instant::now();
     loop {
         // Looked at first: what was pushed before the end is seen below.
-        let is_last = records.is_abandoned();
+        let state = state.load(Ordering::Acquire);
         readers.accept();
         // What comes while it is taken waits for the next frame: a loop that is faster does not hold it here.
         for _ in 0..records.slots() {
             let Ok(record) = records.pop() else { break };
             frame.take(&record);
         }
-        while let Ok(note) = notes.pop() {
-            readers.cause(&frame::cause(&note));
+        while let Ok((time_ns, diagnosis)) = notes.pop() {
+            match diagnosis {
+                Some(diagnosis) => readers.cause(frame::cause(time_ns, &diagnosis)),
+                None => readers.cleared(&frame::cleared(time_ns)),
+            }
         }
         frame.events(|lines| readers.events(lines));
         if let Some((sample, ticks)) = frame.sample(dropped.load(Ordering::Relaxed)) {
             readers.sample(sample, ticks);
         }
-        if is_last {
-            readers.end(&frame.end_line(), LAST);
+        if state != RUNNING {
+            let last = if state == ENDED { frame.end_line() } else { Vec::new() };
+            readers.end(&last, LAST);
             return;
         }
         readers.flush();

@@ -1,10 +1,14 @@
 //! Those who read the telemetry of a loop, each at its own speed.
 
 use std::{
+    fs::File,
     io,
-    os::unix::{
-        fs::{FileTypeExt, MetadataExt, PermissionsExt},
-        net::{UnixListener, UnixStream},
+    os::{
+        fd::OwnedFd,
+        unix::{
+            fs::{FileTypeExt, MetadataExt},
+            net::{UnixListener, UnixStream},
+        },
     },
     path::{Path, PathBuf},
     thread,
@@ -13,12 +17,17 @@ use std::{
 
 use rustix::{
     event::{PollFd, PollFlags, Timespec, poll},
+    fs::{FlockOperation, flock},
+    io::Errno,
     net::{
-        AddressFamily, SendFlags, SocketAddrUnix, SocketFlags, SocketType, bind, listen, send, socket_with,
+        AddressFamily, SendFlags, SocketAddrUnix, SocketFlags, SocketType, bind, connect, listen, send,
+        socket_with,
     },
 };
 
-/// At once; another is closed without a line.
+use super::frame;
+
+/// At once; another is told so and closed.
 const MAX_READERS: usize = 16;
 /// Bytes that may wait for a reader before it loses samples.
 const MAX_BACKLOG: usize = 1 << 18;
@@ -26,6 +35,8 @@ const MAX_BACKLOG: usize = 1 << 18;
 const MAX_EVENTS: usize = 1 << 20;
 /// The longest path that a Unix socket can have, in bytes; Linux, `struct sockaddr_un`.
 const MAX_PATH: usize = 107;
+/// How long another run may take to make its socket.
+const LOCK_PATIENCE: Duration = Duration::from_secs(1);
 
 struct Reader {
     stream: UnixStream,
@@ -57,8 +68,8 @@ impl Reader {
             }
             match send(&self.stream, &self.backlog[sent..], SendFlags::NOSIGNAL | SendFlags::DONTWAIT) {
                 Ok(taken) => sent += taken,
-                Err(rustix::io::Errno::INTR) => {}
-                Err(rustix::io::Errno::AGAIN) => break true,
+                Err(Errno::INTR) => {}
+                Err(Errno::AGAIN) => break true,
                 Err(_) => break false,
             }
         };
@@ -67,14 +78,89 @@ impl Reader {
     }
 }
 
+/// The file of a socket that listens, for as long as this is there.
+struct SocketFile {
+    path: PathBuf,
+    /// Another that has taken its place is left alone; none once it was removed.
+    inode: Option<u64>,
+}
+
+impl SocketFile {
+    /// That to which a socket has just been bound.
+    fn bound(path: &Path) -> io::Result<Self> {
+        match std::fs::symlink_metadata(path) {
+            Ok(found) => Ok(Self { path: path.to_owned(), inode: Some(found.ino()) }),
+            Err(error) => {
+                let _ = std::fs::remove_file(path);
+                Err(error)
+            }
+        }
+    }
+
+    fn remove(&mut self) {
+        let is_own = |inode| std::fs::symlink_metadata(&self.path).is_ok_and(|found| found.ino() == inode);
+        if self.inode.take().is_some_and(is_own) {
+            let _ = std::fs::remove_file(&self.path);
+        }
+    }
+}
+
+impl Drop for SocketFile {
+    fn drop(&mut self) {
+        self.remove();
+    }
+}
+
+fn refused(text: &str) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidInput, text)
+}
+
+fn unix_socket() -> io::Result<OwnedFd> {
+    let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;
+    Ok(socket_with(AddressFamily::UNIX, SocketType::STREAM, flags, None)?)
+}
+
+/// The folder of `path`, in which no other run makes or removes a socket while this is held.
+fn locked_folder(path: &Path) -> io::Result<File> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = File::open(folder)?;
+    let end = Instant::now() + LOCK_PATIENCE;
+    loop {
+        match flock(&folder, FlockOperation::NonBlockingLockExclusive) {
+            Ok(()) => return Ok(folder),
+            Err(Errno::INTR) => {}
+            Err(Errno::WOULDBLOCK) if Instant::now() < end => thread::sleep(Duration::from_millis(5)),
+            Err(Errno::WOULDBLOCK) => return Err(refused("another program holds its folder locked")),
+            Err(error) => return Err(error.into()),
+        }
+    }
+}
+
+/// Removes a socket that a killed run has left behind; refuses what is anything else.
+fn remove_stale(path: &Path, address: &SocketAddrUnix) -> io::Result<()> {
+    match std::fs::symlink_metadata(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        Err(error) => return Err(error),
+        Ok(found) if !found.file_type().is_socket() => {
+            return Err(refused("is there and is no socket: name another path"));
+        }
+        Ok(_) => {}
+    }
+    // It never waits: where too many wait to be accepted, it is said at once.
+    match connect(&unix_socket()?, address) {
+        Err(Errno::CONNREFUSED) => std::fs::remove_file(path),
+        Err(Errno::NOENT) => Ok(()),
+        Ok(()) | Err(Errno::AGAIN) => Err(refused("another run sends its telemetry there")),
+        Err(error) => Err(refused(&format!("is another program's socket ({error}): name another path"))),
+    }
+}
+
 /// The readers of a loop, and the socket at which more may come.
 pub(super) struct Readers {
     listener: UnixListener,
-    path: PathBuf,
-    /// Of the socket's file: another that has taken its place is left alone.
-    inode: u64,
+    file: SocketFile,
     hello: Vec<u8>,
-    /// The newest, for those that come later.
+    /// The newest, for those that come later; empty where there is none.
     cause: Vec<u8>,
     connected: Vec<Reader>,
 }
@@ -82,41 +168,41 @@ pub(super) struct Readers {
 impl Readers {
     /// Listens at `path`; each reader gets `hello` first.
     pub(super) fn listen(path: &Path, hello: Vec<u8>) -> io::Result<Self> {
-        let refused = |text: String| Err(io::Error::new(io::ErrorKind::InvalidInput, text));
         let length = path.as_os_str().len();
         if length > MAX_PATH {
-            return refused(format!(
+            return Err(refused(&format!(
                 "a path of {length} bytes, must be at most {MAX_PATH} for a Unix socket"
-            ));
+            )));
         }
-        match std::fs::symlink_metadata(path) {
-            Ok(found) if !found.file_type().is_socket() => {
-                return refused("is there and is no socket: name another path".to_owned());
-            }
-            Ok(_) if UnixStream::connect(path).is_ok() => {
-                return refused("another run sends its telemetry there".to_owned());
-            }
-            // Left behind by a run that was killed.
-            Ok(_) => std::fs::remove_file(path)?,
-            Err(_) => {}
-        }
-        let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;
-        let socket = socket_with(AddressFamily::UNIX, SocketType::STREAM, flags, None)?;
+        let address = SocketAddrUnix::new(path)?;
+        // Another run that begins now would take a socket that does not listen yet for one that was left behind.
+        let _alone = locked_folder(path)?;
+        remove_stale(path, &address)?;
+        let socket = unix_socket()?;
         // Before it has a name: there is no moment in which others may connect.
         rustix::fs::fchmod(&socket, 0o600.into())?;
-        bind(&socket, &SocketAddrUnix::new(path)?)?;
-        std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o600))?;
+        bind(&socket, &address)?;
+        let file = SocketFile::bound(path)?;
         listen(&socket, 16)?;
-        let inode = std::fs::symlink_metadata(path)?.ino();
         let listener = UnixListener::from(socket);
-        Ok(Self { listener, path: path.to_owned(), inode, hello, cause: Vec::new(), connected: Vec::new() })
+        Ok(Self { listener, file, hello, cause: Vec::new(), connected: Vec::new() })
     }
 
     /// Lets those in who wait; not more than one frame's worth.
     pub(super) fn accept(&mut self) {
         for _ in 0..MAX_READERS {
             let Ok((stream, _)) = self.listener.accept() else { return };
-            if self.connected.len() == MAX_READERS || stream.set_nonblocking(true).is_err() {
+            if stream.set_nonblocking(true).is_err() {
+                continue;
+            }
+            if self.connected.len() == MAX_READERS {
+                // Some may have gone since.
+                self.flush();
+            }
+            if self.connected.len() == MAX_READERS {
+                let text =
+                    format!("{MAX_READERS} programs read already, which is the limit: end one of them");
+                let _ = send(&stream, &frame::refused(&text), SendFlags::NOSIGNAL | SendFlags::DONTWAIT);
                 continue;
             }
             let backlog = [&self.hello[..], &self.cause].concat();
@@ -125,9 +211,16 @@ impl Readers {
     }
 
     /// Hands everybody a line that says why the two sides are not coupled.
-    pub(super) fn cause(&mut self, cause: &[u8]) {
-        cause.clone_into(&mut self.cause);
-        self.events(cause);
+    pub(super) fn cause(&mut self, cause: Vec<u8>) {
+        self.events(&cause);
+        self.cause = cause;
+    }
+
+    /// Hands everybody a line that says that the cause of before is over; nothing where none was sent.
+    pub(super) fn cleared(&mut self, cleared: &[u8]) {
+        if !std::mem::take(&mut self.cause).is_empty() {
+            self.events(cleared);
+        }
     }
 
     /// Hands everybody lines; a reader that has not taken a megabyte of before is closed.
@@ -155,8 +248,9 @@ impl Readers {
         self.connected.retain_mut(Reader::flush);
     }
 
-    /// Sends the last line and closes; waits for slow readers for so long.
+    /// Sends the last line and closes; waits for slow readers for so long. Whoever sees the end sees no socket's file.
     pub(super) fn end(mut self, last: &[u8], patience: Duration) {
+        self.file.remove();
         self.connected.iter_mut().for_each(Reader::count_lost);
         self.events(last);
         let end = Instant::now() + patience;
@@ -167,14 +261,6 @@ impl Readers {
                 return;
             }
             thread::sleep(Duration::from_millis(5));
-        }
-    }
-}
-
-impl Drop for Readers {
-    fn drop(&mut self) {
-        if std::fs::symlink_metadata(&self.path).is_ok_and(|found| found.ino() == self.inode) {
-            let _ = std::fs::remove_file(&self.path);
         }
     }
 }

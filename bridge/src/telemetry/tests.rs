@@ -4,12 +4,15 @@ use std::{
     io::{BufRead, BufReader, Read},
     os::unix::{
         fs::{FileTypeExt, PermissionsExt},
-        net::{UnixListener, UnixStream},
+        net::{UnixDatagram, UnixListener, UnixStream},
     },
     path::Path,
 };
 
 use haptether_safety::controller::PerController;
+use rustix::net::{
+    AddressFamily, SocketAddrUnix, SocketFlags, SocketType, bind, connect, listen, socket_with,
+};
 use serde_json::Value as Json;
 
 use super::*;
@@ -187,6 +190,60 @@ fn hello_of(stream: &UnixStream) -> Json {
     serde_json::from_str(&line).unwrap()
 }
 
+const SILENT: Diagnosis = Diagnosis {
+    role: Role::Master,
+    state: LadderState::Hold,
+    reason: Some(Reason::PeerSilent),
+    fault: 0,
+    text: FaultText::EMPTY,
+    peer: None,
+    ended: false,
+    silent: true,
+    ends: false,
+};
+
+/// Nobody is told to mend what is over: neither who reads nor who comes later.
+#[test]
+fn a_cause_that_is_over_is_taken_back() {
+    let folder = folder("cleared");
+    let path = folder.join("socket");
+    let mut telemetry = Telemetry::<Record>::begin(&settings(&path)).unwrap();
+    let first = UnixStream::connect(&path).unwrap();
+    assert_eq!(hello_of(&first)["kind"], "hello");
+    // Nothing was said yet that could be over.
+    telemetry.note(1, None);
+    telemetry.note(2, Some(&SILENT));
+    assert_eq!(hello_of(&first)["kind"], "cause");
+    let second = UnixStream::connect(&path).unwrap();
+    assert_eq!([hello_of(&second)["kind"].clone(), hello_of(&second)["kind"].clone()], ["hello", "cause"]);
+    telemetry.note(3, None);
+    let cleared = serde_json::json!({"kind": "cleared", "time_ns": 3});
+    assert_eq!([hello_of(&first), hello_of(&second)], [cleared.clone(), cleared]);
+    let third = UnixStream::connect(&path).unwrap();
+    assert_eq!(hello_of(&third)["kind"], "hello");
+    telemetry.end();
+    assert_eq!(read_to_end(&third), [serde_json::json!({"kind": "end", "time_ns": 0})]);
+}
+
+/// After a panic, or where the loop was never begun: what there was, and no end.
+#[test]
+fn without_an_end_in_good_order_there_is_no_line_of_it() {
+    let folder = folder("panic");
+    let path = folder.join("socket");
+    let telemetry = Telemetry::<Record>::begin(&settings(&path)).unwrap();
+    let reader = UnixStream::connect(&path).unwrap();
+    assert_eq!(hello_of(&reader)["kind"], "hello");
+    let looped = thread::spawn(move || {
+        let mut telemetry = telemetry;
+        telemetry.take(record(0));
+        std::panic::resume_unwind(Box::new("a bug"));
+    });
+    looped.join().unwrap_err();
+    let seen = read_to_end(&reader);
+    assert_eq!((of_kind(&seen, "sample").len(), of_kind(&seen, "end").len()), (1, 0));
+    assert!(!path.exists());
+}
+
 #[test]
 fn each_reader_gets_all_ticks_and_the_end() {
     let folder = folder("all");
@@ -198,21 +255,10 @@ fn each_reader_gets_all_ticks_and_the_end() {
     for reader in &readers {
         assert_eq!(hello_of(reader)["kind"], "hello");
     }
-    let diagnosis = Diagnosis {
-        role: Role::Master,
-        state: LadderState::Hold,
-        reason: Some(Reason::PeerSilent),
-        fault: 0,
-        text: FaultText::EMPTY,
-        peer: None,
-        ended: false,
-        silent: true,
-        ends: false,
-    };
     for tick in 0..500 {
         telemetry.take(record(tick));
         if tick == 250 {
-            telemetry.note(250_000_000, &diagnosis);
+            telemetry.note(250_000_000, Some(&SILENT));
         }
     }
     telemetry.end();
@@ -236,14 +282,23 @@ fn a_stalled_reader_loses_samples_and_is_told_how_many() {
         let [stalled, other] = [(); 2].map(|()| UnixStream::connect(&path).unwrap());
         readers.accept();
         readers.flush();
-        let reads = thread::spawn(move || read_to_end(&other));
+        let (has_read, read) = mpsc::channel();
+        let reads = thread::spawn(move || {
+            other.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+            let read = BufReader::new(other).lines().inspect(|_| {
+                let _ = has_read.send(());
+            });
+            read.map(|line| serde_json::from_str(&line.unwrap()).unwrap()).collect::<Vec<Json>>()
+        });
+        // The line of before the samples.
+        read.recv_timeout(Duration::from_secs(20)).unwrap();
         let line = format!("{{\"kind\":\"sample\",\"ticks\":17,\"signals\":\"{}\"}}\n", "x".repeat(4000));
         let frames = |readers: &mut Readers| {
             for _ in 0..300 {
                 readers.sample(line.as_bytes(), 17);
                 readers.flush();
-                // The other one reads as fast as it can.
-                thread::sleep(Duration::from_millis(1));
+                // The other one has read all before the next.
+                read.recv_timeout(Duration::from_secs(20)).unwrap();
             }
         };
         frames(&mut readers);
@@ -318,13 +373,74 @@ fn a_path_that_cannot_be_is_refused_with_what_to_do() {
     assert!(refusal(&folder.join("x".repeat(200))).contains("must be at most 107"));
     assert!(begin(&folder.join("none").join("socket")).is_err());
     let taken = folder.join("taken");
-    let _other = UnixListener::bind(&taken).unwrap();
+    let other = UnixListener::bind(&taken).unwrap();
     assert!(refusal(&taken).contains("another run"));
+    assert!(taken.exists());
+    drop(other);
+    // Of another kind, and alive.
+    let datagrams = folder.join("datagrams");
+    let _other = UnixDatagram::bind(&datagrams).unwrap();
+    assert!(refusal(&datagrams).contains("is another program's socket"));
+    assert!(datagrams.exists());
     // Left behind by one that was killed: its file is there, and nobody listens.
     let stale = folder.join("stale");
     drop(UnixListener::bind(&stale).unwrap());
     assert!(stale.exists());
     begin(&stale).unwrap();
+    assert!(!stale.exists());
+}
+
+/// Whoever listens there but has too many waiting is neither waited for nor replaced.
+#[test]
+fn a_socket_whose_queue_is_full_is_left_alone() {
+    let folder = folder("full");
+    let path = folder.join("socket");
+    let address = SocketAddrUnix::new(&path).unwrap();
+    let socket =
+        || socket_with(AddressFamily::UNIX, SocketType::STREAM, SocketFlags::NONBLOCK, None).unwrap();
+    let listener = socket();
+    bind(&listener, &address).unwrap();
+    listen(&listener, 1).unwrap();
+    let mut waiting = Vec::new();
+    loop {
+        let client = socket();
+        match connect(&client, &address) {
+            Ok(()) => waiting.push(client),
+            Err(error) => break assert_eq!(error, rustix::io::Errno::AGAIN),
+        }
+    }
+    let text = Telemetry::<Record>::begin(&settings(&path)).unwrap_err().to_string();
+    assert!(text.contains("another run"), "{text}");
+    assert!(path.exists());
+}
+
+/// Of runs that begin at once at a path with a stale socket one gets it, and keeps it.
+#[test]
+fn one_of_those_that_begin_at_once_gets_the_path() {
+    let folder = folder("at-once");
+    let path = folder.join("socket");
+    for _ in 0..50 {
+        drop(UnixListener::bind(&path).unwrap());
+        let begin = || {
+            thread::spawn({
+                let path = path.clone();
+                move || Readers::listen(&path, b"{}\n".to_vec())
+            })
+        };
+        let begun = [(); 4].map(|()| begin()).map(|thread| thread.join().unwrap());
+        let (mut got, others): (Vec<_>, Vec<_>) = begun.into_iter().partition(Result::is_ok);
+        assert_eq!(got.len(), 1);
+        for other in others {
+            let text = other.err().unwrap().to_string();
+            assert!(text.contains("another run"), "{text}");
+        }
+        let client = UnixStream::connect(&path).unwrap();
+        let mut readers = got.remove(0).unwrap();
+        readers.accept();
+        readers.flush();
+        assert_eq!(hello_of(&client), serde_json::json!({}));
+    }
+    assert!(!path.exists());
 }
 
 /// A reader that goes, and many that come, change nothing.
@@ -340,9 +456,19 @@ fn readers_come_and_go() {
         drop(reader);
     }
     let many: Vec<_> = (0..20).map(|_| UnixStream::connect(&path).unwrap()).collect();
-    thread::sleep(FRAME * 10);
+    let (read, refused): (Vec<_>, Vec<_>) =
+        many.iter().map(|stream| (stream, hello_of(stream))).partition(|(_, first)| first["kind"] == "hello");
+    assert_eq!((read.len(), refused.len()), (16, 4), "of 20, as many as there may be");
     telemetry.take(record(40));
     telemetry.end();
-    let ended = many.iter().map(read_to_end).filter(|lines| !lines.is_empty()).count();
-    assert_eq!(ended, 16, "of 20, as many as there may be");
+    for (stream, _) in read {
+        assert_eq!(read_to_end(stream).last().unwrap()["kind"], "end");
+    }
+    for (stream, first) in refused {
+        assert!(
+            first["kind"] == "refused" && first["text"].as_str().unwrap().contains("16 programs"),
+            "{first}"
+        );
+        assert!(read_to_end(stream).is_empty());
+    }
 }
