@@ -4,14 +4,22 @@
 use std::{
     alloc::{GlobalAlloc, Layout, System},
     cell::Cell,
+    io::Read,
+    os::unix::net::UnixStream,
 };
 
 use haptether_bridge::{
-    Clutch, HeldTrigger, LadderSettings, LadderState, LedGripper, LinkTime, MasterEndpoint,
+    Clutch, DrivenMaster, HeldTrigger, LadderSettings, LadderState, LedGripper, LinkTime, MasterEndpoint,
     MasterRotationSettings, MasterSettings, MasterSide, Side, SlaveEndpoint, SlaveRotationSettings,
     SlaveSettings, SlaveSide, TickTime, Trigger, TriggerSettings, TurningMaster,
     coupling::{AlignmentSettings, CommandBounds, RotationBounds, RotationLock},
+    live::{
+        DriverLoop, LiveSettings, PeerAddress, PeerSocket, RealtimeDemand, RealtimeSettings, RecordOutputs,
+        Security, paced_by_device,
+    },
+    recorder::SecurityMark,
     session::{Incoming, MAX_DATAGRAM, PreSharedKey, Received, SessionEnd, SessionSettings, SystemEntropy},
+    telemetry::{Telemetry, TelemetrySettings},
     wire::{MAX_FRAME, Role},
 };
 use haptether_bridge::{
@@ -419,4 +427,60 @@ fn sealing_and_opening_allocate_nothing() {
     let allocated = allocations() - before;
 
     assert_eq!((allocated, taken), (0, 10_000));
+}
+
+/// A loop whose device fails: its diagnosis and every record go to whoever looks on.
+#[test]
+fn a_tick_of_a_loop_that_is_looked_at_allocates_nothing() {
+    let endpoint = MasterEndpoint::new(&MasterSettings {
+        period_ns: MS,
+        run_id: 1,
+        device: DeviceModel::uniform(0.1, 0.0, 0.0).unwrap(),
+        estimator: EstimatorKind::default(),
+        safety: SafetySettings::default(),
+        limiter: LimiterSettings::default(),
+        force_scale: 1.0,
+        ladder: LadderSettings::default(),
+    })
+    .unwrap();
+    let side = MasterSide::new(DrivenMaster::<1>::default(), endpoint, Clutch::Once).unwrap();
+    let settings = LiveSettings {
+        role: Role::Master,
+        period_ns: MS,
+        duration_ns: None,
+        patience_ns: None,
+        started_ns: None,
+        ring: 1000,
+        realtime: RealtimeSettings { demand: RealtimeDemand::Off, ..RealtimeSettings::default() },
+    };
+    let socket = PeerSocket::bind("127.0.0.1:0".parse().unwrap(), PeerAddress::Learned).unwrap();
+    let path = std::env::temp_dir().join(format!("haptether-no-allocation-{}", std::process::id()));
+    let telemetry =
+        Telemetry::begin(&TelemetrySettings { path: path.clone(), security: SecurityMark::Insecure });
+    let outputs = RecordOutputs { recorder: None, telemetry: Some(telemetry.unwrap()) };
+    let mut reader = UnixStream::connect(&path).unwrap();
+    let (mut paced, mut watch, _records) =
+        paced_by_device(side, socket, settings, Security::Insecure, outputs).unwrap();
+    paced.begin().unwrap();
+
+    let before = allocations();
+    for tick in 0..300 {
+        let fails = |side: &mut MasterSide<DrivenMaster<1>, 1>| {
+            if tick == 100 {
+                side.exchange_mut().device_failed(None);
+            }
+        };
+        paced.step(fails, |_| {}).unwrap();
+        paced.wait();
+    }
+    let allocated = allocations() - before;
+
+    assert!(watch.diagnosis().is_some());
+    paced.end();
+    let mut seen = String::new();
+    reader.read_to_string(&mut seen).unwrap();
+    assert!(
+        [r#""kind":"cause""#, r#""kind":"sample""#, r#""kind":"end""#].iter().all(|kind| seen.contains(kind))
+    );
+    assert_eq!(allocated, 0);
 }
