@@ -335,7 +335,7 @@ def test_an_acknowledgement_of_one_fault_is_none_of_a_stop_after_it(emulated: Em
         assert str(arm.fault).endswith("the second")
         arm.acknowledge(shown)
         assert not arm.recovering
-        assert torques(emulated) == [False, False]
+        until(lambda: torques(emulated) == [False, False])
         arm.acknowledge(arm.fault)
         until(lambda: arm.read() and arm.fault is None)
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import pytest
-from tests.ur.emulated import Emulated, emulator
+from tests.ur.emulated import Emulated, emulator, free_host
 from tests.ur.stalls import anew_after_stalls
 from tests.ur.watching import Watching, driven
 
@@ -18,7 +18,6 @@ from haptether.slave import UrSlave
 pytest.importorskip("rtde_control")
 pytestmark = [pytest.mark.live, pytest.mark.timeout(300)]
 
-HOST = "127.0.3.{}"
 MEND_S = 10.0
 CALM = {"watchdog_hz": 5.0}
 """A shared machine may stall for longer than the 100 ms of the default, and the watchdog then does its duty."""
@@ -61,7 +60,7 @@ MODES = [
 @pytest.mark.parametrize("row", MODES, ids=lambda row: row.mode)
 @anew_after_stalls
 def test_a_hand_leads_the_arm_into_a_wall_and_feels_it(row: ModeRow) -> None:
-    host = HOST.format(11 + MODES.index(row))
+    host = free_host()
     with emulator("--scene", "remote_push", "--version", row.version, host=host) as emulated:
         with driven({**CALM, "host": host, "mode": row.mode, **row.options}) as watching:
             at_s = engaged(watching)
@@ -141,7 +140,7 @@ FAULTS = [
 
 @anew_after_stalls
 def test_every_fault_ends_in_fault_and_goes_on_only_after_a_person() -> None:
-    host = HOST.format(21)
+    host = free_host()
     seen: list[str] = []
     with emulator(host=host) as emulated, driven({**CALM, "host": host, "verify_watchdog": False}) as watching:
         begun_s = engaged(watching)
@@ -213,7 +212,7 @@ def recover(watching: Watching) -> float:
 @anew_after_stalls
 def test_a_soft_stop_from_full_speed_ends_before_the_watchdog(mode: str) -> None:
     """0.2 m/s at 0.5 m/s² or rad/s² would take 0.4 s or longer; the watchdog waits for 0.1 s."""
-    host = HOST.format(27)
+    host = free_host()
     with emulator("--version", "5.26", host=host) as emulated:
         arm = UrSlave(host=host, mode=mode, stop_deceleration=0.5, verify_watchdog=False)
         arm.open()
@@ -242,7 +241,7 @@ def test_a_soft_stop_from_full_speed_ends_before_the_watchdog(mode: str) -> None
 
 @anew_after_stalls
 def test_a_controller_that_somebody_else_leads_is_refused() -> None:
-    host = HOST.format(26)
+    host = free_host()
     with emulator(host=host) as emulated:
         emulated.do("in-use on")
         with driven({"host": host, "mode": "speedl"}) as watching:
@@ -254,7 +253,7 @@ def test_a_controller_that_somebody_else_leads_is_refused() -> None:
 
 @anew_after_stalls
 def test_a_protective_stop_is_unlocked_after_5_s_by_a_person() -> None:
-    host = HOST.format(22)
+    host = free_host()
     with emulator(host=host) as emulated, driven({**CALM, "host": host, "verify_watchdog": False}) as watching:
         engaged(watching)
         at_s = time.monotonic()
@@ -279,7 +278,7 @@ def test_a_protective_stop_is_unlocked_after_5_s_by_a_person() -> None:
 @pytest.mark.parametrize("mode", ["servoj", "speedl"])
 @anew_after_stalls
 def test_a_controller_that_dies_is_a_fault_and_the_end_is_bounded(mode: str) -> None:
-    host = HOST.format(23)
+    host = free_host()
     with (
         emulator(host=host) as emulated,
         driven({**CALM, "host": host, "mode": mode, "verify_watchdog": False}) as watching,
@@ -299,7 +298,7 @@ def test_a_controller_that_dies_is_a_fault_and_the_end_is_bounded(mode: str) -> 
 
 @anew_after_stalls
 def test_an_arm_whose_driver_is_killed_stops_by_its_watchdog() -> None:
-    host = HOST.format(24)
+    host = free_host()
     with emulator(host=host) as emulated, driven({"host": host, "mode": "speedl", "watchdog_hz": 10}) as watching:
         engaged(watching)
         end_s = time.monotonic() + 10.0
@@ -322,7 +321,7 @@ def test_an_arm_whose_driver_is_killed_stops_by_its_watchdog() -> None:
 
 @anew_after_stalls
 def test_a_controller_that_says_nothing_does_not_hold_the_interpreter() -> None:
-    host = HOST.format(25)
+    host = free_host()
     with emulator(host=host) as emulated:
         emulated.do("freeze 30")
         with driven({"host": host}) as watching:
