@@ -45,7 +45,7 @@ class MasterDevice(Protocol):
 
     A driver whose device exerts a force by itself from `open` on, also while zero is written, such as against its
     weight, has `exerts_by_itself = True`; without it, it is False. `haptether check-device` and `identify` say so
-    before they open it, and ask a person on the terminal.
+    before they open it, and ask a person on the terminal; `haptether master` says so.
 
     A driver that paces the loop may have `period_s`, the seconds between two samples, known once it is open. A scene
     whose `[run] period_s` is off by more than 1 % is refused then, before any force.
