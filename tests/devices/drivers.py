@@ -3,7 +3,6 @@
 import functools
 import math
 import os
-import signal
 import threading
 import time
 from collections.abc import Sequence
@@ -298,15 +297,6 @@ class HangsInOpenAndBearsItself(Stylus):
         threading.Event().wait(60.0)
 
 
-class InterruptedAfterItsEnd(BearsItself):
-    """Has a person press Ctrl-C once it is closed, when its samples are looked at."""
-
-    def close(self) -> None:
-        """As another thread: the command has gone on by then."""
-        super().close()
-        threading.Timer(0.0, os.kill, (os.getpid(), signal.SIGINT)).start()
-
-
 class Pose(Stylus):
     """Turns about z at 1 rad/s, and x at 0.5 rad/s about itself."""
 
@@ -379,6 +369,20 @@ class Arm:
     def close(self) -> None:
         self.calls.append("close")
         note("close")
+
+
+class ArmThatHolds(Arm):
+    """Has torque of its own while it is open."""
+
+    exerts_by_itself = True
+
+
+class ArmThatHangsInOpen(ArmThatHolds):
+    """Does not return from `open`."""
+
+    def open(self) -> None:
+        """Never ends."""
+        threading.Event().wait(60.0)
 
 
 class Drifting(Arm):

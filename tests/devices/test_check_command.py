@@ -4,6 +4,7 @@ import json
 import re
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -254,13 +255,31 @@ def test_a_second_opening_has_a_yes_of_its_own(tmp_path: Path, answer: str) -> N
         assert "nobody said yes: it was not opened" in terminal.printed
 
 
-def test_ctrl_c_while_its_samples_are_looked_at_opens_nothing(tmp_path: Path) -> None:
-    """The findings of many samples take their time."""
+PRESSED_AT_FINDINGS = """
+import os, signal, sys
+from haptether.bridge.devices.check.report import DeviceCheck
+from haptether.cli import main
+findings = DeviceCheck.findings
+def pressed(check):
+    os.kill(os.getpid(), signal.SIGINT)
+    return findings(check)
+DeviceCheck.findings = pressed
+raise SystemExit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("driver", ["BearsItself", "Stylus"])
+def test_ctrl_c_while_its_samples_are_looked_at_opens_nothing(tmp_path: Path, driver: str) -> None:
+    """The findings of many samples take their time, in which a person may end it."""
     written = tmp_path / "written"
-    environment = declared(tmp_path, bears="InterruptedAfterItsEnd") | {WRITTEN: str(written)}
-    ended = run(environment, "check-device", "bears", "--duration-s", "0.5", "--yes")
-    assert ended.returncode == 130
+    environment = declared(tmp_path, device=driver) | {WRITTEN: str(written)}
+    ended = subprocess.run(
+        [sys.executable, "-c", PRESSED_AT_FINDINGS, "check-device", "device", "--duration-s", "0.5", "--yes"],
+        env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60.0, check=False,
+    )  # fmt: skip
+    assert ended.returncode == 130, ended.stderr
     assert written.read_text().split().count("open") == 1
+    assert ended.stderr.count("from now on it exerts force by itself") == (driver == "BearsItself")
 
 
 def test_an_open_that_hangs_is_not_said_to_have_ended(tmp_path: Path) -> None:

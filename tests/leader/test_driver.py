@@ -12,7 +12,8 @@ import pytest
 from tests.dynamixel.emulated import EmulatedBus, emulated_bus
 from tests.dynamixel.test_description import TWO_LINKS
 
-from haptether.bridge import load_master
+from haptether.bridge import load_master, load_slave
+from haptether.cli.shared.own_force import exerts_by_itself
 from haptether.dynamixel.arm import FaultKind
 from haptether.dynamixel.description import ArmKinematics, load_arm
 from haptether.master.dynamixel import DynamixelMaster, joint_model, leader_options, pose_model
@@ -310,12 +311,16 @@ def test_the_model_of_the_device_comes_from_the_description(two: Path) -> None:
 
 
 def test_drivers_say_whether_they_exert_by_themselves(two: Path) -> None:
-    assert load_master("dynamixel", {"port": "x", "arm": str(two)}).exerts_by_itself  # type: ignore[attr-defined]
+    assert exerts_by_itself(load_master("dynamixel", {"port": "x", "arm": str(two)}))
+    follower = two.with_name("follower.toml")
+    follower.write_text('baud = 4000000\n[[servo]]\nid = 1\nmodel = "XM430-W350"\n')
+    # It holds its joints.
+    assert exerts_by_itself(load_slave("dynamixel", {"port": "x", "arm": str(follower)}))
     for compensated in (True, False):
         device = load_master("force-dimension", {"gravity_compensation": compensated})
-        assert device.exerts_by_itself == compensated  # type: ignore[attr-defined]
-    assert load_master("inverse3", {}).exerts_by_itself  # type: ignore[attr-defined]
-    assert not hasattr(load_master("touch", {}), "exerts_by_itself")
+        assert exerts_by_itself(device) == compensated
+    assert exerts_by_itself(load_master("inverse3", {}))
+    assert not exerts_by_itself(load_master("touch", {}))
 
 
 @pytest.mark.live

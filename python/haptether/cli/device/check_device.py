@@ -62,7 +62,7 @@ class CheckDevice(DriverOptions):
         from haptether.bridge.devices.check.finding import Finding
         from haptether.bridge.devices.check.report import DeviceCheck, kind_of
         from haptether.bridge.devices.open import KEEPS
-        from haptether.cli.device.consent import announced, ask_before_open, exerts_by_itself
+        from haptether.cli.device.consent import announced, ask_before_open
         from haptether.cli.device.options import (
             await_open,
             certain_kind,
@@ -72,6 +72,7 @@ class CheckDevice(DriverOptions):
             show_tracebacks,
             side_of,
         )
+        from haptether.cli.shared.own_force import exerts_by_itself
         from haptether.cli.shared.stop import Stopped, wait
 
         check_options(self)

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from haptether.cli.shared.own_force import announce_end, exerts_by_itself
+
 if TYPE_CHECKING:
     from haptether.bridge.devices.standalone import StandaloneRun
     from haptether.cli.shared.stop import Stopped
@@ -57,11 +59,6 @@ def consents(question: str, stopped: "Stopped", *, yes: bool) -> bool:
                 return typed.strip().lower() == b"yes"
     print(file=sys.stderr, flush=True)
     return False
-
-
-def exerts_by_itself(device: object) -> bool:
-    """Whether a driver says that its device exerts a force between `open` and `close` while zero is written."""
-    return bool(getattr(device, "exerts_by_itself", False))
 
 
 def ask_before_open(name: str, device: object, stopped: "Stopped", *, yes: bool, again: bool = False) -> None:
@@ -117,11 +114,3 @@ def announced(name: str, device: object) -> Iterator[list["StandaloneRun"]]:
             for run in runs
         )
         announce_end(name, closed=closed)
-
-
-def announce_end(name: str, *, closed: bool) -> None:
-    """Says whether a device that exerts by itself is closed."""
-    said = "is closed: its force has ended, but for what the driver names above"
-    if not closed:
-        said = "is NOT known to be closed: it may still exert, switch it off"
-    print(f"{name}: {said}", file=sys.stderr, flush=True)

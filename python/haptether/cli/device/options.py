@@ -146,8 +146,8 @@ def await_open(command: DriverOptions, run: "StandaloneRun", stopped: "Stopped")
     Raises:
         KeyboardInterrupt: Ctrl-C meanwhile; it is closed.
     """
-    from haptether.cli.device.consent import announce_end, exerts_by_itself
     from haptether.cli.shared.output import deliver_output
+    from haptether.cli.shared.own_force import announce_end, exerts_by_itself
     from haptether.cli.shared.screen import Screen
 
     end_s = time.monotonic() + command.open_s

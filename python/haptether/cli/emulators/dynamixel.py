@@ -79,15 +79,12 @@ class DynamixelEmulator:
 
     def run(self) -> int:
         """Serves until it is stopped."""
-        import sys
         import time
 
+        from haptether.cli.emulators.serving import serve
         from haptether.cli.shared.numbers import check_duration
-        from haptether.cli.shared.output import check_target, table_goes_to_stderr, write_report
-        from haptether.cli.shared.stop import Stopped
-        from haptether.control_channel import ControlChannel
+        from haptether.cli.shared.output import check_target, write_report
         from haptether.dynamixel.emulator import Bus, ControlLine, Server
-        from haptether.realtime import realtime
 
         check_duration("duration_s", self.duration_s)
         check_target(self.json)
@@ -110,29 +107,11 @@ class DynamixelEmulator:
             tcp=tcp,
         )
         line = ControlLine(bus, server)
-        end_s = time.monotonic() + (self.duration_s if self.duration_s is not None else float("inf"))
-        with Stopped() as stopped:
-            channel = None
-            try:
-                if self.control is not None:
-                    try:
-                        channel = server.channel = ControlChannel(self.control, line)
-                    except OverflowError:
-                        message = f"control = {self.control}: the port must be 0 to 65535"
-                        raise ValueError(message) from None
-                with realtime(self.realtime) as granted:
-                    # Whoever started this process reads the line to learn which port it is.
-                    stream = sys.stderr if table_goes_to_stderr(self.json) else sys.stdout
-                    reached = "" if tcp is None else f", {'TCP' if self.socket is None else 'socket'} {tcp.address}"
-                    controlled = "" if channel is None else f", controlled by {channel.address}"
-                    headline = f"{self._headline(server)}{reached}{controlled}, real time: {granted}"
-                    print(headline, file=stream, flush=True)
-                    server.run(lambda: bool(stopped) or line.quit or time.monotonic() >= end_s)
-            finally:
-                figures = line.status(time.monotonic())
-                server.close()
-                if channel is not None:
-                    channel.close()
+        reached = "" if tcp is None else f", {'TCP' if self.socket is None else 'socket'} {tcp.address}"
+        figures = serve(
+            server, line, f"{self._headline(server)}{reached}", lambda: line.status(time.monotonic()),
+            control=self.control, duration_s=self.duration_s, json=self.json, realtime=self.realtime,
+        )  # fmt: skip
         if self.json is not None:
             write_report(self.json, figures)
         return 0

@@ -45,13 +45,9 @@ class Inverse3Emulator:
 
     def run(self) -> int:
         """Serves until it is stopped."""
-        import sys
-        import time
-
+        from haptether.cli.emulators.serving import serve
         from haptether.cli.shared.numbers import check_duration
-        from haptether.cli.shared.output import check_target, table_goes_to_stderr, write_report
-        from haptether.cli.shared.stop import Stopped
-        from haptether.control_channel import ControlChannel
+        from haptether.cli.shared.output import check_target, write_report
         from haptether.master.inverse3.emulator import ControlLine, EmulatedInverse3, EmulatedSettings, Server, Service
 
         check_duration("duration_s", self.duration_s)
@@ -64,27 +60,10 @@ class Inverse3Emulator:
         service = Service(EmulatedInverse3(settings), grip=not self.no_grip)
         server = Server(service, "127.0.0.1", self.port, self.event_port)
         line = ControlLine(service, server)
-        end_s = time.monotonic() + (self.duration_s if self.duration_s is not None else float("inf"))
-        with Stopped() as stopped:
-            channel = None
-            try:
-                if self.control is not None:
-                    try:
-                        channel = server.channel = ControlChannel(self.control, line)
-                    except OverflowError:
-                        message = f"control = {self.control}: the port must be 0 to 65535"
-                        raise ValueError(message) from None
-                # Whoever started this process reads the line to learn which ports they are.
-                stream = sys.stderr if table_goes_to_stderr(self.json) else sys.stdout
-                controlled = "" if channel is None else f", controlled by {channel.address}"
-                headline = f"an Inverse3 on 127.0.0.1:{server.port}, events on {server.event_port}{controlled}"
-                print(headline, file=stream, flush=True)
-                server.run(lambda: bool(stopped) or line.quit or time.monotonic() >= end_s)
-            finally:
-                figures = line.figures()
-                server.close()
-                if channel is not None:
-                    channel.close()
+        figures = serve(
+            server, line, f"an Inverse3 on 127.0.0.1:{server.port}, events on {server.event_port}", line.figures,
+            control=self.control, duration_s=self.duration_s, json=self.json,
+        )  # fmt: skip
         if self.json is not None:
             write_report(self.json, figures)
         return 0

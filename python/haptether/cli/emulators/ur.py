@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from haptether.control_channel import ControlChannel
     from haptether.slave import SceneTouch
     from haptether.slave.ur_emulator import Controller, GripperSettings, Server, ToolEnvironment
 
@@ -81,14 +80,9 @@ class UrEmulator:
 
     def run(self) -> int:
         """Serves until it is stopped."""
-        import sys
-        import time
-
+        from haptether.cli.emulators.serving import serve
         from haptether.cli.shared.numbers import check_duration
-        from haptether.cli.shared.output import check_target, table_goes_to_stderr, write_json
-        from haptether.cli.shared.stop import Stopped
-        from haptether.control_channel import ControlChannel
-        from haptether.realtime import realtime
+        from haptether.cli.shared.output import check_target, write_json
         from haptether.slave.ur_emulator import ControlLine, Faults, Server
 
         check_duration("duration_s", self.duration_s)
@@ -104,33 +98,17 @@ class UrEmulator:
         faults = Faults(seed=self.seed)
         server = Server(controller, faults, self.host, self.gripper_port)
         line = ControlLine(controller, environment, faults, server)
-        end_s = time.monotonic() + (self.duration_s if self.duration_s is not None else float("inf"))
-        with Stopped() as stopped:
-            channel = None
-            try:
-                if self.control is not None:
-                    try:
-                        channel = server.channel = ControlChannel(self.control, line)
-                    except OverflowError:
-                        message = f"control = {self.control}: the port must be 0 to 65535"
-                        raise ValueError(message) from None
-                with realtime(self.realtime) as granted:
-                    # Whoever started this process reads the line to learn that the ports are open.
-                    stream = sys.stderr if table_goes_to_stderr(self.json) else sys.stdout
-                    print(f"{self._headline(server, channel)}, real time: {granted}", file=stream, flush=True)
-                    server.run(lambda: bool(stopped) or line.quit or time.monotonic() >= end_s)
-            finally:
-                server.close()
-                if channel is not None:
-                    channel.close()
+        serve(
+            server, line, self._headline(server), lambda: None,
+            control=self.control, duration_s=self.duration_s, json=self.json, realtime=self.realtime,
+        )  # fmt: skip
         if self.json is not None:
             write_json(self.json, line.status_json())
         return 0
 
-    def _headline(self, server: "Server", channel: "ControlChannel | None") -> str:
+    def _headline(self, server: "Server") -> str:
         gripper = "" if self.gripper is None else f", a {self.gripper} on port {server.gripper_port}"
-        controlled = "" if channel is None else f", controlled by {channel.address}"
-        return f"listening on {self.host} as a {self.model} with software {self.version}{gripper}{controlled}"
+        return f"listening on {self.host} as a {self.model} with software {self.version}{gripper}"
 
     def _check_host(self) -> None:
         import ipaddress

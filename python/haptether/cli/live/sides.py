@@ -119,7 +119,7 @@ def start_master(
     if command.clutch == "auto":
         message = "--clutch auto: a simulated person presses the clutch of this device: it couples anew after each hold"
         print(message, file=sys.stderr, flush=True)
-    return _opened(run, f"[master] driver = {scene.master.driver}", stopped)
+    return _opened(run, device, f"[master] driver = {scene.master.driver}", stopped)
 
 
 def start_slave(
@@ -159,7 +159,7 @@ def start_slave(
     loop = stopped.attached(SlaveLoop(spec, **arguments))
     _announce(f"[slave] device = {scene.slave.device}", device)
     run = SlaveRun(device, loop, period_s=period_s, gripper=gripper)
-    return _opened(run, f"[slave] device = {scene.slave.device}", stopped)
+    return _opened(run, device, f"[slave] device = {scene.slave.device}", stopped)
 
 
 def started_s() -> float | None:
@@ -197,7 +197,9 @@ def _within(scene: "Scene", device: "SlaveDevice") -> "Scene":
 
 def _announce(name: str, device: object) -> None:
     """Says before it is opened that a device will exert by itself."""
-    if getattr(device, "exerts_by_itself", False):
+    from haptether.cli.shared.own_force import exerts_by_itself
+
+    if exerts_by_itself(device):
         message = (
             f"{name}: it exerts force by itself as soon as it is open, also before the two sides engage: one hand"
             " supports it, no fingers are between its links"
@@ -208,9 +210,10 @@ def _announce(name: str, device: object) -> None:
 Run = TypeVar("Run", bound="DeviceRun")
 
 
-def _opened(run: Run, name: str, stopped: "Stopped") -> Run:
+def _opened(run: Run, device: object, name: str, stopped: "Stopped") -> Run:
     """Waits until the device is open."""
     from haptether.cli.shared.output import deliver_output
+    from haptether.cli.shared.own_force import announce_end, exerts_by_itself
     from haptether.cli.shared.screen import Screen
 
     end = time.monotonic() + READY_S
@@ -221,6 +224,8 @@ def _opened(run: Run, name: str, stopped: "Stopped") -> Run:
             return run
         late = not run.ready()
         run.give_up()
+    if not run.finished and exerts_by_itself(device):
+        announce_end(name, closed=False)
     if not late and run.error is not None:
         # It was never open: there is nothing to say of a run.
         raise run.error

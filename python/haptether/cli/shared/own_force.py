@@ -1,0 +1,16 @@
+"""Devices that exert a force of their own while they are open, and what is said of them."""
+
+import sys
+
+
+def exerts_by_itself(device: object) -> bool:
+    """Whether a driver says that its device exerts a force between `open` and `close` while zero is written."""
+    return bool(getattr(device, "exerts_by_itself", False))
+
+
+def announce_end(name: str, *, closed: bool) -> None:
+    """Says whether a device that exerts by itself is closed."""
+    said = "is closed: its force has ended, but for what the driver names above"
+    if not closed:
+        said = "is NOT known to be closed: it may still exert, switch it off"
+    print(f"{name}: {said}", file=sys.stderr, flush=True)
