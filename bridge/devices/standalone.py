@@ -213,7 +213,7 @@ class StandaloneRun:
     def _run(self) -> None:
         try:
             if self._ends():
-                # Before its thread came to run: what is not wanted any more is not opened.
+                # Ended before its thread ran: it is not opened.
                 return
             with opened(self.watched, self.notes, "", None):  # type: ignore[arg-type]  # it calls those of the driver
                 self.period_s = getattr(self.watched.device, "period_s", None)

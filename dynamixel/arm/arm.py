@@ -786,7 +786,7 @@ class ServoArm:
     def _end_torque(self) -> None:
         """Zero currents and no torque, each sent several times, before what other threads have the bus do.
 
-        Why it could not be sent is told, the first time of several in a row.
+        Why it could not be sent is reported, the first time of several in a row.
         """
         bus = self._bus
         if bus is None:

@@ -271,7 +271,7 @@ def test_a_close_stops_first_and_waits_then(emulated: EmulatedBus, monkeypatch: 
     assert torques(emulated) == [False, False]
 
 
-def test_a_stop_that_could_not_be_sent_is_told_once(emulated: EmulatedBus) -> None:
+def test_a_stop_that_could_not_be_sent_is_reported_once(emulated: EmulatedBus) -> None:
     said: list[str] = []
     arm = ServoArm(arm_of(emulated.port, servos=SERVOS).settings, report=said.append)
     arm.open()
@@ -279,10 +279,9 @@ def test_a_stop_that_could_not_be_sent_is_told_once(emulated: EmulatedBus) -> No
     for _ in range(3):
         arm.stop(FaultKind.JUMP, "of a test")
     arm.close()
-    told = [line for line in said if "the stop could not be sent" in line]
-    assert len(told) == 1
-    assert "Input/output error" in told[0]
-    assert "after 500 ms of silence" in told[0]
+    (reported,) = [line for line in said if "the stop could not be sent" in line]
+    assert "Input/output error" in reported
+    assert "after 500 ms of silence" in reported
 
 
 def test_a_close_ends_the_arm_for_the_thread_that_leads_it(emulated: EmulatedBus) -> None:

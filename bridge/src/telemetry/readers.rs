@@ -27,7 +27,7 @@ use rustix::{
 
 use super::frame;
 
-/// At once; another is told so and closed.
+/// At once; another is sent `refused` and closed.
 const MAX_READERS: usize = 16;
 /// Bytes that may wait for a reader before it loses samples.
 const MAX_BACKLOG: usize = 1 << 18;

@@ -202,7 +202,7 @@ const SILENT: Diagnosis = Diagnosis {
     ends: false,
 };
 
-/// Nobody is told to mend what is over: neither who reads nor who comes later.
+/// No reader keeps a cause that is over, nor does one that connects later get it.
 #[test]
 fn a_cause_that_is_over_is_taken_back() {
     let folder = folder("cleared");

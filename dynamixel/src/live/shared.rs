@@ -17,7 +17,7 @@ const GRACE_NS: u64 = 2_000_000;
 #[derive(Debug, Default)]
 pub(super) struct Stops {
     waiting: AtomicU32,
-    /// When the first of them came.
+    /// When the first of them was requested.
     since_ns: AtomicU64,
 }
 
@@ -90,7 +90,7 @@ impl SharedBus {
     }
 }
 
-/// After a panic, too: a stop is sent whatever another thread came to.
+/// After a panic of another thread, too: a stop is sent nevertheless.
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
