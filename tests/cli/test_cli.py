@@ -166,7 +166,7 @@ def test_a_driver_that_times_out_by_itself_is_reported_with_its_own_words() -> N
     given_up: list[bool] = []
     run = SimpleNamespace(ready=lambda: True, finished=True, error=error, give_up=lambda: given_up.append(True))
     with pytest.raises(DeviceError, match="no answer from the arm"):
-        _opened(run, "own", Stopped())  # type: ignore[type-var]  # all that it looks at
+        _opened(run, object(), "own", Stopped())  # type: ignore[type-var]  # all that it looks at
     assert given_up == [True]
 
 

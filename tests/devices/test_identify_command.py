@@ -69,9 +69,11 @@ def test_nothing_moves_without_a_yes(tmp_path: Path, answer: str) -> None:
 
 @pytest.mark.live
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_motion_at_zero(tmp_path: Path, number: signal.Signals) -> None:
-    written = tmp_path / "written"
-    terminal = Terminal(free(tmp_path), "identify", "free")
+@anew_after_stalls
+def test_a_signal_ends_the_motion_at_zero(tmp_path_factory: pytest.TempPathFactory, number: signal.Signals) -> None:
+    folder = tmp_path_factory.mktemp("free")
+    written = folder / "written"
+    terminal = Terminal(free(folder), "identify", "free")
     terminal.until(QUESTION)
     assert set(forces(written)) == {0.0}
     terminal.answer("yes\n")
