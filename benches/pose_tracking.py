@@ -49,6 +49,9 @@ class Row:
     """Of motion, until the end or the fault."""
     worst_m: float
     worst_rad: float
+    p95_m: float
+    """What 95 % of the samples stay below: a machine that stands still now and then does not change it."""
+    p95_rad: float
     end_rad: float
     speed: float
     """Largest that was commanded, in m/s, and in rad/s."""
@@ -146,6 +149,8 @@ def _led(arm: UrSlave, mode: str, name: str) -> Row:
         seconds=now_s - begun_s,
         worst_m=float(metres.max()),
         worst_rad=float(radians.max()),
+        p95_m=float(np.quantile(metres, 0.95)),
+        p95_rad=float(np.quantile(radians, 0.95)),
         end_rad=float(radians[-1]),
         speed=float(speed.max()),
         angular_speed=float(angular_speed.max()),
@@ -159,13 +164,17 @@ def _led(arm: UrSlave, mode: str, name: str) -> Row:
 
 def show(rows: list[Row], json: str | None) -> None:
     """The table."""
-    table = Table("mode", "path", "m", "rad", "at the end", "fastest joint", "joint 5", "worst gap", "fault")
+    table = Table(
+        "mode", "path", "m", "95 %", "rad", "95 %", "at the end", "fastest joint", "joint 5", "worst gap", "fault"
+    )
     for row in rows:
         table.add_row(
             row.mode,
             row.path,
             f"{1e3 * row.worst_m:.1f} mm",
+            f"{1e3 * row.p95_m:.1f} mm",
             f"{row.worst_rad:.3f}",
+            f"{row.p95_rad:.3f}",
             f"{row.end_rad:.3f} rad",
             f"{100 * row.fastest_joint:.0f} %",
             f"{row.joint_5[0]:.2f} to {row.joint_5[1]:.2f}",

@@ -15,7 +15,9 @@ pytestmark = [pytest.mark.alone, pytest.mark.timeout(300)]
 
 BENCH = Path(__file__).resolve().parents[3] / "benches" / "pose_tracking.py"
 SHARED_S = 0.05
-"""What a shared machine may add to a delay."""
+"""What a shared machine may add to a delay, but for 5 % of the samples."""
+STALLED_S = 0.5
+"""What it may add to any: an arm that jumps or runs away errs by more."""
 LATE_S = {"servoj": 0.056, "servol": 0.057, "speedl": 0.003, "direct-torque": 0.025}
 """Lookahead and transport; of direct-torque what its springs leave."""
 SAG_M = {"direct-torque": 0.004}
@@ -42,13 +44,14 @@ def test_the_arm_follows_poses_and_goes_through_its_wrist(mode: str) -> None:
         assert row["fastest_joint"] < 0.9, row
     figure, late_s = rows["figure"], LATE_S[mode] + SHARED_S
     assert figure["angular_speed"] > 1.5
-    assert figure["worst_m"] < figure["speed"] * late_s + SAG_M.get(mode, 0.0), figure
-    assert figure["worst_rad"] < figure["angular_speed"] * late_s, figure
+    for share, most_s in (("p95", late_s), ("worst", late_s + STALLED_S)):
+        assert figure[f"{share}_m"] < figure["speed"] * most_s + SAG_M.get(mode, 0.0), figure
+        assert figure[f"{share}_rad"] < figure["angular_speed"] * most_s, figure
     for path in ("singularity", "beside it"):
         row = rows[path]
         begin, end = row["joint_5"]
         assert begin == pytest.approx(0.5, abs=1e-3)
         assert end < -0.4
-        assert row["worst_m"] < 0.006, row
-        assert row["worst_rad"] < 0.3, row
+        assert row["p95_m"] < 0.006, row
+        assert row["p95_rad"] < 0.3, row
         assert row["end_rad"] < 0.02, row
