@@ -30,7 +30,8 @@ from haptether.bridge.devices.find import (
 )
 from haptether.bridge.devices.loop import DeviceRun, MasterRun, SlaveRun, drive_master, drive_slave
 from haptether.bridge.devices.open import DeviceError
-from haptether.bridge.recording import RecordedCause, RecordedStep, Recording, read_recording
+from haptether.bridge.recording.load import load
+from haptether.bridge.recording.read import RecordedCause, RecordedStep, Recording, read_recording
 from haptether.bridge.scene.errors import SceneError
 from haptether.bridge.scene.load import load_scene, override_scene, scene_json, scene_names
 from haptether.bridge.scene.run import Event, Metrics, Run, Signals, simulate
@@ -200,6 +201,7 @@ __all__ = [
     "drive_slave",
     "ladder_reason",
     "ladder_state_name",
+    "load",
     "load_gripper",
     "load_master",
     "load_problems",

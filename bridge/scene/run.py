@@ -1,4 +1,4 @@
-"""One scene, run in virtual time."""
+"""One scene, run in virtual time, and what came of it."""
 
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -6,11 +6,11 @@ from functools import partial
 from os import PathLike
 from pathlib import Path as FilePath
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from msgspec import Struct, convert
+from msgspec import Struct, convert, json
 
 from haptether import _core
 from haptether._core import LoopReport
@@ -18,6 +18,18 @@ from haptether.bridge.scene.errors import SceneError
 from haptether.bridge.scene.load import Checked, checked_scene, loaded
 from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import private_file, refuse_link
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import polars as pl
+    import xarray
+
+SLAVE_SIGNALS = ("slave_", "environment_", "gripper", "holds_object", "handle_", "hole_", "body_")
+"""How signals begin that have their own times, `slave_time_s`: the slave's period may differ from the master's."""
+TIMES = {"master": "time_s", "slave": "slave_time_s"}
+"""The times of each side's ticks."""
+AXES = "xyz"
+QUATERNION = "wxyz"
 
 
 class Signals(Mapping[str, npt.NDArray[Any]]):
@@ -40,6 +52,13 @@ class Signals(Mapping[str, npt.NDArray[Any]]):
             return self[name]
         except KeyError as error:
             raise AttributeError(error.args[0]) from None
+
+    def time_of(self, name: str) -> str:
+        """The signal that has the times of another: "time_s" or "slave_time_s"."""
+        if "slave_time_s" not in self._arrays:
+            # What a scene of one loop renders ticks with its master.
+            return "time_s"
+        return "slave_time_s" if name.startswith(SLAVE_SIGNALS) or "time_s" not in self._arrays else "time_s"
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._arrays)
@@ -124,6 +143,13 @@ class Run(Struct, frozen=True, kw_only=True):
     """What it comes to."""
     reports: tuple[LoopReport, LoopReport] | None = None
     """How the loops of master and slave went, as live ones report it; none without an arm, and after pickling."""
+    specification: bytes = b""
+    """The scene as JSON, defaults and presets filled in; empty of a recording that has none."""
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What the scene set, table by table, defaults and presets filled in; empty of a recording that has none."""
+        return dict(json.decode(self.specification)) if self.specification else {}
 
     def save(self, path: str | PathLike[str]) -> None:
         """Writes every signal as an array of a NumPy `.npz` file, for its owner alone.
@@ -137,10 +163,93 @@ class Run(Struct, frozen=True, kw_only=True):
         with private_file(target) as file:
             np.savez_compressed(file, **arrays)
 
+    def columns(self, side: Literal["master", "slave"] = "master") -> dict[str, npt.NDArray[Any]]:
+        """The signals of one side, one array of shape `(n_ticks,)` a column: axes end in `_x`, `_y`, `_z`, or a number.
+
+        Quaternions end in `_w`, `_x`, `_y`, `_z`.
+
+        Raises:
+            ValueError: The side was not recorded.
+        """
+        time = TIMES.get(side)
+        if time not in self.signals:
+            there = [repr(name) for name, of_side in TIMES.items() if of_side in self.signals]
+            message = f"side = {side!r}: was not recorded; there is {' and '.join(there) or 'none: no [record]'}"
+            raise ValueError(message)
+        columns = {}
+        for name, values in self.signals.items():
+            if self.signals.time_of(name) != time:
+                continue
+            if values.ndim == 1:
+                columns[name] = values
+            else:
+                for label, axis in zip(axis_names(name, values.shape[1]), values.T, strict=True):
+                    columns[f"{name}_{label}"] = axis
+        return columns
+
+    def to_polars(self, side: Literal["master", "slave"] = "master") -> "pl.DataFrame":
+        """The columns of one side.
+
+        Raises:
+            ImportError: Without polars, of the extra `analysis`.
+            ValueError: The side was not recorded.
+        """
+        import polars as pl  # noqa: PLC0415
+
+        return pl.DataFrame(self.columns(side))
+
+    def to_pandas(self, side: Literal["master", "slave"] = "master") -> "pd.DataFrame":
+        """The columns of one side, indexed by their time in s.
+
+        Raises:
+            ImportError: Without pandas, which no extra brings.
+            ValueError: The side was not recorded.
+        """
+        import pandas as pd  # noqa: PLC0415
+
+        columns = self.columns(side)
+        return pd.DataFrame(columns).set_index(TIMES[side])
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Every signal over `time_s` or `slave_time_s` and, where it has axes, over `x`, `y`, `z` or their numbers.
+
+        Raises:
+            ImportError: Without xarray, which no extra brings.
+        """
+        import xarray  # noqa: PLC0415
+
+        variables: dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]] = {}
+        coordinates: dict[str, npt.NDArray[Any]] = {}
+        for name, values in self.signals.items():
+            time = self.signals.time_of(name)
+            if name == time:
+                coordinates[name] = values
+            elif values.ndim == 1:
+                variables[name] = ((time,), values)
+            else:
+                labels = axis_names(name, values.shape[1])
+                axis = "quaternion" if labels[0] == "w" else "axis"
+                coordinates[axis] = np.array(labels)
+                variables[name] = ((time, axis), values)
+        about = {"scene": self.scene, "seed": self.seed, "version": self.version}
+        return xarray.Dataset(variables, coordinates, attrs=about)
+
+    def _repr_html_(self) -> str:
+        from haptether.bridge.scene.notebook import as_html  # noqa: PLC0415
+
+        return as_html(self)
+
     def __reduce__(self) -> tuple[Any, ...]:
         # Reports belong to the process of the run.
         kept = {name: getattr(self, name) for name in self.__struct_fields__ if name != "reports"}
         return partial(Run, **kept), ()
+
+
+def axis_names(name: str, axes: int) -> list[str]:
+    """What the axes of a signal are called: x, y, z; w, x, y, z of a quaternion; numbers from 0 of more."""
+    if name.endswith("orientation"):
+        return list(QUATERNION)
+    return list(AXES[:axes]) if axes <= len(AXES) else [str(axis) for axis in range(axes)]
 
 
 def named_scene(scene: Scene | str | PathLike[str], overrides: Iterable[str]) -> tuple[str, Checked]:
@@ -181,4 +290,5 @@ def simulate(scene: Scene | str | PathLike[str], *, overrides: Iterable[str] = (
         events=tuple(Event(*event) for event in done.events),
         metrics=convert({"wall_time_s": took, **done.metrics}, Metrics),
         reports=done.reports,
+        specification=specification,
     )

@@ -323,7 +323,7 @@ macro_rules! constructor {
                     patience_s,
                     keep_s,
                     realtime: realtime_settings(realtime, priority, cpu)?,
-                    record: recorder_settings(record, min_free_bytes, insecure),
+                    record: recorder_settings(record, min_free_bytes, insecure, scene),
                     telemetry: telemetry_settings(telemetry, insecure),
                 };
                 of_axes!(scene_axes(scene)?, N => {
@@ -497,8 +497,10 @@ pub(crate) fn recorder_settings(
     path: Option<PathBuf>,
     min_free_bytes: u64,
     insecure: bool,
+    scene: &[u8],
 ) -> Option<RecorderSettings> {
-    path.map(|path| RecorderSettings { path, min_free_bytes, security: mark(insecure) })
+    let scene = String::from_utf8_lossy(scene).into_owned();
+    path.map(|path| RecorderSettings { path, min_free_bytes, security: mark(insecure), scene })
 }
 
 /// Where to send telemetry, if anywhere.

@@ -275,6 +275,13 @@ pub(super) struct RecordSinks<R> {
 }
 
 impl<R: Copy> RecordSinks<R> {
+    /// The loop's time 0, on the monotonic clock.
+    pub(super) fn start(&self, now_ns: u64) {
+        if let Some(recorder) = &self.outputs.recorder {
+            recorder.start(now_ns);
+        }
+    }
+
     /// Hands a record to all; returns it where nobody reads in time.
     pub(super) fn push(&mut self, record: R) -> Result<(), rtrb::PushError<R>> {
         if let Some(recorder) = &mut self.outputs.recorder {

@@ -197,6 +197,7 @@ impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
     ) -> Self {
         let secure = channel.session.is_secure();
         side.begin(start_ns);
+        channels.records.start(start_ns);
         Self {
             plant: RestOnDrop { side, is_at_rest: false },
             socket,

@@ -23,7 +23,7 @@ use super::{
     Note, Recorded, SecurityMark,
     fields::{schema, write_json},
 };
-use crate::ladder::Explanation;
+use crate::{ladder::Explanation, live::now_ns};
 
 /// Name of the metadata that say what the file is.
 const METADATA: &str = "haptether";
@@ -52,7 +52,7 @@ pub(super) struct McapFile<W: Write> {
     causes: u16,
     notes: u32,
     security: SecurityMark,
-    /// Wall-clock time in ns at which the file was begun, for the log times.
+    /// Wall-clock time in ns at which the run began, for the log times; until that is known, the file.
     begun_ns: u64,
     sequence: u32,
     message: Vec<u8>,
@@ -60,10 +60,8 @@ pub(super) struct McapFile<W: Write> {
 
 impl<W: Write> McapFile<W> {
     /// Writes the head: what the file is, the schema of its messages, their channel.
-    pub(super) fn begin<R: Recorded>(out: W, security: SecurityMark) -> Self {
+    pub(super) fn begin<R: Recorded>(out: W, security: SecurityMark, scene: &str) -> Self {
         let (sink, refusal) = Sink::new(out);
-        let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO);
-        let begun_ns = u64::try_from(since_epoch.as_nanos()).unwrap_or(0);
         let mut file = Self {
             writer: None,
             refusal,
@@ -71,7 +69,7 @@ impl<W: Write> McapFile<W> {
             causes: 0,
             notes: 0,
             security,
-            begun_ns,
+            begun_ns: wall_clock_ns(),
             sequence: 0,
             message: Vec::with_capacity(2048),
         };
@@ -89,8 +87,12 @@ impl<W: Write> McapFile<W> {
                 ("side".to_owned(), R::SIDE.to_owned()),
                 ("security".to_owned(), security.name().to_owned()),
             ]);
-            let _ =
-                writer.write_metadata(&Metadata { name: METADATA.to_owned(), metadata: metadata.clone() });
+            let mut about = metadata.clone();
+            about.insert("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned());
+            if !scene.is_empty() {
+                about.insert("scene".to_owned(), scene.to_owned());
+            }
+            let _ = writer.write_metadata(&Metadata { name: METADATA.to_owned(), metadata: about });
             let name = format!("haptether.{}", R::SIDE);
             file.channel = writer
                 .add_schema(&name, "jsonschema", schema::<R>().as_bytes())
@@ -102,6 +104,13 @@ impl<W: Write> McapFile<W> {
                 .unwrap_or(0);
         }
         file
+    }
+
+    /// Takes the start of the run, in ns of the monotonic clock, for the log times; 0 is none.
+    pub(super) fn set_start(&mut self, started_ns: u64) {
+        if started_ns != 0 {
+            self.begun_ns = wall_clock_ns().saturating_sub(now_ns().saturating_sub(started_ns));
+        }
     }
 
     /// Adds a record to the chunk.
@@ -150,6 +159,11 @@ impl<W: Write> McapFile<W> {
         let unknown = (!is_done).then_some(Errno::IO.raw_os_error());
         self.refusal.number().or(unknown)
     }
+}
+
+fn wall_clock_ns() -> u64 {
+    let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO);
+    u64::try_from(since_epoch.as_nanos()).unwrap_or(0)
 }
 
 /// The disk that a file lies on.

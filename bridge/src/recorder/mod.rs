@@ -51,6 +51,8 @@ pub struct RecorderSettings {
     pub min_free_bytes: u64,
     /// What the run is marked as.
     pub security: SecurityMark,
+    /// The scene as JSON, kept in the file's metadata: what was set is read beside what came of it. Empty: none.
+    pub scene: String,
 }
 
 /// Why a recording ended before the run.
@@ -108,6 +110,8 @@ struct Progress {
     offered: AtomicU64,
     written: AtomicU64,
     end: AtomicU64,
+    /// When the loop began, on its monotonic clock in ns; 0 before.
+    started_ns: AtomicU64,
 }
 
 /// A disk's refusal, above its error's number.
@@ -187,11 +191,11 @@ impl<R: Recorded> Recorder<R> {
         let (notes, noted) = ring(NOTES);
         let progress = Arc::new(Progress::default());
         let (to_recorder, ended) = mpsc::sync_channel(1);
-        let (seen, security, min_free_bytes) =
-            (Arc::clone(&progress), settings.security, settings.min_free_bytes);
+        let (seen, min_free_bytes) = (Arc::clone(&progress), settings.min_free_bytes);
+        let (security, scene) = (settings.security, settings.scene.clone());
         thread::Builder::new().name("haptether-recorder".into()).spawn(move || {
             // The head, too, is written there: not even that may keep a run waiting.
-            let file = McapFile::begin::<R>(out, security);
+            let file = McapFile::begin::<R>(out, security, &scene);
             write_while_open(file, (waiting, noted), &seen, &|| free_bytes() < min_free_bytes);
             let _ = to_recorder.send(());
         })?;
@@ -200,6 +204,11 @@ impl<R: Recorded> Recorder<R> {
 }
 
 impl<R> Recorder<R> {
+    /// The loop's time 0, on the monotonic clock: what is recorded is put on the wall clock by it.
+    pub(crate) fn start(&self, now_ns: u64) {
+        self.progress.started_ns.store(now_ns, Ordering::Relaxed);
+    }
+
     /// Hands a record over, or drops it where the disk is slow: what is not written is counted.
     pub(crate) fn take(&mut self, record: R) {
         self.progress.offered.fetch_add(1, Ordering::Relaxed);
@@ -253,6 +262,9 @@ fn write_while_open<R: Recorded>(
         let is_last = records.is_abandoned();
         while let Ok(record) = records.pop() {
             if let Some(open) = &mut file {
+                if taken == 0 {
+                    open.set_start(progress.started_ns.load(Ordering::Relaxed));
+                }
                 open.write(&record);
                 taken += 1;
                 if taken == chunk_end {

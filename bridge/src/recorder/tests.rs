@@ -8,8 +8,12 @@ use haptether_safety::controller::PerController;
 use super::*;
 use crate::{FaultText, LadderState, PeerCause, Reason, record::MasterRecord, wire::Role};
 
-const SETTINGS: RecorderSettings =
-    RecorderSettings { path: PathBuf::new(), min_free_bytes: 0, security: SecurityMark::Insecure };
+const SETTINGS: RecorderSettings = RecorderSettings {
+    path: PathBuf::new(),
+    min_free_bytes: 0,
+    security: SecurityMark::Insecure,
+    scene: String::new(),
+};
 
 fn record(tick: u64) -> MasterRecord<2> {
     MasterRecord {
@@ -115,6 +119,42 @@ fn what_is_recorded_can_be_read() {
     let described: Vec<&String> = described["properties"].as_object().unwrap().keys().collect();
     let written: Vec<&String> = read[0].as_object().unwrap().keys().collect();
     assert_eq!(described, written);
+}
+
+#[test]
+fn a_recording_keeps_its_scene_and_version() {
+    let about = |scene: &str| {
+        let (disk, paper) = disk(usize::MAX);
+        let settings = RecorderSettings { scene: scene.to_owned(), ..SETTINGS };
+        Recorder::<MasterRecord<2>>::write_to(disk, || u64::MAX, &settings).unwrap().end();
+        let file = paper.read();
+        let summary = mcap::Summary::read(&file).unwrap().unwrap();
+        mcap::read::metadata(&file, &summary.metadata_indexes[0]).unwrap().metadata
+    };
+    let scene = r#"{"schema": 1, "title": "a \u00e4 \"title\""}"#;
+    assert_eq!(about(scene)["scene"], scene);
+    assert_eq!(about(scene)["version"], env!("CARGO_PKG_VERSION"));
+    assert!(!about("").contains_key("scene"));
+}
+
+#[test]
+fn messages_are_logged_at_the_wall_clock_of_the_run() {
+    let wall_ns = || {
+        let since_epoch = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+        since_epoch.unwrap().as_nanos() as u64
+    };
+    let (disk, paper) = disk(usize::MAX);
+    let before = wall_ns();
+    let mut recorder = Recorder::write_to(disk, || u64::MAX, &SETTINGS).unwrap();
+    recorder.start(crate::live::now_ns() - 5_000_000_000);
+    take_slowly(&mut recorder, 2);
+    recorder.end();
+    let after = wall_ns();
+    let file = paper.read();
+    let times: Vec<u64> =
+        mcap::MessageStream::new(&file).unwrap().map(|message| message.unwrap().log_time).collect();
+    assert!((before..=after).contains(&(times[0] + 5_000_000_000)), "{times:?} {before} {after}");
+    assert_eq!(times[1] - times[0], 1_000_000);
 }
 
 #[test]

@@ -41,6 +41,9 @@ from haptether.cli.netsim.proxy import Proxy
 from haptether.cli.netsim.record import Record
 from haptether.cli.paper import Paper
 from haptether.cli.raven import Raven
+from haptether.cli.recording.export import Export
+from haptether.cli.recording.info import Info
+from haptether.cli.recording.plot import Plot
 from haptether.cli.scene.simulate import Simulate
 from haptether.cli.scene.sweep import Sweep
 from haptether.cli.shared.numbers import NUMBERS
@@ -73,6 +76,9 @@ COMMANDS: dict[str, type[Any]] = {
     "identify": Identify,
     "new-driver": NewDriver,
     "explain": Explain,
+    "info": Info,
+    "plot": Plot,
+    "export": Export,
     "keygen": Keygen,
     "list": List,
 }

@@ -1,4 +1,4 @@
-"""The picture of a run that `haptether simulate --plot` draws."""
+"""The picture of a run that `haptether simulate --plot` and `haptether plot` draw."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -53,8 +53,6 @@ MAX_LINES = 6
 """Of a panel whose legend is as large as that of the others."""
 NOTHING = 2e-3
 """Share of the largest axis that is not seen beside it."""
-SLAVE_SIGNALS = ("slave_", "gripper", "handle_", "hole_", "body_")
-"""How signals begin that have their own times, `slave_time_s`: the slave's period may differ from the master's."""
 
 
 def draw_run(
@@ -65,7 +63,7 @@ def draw_run(
     Args:
         run: With its signals.
         events: Times in s and what is written there.
-        path: Of the PNG file.
+        path: Of the picture: .png, .pdf or .svg.
         frame_wxyz: C, which turns the hand's frame into the arm's: draws how far the two are turned from one another.
 
     Raises:
@@ -74,9 +72,7 @@ def draw_run(
     from matplotlib.figure import Figure
 
     signals = run.signals
-    time_s = signals["time_s"]
-    # What a scene of one loop renders ticks with its master.
-    slave_time_s = signals.get("slave_time_s", time_s)
+    time_s = signals[signals.time_of("position")]
     drawn = {label: lines for label, signals_of in PANELS.items() if (lines := _lines(signals, signals_of))}
     if frame_wxyz is not None and "slave_command_orientation" in signals:
         apart = angle_apart(signals, np.array(frame_wxyz))
@@ -90,18 +86,18 @@ def draw_run(
     for panel, (label, lines) in zip(panels, drawn.items(), strict=True):
         for name, described, values in lines:
             if name == "trigger_tripped":
-                _draw_trips(panel, time_s, np.nan_to_num(signals[name]).astype(np.uint8))
+                _draw_trips(panel, signals["time_s"], np.nan_to_num(signals[name]).astype(np.uint8))
                 continue
             if name == "tripped":
                 of_turn = signals.get("rotation_tripped", np.zeros_like(signals[name]))
-                _draw_trips(panel, time_s, signals[name] | of_turn)
+                _draw_trips(panel, signals["time_s"], signals[name] | of_turn)
                 continue
-            of_time_s = slave_time_s if name.startswith(SLAVE_SIGNALS) else time_s
+            of_time_s = signals[signals.time_of(name)]
             if label == "ladder":
                 # Which of the two comes first must be seen where they are alike.
                 dashes = "--" if name == "state" else "-"
                 panel.plot(of_time_s, values, lw=1.2, ls=dashes, label=described, drawstyle="steps-post")
-                reached = np.unique(np.concatenate([signals["state"], signals[name]]).astype(int))
+                reached = np.unique(np.concatenate([values for _, _, values in lines]).astype(int))
                 panel.set_yticks(reached, [LADDER[code] for code in reached], fontsize=7)
             else:
                 panel.plot(of_time_s, values, lw=1.2, label=described)
@@ -110,10 +106,11 @@ def draw_run(
             panel.axvline(time_of_event, color="k", lw=0.6, ls=":")
         panel.set_ylabel(label)
         panel.grid(alpha=0.3)
-    _name_events(panels[0], events[:EVENTS_NAMED], float(time_s[-1] - time_s[0]))
+    left, right = panels[0].get_xlim()
+    _name_events(panels[0], events[:EVENTS_NAMED], right - left)
     panels[-1].set_xlabel("time [s]")
     with private_file(path) as file:
-        figure.savefig(file, dpi=120)
+        figure.savefig(file, dpi=120, format=path.suffix[1:].lower())
 
 
 def _lines(signals: "Signals", of_panel: dict[str, str]) -> list[tuple[str, str, npt.NDArray[np.float64]]]:

@@ -1,4 +1,4 @@
-"""Reading back what a live run recorded."""
+"""The file that `--record` of master or slave writes, read back."""
 
 import os
 from pathlib import Path
@@ -31,6 +31,12 @@ class Recording(msgspec.Struct, frozen=True, kw_only=True):
     """"master" or "slave"."""
     security: str
     """"insecure" if frames were in plain sight."""
+    version: str
+    """Of the Haptether that wrote it; empty where the file does not say."""
+    scene: bytes
+    """The scene as JSON, defaults and presets filled in; empty where the file has none."""
+    begun_ns: int
+    """When the run began, in ns of the wall clock of that machine since 1970; 0 without a tick."""
     whole: bool
     """Whether the file has its end: it has none where the run was killed or the disk was full."""
     signals: dict[str, npt.NDArray[Any]]
@@ -63,6 +69,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     messages: list[dict[str, Any]] = []
     cause_topics: set[int] = set()
     causes: list[RecordedCause] = []
+    begun_ns = 0
     whole = False
     with Path(path).open("rb") as file:
         try:
@@ -77,6 +84,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
                         (cause_topics if topic.endswith("/cause") else topics).add(record.id)
                     case Message(channel_id=channel) if channel in topics:
                         messages.append(msgspec.json.decode(record.data))
+                        begun_ns = begun_ns or record.log_time - messages[0]["time_ns"]
                     case Message(channel_id=channel) if channel in cause_topics:
                         causes.append(msgspec.json.decode(record.data, type=RecordedCause))
                     case Footer():
@@ -91,6 +99,9 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     return Recording(
         side=about["side"],
         security=about["security"],
+        version=about.get("version", ""),
+        scene=about.get("scene", "").encode(),
+        begun_ns=begun_ns,
         whole=whole,
         signals={name: _column([message[name] for message in messages]) for name in meanings},
         meanings=meanings,

@@ -1,0 +1,217 @@
+"""A recorded run as `simulate` returns one."""
+
+import os
+from collections.abc import Iterator
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from haptether._core import ladder_state_name
+from haptether.bridge.recording.read import Recording, read_recording
+from haptether.bridge.scene.run import Event, Metrics, Run, Signals
+
+Array = npt.NDArray[Any]
+
+STATES = {ladder_state_name(code): code for code in range(7)}
+"""Codes of the ladder's states by their names."""
+CODES = {"tripped", "rotation_tripped", "acted", "rotation_acted", "limited"}
+"""Sets of bits, which fit a byte."""
+CONTROLLERS = {1: "vfc", 2: "hsc", 4: "wsc", 8: "pc", 16: "held"}
+MODELLED = {"hand_force", "hand_torque"}
+"""Known of a modelled hand only, and 0 of any other."""
+OPTIONAL = {"trigger", "gripper", "gripper_command", "gripper_force"}
+"""NaN throughout where there is no gripper."""
+SHARED = ("environment_", "gripper", "holds_object")
+"""How signals of the slave begin that have no namesake of the master."""
+
+
+def load(
+    file: str | os.PathLike[str] | Recording,
+    other: str | os.PathLike[str] | Recording | None = None,
+    *,
+    slave_begun_s: float | None = None,
+) -> Run:
+    """The run that one side recorded, or both, with the names, shapes and codes of a run in virtual time.
+
+    `position` and `orientation` are those of a modelled device, or else as measured. What was not there is left out:
+    the force of a hand that was no model, a gripper. Metrics that need the truth of a model are none.
+
+    Args:
+        file: Path of the MCAP file of master or slave, or what `read_recording` read of it.
+        other: The other side's, for the whole run on the master's time.
+        slave_begun_s: When the slave's run began after the master's, in s; by default as the wall clocks of the two
+            machines have it.
+
+    Raises:
+        ImportError: Without the extra `record`.
+        OSError: A file cannot be read.
+        ValueError: It is no recording of Haptether; the two are of the same side, or not of the same time.
+    """
+    recordings = {}
+    for one in (file, *(() if other is None else (other,))):
+        recording = one if isinstance(one, Recording) else read_recording(one)
+        if recording.side in recordings:
+            message = f"{_name(file)}, {_name(one)}: both are of the {recording.side}, must be one of each side"
+            raise ValueError(message)
+        recordings[recording.side] = recording
+    master, slave = recordings.get("master"), recordings.get("slave")
+    begun_s = 0.0
+    if master is not None and slave is not None:
+        begun_s = (slave.begun_ns - master.begun_ns) * 1e-9 if slave_begun_s is None else slave_begun_s
+        _check_overlap(master, slave, begun_s)
+    elif slave_begun_s is not None:
+        message = f"slave_begun_s = {slave_begun_s}: only {_name(file)} was given, must be with those of both sides"
+        raise ValueError(message)
+    signals: dict[str, Array] = {}
+    events: list[Event] = []
+    if master is not None:
+        signals |= _master_signals(master)
+        events += _events(master, 0.0)
+    if slave is not None:
+        signals |= _slave_signals(slave, begun_s)
+        events += _events(slave, begun_s)
+    (first, *_) = recordings.values() if master is None else (master,)
+    return Run(
+        scene=_name(file),
+        seed=_seed(first),
+        version=first.version,
+        signals=Signals(signals),
+        events=tuple(sorted(events, key=attrgetter("time_s"))),
+        metrics=_metrics(first, signals),
+        specification=first.scene,
+    )
+
+
+def _name(file: str | os.PathLike[str] | Recording) -> str:
+    return file.side if isinstance(file, Recording) else Path(file).stem
+
+
+def _seed(recording: Recording) -> int:
+    from msgspec import json  # noqa: PLC0415
+
+    return int(json.decode(recording.scene)["run"]["seed"]) if recording.scene else 0
+
+
+def _check_overlap(master: Recording, slave: Recording, begun_s: float) -> None:
+    master_s, slave_s = _time_s(master), _time_s(slave) + begun_s
+    if len(master_s) and len(slave_s) and (slave_s[0] > master_s[-1] or slave_s[-1] < master_s[0]):
+        message = (
+            f"the slave's recording is from {slave_s[0]:.3f} to {slave_s[-1]:.3f} s of the master's time, whose own "
+            f"ends at {master_s[-1]:.3f} s: two runs, or clocks that differ; give slave_begun_s for the latter"
+        )
+        raise ValueError(message)
+
+
+def _time_s(recording: Recording) -> npt.NDArray[np.float64]:
+    time_s: npt.NDArray[np.float64] = recording.signals["time_ns"].astype(np.float64) * 1e-9
+    return time_s
+
+
+def _master_signals(recording: Recording) -> dict[str, Array]:
+    kept = {"time_s": _time_s(recording)}
+    recorded = recording.signals
+    for name, values in recorded.items():
+        if name in {"time_ns", "security"} or name.startswith("true_"):
+            continue
+        if f"true_{name}" in recorded:
+            kept[name] = _shaped(name, recorded[f"true_{name}"])
+            kept[f"measured_{name}"] = _shaped(name, values)
+        elif not _is_absent(name, values):
+            kept[name] = _shaped(name, values)
+    return kept
+
+
+def _slave_signals(recording: Recording, begun_s: float) -> dict[str, Array]:
+    kept = {"slave_time_s": _time_s(recording) + begun_s}
+    has_gripper = not _is_absent("gripper", recording.signals["gripper"])
+    for name, values in recording.signals.items():
+        if name in {"time_ns", "security"} or _is_absent(name, values) or (name == "holds_object" and not has_gripper):
+            continue
+        kept[name if name.startswith(SHARED) else f"slave_{name}"] = _shaped(name, values)
+    return kept
+
+
+def _is_absent(name: str, values: Array) -> bool:
+    if name in MODELLED:
+        return not values.any()
+    return name in OPTIONAL and bool(np.isnan(values.astype(np.float64)).all())
+
+
+def _shaped(name: str, values: Array) -> Array:
+    """As virtual time keeps it: codes for states, bits in a byte, one axis without an axis of its own."""
+    if name in {"state", "peer_state"}:
+        return np.array([STATES.get(state, 255) for state in values], dtype=np.uint8)
+    if name in CODES:
+        return values.astype(np.uint8)
+    if values.ndim == 2 and values.shape[1] == 1:
+        return values[:, 0]
+    return values
+
+
+def _events(recording: Recording, begun_s: float) -> Iterator[Event]:
+    signals, side = recording.signals, recording.side
+    time_s = _time_s(recording) + begun_s
+    states, reasons = signals["state"], signals["reason"]
+    before = "disengaged"
+    for at in _changes(states):
+        if states[at] != before:
+            yield Event(float(time_s[at]), str(states[at]), f"{side}: {reasons[at]}" if reasons[at] else side)
+        before = states[at]
+    for layer, names in (("", ("tripped", "rotation_tripped")), ("trigger", ("trigger_tripped",))):
+        there = [np.nan_to_num(signals[name]).astype(np.uint8) for name in names if name in signals]
+        yield from _trips(time_s, np.bitwise_or.reduce(there), layer) if there else ()
+    if "holds_object" in signals:
+        held = signals["holds_object"].astype(bool)
+        for at in _changes(held):
+            if held[at] or at:
+                yield Event(float(time_s[at]), "grip" if held[at] else "drop", "")
+    for cause in recording.causes:
+        yield Event(cause.time_ns * 1e-9 + begun_s, "cause", f"{cause.at}: {cause.text}")
+
+
+def _trips(time_s: Array, tripped: Array, layer: str) -> Iterator[Event]:
+    before = 0
+    for at in _changes(tripped):
+        now = int(tripped[at])
+        if now and not before:
+            names = [name for bit, name in CONTROLLERS.items() if now & bit]
+            yield Event(float(time_s[at]), "trip", " ".join([layer, *names] if layer else names))
+        elif before and not now:
+            yield Event(float(time_s[at]), "recover", layer)
+        before = now
+
+
+def _changes(values: Array) -> list[int]:
+    """Where a value differs from the one before; the first, too."""
+    if not len(values):
+        return []
+    return [0, *(np.flatnonzero(values[1:] != values[:-1]) + 1).tolist()]
+
+
+def _metrics(first: Recording, signals: dict[str, Array]) -> Metrics:
+    states = first.signals["state"]
+    outcome = "never-engaged"
+    if "engaged" in states:
+        # Coupled to the last tick: a person ended it.
+        outcome = "complete" if states[-1] == "engaged" else str(states[-1])
+    if first.side == "slave":
+        return Metrics(outcome=outcome, ticks=len(states))
+    time_s = signals["time_s"]
+    tripped = np.zeros(len(time_s), dtype=bool)
+    for name in ("tripped", "rotation_tripped"):
+        tripped |= signals.get(name, np.zeros(len(time_s))) != 0
+    return Metrics(
+        outcome=outcome,
+        peak_device_force=_peak(signals["device_force"]),
+        peak_device_torque=_peak(signals["device_torque"]) if "device_torque" in signals else None,
+        intervention_s=float(np.diff(time_s, append=time_s[-1:])[tripped].sum()),
+        ticks=len(states),
+    )
+
+
+def _peak(vectors: Array) -> float | None:
+    lengths = np.abs(vectors) if vectors.ndim == 1 else np.linalg.norm(vectors, axis=1)
+    return float(np.nanmax(lengths)) if np.isfinite(lengths).any() else None

@@ -1,0 +1,74 @@
+"""A run in a notebook: its metrics, and small charts of what moved and what was felt."""
+
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import to_builtins
+
+if TYPE_CHECKING:
+    from haptether.bridge.scene.run import Run
+
+CHARTS = {
+    "position": "position [m]",
+    "device_force": "force on the hand [N]",
+    "device_torque": "torque on the hand [N m]",
+    "slave_position": "arm [m]",
+    "environment_force": "force on the tool [N]",
+}
+"""Signals that are drawn, if they were recorded."""
+COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
+WIDTH, HEIGHT = 320, 72
+POINTS = 160
+"""Columns of a chart; each is drawn from its smallest to its largest value, so that a spike of one tick is seen."""
+
+
+def as_html(run: "Run") -> str:
+    """A table of metrics with charts beside it, self-contained."""
+    metrics = {name: value for name, value in to_builtins(run.metrics).items() if value is not None}
+    rows = "".join(
+        f"<tr><td style='text-align:left'>{escape(name)}</td><td>{escape(_text(value))}</td></tr>"
+        for name, value in metrics.items()
+    )
+    charts = "".join(
+        _chart(label, run.signals[run.signals.time_of(name)], run.signals[name])
+        for name, label in CHARTS.items()
+        if name in run.signals and len(run.signals[name])
+    )
+    title = f"{escape(run.scene)}, seed {run.seed}, Haptether {escape(run.version)}"
+    return (
+        f"<div><b>{title}</b><div style='display:flex;flex-wrap:wrap;gap:1em'>"
+        f"<table>{rows}</table><div>{charts}</div></div></div>"
+    )
+
+
+def _text(value: Any) -> str:  # noqa: ANN401
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _chart(label: str, time_s: npt.NDArray[np.float64], values: npt.NDArray[Any]) -> str:
+    """One signal over time, a line for each axis, with its range written beside it."""
+    axes = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+    known = axes[np.isfinite(axes)]
+    if not len(known):
+        return ""
+    low, high = float(known.min()), float(known.max())
+    span = high - low or 1.0
+    lines = []
+    starts = np.unique(np.linspace(0, len(axes), min(POINTS, len(axes)), endpoint=False).astype(int))
+    x = np.linspace(0.0, WIDTH, len(starts))
+    for axis, colour in zip(axes.T, COLOURS, strict=False):
+        # Of NaN alone in a column, nothing is drawn.
+        small = np.fmin.reduceat(axis, starts)
+        large = np.fmax.reduceat(axis, starts)
+        points = [
+            f"{at:.1f},{HEIGHT * (high - y) / span:.1f}"
+            for at, pair in zip(x, zip(small, large, strict=True), strict=True)
+            for y in pair
+            if np.isfinite(y)
+        ]
+        lines.append(f"<polyline points='{' '.join(points)}' fill='none' stroke='{colour}' stroke-width='1'/>")
+    size = f"width='{WIDTH}' height='{HEIGHT}' viewBox='0 -2 {WIDTH} {HEIGHT + 4}'"
+    text = f"{escape(label)}: {low:.3g} to {high:.3g}, {time_s[0]:.3g} to {time_s[-1]:.3g} s"
+    return f"<figure style='margin:0 0 .5em'><figcaption>{text}</figcaption><svg {size}>{''.join(lines)}</svg></figure>"

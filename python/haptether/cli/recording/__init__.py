@@ -1,0 +1,1 @@
+"""What `--record` of master and slave wrote: described, drawn, and exported."""

@@ -1,0 +1,25 @@
+"""The files that commands of recordings take."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from haptether.bridge import Run
+
+
+def read_run(file: Path, other: Path | None, slave_begun_s: float | None) -> "Run":
+    """The run of one file or of both sides', with a line on standard error while it takes long.
+
+    Raises:
+        ValueError: No recording, two of one side or of different runs, or one without a tick.
+    """
+    from haptether.bridge import load
+    from haptether.cli.scene.simulate import spinner
+
+    names = " and ".join(str(path) for path in (file, other) if path is not None)
+    with spinner(f"reading {names}"):
+        run = load(file, other, slave_begun_s=slave_begun_s)
+    if not any(len(run.signals[time]) for time in ("time_s", "slave_time_s") if time in run.signals):
+        message = f"{names}: has no tick: the run was ended before its first, or killed before it was written"
+        raise ValueError(message)
+    return run
