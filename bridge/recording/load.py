@@ -1,5 +1,6 @@
 """A recorded run as `simulate` returns one."""
 
+import math
 import os
 from collections.abc import Iterator
 from operator import attrgetter
@@ -22,8 +23,8 @@ CODES = {"tripped", "rotation_tripped", "acted", "rotation_acted", "limited"}
 CONTROLLERS = {1: "vfc", 2: "hsc", 4: "wsc", 8: "pc", 16: "held"}
 MODELLED = {"hand_force", "hand_torque"}
 """Known of a modelled hand only, and 0 of any other."""
-OPTIONAL = {"trigger", "gripper", "gripper_command", "gripper_force"}
-"""NaN throughout where there is no gripper."""
+GRIPPER = {"gripper", "gripper_command", "gripper_force", "holds_object"}
+"""Of the slave; nothing of it is kept where `gripper` was never known."""
 SHARED = ("environment_", "gripper", "holds_object")
 """How signals of the slave begin that have no namesake of the master."""
 
@@ -60,8 +61,14 @@ def load(
     master, slave = recordings.get("master"), recordings.get("slave")
     begun_s = 0.0
     if master is not None and slave is not None:
-        begun_s = (slave.begun_ns - master.begun_ns) * 1e-9 if slave_begun_s is None else slave_begun_s
-        _check_overlap(master, slave, begun_s)
+        if slave_begun_s is not None and not math.isfinite(slave_begun_s):
+            message = f"slave_begun_s = {slave_begun_s}: must be finite"
+            raise ValueError(message)
+        if slave_begun_s is None:
+            begun_s = (slave.begun_ns - master.begun_ns) * 1e-9
+            _check_overlap(master, slave, begun_s)
+        else:
+            begun_s = slave_begun_s
     elif slave_begun_s is not None:
         message = f"slave_begun_s = {slave_begun_s}: only {_name(file)} was given, must be with those of both sides"
         raise ValueError(message)
@@ -119,25 +126,23 @@ def _master_signals(recording: Recording) -> dict[str, Array]:
         if f"true_{name}" in recorded:
             kept[name] = _shaped(name, recorded[f"true_{name}"])
             kept[f"measured_{name}"] = _shaped(name, values)
-        elif not _is_absent(name, values):
+        elif not (name in MODELLED and not values.any()) and not (name == "trigger" and _is_unknown(values)):
             kept[name] = _shaped(name, values)
     return kept
 
 
 def _slave_signals(recording: Recording, begun_s: float) -> dict[str, Array]:
     kept = {"slave_time_s": _time_s(recording) + begun_s}
-    has_gripper = not _is_absent("gripper", recording.signals["gripper"])
+    has_gripper = not _is_unknown(recording.signals["gripper"])
     for name, values in recording.signals.items():
-        if name in {"time_ns", "security"} or _is_absent(name, values) or (name == "holds_object" and not has_gripper):
+        if name in {"time_ns", "security"} or (name in GRIPPER and not has_gripper):
             continue
         kept[name if name.startswith(SHARED) else f"slave_{name}"] = _shaped(name, values)
     return kept
 
 
-def _is_absent(name: str, values: Array) -> bool:
-    if name in MODELLED:
-        return not values.any()
-    return name in OPTIONAL and bool(np.isnan(values.astype(np.float64)).all())
+def _is_unknown(values: Array) -> bool:
+    return bool(np.isnan(values.astype(np.float64)).all())
 
 
 def _shaped(name: str, values: Array) -> Array:

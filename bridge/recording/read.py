@@ -1,6 +1,7 @@
 """The file that `--record` of master or slave writes, read back."""
 
 import os
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +90,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
                         causes.append(msgspec.json.decode(record.data, type=RecordedCause))
                     case Footer():
                         whole = True
-        except (McapError, msgspec.DecodeError, EOFError):
+        except (McapError, msgspec.DecodeError, EOFError, struct.error):
             # Cut off: what was written before counts.
             whole = False
     if about.get("schema") != SCHEMA:
@@ -103,7 +104,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         scene=about.get("scene", "").encode(),
         begun_ns=begun_ns,
         whole=whole,
-        signals={name: _column([message[name] for message in messages]) for name in meanings},
+        signals={name: _column([message.get(name) for message in messages]) for name in meanings},
         meanings=meanings,
         causes=causes,
     )

@@ -72,7 +72,6 @@ def draw_run(
     from matplotlib.figure import Figure
 
     signals = run.signals
-    time_s = signals[signals.time_of("position")]
     drawn = {label: lines for label, signals_of in PANELS.items() if (lines := _lines(signals, signals_of))}
     if frame_wxyz is not None and "slave_command_orientation" in signals:
         apart = angle_apart(signals, np.array(frame_wxyz))
