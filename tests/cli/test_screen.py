@@ -419,6 +419,8 @@ REQUIRED = {
     "check-device": ["ur"],
     "identify": ["dynamixel"],
     "explain": ["master.flight"],
+    "plot": ["master.mcap"],
+    "export": ["master.mcap"],
     "sweep": ["remote_push"],
 }
 NUMBERS = [(name, option) for name, command in COMMANDS.items() for option in numbers_of(command)]

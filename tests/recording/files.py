@@ -56,5 +56,5 @@ def write_recording(
             writer.add_message(channel, at_ns, json.dumps(tick).encode(), at_ns)
         for cause in causes:
             writer.add_message(noted, begun_ns, json.dumps(cause).encode(), begun_ns)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]  # of the library
     return path

@@ -18,7 +18,7 @@ ENGAGED = {"state": "engaged", "reason": "both sides aligned"}
 
 
 def test_signals_have_the_names_shapes_and_codes_of_virtual_time(tmp_path: Path) -> None:
-    ticks = [
+    ticks: list[dict[str, Any]] = [
         {"position": [0.1], "true_position": [0.11], "device_force": [-2.0], "age_s": None, "hand_force": [1.5]},
         ENGAGED | {"tripped": 4, "peer_state": "engaged", "acted": 3, "age_s": 0.25},
         {"state": "hold", "tripped": 0, "clutch": True},
@@ -44,7 +44,7 @@ def test_what_was_not_there_is_left_out(tmp_path: Path) -> None:
     assert not {"hand_force", "trigger", "security"} & set(master.signals)
     slave = load(write_recording(tmp_path / "s.mcap", "slave", [{}, {}]))
     assert not {"gripper", "gripper_command", "gripper_force", "holds_object"} & set(slave.signals)
-    ticks = [{"gripper": 0.0}, {"holds_object": True}, {"holds_object": False}]
+    ticks: list[dict[str, Any]] = [{"gripper": 0.0}, {"holds_object": True}, {"holds_object": False}]
     gripped = load(write_recording(tmp_path / "g.mcap", "slave", ticks))
     np.testing.assert_array_equal(gripped.signals.holds_object, [False, True, False])
     assert [(event.time_s, event.kind) for event in gripped.events] == [(0.001, "grip"), (0.002, "drop")]
