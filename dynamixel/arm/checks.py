@@ -14,6 +14,8 @@ from haptether.dynamixel.control_table import STARTUP
 from haptether.dynamixel.models import BAUD_RATES, SERVO_MODELS_BY_NUMBER
 
 LATENCY_MS: Final = 1
+TRIES: Final = 3
+"""Of a ping, before a servo is said not to answer."""
 MARGIN_C: Final = 5
 """Below the temperature limit, at the begin."""
 PROTECTS: Final = 1 << 2 | 1 << 5
@@ -97,10 +99,9 @@ def check_present(
     """
     answered, found = set(), {}
     for servo in (*settings.servos, *(shadow for shadow, _ in settings.shadows)):
-        go_on()
         what = f"servo {servo.servo_id}"
         try:
-            number, firmware = bus.ping(servo.servo_id)
+            (number, firmware), tries = _pinged(bus, servo.servo_id, go_on)
         except TimeoutError:
             checklist.refuse(
                 what, f"does not answer at {settings.baud} bit/s",
@@ -113,13 +114,30 @@ def check_present(
         answered.add(servo.servo_id)
         model = SERVO_MODELS_BY_NUMBER.get(number)
         name = f"model {number}" if model is None else model.name
+        late = f", answered at try {tries}" if tries > 1 else ""
         checklist.check(
-            what, f"{name}, firmware {firmware}", good=number == servo.servo.number,
+            what, f"{name}, firmware {firmware}{late}", good=number == servo.servo.number,
             remedy=f"the options have a {servo.model} there: mend them, or the id",
         )  # fmt: skip
         if number == servo.servo.number:
             found[servo.servo_id] = firmware
     return answered, found
+
+
+def _pinged(bus: DynamixelBus, servo_id: int, go_on: Callable[[], None]) -> tuple[tuple[int, int], int]:
+    """Model number and firmware, and at which try: one answer that is lost or late does not say that nobody is there.
+
+    Raises:
+        TimeoutError: No answer to any.
+        RuntimeError: The last answer was a wrong one.
+        OSError: The port is gone.
+    """
+    for number in range(1, TRIES):
+        go_on()
+        with contextlib.suppress(TimeoutError, RuntimeError):
+            return bus.ping(servo_id), number
+    go_on()
+    return bus.ping(servo_id), TRIES
 
 
 def knows_fast_reads(settings: ArmSettings, firmware: dict[int, int]) -> bool:

@@ -99,6 +99,8 @@ class Server:
     def unplug(self) -> None:
         """Takes the terminal away: a client reads an error from now on."""
         if self._descriptors is not None:
+            if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self.port:
+                self._link.unlink()
             for descriptor in self._descriptors:
                 os.close(descriptor)
             self._descriptors = self.port = None
@@ -106,8 +108,6 @@ class Server:
             if self._tcp is not None:
                 self._tcp.is_plugged = False
                 self._tcp.hang_up()
-            if self._link is not None:
-                self._link.unlink(missing_ok=True)
 
     def figures(self) -> dict[str, Any]:
         """The terminal, for `status`."""
@@ -199,7 +199,15 @@ class Server:
 
 
 def _link(path: Path, port: str) -> None:
+    """Makes the link, in the place of one that a killed emulator has left behind, whose terminal is gone.
+
+    Raises:
+        FileExistsError: One that leads to something, such as the terminal of another emulator, or anything else.
+    """
     if path.is_symlink():
+        if path.exists():
+            message = f"{path}: leads to {path.readlink()}, which is in use: name another, or remove it"
+            raise FileExistsError(message)
         path.unlink()
     try:
         path.symlink_to(port)

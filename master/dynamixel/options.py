@@ -118,7 +118,10 @@ def with_unit(options: LeaderOptions, arm: ArmDescription) -> tuple[LeaderOption
     if options.calibration is not None:
         try:
             baud, servos = read_calibration(Path(options.calibration))
-        except (OSError, ValueError) as error:
+        except OSError as error:
+            why = f"{error.strerror}: must be the file that `haptether dynamixel calibrate` writes"
+            raise refused(DRIVER, "calibration", options.calibration, why) from None
+        except ValueError as error:
             raise refused(DRIVER, "calibration", options.calibration, str(error)) from None
         found = {servo.servo_id: servo for servo in servos}
         for index, joint in enumerate(joints):

@@ -64,10 +64,13 @@ class DynamixelSlaveOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_un
         """Those of the arm, from its file.
 
         Raises:
-            OSError: The file cannot be read.
-            ValueError: It has an arm that cannot be one of this driver.
+            ValueError: The file cannot be read, or has an arm that cannot be one of this driver.
         """
-        baud, servos = read_calibration(Path(self.arm))
+        try:
+            baud, servos = read_calibration(Path(self.arm))
+        except OSError as error:
+            why = f"{error.strerror}: must be the file that `haptether dynamixel calibrate` writes"
+            raise refused(DEVICE, "arm", self.arm, why) from None
         if len(servos) > MAX_JOINTS:
             raise refused(DEVICE, "arm", self.arm, f"has {len(servos)} servos: must have 1 to {MAX_JOINTS}")
         try:

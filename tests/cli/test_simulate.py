@@ -134,6 +134,8 @@ def test_overrides_have_two_forms(given: list[dict[str, Any]]) -> None:
         (["simulate", "s", "--set"], ["simulate", "s", "--set"]),
         (["simulate", "s", "--out", "a.npz"], ["simulate", "s", "--out", "a.npz"]),
         (["master", "--a.b", "1"], ["master", "--a.b", "1"]),
+        (["identify", "d", "--options", "a=1", "b=2"], ["identify", "d", "--options", "a=1", "--options", "b=2"]),
+        (["check-device", "--options", "a=1", "d"], ["check-device", "--options", "a=1", "d"]),
         ([], []),
     ],
 )

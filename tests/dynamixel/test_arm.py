@@ -21,7 +21,7 @@ from haptether.checklist import Checklist
 from haptether.dynamixel import SERVO_MODELS, DynamixelBus, OperatingMode
 from haptether.dynamixel.arm import ArmRefusedError, ArmSettings, FaultKind, ServoArm, ServoSettings, checks
 from haptether.dynamixel.arm.arm import HELD_S
-from haptether.dynamixel.arm.checks import check_port, check_servo
+from haptether.dynamixel.arm.checks import check_port, check_present, check_servo
 
 pytestmark = pytest.mark.live
 
@@ -160,6 +160,21 @@ def test_all_that_is_wrong_is_told_at_once(emulated: EmulatedBus) -> None:
     ):
         assert part in text
     assert torques(emulated) == [False] * 3
+
+
+@pytest.mark.parametrize("fault", ["mute 1", "mute 2", "corrupt 1"])
+def test_a_lost_answer_does_not_say_that_nobody_is_there(emulated: EmulatedBus, fault: str) -> None:
+    lines: list[str] = []
+    bus = DynamixelBus(emulated.port, baud=4_000_000, timeout_s=TIMEOUT_S)
+    emulated.do(fault)
+    checklist = Checklist("arm", lines.append)
+    answered, _ = check_present(bus, arm_of(emulated.port).settings, checklist, lambda: None)
+    bus.close()
+    assert answered == {1, 2, 3}
+    assert not checklist.refused
+    tries = int(fault[-1]) + 1
+    assert f"XM430-W350, firmware 52, answered at try {tries}" in lines[0]
+    assert "try" not in "".join(lines[1:])
 
 
 def test_another_model_and_an_error_of_the_shutdown_mask(emulated: EmulatedBus) -> None:

@@ -88,6 +88,10 @@ def test_it_is_found_by_its_name() -> None:
     [
         ({"port": "/dev/null"}, "options: arm is missing: must be the file of the arm"),
         ({"port": "/dev/null", "arm": "/nowhere.toml", "mode": "pwm"}, "mode = 'pwm': must be one of"),
+        (
+            {"port": "/dev/null", "arm": "/nowhere.toml"},
+            "arm = '/nowhere.toml': No such file or directory: must be",
+        ),
         ({"port": "/dev/null", "arm": "A", "coulomb": [0.1]}, "must have 2 numbers, one of each joint"),
         ({"port": "/dev/null", "arm": "A", "max_speed": math.nan}, "max_speed = nan: must be finite"),
         ({"port": "/dev/null", "arm": "A", "speed": 1}, "is no option"),

@@ -57,6 +57,28 @@ def test_bad_requests_are_refused(arguments: list[str], said: str, capsys: pytes
     assert complaint.count("\n") == 1
 
 
+def test_the_link_of_another_bus_is_left_to_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    link = tmp_path / "bus"
+    with emulated_bus("--link", str(link)) as running:
+        terminal = link.readlink()
+        assert main(["dynamixel-emulator", "--duration-s", "1", "--link", str(link)]) == 1
+        assert f"{link}: leads to {terminal}, which is in use: name another, or remove it" in capsys.readouterr().err
+        assert link.readlink() == terminal
+        # One that somebody has turned to something else is theirs.
+        link.unlink()
+        link.symlink_to("/dev/null")
+        running.process.send_signal(signal.SIGINT)
+        assert running.process.wait(5.0) == 0
+    assert link.readlink() == Path("/dev/null")
+
+
+def test_a_link_that_a_killed_bus_left_behind_is_replaced(tmp_path: Path) -> None:
+    link = tmp_path / "bus"
+    link.symlink_to("/dev/pts/no-terminal")
+    with emulated_bus("--link", str(link)):
+        assert link.exists()
+
+
 def test_a_link_over_a_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "file"
     file.write_text("kept")

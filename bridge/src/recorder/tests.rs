@@ -141,7 +141,7 @@ fn a_recording_keeps_its_scene_and_version() {
 fn messages_are_logged_at_the_wall_clock_of_the_run() {
     let wall_ns = || {
         let since_epoch = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-        since_epoch.unwrap().as_nanos() as u64
+        u64::try_from(since_epoch.unwrap().as_nanos()).unwrap()
     };
     let (disk, paper) = disk(usize::MAX);
     let before = wall_ns();

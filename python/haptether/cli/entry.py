@@ -319,28 +319,31 @@ def with_backward(arguments: Sequence[str]) -> list[str]:
 def with_overrides(arguments: Sequence[str]) -> list[str]:
     """The arguments of a command that runs a scene with each `--table.key value` as `--set table.key=value`.
 
-    Several values after one `--set` or `--vary` get one each.
+    Several values after one `--set` or `--vary`, and of a command that opens a driver after `--options`, get one each.
     """
-    if not arguments or arguments[0] not in SCENE_COMMANDS:
-        return list(arguments)
-    return _with_assignments(arguments, TABLE_KEY, "--set", ("--set", "--vary"))
+    if arguments and arguments[0] in SCENE_COMMANDS:
+        return _with_assignments(arguments, TABLE_KEY, "--set", ("--set", "--vary"))
+    if arguments and arguments[0] in DRIVER_COMMANDS:
+        return _with_assignments(arguments, None, "--options", ("--options",))
+    return list(arguments)
 
 
 SCENE_COMMANDS = {"simulate", "sweep"}
+DRIVER_COMMANDS = {"check-device", "identify"}
 TABLE_KEY = re.compile(r"--(.*\..*)", re.DOTALL)
 BACKWARD = re.compile(r"--backward\.(.*)", re.DOTALL)
 
 
 def _with_assignments(
-    arguments: Sequence[str], key: re.Pattern[str], option: str, repeated: Sequence[str]
+    arguments: Sequence[str], key: re.Pattern[str] | None, option: str, repeated: Sequence[str]
 ) -> list[str]:
-    """Each option of the form `key` as an assignment after `option`; one of `repeated` before each of its values."""
+    """Each option of the form `key`, if any, as an assignment after `option`; one of `repeated` before each value."""
     changed: list[str] = []
     waiting = list(arguments)
     while waiting:
         argument = waiting.pop(0)
         name, equals, value = argument.partition("=")
-        if found := key.fullmatch(name):
+        if key is not None and (found := key.fullmatch(name)):
             if not equals:
                 value = waiting.pop(0) if waiting else ""
             changed += [option, f"{found[1]}={value}"]
