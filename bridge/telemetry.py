@@ -36,6 +36,12 @@ class TelemetryHello(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind"
     """"master" or "slave"."""
     security: str
     """"insecure" if frames are in plain sight."""
+    version: str = ""
+    """Of the Haptether that sends."""
+    process: int = 0
+    """Number of its process, for the signals that press the clutch and acknowledge."""
+    scene: dict[str, Any] | None = None
+    """What was set, table by table, defaults and presets filled in; none where it is longer than 256 KiB."""
     signals: list[TelemetrySignal]
 
 

@@ -324,7 +324,7 @@ macro_rules! constructor {
                     keep_s,
                     realtime: realtime_settings(realtime, priority, cpu)?,
                     record: recorder_settings(record, min_free_bytes, insecure, scene),
-                    telemetry: telemetry_settings(telemetry, insecure),
+                    telemetry: telemetry_settings(telemetry, insecure, scene),
                 };
                 of_axes!(scene_axes(scene)?, N => {
                     let $scene = scene_spec::<N>(scene)?;
@@ -504,6 +504,11 @@ pub(crate) fn recorder_settings(
 }
 
 /// Where to send telemetry, if anywhere.
-pub(crate) fn telemetry_settings(path: Option<PathBuf>, insecure: bool) -> Option<TelemetrySettings> {
-    path.map(|path| TelemetrySettings { path, security: mark(insecure) })
+pub(crate) fn telemetry_settings(
+    path: Option<PathBuf>,
+    insecure: bool,
+    scene: &[u8],
+) -> Option<TelemetrySettings> {
+    let scene = String::from_utf8_lossy(scene).into_owned();
+    path.map(|path| TelemetrySettings { path, security: mark(insecure), scene })
 }

@@ -419,6 +419,7 @@ REQUIRED = {
     "check-device": ["ur"],
     "identify": ["dynamixel"],
     "explain": ["master.flight"],
+    "watch": ["master.sock"],
     "plot": ["master.mcap"],
     "export": ["master.mcap"],
     "sweep": ["remote_push"],

@@ -11,9 +11,13 @@ use crate::{
 const SCHEMA: u32 = 1;
 /// Changes of one frame that are sent; more are counted.
 const MAX_EVENTS: usize = 256;
+/// Bytes of the longest scene that is sent; a reader takes lines of a megabyte.
+const MAX_SCENE: usize = 1 << 18;
 
 /// The first line that a reader gets: whose samples these are, and the name, kind, size and meaning of each signal.
-pub(super) fn hello<R: Recorded>(security: SecurityMark) -> Vec<u8> {
+///
+/// The scene is left out where it is longer than [`MAX_SCENE`], as one with recordings inside.
+pub(super) fn hello<R: Recorded>(security: SecurityMark, scene: &str) -> Vec<u8> {
     let mut signals = Vec::new();
     R::any().fields(&mut |(name, meaning, value)| {
         if name != TIME {
@@ -22,8 +26,11 @@ pub(super) fn hello<R: Recorded>(security: SecurityMark) -> Vec<u8> {
             }));
         }
     });
+    let scene: Option<serde_json::Value> =
+        (scene.len() <= MAX_SCENE).then(|| serde_json::from_str(scene).ok()).flatten();
     line(&json!({
-        "kind": "hello", "schema": SCHEMA, "side": R::SIDE, "security": security.name(), "signals": signals,
+        "kind": "hello", "schema": SCHEMA, "version": env!("CARGO_PKG_VERSION"), "side": R::SIDE,
+        "process": std::process::id(), "security": security.name(), "scene": scene, "signals": signals,
     }))
 }
 

@@ -36,6 +36,8 @@ pub struct TelemetrySettings {
     pub path: PathBuf,
     /// What the run is marked as.
     pub security: SecurityMark,
+    /// The scene as JSON, which each reader gets first. Empty: none.
+    pub scene: String,
 }
 
 /// Records that wait for the thread: 0.5 s at 8 kHz, 4 s at 1 kHz.
@@ -72,7 +74,7 @@ pub struct Telemetry<R> {
 impl<R: Recorded> Telemetry<R> {
     /// Listens, and starts the thread that sends.
     pub fn begin(settings: &TelemetrySettings) -> io::Result<Self> {
-        let readers = Readers::listen(&settings.path, frame::hello::<R>(settings.security))?;
+        let readers = Readers::listen(&settings.path, frame::hello::<R>(settings.security, &settings.scene))?;
         let (records, waiting) = ring(RING);
         let (notes, noted) = ring(NOTES);
         let dropped = Arc::<AtomicU64>::default();

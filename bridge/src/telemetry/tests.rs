@@ -29,7 +29,7 @@ fn folder(name: &str) -> PathBuf {
 }
 
 fn settings(path: &Path) -> TelemetrySettings {
-    TelemetrySettings { path: path.to_owned(), security: SecurityMark::Insecure }
+    TelemetrySettings { path: path.to_owned(), security: SecurityMark::Insecure, scene: String::new() }
 }
 
 fn record(tick: u64) -> Record {
@@ -150,9 +150,24 @@ fn changes_without_end_are_counted() {
 }
 
 #[test]
+fn a_scene_that_is_too_long_for_a_line_is_left_out() {
+    for (length, is_sent) in [(1 << 17, true), (1 << 18, false)] {
+        let scene = format!("{{\"title\": \"{}\"}}", "x".repeat(length));
+        let hello = frame::hello::<Record>(SecurityMark::Secure, &scene);
+        assert!(hello.len() < 1 << 20);
+        assert_eq!(lines(&hello)[0]["scene"].is_object(), is_sent);
+    }
+    assert!(lines(&frame::hello::<Record>(SecurityMark::Secure, ""))[0]["scene"].is_null());
+}
+
+#[test]
 fn hello_names_every_signal_with_kind_and_size() {
-    let hello = lines(&frame::hello::<Record>(SecurityMark::Secure)).remove(0);
+    let hello =
+        lines(&frame::hello::<Record>(SecurityMark::Secure, r#"{"safety": {"window": 20}}"#)).remove(0);
     assert_eq!([&hello["side"], &hello["security"]], ["master", "secure"]);
+    assert_eq!(hello["scene"]["safety"]["window"], 20);
+    assert_eq!(hello["version"], env!("CARGO_PKG_VERSION"));
+    assert_eq!(hello["process"], std::process::id());
     let (sample, _) = framed(&[record(0)]);
     let signals = hello["signals"].as_array().unwrap();
     let names: Vec<_> = signals.iter().map(|signal| signal["name"].as_str().unwrap()).collect();

@@ -48,6 +48,7 @@ from haptether.cli.scene.simulate import Simulate
 from haptether.cli.scene.sweep import Sweep
 from haptether.cli.shared.numbers import NUMBERS
 from haptether.cli.shared.output import QueuedOutput, queued_output
+from haptether.cli.view.watch import Watch
 from haptether.printable import printable
 
 
@@ -75,6 +76,7 @@ COMMANDS: dict[str, type[Any]] = {
     "check-device": CheckDevice,
     "identify": Identify,
     "new-driver": NewDriver,
+    "watch": Watch,
     "explain": Explain,
     "info": Info,
     "plot": Plot,

@@ -1,0 +1,109 @@
+"""`haptether watch`."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from haptether.bridge import TelemetryReader
+    from haptether.cli.shared.screen import Screen
+    from haptether.view import SideState
+
+REFRESH_HZ = 10
+LINE_S = 1.0
+"""Between two lines, where there is no terminal."""
+WAIT_S = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Watch:
+    """Show what a running side does: ladder, forces, observers against their thresholds, link, loop, gripper.
+
+    It reads the telemetry that `--telemetry PATH` of master or slave sends, in a process of its own: the loop does not
+    notice who looks, and nothing can be commanded from here. Not on a terminal it prints a line a second, and each
+    event. It ends with the run, status 0; with status 1 where the run fails or is killed.
+
+    Examples:
+
+    haptether master --peer 127.0.0.1:9000 --key arm.key --telemetry /tmp/master.sock
+
+    haptether watch /tmp/master.sock
+    """
+
+    path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]
+    """The Unix socket that --telemetry of the running side names; waited for up to 10 s."""
+    duration_s: float | None = None
+    """End after this time in s; without it, with the run."""
+
+    def run(self) -> int:
+        """Shows the side until its end.
+
+        Raises:
+            OSError: Nobody sends there, or it ended in the middle.
+            ValueError: What is sent is no telemetry.
+        """
+        from haptether.cli.shared.numbers import check_duration
+        from haptether.cli.shared.screen import Screen
+        from haptether.view import SideState
+
+        check_duration("duration_s", self.duration_s)
+        screen = Screen()
+        with self._connected() as telemetry:
+            state = SideState(telemetry.hello)
+            (self._live if screen.is_terminal else self._lines)(screen, telemetry, state)
+        if not state.has_ended and not self._is_over(state):
+            message = f"{self.path}: ended after {state.time_s:.3f} s without a word: the side has failed or was killed"
+            raise ConnectionError(message)
+        return 0
+
+    def _connected(self) -> "TelemetryReader":
+        from haptether.bridge import TelemetryReader
+
+        until_s = time.monotonic() + WAIT_S
+        while True:
+            try:
+                return TelemetryReader(self.path)
+            except (FileNotFoundError, ConnectionRefusedError):
+                if time.monotonic() > until_s:
+                    message = f"{self.path}: nobody sends there: start master or slave with --telemetry {self.path}"
+                    raise FileNotFoundError(message) from None
+                time.sleep(0.1)
+
+    def _is_over(self, state: "SideState") -> bool:
+        return self.duration_s is not None and state.watched_s >= self.duration_s
+
+    def _live(self, screen: "Screen", telemetry: "TelemetryReader", state: "SideState") -> None:
+        from rich.live import Live
+
+        from haptether.view import panel
+
+        next_s = 0.0
+        with Live(console=screen, auto_refresh=False, transient=False) as live:
+            for message in telemetry:
+                state.take(message)
+                if (now_s := time.monotonic()) >= next_s:
+                    next_s = now_s + 1.0 / REFRESH_HZ
+                    live.update(panel(state), refresh=True)
+                if self._is_over(state):
+                    break
+            live.update(panel(state), refresh=True)
+
+    def _lines(self, screen: "Screen", telemetry: "TelemetryReader", state: "SideState") -> None:
+        from haptether.view import headline
+
+        next_s = 0.0
+        seen = 0
+        for message in telemetry:
+            state.take(message)
+            new = state.events_seen - seen
+            seen = state.events_seen
+            for time_s, text in list(state.events)[len(state.events) - new :]:
+                screen.print(f"{time_s:.4f} s  {text}", soft_wrap=True)
+            if state.time_s >= next_s and state.ticks:
+                next_s = state.time_s + LINE_S
+                screen.print(f"{state.time_s:.1f} s  {headline(state)}", soft_wrap=True)
+            if self._is_over(state):
+                break

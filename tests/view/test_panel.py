@@ -1,0 +1,175 @@
+"""The panel of a live side: what it makes of telemetry, and how it looks."""
+
+import io
+import math
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from haptether.bridge import (
+    TelemetryCause,
+    TelemetryChange,
+    TelemetryCleared,
+    TelemetryEnd,
+    TelemetryHello,
+    TelemetryLost,
+    TelemetrySample,
+    TelemetrySignal,
+)
+from haptether.bridge.flight import Step
+from haptether.view import SideState, headline, panel
+
+KINDS = {
+    "position": "axes", "velocity": "axes", "rendered_force": "axes", "device_force": "axes", "safety_force": "axes",
+    "velocity_force": "number", "grasp": "number", "windowed_energy_j": "number", "energy_j": "number",
+    "tripped": "bits", "state": "name", "reason": "name", "peer_state": "name", "clutch": "flag",
+    "overshoot_s": "number", "round_trip_s": "number", "age_s": "number", "fault": "count", "trigger": "number",
+}  # fmt: skip
+SAFETY = {"controllers": ["vfc", "wsc", "pc"], "grasp_threshold": 1.5, "energy_threshold_j": -0.03}
+
+
+def hello(
+    *, side: str = "master", security: str = "secure", scene: dict[str, Any] | None = None, axes: int = 1
+) -> TelemetryHello:
+    signals = [
+        TelemetrySignal(name=name, kind=kind, size=axes if kind == "axes" else 1, meaning="")
+        for name, kind in KINDS.items()
+    ]
+    return TelemetryHello(
+        schema=1, side=side, security=security, version="0.1.0", process=4242, scene=scene, signals=signals
+    )
+
+
+def sample(time_s: float, *, axes: int = 1, **changes: Any) -> TelemetrySample:  # noqa: ANN401  # by the kind
+    nothing: dict[str, Any] = {
+        "axes": [[0.0, 0.0, 0.0]] * axes, "number": [None, None, None], "bits": [0, 0], "flag": False, "count": 0,
+        "name": "",
+    }  # fmt: skip
+    signals = {name: nothing[kind] for name, kind in KINDS.items()} | changes
+    return TelemetrySample(time_ns=round(time_s * 1e9), ticks=16, dropped=0, unsent_changes=0, signals=signals)
+
+
+def shown(state: SideState, width: int = 100) -> str:
+    screen = io.StringIO()
+    Console(width=width, file=screen, color_system=None).print(panel(state))
+    return screen.getvalue()
+
+
+def test_extremes_are_those_of_the_last_second_and_a_spike_of_one_tick_stays() -> None:
+    state = SideState(hello())
+    state.take(sample(0.0, device_force=[[-9.0, 9.0, 0.0]]))
+    assert state.peak("device_force") == 9.0
+    for number in range(1, 100):
+        spike = [[-0.5, 7.0, 0.25]] if number == 40 else [[-0.5, 0.5, 0.25]]
+        state.take(sample(number / 60, device_force=spike))
+    assert state.extremes("device_force") == (-0.5, 7.0)
+    assert state.last("device_force") == [0.25]
+    for number in range(100, 160):
+        state.take(sample(number / 60, device_force=[[-0.5, 0.5, 0.25]]))
+    assert state.peak("device_force") == 0.5
+    assert state.extremes("round_trip_s") is None, "it was null"
+    assert state.ticks == 160 * 16
+    assert state.watched_s == pytest.approx(159 / 60)
+
+
+@pytest.mark.parametrize(
+    ("controller", "signal", "values", "share", "trips_above"),
+    [
+        ("vfc", "velocity_force", [0.1, 0.75, 0.2], 0.75, True),
+        ("wsc", "windowed_energy_j", [-0.015, 0.5, 0.5], 0.5, False),
+        ("wsc", "windowed_energy_j", [-0.06, 0.5, 0.5], 2.0, False),
+        ("wsc", "windowed_energy_j", [0.2, 0.5, 0.5], 0.0, False),
+        ("pc", "energy_j", [0.01, 0.1, 0.1], 0.0, False),
+        ("pc", "energy_j", [-0.01, 0.1, 0.1], 1.0, False),
+        ("vfc", "velocity_force", [None, None, None], None, True),
+    ],
+)
+def test_an_observer_is_as_near_to_its_threshold_as_it_came(
+    controller: str, signal: str, values: list[float | None], share: float | None, trips_above: bool
+) -> None:
+    state = SideState(hello(scene={"safety": SAFETY}))
+    changes: dict[str, Any] = {signal: values}
+    state.take(sample(0.0, **changes))
+    observers = {one.controller: one for one in state.observers()}
+    assert list(observers) == ["vfc", "wsc", "pc"], "those of the scene"
+    assert observers[controller].share == (None if share is None else pytest.approx(share))
+    assert observers[controller].trips_above is trips_above
+    assert observers[controller].value == values[2]
+
+
+def test_without_a_scene_those_that_observe_are_shown_without_a_threshold() -> None:
+    state = SideState(hello())
+    state.take(sample(0.0, grasp=[0.5, 2.0, 1.0]))
+    (one,) = state.observers()
+    assert (one.controller, one.worst, one.threshold, one.share) == ("hsc", 2.0, None, None)
+    assert "S_h = 1" in shown(state)
+
+
+def test_a_trip_is_shown_for_a_second_and_is_an_event() -> None:
+    state = SideState(hello(scene={"safety": SAFETY}))
+    state.take(TelemetryChange(time_ns=10**8, signal="tripped", from_=0, to=4))
+    state.take(TelemetryChange(time_ns=11**8, signal="tripped", from_=4, to=20))
+    state.take(TelemetryChange(time_ns=12**8, signal="tripped", from_=20, to=0))
+    assert [text for _, text in state.events] == ["trip wsc", "trip held"]
+    state.take(sample(0.1, tripped=[4, 0]))
+    assert {one.controller for one in state.observers() if one.tripped} == {"wsc"}
+    state.take(sample(0.9, tripped=[16, 16]))
+    assert state.is_held()
+    assert "TRIPPED" in shown(state)
+    state.take(sample(2.0))
+    assert not state.is_held()
+    assert "TRIPPED" not in shown(state)
+
+
+def test_a_cause_is_said_in_the_words_of_its_side_until_it_is_over() -> None:
+    state = SideState(hello())
+    state.take(sample(0.5, state="hold", reason="peer reports a fault", peer_state="fault"))
+    steps = [
+        Step(at="slave", remedy="acknowledge", text="mend the cause, then acknowledge it at the slave"),
+        Step(at="master", remedy="press", text="release the clutch at the master and press it again"),
+    ]
+    cause = TelemetryCause(
+        time_ns=5 * 10**8, state="hold", at="slave", text="ur: protective stop: C153A1: [red]joint 2", steps=steps
+    )
+    state.take(cause)
+    text = shown(state, 120)
+    assert "slave: ur: protective stop: C153A1: [red]joint 2" in text, "no markup of the terminal"
+    assert "kill -USR2 PID" in text
+    assert "kill -USR1 4242" in text
+    assert headline(state) == "HOLD  peer reports a fault  clutch open  slave: fault"
+    state.take(TelemetryCleared(time_ns=6 * 10**8))
+    assert "kill" not in shown(state)
+
+
+def test_what_was_not_seen_is_counted_and_the_end_is_known() -> None:
+    state = SideState(hello(security="insecure"))
+    state.take(sample(0.0))
+    state.take(TelemetryLost(ticks=32))
+    assert "ticks not seen here" in shown(state)
+    assert "INSECURE: frames are in plain sight" in shown(state)
+    assert not state.has_ended
+    state.take(TelemetryEnd(time_ns=10**9))
+    assert state.has_ended
+
+
+@pytest.mark.parametrize("axes", [1, 3, 6, 7])
+@pytest.mark.parametrize("side", ["master", "slave"])
+def test_it_fits_80_columns_whatever_is_in_it(axes: int, side: str) -> None:
+    state = SideState(hello(scene={"safety": SAFETY, "master": {"kind": "joints"}}, axes=axes, side=side))
+    assert "NO SAMPLE YET" in shown(state)
+    large = [[-1e4, 1e4, -1e4 / 3]] * axes
+    numbers: dict[str, Any] = {name: [1e-9, 1e9, math.pi * 1e6] for name, kind in KINDS.items() if kind == "number"}
+    vectors: dict[str, Any] = dict.fromkeys([name for name, kind in KINDS.items() if kind == "axes"], large)
+    state.take(sample(1e5, axes=axes, state="engaged", reason="x" * 60, clutch=True, **numbers, **vectors))
+    state.take(TelemetryCause(time_ns=10**14, state="hold", at="master", text="y" * 300, steps=[]))
+    lines = shown(state, 80).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert all(line[0] in "╭│╰" for line in lines)
+    assert any("requested F_v [N m]" in line for line in lines), "torques of joints"
+
+
+def test_numbers_that_are_none_are_dashes() -> None:
+    state = SideState(hello(axes=3))
+    state.take(sample(0.0, axes=3, position=[[None, None, None], [0.1, 0.1, 0.1], [0.0, 0.0, 0.0]]))
+    assert "-  +0.1000  +0.0000" in shown(state)

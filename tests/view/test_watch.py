@@ -1,0 +1,90 @@
+"""`haptether watch` beside a live side, on a pipe and on a terminal."""
+
+import os
+import pty
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.live
+
+TIMEOUT_S = 60.0
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def master(path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
+    """A master that nobody answers."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "haptether", "master", "--peer", f"127.0.0.1:{free_port()}", "--insecure",
+         "--telemetry", str(path), *arguments],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+
+
+def watch(path: Path, *arguments: str) -> list[str]:
+    return [sys.executable, "-m", "haptether", "watch", str(path), *arguments]
+
+
+def test_it_prints_lines_until_the_run_ends(tmp_path: Path) -> None:
+    path = tmp_path / "master.sock"
+    with master(path, "--patience-s", "3") as side:
+        seen = subprocess.run(watch(path), capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+        side.wait(TIMEOUT_S)
+    assert (seen.returncode, seen.stderr) == (0, "")
+    assert re.search(r"^\d\.\d s  ALIGNING .* slave: not heard$", seen.stdout, re.MULTILINE)
+    assert "\x1b" not in seen.stdout
+
+
+def test_a_run_that_is_killed_is_no_end(tmp_path: Path) -> None:
+    path = tmp_path / "master.sock"
+    with master(path, "--patience-s", "60") as side:
+        seen = subprocess.Popen(watch(path), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        assert seen.stdout is not None
+        assert "ALIGNING" in seen.stdout.readline()
+        side.kill()
+        _, error = seen.communicate(timeout=TIMEOUT_S)
+    assert seen.returncode == 1
+    assert "without a word: the side has failed or was killed" in error
+
+
+def test_on_a_terminal_it_is_a_panel_that_ctrl_c_ends(tmp_path: Path) -> None:
+    path = tmp_path / "master.sock"
+    near, far = pty.openpty()
+    with master(path, "--patience-s", "60") as side:
+        environment = {**os.environ, "TERM": "xterm", "COLUMNS": "100", "LINES": "40"}
+        seen = subprocess.Popen(watch(path), stdout=far, stderr=far, env=environment)
+        os.close(far)
+        screen = b""
+        until_s = time.monotonic() + TIMEOUT_S
+        while b"loop late" not in screen:
+            assert time.monotonic() < until_s, screen
+            screen += os.read(near, 4096)
+        seen.send_signal(signal.SIGINT)
+        assert seen.wait(TIMEOUT_S) == 130
+        os.close(near)
+        # Whoever looked has not touched it.
+        assert side.poll() is None
+        side.send_signal(signal.SIGINT)
+        side.wait(TIMEOUT_S)
+    assert b"master, Haptether" in screen
+    assert b"ALIGNING" in screen
+
+
+def test_nobody_there_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no socket")
+    for path, said in ((tmp_path / "none.sock", "nobody sends there"), (tmp_path / "file", "nobody sends there")):
+        seen = subprocess.run(watch(path), capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+        assert seen.returncode == 1
+        assert said in seen.stderr
+        assert seen.stderr.count("\n") == 1

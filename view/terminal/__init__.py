@@ -1,0 +1,1 @@
+"""A live side in a terminal."""

@@ -1,0 +1,208 @@
+"""What a side is doing, as its telemetry has said so far."""
+
+import math
+from collections import deque
+from typing import Any
+
+from msgspec import Struct
+
+from haptether.bridge import (
+    TelemetryCause,
+    TelemetryChange,
+    TelemetryCleared,
+    TelemetryEnd,
+    TelemetryHello,
+    TelemetryLost,
+    TelemetryMessage,
+    TelemetrySample,
+)
+
+OBSERVERS = {
+    "vfc": ("velocity_force", "S_vf"),
+    "hsc": ("grasp", "S_h"),
+    "wsc": ("windowed_energy_j", "E_wso [J]"),
+    "pc": ("energy_j", "E_so [J]"),
+}
+"""The signal of each controller's observer, and its symbol."""
+BITS = {"vfc": 1, "hsc": 2, "wsc": 4, "pc": 8, "held": 16}
+"""Of `tripped`."""
+SECOND_NS = 1_000_000_000
+MAX_SAMPLES = 120
+"""Of the last second, which are 60, and more where samples come late."""
+MAX_EVENTS = 64
+
+
+class Observer(Struct, frozen=True, kw_only=True):
+    """A controller, and what it watches."""
+
+    controller: str
+    symbol: str
+    value: float | None
+    """Of the last tick; none where it did not observe."""
+    worst: float | None
+    """Nearest to tripping, or furthest beyond, in the last second."""
+    threshold: float | None
+    """Beyond it the controller trips; none where the scene is not known."""
+    trips_above: bool
+    """Whether it trips above its threshold, and not below."""
+    tripped: bool
+    """In any tick of the last second."""
+
+    @property
+    def share(self) -> float | None:
+        """How far `worst` is on its way to the threshold: 0 to 1, and above 1 beyond it."""
+        if self.worst is None or self.threshold is None:
+            return None
+        if self.threshold == 0.0:
+            # An energy that must not fall below 0.
+            return 0.0 if self.worst > 0.0 else 1.0
+        return max(0.0, self.worst / self.threshold)
+
+
+class SideState:
+    """Takes the messages of a telemetry one by one; has the last values, and extremes of the last second.
+
+    Args:
+        hello: The first of them.
+    """
+
+    def __init__(self, hello: TelemetryHello) -> None:
+        self.hello = hello
+        self.side = hello.side
+        self.kinds = {signal.name: signal.kind for signal in hello.signals}
+        self.cause: TelemetryCause | None = None
+        """Why the two sides are not coupled; none while they are, or nothing was said."""
+        self.has_ended = False
+        """Whether the loop ended in good order."""
+        self.time_s = 0.0
+        """Of the last sample, since the run began."""
+        self.lost_ticks = 0
+        """That this reader was too slow for."""
+        self.dropped = 0
+        """Records that never reached the sender."""
+        self.ticks = 0
+        """That were seen."""
+        self.events: deque[tuple[float, str]] = deque(maxlen=MAX_EVENTS)
+        """The newest changes of the ladder and trips, with their times in s."""
+        self.events_seen = 0
+        """Those that are not kept any more among them."""
+        self._begun_s: float | None = None
+        self._samples: deque[TelemetrySample] = deque(maxlen=MAX_SAMPLES)
+
+    def take(self, message: TelemetryMessage) -> None:
+        """Takes the next message."""
+        match message:
+            case TelemetrySample():
+                self.time_s = message.time_ns * 1e-9
+                if self._begun_s is None:
+                    self._begun_s = self.time_s
+                self.ticks += message.ticks
+                self.dropped = message.dropped
+                self._samples.append(message)
+                while self._samples[0].time_ns < message.time_ns - SECOND_NS:
+                    self._samples.popleft()
+            case TelemetryChange(signal="state"):
+                self._note(message.time_ns, str(message.to))
+            case TelemetryChange(signal="tripped", from_=before, to=now):
+                new = [name for name, bit in BITS.items() if int(now) & bit and not int(before) & bit]
+                if new:
+                    self._note(message.time_ns, f"trip {' '.join(new)}")
+            case TelemetryCause():
+                self.cause = message
+                self._note(message.time_ns, f"{message.at}: {message.text}")
+            case TelemetryCleared():
+                self.cause = None
+            case TelemetryLost(ticks=ticks):
+                self.lost_ticks += ticks
+            case TelemetryEnd():
+                self.has_ended = True
+            case _:
+                pass
+
+    @property
+    def watched_s(self) -> float:
+        """From the first sample to the last, in s of the run."""
+        return 0.0 if self._begun_s is None else self.time_s - self._begun_s
+
+    def last(self, name: str) -> Any:  # noqa: ANN401  # by the kind of the signal
+        """The last value of a signal: a list of numbers of "axes"; none where it is not known."""
+        if not self._samples or name not in self.kinds:
+            return None
+        value = self._samples[-1].signals[name]
+        match self.kinds[name]:
+            case "axes":
+                return [axis[2] for axis in value]
+            case "number":
+                return value[2]
+            case "bits":
+                return value[1]
+            case _:
+                return value
+
+    def extremes(self, name: str) -> tuple[float, float] | None:
+        """Smallest and largest of a number in the last second; of axes of all of them; none where it is not known."""
+        if name not in self.kinds:
+            return None
+        of = [
+            axis
+            for sample in self._samples
+            for axis in (sample.signals[name] if self.kinds[name] == "axes" else [sample.signals[name]])
+        ]
+        low = [axis[0] for axis in of if axis[0] is not None]
+        high = [axis[1] for axis in of if axis[1] is not None]
+        return (min(low), max(high)) if low and high else None
+
+    def peak(self, name: str) -> float | None:
+        """Largest magnitude of a number, or of any axis, in the last second."""
+        extremes = self.extremes(name)
+        return None if extremes is None else max(abs(extremes[0]), abs(extremes[1]))
+
+    def norm(self, name: str) -> float | None:
+        """Of the last values of the axes."""
+        values = self.last(name)
+        return None if values is None or None in values else math.hypot(*values)
+
+    def observers(self) -> list[Observer]:
+        """The controllers of the scene; where it is not known, those that observe."""
+        safety = (self.hello.scene or {}).get("safety") or {}
+        thresholds = {
+            "vfc": 1.0,
+            "hsc": safety.get("grasp_threshold"),
+            "wsc": safety.get("energy_threshold_j"),
+            "pc": 0.0,
+        }
+        armed = safety.get("controllers")
+        bits = self._bits("tripped") | self._bits("rotation_tripped")
+        found = []
+        for name, (signal, symbol) in OBSERVERS.items():
+            extremes = self.extremes(signal)
+            if signal not in self.kinds or (extremes is None if armed is None else name not in armed):
+                continue
+            above = name in {"vfc", "hsc"}
+            found.append(
+                Observer(
+                    controller=name,
+                    symbol=symbol,
+                    value=self.last(signal),
+                    worst=None if extremes is None else extremes[1 if above else 0],
+                    threshold=thresholds[name] if safety else None,
+                    trips_above=above,
+                    tripped=bool(bits & BITS[name]),
+                )
+            )
+        return found
+
+    def is_held(self) -> bool:
+        """Whether an intervention was held on in the last second, as its hold-off and ramp do."""
+        return bool(self._bits("tripped") & BITS["held"])
+
+    def _note(self, time_ns: int, text: str) -> None:
+        self.events.append((time_ns * 1e-9, text))
+        self.events_seen += 1
+
+    def _bits(self, name: str) -> int:
+        bits = 0
+        if name in self.kinds:
+            for sample in self._samples:
+                bits |= int(sample.signals[name][0])
+        return bits
