@@ -8,6 +8,7 @@ from tests.faults import clocks, drivers, grippers, hostile, machine, numbers, p
 from tests.faults.rows import Row
 from tests.faults.running import Process, Recorded, Stage
 from tests.faults.signals import ENGAGED, HOLD, STOP, Ticks
+from tests.ur.stalls import anew_after_stalls
 
 pytestmark = pytest.mark.live
 
@@ -61,6 +62,7 @@ SERVOS = servos.rows(patient=True)
 
 
 @pytest.mark.parametrize("measure", SERVOS, ids=names(SERVOS))
+@anew_after_stalls
 def test_servos_that_fail(measure: Callable[[], Row]) -> None:
     judge(measure())
 
