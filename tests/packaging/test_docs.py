@@ -46,6 +46,47 @@ def test_the_scene_of_the_readme_can_be_built(tmp_path: Path) -> None:
     assert load_scene(tmp_path / "scene.toml").record is not None
 
 
+SCENES = [
+    (page.name, text)
+    for page in PAGES
+    for text in re.findall(r"```toml\n(.*?)```", page.read_text(), re.DOTALL)
+    if text.startswith("schema = ")
+]
+
+
+@pytest.mark.parametrize(("page", "text"), SCENES, ids=[page for page, _ in SCENES])
+def test_scenes_in_documents_can_be_built(page: str, text: str, tmp_path: Path) -> None:
+    from haptether.bridge import load_scene
+
+    (tmp_path / "scene.toml").write_text(text)
+    assert load_scene(tmp_path / "scene.toml").schema == 1, page
+
+
+def test_the_arm_of_the_page_is_the_one_that_is_emulated() -> None:
+    from haptether.dynamixel.description import load_arm
+
+    text = dict(SCENES)["dynamixel.md"]
+    joints = load_arm("gello-ur").joints
+    assert f"offsets = {[round(joint.offset_rad) for joint in joints]} " in text
+    assert f"signs = {[joint.sign for joint in joints]}" in text
+
+
+def test_the_readme_names_the_commands_without_json() -> None:
+    from haptether.cli.entry import COMMANDS, GROUPS
+
+    (sentence,) = re.findall(
+        r"Every command takes `--json PATH`.*?\.(?= Exit)", (ROOT / "README.md").read_text(), re.DOTALL
+    )
+    named = set(re.findall(r"`([a-z -]+)`", sentence)) - {"-"}
+    without = {
+        name if group == "" else f"{group} {name}"
+        for group, commands in {"": COMMANDS, **GROUPS}.items()
+        for name, command in commands.items()
+        if name not in GROUPS and not hasattr(command, "json")
+    }
+    assert {f"dynamixel {name}" if name == "calibrate" else name for name in named} == without
+
+
 def test_commands_of_the_readme_exist() -> None:
     shown = re.findall(
         r"^haptether ((?:netsim )?[a-z0-9-]+)(.*?)(?:#|$)", (ROOT / "README.md").read_text(), re.MULTILINE
