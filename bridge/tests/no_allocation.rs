@@ -455,8 +455,11 @@ fn a_tick_of_a_loop_that_is_looked_at_allocates_nothing() {
     };
     let socket = PeerSocket::bind("127.0.0.1:0".parse().unwrap(), PeerAddress::Learned).unwrap();
     let path = std::env::temp_dir().join(format!("haptether-no-allocation-{}", std::process::id()));
-    let telemetry =
-        Telemetry::begin(&TelemetrySettings { path: path.clone(), security: SecurityMark::Insecure });
+    let telemetry = Telemetry::begin(&TelemetrySettings {
+        path: path.clone(),
+        security: SecurityMark::Insecure,
+        scene: String::new(),
+    });
     let outputs = RecordOutputs { recorder: None, telemetry: Some(telemetry.unwrap()) };
     let mut reader = UnixStream::connect(&path).unwrap();
     let (mut paced, mut watch, _records) =
