@@ -92,7 +92,7 @@ def test_commands_of_the_readme_exist() -> None:
         r"^haptether ((?:netsim )?[a-z0-9-]+)(.*?)(?:#|$)", (ROOT / "README.md").read_text(), re.MULTILINE
     )
     assert {name for name, _ in shown} == {
-        "demo", "paper", "raven", "simulate", "sweep", "slave", "netsim list", "netsim sample", "netsim proxy",
+        "demo", "paper", "raven", "simulate", "sweep", "view", "slave", "netsim list", "netsim sample", "netsim proxy",
         "master", "keygen", "list", "explain", "check-link", "ur-emulator", "dynamixel-emulator", "inverse3-emulator",
         "check-device", "identify", "new-driver", "info", "plot", "export", "watch",
         "netsim set", "netsim echo", "netsim record", "netsim compare",

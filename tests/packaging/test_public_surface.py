@@ -25,7 +25,7 @@ MAY_IMPORT = {
     "slave": frozenset({"dynamixel"}),
     "bridge": frozenset({"safety", "netsim", "dynamixel", "master", "slave"}),
     "studies": frozenset(CRATES),
-    "view": frozenset({"bridge"}),
+    "view": frozenset({"bridge", "slave", "master"}),
 }
 ROOMS = tuple(room for room in MAY_IMPORT if (PACKAGE / room).exists())
 
@@ -36,7 +36,7 @@ CLOCK = re.compile(
     r"|\bnanosleep\b|\bthread::sleep\b|\bsleep(_ms|_until)?\s*\("
 )
 
-HEAVY = ("casadi", "matplotlib", "pyvista", "scipy")
+HEAVY = ("casadi", "matplotlib", "pyvista", "scipy", "vtkmodules")
 
 
 @pytest.mark.parametrize("module", ["haptether", *(f"haptether.{room}" for room in ROOMS)])

@@ -48,6 +48,7 @@ from haptether.cli.scene.simulate import Simulate
 from haptether.cli.scene.sweep import Sweep
 from haptether.cli.shared.numbers import NUMBERS
 from haptether.cli.shared.output import QueuedOutput, queued_output
+from haptether.cli.view.view import View
 from haptether.cli.view.watch import Watch
 from haptether.printable import printable
 
@@ -65,6 +66,7 @@ COMMANDS: dict[str, type[Any]] = {
     "raven": Raven,
     "simulate": Simulate,
     "sweep": Sweep,
+    "view": View,
     "master": Master,
     "slave": Slave,
     "netsim": Netsim,
@@ -321,16 +323,17 @@ def with_backward(arguments: Sequence[str]) -> list[str]:
 def with_overrides(arguments: Sequence[str]) -> list[str]:
     """The arguments of a command that runs a scene with each `--table.key value` as `--set table.key=value`.
 
-    Several values after one `--set` or `--vary`, and of a command that opens a driver after `--options`, get one each.
+    Several values after one `--set`, `--vary` or `--compare`, and of a command that opens a driver after `--options`,
+    get one each.
     """
     if arguments and arguments[0] in SCENE_COMMANDS:
-        return _with_assignments(arguments, TABLE_KEY, "--set", ("--set", "--vary"))
+        return _with_assignments(arguments, TABLE_KEY, "--set", ("--set", "--vary", "--compare"))
     if arguments and arguments[0] in DRIVER_COMMANDS:
         return _with_assignments(arguments, None, "--options", ("--options",))
     return list(arguments)
 
 
-SCENE_COMMANDS = {"simulate", "sweep"}
+SCENE_COMMANDS = {"simulate", "sweep", "view"}
 DRIVER_COMMANDS = {"check-device", "identify"}
 TABLE_KEY = re.compile(r"--(.*\..*)", re.DOTALL)
 BACKWARD = re.compile(r"--backward\.(.*)", re.DOTALL)

@@ -1,0 +1,289 @@
+"""`haptether view`."""
+
+import re
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from haptether.bridge import Run, Scene
+    from haptether.view import Description
+
+MAX_FRAMES = 20_000
+RECORDING = ".mcap"
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """Show a run in three dimensions: hand and robot, what they touch, forces, trails, observers and a time line.
+
+    WHAT is the name of a scene that comes with Haptether, the path of a TOML file, which are run first, or a recording
+    (.mcap). Without --screenshot, --movie or --html it opens a window, whose keys `?` lists; those three need no
+    display. Exit status 2 says that the request cannot be met, as where there is no OpenGL.
+
+    Examples:
+
+    haptether view remote_push
+
+    haptether view ur_pick --camera corner --at-s 4 --screenshot ur_pick.png
+
+    haptether view remote_push --compare safety.controllers=[] --from-s 2 --speed 0.25 --movie push.gif
+
+    haptether view peg_in_hole --html peg.html
+    """
+
+    what: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="RUN|SCENE")] = None
+    """Name of a shipped scene, path of a TOML file, or of a recording."""
+    set: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(metavar="TABLE.KEY=VALUE"),
+    ] = ()
+    """Change a field of the scene; may be given often."""
+    compare: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(metavar="TABLE.KEY=VALUE"),
+    ] = ()
+    """Run the scene once more with this field changed, and show both side by side; may be given often, for one more
+    run with all of the changes."""
+    title: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TEXT")] = ()
+    """What stands above a run instead of its name; once for each."""
+    at_s: float | None = None
+    """Time in s of the screenshot, or where the window begins; by default the middle of the run."""
+    screenshot: Annotated[Path | None, tyro.conf.arg(metavar="FILE.png")] = None
+    """Write a picture."""
+    movie: Annotated[Path | None, tyro.conf.arg(metavar="FILE.gif|FILE.mp4")] = None
+    """Write a film; .mp4 needs ffmpeg."""
+    html: Annotated[Path | None, tyro.conf.arg(metavar="FILE.html")] = None
+    """Write a page that plays and turns by itself, without a network."""
+    from_s: float | None = None
+    """Where a film or a page begins, in s; by default with the run."""
+    until_s: float | None = None
+    """Where it ends, in s; by default with the run."""
+    speed: float = 1.0
+    """Of a film: 0.25 takes four times as long as the run did."""
+    fps: float = 25.0
+    """Frames a second of a film or a page, 1 to 60."""
+    size: Annotated[str, tyro.conf.arg(metavar="WxH")] = "1280x720"
+    """Width and height in pixels."""
+    camera: Literal["front", "side", "top", "corner"] = "front"
+    """Where from one looks."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write as JSON what is shown and what is not; - for standard output."""
+
+    def run(self) -> int:
+        """Shows it, or writes it."""
+        from haptether.bridge import SceneError
+        from haptether.cli.shared.output import check_distinct, check_target
+        from haptether.cli.shared.screen import screen
+        from haptether.view.film import require_film
+        from haptether.view.picture.gl import require_gl
+
+        if self.what is None:
+            message = "which run? Name a scene of `haptether simulate --list`, a TOML file, or a recording (.mcap)"
+            raise SceneError(message)
+        size = size_of(self.size)
+        if len(self.title) > (most := 1 + bool(self.compare)):
+            message = f"--title: given {len(self.title)} times, must be once for each of {most}"
+            raise ValueError(message)
+        self._check_numbers()
+        files = {"screenshot": self.screenshot, "movie": self.movie, "html": self.html, "json": self.json}
+        check_distinct(**files)
+        check_target(*files.values())
+        for path, ending in ((self.screenshot, ".png"), (self.html, ".html")):
+            if path is not None and path.suffix != ending:
+                message = f"{path}: must end in {ending}"
+                raise ValueError(message)
+        if self.movie is not None:
+            require_film(self.movie)
+        if self.screenshot is not None or self.movie is not None or not self._writes:
+            require_gl(window=not self._writes)
+        described = self._described()
+        self._check_times(described)
+        console = screen(self.json)
+        for note in dict.fromkeys(note for one in described for note in one.notes):
+            console.print(f"note: {note}")
+        if not self._writes:
+            self._show(described, size)
+        if self.screenshot is not None or self.movie is not None:
+            self._draw(described, size)
+        if self.html is not None:
+            self._write_page(described)
+        for name, path in files.items():
+            if path is not None and name != "json":
+                console.print(f"{name}: {path}")
+        self._report(described)
+        return 0
+
+    @property
+    def _writes(self) -> bool:
+        return any(path is not None for path in (self.screenshot, self.movie, self.html))
+
+    def _check_numbers(self) -> None:
+        if not 1.0 <= self.fps <= 60.0:
+            message = f"--fps {self.fps:g}: must be 1 to 60"
+            raise ValueError(message)
+        if not 1e-3 <= self.speed <= 100.0:
+            message = f"--speed {self.speed:g}: must be 0.001 to 100"
+            raise ValueError(message)
+
+    def _described(self) -> "list[Description]":
+        """What is seen of each run."""
+        from haptether.cli.scene.simulate import spinner
+        from haptether.view import describe_beside
+
+        assert self.what is not None
+        if self.what.endswith(RECORDING):
+            if self.set or self.compare:
+                message = f"{self.what}: --set and --compare change scenes, not recordings"
+                raise ValueError(message)
+            with spinner(f"reading {self.what}"):
+                run, scene = recorded(Path(self.what))
+                return describe_beside([(run, scene, "")])
+        with spinner(f"running {self.what}"):
+            runs = [simulated(self.what, self.set)]
+            titles = [""]
+            if self.compare:
+                runs.append(simulated(self.what, (*self.set, *self.compare)))
+                titles = [", ".join(self.set) or "as the scene says", ", ".join(self.compare)]
+            titles = [*self.title, *titles[len(self.title) :]]
+            return describe_beside([(run, scene, title) for (run, scene), title in zip(runs, titles, strict=True)])
+
+    def _check_times(self, described: "list[Description]") -> None:
+        begin_s, end_s = bounds(described)
+        for option, time_s in (("--at-s", self.at_s), ("--from-s", self.from_s), ("--until-s", self.until_s)):
+            if time_s is not None and not begin_s <= time_s <= end_s:
+                message = f"{option} {time_s:g}: must be within the run, {begin_s:g} to {end_s:g} s"
+                raise ValueError(message)
+        begin_s, end_s = self._span(described)
+        if begin_s >= end_s and (self.from_s is not None or self.until_s is not None):
+            message = f"--from-s {begin_s:g}: must be before --until-s {end_s:g}"
+            raise ValueError(message)
+        frames = (end_s - begin_s) * self.fps / self.speed
+        if (self.movie is not None or self.html is not None) and frames > MAX_FRAMES:
+            message = f"{frames:.0f} frames: must be at most {MAX_FRAMES}; give --from-s, --until-s, --fps or --speed"
+            raise ValueError(message)
+
+    def _span(self, described: "list[Description]") -> tuple[float, float]:
+        begin_s, end_s = bounds(described)
+        return begin_s if self.from_s is None else self.from_s, end_s if self.until_s is None else self.until_s
+
+    def _at(self, described: "list[Description]") -> float:
+        return 0.5 * sum(bounds(described)) if self.at_s is None else self.at_s
+
+    def _show(self, described: "list[Description]", size: tuple[int, int]) -> None:
+        from haptether.view.window import Window
+
+        Window(described, size=size, camera=self.camera, at_s=self.at_s).show()
+
+    def _draw(self, described: "list[Description]", size: tuple[int, int]) -> None:
+        from haptether.view.film import frame_times, write_film, write_picture
+        from haptether.view.picture.picture import Picture
+
+        with Picture(described, size=size, camera=self.camera) as picture:
+            if self.screenshot is not None:
+                write_picture(self.screenshot, picture.image(self._at(described)))
+            if self.movie is not None:
+                times_s = frame_times(*self._span(described), self.fps, self.speed)
+                with progress(len(times_s)) as done:
+                    write_film(self.movie, picture.image, times_s, self.fps, done)
+
+    def _write_page(self, described: "list[Description]") -> None:
+        from haptether.view.film import frame_times
+        from haptether.view.page.page import write_page
+
+        assert self.html is not None
+        times_s = frame_times(*self._span(described), self.fps, 1.0)
+        with progress(len(times_s)) as done:
+            write_page(self.html, described, times_s, camera=self.camera, progress=done)
+
+    def _report(self, described: "list[Description]") -> None:
+        from haptether import __version__
+        from haptether.cli.shared.output import write_report
+
+        rows = [
+            {
+                "title": one.title,
+                "begin_s": one.timeline.begin_s,
+                "end_s": one.timeline.end_s,
+                "parts": [part.name for part in one.parts],
+                "metres_per_newton": {arrow.name: arrow.scale for arrow in one.arrows},
+                "events": [{"time_s": mark.time_s, "kind": mark.kind} for mark in one.timeline.marks],
+                "trips": one.timeline.trips,
+                "notes": one.notes,
+            }
+            for one in described
+        ]
+        write_report(self.json, {"version": __version__, "shown": self.what, "runs": rows})
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """Width and height in pixels of `WxH`.
+
+    Raises:
+        ValueError: Another form, or beyond what can be drawn.
+    """
+    from haptether.view.picture.layout import LARGEST_SIZE, LEAST_SIZE
+
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    size = (int(found[1]), int(found[2])) if found else (0, 0)
+    if not all(low <= pixels <= high for low, pixels, high in zip(LEAST_SIZE, size, LARGEST_SIZE, strict=True)):
+        least, largest = ("x".join(map(str, of)) for of in (LEAST_SIZE, LARGEST_SIZE))
+        message = f"--size {text[:20]}: must be WxH in pixels, {least} to {largest}"
+        raise ValueError(message)
+    return size
+
+
+def simulated(what: str, overrides: tuple[str, ...]) -> "tuple[Run, Scene]":
+    """A scene that is run, with its signals kept even if it keeps none."""
+    from haptether.bridge import load_scene, simulate
+
+    scene = load_scene(what, overrides)
+    kept = overrides if scene.record is not None else (*overrides, "record.every=1")
+    return simulate(what, overrides=kept), scene
+
+
+def recorded(path: Path) -> "tuple[Run, Scene | None]":
+    """A recording, and the scene that it names if it is here.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: This version reads no recordings.
+    """
+    import haptether
+    from haptether.bridge import SceneError, load_scene
+
+    if not path.is_file():
+        message = f"{path}: no such file"
+        raise ValueError(message)
+    load: Callable[[Path], Run] | None = getattr(haptether, "load", None)
+    if load is None:
+        message = f"{path}: this version of Haptether has no `haptether.load`, so it shows scenes only"
+        raise ValueError(message)
+    run = load(path)
+    try:
+        return run, load_scene(run.scene)
+    except (SceneError, OSError):
+        return run, None
+
+
+def bounds(described: "list[Description]") -> tuple[float, float]:
+    """When the first of them begins and the last ends, in s."""
+    return min(one.timeline.begin_s for one in described), max(one.timeline.end_s for one in described)
+
+
+@contextmanager
+def progress(frames: int) -> "Iterator[Callable[[int], None]]":
+    """Says on standard error how many frames are done."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    from haptether.cli.shared.screen import Screen
+
+    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Screen(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=frames)
+        yield lambda done: bar.update(task, completed=done)

@@ -1,0 +1,93 @@
+"""Whether there is an OpenGL to draw with, asked before VTK is: it would end the process, or draw nothing."""
+
+import ctypes
+import importlib.util
+import os
+import sys
+
+PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"
+"""Of Debian and Ubuntu: EGL, and Mesa's, which draws on the processor where there is no graphics card."""
+WINDOW_PACKAGES = "libgl1 libglx-mesa0"
+
+MOST_DEVICES = 16
+PLATFORM_DEVICE = 0x313F
+"""EGL_PLATFORM_DEVICE_EXT."""
+
+
+class NoGlError(ValueError):
+    """Nothing to draw with."""
+
+
+def loads(library: str) -> bool:
+    """Whether a shared library is there."""
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
+
+
+def egl_draws() -> bool:
+    """Whether EGL has a device that begins: its library alone is a dispatcher, on which VTK would crash."""
+    try:
+        egl = ctypes.CDLL("libEGL.so.1")
+    except OSError:
+        return False
+    pointer, integer = ctypes.c_void_p, ctypes.c_int
+    egl.eglGetProcAddress.restype = pointer
+    egl.eglGetProcAddress.argtypes = [ctypes.c_char_p]
+    egl.eglInitialize.argtypes = [pointer, pointer, pointer]
+    egl.eglTerminate.argtypes = [pointer]
+    query_at = egl.eglGetProcAddress(b"eglQueryDevicesEXT")
+    display_at = egl.eglGetProcAddress(b"eglGetPlatformDisplayEXT")
+    if not query_at or not display_at:
+        return False
+    query = ctypes.CFUNCTYPE(ctypes.c_uint, integer, ctypes.POINTER(pointer), ctypes.POINTER(integer))(query_at)
+    display_of = ctypes.CFUNCTYPE(pointer, ctypes.c_uint, pointer, pointer)(display_at)
+    devices, count = (pointer * MOST_DEVICES)(), integer()
+    if not query(MOST_DEVICES, devices, ctypes.byref(count)):
+        return False
+    for device in devices[: count.value]:
+        display = display_of(PLATFORM_DEVICE, device, None)
+        if display and egl.eglInitialize(display, None, None):
+            egl.eglTerminate(display)
+            return True
+    return False
+
+
+def has_display() -> bool:
+    """Whether a window has a screen."""
+    return sys.platform in {"win32", "darwin"} or bool(os.environ.get("DISPLAY"))
+
+
+def require_gl(*, window: bool = False) -> None:
+    """Has VTK draw without a display where there is none.
+
+    Args:
+        window: Whether a window is wanted, which needs a display.
+
+    Raises:
+        ImportError: PyVista is not installed.
+        NoGlError: No display for a window, or no OpenGL, with the packages that bring it.
+    """
+    if importlib.util.find_spec("pyvista") is None:
+        message = "the view needs PyVista: install haptether[view]"
+        raise ImportError(message)
+    if window and not has_display():
+        message = "no display (DISPLAY is not set), so no window: give --screenshot, --movie or --html"
+        raise NoGlError(message)
+    if sys.platform != "linux":
+        return
+    if window:
+        if not loads("libGL.so.1"):
+            message = f"no OpenGL (libGL.so.1 cannot be loaded): on Debian or Ubuntu install {WINDOW_PACKAGES}"
+            raise NoGlError(message)
+        return
+    if egl_draws():
+        # Asked for by name: VTK would first try an X server, and complain that there is none.
+        os.environ["VTK_DEFAULT_OPENGL_WINDOW"] = "vtkEGLRenderWindow"
+    elif loads("libOSMesa.so.8"):
+        os.environ["VTK_DEFAULT_OPENGL_WINDOW"] = "vtkOSOpenGLRenderWindow"
+    else:
+        message = f"no OpenGL (EGL has no device that begins): on Debian or Ubuntu install {PACKAGES}"
+        raise NoGlError(message)

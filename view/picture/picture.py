@@ -1,0 +1,307 @@
+"""One picture of a time: both ends of each run in three dimensions, with the bands of text around them."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any, Final, Self, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from haptether.view.picture.bands import Bands, Pixels, caption
+from haptether.view.picture.gl import PACKAGES, NoGlError, require_gl
+from haptether.view.picture.layout import Column, Rectangle, layout, letter_of
+from haptether.view.scene3d import colours
+from haptether.view.scene3d.description import Description
+from haptether.view.scene3d.parts import Part, Station, Trail
+
+Array = npt.NDArray[np.float64]
+
+CAMERAS: Final = {
+    "front": (0.18, -1.0, 0.42),
+    "side": (1.0, -0.25, 0.3),
+    "top": (0.0, -0.02, 1.0),
+    "corner": (0.85, -0.85, 0.6),
+}
+"""Where from one looks, by the keys 1 to 4."""
+VIEW_ANGLE = 28.0
+"""Of the camera, in degrees."""
+ROOM = 1.06
+"""Between what is seen and the edge of its view."""
+SAMPLES = 4
+"""Of each pixel of a picture or film, for smooth edges."""
+MOST_TRAIL_POINTS = 500
+
+
+class Picture:
+    """Draws descriptions of runs side by side.
+
+    Args:
+        described: Of `describe`, or of `describe_beside` for several.
+        size: Width and height in pixels.
+        camera: One of `CAMERAS`.
+        window: Whether it is shown in a window; else it is drawn without a display.
+
+    Raises:
+        NoGlError: There is no OpenGL to draw with.
+        ImportError: PyVista is not installed.
+        ValueError: No such camera.
+    """
+
+    def __init__(
+        self, described: Sequence[Description], *,
+        size: tuple[int, int] = (1280, 720), camera: str = "front", window: bool = False,
+    ) -> None:  # fmt: skip
+        require_gl(window=window)
+        import pyvista
+
+        self.described = tuple(described)
+        self.size = size
+        self.plotter = cast(
+            "Any",
+            pyvista.Plotter(
+                shape=(1, 2 * len(self.described)),
+                off_screen=not window,
+                window_size=list(size),
+                border=False,
+                lighting="none",
+            ),
+        )
+        # A window has to keep up: drawn by the processor, smooth edges cost more than half of the frames.
+        self.plotter.render_window.SetMultiSamples(0 if window else SAMPLES)
+        if not window and not self.plotter.render_window.SupportsOpenGL():
+            message = f"OpenGL does not draw here: on Debian or Ubuntu install {PACKAGES}"
+            raise NoGlError(message)
+        # Of all views.
+        self.plotter.add_light(pyvista.Light(light_type="headlight", intensity=0.48))
+        self.plotter.add_light(pyvista.Light(position=(-0.7, 1.0, 1.0), light_type="camera light", intensity=0.7))
+        self.time_s = self.described[0].timeline.begin_s
+        self._actors: list[tuple[Part, Any]] = []
+        self._trails: list[tuple[Trail, Any, Any]] = []
+        for number, one in enumerate(self.described):
+            for place, station in enumerate(STATIONS):
+                self._fill(one, station, 2 * number + place)
+        self._boards: dict[str, _Board] = {}
+        self._overlay = self._add_overlay()
+        self.camera = _checked(camera)
+        self.lay_out(size)
+
+    def lay_out(self, size: tuple[int, int]) -> None:
+        """Fits everything to a size in pixels."""
+        self.size = size
+        self.columns = layout(size, len(self.described))
+        letter = letter_of(size, len(self.described))
+        self.bands = [Bands(one, column, letter) for one, column in zip(self.described, self.columns, strict=True)]
+        width, height = size
+        for number, column in enumerate(self.columns):
+            for place, station in enumerate(STATIONS):
+                view = column.views[station]
+                self.plotter.renderers[2 * number + place].SetViewport(
+                    view.left / width,
+                    1.0 - (view.top + view.height) / height,
+                    (view.left + view.width) / width,
+                    1.0 - view.top / height,
+                )
+        for number, column in enumerate(self.columns[1:]):
+            self._show_seam(f"seam {number}", Rectangle(column.head.left - 4, 0, 4, height))
+        if len(self.columns) == 1:
+            hand, robot = self.columns[0].captions["hand"], self.columns[0].views["robot"]
+            self._show_seam(
+                "seam", Rectangle(hand.width, hand.top, robot.left - hand.width, hand.height + robot.height)
+            )
+        for number, (band, column) in enumerate(zip(self.bands, self.columns, strict=True)):
+            self._show_band(f"head {number}", column.head, band.head())
+            for station in STATIONS:
+                shown = caption(
+                    self.described[number],
+                    station,
+                    column.captions[station],
+                    letter,
+                    self._pixels_per_metre(number, station),
+                )
+                self._show_band(f"{station} {number}", column.captions[station], shown)
+        self.look(self.camera)
+
+    def look(self, camera: str) -> None:
+        """Looks from one of `CAMERAS`.
+
+        Raises:
+            ValueError: There is no such one.
+        """
+        self.camera = _checked(camera)
+        direction = _unit(np.array(CAMERAS[camera]))
+        for number, (one, column) in enumerate(zip(self.described, self.columns, strict=True)):
+            for place, station in enumerate(STATIONS):
+                centre = 0.5 * np.add(*one.views[station])
+                at = self.plotter.renderers[2 * number + place].camera
+                at.view_angle = VIEW_ANGLE
+                at.focal_point = tuple(centre)
+                at.position = tuple(centre + direction * self._distance(one, station, column))
+                at.up = (0.0, 1.0, 0.0) if camera == "top" else (0.0, 0.0, 1.0)
+                self.plotter.renderers[2 * number + place].ResetCameraClippingRange()
+
+    def update(self, time_s: float, note: str = "") -> None:
+        """Puts everything where it is at a time in s, without drawing it.
+
+        Args:
+            time_s: Which time.
+            note: What is said at its foot besides.
+        """
+        self.time_s = time_s
+        for part, actor in self._actors:
+            at = part.pose(time_s)
+            is_seen = at is not None and bool(np.isfinite(at).all())
+            actor.SetVisibility(is_seen)
+            if is_seen:
+                actor.user_matrix = at
+        for trail, line, actor in self._trails:
+            points = trail.until(time_s)
+            actor.SetVisibility(len(points) > 1)
+            if len(points) > 1:
+                step = max(1, len(points) // MOST_TRAIL_POINTS)
+                kept = np.concatenate([points[:-1:step], points[-1:]])
+                line.points = kept
+                line.lines = np.array([len(kept), *range(len(kept))])
+        for number, (band, column) in enumerate(zip(self.bands, self.columns, strict=True)):
+            self._show_band(f"foot {number}", column.foot, band.foot(time_s, note))
+
+    def image(self, time_s: float) -> Pixels:
+        """The picture of a time in s, (height, width, 3)."""
+        self.update(time_s)
+        from vtkmodules.util.numpy_support import vtk_to_numpy
+        from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
+
+        # A screenshot of PyVista's would draw it once more.
+        self.plotter.render_window.Render()
+        width, height = self.plotter.render_window.GetSize()
+        pixels = vtkUnsignedCharArray()
+        self.plotter.render_window.GetPixelData(0, 0, width - 1, height - 1, 0, pixels, 0)
+        rows: Pixels = vtk_to_numpy(pixels).reshape(height, width, 3)  # type: ignore[no-untyped-call]
+        return rows[::-1].copy()
+
+    def time_at(self, x: float, y: float) -> float | None:
+        """The time in s at a pixel of a time line, from the upper left; none elsewhere."""
+        return next((time_s for band in self.bands if (time_s := band.time_at(x, y)) is not None), None)
+
+    def close(self) -> None:
+        """Gives up what the graphics hold."""
+        self.plotter.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _fill(self, one: Description, station: Station, place: int) -> None:
+        import pyvista
+
+        self.plotter.subplot(0, place)
+        self.plotter.set_background(colours.GROUND, top="#ffffff", all_renderers=False)
+        for part in one.parts:
+            if part.station != station:
+                continue
+            faces = np.insert(part.mesh.triangles, 0, 3, axis=1)
+            surface = pyvista.PolyData(part.mesh.points, faces.ravel())
+            surface.point_data["Normals"] = part.mesh.normals
+            surface.GetPointData().SetActiveNormals("Normals")
+            # Arrows are signs, whose colour must be seen from every side.
+            is_sign = any(part.name.startswith(arrow.name) for arrow in one.arrows)
+            actor = pyvista.Actor(mapper=pyvista.DataSetMapper(surface))
+            actor.mapper.scalar_visibility = False
+            look = actor.prop
+            look.color, look.opacity, look.interpolation = part.colour, part.opacity, "gouraud"
+            look.ambient, look.diffuse = (0.6, 0.45) if is_sign else (0.38, 0.68)
+            look.specular, look.specular_power = (0.0, 1.0) if is_sign else (0.12, 25.0)
+            self.plotter.add_actor(actor, reset_camera=False)
+            self._actors.append((part, actor))
+        for trail in one.trails:
+            if trail.station == station:
+                line = pyvista.PolyData(np.zeros((2, 3)), lines=np.array([2, 0, 1]))
+                actor = self.plotter.add_mesh(
+                    line,
+                    color=trail.colour,
+                    line_width=3,
+                    lighting=False,
+                    render_lines_as_tubes=True,
+                    reset_camera=False,
+                )
+                self._trails.append((trail, line, actor))
+
+    def _add_overlay(self) -> Any:  # noqa: ANN401  # VTK has no types
+        from vtkmodules.vtkRenderingCore import vtkRenderer
+
+        overlay = vtkRenderer()
+        overlay.SetLayer(1)
+        overlay.InteractiveOff()
+        self.plotter.render_window.SetNumberOfLayers(2)
+        self.plotter.render_window.AddRenderer(overlay)
+        return overlay
+
+    def _show_band(self, name: str, rectangle: Rectangle, pixels: Pixels) -> None:
+        if name not in self._boards:
+            self._boards[name] = _Board(self._overlay)
+        bottom = self.size[1] - rectangle.top - rectangle.height
+        self._boards[name].show(pixels, rectangle.left, bottom)
+
+    def _show_seam(self, name: str, rectangle: Rectangle) -> None:
+        seam = np.full((rectangle.height, rectangle.width, 3), 0xD5, dtype=np.uint8)
+        self._show_band(name, rectangle, seam)
+
+    def _distance(self, one: Description, station: Station, column: Column) -> float:
+        """Of the camera, in m, from which all is seen."""
+        back, view = _unit(np.array(CAMERAS[self.camera])), column.views[station]
+        right = _unit(np.cross([0.0, 0.0, 1.0], back))
+        up, slope = np.cross(back, right), math.tan(math.radians(0.5 * VIEW_ANGLE))
+        corners = np.array(list(itertools.product(*zip(*one.views[station], strict=True))))
+        from_centre = corners - corners.mean(axis=0)
+        reach = np.maximum(np.abs(from_centre @ up), np.abs(from_centre @ right) * view.height / view.width)
+        return float((from_centre @ back + ROOM * reach / slope).max())
+
+    def _pixels_per_metre(self, number: int, station: Station) -> float:
+        """In the middle of a view."""
+        one, column = self.described[number], self.columns[number]
+        seen_m = 2.0 * self._distance(one, station, column) * math.tan(math.radians(0.5 * VIEW_ANGLE))
+        return column.views[station].height / seen_m
+
+
+STATIONS: Final[tuple[Station, Station]] = ("hand", "robot")
+
+
+def _checked(camera: str) -> str:
+    if camera not in CAMERAS:
+        message = f"camera {camera!r}: must be one of {', '.join(CAMERAS)}"
+        raise ValueError(message)
+    return camera
+
+
+def _unit(vector: Array) -> Array:
+    return vector / np.linalg.norm(vector)
+
+
+class _Board:
+    """Pixels on the screen."""
+
+    def __init__(self, renderer: Any) -> None:  # noqa: ANN401  # VTK has no types
+        from vtkmodules.vtkCommonDataModel import vtkImageData
+        from vtkmodules.vtkRenderingCore import vtkActor2D, vtkImageMapper
+
+        self._image = vtkImageData()
+        mapper = vtkImageMapper()
+        mapper.SetInputData(self._image)
+        mapper.SetColorWindow(255.0)
+        mapper.SetColorLevel(127.5)
+        self._actor = vtkActor2D()
+        self._actor.SetMapper(mapper)
+        renderer.AddViewProp(self._actor)
+
+    def show(self, pixels: Pixels, left: int, bottom: int) -> None:
+        """Puts pixels, (height, width, 3), at a place in pixels from the lower left."""
+        from vtkmodules.util.numpy_support import numpy_to_vtk
+
+        height, width, _ = pixels.shape
+        flipped = np.ascontiguousarray(pixels[::-1]).reshape(-1, 3)
+        self._image.SetDimensions(width, height, 1)
+        self._image.GetPointData().SetScalars(numpy_to_vtk(flipped, deep=True))  # type: ignore[no-untyped-call]
+        self._image.Modified()
+        self._actor.SetPosition(left, bottom)

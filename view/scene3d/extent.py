@@ -1,0 +1,145 @@
+"""How large things are drawn: by what a run, or several side by side, moves through."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from haptether.bridge import Box, Run, Scene, Signals, Sphere
+
+Array = npt.NDArray[np.float64]
+
+LEAST_M = 0.04
+"""Of a run in which next to nothing moves."""
+ARROW_SHARE = 0.62
+"""Length of the largest force over the size of its end."""
+FORCES = {
+    "hand": ("device_force", "hand_force", "grasp_force", "safety_force"),
+    "robot": ("environment_force",),
+}
+TORQUES = {
+    "hand": ("device_torque", "hand_torque", "grasp_torque", "safety_torque"),
+    "robot": ("environment_torque",),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Extent:
+    """Of one end."""
+
+    low: Array
+    """Lower corner of what moves or is touched, (3,) in m."""
+    high: Array
+    """Upper corner."""
+    size: float
+    """Largest side in m."""
+    metres_per_newton: float
+    metres_per_newton_metre: float
+
+    @property
+    def centre(self) -> Array:
+        """(3,) in m."""
+        return 0.5 * (self.low + self.high)
+
+
+def points_of(values: npt.NDArray[np.float64]) -> Array:
+    """Positions or forces of 1 to 3 axes as (n, 3); an axis that there is not is 0."""
+    columns = np.asarray(values, dtype=np.float64)
+    columns = columns.reshape(len(columns), -1)[:, :3]
+    return np.pad(columns, ((0, 0), (0, 3 - columns.shape[1])))
+
+
+def vector_of(value: float | Sequence[float] | None, axes: int) -> Array:
+    """A number for every axis, or one each, of a scene, as (3,)."""
+    given = np.zeros(axes) if value is None else np.broadcast_to(np.asarray(value, dtype=np.float64), axes)
+    return np.pad(given[:3], (0, max(0, 3 - axes)))
+
+
+def axes_of(signals: Signals) -> int:
+    """How many axes were recorded."""
+    position = signals["position"]
+    return 1 if position.ndim == 1 else int(position.shape[1])
+
+
+def extents(of: Sequence[tuple[Run, Scene | None]]) -> dict[str, Extent]:
+    """Of both ends, the same for all runs that stand side by side."""
+    return {
+        "hand": _extent("hand", [_hand_points(run.signals, scene) for run, scene in of], of),
+        "robot": _extent("robot", [_robot_points(run.signals, scene) for run, scene in of], of),
+    }
+
+
+def is_joints(signals: Signals, scene: Scene | None) -> bool:
+    """Whether what was recorded are angles of joints."""
+    return axes_of(signals) > 3 or (scene is not None and scene.master.kind == "joints")
+
+
+def _hand_points(signals: Signals, scene: Scene | None) -> Array:
+    if is_joints(signals, scene):
+        return np.array([[-LEAST_M, 0.0, -LEAST_M], [LEAST_M, 0.0, LEAST_M]])
+    points = [points_of(signals["position"])]
+    if (corners := stops(scene, axes_of(signals))) is not None:
+        points.append(corners)
+    return np.concatenate(points)
+
+
+def _robot_points(signals: Signals, scene: Scene | None) -> Array:
+    if is_joints(signals, scene):
+        return np.array([[-LEAST_M, 0.0, -LEAST_M], [LEAST_M, 0.0, LEAST_M]])
+    # Without an arm between, it is the device itself that touches.
+    points = [points_of(signals[name]) for name in ("slave_position", "slave_command") if name in signals]
+    points = points or [points_of(signals["position"])]
+    environment = None if scene is None else scene.environment
+    axes = axes_of(signals)
+    for thing in () if environment is None else environment.objects:
+        if isinstance(thing.shape, Sphere | Box):
+            half = vector_of(thing.shape.radius if isinstance(thing.shape, Sphere) else thing.shape.half_extents, axes)
+            centre = vector_of(thing.shape.centre, axes)
+            points.append(np.stack([centre - half, centre + half]))
+    for hole in () if environment is None else environment.holes:
+        at = np.array(hole.entrance)
+        points.append(np.stack([at - hole.depth, at + 3.0 * hole.radius]))
+    for handle in () if environment is None else environment.handles:
+        points.append(np.array([handle.point, handle.grip]))
+    for body in () if environment is None else environment.bodies:
+        points.append(np.array(body.position) + np.array([-1.0, 1.0])[:, None] * np.array(body.half_extents))
+    return np.concatenate(points)
+
+
+def stops(scene: Scene | None, axes: int) -> Array | None:
+    """Corners of the device's workspace, (2, 3) in m; none without mechanical stops."""
+    if scene is None or scene.master.stops is None:
+        return None
+    pairs = np.broadcast_to(np.asarray(scene.master.stops, dtype=np.float64), (axes, 2))[:3]
+    return np.pad(pairs, ((0, 3 - len(pairs)), (0, 0))).T
+
+
+def _extent(end: str, points: Sequence[Array], of: Sequence[tuple[Run, Scene | None]]) -> Extent:
+    all_points = np.concatenate(points)
+    known = all_points[np.isfinite(all_points).all(axis=1)]
+    low, high = (known.min(axis=0), known.max(axis=0)) if len(known) else (np.zeros(3), np.zeros(3))
+    size = max(LEAST_M, float((high - low).max()))
+    signals = [run.signals for run, _ in of]
+    return Extent(
+        low=low,
+        high=high,
+        size=size,
+        metres_per_newton=ARROW_SHARE * size / _peak(signals, FORCES[end]),
+        metres_per_newton_metre=ARROW_SHARE * size / _peak(signals, TORQUES[end]),
+    )
+
+
+def _peak(signals: Sequence[Signals], names: Sequence[str]) -> float:
+    """The largest that there is, rounded up to 1, 2 or 5 times a power of ten."""
+    norms = [np.linalg.norm(points_of(of[name]), axis=1) for of in signals for name in names if name in of]
+    known = [float(np.nanmax(norm)) for norm in norms if np.isfinite(norm).any()]
+    largest = max(known, default=0.0)
+    return nice_above(largest) if largest > 1e-9 else 1.0
+
+
+def nice_above(value: float) -> float:
+    """The least of 1, 2, 3, 5, 10, ... that is at least a value above 0."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(step * power for step in (1.0, 2.0, 3.0, 5.0, 10.0) if value <= step * power * (1.0 + 1e-9))

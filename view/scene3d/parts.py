@@ -1,0 +1,146 @@
+"""What a scene in three dimensions is made of: bodies, arrows and trails, each with where it is at a time."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from haptether.view.scene3d.mesh import Mesh, cone, cylinder
+from haptether.view.scene3d.rotation import rotation_to, transform
+
+Array = npt.NDArray[np.float64]
+Station = Literal["hand", "robot"]
+"""The two ends, each drawn in a window of its own: their sizes differ by an order of magnitude."""
+Pose = Callable[[float], Array | None]
+"""base_from_part, (4, 4), at a time in s; none while there is nothing to see."""
+
+
+class Course:
+    """A recorded signal as it was known at each time: the last sample at or before it."""
+
+    def __init__(self, time_s: Array, values: Array) -> None:
+        self.time_s = time_s
+        self.values = values
+
+    def index(self, time_s: float) -> int:
+        """Of the sample; the first before there is one."""
+        return max(0, int(np.searchsorted(self.time_s, time_s + 1e-9, side="right")) - 1)
+
+    def at(self, time_s: float) -> Array:
+        """The sample."""
+        return np.asarray(self.values[self.index(time_s)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Part:
+    """A body."""
+
+    name: str
+    station: Station
+    mesh: Mesh
+    colour: str
+    """As #rrggbb."""
+    pose: Pose
+    opacity: float = 1.0
+
+
+def still(at: Array) -> Pose:
+    """Of what does not move."""
+    return lambda _: at
+
+
+HEAD_LENGTH, HEAD_RADIUS, SHAFT_RADIUS = 4.2, 1.75, 0.7
+"""Of an arrow, as multiples of its thickness."""
+LEAST_LENGTH = 0.25
+"""Multiple of the thickness below which an arrow is not seen."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Arrow:
+    """A force, or with two heads a torque: `length = scale |F|` from its tail to its tip."""
+
+    name: str
+    label: str
+    station: Station
+    colour: str
+    scale: float
+    """m per N, or per N m; the same at all times."""
+    thickness_m: float
+    tail: Callable[[float], Array]
+    """Where it begins, (3,) in m."""
+    vector: Course
+    """(n, 3) in N or N m."""
+    heads: Literal[1, 2] = 1
+
+    def length(self, time_s: float) -> float:
+        """In m; 0 where it is not known."""
+        length = self.scale * float(np.linalg.norm(self.vector.at(time_s)))
+        return length if np.isfinite(length) else 0.0
+
+    def parts(self) -> list[Part]:
+        """Its shaft and its heads."""
+        head_m = HEAD_LENGTH * self.thickness_m
+        shaft = Part(
+            name=f"{self.name} shaft",
+            station=self.station,
+            colour=self.colour,
+            mesh=cylinder(SHAFT_RADIUS * self.thickness_m, 0.0, 1.0),
+            pose=lambda time_s: self._shaft(time_s, head_m),
+        )
+        heads = [
+            Part(
+                name=f"{self.name} head {number}",
+                station=self.station,
+                colour=self.colour,
+                mesh=cone(HEAD_RADIUS * self.thickness_m, -head_m, 0.0),
+                pose=lambda time_s, number=number: self._head(time_s, head_m, number),  # type: ignore[misc]
+            )
+            for number in range(self.heads)
+        ]
+        return [shaft, *heads]
+
+    def _frame(self, time_s: float) -> Array | None:
+        if self.length(time_s) < LEAST_LENGTH * self.thickness_m:
+            return None
+        return transform(self.tail(time_s), rotation_to(self.vector.at(time_s)))
+
+    def _shaft(self, time_s: float, head_m: float) -> Array | None:
+        frame, length = self._frame(time_s), self.length(time_s)
+        return None if frame is None or length <= head_m else frame @ np.diag([1.0, 1.0, length - head_m, 1.0])
+
+    def _head(self, time_s: float, head_m: float, number: int) -> Array | None:
+        frame, length = self._frame(time_s), self.length(time_s)
+        if frame is None:
+            return None
+        size = min(1.0, length / head_m)
+        tip = np.eye(4)
+        tip[2, 3] = length - 0.75 * number * size * head_m
+        return frame @ tip @ np.diag([size, size, size, 1.0])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trail:
+    """Where a point has been."""
+
+    name: str
+    label: str
+    station: Station
+    colour: str
+    time_s: Array
+    """(n,)."""
+    points: Array
+    """(n, 3) in m, as recorded."""
+    window_s: float
+    """How long it stays."""
+    drift: Array
+    """Velocity in m/s, (3,), with which what was drawn moves away: along one axis a trail would hide in itself."""
+
+    def until(self, time_s: float) -> Array:
+        """What is seen of it at a time, (k, 3)."""
+        first, last = np.searchsorted(self.time_s, [time_s - self.window_s, time_s + 1e-9])
+        age_s = time_s - self.time_s[first:last]
+        seen = self.points[first:last] + age_s[:, None] * self.drift
+        known: Array = seen[np.isfinite(seen).all(axis=1)]
+        return known

@@ -1,0 +1,165 @@
+"""What is written beside the picture: ladder, link, who intervenes, and observers against their thresholds."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from haptether.bridge import Event, Run, Scene, ladder_state_name
+from haptether.view.scene3d.parts import Course
+
+TRIP_BITS = {"vfc": 1, "hsc": 2, "wsc": 4, "pc": 8}
+"""Of `tripped`, by controller."""
+OBSERVED = {
+    "vfc": ("V·F", "velocity_force", ""),
+    "hsc": ("S_h", "grasp", ""),
+    "wsc": ("E_wso", "windowed_energy_j", " J"),
+    "pc": ("E", "energy_j", " J"),
+}
+"""Symbol, signal and unit of what each controller observes."""
+LADDER_KINDS = frozenset({"aligning", "engaged", "stale", "hold", "stop", "fault", "disengaged"})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gauge:
+    """An observer against its threshold."""
+
+    controller: str
+    symbol: str
+    value: float
+    """NaN where it was not observed."""
+    threshold: float
+    unit: str
+    share: float
+    """Of the way from calm, 0, to the threshold, 1; beyond it more."""
+    tripped: bool
+
+    @property
+    def text(self) -> str:
+        """The value and what it must not reach."""
+        if not math.isfinite(self.value):
+            return f"{self.symbol}  not observed"
+        sign = "<" if self.threshold > 0.0 else ">"
+        return f"{self.symbol} {self.value:.3g}{self.unit}  ({sign} {self.threshold:g})"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Status:
+    """At one time."""
+
+    time_s: float
+    master: str
+    """State of the ladder at the hand; empty without a link."""
+    slave: str
+    reason: str
+    """Why, in the words of the side that changed last."""
+    age_s: float
+    """Of the newest frame at the hand; NaN without a link."""
+    tripped: tuple[str, ...]
+    """Controllers whose observer is beyond its threshold."""
+    acting: tuple[str, ...]
+    """Those whose intervention goes on, named by the trip that began it."""
+    intervenes: bool
+    """Whether a controller acts, its hold-off included."""
+    gauges: tuple[Gauge, ...]
+    speed: float
+    """|V| of the hand's device, in m/s; NaN where it is not recorded."""
+    device_force: float
+    """|F_device| in N."""
+    environment_force: float
+    """|F_e| in N; NaN without an arm."""
+
+
+class StatusCourse:
+    """The status of a run over time."""
+
+    def __init__(self, run: Run, scene: Scene | None) -> None:
+        signals = run.signals
+        time_s = np.asarray(signals["time_s"], dtype=np.float64)
+        slave_s = np.asarray(signals["slave_time_s"], dtype=np.float64) if "slave_time_s" in signals else time_s
+        self._courses = {
+            name: Course(slave_s if name.startswith(("slave", "environment")) else time_s, signals[name])
+            for name in signals
+            if not name.endswith("time_s")
+        }
+        self._ladder = [event for event in run.events if event.kind in LADDER_KINDS]
+        self._trips = [event for event in run.events if event.kind == "trip"]
+        self.controllers = _controllers(run, scene)
+        self._thresholds = _thresholds(scene)
+        energy = signals["energy_j"] if "energy_j" in signals else np.zeros(1)
+        self._largest_energy_j = float(np.nanmax(np.abs(energy), initial=0.0)) or 1.0
+
+    def at(self, time_s: float) -> Status:
+        """At a time in s."""
+        bits = int(self._value("tripped", time_s, 0.0)) | int(self._value("rotation_tripped", time_s, 0.0))
+        told: Event | None = next((event for event in reversed(self._ladder) if event.time_s <= time_s), None)
+        return Status(
+            time_s=time_s,
+            master=self._state("state", time_s),
+            slave=self._state("slave_state", time_s),
+            reason="" if told is None else told.detail,
+            age_s=self._value("age_s", time_s, math.nan),
+            tripped=tuple(name for name, bit in TRIP_BITS.items() if bits & bit),
+            acting=tuple(self._last_trip(time_s).split()) if bits & 31 else (),
+            intervenes=bits & 31 != 0,
+            gauges=tuple(self._gauge(name, bits, time_s) for name in self.controllers),
+            speed=self._norm("velocity", time_s),
+            device_force=self._norm("device_force", time_s),
+            environment_force=self._norm("environment_force", time_s),
+        )
+
+    def _last_trip(self, time_s: float) -> str:
+        return next((event.detail for event in reversed(self._trips) if event.time_s <= time_s + 1e-9), "")
+
+    def _gauge(self, controller: str, bits: int, time_s: float) -> Gauge:
+        symbol, signal, unit = OBSERVED[controller]
+        value, threshold = self._value(signal, time_s, math.nan), self._thresholds[controller]
+        # PC acts below 0, so there is no share of a threshold, only of the largest energy.
+        share = value / threshold if threshold != 0.0 else -value / self._largest_energy_j
+        return Gauge(
+            controller=controller,
+            symbol=symbol,
+            value=value,
+            threshold=threshold,
+            unit=unit,
+            share=max(0.0, share) if math.isfinite(share) else 0.0,
+            tripped=bool(bits & TRIP_BITS[controller]),
+        )
+
+    def _value(self, name: str, time_s: float, otherwise: float) -> float:
+        if name not in self._courses:
+            return otherwise
+        value = float(np.atleast_1d(self._courses[name].at(time_s))[0])
+        return value if math.isfinite(value) else otherwise
+
+    def _norm(self, name: str, time_s: float) -> float:
+        return float(np.linalg.norm(self._courses[name].at(time_s))) if name in self._courses else math.nan
+
+    def _state(self, name: str, time_s: float) -> str:
+        return ladder_state_name(int(self._value(name, time_s, 0.0))) if name in self._courses else ""
+
+
+def _controllers(run: Run, scene: Scene | None) -> tuple[str, ...]:
+    if scene is not None:
+        return tuple(name for name in OBSERVED if name in scene.safety.controllers)
+    # A recording without its scene: those whose observer was fed.
+    return tuple(
+        name
+        for name, (_, signal, _) in OBSERVED.items()
+        if signal in run.signals and np.isfinite(run.signals[signal]).any()
+    )
+
+
+def _thresholds(scene: Scene | None) -> dict[str, float]:
+    """Beyond which each controller intervenes; defaults are the paper's."""
+    grasp, energy_j = (1.5, -0.03) if scene is None else (scene.safety.grasp_threshold, scene.safety.energy_threshold_j)
+    return {"vfc": 1.0, "hsc": grasp, "wsc": energy_j, "pc": 0.0}
+
+
+def spans(time_s: npt.NDArray[np.float64], on: npt.NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """When something was so: begin and end of each time, in s."""
+    edges = np.diff(np.concatenate([[0], on.astype(np.int8), [0]]))
+    begins, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
+    ends = np.minimum(ends, len(time_s) - 1)
+    return [(float(time_s[a]), float(time_s[b])) for a, b in zip(begins, ends, strict=True)]

@@ -1,0 +1,105 @@
+"""The time line of a run: events, states of the ladder, interventions, and the force on the hand."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from haptether.bridge import Run, Signals, ladder_state_name
+from haptether.view.scene3d.extent import points_of
+from haptether.view.scene3d.status import spans
+
+MOST_COLUMNS = 1500
+"""Of the force: more than a screen is wide."""
+SHOWN = frozenset(
+    {"release", "regrasp", "contact", "grip", "drop", "hold", "stop", "fault", "diverged", "trip", "engaged"}
+)
+"""Kinds of events that have a name on the line; the others are marks."""
+APART_S = 0.05
+"""Trips that are nearer to one another are one to who looks for the next."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mark:
+    """An event on the line."""
+
+    time_s: float
+    kind: str
+    text: str
+    named: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Timeline:
+    """Of one run."""
+
+    begin_s: float
+    end_s: float
+    marks: tuple[Mark, ...]
+    """Every event, at its time."""
+    ladder: tuple[tuple[float, float, str], ...]
+    """Begin, end and state, of the hand's side."""
+    trips: tuple[tuple[float, float], ...]
+    """When controllers intervened, hold-off included."""
+    force_time_s: npt.NDArray[np.float64]
+    force_n: npt.NDArray[np.float64]
+    """|F_device|: the largest of each piece of the time line."""
+
+    def next_trip(self, time_s: float) -> float | None:
+        """When the next intervention begins; after the last, the first; none without any."""
+        begins = [begin for n, (begin, _) in enumerate(self.trips) if n == 0 or begin - self.trips[n - 1][1] > APART_S]
+        return next((begin for begin in begins if begin > time_s + 1e-9), begins[0] if begins else None)
+
+
+def timeline_of(run: Run) -> Timeline:
+    """Of a run with its signals."""
+    signals = run.signals
+    time_s = np.asarray(signals["time_s"], dtype=np.float64)
+    named_before: dict[str, float] = {}
+    marks = []
+    for event in run.events:
+        # What chatters is named once.
+        is_new = event.time_s - named_before.get(event.kind, -np.inf) > 0.5
+        named_before[event.kind] = event.time_s
+        side, _, _ = event.detail.partition(":")
+        text = f"{event.kind} {event.detail}" if event.kind == "trip" else event.kind
+        named = event.kind in SHOWN and is_new and side != "slave"
+        marks.append(Mark(time_s=event.time_s, kind=event.kind, text=text, named=named))
+    return Timeline(
+        begin_s=float(time_s[0]),
+        end_s=float(time_s[-1]),
+        marks=tuple(marks),
+        ladder=tuple(_ladder(signals, time_s)),
+        trips=tuple(spans(time_s, _tripped(signals) > 0)),
+        **_force(signals, time_s),
+    )
+
+
+def _tripped(signals: Signals) -> npt.NDArray[np.uint8]:
+    bits = [
+        np.nan_to_num(signals[name]).astype(np.uint8) & 31
+        for name in ("tripped", "rotation_tripped")
+        if name in signals
+    ]
+    return np.bitwise_or.reduce(bits) if bits else np.zeros(len(signals["time_s"]), dtype=np.uint8)
+
+
+def _ladder(signals: Signals, time_s: npt.NDArray[np.float64]) -> list[tuple[float, float, str]]:
+    if "state" not in signals:
+        return []
+    state = signals["state"]
+    changes = [0, *(np.flatnonzero(np.diff(state)) + 1).tolist(), len(state) - 1]
+    return [(float(time_s[a]), float(time_s[b]), ladder_state_name(int(state[a]))) for a, b in pairwise(changes)]
+
+
+def _force(signals: Signals, time_s: npt.NDArray[np.float64]) -> dict[str, npt.NDArray[np.float64]]:
+    if "device_force" not in signals:
+        return {"force_time_s": np.zeros(0), "force_n": np.zeros(0)}
+    norm = np.linalg.norm(points_of(signals["device_force"]), axis=1)
+    piece = max(1, len(norm) // MOST_COLUMNS)
+    whole = len(norm) // piece * piece
+    return {
+        "force_time_s": time_s[:whole:piece],
+        "force_n": np.nan_to_num(norm[:whole]).reshape(-1, piece).max(axis=1),
+    }

@@ -1,0 +1,165 @@
+"""A run in a window: play, scrub, step, look from elsewhere."""
+
+import time
+from collections.abc import Sequence
+from typing import Final
+
+from haptether.view.picture.picture import CAMERAS, Picture
+from haptether.view.scene3d.description import Description
+
+KEYS: Final = (
+    ("space", "play, pause"),
+    ("left, right", "a step back, on"),
+    ("up, down", "faster, slower"),
+    ("Home, End", "to the begin, to the end"),
+    ("t", "to the next trip"),
+    ("1 2 3 4", "look from " + ", ".join(CAMERAS)),
+    ("click the time line", "to that time"),
+    ("drag", "turn; with shift move; wheel: nearer"),
+    ("?", "these keys"),
+    ("q", "end"),
+)
+"""What a window listens to."""
+SPEEDS: Final = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
+STEP_S: Final = 0.01
+TIMER_MS: Final = 15
+"""Between two looks at the clock; what is drawn in between is what the machine manages, 30 a second or more."""
+
+
+class Player:
+    """Which time is shown when: pure, so that it needs no window."""
+
+    def __init__(self, begin_s: float, end_s: float) -> None:
+        self.begin_s, self.end_s = begin_s, end_s
+        self.time_s = begin_s
+        self.is_playing = False
+        self.speed = 1.0
+
+    def advance(self, elapsed_s: float) -> bool:
+        """So much later in true time; returns whether another time is shown."""
+        if not self.is_playing or elapsed_s <= 0.0:
+            return False
+        self.go(self.time_s + self.speed * elapsed_s)
+        if self.time_s >= self.end_s:
+            self.is_playing = False
+        return True
+
+    def go(self, time_s: float) -> None:
+        """To a time in s, within the run."""
+        self.time_s = min(max(time_s, self.begin_s), self.end_s)
+
+    def toggle(self) -> None:
+        """Plays or pauses; at the end it begins anew."""
+        self.is_playing = not self.is_playing
+        if self.is_playing and self.time_s >= self.end_s:
+            self.time_s = self.begin_s
+
+    def step(self, steps: int) -> None:
+        """So many steps on, which pauses."""
+        self.is_playing = False
+        self.go(self.time_s + steps * STEP_S)
+
+    def change_speed(self, by: int) -> None:
+        """To the next speed, or the one before."""
+        place = min(range(len(SPEEDS)), key=lambda n: abs(SPEEDS[n] - self.speed))
+        self.speed = SPEEDS[min(max(place + by, 0), len(SPEEDS) - 1)]
+
+    @property
+    def note(self) -> str:
+        """What it does, in words."""
+        return f"{'plays' if self.is_playing else 'paused'} at {self.speed:g}x   ? lists the keys"
+
+
+class Window:
+    """A picture that is shown, and the keys and clicks that steer it."""
+
+    def __init__(
+        self, described: Sequence[Description], *, size: tuple[int, int], camera: str, at_s: float | None
+    ) -> None:
+        self.picture = Picture(described, size=size, camera=camera, window=True)
+        lines = [one.timeline for one in described]
+        self.player = Player(min(line.begin_s for line in lines), max(line.end_s for line in lines))
+        if at_s is not None:
+            self.player.go(at_s)
+        else:
+            self.player.is_playing = True
+        self._clock_s = time.monotonic()
+        self._help = False
+        self._listen()
+
+    def show(self) -> None:
+        """Until it is closed."""
+        self._draw()
+        self.picture.plotter.show(title=self.picture.described[0].title, interactive_update=False, auto_close=True)
+
+    def press(self, key: str) -> None:
+        """What a key does; one that is not of `KEYS` nothing."""
+        player = self.player
+        line = self.picture.described[0].timeline
+        if key == "space":
+            player.toggle()
+        elif key in {"Left", "Right"}:
+            player.step(1 if key == "Right" else -1)
+        elif key in {"Up", "Down"}:
+            player.change_speed(1 if key == "Up" else -1)
+        elif key in {"Home", "End"}:
+            player.go(player.begin_s if key == "Home" else player.end_s)
+        elif key == "t" and (trip_s := line.next_trip(player.time_s)) is not None:
+            player.is_playing = False
+            player.go(trip_s)
+        elif key in {"1", "2", "3", "4"}:
+            self.picture.look(list(CAMERAS)[int(key) - 1])
+        elif key == "question":
+            self._help = not self._help
+            self._show_help()
+        else:
+            return
+        self._draw()
+
+    def _draw(self) -> None:
+        self.picture.update(self.player.time_s, self.player.note)
+        self.picture.plotter.render()
+
+    def _listen(self) -> None:
+        plotter = self.picture.plotter
+        interactor = plotter.iren.interactor
+        plotter.iren.initialize()
+        # Some of VTK's own keys would end the window or draw wires.
+        interactor.RemoveObservers("CharEvent")
+        plotter.iren.add_observer("KeyPressEvent", lambda *_: self._key(interactor.GetKeySym()))
+        plotter.iren.add_observer("TimerEvent", lambda *_: self.tick())
+        plotter.iren.add_observer("LeftButtonPressEvent", lambda *_: self.click(*interactor.GetEventPosition()))
+        plotter.render_window.AddObserver("ModifiedEvent", lambda *_: self._resize())
+        interactor.CreateRepeatingTimer(TIMER_MS)
+
+    def _key(self, key: str) -> None:
+        if key in {"q", "Escape"}:
+            self.picture.plotter.iren.terminate_app()
+        else:
+            self.press(key)
+
+    def tick(self) -> None:
+        """What the timer does: shows what true time has come to."""
+        now_s = time.monotonic()
+        elapsed_s, self._clock_s = now_s - self._clock_s, now_s
+        if self.player.advance(elapsed_s):
+            self._draw()
+
+    def click(self, x: int, y: int) -> None:
+        """At a pixel from the lower left; on the time line it goes there."""
+        time_s = self.picture.time_at(x, self.picture.size[1] - y)
+        if time_s is not None:
+            self.player.is_playing = False
+            self.player.go(time_s)
+            self._draw()
+
+    def _resize(self) -> None:
+        size = tuple(self.picture.plotter.render_window.GetSize())
+        if size != self.picture.size and min(size) > 100:
+            self.picture.lay_out((size[0], size[1]))
+
+    def _show_help(self) -> None:
+        plotter = self.picture.plotter
+        plotter.subplot(0, 0)
+        text = "\n".join(f"{key:<22}{does}" for key, does in KEYS) if self._help else ""
+        plotter.add_text(text, position="upper_left", font_size=9, color="#1d2733", font="courier", name="keys")
