@@ -2,12 +2,13 @@
 
 Ours in Rust and from Python, `dynamixel2` (Rust, which has no fast read) and ROBOTIS' own client (Python), in turn on
 one pseudo-terminal, where a process in Rust answers (`dynamixel/examples/bus_cycle.rs`): at once, or when the bytes
-would have come at 1, 3 and 4 Mbit/s. Without a wire each cycle begins when the one before is over; with one they
-begin at 500 Hz and at 1 kHz, and one that is not over when the next begins is an overrun.
+would have come at 1, 3 and 4 Mbit/s. Cycles begin at 500 Hz and at 1 kHz, and one that is not over when the next begins
+is an overrun. Without a wire they also run back to back, each begun when the one before is over: what that takes goes
+by how the kernel's thread behind the pseudo-terminal meets two writes in a row, which no loop does.
 
-Required: p50 of a cycle of ours without a wire at most 1.2 times that of `dynamixel2`, both by their best round; six
-servos at 4 Mbit/s and 1 kHz without an overrun in one round at least: the machine is shared, and what others take of it
-shows in the other rounds.
+Required: p50 of a cycle of ours without a wire, at either rate, at most 1.2 times that of `dynamixel2`, both by their
+best round; six servos at 4 Mbit/s and 1 kHz without an overrun in one round at least: the machine is shared, and what
+others take of it shows in the other rounds.
 """
 
 import contextlib
@@ -171,7 +172,7 @@ def main() -> int:
     if not (1 <= chosen.servos <= 20 and 1 <= chosen.rounds <= 50 and 100 <= chosen.cycles <= 20_000):
         options.error("--servos must be 1 to 20, --rounds 1 to 50, --cycles 100 to 20000")
     program = built()
-    cases = [(0, 0), *((wire, rate) for wire in WIRES[1:] for rate in RATES)]
+    cases = [(0, 0), *((wire, rate) for wire in WIRES for rate in RATES)]
     seen: dict[tuple[int, int, str], list[Round]] = {}
     out = table_file(chosen.json)
     for wire, rate in cases:
@@ -206,14 +207,23 @@ def main() -> int:
             f"  {row['p99_ms']:7.4f}  {row['wire_ms']:6.3f}" + (f"   {min(overruns)} {max(overruns)}" if rate else ""),
             file=out,
         )
-    p50 = {row["client"]: row["p50_ms"] for row in rows if row["rate_hz"] == 0}
-    ratios = {client: p50[client] / p50["dynamixel2"] for client in p50 if client != "dynamixel2"}
+    p50 = {(row["rate_hz"], row["client"]): row["p50_ms"] for row in rows if row["wire_bit_s"] == 0}
+    ratios = {
+        rate: {
+            client: p50[rate, client] / p50[rate, "dynamixel2"] for client in (*RUST, *PYTHON) if client != "dynamixel2"
+        }
+        for rate in (0, *RATES)
+    }
     fits = min(one.overruns for one in seen[4_000_000, 1000, "haptether, fast"]) == 0
-    for client, ratio in ratios.items():
-        print(f"{client}: {ratio:.2f} times dynamixel2", file=out)
+    print("times dynamixel2, without a wire       back to back" + "".join(f"{rate:>7} Hz" for rate in RATES), file=out)
+    for client in ratios[0]:
+        print(
+            f"{client:38} {ratios[0][client]:12.2f}" + "".join(f"{ratios[rate][client]:10.2f}" for rate in RATES),
+            file=out,
+        )
     overran = "no overrun in one round at least" if fits else "overruns in each round"
     print(f"{chosen.servos} servos at 4 Mbit/s and 1 kHz: {overran}", file=out)
-    good = fits and all(ratios[client] <= REQUIRED for client in RUST if client != "dynamixel2")
+    good = fits and all(ratios[rate][client] <= REQUIRED for rate in RATES for client in RUST if client != "dynamixel2")
     print("required: holds" if good else "required: DOES NOT HOLD", file=out)
     write_json(chosen.json, {"servos": chosen.servos, "rows": rows, "ratios": ratios, "holds": good})
     return 0 if good else 1
