@@ -36,10 +36,12 @@ def emulated() -> Iterator[EmulatedBus]:
 class Calibration:
     """The command, and whoever answers it."""
 
-    def __init__(self, emulated: EmulatedBus, path: Path, *arguments: str, ids: tuple[str, ...] = ("1", "2")) -> None:
+    def __init__(
+        self, emulated: EmulatedBus, path: Path, *arguments: str, ids: tuple[str, ...] = ("1", "2"), yes: bool = True
+    ) -> None:
         command = [
             sys.executable, "-m", "haptether", "dynamixel", "calibrate", emulated.port, str(path), "--ids", *ids,
-            *arguments,
+            *(("--yes",) if yes else ()), *arguments,
         ]  # fmt: skip
         self.emulated = emulated
         self.process = subprocess.Popen(
@@ -143,6 +145,15 @@ def test_offsets_rounded_to_quarter_turns(emulated: EmulatedBus, tmp_path: Path)
     assert "rad rounded away" in said
 
 
+def test_a_pipe_is_nobody(emulated: EmulatedBus, tmp_path: Path) -> None:
+    run = Calibration(emulated, tmp_path / "arm.toml", yes=False)
+    run.enter()
+    status, said = run.end()
+    assert status == 2
+    assert "a person must say yes on the terminal, and there is none: give --yes" in said
+    assert not (tmp_path / "arm.toml").exists()
+
+
 def test_a_file_is_not_replaced_unasked(emulated: EmulatedBus, tmp_path: Path) -> None:
     path = tmp_path / "arm.toml"
     path.write_text("mine")
@@ -238,7 +249,16 @@ def test_a_file_that_cannot_be_written_leaves_the_one_that_is_there(tmp_path: Pa
 
 def test_where_the_file_cannot_be_the_arm_is_not_touched(tmp_path: Path) -> None:
     path = tmp_path / "missing" / "arm.toml"
-    command = [sys.executable, "-m", "haptether", "dynamixel", "calibrate", str(tmp_path / "no-port"), str(path)]
+    command = [
+        sys.executable,
+        "-m",
+        "haptether",
+        "dynamixel",
+        "calibrate",
+        str(tmp_path / "no-port"),
+        str(path),
+        "--yes",
+    ]
     said = subprocess.run(command, check=False, capture_output=True, text=True, timeout=PATIENCE_S)
     assert said.returncode == 2
     assert f"{path}: its folder must be one that can be written to" in said.stderr
@@ -277,6 +297,7 @@ def test_what_was_typed_before_a_question_is_no_answer_to_it(emulated: EmulatedB
 def test_answers_without_end_are_nobodys(emulated: EmulatedBus, tmp_path: Path) -> None:
     command = (
         f"yes '' | {sys.executable} -m haptether dynamixel calibrate {emulated.port} {tmp_path}/arm.toml --ids 1 2"
+        " --yes"
     )
     done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert done.returncode == 1

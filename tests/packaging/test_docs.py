@@ -71,6 +71,25 @@ def test_the_arm_of_the_page_is_the_one_that_is_emulated() -> None:
     assert f"signs = {[joint.sign for joint in joints]}" in text
 
 
+def test_the_arm_of_ones_own_has_every_key_and_the_torque_that_the_page_says(tmp_path: Path) -> None:
+    import msgspec
+
+    from haptether.dynamixel.description import ArmKinematics, load_arm
+    from haptether.dynamixel.description.tables import ArmDescription, Joint, Link, Tool, Trigger
+
+    page = (ROOT / "docs/dynamixel.md").read_text()
+    (text,) = [one for one in re.findall(r"```toml\n(.*?)```", page, re.DOTALL) if one.startswith("name = ")]
+    for table in (ArmDescription, Joint, Link, Tool, Trigger):
+        for field in msgspec.structs.fields(table):
+            assert re.search(rf"\b{field.name}( = |\]\]?)", text), (table.__name__, field.name)
+    (tmp_path / "arm.toml").write_text(text)
+    shoulder, elbow = ArmKinematics(load_arm(str(tmp_path / "arm.toml"))).gravity([0.0, 0.0])
+    # m g r, against a positive turn about y, which moves the links down.
+    assert elbow == pytest.approx(-0.1 * 9.81 * 0.1)
+    assert shoulder == pytest.approx(-9.81 * (0.2 * 0.1 + 0.1 * 0.3))
+    assert f"{0.1 * 9.81 * 0.1:.3f} N m" in page
+
+
 def test_the_readme_names_the_commands_without_json() -> None:
     from haptether.cli.entry import COMMANDS, GROUPS
 

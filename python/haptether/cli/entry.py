@@ -245,12 +245,19 @@ def _parsed(
     printed = io.StringIO()
     # The parser repeats arguments as they are.
     safe = all(argument.isprintable() for argument in arguments)
+    named = commands.get(arguments[0]) if arguments else None
+    # Of a command that is named no other is parsed: what it does not know is not looked for in theirs.
+    if named is not None:
+        parsed, prog, arguments = named, f"{prog} {arguments[0]}", arguments[1:]
+        description = summary(named)
+    else:
+        parsed, description = union_of(commands), DESCRIPTION if group is None else summary(group)
     try:
         with contextlib.nullcontext() if safe else contextlib.redirect_stderr(printed):
             command: Command = tyro.cli(
-                union_of(commands),
+                parsed,
                 prog=prog,
-                description=DESCRIPTION if group is None else summary(group),
+                description=description,
                 args=arguments,
                 config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
                 registry=NUMBERS,
@@ -259,7 +266,7 @@ def _parsed(
         for line in printed.getvalue().split("\n"):
             if line:
                 print(printable(line), file=sys.stderr)
-        described = commands[arguments[0]] if arguments and arguments[0] in commands else group
+        described = group if named is None else named
         if ended.code == 0 and described is not None:
             # The parser would fold the examples into one paragraph.
             print(f"\n{folded((inspect.getdoc(described) or '').partition(chr(10))[2].strip())}")

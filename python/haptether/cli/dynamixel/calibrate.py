@@ -44,17 +44,24 @@ class Calibrate:
     """By which the limits are inside of what is shown, in rad."""
     force: bool = False
     """Replace a file that is there."""
+    yes: bool = False
+    """A person answers, though standard input is no terminal."""
 
     def run(self) -> int:
         """Asks step by step, and writes the file."""
         import math
         import os
 
+        from haptether.cli.device.consent import check_terminal
         from haptether.cli.dynamixel.prompt import Operator
         from haptether.dynamixel import DynamixelBus
         from haptether.dynamixel.arm import write_calibration
         from haptether.dynamixel.arm.guide import Guide, calibrated
 
+        check_terminal("calibrate", yes=self.yes)
+        if not self.path.name:
+            message = "FILE: is empty: must name the file to write"
+            raise ValueError(message)
         if self.path.exists() and not self.force:
             message = f"{self.path}: exists: name another, or take --force"
             raise ValueError(message)
