@@ -6,7 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 from haptether.bridge.devices.open import (
     DeviceError,
@@ -26,7 +26,8 @@ PRIORITY = 80
 """Under SCHED_FIFO, where the system gives it, as of the loops of both sides."""
 SHORTEST_S = 1e-4
 """No device has a period so short."""
-STAGES = ("open", "read", "write", "write_trigger", "stop", "close")
+STAGES = ("open", "read", "write", "write_trigger", "stop", "hold", "close")
+RestBy = Literal["stop", "hold"]
 
 
 class Tick(NamedTuple):
@@ -126,13 +127,14 @@ class StandaloneRun:
     """A driver that is opened, led, brought to rest and closed on a thread of its own, which nothing else holds up.
 
     It begins when it is made, and ends where its lead says so, by an exception of the driver, by `stop`, or with the
-    process. A device whose driver was written to is written zero at the end, an arm is stopped, whatever ended it.
+    process. Whatever ended it, a device whose driver was written to is then written zero, an arm stopped, a gripper
+    held.
 
     Args:
         device: What is run.
         lead: What decides what is written.
         period_s: Of the loop in s, where the device does not pace it.
-        is_arm: Whether it has a `stop`.
+        rest_by: The method that brings it to rest, `stop` of an arm, `hold` of a gripper; none where zero is written.
         stopped: Ends it, too, in the tick that runs.
     """
 
@@ -142,7 +144,7 @@ class StandaloneRun:
         lead: Lead,
         *,
         period_s: float = 1e-3,
-        is_arm: bool = False,
+        rest_by: RestBy | None = None,
         stopped: Callable[[], bool] = lambda: False,
     ) -> None:
         self.watched = WatchedDevice(device)
@@ -160,7 +162,7 @@ class StandaloneRun:
         """What the driver says of itself, once it is open."""
         self._lead = lead
         self._loop_period_s = period_s
-        self._is_arm = is_arm
+        self._rest_by = rest_by
         self._stopped = stopped
         self._rest: Written | None = None
         self._stopping = threading.Event()
@@ -242,7 +244,7 @@ class StandaloneRun:
             # The lead, of what the driver has read: nothing that a person should have to think about.
             raise failure(self.watched.device, error) from error
         finally:
-            if self._rest is not None or self._is_arm:
+            if self._rest is not None or self._rest_by is not None:
                 self.rests = comes_to_rest(self._come_to_rest)
 
     def _turn(self) -> None:
@@ -271,8 +273,8 @@ class StandaloneRun:
         return self._stopping.is_set() or self._stopped()
 
     def _come_to_rest(self) -> None:
-        if self._is_arm:
-            self.watched.stop()
+        if self._rest_by is not None:
+            self.watched.call(self._rest_by)
         elif self._rest is not None:
             try:
                 self.watched.write(*self._rest)

@@ -11,7 +11,7 @@ from pathlib import Path
 from tests.devices.plant import Plant, VirtualDevice
 
 from haptether.master import MasterSample
-from haptether.slave import SlaveSample
+from haptether.slave import GripperCommand, GripperSample, SlaveSample
 
 WRITTEN = "WRITTEN"
 """Names a file that gets a line for each call but `read`."""
@@ -460,3 +460,33 @@ class Free:
     def close(self) -> None:
         note("close")
         self.closed.set()
+
+
+class Jaws:
+    """A gripper that stays where it is; or wrong in one way."""
+
+    def __init__(self, *, wrong: str = "") -> None:
+        self.wrong = wrong
+
+    def open(self) -> None:
+        note("open")
+
+    def read(self) -> GripperSample:
+        if self.wrong == "slow":
+            time.sleep(0.02)
+        if self.wrong == "none":
+            return None  # type: ignore[return-value]
+        fault = "overheating: let it cool" if self.wrong == "fault" else None
+        return GripperSample(position=0.25, velocity=0.0, force_n=3.0, holds_object=True, fault=fault)
+
+    def write(self, command: GripperCommand) -> None:
+        note(f"write {command.position}")
+
+    def hold(self) -> None:
+        note("hold")
+        if self.wrong == "hold":
+            message = "the bus is gone"
+            raise OSError(message)
+
+    def close(self) -> None:
+        note("close")

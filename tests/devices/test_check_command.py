@@ -82,6 +82,7 @@ def test_a_driver_that_hangs_in_open_ends_with_status_1_in_bounded_time(tmp_path
         (["identify", "any", "--yes"], "is of linear or joints: say which by --kind"),
         (["check-device", "any", "--push-n", "0.2", "--yes", "--kind", "joints"], "must be at most 0.1 N m"),
         (["check-device", "arm", "--push-n", "0.5", "--yes"], "an arm is never moved"),
+        (["check-device", "robotiq", "--push-n", "0.5", "--yes"], "jaws are never moved"),
     ],
 )
 def test_a_bad_request_is_one_line_and_status_2_and_opens_nothing(
@@ -98,6 +99,42 @@ def test_a_bad_request_is_one_line_and_status_2_and_opens_nothing(
     assert said in ended.stderr
     assert ended.stderr.count("\n") == 1
     assert not (tmp_path / "written").exists()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "status", "said"),
+    [
+        ("", 0, "0.250 of 0 (open) to 1 (closed)"),
+        ("slow", 1, "must be at most 5 ms"),
+        ("none", 1, "read() gives NoneType: must be a GripperSample"),
+        ("hold", 1, "hold() raises: the jaws may go on as they were sent"),
+        ("fault", 0, "the gripper reports: overheating: let it cool"),
+    ],
+)
+def test_jaws_are_held_and_never_sent_anywhere(tmp_path: Path, wrong: str, status: int, said: str) -> None:
+    environment = declared(tmp_path, "haptether.grippers", jaws="Jaws") | {
+        WRITTEN: str(tmp_path / "written"), "COLUMNS": "200",
+    }  # fmt: skip
+    ended = run(environment, "check-device", "jaws", "--duration-s", "0.3", "--options", f"wrong='{wrong}'")
+    assert ended.returncode == status, ended.stdout + ended.stderr
+    assert said in ended.stdout
+    calls = (tmp_path / "written").read_text().split()
+    assert calls[0] == "open"
+    assert calls[-1] == "close"
+    assert set(calls[1:-1]) == {"hold"}
+
+
+def test_jaws_that_an_activation_moves_are_activated_on_a_persons_word_only(tmp_path: Path) -> None:
+    command = ("check-device", "robotiq", "--options", "host=127.0.0.1", "activate=true")
+    environment = declared(tmp_path)
+    ended = run(environment, *command)
+    assert ended.returncode == 2
+    assert "an activation moves the jaws: a person must say yes on the terminal" in ended.stderr
+    terminal = Terminal(environment, *command)
+    terminal.until(QUESTION)
+    terminal.answer("no\n")
+    assert terminal.end() == 1
+    assert "robotiq: not opened: nobody said yes" in terminal.printed
 
 
 @pytest.mark.parametrize("answer", ["no\n", "\n", "y\n", "yes"])

@@ -22,7 +22,7 @@ from haptether.bridge.devices.check.series import (
     timing,
 )
 from haptether.bridge.devices.open import KEEPS, POINT_KINDS
-from haptether.bridge.devices.standalone import StandaloneRun, Written
+from haptether.bridge.devices.standalone import RestBy, StandaloneRun, Written
 
 CLOSE_S = 5.0
 """How long a driver may take to close."""
@@ -63,7 +63,9 @@ class DeviceCheck:
         self.loop_period_s = period_s
         self.lead = CheckLead(SampleForm(side, self.kind))
         self._device = device
-        self.run = StandaloneRun(device, self.lead, period_s=period_s, is_arm=side == "slave", stopped=stopped)
+        self.run = StandaloneRun(
+            device, self.lead, period_s=period_s, rest_by="stop" if side == "slave" else None, stopped=stopped
+        )
         self.ended = True
         """Whether it has ended once `end` has returned."""
 
@@ -243,9 +245,9 @@ class SecondRun:
     """The driver made and opened anew after it was closed, and closed after an exception in the middle of the loop."""
 
     def __init__(self, device: object, check: DeviceCheck, stopped: Callable[[], bool]) -> None:
-        self._is_arm = check.form.side == "slave"
+        rest_by: RestBy | None = "stop" if check.form.side == "slave" else None
         self._lead = _Interrupted(check.lead)
-        self.run = StandaloneRun(device, self._lead, period_s=check.loop_period_s, is_arm=self._is_arm, stopped=stopped)
+        self.run = StandaloneRun(device, self._lead, period_s=check.loop_period_s, rest_by=rest_by, stopped=stopped)
 
     def finding(self) -> Finding:
         """How it went; it is ended here."""

@@ -11,6 +11,7 @@ from haptether.cli.device.options import DriverOptions
 if TYPE_CHECKING:
     from haptether.bridge.devices.check.finding import Finding
     from haptether.bridge.devices.check.report import DeviceCheck
+    from haptether.cli.shared.screen import Screen
     from haptether.cli.shared.stop import Stopped
 
 MAX_DURATION_S = 600.0
@@ -22,11 +23,11 @@ RECENT = 200
 class CheckDevice(DriverOptions):
     """Open the driver of a device by itself, and say what is right with it and what is to be mended.
 
-    A haptic device is written zero force all the time, and an arm is not moved. Nothing is coupled: there is no other
-    side. Move the device by hand while it runs, along every axis: what does not move shows no velocity. It is opened a
-    second time, to see that it is closed after an exception. Its loop has real time where the system
-    gives it. One that exerts by itself as soon as it is open, such as a leader arm against its weight, is opened only
-    after a person's yes on the terminal.
+    A haptic device is written zero force all the time, an arm is not moved, and the jaws of a gripper are held. Nothing
+    is coupled: there is no other side. Move the device by hand while it runs, along every axis: what does not move
+    shows no velocity. It is opened a second time, to see that it is closed after an exception. Its loop has real time
+    where the system gives it. One that exerts by itself as soon as it is open, such as a leader arm against its weight,
+    is opened only after a person's yes on the terminal, and so is a gripper that is to be activated.
 
     --push-n has a haptic device push once, with at most 1 N (0.1 N m of joints), up and down a ramp within 1.5 s. A
     person is asked on the terminal first. It ends at once by Ctrl-C, a motion too far or too fast, a late sample or a
@@ -41,8 +42,8 @@ class CheckDevice(DriverOptions):
     haptether check-device my-stylus --duration-s 20 --push-n 0.5
     """
 
-    side: Literal["master", "slave"] | None = None
-    """Which of the two, where there is a driver of each by that name."""
+    side: Literal["master", "slave", "gripper"] | None = None
+    """Which of these, where there are several by that name."""
     duration_s: float = 5.0
     """For how long it is looked at, in s, at most 600."""
     push_n: float | None = None
@@ -78,6 +79,8 @@ class CheckDevice(DriverOptions):
         check_options(self)
         side = side_of(self.name, self.side)
         self._check(side)
+        if side == "gripper":
+            return check_gripper(self)
         with Stopped() as stopped:
             device = loaded_device(self, side)
             kind = self.kind or kind_of(device)
@@ -150,8 +153,9 @@ class CheckDevice(DriverOptions):
             raise ValueError(message)
         if self.push_n is None:
             return
-        if side == "slave":
-            message = f"push-n = {self.push_n:g}: an arm is never moved by check-device: leave it out"
+        if side != "master":
+            what = "an arm is never moved" if side == "slave" else "jaws are never moved"
+            message = f"push-n = {self.push_n:g}: {what} by check-device: leave it out"
             raise ValueError(message)
         if not (math.isfinite(self.push_n) and self.push_n > 0.0):
             message = f"push-n = {self.push_n:g}: must be above 0"
@@ -191,19 +195,11 @@ class CheckDevice(DriverOptions):
         return None
 
     def _report(self, check: "DeviceCheck", side: str, found: "list[Finding]") -> None:
-        from rich.table import Table
-
         from haptether.cli.shared.output import write_report
         from haptether.cli.shared.screen import screen
 
         console = screen(self.json)
-        table = Table(header_style="bold", pad_edge=False)
-        for column in ("", "check", f"{self.name}: what was seen"):
-            table.add_column(column, overflow="fold")
-        for finding in found:
-            table.add_row(finding.verdict.upper() if finding.verdict == "mend" else finding.verdict, finding.check,
-                          finding.text)  # fmt: skip
-        console.print(table)
+        print_findings(console, self.name, found)
         times = check.timing()
         if times is not None:
             rows = {
@@ -216,11 +212,7 @@ class CheckDevice(DriverOptions):
                 console.print(f"{name}, p50 / p99 / max [ms]: {shown}", soft_wrap=True)
             without = "" if check.run.has_real_time else ", without real time: the system does not give it"
             console.print(f"rate: {times.rate_hz:.1f} Hz{without}")
-        wrong = sum(finding.verdict == "mend" for finding in found)
-        unseen = [finding.check for finding in found if finding.verdict == "unseen"]
-        if unseen:
-            console.print(f"not seen: {', '.join(unseen)}", soft_wrap=True)
-        console.print("pass" if not wrong else f"{wrong} to mend")
+        wrong = print_verdict(console, found)
         write_report(
             self.json,
             {
@@ -234,6 +226,73 @@ class CheckDevice(DriverOptions):
                 "real_time": check.run.has_real_time,
             },
         )
+
+
+def print_findings(console: "Screen", name: str, found: "list[Finding]") -> None:
+    """One line a property."""
+    from rich.table import Table
+
+    table = Table(header_style="bold", pad_edge=False)
+    for column in ("", "check", f"{name}: what was seen"):
+        table.add_column(column, overflow="fold")
+    for finding in found:
+        verdict = finding.verdict.upper() if finding.verdict == "mend" else finding.verdict
+        table.add_row(verdict, finding.check, finding.text)
+    console.print(table)
+
+
+def print_verdict(console: "Screen", found: "list[Finding]") -> int:
+    """What was not seen, and whether it passes; returns how many are to be mended."""
+    wrong = sum(finding.verdict == "mend" for finding in found)
+    unseen = [finding.check for finding in found if finding.verdict == "unseen"]
+    if unseen:
+        console.print(f"not seen: {', '.join(unseen)}", soft_wrap=True)
+    console.print("pass" if not wrong else f"{wrong} to mend")
+    return wrong
+
+
+def check_gripper(command: CheckDevice) -> int:
+    """Opens, holds, reads and closes a gripper, and says what was found.
+
+    Raises:
+        ValueError: A driver that there is not, or one that is opened with its arm.
+        RuntimeError: Nobody said yes to an activation.
+        KeyboardInterrupt: Ctrl-C.
+    """
+    from haptether.bridge import load_gripper
+    from haptether.bridge.devices.check.gripper import GripperCheck
+    from haptether.cli.device.consent import check_terminal, consents
+    from haptether.cli.device.options import await_open, driver_options, is_over, show_tracebacks
+    from haptether.cli.shared.output import write_report
+    from haptether.cli.shared.screen import screen
+    from haptether.cli.shared.stop import Stopped, wait
+
+    name, options = command.name, driver_options(command, "gripper")
+    gripper = load_gripper(name, options)
+    if callable(getattr(gripper, "attach", None)):
+        message = f"{name}: a gripper on the bus of its arm: it is opened with that, by `haptether slave`"
+        raise ValueError(message)
+    with Stopped() as stopped:
+        if options.get("activate"):
+            check_terminal("an activation moves the jaws", yes=command.yes)
+            question = f"{name} will open and close its jaws once, and drops what they hold. No fingers between them."
+            if not consents(question, stopped, yes=command.yes):
+                message = f"{name}: not opened: nobody said yes"
+                raise RuntimeError(message)
+        check = GripperCheck(gripper, lambda: bool(stopped))
+        if await_open(command, check.run, stopped):
+            headline = f"{name}: open, a gripper: its jaws are held"
+            wait(headline, lambda: check.status, lambda: is_over(check.run), stopped, command.duration_s)
+        check.end()
+        if stopped:
+            raise KeyboardInterrupt
+        show_tracebacks(command, check.run)
+    found = check.findings()
+    console = screen(command.json)
+    print_findings(console, name, found)
+    wrong = print_verdict(console, found)
+    write_report(command.json, {"driver": name, "side": "gripper", "passed": not wrong, "findings": found})
+    return 1 if wrong else 0
 
 
 def _status(check: "DeviceCheck") -> str:

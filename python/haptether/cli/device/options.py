@@ -43,6 +43,10 @@ class DriverOptions:
     """Write the result as JSON at the end; - for standard output."""
 
 
+DrivenPart = Literal["master", "slave", "gripper"]
+"""What a driver is one of."""
+
+
 def check_options(command: DriverOptions) -> None:
     """Refuses numbers out of their bounds, and a file that cannot be written.
 
@@ -62,33 +66,34 @@ def check_options(command: DriverOptions) -> None:
             raise ValueError(message)
 
 
-def side_of(name: str, side: Literal["master", "slave"] | None) -> Literal["master", "slave"]:
-    """Whether a driver is one of a master or of a slave.
+def side_of(name: str, side: DrivenPart | None) -> DrivenPart:
+    """What a driver is one of.
 
     Raises:
-        ValueError: There is none of that name, or both.
+        ValueError: There is none of that name, or several.
     """
     from difflib import get_close_matches
 
-    from haptether.bridge import MASTERS, SLAVES, device_names
+    from haptether.bridge import GRIPPERS, MASTERS, SLAVES, device_names
 
-    names = {"master": device_names(MASTERS), "slave": device_names(SLAVES)}
+    names = {"master": device_names(MASTERS), "slave": device_names(SLAVES), "gripper": device_names(GRIPPERS)}
     if side is not None:
         return side
     has = [of for of, known in names.items() if name in known]
     if len(has) == 1:
-        return cast("Literal['master', 'slave']", has[0])
+        return cast("DrivenPart", has[0])
     if has:
-        message = f"{name}: a driver of a master and one of a slave: say which by --side master or --side slave"
+        drivers, flags = (f" {word} ".join(has) for word in ("and a", "or --side"))
+        message = f"{name}: a driver of a {drivers}: say which by --side {flags}"
         raise ValueError(message)
-    known = sorted({*names["master"], *names["slave"]})
+    known = sorted({known for of in names.values() for known in of})
     near = get_close_matches(name, known, 1)
     hint = f"did you mean {near[0]}? " if near else ""
     message = f"{name}: no such driver: {hint}there is {', '.join(known) or 'none'} (haptether list)"
     raise ValueError(message)
 
 
-def driver_options(command: DriverOptions, side: Literal["master", "slave"]) -> dict[str, Any]:
+def driver_options(command: DriverOptions, side: DrivenPart) -> dict[str, Any]:
     """What the driver is called with, as `[master.options]` of a scene has it.
 
     Raises:
@@ -96,10 +101,13 @@ def driver_options(command: DriverOptions, side: Literal["master", "slave"]) -> 
     """
     from haptether.bridge.scene.load import overridden
 
+    table = "slave.gripper" if side == "gripper" else side
     raw: dict[str, Any] = {}
     for option in command.options:
-        raw = overridden(raw, f"{side}.options.{option}")
-    options: dict[str, Any] = raw.get(side, {}).get("options", {})
+        raw = overridden(raw, f"{table}.options.{option}")
+    for key in table.split("."):
+        raw = raw.get(key, {})
+    options: dict[str, Any] = raw.get("options", {})
     return options
 
 
