@@ -161,3 +161,14 @@ def test_a_history_keeps_the_newest() -> None:
     assert history["force"][:, 1].tolist() == [-19.0, -20.0, -21.0, -22.0]
     assert not history.has_begun("slave_time_s")
     assert np.isnan(history["slave_x"]).all()
+
+
+def test_a_side_that_fell_silent_is_where_it_was() -> None:
+    run, _, _ = shown("remote_push")
+    live = told(run, 1.0, "master", "slave")
+    before = live.at_now().poses["tool"]
+    for time_s in np.arange(1.0, 4.0, 1.0 / 60.0):
+        live.take(sample(run, "master", float(time_s)), "master", received_s=100.0 + float(time_s))
+    now = live.at_now()
+    assert now.poses["tool"] == pytest.approx(before)
+    assert now.trails["tool trail"].shape == (0, 3)

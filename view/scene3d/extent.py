@@ -50,7 +50,7 @@ class Extent:
 def points_of(values: npt.NDArray[np.float64]) -> Array:
     """Positions or forces of 1 to 3 axes as (n, 3); an axis that there is not is 0."""
     columns = np.asarray(values, dtype=np.float64)
-    columns = columns.reshape(len(columns), -1)[:, :3]
+    columns = columns[:, None] if columns.ndim == 1 else columns[:, :3]
     return np.pad(columns, ((0, 0), (0, 3 - columns.shape[1])))
 
 
@@ -83,7 +83,8 @@ def chain_of(signals: Signals, name: str, arm: object) -> ArmDescription | None:
 
 def angles_of(values: npt.NDArray[np.float64]) -> Array:
     """Angles of joints as (n, joints)."""
-    return np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+    angles = np.asarray(values, dtype=np.float64)
+    return angles[:, None] if angles.ndim == 1 else angles
 
 
 def is_joints(signals: Signals, scene: Scene | None) -> bool:

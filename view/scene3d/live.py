@@ -4,7 +4,7 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +30,6 @@ from haptether.view.scene3d.settings import scene_of_settings
 from haptether.view.scene3d.timeline import timeline_of
 
 Array = npt.NDArray[np.float64]
-Side = Literal["master", "slave"]
 
 TELEMETRY_HZ = 60
 MAX_EVENTS = 256
@@ -114,7 +113,16 @@ class LiveDescription:
         """Whether the loops of all sides ended in good order."""
         return self._ended == set(self.sides)
 
-    def take(self, message: TelemetryMessage, side: Side | None = None, *, received_s: float = 0.0) -> None:
+    @property
+    def has_begun(self) -> bool:
+        """Whether there is a sample of each side."""
+        return all(self._history.has_begun(TIMES[side]) for side in self.sides)
+
+    def ended(self, side: str) -> bool:
+        """Whether the loop of a side ended in good order."""
+        return side in self._ended
+
+    def take(self, message: TelemetryMessage, side: str | None = None, *, received_s: float = 0.0) -> None:
         """Takes a message.
 
         Args:
