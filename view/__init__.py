@@ -1,15 +1,19 @@
 """What shows a run: telemetry, recordings and scenes in; panels, pictures, films and pages out. No loop imports it.
 
-`describe` computes what is where, without any library that draws; `Picture` draws it with PyVista, `write_page` makes
-a page of it that needs nothing else. The extra `view` brings the libraries.
+`describe` computes what is where, without any library that draws, and `LiveDescription` that of a run that goes on;
+`Picture` draws it with PyVista, `write_page` makes a page of it that needs nothing else. The extra `view` brings the
+libraries.
 """
 
-from haptether.view.scene3d.description import Description, NothingRecordedError, describe, describe_beside
+from haptether.view.scene3d.description import Description, Moment, NothingRecordedError, describe, describe_beside
+from haptether.view.scene3d.live import LiveDescription
 from haptether.view.terminal.panel import headline, panel
 from haptether.view.terminal.state import Observer, SideState
 
 __all__ = [
     "Description",
+    "LiveDescription",
+    "Moment",
     "NothingRecordedError",
     "Observer",
     "SideState",

@@ -26,7 +26,7 @@ from haptether.view.picture.gl import require_gl
 from haptether.view.picture.layout import layout
 from haptether.view.picture.picture import CAMERAS, Picture
 from haptether.view.scene3d import colours
-from haptether.view.window import SPEEDS, Player, Window
+from haptether.view.window.playback import SPEEDS, Playback, Player
 
 SMALL = (560, 340)
 
@@ -223,7 +223,7 @@ def test_keys_and_clicks_steer_a_window(monkeypatch: pytest.MonkeyPatch) -> None
     require_gl()
     monkeypatch.setattr("haptether.view.picture.picture.require_gl", lambda window: None)  # noqa: ARG005
     run, _, described = shown("remote_push")
-    window = Window([described], size=SMALL, camera="front", at_s=2.0)
+    window = Playback([described], size=SMALL, camera="front", at_s=2.0)
     trip_s = next(event.time_s for event in run.events if event.kind == "trip")
     for key, time_s, camera in (
         ("Right", 2.01, "front"),

@@ -134,13 +134,14 @@ def _part(part: Part, poses: npt.NDArray[np.float64]) -> dict[str, Any]:
 
 
 def _trail(trail: Trail) -> dict[str, Any]:
-    known = np.flatnonzero(np.isfinite(trail.points).all(axis=1))
+    points = trail.points.values
+    known = np.flatnonzero(np.isfinite(points).all(axis=1))
     kept = known[:: max(1, math.ceil(len(known) / TRAIL_POINTS))]
     return {
         "station": trail.station,
         "colour": trail.colour,
-        "times": _packed(trail.time_s[kept]),
-        "points": _packed(trail.points[kept]),
+        "times": _packed(trail.points.time_s[kept]),
+        "points": _packed(points[kept]),
         "window": trail.window_s,
         "drift": trail.drift.tolist(),
     }

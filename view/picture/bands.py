@@ -146,8 +146,13 @@ class Bands:
         self._described = described
         self._column = column
         self._letter = letter
-        self._quiet = Band(column.foot, letter)
-        self._line_top = self._quiet.height - 4.9
+        self._line_top = column.foot.height / letter - 4.9
+        self.renew(described)
+
+    def renew(self, described: Description) -> None:
+        """Another time line of the same run."""
+        self._described = described
+        self._quiet = Band(self._column.foot, self._letter)
         self._draw_line(self._quiet)
 
     def head(self) -> Pixels:
@@ -232,7 +237,7 @@ class Bands:
             # As wide as the widest number, so that nothing shifts from frame to frame.
             x += 0.6 + band.width_of(f"{text.rpartition(' ')[0].rpartition(' ')[0]} 00.00 m/s", 0.9) + 0.9
         if not status.gauges:
-            if band.width - x > 9.0:
+            if band.width - x > 9.0 and "hand" in self._described.views:
                 band.text(x, y, "no controller watches", colours.FAINT_INK, size=0.9, within=band.width - x - 0.6)
             return
         room = (band.width - x - 0.6) / len(status.gauges)

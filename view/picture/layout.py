@@ -1,6 +1,8 @@
 """Which part of a picture shows what: a column for each run, its two ends, and bands of text around them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from haptether.view.scene3d.parts import Station
 
@@ -28,6 +30,7 @@ class Column:
     head: Rectangle
     captions: dict[Station, Rectangle]
     views: dict[Station, Rectangle]
+    """Of each end that is shown."""
     foot: Rectangle
 
 
@@ -37,7 +40,10 @@ def letter_of(size: tuple[int, int], runs: int) -> int:
     return max(8, round(min(width / (52 + 26 * (runs > 1)) / 1.05 ** (runs - 1), height / 42)))
 
 
-def layout(size: tuple[int, int], runs: int) -> list[Column]:
+STATIONS: Final[tuple[Station, Station]] = ("hand", "robot")
+
+
+def layout(size: tuple[int, int], runs: int, ends: Sequence[Station] = STATIONS) -> list[Column]:
     """Ends of one run stand side by side, those of several below one another, so that runs can be compared."""
     width, height = size
     letter = letter_of(size, runs)
@@ -54,16 +60,17 @@ def layout(size: tuple[int, int], runs: int) -> list[Column]:
         captions: dict[Station, Rectangle] = {}
         if runs == 1:
             half = (wide - gap) // 2
-            places: list[tuple[Station, int, int]] = [
-                ("hand", left, half),
-                ("robot", left + half + gap, wide - half - gap),
-            ]
+            places: list[tuple[Station, int, int]] = [(end, left, wide) for end in ends]
+            if len(ends) == 2:
+                places = [(ends[0], left, half), (ends[1], left + half + gap, wide - half - gap)]
             for station, begin, span in places:
                 captions[station] = Rectangle(begin, low, span, caption)
                 views[station] = Rectangle(begin, low + caption, span, high - low - caption)
         else:
             middle = (low + high) // 2
-            stacked: list[tuple[Station, int, int]] = [("hand", low, middle), ("robot", middle, high)]
+            stacked: list[tuple[Station, int, int]] = [(end, low, high) for end in ends]
+            if len(ends) == 2:
+                stacked = [(ends[0], low, middle), (ends[1], middle, high)]
             for station, top, bottom in stacked:
                 captions[station] = Rectangle(left, top, wide, caption)
                 views[station] = Rectangle(left, top + caption, wide, bottom - top - caption)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from haptether.view.picture.bands import Bands, Pixels, caption
 from haptether.view.picture.gl import PACKAGES, NoGlError, require_gl
-from haptether.view.picture.layout import Column, Rectangle, layout, letter_of
+from haptether.view.picture.layout import STATIONS, Column, Rectangle, layout, letter_of
 from haptether.view.scene3d import colours
 from haptether.view.scene3d.description import Description
 from haptether.view.scene3d.parts import Part, Station, Trail
@@ -78,9 +78,7 @@ class Picture:
         self.time_s = self.described[0].timeline.begin_s
         self._actors: list[tuple[Part, Any]] = []
         self._trails: list[tuple[Trail, Any, Any]] = []
-        for number, one in enumerate(self.described):
-            for place, station in enumerate(STATIONS):
-                self._fill(one, station, 2 * number + place)
+        self._fill_all()
         self._boards: dict[str, _Board] = {}
         self._overlay = self._add_overlay()
         self.camera = _checked(camera)
@@ -89,12 +87,16 @@ class Picture:
     def lay_out(self, size: tuple[int, int]) -> None:
         """Fits everything to a size in pixels."""
         self.size = size
-        self.columns = layout(size, len(self.described))
+        ends = [end for end in STATIONS if any(end in one.views for one in self.described)]
+        self.columns = layout(size, len(self.described), ends)
         letter = letter_of(size, len(self.described))
         self.bands = [Bands(one, column, letter) for one, column in zip(self.described, self.columns, strict=True)]
         width, height = size
         for number, column in enumerate(self.columns):
             for place, station in enumerate(STATIONS):
+                self.plotter.renderers[2 * number + place].SetDraw(station in column.views)
+                if station not in column.views:
+                    continue
                 view = column.views[station]
                 self.plotter.renderers[2 * number + place].SetViewport(
                     view.left / width,
@@ -104,14 +106,14 @@ class Picture:
                 )
         for number, column in enumerate(self.columns[1:]):
             self._show_seam(f"seam {number}", Rectangle(column.head.left - 4, 0, 4, height))
-        if len(self.columns) == 1:
+        if len(self.columns) == 1 and len(ends) == 2:
             hand, robot = self.columns[0].captions["hand"], self.columns[0].views["robot"]
             self._show_seam(
                 "seam", Rectangle(hand.width, hand.top, robot.left - hand.width, hand.height + robot.height)
             )
         for number, (band, column) in enumerate(zip(self.bands, self.columns, strict=True)):
             self._show_band(f"head {number}", column.head, band.head())
-            for station in STATIONS:
+            for station in ends:
                 shown = caption(
                     self.described[number],
                     station,
@@ -121,6 +123,22 @@ class Picture:
                 )
                 self._show_band(f"{station} {number}", column.captions[station], shown)
         self.look(self.camera)
+
+    def renew(self, described: Description) -> None:
+        """Shows another description in place of the only one: of the same run, later on."""
+        (before,) = self.described
+        self.described = (described,)
+        if described.parts is before.parts:
+            self.bands[0].renew(described)
+            return
+        for _, actor in self._actors:
+            self._remove(actor)
+        for _, _, actor in self._trails:
+            self._remove(actor)
+        self._actors.clear()
+        self._trails.clear()
+        self._fill_all()
+        self.lay_out(self.size)
 
     def look(self, camera: str) -> None:
         """Looks from one of `CAMERAS`.
@@ -132,6 +150,8 @@ class Picture:
         direction = _unit(np.array(CAMERAS[camera]))
         for number, (one, column) in enumerate(zip(self.described, self.columns, strict=True)):
             for place, station in enumerate(STATIONS):
+                if station not in one.views:
+                    continue
                 centre = 0.5 * np.add(*one.views[station])
                 at = self.plotter.renderers[2 * number + place].camera
                 at.view_angle = VIEW_ANGLE
@@ -192,6 +212,16 @@ class Picture:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _fill_all(self) -> None:
+        for number, one in enumerate(self.described):
+            for place, station in enumerate(STATIONS):
+                self._fill(one, station, 2 * number + place)
+
+    def _remove(self, actor: Any) -> None:  # noqa: ANN401  # VTK has no types
+        for renderer in self.plotter.renderers:
+            if renderer.HasViewProp(actor):
+                renderer.remove_actor(actor, render=False)
 
     def _fill(self, one: Description, station: Station, place: int) -> None:
         import pyvista
@@ -261,11 +291,10 @@ class Picture:
     def _pixels_per_metre(self, number: int, station: Station) -> float:
         """In the middle of a view."""
         one, column = self.described[number], self.columns[number]
+        if station not in one.views:
+            return math.nan
         seen_m = 2.0 * self._distance(one, station, column) * math.tan(math.radians(0.5 * VIEW_ANGLE))
         return column.views[station].height / seen_m
-
-
-STATIONS: Final[tuple[Station, Station]] = ("hand", "robot")
 
 
 def _checked(camera: str) -> str:

@@ -6,11 +6,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from haptether.bridge import Scene
-from haptether.slave import UR_MODELS, UrInverse, UrModel, ur_model
+from haptether.slave import UrInverse, UrModel
 from haptether.view.scene3d import colours
 from haptether.view.scene3d.mesh import capsule, cylinder
-from haptether.view.scene3d.parts import Part
+from haptether.view.scene3d.parts import Course, Part
 from haptether.view.scene3d.rotation import rotation_to, transform
 
 Array = npt.NDArray[np.float64]
@@ -21,16 +20,10 @@ GRIPPER_M: Final = 0.16
 """From the flange to between the jaws of a Robotiq gripper."""
 TABLE_M: Final = 0.03
 """How far above the arm's base the tool comes down where its place is chosen."""
+LIVE_LOWEST_M: Final = -0.2
+"""How far the tool may come down from where it begins, where that is not known yet."""
 STEP_S: Final = 0.02
 """Between the postures that are computed; in between they are interpolated."""
-
-
-def ur_of(scene: Scene | None) -> UrModel | None:
-    """The arm that a scene drives, if it is a UR."""
-    if scene is None or scene.slave is None or scene.slave.device != "ur":
-        return None
-    name = str(scene.slave.options.get("model", "ur5e"))
-    return ur_model(name) if name in UR_MODELS else None
 
 
 def link_frames(model: UrModel, q: Array) -> Array:
@@ -54,44 +47,58 @@ class UrPostures:
 
     Args:
         model: The arm.
-        time_s: (n,).
         position: Of the tool, (n, 3) in m.
         rotation: Of the tool, (n, 3, 3); none of a tool that keeps its orientation.
         tool_m: From the flange to the tool point.
     """
 
-    def __init__(self, model: UrModel, time_s: Array, position: Array, rotation: Array | None, tool_m: float) -> None:
+    def __init__(self, model: UrModel, position: Course, rotation: Course | None, tool_m: float) -> None:
         self.model = model
         self.tool = transform(np.array([0.0, 0.0, tool_m]))
-        inverse = UrInverse(model, tool=self.tool)
-        ready = np.array(READY)
-        home = link_frames(model, ready)[-1] @ self.tool
-        lowest = float(np.nanmin(position[:, 2]) - position[0, 2])
-        first = transform(position[0], home[:3, :3] if rotation is None else rotation[0])
-        self.is_relative = inverse.nearest(first, ready) is None
+        self._inverse = UrInverse(model, tool=self.tool)
+        self._position, self._rotation = position, rotation
+        self.is_relative = True
         """Whether the place of the arm is chosen."""
+        self.unreached = 0
+        """Poses that no posture has: the arm stays where it was."""
+        self._origin, self._turn, self._first = np.zeros(3), np.eye(3), np.eye(3)
+        self._last_q = np.array(READY)
+        self._last: tuple[float, Array, Array] | None = None
+        self._begin()
+
+    def _begin(self) -> None:
+        """Places the arm, and finds its posture at each time."""
+        time_s, position = self._position.time_s, self._position.values
+        self._place(position[0], None if self._rotation is None else self._rotation.at(float(time_s[0])),
+                    float(np.nanmin(position[:, 2]) - position[0, 2]))  # fmt: skip
+        self._time_s = np.arange(float(time_s[0]), float(time_s[-1]) + STEP_S, STEP_S)
+        self._q = np.stack([self._posture(float(now_s)) for now_s in self._time_s])
+
+    def _place(self, position: Array, rotation: Array | None, lowest: float) -> None:
+        """Where the arm stands, by the first pose of its tool and how far below that it comes, in m."""
+        ready = np.array(READY)
+        home = link_frames(self.model, ready)[-1] @ self.tool
+        first = transform(position, home[:3, :3] if rotation is None else rotation)
+        self.is_relative = self._inverse.nearest(first, ready) is None
         if self.is_relative:
             lowered = home.copy()
             lowered[2, 3] = TABLE_M - lowest
-            found = inverse.nearest(lowered, ready)
+            found = self._inverse.nearest(lowered, ready)
             home, ready = (home, ready) if found is None else (lowered, np.array(found))
-        self._origin = home[:3, 3] - position[0] if self.is_relative else np.zeros(3)
+        self._origin = home[:3, 3] - position if self.is_relative else np.zeros(3)
         self._turn = home[:3, :3] if self.is_relative or rotation is None else np.eye(3)
-        self._first = np.eye(3) if rotation is None or not self.is_relative else rotation[0].T
-        self._time_s = np.arange(float(time_s[0]), float(time_s[-1]) + STEP_S, STEP_S)
-        index = np.clip(np.searchsorted(time_s, self._time_s + 1e-9, side="right") - 1, 0, None)
-        postures, q = [], ready
-        self.unreached = 0
-        """Poses that no posture has: the arm stays where it was."""
-        for n in index:
-            found = inverse.nearest(self.base_from_tool(position[n], None if rotation is None else rotation[n]), q)
-            if found is None:
-                self.unreached += 1
-            else:
-                q = np.array(found)
-            postures.append(q)
-        self._q = np.stack(postures)
-        self._last: tuple[float, Array, Array] | None = None
+        self._first = np.eye(3) if rotation is None or not self.is_relative else rotation.T
+        self._last_q = ready
+
+    def _posture(self, time_s: float) -> Array:
+        """The posture that is nearest to the one before, (6,) in rad."""
+        rotation = None if self._rotation is None else self._rotation.at(time_s)
+        found = self._inverse.nearest(self.base_from_tool(self._position.at(time_s), rotation), self._last_q)
+        if found is None:
+            self.unreached += 1
+        else:
+            self._last_q = np.array(found)
+        return self._last_q
 
     def base_from_tool(self, position: Array, rotation: Array | None) -> Array:
         """Where what was recorded is in the frame of the arm's base, (4, 4)."""
@@ -101,9 +108,28 @@ class UrPostures:
     def at(self, time_s: float) -> tuple[Array, Array]:
         """Joint angles, (6,) in rad, and the frames of the links, (7, 4, 4)."""
         if self._last is None or self._last[0] != time_s:
-            q = np.array([np.interp(time_s, self._time_s, of) for of in self._q.T])
+            q = self._q_at(time_s)
             self._last = time_s, q, link_frames(self.model, q)
         return self._last[1], self._last[2]
+
+    def _q_at(self, time_s: float) -> Array:
+        return np.array([np.interp(time_s, self._time_s, of) for of in self._q.T])
+
+
+class LiveUrPostures(UrPostures):
+    """As `UrPostures`, of an arm whose run goes on: each posture is found when it is asked for."""
+
+    def _begin(self) -> None:
+        self._has_begun = False
+
+    def _q_at(self, time_s: float) -> Array:
+        position = self._position.at(time_s)
+        if not np.isfinite(position).all():
+            return self._last_q
+        if not self._has_begun:
+            self._has_begun = True
+            self._place(position, None if self._rotation is None else self._rotation.at(time_s), LIVE_LOWEST_M)
+        return self._posture(time_s)
 
 
 def arm_parts(postures: UrPostures) -> list[Part]:

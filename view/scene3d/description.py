@@ -7,11 +7,13 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.bridge import Run, Scene
-from haptether.view.scene3d.extent import Extent, extents
+from haptether.view.scene3d.arms import Arms, arms_of
+from haptether.view.scene3d.extent import Extent, axes_of, extents
 from haptether.view.scene3d.hand import hand_end
 from haptether.view.scene3d.parts import Arrow, Part, Station, Trail
 from haptether.view.scene3d.robot import RobotEnd
-from haptether.view.scene3d.status import StatusCourse
+from haptether.view.scene3d.settings import scene_of_settings
+from haptether.view.scene3d.status import Status, StatusCourse
 from haptether.view.scene3d.timeline import Timeline, timeline_of
 
 Array = npt.NDArray[np.float64]
@@ -36,9 +38,18 @@ class Description:
     figures: str
     """What the run comes to, in a line."""
     views: dict[Station, tuple[Array, Array]]
-    """Of each end: lower and upper corner of what is to be seen, (3,) each, in m."""
+    """Of each end that is known: lower and upper corner of what is to be seen, (3,) each, in m."""
     flat: bool
     """Whether it all moves along one axis."""
+
+    def at(self, time_s: float) -> "Moment":
+        """What is where at a time in s."""
+        return Moment(
+            time_s=time_s,
+            poses={part.name: part.pose(time_s) for part in self.parts},
+            trails={trail.name: trail.until(time_s) for trail in self.trails},
+            status=self.status.at(time_s),
+        )
 
     def part(self, name: str) -> Part:
         """A body by its name.
@@ -53,57 +64,95 @@ class Description:
         raise KeyError(message)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Moment:
+    """What is where at a time."""
+
+    time_s: float
+    poses: dict[str, Array | None]
+    """base_from_part, (4, 4) in m, of each part by its name; none while there is nothing to see. A shaft of an arrow is
+    as long as its force by a scale along z."""
+    trails: dict[str, Array]
+    """Of each trail by its name: where its point has been, (n, 3) in m."""
+    status: Status
+
+
 class NothingRecordedError(ValueError):
     """A run without the signals that a picture is made of."""
 
 
-def describe(run: Run, scene: Scene | None = None, *, title: str = "") -> Description:
+def describe(
+    run: Run, scene: Scene | None = None, *, title: str = "", arm: str = "", leader: str = ""
+) -> Description:  # fmt: skip
     """What is where in a run.
 
     Args:
         run: With its signals.
-        scene: What was run, or what the recording names; without one no objects are drawn.
+        scene: What was run; by default as the settings of the run have it.
         title: By default the scene's own.
+        arm: What the slave was, where no scene says so: a UR, or a description of servos by its name or path.
+        leader: What the master was: a description of servos.
 
     Raises:
         NothingRecordedError: It kept no signals.
+        ValueError: There is no such arm.
     """
-    return describe_beside([(run, scene, title)])[0]
+    return describe_beside([(run, scene, title)], arm=arm, leader=leader)[0]
 
 
-def describe_beside(of: Sequence[tuple[Run, Scene | None, str]]) -> list[Description]:
+def describe_beside(
+    of: Sequence[tuple[Run, Scene | None, str]], *, arm: str = "", leader: str = ""
+) -> list[Description]:  # fmt: skip
     """As `describe`, of runs that are seen side by side: sizes and scales of forces are the same.
 
     Raises:
         NothingRecordedError: One of them kept no signals.
+        ValueError: There is no such arm.
     """
     for run, _, _ in of:
-        if "time_s" not in run.signals or not len(run.signals["time_s"]):
+        if not any(len(run.signals[name]) for name in ("time_s", "slave_time_s") if name in run.signals):
             message = f"{run.scene} has no [record], so there is nothing to see: add --set record.every=1"
             raise NothingRecordedError(message)
-    shared = extents([(run, scene) for run, scene, _ in of])
-    return [_described(run, scene, title, shared) for run, scene, title in of]
+    known = [(run, scene_of_settings(run.settings) if scene is None else scene, title) for run, scene, title in of]
+    arms = [arms_of(scene, arm=arm, leader=leader) for _, scene, _ in known]
+    shared = extents([(run, scene) for run, scene, _ in known], arms[0])
+    return [
+        described(run, scene, title, shared, one) for (run, scene, title), one in zip(known, arms, strict=True)
+    ]  # fmt: skip
 
 
-def _described(run: Run, scene: Scene | None, title: str, shared: dict[str, Extent]) -> Description:
-    parts, arrows, trails, notes = hand_end(run, scene, shared["hand"])
-    robot = RobotEnd(run, scene, shared["robot"])
-    all_arrows = [*arrows, *robot.arrows]
-    views: dict[Station, tuple[Array, Array]] = {
-        "hand": _view_of(shared["hand"], 0.6),
-        "robot": _view_of(shared["robot"], robot.above) if robot.postures is None else ROBOT_VIEW,
-    }
+def described(run: Run, scene: Scene | None, title: str, shared: dict[str, Extent], arms: Arms) -> Description:
+    """What is where in a run, drawn as large as is given; an end that nobody recorded is left out."""
+    parts: list[Part] = []
+    arrows: list[Arrow] = []
+    trails: list[Trail] = []
+    notes: list[str] = []
+    views: dict[Station, tuple[Array, Array]] = {}
+    if "position" in run.signals:
+        parts, arrows, trails, notes = hand_end(run, scene, shared["hand"], arms)
+        views["hand"] = _view_of(shared["hand"], 0.6)
+    else:
+        notes.append("the hand is not drawn: nothing of the master was given")
+    if "slave_position" not in run.signals and "peer_state" in run.signals:
+        notes.append("the robot is not drawn: nothing of the slave was given")
+    else:
+        robot = RobotEnd(run, scene, shared["robot"], arms)
+        parts.extend(robot.parts)
+        arrows.extend(robot.arrows)
+        trails.extend(robot.trails)
+        notes.extend(robot.notes)
+        views["robot"] = _view_of(shared["robot"], robot.above) if robot.postures is None else ROBOT_VIEW
     return Description(
         title=title or (scene.title if scene is not None and scene.title else run.scene),
-        parts=(*parts, *robot.parts, *(part for arrow in all_arrows for part in arrow.parts())),
-        arrows=tuple(all_arrows),
-        trails=(*trails, *robot.trails),
-        status=StatusCourse(run, scene),
-        timeline=timeline_of(run),
-        notes=(*notes, *robot.notes),
+        parts=(*parts, *(part for arrow in arrows for part in arrow.parts())),
+        arrows=tuple(arrows),
+        trails=tuple(trails),
+        status=StatusCourse(run.signals, run.events, scene),
+        timeline=timeline_of(run.signals, run.events),
+        notes=tuple(notes),
         figures=_figures(run),
         views=views,
-        flat=run.signals["position"].ndim == 1,
+        flat=axes_of(run.signals) == 1,
     )
 
 

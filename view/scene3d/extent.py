@@ -8,6 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.bridge import Box, Run, Scene, Signals, Sphere
+from haptether.dynamixel.description import ArmDescription
+from haptether.view.scene3d.arms import Arms
+from haptether.view.scene3d.chain import chain_corners
 
 Array = npt.NDArray[np.float64]
 
@@ -47,7 +50,7 @@ class Extent:
 def points_of(values: npt.NDArray[np.float64]) -> Array:
     """Positions or forces of 1 to 3 axes as (n, 3); an axis that there is not is 0."""
     columns = np.asarray(values, dtype=np.float64)
-    columns = columns.reshape(len(columns), -1)[:, :3]
+    columns = columns[:, None] if columns.ndim == 1 else columns[:, :3]
     return np.pad(columns, ((0, 0), (0, 3 - columns.shape[1])))
 
 
@@ -59,16 +62,29 @@ def vector_of(value: float | Sequence[float] | None, axes: int) -> Array:
 
 def axes_of(signals: Signals) -> int:
     """How many axes were recorded."""
-    position = signals["position"]
+    position = signals["position" if "position" in signals else "slave_position"]
     return 1 if position.ndim == 1 else int(position.shape[1])
 
 
-def extents(of: Sequence[tuple[Run, Scene | None]]) -> dict[str, Extent]:
+def extents(of: Sequence[tuple[Run, Scene | None]], arms: Arms) -> dict[str, Extent]:
     """Of both ends, the same for all runs that stand side by side."""
     return {
-        "hand": _extent("hand", [_hand_points(run.signals, scene) for run, scene in of], of),
-        "robot": _extent("robot", [_robot_points(run.signals, scene) for run, scene in of], of),
+        "hand": _extent("hand", [_hand_points(run.signals, scene, arms) for run, scene in of], of),
+        "robot": _extent("robot", [_robot_points(run.signals, scene, arms) for run, scene in of], of),
     }
+
+
+def chain_of(signals: Signals, name: str, arm: object) -> ArmDescription | None:
+    """A chain of servos, if it has as many joints as a signal has angles."""
+    values = signals[name]
+    joints = 1 if values.ndim == 1 else values.shape[1]
+    return arm if isinstance(arm, ArmDescription) and len(arm.joints) == joints else None
+
+
+def angles_of(values: npt.NDArray[np.float64]) -> Array:
+    """Angles of joints as (n, joints)."""
+    angles = np.asarray(values, dtype=np.float64)
+    return angles[:, None] if angles.ndim == 1 else angles
 
 
 def is_joints(signals: Signals, scene: Scene | None) -> bool:
@@ -76,18 +92,27 @@ def is_joints(signals: Signals, scene: Scene | None) -> bool:
     return axes_of(signals) > 3 or (scene is not None and scene.master.kind == "joints")
 
 
-def _hand_points(signals: Signals, scene: Scene | None) -> Array:
+def _joints(signals: Signals, name: str, arm: object) -> Array:
+    chain = chain_of(signals, name, arm)
+    if chain is not None:
+        return chain_corners(chain, angles_of(signals[name]))
+    return np.array([[-LEAST_M, 0.0, -LEAST_M], [LEAST_M, 0.0, LEAST_M]])
+
+
+def _hand_points(signals: Signals, scene: Scene | None, arms: Arms) -> Array:
+    if "position" not in signals:
+        return np.zeros((1, 3))
     if is_joints(signals, scene):
-        return np.array([[-LEAST_M, 0.0, -LEAST_M], [LEAST_M, 0.0, LEAST_M]])
+        return _joints(signals, "position", arms.master)
     points = [points_of(signals["position"])]
     if (corners := stops(scene, axes_of(signals))) is not None:
         points.append(corners)
     return np.concatenate(points)
 
 
-def _robot_points(signals: Signals, scene: Scene | None) -> Array:
+def _robot_points(signals: Signals, scene: Scene | None, arms: Arms) -> Array:
     if is_joints(signals, scene):
-        return np.array([[-LEAST_M, 0.0, -LEAST_M], [LEAST_M, 0.0, LEAST_M]])
+        return _joints(signals, "slave_position" if "slave_position" in signals else "position", arms.slave)
     # Without an arm between, it is the device itself that touches.
     points = [points_of(signals[name]) for name in ("slave_position", "slave_command") if name in signals]
     points = points or [points_of(signals["position"])]

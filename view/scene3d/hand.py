@@ -5,9 +5,12 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from haptether.bridge import Run, Scene
+from haptether.bridge import Run, Scene, Signals
 from haptether.view.scene3d import colours
-from haptether.view.scene3d.extent import Extent, axes_of, is_joints, points_of, stops
+from haptether.view.scene3d.arms import Arms
+from haptether.view.scene3d.chain import chain_parts
+from haptether.view.scene3d.extent import Extent, angles_of, axes_of, chain_of, is_joints, points_of, stops
+from haptether.view.scene3d.history import History
 from haptether.view.scene3d.mesh import Mesh, box, capsule, cylinder, joined, lathed, placed, sphere
 from haptether.view.scene3d.parts import Arrow, Course, Part, Pose, Station, Trail, still
 from haptether.view.scene3d.rotation import matrix_of, rotation_to, transform
@@ -21,22 +24,25 @@ TILT = np.array([0.0, 0.45, 0.9])
 TRAIL_S = 2.0
 
 
-def hand_end(run: Run, scene: Scene | None, extent: Extent) -> tuple[list[Part], list[Arrow], list[Trail], list[str]]:
+def hand_end(
+    run: Run, scene: Scene | None, extent: Extent, arms: Arms
+) -> tuple[list[Part], list[Arrow], list[Trail], list[str]]:
     """Parts, arrows, trails, and notes of what is not drawn."""
     signals = run.signals
-    time_s = np.asarray(signals["time_s"], dtype=np.float64)
     if is_joints(signals, scene):
-        return dials("hand", time_s, signals["position"], extent.size), [], [], []
+        chain = chain_of(signals, "position", arms.master)
+        if chain is not None:
+            return chain_parts("hand", chain, Course(signals, "position", angles_of)), [], [], []
+        return dials("hand", signals, "position", extent.size), [], [], []
     size = extent.size
-    position = Course(time_s, points_of(signals["position"]))
-    turned = Course(time_s, signals["orientation"]) if "orientation" in signals else None
+    position = Course(signals, "position", points_of)
+    turned = Course(signals, "orientation", matrix_of) if "orientation" in signals else None
 
     def stylus(now_s: float) -> Array | None:
         at = position.at(now_s)
         if not np.isfinite(at).all():
             return None
-        rotation = None if turned is None else matrix_of(turned.at(now_s))
-        return transform(at, rotation)
+        return transform(at, None if turned is None else turned.at(now_s))
 
     lean = rotation_to(TILT)
     parts = [
@@ -53,18 +59,18 @@ def hand_end(run: Run, scene: Scene | None, extent: Extent) -> tuple[list[Part],
     if scene is not None and scene.operator is None:
         notes.append("nobody holds the device")
     elif "hand_force" in signals:
-        released_s = next((event.time_s for event in run.events if event.kind == "release"), math.inf)
-        held = Course(time_s, np.abs(points_of(signals["hand_force"])).max(axis=1) > 1e-6)
+        released_s = _release_s(run, scene)
+        held = Course(signals, "hand_force", lambda force: np.abs(points_of(force)).max(axis=1))
         away = TILT / np.linalg.norm(TILT) * 0.35 * size
 
         def fingers(now_s: float) -> Array | None:
             at = stylus(now_s)
-            if at is None or (now_s > released_s and not bool(held.at(now_s))):
+            if at is None or (now_s > released_s and not bool(held.at(now_s) > 1e-6)):
                 return None
             return at @ transform(grip)
 
         def apart(now_s: float) -> Array | None:
-            if not (now_s > released_s and not bool(held.at(now_s))):
+            if not (now_s > released_s and not bool(held.at(now_s) > 1e-6)):
                 return None
             where = position.at(released_s)
             return transform(where + grip + away)
@@ -84,17 +90,24 @@ def hand_end(run: Run, scene: Scene | None, extent: Extent) -> tuple[list[Part],
         label="way of the hand",
         station="hand",
         colour=colours.MEASURED,
-        time_s=time_s,
-        points=position.values,
+        points=position,
         window_s=TRAIL_S,
         drift=drift(extent, axes_of(signals)),
     )
-    return parts, _arrows(run, extent, time_s, stylus, grip), [trail], notes
+    return parts, _arrows(signals, extent, stylus, grip), [trail], notes
 
 
-def _arrows(run: Run, extent: Extent, time_s: Array, stylus: Pose, grip: Array) -> list[Arrow]:
+def _release_s(run: Run, scene: Scene | None) -> float:
+    """When the hand lets go, in s: as recorded, or as the scene of a modelled hand has it."""
+    release = None if scene is None or scene.operator is None else scene.operator.release
+    planned_s = getattr(release, "at_s", None)
+    otherwise = math.inf if planned_s is None else float(planned_s)
+    return next((event.time_s for event in run.events if event.kind == "release"), otherwise)
+
+
+def _arrows(signals: Signals, extent: Extent, stylus: Pose, grip: Array) -> list[Arrow]:
     """Forces beside one another: on the stylus' tip what the device exerts, above it what the controllers add."""
-    signals, size = run.signals, extent.size
+    size = extent.size
     hand_force = "hand_force" if "hand_force" in signals else "grasp_force"
     of_hand = "of the hand" if hand_force == "hand_force" else "of the hand, estimated"
     rows = [
@@ -106,7 +119,7 @@ def _arrows(run: Run, extent: Extent, time_s: Array, stylus: Pose, grip: Array) 
     ]
     arrows = []
     for name, label, colour, at, heads in rows:
-        if name not in signals or not np.nanmax(np.abs(signals[name]), initial=0.0) > 0.0:
+        if not has_force(signals, name):
             continue
 
         def tail(now_s: float, at: Array = at) -> Array:
@@ -122,7 +135,7 @@ def _arrows(run: Run, extent: Extent, time_s: Array, stylus: Pose, grip: Array) 
                 scale=extent.metres_per_newton if heads == 1 else extent.metres_per_newton_metre,
                 thickness_m=0.018 * size,
                 tail=tail,
-                vector=Course(time_s, points_of(signals[name])),
+                vector=Course(signals, name, points_of),
                 heads=2 if heads == 2 else 1,
             )
         )
@@ -220,17 +233,25 @@ def workspace(corners: Array, size: float) -> list[Part]:
     ]
 
 
-def dials(station: Station, time_s: Array, joints: Array, size: float) -> list[Part]:
+def has_force(signals: Signals, name: str) -> bool:
+    """Whether a force or torque is there that acts at some time; of a live run one that may act."""
+    return name in signals and (
+        isinstance(signals, History) or bool(np.nanmax(np.abs(signals[name]), initial=0.0) > 0.0)
+    )
+
+
+def dials(station: Station, signals: Signals, name: str, size: float) -> list[Part]:
     """A dial with a pointer for each joint of a side whose geometry the scene does not say."""
-    angles = np.asarray(joints, dtype=np.float64).reshape(len(time_s), -1)
-    step = 2.0 * size / angles.shape[1]
+    values = signals[name]
+    joints = 1 if values.ndim == 1 else values.shape[1]
+    step = 2.0 * size / joints
     face = lathed([(0.0, -0.05 * step), (0.42 * step, -0.05 * step), (0.42 * step, 0.0), (0.0, 0.0)])
     pointer = placed(capsule(0.035 * step, 0.34 * step), transform(np.zeros(3), rotation_to(np.array([0.0, 0.0, 1.0]))))
     towards = rotation_to(np.array([0.0, -1.0, 0.0]))
     parts = []
-    for joint in range(angles.shape[1]):
+    for joint in range(joints):
         at = np.array([(joint + 0.5) * step - size, 0.0, 0.0])
-        course = Course(time_s, angles[:, joint])
+        course = Course(signals, name, lambda q, joint=joint: angles_of(q)[:, joint])  # type: ignore[misc]
 
         def pose(now_s: float, at: Array = at, course: Course = course) -> Array | None:
             angle = float(course.at(now_s))

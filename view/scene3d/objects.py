@@ -42,7 +42,7 @@ def moved(motion: MotionTable | None, time_s: float, axes: int) -> Array:
 class Surroundings:
     """The parts of an environment, and which points touch something."""
 
-    def __init__(self, scene: Scene, signals: Signals, extent: Extent, slave_time_s: Array) -> None:
+    def __init__(self, scene: Scene, signals: Signals, extent: Extent) -> None:
         self.parts: list[Part] = []
         self.notes: list[str] = []
         """What cannot be drawn, and why."""
@@ -58,9 +58,9 @@ class Surroundings:
         for number, hole in enumerate(environment.holes):
             self._add_hole(f"hole {number}", hole, extent)
         for number, handle in enumerate(environment.handles):
-            self._add_handle(number, handle, signals, slave_time_s)
+            self._add_handle(number, handle, signals)
         for number, body in enumerate(environment.bodies):
-            self._add_body(number, body, signals, slave_time_s)
+            self._add_body(number, body, signals)
 
     def depth(self, point: Array, time_s: float) -> float:
         """How deep in m a point is in what is touched; below 0 outside of all, -inf where there is nothing."""
@@ -108,11 +108,11 @@ class Surroundings:
             Part(name=name, station="robot", mesh=mesh, colour=colours.OBJECT, opacity=0.45, pose=still(at))
         )
 
-    def _add_handle(self, number: int, handle: HandleTable, signals: Signals, time_s: Array) -> None:
+    def _add_handle(self, number: int, handle: HandleTable, signals: Signals) -> None:
         if "handle_angle" not in signals:
             self.notes.append(f"handle {number} is not drawn: its angle is not recorded, --set record.every=1")
             return
-        angle = Course(time_s, signals["handle_angle"].reshape(len(time_s), -1)[:, number])
+        angle = Course(signals, "handle_angle", lambda angles: angles.reshape(len(angles), -1)[:, number])
         point, axis, grip = np.array(handle.point), np.array(handle.axis), np.array(handle.grip)
         lever = _across(axis) @ (grip - point)
         radius = float(np.linalg.norm(lever))
@@ -142,13 +142,13 @@ class Surroundings:
             )
         )
 
-    def _add_body(self, number: int, body: RigidBodyTable, signals: Signals, time_s: Array) -> None:
+    def _add_body(self, number: int, body: RigidBodyTable, signals: Signals) -> None:
         if "body_position" not in signals:
             self.notes.append(f"body {number} is not drawn: where it is is not recorded, --set record.every=1")
             return
         self.holds_objects = True
-        position = Course(time_s, signals["body_position"].reshape(len(time_s), -1, 3)[:, number])
-        rotation = Course(time_s, signals["body_orientation"].reshape(len(time_s), -1, 4)[:, number])
+        position = Course(signals, "body_position", lambda at: at.reshape(len(at), -1, 3)[:, number])
+        rotation = Course(signals, "body_orientation", lambda quat: quat.reshape(len(quat), -1, 4)[:, number])
         self.parts.append(
             Part(
                 name=f"body {number}",

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from haptether.bridge import Signals
 from haptether.view.scene3d.mesh import Mesh, cone, cylinder
 from haptether.view.scene3d.rotation import rotation_to, transform
 
@@ -18,11 +19,29 @@ Pose = Callable[[float], Array | None]
 
 
 class Course:
-    """A recorded signal as it was known at each time: the last sample at or before it."""
+    """A signal as it was known at each time: the last sample at or before it. Signals may grow meanwhile.
 
-    def __init__(self, time_s: Array, values: Array) -> None:
-        self.time_s = time_s
-        self.values = values
+    Args:
+        signals: Of a run, recorded or live.
+        name: Of the signal.
+        by: What is made of samples, (n, ...), row by row; by default the samples themselves.
+    """
+
+    def __init__(self, signals: Signals, name: str, by: Callable[[Array], Array] = np.asarray) -> None:
+        self._signals = signals
+        self._name = name
+        self._by = by
+
+    @property
+    def time_s(self) -> Array:
+        """(n,)."""
+        times: Array = self._signals[self._signals.time_of(self._name)]
+        return times
+
+    @property
+    def values(self) -> Array:
+        """(n, ...)."""
+        return self._by(self._signals[self._name])
 
     def index(self, time_s: float) -> int:
         """Of the sample; the first before there is one."""
@@ -30,7 +49,13 @@ class Course:
 
     def at(self, time_s: float) -> Array:
         """The sample."""
-        return np.asarray(self.values[self.index(time_s)])
+        index = self.index(time_s)
+        return np.asarray(self._by(self._signals[self._name][index : index + 1])[0])
+
+    def between(self, begin_s: float, end_s: float) -> tuple[Array, Array]:
+        """Times, (k,), and samples, (k, ...), from a time to another, that one included."""
+        first, last = np.searchsorted(self.time_s, [begin_s, end_s + 1e-9])
+        return self.time_s[first:last], self._by(self._signals[self._name][first:last])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -128,9 +153,7 @@ class Trail:
     label: str
     station: Station
     colour: str
-    time_s: Array
-    """(n,)."""
-    points: Array
+    points: Course
     """(n, 3) in m, as recorded."""
     window_s: float
     """How long it stays."""
@@ -139,8 +162,7 @@ class Trail:
 
     def until(self, time_s: float) -> Array:
         """What is seen of it at a time, (k, 3)."""
-        first, last = np.searchsorted(self.time_s, [time_s - self.window_s, time_s + 1e-9])
-        age_s = time_s - self.time_s[first:last]
-        seen = self.points[first:last] + age_s[:, None] * self.drift
+        times_s, points = self.points.between(time_s - self.window_s, time_s)
+        seen = points + (time_s - times_s)[:, None] * self.drift
         known: Array = seen[np.isfinite(seen).all(axis=1)]
         return known

@@ -6,10 +6,14 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.bridge import Plane, Run, Scene, Signals
+from haptether.slave import UrModel
 from haptether.view.scene3d import colours
-from haptether.view.scene3d.arm import GRIPPER_M, UrPostures, arm_parts, ur_of
-from haptether.view.scene3d.extent import Extent, axes_of, is_joints, points_of
-from haptether.view.scene3d.hand import dials, drift, floor, rail
+from haptether.view.scene3d.arm import GRIPPER_M, LiveUrPostures, UrPostures, arm_parts
+from haptether.view.scene3d.arms import Arms
+from haptether.view.scene3d.chain import chain_parts
+from haptether.view.scene3d.extent import Extent, angles_of, axes_of, chain_of, is_joints, points_of
+from haptether.view.scene3d.hand import dials, drift, floor, has_force, rail
+from haptether.view.scene3d.history import History
 from haptether.view.scene3d.mesh import Mesh, box, capsule, cylinder, joined, placed, sphere
 from haptether.view.scene3d.objects import Surroundings, contacts
 from haptether.view.scene3d.parts import Arrow, Course, Part, Pose, Trail, still
@@ -26,7 +30,7 @@ DEVICE_NOTE = "no arm: the environment acts on the device itself"
 class RobotEnd:
     """Parts, arrows and trails of the robot, and notes of what is not drawn."""
 
-    def __init__(self, run: Run, scene: Scene | None, extent: Extent) -> None:
+    def __init__(self, run: Run, scene: Scene | None, extent: Extent, arms: Arms) -> None:
         self.parts: list[Part] = []
         self.arrows: list[Arrow] = []
         self.trails: list[Trail] = []
@@ -38,26 +42,24 @@ class RobotEnd:
         signals = run.signals
         self._has_arm = "slave_position" in signals
         self._extent = extent
-        of_time = "slave_time_s" if self._has_arm else "time_s"
-        self._time_s = np.asarray(signals[of_time], dtype=np.float64)
         name = "slave_position" if self._has_arm else "position"
         if is_joints(signals, scene):
-            self.parts = dials("robot", self._time_s, signals[name], extent.size)
-            self.notes.append("angles only: a scene says no geometry of joints")
+            chain = chain_of(signals, name, arms.slave)
+            if chain is not None:
+                self.parts = chain_parts("robot", chain, Course(signals, name, angles_of))
+                return
+            self.parts = dials("robot", signals, name, extent.size)
+            self.notes.append("angles only: a scene says no geometry of joints, --arm and --leader name one")
             return
         if not self._has_arm:
             self.notes.append(DEVICE_NOTE)
         self._axes = axes_of(signals)
-        self._position = points_of(signals[name])
-        self._rotation = (
-            matrix_of(signals["slave_orientation"]) if "slave_orientation" in signals and self._has_arm else None
-        )
-        model = ur_of(scene)
+        self._position = Course(signals, name, points_of)
+        self._rotation = Course(signals, "slave_orientation", matrix_of) if "slave_orientation" in signals else None
         self._jaws = "gripper" in signals
-        if model is not None and self._axes == 3:
-            self.postures = UrPostures(
-                model, self._time_s, self._position, self._rotation, GRIPPER_M if self._jaws else 0.0
-            )
+        if isinstance(arms.slave, UrModel) and self._axes == 3:
+            postures = LiveUrPostures if isinstance(signals, History) else UrPostures
+            self.postures = postures(arms.slave, self._position, self._rotation, GRIPPER_M if self._jaws else 0.0)
             self._add_arm(self.postures)
         self._tool = self._pose_of(self._position, self._rotation)
         self._add_tool(signals, scene)
@@ -65,9 +67,8 @@ class RobotEnd:
         self._add_surroundings(run, scene)
         self._add_forces(signals)
 
-    def _pose_of(self, position: Array, rotation: Array | None) -> Pose:
+    def _pose_of(self, place: Course, turned: Course | None) -> Pose:
         """base_from_tool of recorded positions, (n, 3), and rotations, (n, 3, 3)."""
-        place, turned = Course(self._time_s, position), None if rotation is None else Course(self._time_s, rotation)
 
         def pose(time_s: float) -> Array | None:
             at, how = place.at(time_s), None if turned is None else turned.at(time_s)
@@ -124,7 +125,7 @@ class RobotEnd:
 
     def _add_jaws(self, signals: Signals, *, along: float, length: float, width: float) -> None:
         """A body and two fingers; `along` is where the hand of the gripper is from the tool point, on its z axis."""
-        closed = Course(self._time_s, np.asarray(signals["gripper"], dtype=np.float64))
+        closed = Course(signals, "gripper")
         finger_length, thick = 0.42 * length, 0.1 * width
         body = placed(
             cylinder(0.42 * width, 0.0, length - finger_length),
@@ -156,22 +157,22 @@ class RobotEnd:
         """What the jaws of a model hold, where they took it and where they left it."""
         if "holds_object" not in signals:
             return
-        holds = np.nan_to_num(signals["holds_object"]).astype(bool)
-        edges = np.flatnonzero(np.diff(holds.astype(np.int8)))
-        if not holds.any():
+        course = Course(signals, "holds_object", lambda of: np.nan_to_num(of.astype(np.float64)))
+        holds = course.values > 0.0
+        is_live = isinstance(signals, History)
+        if not holds.any() and not is_live:
             return
-        taken = [int(edge) + 1 for edge in edges if holds[edge + 1]] or [0]
-        share = float(signals["gripper"][min(taken[0] + 200, len(holds) - 1)])
+        taken = int(np.argmax(holds))
+        share = 0.5 if is_live else float(signals["gripper"][min(taken + 200, len(holds) - 1)])
         half = 0.5 * self._jaw_width * (1.0 - share)
         mesh = box([max(half, 0.004), 0.75 * max(half, 0.01), 1.1 * max(half, 0.01)])
 
         def pose(time_s: float) -> Array | None:
-            now = int(np.clip(np.searchsorted(self._time_s, time_s + 1e-9, side="right") - 1, 0, None))
-            if not holds[now]:
-                before = edges[edges < now]
-                at = int(before[-1]) if len(before) else taken[0]
-                return self._tool(float(self._time_s[at]))
-            return self._tool(time_s)
+            now = course.index(time_s)
+            held = np.flatnonzero(course.values[: now + 1] > 0.0)
+            if len(held):
+                return self._tool(time_s) if held[-1] == now else self._tool(float(course.time_s[held[-1]]))
+            return None if is_live else self._tool(float(course.time_s[taken]))
 
         self.parts.append(Part(name="held object", station="robot", mesh=mesh, colour=colours.HELD, pose=pose))
         self.notes.append("held object: between the grips it is drawn where the jaws took it or left it")
@@ -179,10 +180,12 @@ class RobotEnd:
     def _add_command(self, signals: Signals) -> None:
         """The ghost of the delayed pose, and the two trails."""
         size = self._extent.size if self.postures is None else 0.25
-        rows = [("tool trail", "way of the tool", colours.MEASURED, self._position)]
+        rows = [("tool trail", "way of the tool", colours.MEASURED, "slave_position" if self._has_arm else "position")]
         if "slave_command" in signals and self._has_arm:
-            command = points_of(signals["slave_command"])
-            turned = matrix_of(signals["slave_command_orientation"]) if "slave_command_orientation" in signals else None
+            command = Course(signals, "slave_command", points_of)
+            turned = None
+            if "slave_command_orientation" in signals:
+                turned = Course(signals, "slave_command_orientation", matrix_of)
             tool = next((part.mesh for part in self.parts if part.name in {"tool", "gripper"}), sphere(0.05 * size))
             sent = self._pose_of(command, turned)
             least_m = 0.012 * size
@@ -206,16 +209,15 @@ class RobotEnd:
                     pose=ghost,
                 )
             )
-            rows.append(("command trail", "commanded", colours.COMMANDED, command))
-        for name, label, colour, points in rows:
+            rows.append(("command trail", "commanded", colours.COMMANDED, "slave_command"))
+        for name, label, colour, of in rows:
             self.trails.append(
                 Trail(
                     name=name,
                     label=label,
                     station="robot",
                     colour=colour,
-                    time_s=self._time_s,
-                    points=self._placed(points),
+                    points=Course(signals, of, lambda points: self._placed(points_of(points))),
                     window_s=TRAIL_S if self._axes == 1 else 1e9,
                     drift=drift(self._extent, self._axes),
                 )
@@ -233,7 +235,7 @@ class RobotEnd:
             self.parts.append(floor("robot", self._extent))
         if scene.environment is None:
             return
-        surroundings = Surroundings(scene, run.signals, self._extent, self._time_s)
+        surroundings = Surroundings(scene, run.signals, self._extent)
         offset = self._placed(np.zeros((1, 3)))[0]
         if np.any(offset != 0.0):
             self.notes.append("objects are drawn from where the tool began")
@@ -252,7 +254,7 @@ class RobotEnd:
             )
         if self.postures is not None or "environment_force" not in run.signals:
             return
-        force = Course(self._time_s, np.abs(points_of(run.signals["environment_force"])).max(axis=1))
+        force = Course(run.signals, "environment_force", lambda of: np.abs(points_of(of)).max(axis=1))
         points = tool_points(scene)
         radius = (0.035 if len(points) < 4 else 0.016) * self._extent.size
         self.parts.extend(
@@ -284,8 +286,7 @@ class RobotEnd:
         ):
             if name not in signals:
                 continue
-            vector = np.asarray(signals[name], dtype=np.float64)
-            if not np.nanmax(np.abs(vector), initial=0.0) > 0.0:
+            if not has_force(signals, name):
                 continue
             above = np.array([0.0, 0.0, 0.12 * size]) if self._axes == 1 else np.zeros(3)
             self.arrows.append(
@@ -299,7 +300,7 @@ class RobotEnd:
                     tail=lambda time_s, above=above: (  # type: ignore[misc]
                         np.full(3, np.nan) if (at := self._tool(time_s)) is None else at[:3, 3] + above
                     ),
-                    vector=Course(self._time_s, points_of(vector)),
+                    vector=Course(signals, name, points_of),
                     heads=2 if heads == 2 else 1,
                 )
             )

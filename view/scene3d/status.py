@@ -1,12 +1,13 @@
 """What is written beside the picture: ladder, link, who intervenes, and observers against their thresholds."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from haptether.bridge import Event, Run, Scene, ladder_state_name
+from haptether.bridge import Event, Scene, Signals, ladder_state_name
 from haptether.view.scene3d.parts import Course
 
 TRIP_BITS = {"vfc": 1, "hsc": 2, "wsc": 4, "pc": 8}
@@ -18,6 +19,7 @@ OBSERVED = {
     "pc": ("E", "energy_j", " J"),
 }
 """Symbol, signal and unit of what each controller observes."""
+TRIPS = frozenset({"trip"})
 LADDER_KINDS = frozenset({"aligning", "engaged", "stale", "hold", "stop", "fault", "disengaged"})
 
 
@@ -74,26 +76,18 @@ class Status:
 class StatusCourse:
     """The status of a run over time."""
 
-    def __init__(self, run: Run, scene: Scene | None) -> None:
-        signals = run.signals
-        time_s = np.asarray(signals["time_s"], dtype=np.float64)
-        slave_s = np.asarray(signals["slave_time_s"], dtype=np.float64) if "slave_time_s" in signals else time_s
-        self._courses = {
-            name: Course(slave_s if name.startswith(("slave", "environment")) else time_s, signals[name])
-            for name in signals
-            if not name.endswith("time_s")
-        }
-        self._ladder = [event for event in run.events if event.kind in LADDER_KINDS]
-        self._trips = [event for event in run.events if event.kind == "trip"]
-        self.controllers = _controllers(run, scene)
+    def __init__(self, signals: Signals, events: Sequence[Event], scene: Scene | None) -> None:
+        self._signals = signals
+        self._courses = {name: Course(signals, name) for name in signals if name not in {"time_s", "slave_time_s"}}
+        self._events = events
+        self.controllers = _controllers(signals, scene)
         self._thresholds = _thresholds(scene)
-        energy = signals["energy_j"] if "energy_j" in signals else np.zeros(1)
-        self._largest_energy_j = float(np.nanmax(np.abs(energy), initial=0.0)) or 1.0
+        self._largest_energy_j = largest(signals, "energy_j") or 1.0
 
     def at(self, time_s: float) -> Status:
         """At a time in s."""
         bits = int(self._value("tripped", time_s, 0.0)) | int(self._value("rotation_tripped", time_s, 0.0))
-        told: Event | None = next((event for event in reversed(self._ladder) if event.time_s <= time_s), None)
+        told = self._newest(time_s, LADDER_KINDS)
         return Status(
             time_s=time_s,
             master=self._state("state", time_s),
@@ -109,13 +103,21 @@ class StatusCourse:
             environment_force=self._norm("environment_force", time_s),
         )
 
+    def _newest(self, time_s: float, kinds: frozenset[str]) -> Event | None:
+        events = reversed(self._events)
+        return next((event for event in events if event.time_s <= time_s + 1e-9 and event.kind in kinds), None)
+
     def _last_trip(self, time_s: float) -> str:
-        return next((event.detail for event in reversed(self._trips) if event.time_s <= time_s + 1e-9), "")
+        trip = self._newest(time_s, TRIPS)
+        return "" if trip is None else trip.detail
 
     def _gauge(self, controller: str, bits: int, time_s: float) -> Gauge:
         symbol, signal, unit = OBSERVED[controller]
         value, threshold = self._value(signal, time_s, math.nan), self._thresholds[controller]
         # PC acts below 0, so there is no share of a threshold, only of the largest energy.
+        if threshold == 0.0 and math.isfinite(value):
+            # Of a live run the largest is not known beforehand.
+            self._largest_energy_j = max(self._largest_energy_j, abs(value))
         share = value / threshold if threshold != 0.0 else -value / self._largest_energy_j
         return Gauge(
             controller=controller,
@@ -140,14 +142,18 @@ class StatusCourse:
         return ladder_state_name(int(self._value(name, time_s, 0.0))) if name in self._courses else ""
 
 
-def _controllers(run: Run, scene: Scene | None) -> tuple[str, ...]:
+def largest(signals: Signals, name: str) -> float:
+    """Largest magnitude of a signal; 0 where it is not known."""
+    values = signals[name] if name in signals else np.zeros(1)
+    return float(np.nanmax(np.abs(values), initial=0.0))
+
+
+def _controllers(signals: Signals, scene: Scene | None) -> tuple[str, ...]:
     if scene is not None:
         return tuple(name for name in OBSERVED if name in scene.safety.controllers)
     # A recording without its scene: those whose observer was fed.
     return tuple(
-        name
-        for name, (_, signal, _) in OBSERVED.items()
-        if signal in run.signals and np.isfinite(run.signals[signal]).any()
+        name for name, (_, signal, _) in OBSERVED.items() if signal in signals and np.isfinite(signals[signal]).any()
     )
 
 

@@ -1,12 +1,13 @@
 """The time line of a run: events, states of the ladder, interventions, and the force on the hand."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from haptether.bridge import Run, Signals, ladder_state_name
+from haptether.bridge import Event, Signals, ladder_state_name
 from haptether.view.scene3d.extent import points_of
 from haptether.view.scene3d.status import spans
 
@@ -44,7 +45,7 @@ class Timeline:
     """When controllers intervened, hold-off included."""
     force_time_s: npt.NDArray[np.float64]
     force_n: npt.NDArray[np.float64]
-    """|F_device|: the largest of each piece of the time line."""
+    """|F_device|, or |F_e| where the hand is not known: the largest of each piece of the time line."""
 
     def next_trip(self, time_s: float) -> float | None:
         """When the next intervention begins; after the last, the first; none without any."""
@@ -52,51 +53,54 @@ class Timeline:
         return next((begin for begin in begins if begin > time_s + 1e-9), begins[0] if begins else None)
 
 
-def timeline_of(run: Run) -> Timeline:
-    """Of a run with its signals."""
-    signals = run.signals
-    time_s = np.asarray(signals["time_s"], dtype=np.float64)
+def timeline_of(signals: Signals, events: Iterable[Event]) -> Timeline:
+    """Of the signals of a run, and what happened in it."""
+    time_s = np.asarray(signals["time_s" if "time_s" in signals else "slave_time_s"], dtype=np.float64)
     named_before: dict[str, float] = {}
     marks = []
-    for event in run.events:
+    for event in events:
         # What chatters is named once.
         is_new = event.time_s - named_before.get(event.kind, -np.inf) > 0.5
         named_before[event.kind] = event.time_s
         side, _, _ = event.detail.partition(":")
         text = f"{event.kind} {event.detail}" if event.kind == "trip" else event.kind
-        named = event.kind in SHOWN and is_new and side != "slave"
+        # The ladder of the slave follows that of the master.
+        named = event.kind in SHOWN and is_new and (side != "slave" or "time_s" not in signals)
         marks.append(Mark(time_s=event.time_s, kind=event.kind, text=text, named=named))
     return Timeline(
         begin_s=float(time_s[0]),
         end_s=float(time_s[-1]),
         marks=tuple(marks),
         ladder=tuple(_ladder(signals, time_s)),
-        trips=tuple(spans(time_s, _tripped(signals) > 0)),
+        trips=tuple(spans(time_s, _tripped(signals, len(time_s)) > 0)),
         **_force(signals, time_s),
     )
 
 
-def _tripped(signals: Signals) -> npt.NDArray[np.uint8]:
+def _tripped(signals: Signals, ticks: int) -> npt.NDArray[np.uint8]:
     bits = [
         np.nan_to_num(signals[name]).astype(np.uint8) & 31
         for name in ("tripped", "rotation_tripped")
         if name in signals
     ]
-    return np.bitwise_or.reduce(bits) if bits else np.zeros(len(signals["time_s"]), dtype=np.uint8)
+    return np.bitwise_or.reduce(bits) if bits else np.zeros(ticks, dtype=np.uint8)
 
 
 def _ladder(signals: Signals, time_s: npt.NDArray[np.float64]) -> list[tuple[float, float, str]]:
-    if "state" not in signals:
+    name = "state" if "time_s" in signals else "slave_state"
+    if name not in signals:
         return []
-    state = signals["state"]
+    state = np.nan_to_num(signals[name])
     changes = [0, *(np.flatnonzero(np.diff(state)) + 1).tolist(), len(state) - 1]
     return [(float(time_s[a]), float(time_s[b]), ladder_state_name(int(state[a]))) for a, b in pairwise(changes)]
 
 
 def _force(signals: Signals, time_s: npt.NDArray[np.float64]) -> dict[str, npt.NDArray[np.float64]]:
-    if "device_force" not in signals:
+    names = ("device_force_peak", "device_force") if "time_s" in signals else ("environment_force",)
+    name = next((name for name in names if name in signals), None)
+    if name is None:
         return {"force_time_s": np.zeros(0), "force_n": np.zeros(0)}
-    norm = np.linalg.norm(points_of(signals["device_force"]), axis=1)
+    norm = np.linalg.norm(points_of(signals[name]), axis=1)
     piece = max(1, len(norm) // MOST_COLUMNS)
     whole = len(norm) // piece * piece
     return {

@@ -12,19 +12,29 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from haptether.bridge import Run, Scene
+    from haptether.cli.shared.screen import Screen
     from haptether.view import Description
+    from haptether.view.following import Following
 
 MAX_FRAMES = 20_000
-RECORDING = ".mcap"
+RECORDINGS = (".mcap", ".npz")
+MOST_SIDES = 2
+MAX_LIVE_S = 86_400.0
+MAX_HISTORY_S, LIVE_HISTORY_S = 120.0, 20.0
+"""What is remembered of a live run: for files, and in a window."""
+LIVE_PICTURE_S, LIVE_FILM_S = 1.0, 5.0
+"""How long a live run is followed where no time is given."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
     """Show a run in three dimensions: hand and robot, what they touch, forces, trails, observers and a time line.
 
-    WHAT is the name of a scene that comes with Haptether, the path of a TOML file, which are run first, or a recording
-    (.mcap). Without --screenshot, --movie or --html it opens a window, whose keys `?` lists; those three need no
-    display. Exit status 2 says that the request cannot be met, as where there is no OpenGL.
+    WHAT is the name of a scene that comes with Haptether, or the path of a TOML file, which are run first; or the
+    recording (.mcap) of one side, or those of both; or what `Run.save` wrote (.npz). With --connect it is a run that
+    goes on, which the view only reads. Without --screenshot, --movie or --html it opens a window, whose keys `?`
+    lists; those three need no display. Exit status 2 says that the request cannot be met, as where there is no OpenGL;
+    1, of a live run, that a side has failed or was killed.
 
     Examples:
 
@@ -35,10 +45,26 @@ class View:
     haptether view remote_push --compare safety.controllers=[] --from-s 2 --speed 0.25 --movie push.gif
 
     haptether view peg_in_hole --html peg.html
+
+    haptether view master.mcap slave.mcap
+
+    haptether view --connect /tmp/master.sock --connect /tmp/slave.sock
     """
 
-    what: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="RUN|SCENE")] = None
-    """Name of a shipped scene, path of a TOML file, or of a recording."""
+    what: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[RUN [RUN]|SCENE]")] = ()
+    """Name of a shipped scene, path of a TOML file, or of a recording, or of one of each side."""
+    connect: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(metavar="PATH")] = ()
+    """Show a run that goes on: the socket that --telemetry of master or slave names; once for each side. Pictures,
+    films and pages are made when the run has come to --at-s and --until-s."""
+    scene: Annotated[str | None, tyro.conf.arg(metavar="SCENE")] = None
+    """The scene of a recording, where it does not say its own."""
+    arm: Annotated[str, tyro.conf.arg(metavar="ARM")] = ""
+    """The arm that is drawn at the robot, which recordings and telemetry do not say: ur3e, ur5e, ..., or a description
+    of servos by its name or path."""
+    leader: Annotated[str, tyro.conf.arg(metavar="ARM")] = ""
+    """The arm of servos that is drawn at the hand."""
+    slave_begun_s: float | None = None
+    """When the slave's recording began after the master's, in s; by default as their clocks have it."""
     set: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]],
         tyro.conf.arg(metavar="TABLE.KEY=VALUE"),
@@ -53,7 +79,7 @@ class View:
     title: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TEXT")] = ()
     """What stands above a run instead of its name; once for each."""
     at_s: float | None = None
-    """Time in s of the screenshot, or where the window begins; by default the middle of the run."""
+    """Time in s of the screenshot, or where the window begins; by default the middle of a run, 1 s on of a live one."""
     screenshot: Annotated[Path | None, tyro.conf.arg(metavar="FILE.png")] = None
     """Write a picture."""
     movie: Annotated[Path | None, tyro.conf.arg(metavar="FILE.gif|FILE.mp4")] = None
@@ -63,7 +89,7 @@ class View:
     from_s: float | None = None
     """Where a film or a page begins, in s; by default with the run."""
     until_s: float | None = None
-    """Where it ends, in s; by default with the run."""
+    """Where it ends, in s; by default with the run, 5 s on of a live one."""
     speed: float = 1.0
     """Of a film: 0.25 takes four times as long as the run did."""
     fps: float = 25.0
@@ -77,15 +103,12 @@ class View:
 
     def run(self) -> int:
         """Shows it, or writes it."""
-        from haptether.bridge import SceneError
         from haptether.cli.shared.output import check_distinct, check_target
         from haptether.cli.shared.screen import screen
         from haptether.view.film import require_film
         from haptether.view.picture.gl import require_gl
 
-        if self.what is None:
-            message = "which run? Name a scene of `haptether simulate --list`, a TOML file, or a recording (.mcap)"
-            raise SceneError(message)
+        self._check_what()
         size = size_of(self.size)
         if len(self.title) > (most := 1 + bool(self.compare)):
             message = f"--title: given {len(self.title)} times, must be once for each of {most}"
@@ -102,9 +125,11 @@ class View:
             require_film(self.movie)
         if self.screenshot is not None or self.movie is not None or not self._writes:
             require_gl(window=not self._writes)
-        described = self._described()
-        self._check_times(described)
         console = screen(self.json)
+        if self.connect and not self._writes:
+            return self._show_live(size, console)
+        described = self._followed(console) if self.connect else self._described()
+        self._check_times(described)
         for note in dict.fromkeys(note for one in described for note in one.notes):
             console.print(f"note: {note}")
         if not self._writes:
@@ -133,28 +158,110 @@ class View:
 
     def _described(self) -> "list[Description]":
         """What is seen of each run."""
+        from haptether.bridge import load_scene
         from haptether.cli.scene.simulate import spinner
         from haptether.view import describe_beside
 
-        assert self.what is not None
-        if self.what.endswith(RECORDING):
-            if self.set or self.compare:
-                message = f"{self.what}: --set and --compare change scenes, not recordings"
-                raise ValueError(message)
-            with spinner(f"reading {self.what}"):
-                run, scene = recorded(Path(self.what))
-                return describe_beside([(run, scene, "")])
-        with spinner(f"running {self.what}"):
-            runs = [simulated(self.what, self.set)]
+        (what, *others) = self.what
+        arms = {"arm": self.arm, "leader": self.leader}
+        if what.endswith(RECORDINGS):
+            scene = None if self.scene is None else load_scene(self.scene)
+            with spinner(f"reading {' and '.join(self.what)}"):
+                run = recorded(Path(what), *map(Path, others), slave_begun_s=self.slave_begun_s)
+                return describe_beside([(run, scene, "".join(self.title[:1]))], **arms)
+        with spinner(f"running {what}"):
+            runs = [simulated(what, self.set)]
             titles = [""]
             if self.compare:
-                runs.append(simulated(self.what, (*self.set, *self.compare)))
+                runs.append(simulated(what, (*self.set, *self.compare)))
                 titles = [", ".join(self.set) or "as the scene says", ", ".join(self.compare)]
             titles = [*self.title, *titles[len(self.title) :]]
-            return describe_beside([(run, scene, title) for (run, scene), title in zip(runs, titles, strict=True)])
+            of = [(run, scene, title) for (run, scene), title in zip(runs, titles, strict=True)]
+            return describe_beside(of, **arms)
+
+    @contextmanager
+    def _following(self, history_s: float) -> "Iterator[Following]":
+        from contextlib import ExitStack
+
+        from haptether.cli.view.connecting import connected
+        from haptether.view.following import Following
+
+        with ExitStack() as stack:
+            readers = [(path, stack.enter_context(connected(path))) for path in self.connect]
+            following = Following(
+                readers, title="".join(self.title), arm=self.arm, leader=self.leader, history_s=history_s
+            )
+            yield stack.enter_context(following)
+
+    def _followed(self, console: "Screen") -> "list[Description]":
+        """What is remembered of a live run when it has come to where the last file ends."""
+        wanted = [time_s for time_s in (self.at_s, self.from_s, self.until_s) if time_s is not None]
+        if any(not 0.0 <= time_s <= MAX_LIVE_S for time_s in wanted):
+            message = f"--at-s, --from-s, --until-s of a live run: must be 0 to {MAX_LIVE_S:g} s"
+            raise ValueError(message)
+        with self._following(MAX_HISTORY_S) as following:
+            begin_s = following.begin()
+            lasts = self.movie is not None or self.html is not None
+            end_s = max(wanted, default=0.0)
+            if self.at_s is None and self.screenshot is not None:
+                end_s = max(end_s, begin_s + LIVE_PICTURE_S)
+            if self.until_s is None and lasts:
+                end_s = max(end_s, begin_s + LIVE_FILM_S)
+            console.print(f"following to {end_s:.1f} s of the run")
+            following.until(end_s)
+            following.check()
+            if following.is_over and following.live.time_s < end_s:
+                console.print(f"note: the run ended at {following.live.time_s:.3f} s")
+            return [following.live.refresh()]
+
+    def _show_live(self, size: tuple[int, int], console: "Screen") -> int:
+        from haptether.view.window.live import LiveWindow
+
+        with self._following(LIVE_HISTORY_S) as following:
+            following.begin()
+            for note in following.live.description.notes:
+                console.print(f"note: {note}")
+            window = LiveWindow(following, size=size, camera=self.camera)
+            window.show()
+            following.check()
+            self._report([following.live.refresh()])
+        return 0
+
+    def _check_what(self) -> None:
+        from haptether.bridge import SceneError
+
+        if self.connect:
+            given = {"a run or scene": self.what, "--set": self.set, "--compare": self.compare, "--scene": self.scene}
+            if found := [name for name, value in given.items() if value]:
+                message = f"--connect and {found[0]}: must be one of the two"
+                raise ValueError(message)
+            if len(self.connect) > MOST_SIDES:
+                message = f"--connect: given {len(self.connect)} times, must be once for each side"
+                raise ValueError(message)
+            return
+        if not self.what:
+            message = (
+                "which run? Name a scene of `haptether simulate --list`, a TOML file, a recording (.mcap, .npz), or "
+                "--connect to one that goes on"
+            )
+            raise SceneError(message)
+        are_recordings = self.what[0].endswith(RECORDINGS)
+        most = 2 if self.what[0].endswith(".mcap") else 1
+        if len(self.what) > most or any(not one.endswith(".mcap") for one in self.what[1:]):
+            message = f"{' '.join(self.what)}: must be one scene, one .npz, or the .mcap of one side or of each"
+            raise ValueError(message)
+        if are_recordings and (self.set or self.compare):
+            message = f"{self.what[0]}: --set and --compare change scenes, not recordings"
+            raise ValueError(message)
+        if not are_recordings and (self.scene or self.slave_begun_s is not None):
+            message = f"{self.what[0]}: --scene and --slave-begun-s are of recordings"
+            raise ValueError(message)
 
     def _check_times(self, described: "list[Description]") -> None:
         begin_s, end_s = bounds(described)
+        if self.connect:
+            # The run may have ended before, or begun to be followed after.
+            begin_s, end_s = 0.0, MAX_LIVE_S
         for option, time_s in (("--at-s", self.at_s), ("--from-s", self.from_s), ("--until-s", self.until_s)):
             if time_s is not None and not begin_s <= time_s <= end_s:
                 message = f"{option} {time_s:g}: must be within the run, {begin_s:g} to {end_s:g} s"
@@ -170,15 +277,22 @@ class View:
 
     def _span(self, described: "list[Description]") -> tuple[float, float]:
         begin_s, end_s = bounds(described)
-        return begin_s if self.from_s is None else self.from_s, end_s if self.until_s is None else self.until_s
+        from_s = begin_s if self.from_s is None else self.from_s
+        until_s = end_s if self.until_s is None else self.until_s
+        if self.connect:
+            return min(max(from_s, begin_s), end_s), min(max(until_s, begin_s), end_s)
+        return from_s, until_s
 
     def _at(self, described: "list[Description]") -> float:
-        return 0.5 * sum(bounds(described)) if self.at_s is None else self.at_s
+        begin_s, end_s = bounds(described)
+        if self.connect:
+            return end_s if self.at_s is None else min(max(self.at_s, begin_s), end_s)
+        return 0.5 * (begin_s + end_s) if self.at_s is None else self.at_s
 
     def _show(self, described: "list[Description]", size: tuple[int, int]) -> None:
-        from haptether.view.window import Window
+        from haptether.view.window.playback import Playback
 
-        Window(described, size=size, camera=self.camera, at_s=self.at_s).show()
+        Playback(described, size=size, camera=self.camera, at_s=self.at_s).show()
 
     def _draw(self, described: "list[Description]", size: tuple[int, int]) -> None:
         from haptether.view.film import frame_times, write_film, write_picture
@@ -205,6 +319,7 @@ class View:
         from haptether import __version__
         from haptether.cli.shared.output import write_report
 
+        shown = [*self.what, *map(str, self.connect)]
         rows = [
             {
                 "title": one.title,
@@ -218,7 +333,7 @@ class View:
             }
             for one in described
         ]
-        write_report(self.json, {"version": __version__, "shown": self.what, "runs": rows})
+        write_report(self.json, {"version": __version__, "shown": shown, "runs": rows})
 
 
 def size_of(text: str) -> tuple[int, int]:
@@ -247,28 +362,24 @@ def simulated(what: str, overrides: tuple[str, ...]) -> "tuple[Run, Scene]":
     return simulate(what, overrides=kept), scene
 
 
-def recorded(path: Path) -> "tuple[Run, Scene | None]":
-    """A recording, and the scene that it names if it is here.
+def recorded(path: Path, *other: Path, slave_begun_s: float | None = None) -> "Run":
+    """A recording of one side or of both, or what `Run.save` wrote.
 
     Raises:
+        ImportError: Without the extra `record`.
         OSError: It cannot be read.
-        ValueError: This version reads no recordings.
+        ValueError: It is no recording, or the two do not go together.
     """
-    import haptether
-    from haptether.bridge import SceneError, load_scene
+    from haptether.bridge import load
+    from haptether.view.saved import saved_run
 
-    if not path.is_file():
-        message = f"{path}: no such file"
-        raise ValueError(message)
-    load: Callable[[Path], Run] | None = getattr(haptether, "load", None)
-    if load is None:
-        message = f"{path}: this version of Haptether has no `haptether.load`, so it shows scenes only"
-        raise ValueError(message)
-    run = load(path)
-    try:
-        return run, load_scene(run.scene)
-    except (SceneError, OSError):
-        return run, None
+    for one in (path, *other):
+        if not one.is_file():
+            message = f"{one}: no such file"
+            raise ValueError(message)
+    if path.suffix == ".npz":
+        return saved_run(path)
+    return load(path, *other, slave_begun_s=slave_begun_s)
 
 
 def bounds(described: "list[Description]") -> tuple[float, float]:

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 REFRESH_HZ = 10
 LINE_S = 1.0
 """Between two lines, where there is no terminal."""
-WAIT_S = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,30 +46,18 @@ class Watch:
         """
         from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.screen import Screen
+        from haptether.cli.view.connecting import connected
         from haptether.view import SideState
 
         check_duration("duration_s", self.duration_s)
         screen = Screen()
-        with self._connected() as telemetry:
+        with connected(self.path) as telemetry:
             state = SideState(telemetry.hello)
             (self._live if screen.is_terminal else self._lines)(screen, telemetry, state)
         if not state.has_ended and not self._is_over(state):
             message = f"{self.path}: ended after {state.time_s:.3f} s without a word: the side has failed or was killed"
             raise ConnectionError(message)
         return 0
-
-    def _connected(self) -> "TelemetryReader":
-        from haptether.bridge import TelemetryReader
-
-        until_s = time.monotonic() + WAIT_S
-        while True:
-            try:
-                return TelemetryReader(self.path)
-            except (FileNotFoundError, ConnectionRefusedError):
-                if time.monotonic() > until_s:
-                    message = f"{self.path}: nobody sends there: start master or slave with --telemetry {self.path}"
-                    raise FileNotFoundError(message) from None
-                time.sleep(0.1)
 
     def _is_over(self, state: "SideState") -> bool:
         return self.duration_s is not None and state.watched_s >= self.duration_s

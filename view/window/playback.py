@@ -1,11 +1,12 @@
-"""A run in a window: play, scrub, step, look from elsewhere."""
+"""A run that is over in a window: play, scrub, step."""
 
 import time
 from collections.abc import Sequence
 from typing import Final
 
-from haptether.view.picture.picture import CAMERAS, Picture
+from haptether.view.picture.picture import CAMERAS
 from haptether.view.scene3d.description import Description
+from haptether.view.window.window import Window
 
 KEYS: Final = (
     ("space", "play, pause"),
@@ -70,13 +71,15 @@ class Player:
         return f"{'plays' if self.is_playing else 'paused'} at {self.speed:g}x   ? lists the keys"
 
 
-class Window:
-    """A picture that is shown, and the keys and clicks that steer it."""
+class Playback(Window):
+    """A picture of a run that is over, and the keys and clicks that steer it."""
+
+    keys = KEYS
 
     def __init__(
         self, described: Sequence[Description], *, size: tuple[int, int], camera: str, at_s: float | None
     ) -> None:
-        self.picture = Picture(described, size=size, camera=camera, window=True)
+        super().__init__(described, size=size, camera=camera)
         lines = [one.timeline for one in described]
         self.player = Player(min(line.begin_s for line in lines), max(line.end_s for line in lines))
         if at_s is not None:
@@ -84,16 +87,9 @@ class Window:
         else:
             self.player.is_playing = True
         self._clock_s = time.monotonic()
-        self._help = False
-        self._listen()
 
-    def show(self) -> None:
-        """Until it is closed."""
-        self._draw()
-        self.picture.plotter.show(title=self.picture.described[0].title, interactive_update=False, auto_close=True)
-
-    def press(self, key: str) -> None:
-        """What a key does; one that is not of `KEYS` nothing."""
+    def press(self, key: str) -> bool:
+        """What a key does; one that is not of `KEYS` nothing, which is returned."""
         player = self.player
         line = self.picture.described[0].timeline
         if key == "space":
@@ -104,46 +100,21 @@ class Window:
             player.change_speed(1 if key == "Up" else -1)
         elif key in {"Home", "End"}:
             player.go(player.begin_s if key == "Home" else player.end_s)
-        elif key == "t" and (trip_s := line.next_trip(player.time_s)) is not None:
-            player.is_playing = False
-            player.go(trip_s)
-        elif key in {"1", "2", "3", "4"}:
-            self.picture.look(list(CAMERAS)[int(key) - 1])
-        elif key == "question":
-            self._help = not self._help
-            self._show_help()
+        elif key == "t":
+            if (trip_s := line.next_trip(player.time_s)) is not None:
+                player.is_playing = False
+                player.go(trip_s)
         else:
-            return
-        self._draw()
-
-    def _draw(self) -> None:
-        self.picture.update(self.player.time_s, self.player.note)
-        self.picture.plotter.render()
-
-    def _listen(self) -> None:
-        plotter = self.picture.plotter
-        interactor = plotter.iren.interactor
-        plotter.iren.initialize()
-        # Some of VTK's own keys would end the window or draw wires.
-        interactor.RemoveObservers("CharEvent")
-        plotter.iren.add_observer("KeyPressEvent", lambda *_: self._key(interactor.GetKeySym()))
-        plotter.iren.add_observer("TimerEvent", lambda *_: self.tick())
-        plotter.iren.add_observer("LeftButtonPressEvent", lambda *_: self.click(*interactor.GetEventPosition()))
-        plotter.render_window.AddObserver("ModifiedEvent", lambda *_: self._resize())
-        interactor.CreateRepeatingTimer(TIMER_MS)
-
-    def _key(self, key: str) -> None:
-        if key in {"q", "Escape"}:
-            self.picture.plotter.iren.terminate_app()
-        else:
-            self.press(key)
+            return super().press(key)
+        self.draw()
+        return True
 
     def tick(self) -> None:
         """What the timer does: shows what true time has come to."""
         now_s = time.monotonic()
         elapsed_s, self._clock_s = now_s - self._clock_s, now_s
         if self.player.advance(elapsed_s):
-            self._draw()
+            self.draw()
 
     def click(self, x: int, y: int) -> None:
         """At a pixel from the lower left; on the time line it goes there."""
@@ -151,15 +122,8 @@ class Window:
         if time_s is not None:
             self.player.is_playing = False
             self.player.go(time_s)
-            self._draw()
+            self.draw()
 
-    def _resize(self) -> None:
-        size = tuple(self.picture.plotter.render_window.GetSize())
-        if size != self.picture.size and min(size) > 100:
-            self.picture.lay_out((size[0], size[1]))
-
-    def _show_help(self) -> None:
-        plotter = self.picture.plotter
-        plotter.subplot(0, 0)
-        text = "\n".join(f"{key:<22}{does}" for key, does in KEYS) if self._help else ""
-        plotter.add_text(text, position="upper_left", font_size=9, color="#1d2733", font="courier", name="keys")
+    def update(self) -> None:
+        """Puts everything where it is at the time that is shown."""
+        self.picture.update(self.player.time_s, self.player.note)
