@@ -10,18 +10,22 @@ from msgspec import Struct
 Array = npt.NDArray[np.float64]
 
 SMOOTHED_S = 0.021
-"""Length of the kernel that all signals pass before they are compared: what derivatives of a quantised position need."""
+"""Length of the kernel that all signals pass: what derivatives of a quantised position need."""
 WINDOW_S = 0.2
 """Length of a window within which the way that the hand wants to go is a parabola."""
 LAGS_S = (0.0, 0.01, 0.025, 0.05)
 """By how much the force that moves the hand is taken late."""
 MIN_FORCE_N = 0.5
 """Least |F_device| that tells whether somebody holds against it."""
+STOP_M = 5e-4
+"""How near a mechanical stop in m a device may already lean on it."""
 LET_GO, HOLDS_AGAIN = 0.3, 0.6
 """Shares of |F_device| that the hand bears, below which it has let go and above which it holds again."""
 MAX_ERROR = 0.5
 """Largest standard error of a stiffness that counts as identified, as a share of it."""
 MIN_WINDOWS = 4
+LEAST_N = 1e-2
+"""Least change in N within a window of a force that moves the hand."""
 
 
 class HandFit(Struct, frozen=True, kw_only=True):
@@ -38,7 +42,7 @@ class HandFit(Struct, frozen=True, kw_only=True):
     damping_error: float
     """Of B in N s/m."""
     explained: float
-    """Share of the variance of the hand's force that the model explains where the remote force moves the hand, 0 to 1."""
+    """Share of what the remote force changes of the hand's force that the model explains, 0 to 1."""
     windows: int
     """Windows that it was fitted to."""
     held_s: float
@@ -55,13 +59,13 @@ def hand_of(
     """The impedance of the hand that holds a device, and at which ticks it holds it.
 
     The equation of motion of the device, `m A + b V + c sign(V) = F_device + F_hand`, gives the force of the hand. How
-    that answers to motion is fitted by least squares with the force of the device as the instrument: that the hand wants
-    to go somewhere moves it as well, and looks like a hand without stiffness.
+    that answers to motion is fitted by least squares with the force of the device as the instrument: that the hand
+    wants to go somewhere moves it as well, and looks like a hand without stiffness.
 
     Args:
         position: x in m, shape `(n_ticks, axes)`.
         device_force: F_device in N at each tick, held until the next.
-        device: `mass_kg`, `viscous` and `coulomb` of the device, one value per axis.
+        device: `mass_kg`, `viscous`, `coulomb` and, where it has any, `stops` of the device, one value per axis.
         period_s: dT in s.
 
     Raises:
@@ -81,9 +85,12 @@ def hand_of(
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
     friction = coulomb * velocity / np.maximum(speed, 1e-3)
     hand_force = mass * acceleration + viscous * velocity + friction - force
-    holds = _holds(np.linalg.norm(hand_force, axis=1), np.linalg.norm(force, axis=1))
-    holds[:half] = holds[half]
-    return _fit(x, velocity, acceleration, hand_force, force, holds, period_s, half), holds
+    stopped = _at_a_stop(position, device.get("stops"), half)
+    tells = np.linalg.norm(force, axis=1) >= MIN_FORCE_N
+    holds = _holds(np.linalg.norm(hand_force, axis=1), np.linalg.norm(force, axis=1), tells & ~stopped)
+    answers = np.stack([x, velocity, acceleration], axis=2)
+    windows = _windows((answers, hand_force, force), holds & ~stopped, period_s, half)
+    return _fit(windows, float(holds.sum() * period_s)), holds
 
 
 def _smoothed(values: Array, half: int) -> Array:
@@ -94,11 +101,21 @@ def _smoothed(values: Array, half: int) -> Array:
     return np.stack(columns, axis=1)
 
 
-def _holds(hand: Array, device: Array) -> npt.NDArray[np.bool_]:
-    """Whether somebody holds against the force; where there is none, as before."""
+def _at_a_stop(position: Array, stops: Any, half: int) -> npt.NDArray[np.bool_]:  # noqa: ANN401  # pairs, or none
+    """Where a mechanical stop of the device may bear its force, which would look like a hand."""
+    stopped = np.zeros(len(position), dtype=bool)
+    for axis, pair in enumerate(stops or ()):
+        if pair is not None:
+            low, high = pair
+            stopped |= (position[:, axis] <= low + STOP_M) | (position[:, axis] >= high - STOP_M)
+    # As far as the kernel reaches.
+    return np.convolve(stopped, np.ones(2 * half + 1), "same") > 0.5
+
+
+def _holds(hand: Array, device: Array, tells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Whether somebody holds against the force; where nothing tells, as before."""
     holds = np.ones(len(hand), dtype=bool)
     held = True
-    tells = device >= MIN_FORCE_N
     for tick in np.flatnonzero(tells):
         share = hand[tick] / device[tick]
         if held and share < LET_GO:
@@ -110,37 +127,35 @@ def _holds(hand: Array, device: Array) -> npt.NDArray[np.bool_]:
     return holds
 
 
-def _fit(
-    x: Array,
-    velocity: Array,
-    acceleration: Array,
-    hand_force: Array,
-    force: Array,
-    holds: npt.NDArray[np.bool_],
-    period_s: float,
-    half: int,
-) -> HandFit:
+def _windows(
+    signals: tuple[Array, Array, Array], usable: npt.NDArray[np.bool_], period_s: float, half: int
+) -> list[tuple[Array, Array, Array]]:
+    """Of each window and axis, less a parabola: instruments, x, V and A, and what the hand resists with."""
+    answers, hand_force, force = signals
     length = round(WINDOW_S / period_s)
     lags = [round(lag / period_s) for lag in LAGS_S]
     time = np.linspace(-1.0, 1.0, length)
     parabola, _ = np.linalg.qr(np.stack([np.ones(length), time, time**2], axis=1))
-    windows: list[tuple[Array, Array, Array]] = []
-    for begin in range(max(half, lags[-1]), len(x) - length - half, length // 2):
+    windows = []
+    for begin in range(max(half, lags[-1]), len(force) - length - half, length // 2):
         part = slice(begin, begin + length)
-        if not holds[part].all():
+        if not usable[part].all():
             continue
-        for axis in range(x.shape[1]):
-            answers = np.stack([x[part, axis], velocity[part, axis], acceleration[part, axis]], axis=1)
+        for axis in range(force.shape[1]):
             moved_by = np.stack([force[begin - lag : begin - lag + length, axis] for lag in lags], axis=1)
-            target = -hand_force[part, axis]
-            rest = [values - parabola @ (parabola.T @ values) for values in (answers, moved_by, target)]
-            if np.abs(rest[1]).max() > 1e-2:
+            of_window = (moved_by, answers[part, axis], -hand_force[part, axis])
+            rest = [values - parabola @ (parabola.T @ values) for values in of_window]
+            if np.abs(rest[0]).max() > LEAST_N:
                 windows.append((rest[0], rest[1], rest[2]))
+    return windows
+
+
+def _fit(windows: list[tuple[Array, Array, Array]], held_s: float) -> HandFit:
     if len(windows) < MIN_WINDOWS:
         message = f"a force moves the hand in {len(windows)} windows of {WINDOW_S:g} s, {MIN_WINDOWS} are needed"
         raise HandError(message)
     # Products of each window, so that one can be left out.
-    parts = [(z.T @ z, z.T @ a, z.T @ t) for a, z, t in windows]
+    parts = [(z.T @ z, z.T @ a, z.T @ t) for z, a, t in windows]
     totals = tuple(np.sum([part[index] for part in parts], axis=0) for index in range(3))
     used = 3
     solution = _solved(totals, used)
@@ -153,7 +168,8 @@ def _fit(
     explained = _explained(totals, solution)
     stiffness, damping, mass = solution
     if not stiffness > 0.0 or errors[0] > MAX_ERROR * stiffness or damping < -2.0 * errors[1]:
-        message = f"K = {stiffness:.4g} ± {errors[0]:.2g} N/m, B = {damping:.3g} ± {errors[1]:.2g} N s/m: no hand is like that"
+        found = f"K = {stiffness:.4g} ± {errors[0]:.2g} N/m, B = {damping:.3g} ± {errors[1]:.2g} N s/m"
+        message = f"{found}: no hand is like that"
         raise HandError(message)
     return HandFit(
         stiffness=float(stiffness),
@@ -163,7 +179,7 @@ def _fit(
         damping_error=float(errors[1]),
         explained=explained,
         windows=count,
-        held_s=float(holds.sum() * period_s),
+        held_s=held_s,
     )
 
 

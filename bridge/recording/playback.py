@@ -27,8 +27,8 @@ def playback_scene(file: str | os.PathLike[str] | Recording, *, overrides: Itera
     """The scene in which an arm has the force of a recording, from its engagement on, and nothing else acts on it.
 
     Coupling, safety layer, device and hand are those of the recording, the network is none. It runs in virtual time as
-    any scene, and live as the side of the robot, to which any master engages: by a person's clutch, with the force faded
-    in, under safety layer, limiter and ladder.
+    any scene, and live as the side of the robot, to which any master engages: by a person's clutch, with the force
+    faded in, under safety layer, limiter and ladder.
 
     Args:
         file: What `--record` of master or slave wrote, or what `read_recording` read of it.

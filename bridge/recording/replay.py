@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,8 @@ from haptether.bridge.scene.load import checked, overridden, path_of
 
 Array = npt.NDArray[Any]
 
+LOST_M = 0.3
+"""How far in m a modelled hand may be from where it was measured; what follows is of no workspace."""
 FORCE_QUANTUM_N = 1e-3
 """Difference of two forces from which on they count as parted: no device resolves less."""
 PASTS = {"kept": 0, "stalled": 1, "acknowledged": 2}
@@ -53,6 +55,14 @@ class ReplayFigures(Struct, frozen=True, kw_only=True):
     """Largest |tau_device| in N m, of a hand that turns."""
 
 
+class _About(NamedTuple):
+    """Of a replay, what no signal says."""
+
+    overrides: tuple[str, ...]
+    notes: tuple[str, ...]
+    specification: bytes
+
+
 class Replay(Struct, frozen=True, kw_only=True):
     """A recording, and what other settings would have made of it."""
 
@@ -70,6 +80,8 @@ class Replay(Struct, frozen=True, kw_only=True):
     """Whether all forces and torques are the same, bit for bit."""
     parts_s: float | None
     """When |F_device| first differs by more than `FORCE_QUANTUM_N`, in s; none where it never does."""
+    ends_s: float | None
+    """When the modelled hand was `LOST_M` from where it was measured: what follows says nothing, and is not counted."""
     before: ReplayFigures
     """What was recorded came to."""
     after: ReplayFigures
@@ -90,22 +102,24 @@ def replay(
     overrides: Iterable[str] = (),
     hand: Literal["measured", "modelled"] | None = None,
 ) -> Replay:
-    """What a recorded master would have exerted under other settings: the motion, the force that arrived tick by tick and
-    the ladder are those of the recording, and go through estimator, coupling, safety layer and limiter again.
+    """What a recorded master would have exerted under other settings.
+
+    Motion, the force that arrived tick by tick and the ladder are those of the recording, and go through estimator,
+    coupling, safety layer and limiter again.
 
     Args:
         file: What `--record` of a master wrote, or what `read_recording` read of it.
-        overrides: Settings of `[safety]`, `[coupling]` and `[master]` to change, `table.key=value` each; without any, the
-            forces are those of the recording bit for bit.
-        hand: "measured" has the hand move as it did whatever the force; "modelled" has a model of it, identified from the
-            recording, answer to the force that differs. By default modelled where settings differ and the hand can be
-            identified.
+        overrides: Settings of `[safety]`, `[coupling]` and `[master]` to change, `table.key=value` each; without any,
+            the forces are those of the recording bit for bit.
+        hand: "measured" has the hand move as it did whatever the force; "modelled" has a model of it, identified from
+            the recording, answer to the force that differs. By default modelled where settings differ and the hand can
+            be identified.
 
     Raises:
         ImportError: Without the extra `record`.
         OSError: The file cannot be read.
-        ValueError: No recording of a master with a scene; settings that cannot be or are not replayed; a hand that cannot
-            be identified where it is to be modelled.
+        ValueError: No recording of a master with a scene; settings that cannot be or are not replayed; a hand that
+            cannot be identified where it is to be modelled.
     """
     given = tuple(overrides)
     recording = file if isinstance(file, Recording) else read_recording(file)
@@ -137,7 +151,7 @@ def replay(
     except ValueError as error:
         raise SceneError(str(error)) from None
     notes += _said(recording, fit, given)
-    return _compared(recording, replayed, given, fit, tuple(notes), specification)
+    return _compared(recording, replayed, fit, _About(given, tuple(notes), specification))
 
 
 def _check(recording: Recording, name: str) -> None:
@@ -237,39 +251,41 @@ def _said(recording: Recording, fit: HandFit | None, overrides: tuple[str, ...])
 # ------------------------------------------------------------------------------------------------ comparison
 
 
-def _compared(
-    recording: Recording,
-    replayed: dict[str, Array],
-    overrides: tuple[str, ...],
-    fit: HandFit | None,
-    notes: tuple[str, ...],
-    specification: bytes,
-) -> Replay:
+def _compared(recording: Recording, replayed: dict[str, Array], fit: HandFit | None, about: "_About") -> Replay:
     recorded = recording.signals
     time_s = recorded["time_ns"].astype(np.float64) * 1e-9
     pairs = [(recorded[name], replayed[name]) for name in COMPARED if name in replayed and name in recorded]
     identical = all(_bits(before) == _bits(after) for before, after in pairs)
     apart = np.linalg.norm(replayed["device_force"] - recorded["device_force"], axis=1) > FORCE_QUANTUM_N
-    parts_s = float(time_s[np.argmax(apart)]) if apart.any() else None
-    velocity = recorded["velocity"]
+    displacement = np.linalg.norm(replayed["displacement"], axis=1)
+    lost = displacement > LOST_M
+    end = int(np.argmax(lost)) if lost.any() else len(time_s)
+    ends_s = float(time_s[end]) if end < len(time_s) else None
+    notes = about.notes
+    if ends_s is not None:
+        where = f"at {ends_s:.3f} s the modelled hand is {LOST_M:g} m from where the recorded one was"
+        notes = (*notes, f"{where}: what follows says nothing")
     towards = _towards(recorded["received_force"])
     engaged = np.maximum.accumulate(recorded["state"] == "engaged")
-    before = _figures(time_s, recorded, velocity, towards, engaged)
-    after = _figures(time_s, replayed, velocity + replayed["displacement_rate"], towards, engaged)
+    velocity = recorded["velocity"]
+    faster = velocity + replayed["displacement_rate"]
+    until = slice(0, max(end, 1))
+    after = {name: values[until] for name, values in replayed.items()}
     return Replay(
         level="as measured" if fit is None else "hand modelled",
-        overrides=overrides,
+        overrides=about.overrides,
         time_s=time_s,
         recorded=recorded,
         replayed=replayed,
         identical=identical,
-        parts_s=parts_s,
-        before=before,
-        after=after,
-        largest_displacement=float(np.linalg.norm(replayed["displacement"], axis=1).max()),
+        parts_s=float(time_s[np.argmax(apart)]) if apart.any() else None,
+        ends_s=ends_s,
+        before=_figures(time_s, recorded, (velocity * towards).sum(axis=1)[engaged]),
+        after=_figures(time_s[until], after, (faster * towards).sum(axis=1)[until][engaged[until]]),
+        largest_displacement=float(displacement[until].max()),
         hand=fit,
         notes=notes,
-        specification=specification,
+        specification=about.specification,
     )
 
 
@@ -288,14 +304,11 @@ def _towards(force: Array) -> Array:
     return towards
 
 
-def _figures(
-    time_s: Array, signals: Mapping[str, Array], velocity: Array, towards: Array, engaged: Array
-) -> ReplayFigures:
+def _figures(time_s: Array, signals: Mapping[str, Array], speed: Array) -> ReplayFigures:
     tripped = signals["tripped"] != 0
     if "rotation_tripped" in signals:
-        tripped |= signals["rotation_tripped"] != 0
+        tripped = tripped | (signals["rotation_tripped"] != 0)
     begins = tripped & ~np.concatenate([[False], tripped[:-1]])
-    speed = (velocity * towards).sum(axis=1)[engaged]
     torque = signals.get("device_torque")
     return ReplayFigures(
         peak_device_force=float(np.nanmax(np.linalg.norm(signals["device_force"], axis=1))),

@@ -1,6 +1,6 @@
 """The schemas of Foxglove that are written, with the fields that are used of them.
 
-Source: Foxglove's message schemas "foxglove.FrameTransforms", "foxglove.PoseInFrame" and "foxglove.SceneUpdate" in JSON.
+Source: Foxglove's message schemas FrameTransforms, PoseInFrame and SceneUpdate, as JSON.
 """
 
 from typing import Any

@@ -67,6 +67,8 @@ pub struct Replay<const N: usize> {
     hand: Option<HandImpedance>,
     mass_kg: Axes<N>,
     viscous: Axes<N>,
+    /// Mechanical stops of the device, lower and upper, in m.
+    stops: (Axes<N>, Axes<N>),
     period_s: f64,
     /// When, and what the force was more than the recorded one, at the last tick.
     last: Option<(u64, Axes<N>)>,
@@ -93,6 +95,7 @@ impl<const N: usize> Replay<N> {
             hand,
             mass_kg: scene.master.device.mass_kg,
             viscous: scene.master.device.viscous,
+            stops: scene.master.device.stops,
             period_s: scene.run.period_s,
             last: None,
             displacement: [Axes::zeros(); 2],
@@ -141,8 +144,12 @@ impl<const N: usize> Replay<N> {
             let resistance = 0.5 * damping + 0.25 * dt * stiffness;
             let next =
                 ((mass / dt - resistance) * v + force[axis] - stiffness * x) / (mass / dt + resistance);
-            way[axis] = x + 0.5 * dt * (v + next);
-            rate[axis] = next;
+            // What was recorded at a stop or beyond it, the stop has borne there, too.
+            let at = tick.reading.position[axis];
+            let (lower, upper) = ((self.stops.0[axis] - at).min(0.0), (self.stops.1[axis] - at).max(0.0));
+            let free = x + 0.5 * dt * (v + next);
+            way[axis] = free.clamp(lower, upper);
+            rate[axis] = if way[axis] == free { next } else { (way[axis] - x) / dt };
         }
     }
 }

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 class Playback:
     """Play the remote force of a recording back to a hand, under safety layer, limiter and ladder.
 
-    The force is what it is, whatever the hand does: an active force. Without --listen it acts on the hand and the device
-    of the recorded scene in virtual time. With --listen this is the side of the robot, to which a master with any device
-    engages: a person presses the clutch there, the force fades in from zero and begins at its begin, and ends as any run
-    of two sides does. Ctrl-C on either side takes it to zero.
+    The force is what it is, whatever the hand does: an active force. Without --listen it acts on hand and device of the
+    recorded scene in virtual time. With --listen this is the side of the robot, to which a master with any device
+    engages: a person presses the clutch there, the force fades in from zero and begins at its begin, and ends as any
+    run of two sides does. Ctrl-C on either side takes it to zero.
 
     Exit status 1 says that the loop diverged, or that the live side failed; 2 that it cannot be played back.
 

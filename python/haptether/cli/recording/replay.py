@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 class Replay:
     """Put a recorded master through other settings: what the hand would have felt, and where the two part.
 
-    Motion, remote force, network and ladder are those of the recording, tick by tick. Without --set the forces are those
-    of the recording, bit for bit. With it, a model of the hand that is identified from the recording answers to the force
-    that differs (--hand modelled); where no hand can be identified, it moves as it was measured, which is said.
+    Motion, remote force, network and ladder are those of the recording, tick by tick. Without --set the forces are
+    those of the recording, bit for bit. With it, a model of the hand that is identified from the recording answers to
+    the force that differs (--hand modelled); where none can be identified, it moves as it was measured, which is said.
 
-    --set takes keys of [safety], [coupling] and [master] that decide over the force on the hand. Exit status 1 says that
-    a recording was not reproduced under its own settings, 2 that something cannot be replayed.
+    --set takes keys of [safety], [coupling] and [master] that decide over the force on the hand. Exit status 1 says
+    that a recording was not reproduced under its own settings, 2 that something cannot be replayed.
 
     Examples:
 
@@ -36,8 +36,8 @@ class Replay:
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
     """Change a setting; may be given often. Values are TOML, bare words are strings."""
     hand: Literal["measured", "modelled"] | None = None
-    """Have the hand move as it was measured, or have a model of it answer to the force that differs; by default modelled
-    where settings differ and the hand can be identified."""
+    """Have the hand move as it was measured, or have a model of it answer to the force that differs; by default
+    modelled where settings differ and the hand can be identified."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
     """Draw recorded and replayed into this file: .png, .pdf or .svg."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -89,6 +89,7 @@ def reported(file: Path, done: "Replayed") -> dict[str, Any]:
         "ticks": len(done.time_s),
         "identical": done.identical,
         "parts_s": done.parts_s,
+        "ends_s": done.ends_s,
         "recorded": done.before,
         "replayed": done.after,
         "largest_displacement": done.largest_displacement,
@@ -112,7 +113,7 @@ def _print(file: Path, done: "Replayed", console: "Screen") -> None:
     if done.hand is not None:
         table.add_row("hand elsewhere by at most [mm]", "-", f"{done.largest_displacement * 1e3:.4g}")
     console.print(table)
-    console.print(f"level: {LEVELS[done.level]}", soft_wrap=False)
+    console.print(f"level: {LEVELS[done.level]}")
     if (hand := done.hand) is not None:
         console.print(
             f"hand: K = {hand.stiffness:.4g} ± {hand.stiffness_error:.2g} N/m, B = {hand.damping:.3g} ± "
