@@ -30,8 +30,12 @@ from haptether.bridge.devices.find import (
 )
 from haptether.bridge.devices.loop import DeviceRun, MasterRun, SlaveRun, drive_master, drive_slave
 from haptether.bridge.devices.open import DeviceError
+from haptether.bridge.recording.foxglove.write import write_foxglove
+from haptether.bridge.recording.hand import HandFit
 from haptether.bridge.recording.load import load
+from haptether.bridge.recording.playback import playback_scene
 from haptether.bridge.recording.read import RecordedCause, RecordedStep, Recording, read_recording
+from haptether.bridge.recording.replay import Replay, ReplayFigures, replay
 from haptether.bridge.scene.errors import SceneError
 from haptether.bridge.scene.load import load_scene, override_scene, scene_json, scene_names
 from haptether.bridge.scene.run import Event, Metrics, Run, Signals, simulate
@@ -127,6 +131,7 @@ __all__ = [
     "FingerTable",
     "ForceSensorTable",
     "GripperTable",
+    "HandFit",
     "HandleTable",
     "HoleTable",
     "Kalman",
@@ -159,6 +164,8 @@ __all__ = [
     "RecordingReport",
     "RegraspTable",
     "ReleaseTable",
+    "Replay",
+    "ReplayFigures",
     "RigidBodyTable",
     "RotationLegTable",
     "RotationSafetyTable",
@@ -208,13 +215,16 @@ __all__ = [
     "load_scene",
     "load_slave",
     "override_scene",
+    "playback_scene",
     "read_key",
     "read_recording",
+    "replay",
     "run_local",
     "scene_json",
     "scene_names",
     "simulate",
     "sweep",
     "wipe_key",
+    "write_foxglove",
     "write_key",
 ]

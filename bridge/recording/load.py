@@ -23,6 +23,8 @@ CODES = {"tripped", "rotation_tripped", "acted", "rotation_acted", "limited"}
 CONTROLLERS = {1: "vfc", 2: "hsc", 4: "wsc", 8: "pc", 16: "held"}
 MODELLED = {"hand_force", "hand_torque"}
 """Known of a modelled hand only, and 0 of any other."""
+MEASURED = {"trigger", "measured_velocity", "measured_angular_velocity"}
+"""What not every device measures; left out where it was never known."""
 GRIPPER = {"gripper", "gripper_command", "gripper_force", "holds_object"}
 """Of the slave; nothing of it is kept where `gripper` was never known."""
 SHARED = ("environment_", "gripper", "holds_object")
@@ -126,7 +128,7 @@ def _master_signals(recording: Recording) -> dict[str, Array]:
         if f"true_{name}" in recorded:
             kept[name] = _shaped(name, recorded[f"true_{name}"])
             kept[f"measured_{name}"] = _shaped(name, values)
-        elif not (name in MODELLED and not values.any()) and not (name == "trigger" and _is_unknown(values)):
+        elif not (name in MODELLED and not values.any()) and not (name in MEASURED and _is_unknown(values)):
             kept[name] = _shaped(name, values)
     return kept
 

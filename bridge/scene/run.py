@@ -263,21 +263,27 @@ def named_scene(scene: Scene | str | PathLike[str], overrides: Iterable[str]) ->
     return str(scene), loaded(scene, overrides)
 
 
-def simulate(scene: Scene | str | PathLike[str], *, overrides: Iterable[str] = ()) -> Run:
+def simulate(
+    scene: Scene | str | PathLike[str],
+    *,
+    overrides: Iterable[str] = (),
+    record: tuple[str | PathLike[str], str | PathLike[str]] | None = None,
+) -> Run:
     """Runs a scene in virtual time.
 
     Args:
         scene: A `Scene`, the name of one that comes with Haptether, or the path of a TOML file.
         overrides: Fields to change, `table.key=value` each.
+        record: MCAP files of master and slave, as `--record` of live sides writes them; every tick is in them.
 
     Raises:
-        SceneError: A scene that cannot be built.
+        SceneError: A scene that cannot be built, or has no two sides to record; a file that cannot be written.
     """
     name, checked = named_scene(scene, overrides)
     specification = checked.json
     begun = time.perf_counter()
     try:
-        done = _core.simulate_scene(specification)
+        done = _core.simulate_scene(specification, record)
     except ValueError as error:
         # What only the assembled parts show, such as how stiff they are together.
         raise SceneError(str(error)) from None

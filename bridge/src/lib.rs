@@ -34,9 +34,9 @@ pub use buttons::{ButtonError, ButtonSettings, ButtonWord};
 pub use command::OperatorCommand;
 pub use driven::{DrivenMaster, DrivenSlave, DrivenSlaveError, SlaveOrder};
 pub use endpoint::{
-    EndpointError, Exchange, MasterEndpoint, MasterReading, MasterRotationSettings, MasterSettings,
-    MasterTick, SideCounts, SlaveEndpoint, SlaveReading, SlaveRotationSettings, SlaveSettings, SlaveTick,
-    TriggerError, TriggerSettings,
+    EndpointError, Exchange, HandInput, MasterEndpoint, MasterReading, MasterRotationSettings,
+    MasterSettings, MasterTick, Past, SideCounts, SlaveEndpoint, SlaveReading, SlaveRotationSettings,
+    SlaveSettings, SlaveTick, TriggerError, TriggerSettings,
 };
 pub use fault_text::{FaultText, HeardText, MAX_FAULT_TEXT, PIECE, PIECES, SpokenText, TextPiece};
 pub use gripper::{GripperOrder, HeldTrigger, LedGripper, Trigger};

@@ -224,8 +224,10 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
         let reading = MasterReading { position, velocity, rotation: self.plant.rotation(), trigger };
         let tick = self.endpoint.tick(time.clock_ns, time.missed, &reading, clutch);
         let truth = self.plant.truth();
-        let turn = R::of(reading.rotation.as_ref(), self.plant.rotation_truth(), tick.rotation.as_ref())
-            .felt(tick.trigger.as_ref());
+        let torques = [tick.input.received_torque, tick.input.requested_torque];
+        let turn =
+            R::of(reading.rotation.as_ref(), self.plant.rotation_truth(), tick.rotation.as_ref(), torques)
+                .felt(tick.trigger.as_ref());
         if let Some(of_torque) = &tick.rotation {
             self.plant.write_torque(&of_torque.device_force);
         }
@@ -241,7 +243,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
             }
         }
         let snapshot = LadderSnapshot::of(&self.endpoint.exchange);
-        MasterRecord::new(time, &position, truth, led_to, &tick, turn, snapshot)
+        MasterRecord::new(time, &reading, truth, led_to, &tick, turn, snapshot)
     }
 
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {

@@ -82,6 +82,7 @@ __all__ = [
     "link_bounds",
     "read_link_file",
     "record",
+    "replay_recording",
     "run_local",
     "scene_schema",
     "simulate_scene",
@@ -2662,14 +2663,39 @@ class SceneRun:
 def scene_schema() -> str:
     """The JSON schema of a scene of one axis, as `haptether.bridge.scene_json` writes it."""
 
-def simulate_scene(scene_json: bytes) -> SceneRun:
+def simulate_scene(
+    scene_json: bytes, record: tuple[str | PathLike[str], str | PathLike[str]] | None = None
+) -> SceneRun:
     """Runs a scene in virtual time, without the interpreter's lock.
 
     Args:
         scene_json: The scene as `haptether.bridge.scene_json` writes it: every field, nothing else.
+        record: MCAP files for what `--record` of master and slave would write.
 
     Raises:
-        ValueError: JSON that is no such scene, or a number that a part of it does not take.
+        ValueError: JSON that is no such scene, or a number that a part of it does not take; a file that cannot be written.
+    """
+
+def replay_recording(
+    scene_json: bytes,
+    signals: dict[str, npt.NDArray[Any]],
+    times_ns: list[int],
+    *,
+    recouples: bool,
+    hand: tuple[float, float, float] | None = None,
+) -> dict[str, npt.NDArray[Any]]:
+    """Steps the side of a hand through what was recorded of it.
+
+    Args:
+        scene_json: The scene with the settings, as for `simulate_scene`.
+        signals: What was recorded at each tick, by the names of a recording; `past` as 0 kept, 1 stalled,
+            2 acknowledged, and `grip`, whether the hand holds the device.
+        times_ns: Times of the ticks since the run began, in ns.
+        recouples: Whether the coupling requests anew of the force that was received.
+        hand: M in kg, B in N s/m and K in N/m of a hand that answers to a force that was not recorded.
+
+    Raises:
+        ValueError: A scene that cannot be built, or a signal that is missing or of another length.
     """
 
 def sweep_scenes(

@@ -15,6 +15,7 @@ mod dynamixel;
 mod live;
 mod local;
 mod netsim;
+mod replay;
 mod reserve;
 mod safety;
 mod scene;
@@ -34,6 +35,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     dynamixel::register(module)?;
     touch::register(module)?;
     scene::register(module)?;
+    replay::register(module)?;
     ur_environment::register(module)?;
     bridge_trace::register(module)?;
     bridge::register(module)?;

@@ -1,6 +1,7 @@
 //! Scenes: one run, or many.
 
 use std::{
+    path::PathBuf,
     sync::{
         atomic::Ordering,
         mpsc::{self, RecvTimeoutError},
@@ -10,8 +11,8 @@ use std::{
 };
 
 use haptether_bridge::scene::{
-    self, Outcome, Progress, Refused, SceneError, SceneRun, SceneSpec, Signal, SweepSettings, Variation,
-    simulate, sweep,
+    self, Outcome, Progress, RecordingFiles, Refused, SceneError, SceneRun, SceneSpec, Signal, SweepSettings,
+    Variation, simulate_recorded, sweep,
 };
 use haptether_bridge::{SideKind, coupling::ROUND_TRIP_S, ladder::PRESS_NS};
 use numpy::{PyArrayMethods, PyReadonlyArray1, ToPyArray};
@@ -129,10 +130,18 @@ fn scene_schema() -> String {
     scene::scene_schema()
 }
 
-/// Runs a scene.
+/// Runs a scene, recorded to the files of master and slave where there are any.
 #[pyfunction]
-fn simulate_scene(py: Python<'_>, scene_json: &[u8]) -> PyResult<PySceneRun> {
-    let done = interruptibly(py, None, |progress| simulate(scene_json, &progress.stop))?;
+#[pyo3(signature = (scene_json, record=None))]
+fn simulate_scene(
+    py: Python<'_>,
+    scene_json: &[u8],
+    record: Option<(PathBuf, PathBuf)>,
+) -> PyResult<PySceneRun> {
+    let scene = String::from_utf8_lossy(scene_json);
+    let files = record.map(|(master, slave)| RecordingFiles { master, slave, scene: scene.into_owned() });
+    let done =
+        interruptibly(py, None, |progress| simulate_recorded(scene_json, &progress.stop, files.as_ref()))?;
     let SceneRun { signals, events, outcome, period_s, reports } = done.map_err(refuse)?;
     let by_name = PyDict::new(py);
     for signal in &signals {

@@ -44,6 +44,15 @@ impl<const N: usize> MasterReading<N> {
         Self { position, velocity, rotation: None, trigger: None }
     }
 
+    /// The same of a device that stands as `quat_wxyz`, a unit quaternion that was recorded, and turns at `rate` in rad/s.
+    #[must_use]
+    pub fn turned(self, quat_wxyz: [f64; 4], rate: Option<Axes<3>>) -> Self {
+        let [w, x, y, z] = quat_wxyz;
+        // To normalise it once more would change its last bits.
+        let orientation = Unit::new_unchecked(Quaternion::new(w, x, y, z));
+        Self { rotation: Some(RotationSample { orientation, angular_velocity: rate }), ..self }
+    }
+
     fn pose(&self) -> PoseSample<N> {
         // Where an endpoint of poses is told no orientation, it has none: a fault.
         let none = Unit::new_unchecked(Quaternion::from([f64::NAN; 4]));

@@ -1,13 +1,16 @@
 //! The master's endpoint: one tick of the side of the hand.
 
 use haptether_safety::{
-    Axes, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyTick, Signal, controller::SafetySettings,
+    Axes, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyTick, controller::SafetySettings,
     estimator::EstimatorKind,
 };
 
 use super::{
     EndpointError, Exchange, MasterReading, MasterRotationSettings, TriggerSettings, check_period,
-    layer::Layer, period_s, trigger::TriggerFeedback,
+    hand::{Hand, HandInput, Past},
+    layer::Layer,
+    period_s,
+    trigger::TriggerFeedback,
 };
 use crate::{
     SideKind,
@@ -42,6 +45,8 @@ pub struct MasterSettings<const N: usize> {
 /// What one tick of the master did.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MasterTick<const N: usize> {
+    /// What it went by beside the sample of the device.
+    pub input: HandInput<N>,
     /// All that the safety layer saw and decided; `device_force` in it goes to the device.
     pub safety: SafetyTick<N>,
     /// The same of the torque, of a hand that turns.
@@ -57,7 +62,7 @@ pub struct MasterTick<const N: usize> {
 /// The master's side as a state machine: `(sample, frames, time) -> (device force, frame)`.
 #[derive(Clone, Debug)]
 pub struct MasterEndpoint<const N: usize> {
-    layer: Layer<N>,
+    hand: Hand<N>,
     coupling: PositionForce<N>,
     /// Of a hand that turns.
     rotation: Option<RotationCoupling>,
@@ -65,8 +70,6 @@ pub struct MasterEndpoint<const N: usize> {
     trigger: Option<Box<TriggerFeedback>>,
     /// What talks to the peer.
     pub exchange: Exchange<N>,
-    /// Of the last tick.
-    last: Option<MasterReading<N>>,
     period_s: f64,
     /// The fault of the safety layer is mended, as the operator says.
     acknowledged: bool,
@@ -119,12 +122,11 @@ impl<const N: usize> MasterEndpoint<N> {
             exchange.flight.hold_against(ROTATION, thresholds(&rotation.safety));
         }
         Ok(Self {
-            layer,
+            hand: Hand::new(layer, period_s(settings.period_ns)),
             coupling: PositionForce::new(1.0, settings.force_scale)?,
             rotation: None,
             trigger: None,
             exchange,
-            last: None,
             period_s: period_s(settings.period_ns),
             acknowledged: false,
         })
@@ -145,44 +147,31 @@ impl<const N: usize> MasterEndpoint<N> {
         }
         let (_, age_ns) = self.exchange.advance(now_ns, clutch);
         let newest = self.exchange.link().newest();
-        let requested_force =
-            newest.map_or(Axes::zeros(), |frame| self.coupling.rendered_force(&frame.force));
-        let requested_torque = match (&self.rotation, newest.and_then(|frame| frame.rotation.as_ref())) {
-            (Some(coupling), Some(slave)) => coupling.rendered_torque(&slave.torque),
-            _ => Axes::zeros(),
-        };
+        let received_force = newest.map_or(Axes::zeros(), |frame| frame.force);
+        let received_torque =
+            newest.and_then(|frame| frame.rotation.as_ref()).map_or(Axes::zeros(), |slave| slave.torque);
+        let is_heard = newest.is_some();
         let jaws = newest.and_then(|frame| frame.gripper);
         let (gain, state) = (self.exchange.ladder.gain(), self.exchange.ladder.state());
-        if std::mem::take(&mut self.acknowledged) {
-            // Where the position still is none that can be, the layer keeps its fault, and meets it again below.
-            let _ = self.layer.reset(reading);
+        let past = if std::mem::take(&mut self.acknowledged) {
             self.trigger.iter_mut().for_each(|trigger| trigger.reset());
+            Past::Acknowledged
         } else if self.exchange.has_stalled() {
-            // What lies before the gap says nothing of what follows it. A position that cannot be is met below.
-            let _ = self.layer.restart(reading);
             self.trigger.iter_mut().for_each(|trigger| trigger.restart());
+            Past::Stalled
         } else {
-            // Before the estimators spread it over their window: no force answers a jump that no device makes.
-            if let Err(fault) = self.check_jump(missed, reading) {
-                self.layer.fail(fault);
-            }
-            self.carry_over(missed, reading);
-        }
-        if device_failed {
-            // After the reset above: nobody can have acknowledged what shows at this tick only.
-            self.layer.fail(Fault::Device);
-        }
-        self.last = Some(*reading);
+            Past::Kept
+        };
         let mut trigger = self
             .trigger
             .as_mut()
             .map(|trigger| trigger.tick(reading.trigger, jaws, state.is_coupled(), gain, missed));
         // One person holds both: a fault of either stops both.
-        if let Some(fault) = trigger.and_then(|tick| tick.fault) {
-            self.layer.fail(fault);
-        }
-        let (safety, rotation) =
-            self.layer.tick(reading, &(requested_force * gain), &(requested_torque * gain), gain);
+        let fault = device_failed.then_some(Fault::Device).or(trigger.and_then(|tick| tick.fault));
+        let input =
+            HandInput { received_force, received_torque, gain, missed, past, fault, ..HandInput::idle() };
+        let input = if is_heard { self.requested(&input) } else { input };
+        let (safety, rotation) = self.hand.tick(reading, &input);
         if let Some(fault) = safety.fault {
             self.exchange.fault(now_ns, fault);
             trigger = self.trigger.as_mut().map(|trigger| trigger.fail(fault));
@@ -199,15 +188,28 @@ impl<const N: usize> MasterEndpoint<N> {
         }
         let values = [&reading.position, &safety.device_force, &safety.rendered_force];
         self.exchange.end_tick(now_ns, values, observed);
-        MasterTick { safety, rotation, trigger, state: self.exchange.ladder.state(), age_ns }
+        MasterTick { input, safety, rotation, trigger, state: self.exchange.ladder.state(), age_ns }
     }
 
-    /// Refuses a position that is further from the last than any device moves in the time between.
-    fn check_jump(&self, missed: u64, reading: &MasterReading<N>) -> Result<(), Fault> {
-        let Some(last) = self.last else { return Ok(()) };
-        Signal::Position.check(&reading.position)?;
-        let elapsed_s = self.period_s * (missed + 1) as f64;
-        Signal::Velocity.check(&((reading.position - last.position) / elapsed_s))
+    /// The same with what the coupling requests of what was received.
+    pub(crate) fn requested(&self, input: &HandInput<N>) -> HandInput<N> {
+        HandInput {
+            requested_force: self.coupling.rendered_force(&input.received_force),
+            requested_torque: self
+                .rotation
+                .as_ref()
+                .map_or(Axes::zeros(), |coupling| coupling.rendered_torque(&input.received_torque)),
+            ..*input
+        }
+    }
+
+    /// A tick that was recorded, again: no peer, no ladder, no trigger.
+    pub(crate) fn replay(
+        &mut self,
+        reading: &MasterReading<N>,
+        input: &HandInput<N>,
+    ) -> (SafetyTick<N>, Option<SafetyTick<3>>) {
+        self.hand.tick(reading, input)
     }
 
     /// Leaves what the next frame says of the device; the energy is that of the whole wrench, `f·v + tau·w`.
@@ -230,18 +232,6 @@ impl<const N: usize> MasterEndpoint<N> {
         outgoing.energy.add(-power_w, self.period_s * (missed + 1) as f64);
         let (position, force) = (reading.position, safety.device_force);
         *outgoing = PortState { position, velocity, force, rotation, ..*outgoing };
-    }
-
-    /// Carries estimator and observers over missed ticks, along a straight line.
-    fn carry_over(&mut self, missed: u64, reading: &MasterReading<N>) {
-        if missed == 0 {
-            return;
-        }
-        if let Some(before) = self.last {
-            for tick in 1..=missed {
-                self.layer.missed(&before.towards(reading, tick as f64 / (missed + 1) as f64));
-            }
-        }
     }
 
     /// Carries out a command of the operator; returns whether it changed anything.

@@ -1,6 +1,7 @@
 //! Endpoints: all that one side does at a tick, without socket, thread or clock.
 
 mod exchange;
+mod hand;
 mod layer;
 mod master;
 mod rotation;
@@ -8,6 +9,7 @@ mod slave;
 mod trigger;
 
 pub use exchange::{Exchange, SideCounts};
+pub use hand::{HandInput, Past};
 pub use layer::{MasterReading, MasterRotationSettings};
 pub use master::{MasterEndpoint, MasterSettings, MasterTick};
 pub use rotation::SlaveRotationSettings;

@@ -128,7 +128,7 @@ impl<S: Side<N>, const N: usize> Drop for RestOnDrop<S, N> {
 }
 
 /// Why the two sides are not coupled, and whether that was reported.
-struct DiagnosisReport {
+pub(crate) struct DiagnosisReport {
     newest: Option<Diagnosis>,
     since_ns: u64,
     is_reported: bool,
@@ -137,6 +137,23 @@ struct DiagnosisReport {
 }
 
 impl DiagnosisReport {
+    /// Nothing stands since `start_ns`.
+    pub(crate) fn new(start_ns: u64) -> Self {
+        Self { newest: None, since_ns: start_ns, is_reported: true, is_noted: true }
+    }
+
+    /// Takes the newest of a run in virtual time, and returns it once it has stood for long enough; at the end at once.
+    pub(crate) fn settled(
+        &mut self,
+        now_ns: u64,
+        newest: Option<&Diagnosis>,
+        is_end: bool,
+    ) -> Option<Diagnosis> {
+        let is_due = self.is_due(now_ns, newest) || (is_end && !self.is_reported);
+        self.is_reported |= is_due;
+        self.newest.filter(|_| is_due)
+    }
+
     /// Takes the newest; whether it is still to be reported.
     fn is_unreported(&mut self, newest: Option<&Diagnosis>) -> bool {
         if self.newest.as_ref() != newest {
@@ -208,12 +225,7 @@ impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
             start_ns,
             now_ns: start_ns,
             shown: LadderState::Disengaged,
-            diagnosis: DiagnosisReport {
-                newest: None,
-                since_ns: start_ns,
-                is_reported: true,
-                is_noted: true,
-            },
+            diagnosis: DiagnosisReport::new(start_ns),
             has_announced_end: false,
             stalled_ns: None,
             buffer: [0; MAX_DATAGRAM],

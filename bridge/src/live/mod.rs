@@ -11,6 +11,7 @@ mod system;
 pub use channel::Security;
 pub use handle::{Ineffective, LiveHandle, LiveWatch, RecordOutputs, RecordReader};
 pub use handshakes::{SecurityEvent, StartError};
+pub(crate) use live_loop::DiagnosisReport;
 pub use live_loop::{LiveSettings, LoopReport};
 pub use run::{DriverLoop, Ended, LiveRun, Paced, PacedLoop, paced_by_device, run_live};
 pub use socket::{PeerAddress, PeerSocket};

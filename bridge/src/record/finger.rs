@@ -1,7 +1,7 @@
 //! What the records of a master have besides, where the finger feels its trigger.
 
 use haptether_master::RotationSample;
-use haptether_safety::SafetyTick;
+use haptether_safety::{Axes, SafetyTick};
 
 use super::{MasterRotation, MasterTurn};
 use crate::{
@@ -60,8 +60,9 @@ impl<R: MasterTurn> MasterTurn for Feeling<R> {
         measured: Option<&RotationSample>,
         truth: Option<RotationTruth>,
         tick: Option<&SafetyTick<3>>,
+        torques: [Axes<3>; 2],
     ) -> Self {
-        Self { turn: R::of(measured, truth, tick), ..Self::empty() }
+        Self { turn: R::of(measured, truth, tick, torques), ..Self::empty() }
     }
 
     fn felt(self, tick: Option<&SafetyTick<1>>) -> Self {

@@ -9,7 +9,7 @@ pub use rotation::{MasterRotation, MasterTurn, SlaveRotation, SlaveTurn};
 use haptether_safety::{Axes, Fault, controller::PerController};
 
 use crate::{
-    endpoint::{Exchange, MasterTick, SlaveReading, SlaveTick},
+    endpoint::{Exchange, MasterReading, MasterTick, Past, SlaveReading, SlaveTick},
     gripper::LedGripper,
     ladder::LadderState,
     pace::TickTime,
@@ -48,6 +48,20 @@ pub struct MasterRecord<const N: usize, R = ()> {
     pub time_ns: u64,
     /// x in m, as measured.
     pub position: Axes<N>,
+    /// V in m/s as measured; NaN of a device that measures none.
+    pub measured_velocity: Axes<N>,
+    /// `F_e` in N of the peer's newest frame; zero before the first.
+    pub received_force: Axes<N>,
+    /// `F_v` in N that the coupling requests of it.
+    pub requested_force: Axes<N>,
+    /// The ladder's share of what is requested.
+    pub gain: f64,
+    /// Ticks that were left out since the last.
+    pub missed: u64,
+    /// What the tick took over from the last.
+    pub past: Past,
+    /// Code of a fault that device or trigger gave the safety layer, 0 without.
+    pub given_fault: u8,
     /// True position in m where the device is a model, else x as measured.
     pub true_position: Axes<N>,
     /// True velocity in m/s where the device is a model, else V as estimated.
@@ -97,6 +111,13 @@ impl<const N: usize, R: MasterTurn> MasterRecord<N, R> {
         Self {
             time_ns: 0,
             position: zeros,
+            measured_velocity: Axes::repeat(f64::NAN),
+            received_force: zeros,
+            requested_force: zeros,
+            gain: 0.0,
+            missed: 0,
+            past: Past::Kept,
+            given_fault: 0,
             true_position: zeros,
             velocity: zeros,
             hand_force: zeros,
@@ -122,7 +143,7 @@ impl<const N: usize, R: MasterTurn> MasterRecord<N, R> {
 
     pub(crate) fn new(
         time: TickTime,
-        position: &Axes<N>,
+        reading: &MasterReading<N>,
         truth: Option<Truth<N>>,
         trigger: Option<f64>,
         tick: &MasterTick<N>,
@@ -130,14 +151,21 @@ impl<const N: usize, R: MasterTurn> MasterRecord<N, R> {
         snapshot: LadderSnapshot,
     ) -> Self {
         let Truth { position: true_position, velocity, hand_force } = truth.unwrap_or(Truth {
-            position: *position,
+            position: reading.position,
             velocity: tick.safety.motion.velocity,
             hand_force: Axes::zeros(),
         });
         let intervention = &tick.safety.intervention;
         Self {
             time_ns: time.now_ns - time.start_ns,
-            position: *position,
+            position: reading.position,
+            measured_velocity: reading.velocity.unwrap_or(Axes::repeat(f64::NAN)),
+            received_force: tick.input.received_force,
+            requested_force: tick.input.requested_force,
+            gain: tick.input.gain,
+            missed: tick.input.missed,
+            past: tick.input.past,
+            given_fault: tick.input.fault.map_or(0, Fault::code),
             true_position,
             velocity,
             hand_force,

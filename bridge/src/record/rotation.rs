@@ -21,11 +21,13 @@ pub trait MasterTurn: Copy + std::fmt::Debug + PartialEq + Send + 'static {
     /// It, if there is one.
     fn rotation(&self) -> Option<&MasterRotation>;
 
-    /// Of a tick: what the device measured, what no sensor measures, what the safety layer decided.
+    /// Of a tick: what the device measured, what no sensor measures, what the safety layer decided, and the torques that
+    /// were received and that the coupling requests of them.
     fn of(
         measured: Option<&RotationSample>,
         truth: Option<RotationTruth>,
         tick: Option<&SafetyTick<3>>,
+        torques: [Axes<3>; 2],
     ) -> Self;
 
     /// The same with what the finger felt, where the record has that.
@@ -65,7 +67,13 @@ impl MasterTurn for () {
         None
     }
 
-    fn of(_: Option<&RotationSample>, _: Option<RotationTruth>, _: Option<&SafetyTick<3>>) -> Self {}
+    fn of(
+        _: Option<&RotationSample>,
+        _: Option<RotationTruth>,
+        _: Option<&SafetyTick<3>>,
+        _: [Axes<3>; 2],
+    ) -> Self {
+    }
 
     fn fields<'a>(&'a self, _: &mut dyn FnMut(Field<'a>)) {}
 }
@@ -89,6 +97,12 @@ impl SlaveTurn for () {
 pub struct MasterRotation {
     /// As measured.
     pub orientation: [f64; 4],
+    /// In rad/s as measured; NaN of a device that measures none.
+    pub measured_angular_velocity: Axes<3>,
+    /// Of the peer's newest frame in N m; zero before the first.
+    pub received_torque: Axes<3>,
+    /// In N m that the coupling requests of it.
+    pub requested_torque: Axes<3>,
     /// True orientation where the device is a model, else as measured.
     pub true_orientation: [f64; 4],
     /// True angular velocity in rad/s where the device is a model, else as estimated.
@@ -141,6 +155,9 @@ impl MasterTurn for MasterRotation {
         let zeros = Axes::zeros();
         Self {
             orientation: [1.0, 0.0, 0.0, 0.0],
+            measured_angular_velocity: Axes::repeat(f64::NAN),
+            received_torque: zeros,
+            requested_torque: zeros,
             true_orientation: [1.0, 0.0, 0.0, 0.0],
             angular_velocity: zeros,
             hand_torque: zeros,
@@ -158,6 +175,7 @@ impl MasterTurn for MasterRotation {
         measured: Option<&RotationSample>,
         truth: Option<RotationTruth>,
         tick: Option<&SafetyTick<3>>,
+        [received_torque, requested_torque]: [Axes<3>; 2],
     ) -> Self {
         let (Some(measured), Some(tick)) = (measured, tick) else { return Self::empty() };
         let RotationTruth { orientation, angular_velocity, hand_torque } = truth.unwrap_or(RotationTruth {
@@ -167,6 +185,9 @@ impl MasterTurn for MasterRotation {
         });
         Self {
             orientation: canonical(&measured.orientation),
+            measured_angular_velocity: measured.angular_velocity.unwrap_or(Axes::repeat(f64::NAN)),
+            received_torque,
+            requested_torque,
             true_orientation: canonical(&orientation),
             angular_velocity,
             hand_torque,
@@ -187,6 +208,21 @@ impl MasterTurn for MasterRotation {
                 "true_orientation",
                 "unit quaternion w, x, y, z of a modelled device",
                 Value::Axes(&self.true_orientation),
+            ),
+            (
+                "measured_angular_velocity",
+                "in rad/s as measured; null of a device that measures none",
+                Value::Axes(self.measured_angular_velocity.as_slice()),
+            ),
+            (
+                "received_torque",
+                "of the newest frame in N m; zero before the first",
+                Value::Axes(self.received_torque.as_slice()),
+            ),
+            (
+                "requested_torque",
+                "in N m that the coupling requests of it",
+                Value::Axes(self.requested_torque.as_slice()),
             ),
             ("angular_velocity", "in rad/s", Value::Axes(self.angular_velocity.as_slice())),
             ("hand_torque", "torque of a modelled hand in N m", Value::Axes(self.hand_torque.as_slice())),

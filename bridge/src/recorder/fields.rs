@@ -123,6 +123,12 @@ const AGE: &str = "silence of the peer in s; null before its first frame";
 const ROUND_TRIP: &str =
     "round trip of the newest echo in s, waits for ticks included; null before the first";
 const OVERSHOOT: &str = "how late the loop woke, in s";
+const MEASURED_VELOCITY: &str = "V in m/s as measured; null of a device that measures none";
+const RECEIVED_FORCE: &str = "F_e in N of the newest frame; zero before the first";
+const REQUESTED_FORCE: &str = "F_v in N that the coupling requests of it, before the ladder's share";
+const PAST: &str =
+    "what the tick took over from the last: kept, stalled (nothing but a fault), acknowledged (nothing)";
+const GIVEN_FAULT: &str = "code of a fault that device or trigger gave the safety layer, 0 without";
 const FAULT: &str = "code of the fault, 0 without";
 
 impl<const N: usize, R: MasterTurn> Recorded for MasterRecord<N, R> {
@@ -145,6 +151,9 @@ impl<const N: usize, R: MasterTurn> Recorded for MasterRecord<N, R> {
             ("time_ns", TIME, Value::Count(self.time_ns)),
             ("position", "x in m, as measured", Value::Axes(self.position.as_slice())),
             ("true_position", "x in m of a modelled device", Value::Axes(self.true_position.as_slice())),
+            ("measured_velocity", MEASURED_VELOCITY, Value::Axes(self.measured_velocity.as_slice())),
+            ("received_force", RECEIVED_FORCE, Value::Axes(self.received_force.as_slice())),
+            ("requested_force", REQUESTED_FORCE, Value::Axes(self.requested_force.as_slice())),
             ("velocity", "V in m/s", Value::Axes(self.velocity.as_slice())),
             ("hand_force", "force of a modelled hand in N", Value::Axes(self.hand_force.as_slice())),
             ("rendered_force", "F_v in N", Value::Axes(self.rendered_force.as_slice())),
@@ -166,6 +175,10 @@ impl<const N: usize, R: MasterTurn> Recorded for MasterRecord<N, R> {
             ("round_trip_s", ROUND_TRIP, seconds(self.round_trip_ns)),
             ("overshoot_s", OVERSHOOT, seconds(self.overshoot_ns)),
             ("fault", FAULT, Value::Count(self.fault.into())),
+            ("gain", "the ladder's share of the requested force, 0 to 1", Value::Number(self.gain)),
+            ("missed", "ticks that were left out since the last", Value::Count(self.missed)),
+            ("past", PAST, Value::Name(self.past.name())),
+            ("given_fault", GIVEN_FAULT, Value::Count(self.given_fault.into())),
         ];
         for field in signals.into_iter().chain(observed).chain(state) {
             take(field);

@@ -106,6 +106,11 @@ impl<W: Write> McapFile<W> {
         file
     }
 
+    /// The log times are those of the run itself: a run in virtual time has no wall clock.
+    pub(super) fn begin_at_zero(&mut self) {
+        self.begun_ns = 0;
+    }
+
     /// Takes the start of the run, in ns of the monotonic clock, for the log times; 0 is none.
     pub(super) fn set_start(&mut self, started_ns: u64) {
         if started_ns != 0 {

@@ -5,6 +5,7 @@
 
 mod fields;
 mod file;
+mod waiting;
 
 use std::{
     io,
@@ -20,6 +21,7 @@ use std::{
 
 pub use fields::{Field, Recorded, Value};
 use file::{FreeSpace, McapFile};
+pub(crate) use waiting::WaitingRecorder;
 
 use crate::{ladder::Diagnosis, ring::ring};
 

@@ -1,7 +1,9 @@
 //! Runs of a scene with an arm: both endpoints, the network between them, and an environment at the far end.
 
 use std::{
+    io,
     ops::ControlFlow,
+    path::{Path, PathBuf},
     sync::atomic::{AtomicBool, Ordering},
 };
 
@@ -20,7 +22,11 @@ use super::{
 use crate::{
     EndpointError, Event, Exchange, LadderState, LoopCounts, MasterPlant, MasterRecord, MasterSide,
     MasterTurn, ModelArm, Reason, Side, SideKind, SlavePlant, SlaveRecord, SlaveSide, SlaveTurn,
-    VirtualSettings, coupling::CouplingError, live::LoopReport, run_virtual,
+    VirtualSettings,
+    coupling::CouplingError,
+    live::LoopReport,
+    recorder::{Recorded, RecorderSettings, SecurityMark, WaitingRecorder},
+    run_virtual,
 };
 use haptether_master::SimulatedMaster;
 use haptether_netsim::{ClockSettings, EndpointClock};
@@ -35,22 +41,27 @@ const SESSIONS: (u64, u64) = (1, 2);
 pub(crate) fn simulate<const N: usize>(
     scene: &SceneSpec<N>,
     stop: &AtomicBool,
+    files: Option<&RecordingFiles>,
 ) -> Result<SceneRun, SceneError> {
     check(scene)?;
     let slave = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, SESSIONS.1)?)
         .with_gripper(simulated_gripper(scene)?);
     match scene.run.integrator {
-        Integrator::Exact => run(scene, master(scene, waiting(exact_master(scene)?))?, slave, stop),
+        Integrator::Exact => run(scene, master(scene, waiting(exact_master(scene)?))?, slave, stop, files),
         Integrator::Stepped(stepping) => {
             let mut plant = stepped_master::<N>(scene, stepping)?;
             plant.set_waiting(true);
-            run(scene, master(scene, plant)?, slave, stop)
+            run(scene, master(scene, plant)?, slave, stop, files)
         }
     }
 }
 
 /// The same of a hand and an arm that turn.
-pub(crate) fn simulate_pose(scene: &SceneSpec<3>, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
+pub(crate) fn simulate_pose(
+    scene: &SceneSpec<3>,
+    stop: &AtomicBool,
+    files: Option<&RecordingFiles>,
+) -> Result<SceneRun, SceneError> {
     check(scene)?;
     if scene.slave.is_none() {
         return contradiction("slave: is missing, kind = \"pose\" needs an arm");
@@ -65,13 +76,13 @@ pub(crate) fn simulate_pose(scene: &SceneSpec<3>, stop: &AtomicBool) -> Result<S
     match scene.run.integrator {
         Integrator::Exact => {
             let plant = pose::turning_master(scene, waiting(exact_master(scene)?))?;
-            run(scene, master(scene, plant)?.turning(), slave, stop)
+            run(scene, master(scene, plant)?.turning(), slave, stop, files)
         }
         Integrator::Stepped(stepping) => {
             let mut plant = stepped_master::<3>(scene, stepping)?;
             plant.set_waiting(true);
             let plant = pose::turning_master(scene, plant)?;
-            run(scene, master(scene, plant)?.turning(), slave, stop)
+            run(scene, master(scene, plant)?.turning(), slave, stop, files)
         }
     }
 }
@@ -133,6 +144,7 @@ fn run<P, A, R, Q, const N: usize>(
     master: MasterSide<P, N, R>,
     slave: SlaveSide<A, N, Q>,
     stop: &AtomicBool,
+    files: Option<&RecordingFiles>,
 ) -> Result<SceneRun, SceneError>
 where
     P: MasterPlant<N>,
@@ -190,6 +202,8 @@ where
         turn_release_s: turn_release_s(scene),
     };
     let mut refused = Ok(());
+    let security = if settings.secure { SecurityMark::Secure } else { SecurityMark::Insecure };
+    let mut kept = files.map(|files| Kept::begin(files, security)).transpose()?;
     let counts = run_virtual(&settings, &mut master, &mut slave, |event, (master, slave)| {
         if stop.load(Ordering::Relaxed) {
             return ControlFlow::Break(());
@@ -200,6 +214,9 @@ where
             Ok(changed) => watched.anchor = watched.anchor.filter(|_| !changed),
             Err(error) => refused = Err(error),
         }
+        if let Some(kept) = &mut kept {
+            kept.take(&event, master.exchange(), slave.exchange());
+        }
         match event {
             Event::Master(record) => watched.near(&record, &master.side),
             Event::Slave(record) => watched.far(&record, &slave.side.plant),
@@ -208,6 +225,9 @@ where
     refused.map_err(EndpointError::from)?;
     if stop.load(Ordering::Relaxed) {
         return Err(SceneError::Stopped);
+    }
+    if let Some(kept) = kept {
+        kept.finish(master.exchange(), slave.exchange())?;
     }
     let coarse = slave.side.plant.coarse_steps();
     watched.overflowed = counts.overflowed;
@@ -247,6 +267,64 @@ fn report<const N: usize>(
         engaged_ns,
         ..LoopReport::default()
     }
+}
+
+/// Where a run in virtual time is recorded.
+#[derive(Clone, Debug)]
+pub struct RecordingFiles {
+    /// Of the master.
+    pub master: PathBuf,
+    /// Of the slave.
+    pub slave: PathBuf,
+    /// The scene as JSON, kept in both.
+    pub scene: String,
+}
+
+/// The files of both sides, with the time of the newest record of each.
+struct Kept<'a, M, S> {
+    files: &'a RecordingFiles,
+    master: (WaitingRecorder<M>, u64),
+    slave: (WaitingRecorder<S>, u64),
+}
+
+impl<'a, M: Recorded, S: Recorded> Kept<'a, M, S> {
+    fn begin(files: &'a RecordingFiles, security: SecurityMark) -> Result<Self, SceneError> {
+        let settings = |path: &PathBuf| RecorderSettings {
+            path: path.clone(),
+            min_free_bytes: 0,
+            security,
+            scene: files.scene.clone(),
+        };
+        let [master, slave] = [&files.master, &files.slave].map(settings);
+        Ok(Self {
+            files,
+            master: (WaitingRecorder::begin(&master).map_err(|error| refused(&files.master, &error))?, 0),
+            slave: (WaitingRecorder::begin(&slave).map_err(|error| refused(&files.slave, &error))?, 0),
+        })
+    }
+
+    fn take<const N: usize>(&mut self, event: &Event<M, S>, master: &Exchange<N>, slave: &Exchange<N>) {
+        match event {
+            Event::Master(record) => {
+                self.master.1 = record.time_ns();
+                self.master.0.take(record, master.flight().diagnosis());
+            }
+            Event::Slave(record) => {
+                self.slave.1 = record.time_ns();
+                self.slave.0.take(record, slave.flight().diagnosis());
+            }
+        }
+    }
+
+    fn finish<const N: usize>(self, master: &Exchange<N>, slave: &Exchange<N>) -> Result<(), SceneError> {
+        let Self { files, master: (near, near_ns), slave: (far, far_ns) } = self;
+        near.finish(near_ns, master.flight().diagnosis()).map_err(|error| refused(&files.master, &error))?;
+        far.finish(far_ns, slave.flight().diagnosis()).map_err(|error| refused(&files.slave, &error))
+    }
+}
+
+fn refused(path: &Path, error: &io::Error) -> SceneError {
+    SceneError::Contradiction(format!("{}: cannot be written: {error}", path.display()))
 }
 
 /// What is seen of both sides as they run.

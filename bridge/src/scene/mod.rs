@@ -7,6 +7,7 @@ mod local;
 mod measures;
 mod pose;
 mod record;
+mod replay;
 mod sides;
 mod spec;
 mod sweep;
@@ -15,9 +16,11 @@ mod timed;
 use std::sync::atomic::AtomicBool;
 
 pub use assemble::{SceneError, scene_environment};
+pub use bilateral::RecordingFiles;
 pub use measures::{Divergence, DivergenceCause, Ending, Outcome};
 pub use pose::as_pose;
 pub use record::{SceneEvent, SceneRun, Signal};
+pub use replay::{HandImpedance, RecordedTick, Replay, ReplayedTick};
 pub use sides::{
     SimulatedDevice, driven_master, driven_slave, simulated_master, simulated_pose_master,
     simulated_pose_slave, simulated_slave,
@@ -32,9 +35,22 @@ pub use timed::Timed;
 ///
 /// As [`run`], and what is no scene.
 pub fn simulate(scene: &[u8], stop: &AtomicBool) -> Result<SceneRun, SceneError> {
+    simulate_recorded(scene, stop, None)
+}
+
+/// The same, recorded to files where there are any.
+///
+/// # Errors
+///
+/// As [`simulate`], and files that cannot be written, or of a scene without an arm.
+pub fn simulate_recorded(
+    scene: &[u8],
+    stop: &AtomicBool,
+    files: Option<&RecordingFiles>,
+) -> Result<SceneRun, SceneError> {
     spec::of_axes!(
         scene_axes(scene)?,
-        N => run::<N>(&serde_json::from_slice(scene)?, stop),
+        N => run_recorded::<N>(&serde_json::from_slice(scene)?, stop, files),
         axes => assemble::contradiction(format!("master.axes = {axes}: must be 1 to 7"))
     )
 }
@@ -46,9 +62,23 @@ pub fn simulate(scene: &[u8], stop: &AtomicBool) -> Result<SceneRun, SceneError>
 /// A number or a combination that no part can have, or [`SceneError::Stopped`]; a diverging loop is no error but an
 /// outcome.
 pub fn run<const N: usize>(scene: &SceneSpec<N>, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
+    run_recorded(scene, stop, None)
+}
+
+fn run_recorded<const N: usize>(
+    scene: &SceneSpec<N>,
+    stop: &AtomicBool,
+    files: Option<&RecordingFiles>,
+) -> Result<SceneRun, SceneError> {
     pose::check_kind(scene)?;
     if let Some(scene) = pose::as_pose(scene)? {
-        return bilateral::simulate_pose(scene, stop);
+        return bilateral::simulate_pose(scene, stop, files);
     }
-    if scene.slave.is_some() { bilateral::simulate(scene, stop) } else { local::simulate(scene, stop) }
+    if scene.slave.is_some() {
+        return bilateral::simulate(scene, stop, files);
+    }
+    if files.is_some() {
+        return assemble::contradiction("record: a scene without a [slave] has no two sides to record");
+    }
+    local::simulate(scene, stop)
 }

@@ -43,7 +43,9 @@ from haptether.cli.paper import Paper
 from haptether.cli.raven import Raven
 from haptether.cli.recording.export import Export
 from haptether.cli.recording.info import Info
+from haptether.cli.recording.playback import Playback
 from haptether.cli.recording.plot import Plot
+from haptether.cli.recording.replay import Replay
 from haptether.cli.scene.simulate import Simulate
 from haptether.cli.scene.sweep import Sweep
 from haptether.cli.shared.numbers import NUMBERS
@@ -83,6 +85,8 @@ COMMANDS: dict[str, type[Any]] = {
     "info": Info,
     "plot": Plot,
     "export": Export,
+    "replay": Replay,
+    "playback": Playback,
     "keygen": Keygen,
     "list": List,
 }

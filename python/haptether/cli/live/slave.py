@@ -9,7 +9,7 @@ import tyro
 from haptether.cli.live.options import LiveOptions
 
 if TYPE_CHECKING:
-    from haptether.bridge import LoopReport, SlaveTrace
+    from haptether.bridge import LoopReport, Scene, SlaveTrace
     from haptether.bridge.flight import Cause
 
 
@@ -62,11 +62,17 @@ class Slave(LiveOptions):
 
     def run(self) -> int:
         """Runs until it is stopped."""
+        from haptether.cli.live.sides import live_scene
+
+        return self.run_scene(live_scene(self, ("wall_stiffness", "push_at_s", "push_force_n", "push_duration_s")))
+
+    def run_scene(self, scene: "Scene | None") -> int:
+        """The same with a scene that is there already; none has the options say what there is."""
         import numpy as np
 
         from haptether.cli.live.options import handed_over, live_arguments, session_key
         from haptether.cli.live.run import FlightFile, SideWatch
-        from haptether.cli.live.sides import live_scene, start_slave
+        from haptether.cli.live.sides import start_slave
         from haptether.cli.shared.output import check_distinct, check_target
         from haptether.cli.shared.stop import Stopped
         from haptether.safety import fault_message
@@ -76,7 +82,6 @@ class Slave(LiveOptions):
         key = session_key(self.key, insecure=self.insecure)
         flight = FlightFile(self.flight)
         arguments = live_arguments(self, key)
-        scene = live_scene(self, ("wall_stiffness", "push_at_s", "push_force_n", "push_duration_s"))
         with Stopped() as stopped:
             slave = start_slave(self, scene, stopped, arguments)
             handed_over(key)

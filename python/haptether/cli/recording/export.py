@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
-    """Write a recorded run as Parquet, CSV or NumPy arrays: a column for each axis of each signal, a row for each tick.
+    """Write a recorded run as Parquet, CSV, NumPy arrays (a column for each axis, a row for each tick), or for Foxglove.
 
     The two sides tick at times of their own, so that a table has one side; NumPy files have both.
 
@@ -21,6 +21,8 @@ class Export:
     haptether export master.mcap --parquet master.parquet
 
     haptether export master.mcap slave.mcap --side slave --csv slave.csv
+
+    haptether export master.mcap slave.mcap --foxglove both.mcap
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
@@ -37,6 +39,8 @@ class Export:
     """Write comma-separated values."""
     npz: Annotated[Path | None, tyro.conf.arg(metavar="FILE.npz")] = None
     """Write every signal as a NumPy array."""
+    foxglove: Annotated[Path | None, tyro.conf.arg(metavar="FILE.mcap")] = None
+    """Write both sides into one MCAP file, with poses, frames and force arrows in Foxglove's schemas."""
 
     def run(self) -> int:
         """Writes the files.
@@ -48,11 +52,13 @@ class Export:
         from haptether.cli.shared.output import check_distinct, check_target
         from haptether.cli.shared.screen import screen
 
-        targets = (self.parquet, self.csv, self.npz)
+        targets = (self.parquet, self.csv, self.npz, self.foxglove)
         if not any(targets):
-            message = "what to write? Give --parquet, --csv or --npz and a file"
+            message = "what to write? Give --parquet, --csv, --npz or --foxglove and a file"
             raise ValueError(message)
-        check_distinct(file=self.file, other=self.other, parquet=self.parquet, csv=self.csv, npz=self.npz)
+        check_distinct(
+            file=self.file, other=self.other, parquet=self.parquet, csv=self.csv, npz=self.npz, foxglove=self.foxglove
+        )
         check_target(*targets)
         if self.npz is not None and self.npz.suffix != ".npz":
             message = f"{self.npz}: must end in .npz"
@@ -62,6 +68,10 @@ class Export:
             self._write_tables(run)
         if self.npz is not None:
             run.save(self.npz)
+        if self.foxglove is not None:
+            from haptether.bridge import write_foxglove
+
+            write_foxglove(self.foxglove, self.file, self.other, slave_begun_s=self.slave_begun_s)
         for target in targets:
             if target is not None:
                 screen().print(f"written: {target}")

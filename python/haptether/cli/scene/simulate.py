@@ -34,6 +34,8 @@ class Simulate:
     haptether simulate remote_push --link.forward.delay-s 0.1 --set safety.controllers=[] --plot out/remote_push
 
     haptether simulate my/scene.toml --json - --out run.npz
+
+    haptether simulate remote_push --record out
     """
 
     scene: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")] = None
@@ -49,6 +51,8 @@ class Simulate:
     """Draw positions, forces, what turns and trips as a PNG into this folder."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.npz")] = None
     """Write every signal as a NumPy array."""
+    record: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Record both sides as `--record` of live ones does: DIR/master.mcap and DIR/slave.mcap."""
     list: bool = False
     """Say which scenes there are, and end."""
 
@@ -73,11 +77,16 @@ class Simulate:
             require_matplotlib()
             make_folder(self.plot)
         scene = load_scene(self.scene, self.set)
+        files = None
+        if self.record is not None:
+            make_folder(self.record)
+            files = (self.record / "master.mcap", self.record / "slave.mcap")
+            check_target(*files)
         if scene.record is None and (self.plot is not None or self.out is not None):
             message = f"{self.scene} has no [record], so there are no signals to keep: add --set record.every=1"
             raise SceneError(message)
         with spinner(f"running {self.scene}"):
-            run = simulate(self.scene, overrides=self.set)
+            run = simulate(self.scene, overrides=self.set, record=files)
         named = {
             "slave.device": None if scene.slave is None else scene.slave.device,
             "master.driver": scene.master.driver,
@@ -88,9 +97,14 @@ class Simulate:
                 console.print(
                     f"{key} = {name}: the model of [{table}] stands for it; `haptether {table} --scene` drives it live",
                 )
-        return self._report(console, run, frame_of(scene))
+        return self.report(console, run, frame_of(scene))
 
-    def _report(self, console: "Console", run: "Run", frame_wxyz: tuple[float, ...] | None) -> int:
+    def report(self, console: "Console", run: "Run", frame_wxyz: tuple[float, ...] | None = None) -> int:
+        """Prints, writes and draws what came of a run; 0.
+
+        Raises:
+            RuntimeError: It diverged.
+        """
         from haptether.cli.shared.output import write_report
 
         self._print(console, run)
@@ -105,6 +119,8 @@ class Simulate:
         if self.out is not None:
             run.save(self.out)
             console.print(f"signals: {self.out}")
+        if self.record is not None:
+            console.print(f"recorded: {self.record / 'master.mcap'}, {self.record / 'slave.mcap'}")
         if self.plot is not None:
             from haptether.cli.scene.picture import draw_run
 

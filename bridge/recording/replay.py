@@ -1,0 +1,319 @@
+"""A recorded run through other settings: what would have been exerted, and where the two part."""
+
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, cast
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Struct, json
+
+from haptether import _core
+from haptether.bridge.recording.hand import HandError, HandFit, hand_of
+from haptether.bridge.recording.read import Recording, read_recording
+from haptether.bridge.recording.settings import tables_of
+from haptether.bridge.scene.errors import Path as KeyPath
+from haptether.bridge.scene.errors import SceneError, shown
+from haptether.bridge.scene.load import checked, overridden, path_of
+
+Array = npt.NDArray[Any]
+
+LOST_M = 0.3
+"""How far in m a modelled hand may be from where it was measured; what follows is of no workspace."""
+FORCE_QUANTUM_N = 1e-3
+"""Difference of two forces from which on they count as parted: no device resolves less."""
+PASTS = {"kept": 0, "stalled": 1, "acknowledged": 2}
+INPUTS = ("received_force", "requested_force", "gain", "missed", "past", "given_fault")
+"""What a recording must have beside motion and force."""
+COMPARED = ("rendered_force", "safety_force", "device_force", "rendered_torque", "safety_torque", "device_torque")
+"""What is the same bit for bit where the settings are."""
+REPLAYED: dict[str, frozenset[str]] = {
+    "safety": frozenset({"ladder", "gripper", "signals"}),
+    "master": frozenset(
+        {"kind", "axes", "position", "velocity", "stops", "buttons", "gripper", "device", "driver", "options"}
+    ),
+    "coupling": frozenset({"kind", "position_scale", "rotation_scale", "command_speed", "command_reach",
+                           "command_angular_speed", "command_turn", "alignment", "reference_point"}),
+}  # fmt: skip
+"""Tables whose keys decide over the force on the hand, less those that do not."""
+Level = Literal["as measured", "hand modelled"]
+
+
+class ReplayFigures(Struct, frozen=True, kw_only=True):
+    """What a run came to."""
+
+    peak_device_force: float
+    """Largest |F_device| in N."""
+    largest_speed: float
+    """Largest speed in m/s in the direction in which the remote side pushes, since the two engaged."""
+    trips: int
+    """Interventions."""
+    intervention_s: float
+    """Time under intervention in s."""
+    peak_device_torque: float | None = None
+    """Largest |tau_device| in N m, of a hand that turns."""
+
+
+class _About(NamedTuple):
+    """Of a replay, what no signal says."""
+
+    overrides: tuple[str, ...]
+    notes: tuple[str, ...]
+    specification: bytes
+
+
+class Replay(Struct, frozen=True, kw_only=True):
+    """A recording, and what other settings would have made of it."""
+
+    level: Level
+    """Whether the hand moves as it was measured, or as a model of it answers to the force that differs."""
+    overrides: tuple[str, ...]
+    """The settings that differ."""
+    time_s: Array
+    """Times of the ticks since the run began, shape `(n_ticks,)`."""
+    recorded: Mapping[str, Array]
+    """What was recorded, by name, shape `(n_ticks, axes)` where it has axes."""
+    replayed: Mapping[str, Array]
+    """The same under the settings; `displacement` in m is how far the modelled hand is from the recorded one."""
+    identical: bool
+    """Whether all forces and torques are the same, bit for bit."""
+    parts_s: float | None
+    """When |F_device| first differs by more than `FORCE_QUANTUM_N`, in s; none where it never does."""
+    ends_s: float | None
+    """When the modelled hand was `LOST_M` from where it was measured: what follows says nothing, and is not counted."""
+    before: ReplayFigures
+    """What was recorded came to."""
+    after: ReplayFigures
+    """What the settings would have made of it."""
+    largest_displacement: float
+    """How far in m the modelled hand goes from where the recorded one was; 0 as measured."""
+    hand: HandFit | None
+    """The model of the hand; none as measured."""
+    notes: tuple[str, ...]
+    """What is not replayed truthfully, and why."""
+    specification: bytes
+    """The scene with the settings, as JSON."""
+
+
+def replay(
+    file: str | os.PathLike[str] | Recording,
+    *,
+    overrides: Iterable[str] = (),
+    hand: Literal["measured", "modelled"] | None = None,
+) -> Replay:
+    """What a recorded master would have exerted under other settings.
+
+    Motion, the force that arrived tick by tick and the ladder are those of the recording, and go through estimator,
+    coupling, safety layer and limiter again.
+
+    Args:
+        file: What `--record` of a master wrote, or what `read_recording` read of it.
+        overrides: Settings of `[safety]`, `[coupling]` and `[master]` to change, `table.key=value` each; without any,
+            the forces are those of the recording bit for bit.
+        hand: "measured" has the hand move as it did whatever the force; "modelled" has a model of it, identified from
+            the recording, answer to the force that differs. By default modelled where settings differ and the hand can
+            be identified.
+
+    Raises:
+        ImportError: Without the extra `record`.
+        OSError: The file cannot be read.
+        ValueError: No recording of a master with a scene; settings that cannot be or are not replayed; a hand that
+            cannot be identified where it is to be modelled.
+    """
+    given = tuple(overrides)
+    recording = file if isinstance(file, Recording) else read_recording(file)
+    name = recording.side if isinstance(file, Recording) else str(file)
+    _check(recording, name)
+    spec, recouples = _settings(recording, given)
+    signals, notes = _signals(recording)
+    fit: HandFit | None = None
+    if hand == "modelled" or (hand is None and given):
+        try:
+            fit, holds = hand_of(
+                signals["position"], signals["device_force"], spec["master"], float(spec["run"]["period_s"])
+            )
+            signals["grip"] = holds.astype(np.float64)
+        except HandError as error:
+            if hand == "modelled":
+                message = f"{name}: the hand cannot be modelled: {error}"
+                raise ValueError(message) from None
+            notes.append(f"the hand cannot be modelled, so it moves as it was measured: {error}")
+    specification = json.encode(spec)
+    try:
+        replayed = _core.replay_recording(
+            specification,
+            signals,
+            recording.signals["time_ns"].tolist(),
+            recouples=recouples,
+            hand=None if fit is None else (fit.mass_kg, fit.damping, fit.stiffness),
+        )
+    except ValueError as error:
+        raise SceneError(str(error)) from None
+    notes += _said(recording, fit, given)
+    return _compared(recording, replayed, fit, _About(given, tuple(notes), specification))
+
+
+def _check(recording: Recording, name: str) -> None:
+    if recording.side != "master":
+        message = f"{name}: of the {recording.side}, must be of the master: what is replayed is the force on the hand"
+        raise ValueError(message)
+    if not recording.scene:
+        message = f"{name}: does not say with which scene it was run, so that there are no settings to replay"
+        raise ValueError(message)
+    missing = [signal for signal in INPUTS if signal not in recording.signals]
+    if missing:
+        message = (
+            f"{name}: has no {', '.join(missing)}: it was written by Haptether {recording.version or 'of before'}, "
+            "which did not keep what a replay needs"
+        )
+        raise ValueError(message)
+    if not len(recording.signals["time_ns"]):
+        message = f"{name}: has no tick"
+        raise ValueError(message)
+
+
+# ------------------------------------------------------------------------------------------------ settings
+
+
+def _settings(recording: Recording, overrides: tuple[str, ...]) -> tuple[dict[str, Any], bool]:
+    """The scene as it was run with the settings that differ, and whether the coupling is one of them."""
+    spec = cast("dict[str, Any]", json.decode(recording.scene))
+    if not overrides:
+        return spec, False
+    raw = tables_of(recording.scene, ("run", "master", "slave", "safety", "coupling"))
+    for override in overrides:
+        _refuse_unreplayed(path_of(override.partition("=")[0].strip()), override)
+        raw = overridden(raw, override)
+    changed = json.decode(checked(raw, Path()).json)
+    kept = {table: changed[table] for table in REPLAYED}
+    return spec | kept, kept["coupling"] != spec["coupling"]
+
+
+def _refuse_unreplayed(path: KeyPath, override: str) -> None:
+    table, *rest = path
+    if table in REPLAYED and rest and rest[0] not in REPLAYED[str(table)]:
+        return
+    message = (
+        f"{shown(override)}: does not change what is replayed, must be of [safety], [coupling] or [master] and decide "
+        "over the force on the hand; network, arm and ladder are those of the recording"
+    )
+    raise SceneError(message)
+
+
+# ------------------------------------------------------------------------------------------------ signals
+
+
+def _signals(recording: Recording) -> tuple[dict[str, Array], list[str]]:
+    """What Rust reads, and notes on what is missing."""
+    recorded = recording.signals
+    ticks = len(recorded["time_ns"])
+    signals: dict[str, Array] = {
+        name: np.ascontiguousarray(values, dtype=np.float64)
+        for name, values in recorded.items()
+        if values.dtype.kind in "fiub" and name != "time_ns"
+    }
+    signals["past"] = np.array([PASTS.get(past, 0) for past in recorded["past"]], dtype=np.float64)
+    signals["grip"] = np.ones(ticks)
+    notes = []
+    period_ns = float(json.decode(recording.scene)["run"]["period_s"]) * 1e9
+    ahead = np.diff(recorded["time_ns"].astype(np.float64), prepend=0.0) / period_ns
+    absent = np.rint(ahead - 1.0) - signals["missed"]
+    # One tick may be early and the next late by half a period each; and what follows a stall needs no past.
+    holes = (absent >= 1.0) & (ahead > signals["missed"] + 1.9) & (signals["past"] == 0.0)
+    holes[0] = False
+    if holes.any():
+        signals["missed"] = signals["missed"] + np.where(holes, absent, 0.0)
+        first = float(recorded["time_ns"][np.flatnonzero(holes)[0]]) * 1e-9
+        notes.append(
+            f"{int(absent[holes].sum())} ticks are not in the file, the first before {first:.3f} s: after that, forces "
+            "are near those of the run and not the same bit for bit"
+        )
+    return signals, notes
+
+
+def _said(recording: Recording, fit: HandFit | None, overrides: tuple[str, ...]) -> list[str]:
+    notes = []
+    if recording.version != _core.__version__:
+        notes.append(f"recorded by Haptether {recording.version or '?'}, replayed by {_core.__version__}")
+    if fit is not None:
+        notes.append(
+            "the hand that answers to the force that differs is a model of it, and what it wants is as recorded; the "
+            "arm, what it touches and the network do not answer: they are as recorded, too"
+        )
+        if "orientation" in recording.signals:
+            notes.append("the hand turns as it was measured: no impedance of its rotation is identified")
+    elif overrides:
+        notes.append("the hand moves as it was measured: under another force it would have moved otherwise")
+    return notes
+
+
+# ------------------------------------------------------------------------------------------------ comparison
+
+
+def _compared(recording: Recording, replayed: dict[str, Array], fit: HandFit | None, about: "_About") -> Replay:
+    recorded = recording.signals
+    time_s = recorded["time_ns"].astype(np.float64) * 1e-9
+    pairs = [(recorded[name], replayed[name]) for name in COMPARED if name in replayed and name in recorded]
+    identical = all(_bits(before) == _bits(after) for before, after in pairs)
+    apart = np.linalg.norm(replayed["device_force"] - recorded["device_force"], axis=1) > FORCE_QUANTUM_N
+    displacement = np.linalg.norm(replayed["displacement"], axis=1)
+    lost = displacement > LOST_M
+    end = int(np.argmax(lost)) if lost.any() else len(time_s)
+    ends_s = float(time_s[end]) if end < len(time_s) else None
+    notes = about.notes
+    if ends_s is not None:
+        where = f"at {ends_s:.3f} s the modelled hand is {LOST_M:g} m from where the recorded one was"
+        notes = (*notes, f"{where}: what follows says nothing")
+    towards = _towards(recorded["received_force"])
+    engaged = np.maximum.accumulate(recorded["state"] == "engaged")
+    velocity = recorded["velocity"]
+    faster = velocity + replayed["displacement_rate"]
+    until = slice(0, max(end, 1))
+    after = {name: values[until] for name, values in replayed.items()}
+    return Replay(
+        level="as measured" if fit is None else "hand modelled",
+        overrides=about.overrides,
+        time_s=time_s,
+        recorded=recorded,
+        replayed=replayed,
+        identical=identical,
+        parts_s=float(time_s[np.argmax(apart)]) if apart.any() else None,
+        ends_s=ends_s,
+        before=_figures(time_s, recorded, (velocity * towards).sum(axis=1)[engaged]),
+        after=_figures(time_s[until], after, (faster * towards).sum(axis=1)[until][engaged[until]]),
+        largest_displacement=float(displacement[until].max()),
+        hand=fit,
+        notes=notes,
+        specification=about.specification,
+    )
+
+
+def _bits(values: Array) -> bytes:
+    return np.ascontiguousarray(values, dtype=np.float64).tobytes()
+
+
+def _towards(force: Array) -> Array:
+    """Unit vectors of the direction in which the remote side pushes; where it does not, as it did last."""
+    length = np.linalg.norm(force, axis=1)
+    pushes = length > 0.1
+    last = np.maximum.accumulate(np.where(pushes, np.arange(len(force)), -1))
+    towards = np.zeros_like(force)
+    known = last >= 0
+    towards[known] = force[last[known]] / length[last[known], None]
+    return towards
+
+
+def _figures(time_s: Array, signals: Mapping[str, Array], speed: Array) -> ReplayFigures:
+    tripped = signals["tripped"] != 0
+    if "rotation_tripped" in signals:
+        tripped = tripped | (signals["rotation_tripped"] != 0)
+    begins = tripped & ~np.concatenate([[False], tripped[:-1]])
+    torque = signals.get("device_torque")
+    return ReplayFigures(
+        peak_device_force=float(np.nanmax(np.linalg.norm(signals["device_force"], axis=1))),
+        largest_speed=float(np.nanmax(speed, initial=0.0)),
+        trips=int(begins.sum()),
+        intervention_s=float(np.diff(time_s, append=time_s[-1:])[tripped].sum()),
+        peak_device_torque=None if torque is None else float(np.nanmax(np.linalg.norm(torque, axis=1))),
+    )

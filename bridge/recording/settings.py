@@ -1,0 +1,40 @@
+"""The settings that a recording was made with, as tables that can be changed and checked again."""
+
+from typing import Any, cast
+
+from msgspec import json
+
+from haptether.bridge.scene.errors import Raw
+
+
+def tables_of(scene: bytes, names: tuple[str, ...]) -> dict[str, Raw]:
+    """Tables of a scene as it was resolved, in the form of a scene's file: what is none is left out.
+
+    Args:
+        scene: As a recording keeps it.
+        names: Of the tables; those that the scene does not have are left out.
+    """
+    spec = cast("dict[str, Any]", json.decode(scene))
+    tables: dict[str, Raw] = {"schema": 1}
+    for name in names:
+        if spec.get(name) is not None:
+            tables[name] = _given(spec[name])
+    if isinstance(safety := tables.get("safety"), dict) and spec["safety"]["limiter"] is None:
+        safety["limiter"] = {"enabled": False}
+    if isinstance(slave := tables.get("slave"), dict):
+        # Of an arm that is led by positions, which has none of its own.
+        for key in ("stiffness", "damping"):
+            if not slave.get(key):
+                slave.pop(key, None)
+    if isinstance(operator := tables.get("operator"), dict):
+        # What `clutch` names.
+        times = operator.pop("clutch_times", None)
+        if times is not None:
+            operator["clutch"] = times
+    return tables
+
+
+def _given(value: Any) -> Any:  # noqa: ANN401  # any part of a scene
+    if isinstance(value, dict):
+        return {key: _given(part) for key, part in value.items() if part is not None}
+    return [_given(part) for part in value] if isinstance(value, list) else value

@@ -1,0 +1,128 @@
+//! What decides over the force on a hand: the same live, in virtual time, and when a recording is replayed.
+
+use haptether_safety::{Axes, Fault, SafetyTick, Signal};
+
+use super::layer::{Layer, MasterReading};
+
+/// What a tick takes over from the one before.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Past {
+    /// All of it.
+    #[default]
+    Kept,
+    /// Nothing but a fault: the loop had stalled.
+    Stalled,
+    /// Nothing: the operator has acknowledged a fault.
+    Acknowledged,
+}
+
+impl Past {
+    /// As it stands in a recording.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Kept => "kept",
+            Self::Stalled => "stalled",
+            Self::Acknowledged => "acknowledged",
+        }
+    }
+}
+
+/// What decides over the force of a tick beside what the device measures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HandInput<const N: usize> {
+    /// `F_e` in N of the newest frame; zero before the first.
+    pub received_force: Axes<N>,
+    /// The moment in N m of the newest frame.
+    pub received_torque: Axes<3>,
+    /// `F_v` in N that the coupling requests of it.
+    pub requested_force: Axes<N>,
+    /// The torque in N m that it requests.
+    pub requested_torque: Axes<3>,
+    /// The ladder's share of what is requested.
+    pub gain: f64,
+    /// Ticks that were left out since the last.
+    pub missed: u64,
+    /// What is taken over from the last.
+    pub past: Past,
+    /// A fault that only others can see: of the device, or of the trigger.
+    pub fault: Option<Fault>,
+}
+
+impl<const N: usize> HandInput<N> {
+    /// Nothing is requested, nothing has happened.
+    pub fn idle() -> Self {
+        Self {
+            received_force: Axes::zeros(),
+            received_torque: Axes::zeros(),
+            requested_force: Axes::zeros(),
+            requested_torque: Axes::zeros(),
+            gain: 0.0,
+            missed: 0,
+            past: Past::Kept,
+            fault: None,
+        }
+    }
+}
+
+/// The safety layer of a hand, with what it has to know of the last tick.
+#[derive(Clone, Debug)]
+pub(crate) struct Hand<const N: usize> {
+    layer: Layer<N>,
+    /// Of the last tick.
+    last: Option<MasterReading<N>>,
+    period_s: f64,
+}
+
+impl<const N: usize> Hand<N> {
+    pub(super) fn new(layer: Layer<N>, period_s: f64) -> Self {
+        Self { layer, last: None, period_s }
+    }
+
+    /// One tick.
+    pub(crate) fn tick(
+        &mut self,
+        reading: &MasterReading<N>,
+        input: &HandInput<N>,
+    ) -> (SafetyTick<N>, Option<SafetyTick<3>>) {
+        match input.past {
+            // Where the position still is none that can be, the layer keeps its fault, and meets it again below.
+            Past::Acknowledged => _ = self.layer.reset(reading),
+            // What lies before the gap says nothing of what follows it. A position that cannot be is met below.
+            Past::Stalled => _ = self.layer.restart(reading),
+            Past::Kept => {
+                // Before the estimators spread it over their window: no force answers a jump that no device makes.
+                if let Err(fault) = self.check_jump(input.missed, reading) {
+                    self.layer.fail(fault);
+                }
+                self.carry_over(input.missed, reading);
+            }
+        }
+        if let Some(fault) = input.fault {
+            // After the reset above: nobody can have acknowledged what shows at this tick only.
+            self.layer.fail(fault);
+        }
+        self.last = Some(*reading);
+        let gain = input.gain;
+        self.layer.tick(reading, &(input.requested_force * gain), &(input.requested_torque * gain), gain)
+    }
+
+    /// Refuses a position that is further from the last than any device moves in the time between.
+    fn check_jump(&self, missed: u64, reading: &MasterReading<N>) -> Result<(), Fault> {
+        let Some(last) = self.last else { return Ok(()) };
+        Signal::Position.check(&reading.position)?;
+        let elapsed_s = self.period_s * (missed + 1) as f64;
+        Signal::Velocity.check(&((reading.position - last.position) / elapsed_s))
+    }
+
+    /// Carries estimator and observers over missed ticks, along a straight line.
+    fn carry_over(&mut self, missed: u64, reading: &MasterReading<N>) {
+        if missed == 0 {
+            return;
+        }
+        if let Some(before) = self.last {
+            for tick in 1..=missed {
+                self.layer.missed(&before.towards(reading, tick as f64 / (missed + 1) as f64));
+            }
+        }
+    }
+}

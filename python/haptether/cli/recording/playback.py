@@ -1,0 +1,93 @@
+"""`haptether playback`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from haptether.bridge import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Playback:
+    """Play the remote force of a recording back to a hand, under safety layer, limiter and ladder.
+
+    The force is what it is, whatever the hand does: an active force. Without --listen it acts on hand and device of the
+    recorded scene in virtual time. With --listen this is the side of the robot, to which a master with any device
+    engages: a person presses the clutch there, the force fades in from zero and begins at its begin, and ends as any
+    run of two sides does. Ctrl-C on either side takes it to zero.
+
+    Exit status 1 says that the loop diverged, or that the live side failed; 2 that it cannot be played back.
+
+    Examples:
+
+    haptether playback slave.mcap
+
+    haptether playback slave.mcap --set safety.controllers=[hsc] --plot out
+
+    haptether playback slave.mcap --listen 127.0.0.1:9000 --key arm.key
+    """
+
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """What `--record` of master or slave wrote."""
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
+    """Change a field of the scene; may be given often. Of a live master, its own command says what is set there."""
+    plot: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """In virtual time: draw the run as a PNG into this folder."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.npz")] = None
+    """In virtual time: write every signal as a NumPy array."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write what came of it as JSON; - for standard output."""
+    listen: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
+    """Play it back live: where to listen for the master."""
+    key: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Live: key file of the secure session, the same at both sides; `haptether keygen` makes one."""
+    insecure: bool = False
+    """Live: go without a key, in the clear."""
+    patience_s: float | None = None
+    """Live: give up if no master has come after this time in s; without it, wait for one."""
+
+    def run(self) -> int:
+        """Plays it back.
+
+        Raises:
+            ValueError: No recording that can be played back, or options of the other way to do it.
+        """
+        from haptether.bridge import playback_scene
+        from haptether.cli.shared.output import check_distinct, check_target
+
+        check_distinct(file=self.file, key=self.key, json=self.json, out=self.out)
+        check_target(self.json, self.out)
+        virtual = {"--plot": self.plot, "--out": self.out}
+        live = {"--key": self.key, "--insecure": self.insecure or None, "--patience-s": self.patience_s}
+        unused = live if self.listen is None else virtual
+        if given := [flag for flag, value in unused.items() if value is not None]:
+            way = "without --listen there is no live side" if self.listen is None else "with --listen nothing is drawn"
+            message = f"{', '.join(given)}: {way}: leave it out"
+            raise ValueError(message)
+        scene = playback_scene(self.file, overrides=self.set)
+        return self._simulate(scene) if self.listen is None else self._play(self.listen, scene)
+
+    def _simulate(self, scene: "Scene") -> int:
+        from haptether.bridge import simulate
+        from haptether.cli.scene.simulate import Simulate, spinner
+        from haptether.cli.shared.output import make_folder, require_matplotlib
+        from haptether.cli.shared.screen import screen
+
+        if self.out is not None and self.out.suffix != ".npz":
+            message = f"{self.out}: must end in .npz"
+            raise ValueError(message)
+        if self.plot is not None:
+            require_matplotlib()
+            make_folder(self.plot)
+        with spinner(f"playing {self.file} back"):
+            run = simulate(scene)
+        return Simulate(scene="playback", json=self.json, plot=self.plot, out=self.out).report(screen(self.json), run)
+
+    def _play(self, listen: str, scene: "Scene") -> int:
+        from haptether.cli.live.slave import Slave
+
+        side = Slave(listen=listen, key=self.key, insecure=self.insecure, patience_s=self.patience_s, json=self.json)
+        return side.run_scene(scene)

@@ -1,0 +1,145 @@
+"""`haptether replay`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from haptether.bridge import Replay as Replayed
+    from haptether.cli.shared.screen import Screen
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replay:
+    """Put a recorded master through other settings: what the hand would have felt, and where the two part.
+
+    Motion, remote force, network and ladder are those of the recording, tick by tick. Without --set the forces are
+    those of the recording, bit for bit. With it, a model of the hand that is identified from the recording answers to
+    the force that differs (--hand modelled); where none can be identified, it moves as it was measured, which is said.
+
+    --set takes keys of [safety], [coupling] and [master] that decide over the force on the hand. Exit status 1 says
+    that a recording was not reproduced under its own settings, 2 that something cannot be replayed.
+
+    Examples:
+
+    haptether replay master.mcap
+
+    haptether replay master.mcap --set safety.controllers=[] --plot parted.png
+
+    haptether replay master.mcap --set safety.controllers=[hsc] --hand measured --json -
+    """
+
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """What `--record` of the master wrote."""
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
+    """Change a setting; may be given often. Values are TOML, bare words are strings."""
+    hand: Literal["measured", "modelled"] | None = None
+    """Have the hand move as it was measured, or have a model of it answer to the force that differs; by default
+    modelled where settings differ and the hand can be identified."""
+    plot: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
+    """Draw recorded and replayed into this file: .png, .pdf or .svg."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write what came of it as JSON; - for standard output."""
+
+    def run(self) -> int:
+        """Replays; 0, or 1 where a recording differs under its own settings.
+
+        Raises:
+            ValueError: No recording that can be replayed, or settings that cannot be.
+        """
+        from haptether.bridge import read_recording, replay
+        from haptether.cli.recording.plot import SUFFIXES
+        from haptether.cli.scene.simulate import spinner
+        from haptether.cli.shared.output import check_distinct, check_target, require_matplotlib, write_report
+        from haptether.cli.shared.screen import screen
+
+        check_distinct(file=self.file, plot=self.plot, json=self.json)
+        check_target(self.json, self.plot)
+        if self.plot is not None:
+            if self.plot.suffix.lower() not in SUFFIXES:
+                message = f"{self.plot}: must end in {', '.join(SUFFIXES)}"
+                raise ValueError(message)
+            require_matplotlib()
+        with spinner(f"replaying {self.file}"):
+            recording = read_recording(self.file)
+            try:
+                done = replay(recording, overrides=self.set, hand=self.hand)
+            except ValueError as error:
+                message = f"{self.file}: {str(error).removeprefix(f'{recording.side}: ')}"
+                raise ValueError(message) from None
+        console = screen(self.json)
+        _print(self.file, done, console)
+        write_report(self.json, reported(self.file, done))
+        if self.plot is not None:
+            from haptether.cli.recording.picture import draw_replay
+
+            draw_replay(done, self.plot)
+            console.print(f"picture: {self.plot}")
+        return int(not self.set and self.hand != "modelled" and not done.identical)
+
+
+def reported(file: Path, done: "Replayed") -> dict[str, Any]:
+    """What came of a replay as numbers and names for JSON."""
+    return {
+        "file": str(file),
+        "level": done.level,
+        "overrides": done.overrides,
+        "ticks": len(done.time_s),
+        "identical": done.identical,
+        "parts_s": done.parts_s,
+        "ends_s": done.ends_s,
+        "recorded": done.before,
+        "replayed": done.after,
+        "largest_displacement": done.largest_displacement,
+        "hand": done.hand,
+        "notes": done.notes,
+    }
+
+
+def _print(file: Path, done: "Replayed", console: "Screen") -> None:
+    import msgspec
+    from rich.table import Table
+
+    table = Table(header_style="bold", pad_edge=False)
+    table.add_column(f"{file}", overflow="fold")
+    table.add_column("recorded", justify="right")
+    table.add_column("replayed", justify="right")
+    before, after = msgspec.to_builtins(done.before), msgspec.to_builtins(done.after)
+    for name, label in ROWS.items():
+        if before[name] is not None:
+            table.add_row(label, f"{before[name]:.4g}", f"{after[name]:.4g}")
+    if done.hand is not None:
+        table.add_row("hand elsewhere by at most [mm]", "-", f"{done.largest_displacement * 1e3:.4g}")
+    console.print(table)
+    console.print(f"level: {LEVELS[done.level]}")
+    if (hand := done.hand) is not None:
+        console.print(
+            f"hand: K = {hand.stiffness:.4g} ± {hand.stiffness_error:.2g} N/m, B = {hand.damping:.3g} ± "
+            f"{hand.damping_error:.2g} N s/m, M = {hand.mass_kg:.2g} kg, by {hand.windows} windows; the model explains "
+            f"{hand.explained:.0%} of what the remote force moves",
+        )
+    if done.identical:
+        console.print(f"the forces of all {len(done.time_s)} ticks are those of the recording, bit for bit")
+    elif done.parts_s is None:
+        console.print("the device force never differs by more than 1 mN")
+    else:
+        console.print(f"they part at {done.parts_s:.4f} s: from there the device force differs by more than 1 mN")
+    for note in done.notes:
+        console.print(f"note: {note}")
+
+
+ROWS = {
+    "peak_device_force": "largest force on the hand [N]",
+    "peak_device_torque": "largest torque on the hand [N m]",
+    "largest_speed": "largest speed with the remote push [m/s]",
+    "trips": "interventions",
+    "intervention_s": "time under intervention [s]",
+}
+"""What each figure is called in the table."""
+LEVELS = {
+    "as measured": "as measured, the hand moves as it did",
+    "hand modelled": "hand modelled, it answers to the force that differs",
+}
+"""What each level means."""
