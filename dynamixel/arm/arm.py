@@ -62,12 +62,10 @@ MOVED_RAD: Final = 0.2
 STILL_S: Final = 0.1
 """Between two looks at an arm with a fault."""
 RESTART_S: Final = 3.0
-PATIENT: Final = 0.4
-"""Share of the bus watchdog's time that may pass from `open` to the first `read`."""
 HELD_S: Final = 3.0
 """In which a person takes hold of an arm whose torque, another program's, is taken off."""
-REOPENED_S: Final = 10.0
-"""Longest after `open` that an arm is opened anew: whoever started it is not known to be there any more."""
+BEGUN_S: Final = 3.0
+"""Longest after `open` that an arm is given torque: whoever started it is not known to be there any more."""
 CLOSED_S: Final = 15.0
 """Longest that a step of an `open` or a recovery takes, of many silent servos."""
 
@@ -133,7 +131,8 @@ class ServoArm:
         """Why the last stop could not be sent."""
         self._recovery: threading.Thread | None = None
         self._recovered: BaseException | None = None
-        self._ending = False
+        self._ending = self._is_waiting = False
+        """Whether it is being closed; whether it was opened, and is still to be given torque."""
         self._ends = 0
         """Stops and closes so far: one that comes while an `open` waits counts for it."""
         self._ticking: int | None = None
@@ -169,8 +168,12 @@ class ServoArm:
 
     # ----------------------------------------------------------------------------------------------- begin and end
 
-    def open(self) -> None:
+    def open(self, *, give_torque: bool = True) -> None:
         """Goes through the checklist; then the servos have torque with nothing commanded, and their caps rise from 0.
+
+        Args:
+            give_torque: False leaves them without it once all is checked, until `begin`: what takes its time before the
+                first `read` would else meet watchdogs that have fired.
 
         Raises:
             ArmRefusedError: What is wrong, all of it, each with what to do.
@@ -186,33 +189,55 @@ class ServoArm:
                     raise ArmRefusedError(message)
                 self._fault = self._stopped = self._unsent = self._ticking = None
                 self._ending, self._held = False, frozenset()
+                self._is_waiting = not give_torque
             try:
                 self._connect()
+                if self._is_waiting:
+                    self._rest()
             except BaseException:
                 self._disconnect()
                 raise
 
-    def reopen_if_late(self) -> None:
-        """Before the first `read`: opens it anew where this process took its time since `open`.
-
-        The watchdogs have ended the torque by then, or will.
+    def begin(self) -> None:
+        """Before the first `read` of an arm that was opened without torque: gives it; nothing to any other.
 
         Raises:
-            ArmRefusedError: What is wrong; or nobody has read it for longer than 10 s.
+            ArmRefusedError: What is wrong; or it was opened more than 3 s ago.
         """
-        late_s = time.monotonic() - self._heard_s
-        if self._fault is not None or self._bus is None or late_s <= PATIENT * self.settings.watchdog_s:
+        if not self._is_waiting or self._fault is not None or self._bus is None:
             return
+        self._is_waiting = False
+        late_s = time.monotonic() - self._heard_s
         with self._connecting:
             try:
-                self._disconnect(quiet=True)
-                if late_s > REOPENED_S:
+                if late_s > BEGUN_S:
                     message = f"{self.name}: it was opened {late_s:.0f} s ago and not read since: start anew"
                     raise ArmRefusedError(message)
-                self._connect()
+                self._go_on()
+                # What is in order was reported at the open.
+                checklist = Checklist(self.name, lambda _: None, ArmRefusedError)
+                try:
+                    self._place(checklist)
+                    checklist.finish()
+                    self._torque_on(checklist, verify=False)
+                except (OSError, RuntimeError) as error:
+                    self._go_on()
+                    if isinstance(error, ArmRefusedError):
+                        raise
+                    checklist.refuse("bus", str(error), "see cables and supply, then try again")
+                checklist.finish()
             except BaseException:
                 self._disconnect()
                 raise
+        self._report(f"{self.name}: has torque")
+
+    def _rest(self) -> None:
+        """No torque, verified, and no watchdog that would fire."""
+        self._end_torque()
+        kept = [str(one) for one in self._members if not _is_off(self._opened, one)]
+        if kept:
+            message = f"{self.name}: servo {', '.join(kept)} does not say that its torque is off: see its cable"
+            raise ArmRefusedError(message)
 
     def close(self) -> None:
         """Lets the arm down where its modes allow it, ends all torque, and names each servo that keeps it.
@@ -541,7 +566,7 @@ class ServoArm:
         self._before[:] = self.position
         self._goal_shift = self._shift[self._in_position]
 
-    def _torque_on(self, checklist: Checklist) -> None:
+    def _torque_on(self, checklist: Checklist, *, verify: bool = True) -> None:
         bus, ids, units = self._opened, self._members, self.settings.watchdog_units
         self._arm_watchdogs(checklist)
         servos = (*self.settings.servos, *(shadow for shadow, _ in self.settings.shadows))
@@ -562,7 +587,7 @@ class ServoArm:
         # Torque may count the angle anew, by whole turns.
         self._turn_towards(before)
         self._hold()
-        if self.settings.verify_watchdog:
+        if verify and self.settings.verify_watchdog:
             time.sleep(0.02 * units + 0.05)
             fired = bus.sync_read(self._watchdogs)
             self._arm_watchdogs(checklist, tried=fired)
@@ -576,13 +601,14 @@ class ServoArm:
                     f"servo {servo_id}", "its torque does not stay on", "see hardware error and supply, then try again"
                 )
         moved = float(np.abs(self.position - before).max())
+        torque = "took torque" if self._is_waiting else "has torque"
         checklist.check(
-            "arm", f"has torque, and moved {moved:.3f} rad meanwhile", good=moved <= MOVED_RAD,
+            "arm", f"{torque}, and moved {moved:.3f} rad meanwhile", good=moved <= MOVED_RAD,
             remedy="support it, and do not move it meanwhile",
         )  # fmt: skip
         checklist.finish()
         self._go_on()
-        if self.grip is not None:
+        if self.grip is not None and not self._is_waiting:
             self.grip.begin(bus)
         self._ramp = 0.0
         self._ramp_begin_s = self._heard_s = time.monotonic()
@@ -818,7 +844,7 @@ class ServoArm:
                 if (stopped := self._stopped) is not None:
                     self._latch(stopped)
                     return False
-                self._report(f"{self.name}: ready")
+                self._report(f"{self.name}: ready: acknowledge once more, so that the two sides may engage")
                 return self.read()
             text = " ".join(str(self._recovered).split())
             self._fault = ArmFaultError(FaultKind.NOT_READY, text)

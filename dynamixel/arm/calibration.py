@@ -6,7 +6,7 @@ import os
 import secrets
 import stat
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import msgspec
 from msgspec import Meta
@@ -48,7 +48,11 @@ def read_calibration(path: Path) -> tuple[int, tuple[ServoSettings, ...]]:
         ValueError: It is no such file, or has a servo that cannot be; names the file.
     """
     try:
-        file = msgspec.toml.decode(path.read_text(encoding="utf-8"), type=_File)
+        text = path.read_text(encoding="utf-8")
+        if "joints" in msgspec.toml.decode(text, type=dict[str, Any]):
+            message = "describes an arm (links, masses): must be a file that `haptether dynamixel calibrate` has written"
+            raise ValueError(message)
+        file = msgspec.toml.decode(text, type=_File)
         if file.baud not in BAUD_RATES:
             message = f"baud = {file.baud}: must be one of {', '.join(map(str, BAUD_RATES))}"
             raise ValueError(message)

@@ -105,7 +105,7 @@ def check_present(
         except TimeoutError:
             checklist.refuse(
                 what, f"does not answer at {settings.baud} bit/s",
-                "see its power and cable; its id and its rate are what haptether dynamixel calibrate finds",
+                "see its power and cable; haptether dynamixel find shows which ids answer, and at which rate",
             )  # fmt: skip
             continue
         except RuntimeError as error:

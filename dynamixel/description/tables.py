@@ -21,6 +21,7 @@ UNIT = 1e-6
 Triple: TypeAlias = tuple[float, float, float]
 Quat: TypeAlias = tuple[float, float, float, float]
 ServoId: TypeAlias = Annotated[int, Meta(ge=0, le=252)]
+Said: TypeAlias = Annotated[str, Meta(min_length=1)]
 NonNegative: TypeAlias = Annotated[float, Meta(ge=0.0, le=100.0)]
 
 
@@ -40,7 +41,7 @@ class Link(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     mass_kg: Annotated[float, Meta(gt=0.0, le=100.0)]
     com_m: Triple
     """Its centre of mass, from the joint's point."""
-    source: str
+    source: Said
 
     def __post_init__(self) -> None:
         for value in self.com_m:
@@ -74,7 +75,7 @@ class Joint(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     viscous_nm_s: NonNegative | None = None
     inertia_kg_m2: Annotated[float, Meta(gt=0.0, le=10.0)] | None = None
     """Of rotor and gears at the output; not known by default."""
-    friction_source: str | None = None
+    friction_source: Said | None = None
     link: Link | None = None
     """None where the mass is not known: then the arm has no gravity compensation."""
 
@@ -130,7 +131,7 @@ class Trigger(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     closed_rad: float
     lever_m: Annotated[float, Meta(gt=0.0, le=0.5)]
     """From its axis to the finger."""
-    source: str
+    source: Said
     cap_a: Annotated[float, Meta(gt=0.0, le=10.0)] | None = None
 
     def __post_init__(self) -> None:
@@ -173,7 +174,7 @@ class ArmDescription(_Table, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     name: str
     title: str
-    source: str
+    source: Said
     """Of the geometry."""
     notes: tuple[str, ...] = ()
     """What is not known or was chosen."""

@@ -93,7 +93,7 @@ class ControlLine:
 
     def _fault(self, name: str) -> "Callable[[list[str], float], None]":
         def set_fault(arguments: list[str], _now_s: float) -> None:
-            setattr(self._bus.faults, name, _count(arguments, 1))
+            setattr(self._bus.faults, name, _count(arguments, 1, 0))
 
         return set_fault
 
@@ -259,10 +259,10 @@ def _path(path: Path) -> tuple[tuple[float, ...], dict[int, tuple[float, ...]]]:
     return times, {int(one): tuple(row[1 + at] for row in rows) for at, one in enumerate(ids)}
 
 
-def _count(arguments: list[str], default: int) -> int:
+def _count(arguments: list[str], default: int, least: int = 1) -> int:
     if not arguments:
         return default
     (number,) = _numbers(arguments, 1)
-    if number != int(number) or not 1 <= number <= MAX_COUNT:
-        _refuse(f"{number:g}: must be a whole number, 1 to {MAX_COUNT}")
+    if number != int(number) or not least <= number <= MAX_COUNT:
+        _refuse(f"{number:g}: must be a whole number, {least} to {MAX_COUNT}")
     return int(number)

@@ -74,7 +74,7 @@ class DynamixelMaster:
         """
         self._sample = self._shown = None
         self._trigger_nm = 0.0
-        self.servos.open()
+        self.servos.open(give_torque=False)
 
     def close(self) -> None:
         """Damps the arm down and ends its torque."""
@@ -93,7 +93,7 @@ class DynamixelMaster:
         """
         servos = self.servos
         if self._sample is None:
-            servos.reopen_if_late()
+            servos.begin()
         while not servos.read() and servos.fault is None:
             pass
         if servos.fault is None:

@@ -81,7 +81,7 @@ class DynamixelSlave:
     def open(self) -> None:
         """Goes through the checklist; then the arm takes up its own weight where it stands."""
         self._goal, self._led, self._refused, self._is_measured = None, False, None, False
-        self.servos.open()
+        self.servos.open(give_torque=False)
         self._torque.reset()
         self._read_s = self._written_s = time.monotonic()
 
@@ -89,7 +89,7 @@ class DynamixelSlave:
         """The newest sample; where a read fails it is asked again, until there is one or a fault."""
         arm = self.servos
         if not self._is_measured:
-            arm.reopen_if_late()
+            arm.begin()
             self._is_measured = True
         fresh = arm.read()
         while not fresh and arm.fault is None:

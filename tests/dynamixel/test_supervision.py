@@ -165,6 +165,8 @@ def test_a_described_arm_with_shadows_is_opened_with_them() -> None:
         leader = DynamixelMaster(port=bus.port, arm="aloha-wx250s", watchdog_s=0.5, timeout_s=0.1, **unit)
         try:
             leader.open()
+            assert not any(torques(bus))
+            leader.read()
             servos = {servo["id"]: servo["torque"] for servo in bus.status()["servos"]}
             assert servos == dict.fromkeys(range(1, 9), True)
         finally:
@@ -175,25 +177,50 @@ def test_a_described_arm_with_shadows_is_opened_with_them() -> None:
 # ------------------------------------------------------------------------------------------------ open and recover
 
 
-def test_an_arm_that_is_read_late_is_opened_anew(two: EmulatedBus) -> None:
-    arm = arm_of(two.port, servos=ONE, watchdog_s=0.1)
-    arm.open()
+def test_an_arm_that_waits_has_no_torque_until_it_begins(two: EmulatedBus) -> None:
+    said: list[str] = []
+    arm = ServoArm(ArmSettings(port=two.port, servos=ONE, watchdog_s=0.1, timeout_s=0.1), said.append)
+    arm.open(give_torque=False)
+    assert torques(two)[0] is False
+    # Longer than the watchdog, which is not armed.
     time.sleep(0.3)
-    arm.reopen_if_late()
+    arm.begin()
     assert arm.read()
     assert (arm.fault, torques(two)[0]) == (None, True)
+    assert [line for line in said if "torque" in line][-2:] == [
+        f"dynamixel {two.port}: ok       arm: took torque, and moved 0.000 rad meanwhile",
+        f"dynamixel {two.port}: has torque",
+    ]
+    # A second time it does nothing, to one that ended its torque meanwhile either.
+    arm.stop(FaultKind.JUMP, "of a test")
+    until(lambda: torques(two)[0] is False)
+    arm.begin()
+    time.sleep(0.05)
+    assert torques(two)[0] is False
     arm.close()
 
 
-def test_an_arm_that_nobody_reads_for_long_is_not_opened_anew(
+def test_an_arm_that_nobody_reads_for_long_is_given_no_torque(
     two: EmulatedBus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     arm = arm_of(two.port, servos=ONE, watchdog_s=0.1)
-    arm.open()
-    monkeypatch.setattr("haptether.dynamixel.arm.arm.REOPENED_S", 0.2)
+    arm.open(give_torque=False)
+    monkeypatch.setattr("haptether.dynamixel.arm.arm.BEGUN_S", 0.2)
     time.sleep(0.3)
     with pytest.raises(ArmRefusedError, match="not read since: start anew"):
-        arm.reopen_if_late()
+        arm.begin()
+    assert torques(two)[0] is False
+    arm.close()
+
+
+def test_a_process_that_was_halted_before_its_first_read_gets_no_torque_back(two: EmulatedBus) -> None:
+    arm = arm_of(two.port, servos=ONE, watchdog_s=0.1)
+    arm.open()
+    # As a SIGSTOP does: the watchdogs end the torque, and nobody looks.
+    time.sleep(0.3)
+    arm.begin()
+    until(lambda: not arm.read() and arm.fault is not None)
+    assert arm.fault_kind == FaultKind.WATCHDOG
     assert torques(two)[0] is False
     arm.close()
 

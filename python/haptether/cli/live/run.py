@@ -136,9 +136,12 @@ class SideWatch:
     def _print_blocked(self) -> None:
         """Says once that the driver has not returned: nobody else can take the device's force away."""
         ticks, now_s = self._side.ticks, time.monotonic()
-        if ticks != self._ticks or self._side.finished:
+        if not isinstance(self._side, DeviceRun):
+            return
+        # One that is being closed ticks no more: an arm may be let down meanwhile.
+        if ticks != self._ticks or self._side.finished or self._side.notes.closing.locked():
             self._ticks, self._ticked_s = ticks, now_s
-        elif isinstance(self._side, DeviceRun) and now_s - self._ticked_s > BLOCKED_S:
+        elif now_s - self._ticked_s > BLOCKED_S:
             self._ticked_s = float("inf")
             text = f"the driver has blocked for {BLOCKED_S:g} s: its device keeps its last command, switch it off"
             print(f"{self._name}: {text}", file=sys.stderr, flush=True)
