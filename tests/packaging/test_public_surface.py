@@ -25,7 +25,7 @@ MAY_IMPORT = {
     "slave": frozenset({"dynamixel"}),
     "bridge": frozenset({"safety", "netsim", "dynamixel", "master", "slave"}),
     "studies": frozenset(CRATES),
-    "view": frozenset({"bridge", "slave", "master"}),
+    "view": frozenset({"bridge", "dynamixel", "slave", "master"}),
 }
 ROOMS = tuple(room for room in MAY_IMPORT if (PACKAGE / room).exists())
 

@@ -66,7 +66,7 @@ def told(run: Run, until_s: float, *sides: str) -> LiveDescription:
     live = LiveDescription(*(hello(run, side) for side in sides))
     for time_s in np.arange(0.0, until_s, 1.0 / 60.0):
         for side in sides:
-            live.take(sample(run, side, float(time_s)), side, received_s=100.0 + float(time_s))  # type: ignore[arg-type]
+            live.take(sample(run, side, float(time_s)), side, received_s=100.0 + float(time_s))
     return live
 
 

@@ -24,7 +24,17 @@ from haptether.bridge import (
 )
 from haptether.view.scene3d.arms import arms_of
 from haptether.view.scene3d.description import Description, Moment, described
-from haptether.view.scene3d.extent import ARROW_SHARE, FORCES, TORQUES, Extent, extents, nice_above, points_of
+from haptether.view.scene3d.extent import (
+    ARROW_SHARE,
+    FORCES,
+    TORQUES,
+    Extent,
+    axes_of,
+    extents,
+    nice_above,
+    points_of,
+    stops,
+)
 from haptether.view.scene3d.history import History
 from haptether.view.scene3d.settings import scene_of_settings
 from haptether.view.scene3d.timeline import timeline_of
@@ -102,6 +112,10 @@ class LiveDescription:
         """What there is to see; its time line is that of the last `refresh`."""
         self._low: dict[str, Array] = {}
         self._high: dict[str, Array] = {}
+        corners = stops(self._scene, axes_of(self._history))
+        if corners is not None and "slave" in self.sides:
+            # Before it moves, the robot is taken to move as far as the hand can.
+            self._low["robot"], self._high["robot"] = corners
         self._peaks = {
             "force": dict.fromkeys(("hand", "robot"), STANDARD_N),
             "torque": dict.fromkeys(("hand", "robot"), STANDARD_N_M),

@@ -97,4 +97,4 @@ class Window(ABC):
         plotter = self.picture.plotter
         plotter.subplot(0, 0)
         text = "\n".join(f"{key:<22}{does}" for key, does in self.keys) if self._help else ""
-        plotter.add_text(text, position="upper_left", font_size=9, color=colours.INK, font="courier", name="keys")
+        plotter.add_text(text, position="upper_left", font_size=11, color=colours.INK, font="courier", name="keys")

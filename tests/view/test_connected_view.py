@@ -1,0 +1,110 @@
+"""`haptether view --connect` beside live sides."""
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image, ImageGrab
+
+pytestmark = pytest.mark.live
+
+TIMEOUT_S = 60.0
+SMALL = ("--size", "420x300")
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def master(path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
+    """A master that nobody answers."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "haptether", "master", "--peer", f"127.0.0.1:{free_port()}", "--insecure",
+         "--telemetry", str(path), *arguments],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+
+
+def view(path: Path, *arguments: str) -> list[str]:
+    return [sys.executable, "-m", "haptether", "view", "--connect", str(path), *SMALL, *arguments]
+
+
+def test_a_live_run_as_picture_film_and_page_without_a_display(tmp_path: Path) -> None:
+    path = tmp_path / "master.sock"
+    files = {"--screenshot": "a.png", "--movie": "a.gif", "--html": "a.html"}
+    written = [word for option, name in files.items() for word in (option, str(tmp_path / name))]
+    environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
+    with master(path, "--patience-s", "30") as side:
+        seen = subprocess.run(
+            view(path, *written, "--fps", "5", "--from-s", "0.5", "--until-s", "1.5", "--at-s", "1"),
+            capture_output=True, text=True, timeout=TIMEOUT_S, check=False, env=environment,
+        )  # fmt: skip
+        # Whoever looked has not touched it.
+        assert side.poll() is None
+        side.send_signal(signal.SIGINT)
+        side.wait(TIMEOUT_S)
+    assert (seen.returncode, seen.stderr.strip()) == (0, "")
+    assert "the robot is not drawn: nothing of the slave was given" in seen.stdout
+    with Image.open(tmp_path / "a.png") as picture:
+        assert np.std(np.asarray(picture)) > 10.0
+    with Image.open(tmp_path / "a.gif") as film:
+        assert 1 <= film.n_frames <= 6  # type: ignore[attr-defined]
+    assert "const CONTENT" in (tmp_path / "a.html").read_text()
+
+
+def test_a_side_that_is_killed_is_no_end(tmp_path: Path) -> None:
+    path = tmp_path / "master.sock"
+    with master(path, "--patience-s", "30") as side:
+        command = view(path, "--at-s", "3600", "--screenshot", str(tmp_path / "a.png"))
+        seen = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        assert seen.stdout is not None
+        assert "following" in seen.stdout.readline()
+        side.kill()
+        _, error = seen.communicate(timeout=TIMEOUT_S)
+    assert seen.returncode == 1
+    assert "without a word: the side has failed or was killed" in error
+    assert not (tmp_path / "a.png").exists()
+
+
+@pytest.fixture
+def display(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """A screen of its own, that nobody sees."""
+    if shutil.which("Xvfb") is None:
+        pytest.skip("no Xvfb")
+    readable, writable = os.pipe()
+    command = ["Xvfb", "-displayfd", str(writable), "-screen", "0", "640x480x24", "-nolisten", "tcp", "-noreset"]
+    with subprocess.Popen(command, pass_fds=[writable], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as server:
+        os.close(writable)
+        # Its number comes in pieces; who closes too early ends it.
+        with os.fdopen(readable) as number:
+            name = f":{number.readline().strip()}"
+        monkeypatch.setenv("DISPLAY", name)
+        yield name
+        server.terminate()
+        server.wait(TIMEOUT_S)
+
+
+def test_a_window_shows_a_live_run_and_ends_with_it(display: str, tmp_path: Path) -> None:
+    path = tmp_path / "master.sock"
+    with master(path, "--patience-s", "30") as side:
+        seen = subprocess.Popen(view(path), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        until_s = time.monotonic() + TIMEOUT_S
+        # What is shown: a black screen, a white window, then hundreds of colours.
+        while len(np.unique(np.asarray(ImageGrab.grab(xdisplay=display)).reshape(-1, 3), axis=0)) < 100:
+            assert seen.poll() is None, seen.communicate()[1]
+            assert time.monotonic() < until_s
+            time.sleep(0.1)
+        side.send_signal(signal.SIGINT)
+        side.wait(TIMEOUT_S)
+        _, error = seen.communicate(timeout=TIMEOUT_S)
+    assert (seen.returncode, error) == (0, "")
