@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from haptether.cli.shared.picture import PictureOptions
+
 STIFFNESS, DEPTH = 200.0, 0.039
 """K in N/m and D in m of most rows: not repeated in each."""
 
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Paper:
+class Paper(PictureOptions):
     """Print every quantitative claim of the paper's section 4 beside what this project computes.
 
     Examples:
@@ -31,26 +33,27 @@ class Paper:
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Also write the operator and all rows as JSON; - for standard output."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Draw the figures as PNG into this folder."""
+    """Draw the figures into this folder, ours beside what the paper says."""
     encoder_quantum: float = 0.0
     """Resolution of the device in m; 0 measures position and velocity exactly, a PHANTOM Desktop has 2.3e-5."""
 
     def run(self) -> int:
         """Runs the experiments (under a second) and prints them."""
-        from haptether.cli.shared.output import check_target, require_matplotlib, write_json
+        from haptether.cli.shared.output import check_target, make_folder, require_matplotlib, write_json
         from haptether.cli.shared.screen import screen
         from haptether.studies import draw_paper, reproduce_paper
 
         check_target(self.json)
         if self.plot is not None:
             require_matplotlib()
+            make_folder(self.plot)
         report = reproduce_paper(encoder_quantum=self.encoder_quantum)
         console = screen(self.json)
         self._print(console, report)
         if self.json is not None:
             write_json(self.json, report.as_json())
         if self.plot is not None:
-            for path in draw_paper(report, self.plot):
+            for path in draw_paper(report, self.plot, self.format or "png", self.columns):
                 console.print(f"drawn: {path}")
         return 0
 

@@ -37,9 +37,10 @@ class Info:
             ValueError: A file is no recording.
         """
         from haptether.bridge import load, read_recording
-        from haptether.cli.scene.simulate import merged_events, spinner
+        from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
+        from haptether.view.figures.events import merged_events
 
         if not self.files:
             message = "which file? Name what --record of master or slave wrote"
