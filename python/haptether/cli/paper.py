@@ -59,53 +59,79 @@ class Paper(PictureOptions):
 
     def _print(self, console: "Console", report: "PaperReport") -> None:
         from msgspec import to_builtins
-        from rich.box import SIMPLE_HEAD
-        from rich.table import Table
+        from rich.padding import Padding
         from rich.text import Text
+
+        from haptether.cli.shared.table import Column, Rows
 
         console.print("One operator for all rows (haptether.studies.Operator):", style="bold")
         values = to_builtins(report.operator) | report.device
-        console.print("  " + ", ".join(f"{key} = {value:g}" for key, value in values.items()))
-        console.print("  The force limits of the device stay on: 7.9 N, 1000 N/s when loading, 20 W.\n")
-        table = Table(header_style="bold", box=SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
-        for name in ("source", "quantity", "of"):
-            table.add_column(name, overflow="fold")
-        for name in ("paper", "ours"):
-            table.add_column(name, justify="right", no_wrap=True)
-        table.add_column("verdict", overflow="fold")
+        console.print(Padding(", ".join(f"{key} = {value:g}" for key, value in values.items()), (0, 0, 0, 2)))
+        console.print(Padding("The force limits of the device stay on: 7.9 N, 1000 N/s when loading, 20 W.",
+                              (0, 0, 1, 2)))  # fmt: skip
+        numbers = (Column(label, numbers=True) for label in ("paper", "ours"))
+        table = Rows("source", "quantity", "of", *numbers, "verdict", keys=3, gap=1)
+        reasons: dict[str, int] = {}
         for row in report.rows:
             sign = "" if row.relation == "=" else f"{row.relation} "
-            unit = "" if row.unit == "1" else f" [{row.unit}]"
-            table.add_row(
+            table.add(
                 row.source,
-                f"{row.quantity.replace('_', ' ')}{unit}",
+                QUANTITIES.get(row.quantity, row.quantity),
                 _conditions(row),
                 "" if row.paper is None else f"{sign}{row.paper:.3g}",
                 "not seen" if row.ours is None else f"{row.ours:.3g}",
-                Text(row.verdict, style=_colour(row.verdict)),
+                Text(_verdict(row, reasons), style=_colour(row.verdict)),
             )
         console.print(table)
-        notes = {
-            f"{row.source}, {row.controller}: {row.note}"
-            for row in report.rows
-            if row.note and row.verdict.startswith("differs")
-        }
-        for note in sorted(notes):
-            console.print(f"  {note}")
+        if reasons:
+            console.print("\nWhy they differ:", style="bold")
+        width = len(f"{len(reasons)}") + 2
+        listed = Rows(Column("", numbers=True), "", gap=1)
+        for text, number in reasons.items():
+            listed.add(f"{number:>{width - 2}})", text)
+        if reasons:
+            console.print(listed)
         console.print(
-            f"K = {STIFFNESS:g} N/m and D = {DEPTH:g} m unless said; w in ticks of 1 ms; a in N. "
-            "Rows without a verdict: the paper plots a curve and prints no number."
+            f"\nK = {STIFFNESS:g} N/m and D = {DEPTH:g} m unless said; w in ticks of 1 ms; a in N. MEV: the largest "
+            "ejection velocity. Rows without a verdict: the paper plots a curve and prints no number."
         )
+
+
+QUANTITIES = {
+    "time_from_0.2_to_1.2_m_per_s": "to 1.2 m/s [s]",
+    "time_to_0.1_m_outside": "to 0.1 m [s]",
+    "max_ejection_velocity": "MEV [m/s]",
+    "speed_at_trip": "V at trip [m/s]",
+    "time_to_see_release": "sees release [s]",
+    "trips_during_press": "trips in press",
+    "time_to_trip": "time to trip [s]",
+    "vfc_over_controller": "MEV of VFC / its",
+    "speed_at_0.17_s": "V at 0.17 s [m/s]",
+    "time_of_trip": "time of trip [s]",
+    "least_energy_gripped": "least energy [J]",
+    "median_grasp_ratio_gripped": "median S_h",
+}
+"""What the table calls each quantity, with its unit; --json has the long names."""
 
 
 def _conditions(row: "PaperRow") -> str:
     numbers = {"w": row.window, "K": row.stiffness, "D": row.depth, "a": row.amplitude_n}
     common = {"K": STIFFNESS, "D": DEPTH}
-    parts = [row.controller or ""]
-    for key, value in numbers.items():
-        if value is not None and value != common.get(key):
-            parts.append(f"{key}={value:.5g}")
-    return ", ".join(part for part in parts if part)
+    changed = [f"{key}={value:.3g}" if key == "D" else f"{key}={value:g}"
+               for key, value in numbers.items() if value is not None and value != common.get(key)]  # fmt: skip
+    # Beside a condition, the name of no controller says nothing more.
+    named = [] if row.controller == "none" and changed else [row.controller or ""]
+    return " ".join(part for part in [*named, *changed] if part)
+
+
+def _verdict(row: "PaperRow", reasons: dict[str, int]) -> str:
+    """The verdict in a word or two, with the number of its reason, which is added to `reasons`."""
+    verdict = row.verdict.replace("differs: bound not kept", "not kept").replace("differs: not seen", "not seen")
+    verdict = verdict.replace(": ", " ")
+    if not row.verdict.startswith("differs") or not row.note:
+        return verdict
+    number = reasons.setdefault(f"{row.source}, {row.controller}: {row.note}", len(reasons) + 1)
+    return f"{verdict} ({number})"
 
 
 def _colour(verdict: str) -> str:

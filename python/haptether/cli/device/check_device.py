@@ -191,18 +191,15 @@ class CheckDevice(DriverOptions):
         return None
 
     def _report(self, check: "DeviceCheck", side: str, found: "list[Finding]") -> None:
-        from rich.table import Table
-
         from haptether.cli.shared.output import write_report
         from haptether.cli.shared.screen import screen
+        from haptether.cli.shared.table import Rows
 
         console = screen(self.json)
-        table = Table(header_style="bold", pad_edge=False)
-        for column in ("", "check", f"{self.name}: what was seen"):
-            table.add_column(column, overflow="fold")
+        table = Rows("", "check", f"{self.name}: what was seen", keys=2)
         for finding in found:
-            table.add_row(finding.verdict.upper() if finding.verdict == "mend" else finding.verdict, finding.check,
-                          finding.text)  # fmt: skip
+            verdict = finding.verdict.upper() if finding.verdict == "mend" else finding.verdict
+            table.add(verdict, finding.check, finding.text)
         console.print(table)
         times = check.timing()
         if times is not None:

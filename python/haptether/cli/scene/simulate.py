@@ -120,15 +120,14 @@ class Simulate(PictureOptions):
 
     def _print(self, console: "Console", run: "Run") -> None:
         import msgspec
-        from rich.table import Table
 
-        table = Table(header_style="bold", pad_edge=False)
-        table.add_column(run.scene, overflow="fold")
-        table.add_column(f"seed {run.seed}", justify="right")
+        from haptether.cli.shared.table import Column, Rows
+
+        table = Rows(run.scene, Column(f"seed {run.seed}", numbers=True))
         for name, value in msgspec.to_builtins(run.metrics).items():
             if name in OF_ROTATION and value is None:
                 continue
-            table.add_row(METRICS.get(name, name), shown(value))
+            table.add(METRICS.get(name, name), shown(value))
         console.print(table)
         from haptether.view.figures.events import merged_events
 
@@ -139,15 +138,12 @@ class Simulate(PictureOptions):
             console.print(f"  and {len(events) - EVENTS_SHOWN} more; --json has all events")
 
     def _list(self, console: "Console") -> None:
-        from rich.table import Table
-
         from haptether.bridge import load_scene, scene_names
+        from haptether.cli.shared.table import Rows
 
-        table = Table(header_style="bold", pad_edge=False)
-        table.add_column("scene")
-        table.add_column("shows")
+        table = Rows("scene", "shows")
         for name in scene_names():
-            table.add_row(name, load_scene(name).shows)
+            table.add(name, load_scene(name).shows)
         console.print(table)
 
 
