@@ -12,7 +12,7 @@ from haptether.view.figures.events import RunEvent, merged_events
 from haptether.view.figures.rotation import angle_apart, angle_from_first
 from haptether.view.style.colours import AXES, CONTROLLERS, HELD, SIGNALS
 from haptether.view.style.events import EventMark, name_events
-from haptether.view.style.figure import Columns, letter, new_figure, styled
+from haptether.view.style.figure import Columns, letter, new_figure, plain_ticks, styled
 from haptether.view.style.legend import legend_above
 from haptether.view.style.series import envelope
 
@@ -141,7 +141,7 @@ def _draw_panel(axis: "Axes", panel: _Panel) -> int:
         axis.set_yticks(reached, [LADDER[code] for code in reached])
         axis.margins(y=0.15)
     else:
-        axis.locator_params(axis="y", nbins=4)
+        plain_ticks(axis, 4)
     return legend_above(axis)
 
 
@@ -315,7 +315,9 @@ def _of_ladder_and_trips(run: DrawnRun) -> list[_Panel]:
         if name in signals and signals[name].size
     ]
     if lines:
-        panels.append(_Panel("ladder", lines, 0.7))
+        codes = np.concatenate([line.values for line in lines])
+        # States are named one by one, whatever the room that curves have.
+        panels.append(_Panel("ladder", lines, max(0.7, (0.15 * float(np.ptp(codes)) + 0.15) / PANEL_IN)))
     armed = run.settings.get("safety", {}).get("controllers", [])
     for label, name, beside in (("tripped", "tripped", "rotation_tripped"), ("finger\ntripped", "trigger_tripped", "")):
         if name not in signals or not signals[name].size:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from haptether.view.figures.intervals import mean_and_half
 from haptether.view.style.colours import SIGNALS
-from haptether.view.style.figure import Columns, figure_of, letter, new_figure, styled
+from haptether.view.style.figure import Columns, figure_of, letter, new_figure, plain_ticks, styled
 from haptether.view.style.legend import legend_above
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def _draw_line(panel: "Axes", name: str, at: Array, values: Array, label: str) -
     least = 2e-3 * max(abs(low), abs(high))
     if high - low < least:
         panel.set_ylim(0.5 * (low + high - least), 0.5 * (low + high + least))
-    panel.locator_params(axis="y", nbins=5)
+    plain_ticks(panel, 5)
     legend_above(panel, width_in=0.8 * panel.get_window_extent().width / figure_of(panel).dpi)
 
 

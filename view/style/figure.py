@@ -119,6 +119,12 @@ def fitted(figure: "Figure", text: str, room: float, size_pt: float = SMALL_PT) 
     return f"{text[:short].rstrip()}…"
 
 
+def plain_ticks(panel: "Axes", most: int) -> None:
+    """Numbers of a panel's left axis in full, at most so many steps: an exponent above it would meet its legend."""
+    panel.locator_params(axis="y", nbins=most)
+    panel.yaxis.set_major_formatter(lambda value, _: f"{value:.6g}".replace("-", "\N{MINUS SIGN}"))
+
+
 def letter(panels: "Sequence[Axes]") -> None:
     """Letters a, b, c, ... at the upper left of each panel, outside of it."""
     for number, panel in enumerate(panels):

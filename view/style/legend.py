@@ -26,7 +26,7 @@ def legend_above(panel: "Axes", handles: "Sequence[Any] | None" = None, width_in
     if not listed:
         return 0
     figure = figure_of(panel)
-    room = (figure.get_figwidth() - 0.75 if width_in is None else width_in) * figure.dpi
+    room = (figure.get_figwidth() - 1.0 if width_in is None else width_in) * figure.dpi
     em = SMALL_PT / 72.0 * figure.dpi
     widths = [text_width(figure, str(handle.get_label())) + (HANDLE_EM + PAD_EM + GAP_EM) * em for handle in listed]
     columns = len(listed)
