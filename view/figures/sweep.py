@@ -76,7 +76,8 @@ def draw_sweep(
         for panel, metric in zip(panels, metrics, strict=False):
             values = columns[metric].astype(float)
             if len(over) == 1:
-                _draw_line(panel, over[0], columns[over[0]], values, METRICS[metric])
+                room_in = figure.get_figwidth() / across - 0.9
+                _draw_line(panel, over[0], columns[over[0]], values, METRICS[metric], width_in=room_in)
             else:
                 _draw_map(panel, over, [columns[name] for name in over], values, METRICS[metric])
         letter(panels[: len(metrics)])
@@ -96,7 +97,7 @@ def check_varied(varied: Sequence[str]) -> list[str]:
     return over
 
 
-def _draw_line(panel: "Axes", name: str, at: Array, values: Array, label: str) -> None:
+def _draw_line(panel: "Axes", name: str, at: Array, values: Array, label: str, *, width_in: float) -> None:
     places = np.unique(at)
     of_places = [mean_and_half(values[at == place]) for place in places]
     means, halves = np.array([mean for mean, _ in of_places]), np.array([half for _, half in of_places])
@@ -109,7 +110,7 @@ def _draw_line(panel: "Axes", name: str, at: Array, values: Array, label: str) -
     lacking = places[[not np.isfinite(values[at == place]).all() for place in places]]
     if len(lacking):
         panel.plot(lacking, np.zeros(len(lacking)), "x", color="#d62839", ms=4.0, clip_on=False, zorder=5.0,
-                   transform=panel.get_xaxis_transform(), label="not measured in every run")  # fmt: skip
+                   transform=panel.get_xaxis_transform(), label="some not measured")  # fmt: skip
     panel.set_xlabel(name)
     panel.set_ylabel(label)
     panel.margins(y=0.08)
@@ -119,7 +120,7 @@ def _draw_line(panel: "Axes", name: str, at: Array, values: Array, label: str) -
     if high - low < least:
         panel.set_ylim(0.5 * (low + high - least), 0.5 * (low + high + least))
     plain_ticks(panel, 5)
-    legend_above(panel, width_in=0.8 * panel.get_window_extent().width / figure_of(panel).dpi)
+    legend_above(panel, width_in=width_in)
 
 
 def _draw_map(panel: "Axes", names: list[str], at: list[Array], values: Array, label: str) -> None:
