@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from haptether.cli.shared.output import check_target, make_folder, require_matplotlib
-from haptether.view.style.figure import FORMATS, PictureFormat
+
+if TYPE_CHECKING:
+    from haptether.view.style.figure import PictureFormat
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +20,7 @@ class PictureOptions:
     """How wide pictures are, in columns of a page: 3.5 or 7.16 inches."""
 
 
-def picture_file(path: Path, form: PictureFormat | None) -> Path:
+def picture_file(path: Path, form: "PictureFormat | None") -> Path:
     """Where a picture goes, refused early: its path ends in what it is, or gets that ending.
 
     Raises:
@@ -26,6 +28,8 @@ def picture_file(path: Path, form: PictureFormat | None) -> Path:
         OSError: It cannot be written.
         ImportError: matplotlib is not there.
     """
+    from haptether.view.style.figure import FORMATS
+
     require_matplotlib()
     ending = path.suffix[1:].lower()
     if ending not in FORMATS:
@@ -40,7 +44,7 @@ def picture_file(path: Path, form: PictureFormat | None) -> Path:
     return path
 
 
-def picture_in(place: Path, name: str, form: PictureFormat | None) -> Path:
+def picture_in(place: Path, name: str, form: "PictureFormat | None") -> Path:
     """Where the one picture of a command goes: into a folder, under a name, or to a path that ends in what it is.
 
     Raises:
@@ -48,6 +52,8 @@ def picture_in(place: Path, name: str, form: PictureFormat | None) -> Path:
         OSError: It cannot be written, or the folder not be made.
         ImportError: matplotlib is not there.
     """
+    from haptether.view.style.figure import FORMATS
+
     if place.suffix[1:].lower() in FORMATS and not place.is_dir():
         return picture_file(place, form)
     if place.suffix and not place.exists():
