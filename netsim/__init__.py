@@ -1,7 +1,7 @@
 """Network impairment, decided once for virtual time and for live sockets."""
 
 from haptether._core import DirectionStatistics, Echo, ProxyStatistics, Recording, record
-from haptether.netsim.figures import LinkFigures, asked, burst_lengths, realised
+from haptether.netsim.figures import LinkFigures, asked, burst_lengths, realised, repeats_every_s
 from haptether.netsim.link.errors import LinkError
 from haptether.netsim.link.resolve import link_json, link_spec, with_files
 from haptether.netsim.link.settings import (
@@ -94,6 +94,7 @@ __all__ = [
     "link_spec",
     "realised",
     "record",
+    "repeats_every_s",
     "translate_netem",
     "with_files",
 ]

@@ -32,6 +32,24 @@ class LinkFigures(Struct, frozen=True, kw_only=True):
     """Share of packets that arrive with flipped bits or cut short."""
 
 
+def repeats_every_s(settings: LinkSettings, direction: Direction) -> float | None:
+    """After how many s what a link replays begins anew; none if it replays nothing, or only once.
+
+    Args:
+        settings: Of one direction, its files read.
+        direction: Which one.
+
+    Raises:
+        LinkError: As `link_spec`.
+    """
+    spec = link_spec(settings, direction)
+    trace, opportunities = spec["trace"], spec["opportunities"]
+    if trace and trace["repeat"] and len(trace["time_s"]) > 1:
+        # After its last time the last spacing passes once more.
+        return float(2.0 * trace["time_s"][-1] - trace["time_s"][-2])
+    return float(opportunities["time_ms"][-1]) * 1e-3 if opportunities else None
+
+
 def realised(verdicts: Verdicts) -> LinkFigures:
     """What became of packets.
 

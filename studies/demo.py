@@ -17,8 +17,11 @@ import msgspec
 import numpy as np
 
 from haptether.bridge import write_key
-from haptether.private_file import private_file
 from haptether.studies.remote_push import PushResult
+from haptether.view.style.colours import controller_look, controller_title
+from haptether.view.style.events import EventMark, name_events
+from haptether.view.style.figure import Columns, letter, new_figure, styled, write_figure
+from haptether.view.style.legend import legend_below
 
 if TYPE_CHECKING:
     from subprocess import Popen
@@ -265,40 +268,47 @@ def child_process(name: str, *arguments: str, says: str | None = None) -> Iterat
         child.end()
 
 
-def draw_demo(scene: DemoScene, results: Sequence[PushResult], path: Path) -> None:
+def draw_demo(scene: DemoScene, results: Sequence[PushResult], path: Path, columns: Columns = 2) -> None:
     """Draws hand velocity, device force and position of every run, whose traces lie beside `path`.
+
+    Args:
+        scene: What was run.
+        results: One for each controller.
+        path: Of the picture: .png, .pdf or .svg.
+        columns: Width, in columns of a page.
 
     Raises:
         ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
+        ValueError: Another ending.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13.0, 4.2), layout="constrained")
-    figure.suptitle(
-        f"A remote push reaches a hand that lets go, {scene.delay_s * 1e3:g} ms (σ {scene.jitter_s * 1e3:g} ms) "
-        f"each way, {scene.loss:.1%} loss" + (", through an emulated UR5e" if scene.slave == "ur" else "")
-    )
-    panels = figure.subplots(1, 3)
     signals = ("velocity", "device_force", "position")
     labels = ("hand velocity [m/s]", "force on the hand [N]", "hand position [m]")
-    names = {"none": "no controller", "vfc": "VFC", "hsc": "HSC", "wsc": "WSC"}
-    for result in results:
-        with np.load(path.parent / f"{result.controller}.npz") as arrays:
-            trace = {signal: arrays[signal] for signal in ("time_s", *signals)}
-        time_s = trace["time_s"] - (result.release_s or 0.0)
-        shown = (time_s > -1.0) & (time_s < 0.8)
-        for panel, signal in zip(panels, signals, strict=True):
-            panel.plot(time_s[shown], trace[signal][shown], label=names.get(result.controller), lw=1.3)
-    for panel, label in zip(panels, labels, strict=True):
-        panel.axvline(0.0, color="k", lw=0.8, ls="--")
-        panel.axvline(scene.push_at_s - scene.release_at_s, color="k", lw=0.8, ls=":")
-        panel.set_xlabel("time since the hand let go [s]")
-        panel.set_ylabel(label)
-        panel.grid(alpha=0.3)
-    panels[0].legend(fontsize=9)
-    panels[0].annotate("arm shoved", (scene.push_at_s - scene.release_at_s, panels[0].get_ylim()[1]),
-                       fontsize=8, ha="right", va="top", rotation=90)  # fmt: skip
-    panels[0].annotate("hand lets go", (0.0, panels[0].get_ylim()[1]),
-                       fontsize=8, ha="right", va="top", rotation=90)  # fmt: skip
-    with private_file(path) as file:
-        figure.savefig(file, dpi=120)
+    title = (
+        f"A remote push reaches a hand that lets go: {scene.delay_s * 1e3:g} ms (σ {scene.jitter_s * 1e3:g} ms) "
+        f"each way, {scene.loss:.1%} loss" + (", emulated UR5e" if scene.slave == "ur" else "")
+    )
+    with styled():
+        figure = new_figure(columns, 3.0 if columns == 2 else 5.6, title if columns == 2 else title.replace(": ", "\n"))
+        panels = list(figure.subplots(1, 3) if columns == 2 else figure.subplots(3, 1, sharex=True))
+        for result in results:
+            with np.load(path.parent / f"{result.controller}.npz") as arrays:
+                trace = {signal: arrays[signal] for signal in ("time_s", *signals)}
+            time_s = trace["time_s"] - (result.release_s or 0.0)
+            shown = (time_s > -1.0) & (time_s < 0.8)
+            for panel, signal in zip(panels, signals, strict=True):
+                panel.plot(time_s[shown], trace[signal][shown], label=controller_title(result.controller),
+                           **controller_look(result.controller))  # fmt: skip
+        for panel, label in zip(panels, labels, strict=True):
+            panel.set_ylabel(label)
+            panel.set_xlim(-1.0, 0.8)
+            if panel in (panels if columns == 2 else panels[-1:]):
+                panel.set_xlabel("time since the hand let go [s]")
+        legend_below(figure, panels[0].get_legend_handles_labels()[0])
+        letter(panels)
+        marks = [EventMark(scene.push_at_s - scene.release_at_s, "arm shoved"), EventMark(0.0, "lets go")]
+        if columns == 2:
+            for panel in panels:
+                name_events([panel], marks, 2.0)
+        else:
+            name_events(panels, marks, 2.0)
+    write_figure(figure, path)

@@ -16,9 +16,11 @@ from haptether.dynamixel.arm import calibration_text
 from haptether.dynamixel.description import ArmDescription, Trigger
 from haptether.dynamixel.emulator import JointSettings, servos_of
 from haptether.master.dynamixel.options import LeaderOptions, arm_settings
-from haptether.private_file import private_file
 from haptether.studies.demo import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, Process, StopRequest, child_process
 from haptether.studies.leader import CLUTCH, LEADER, ROW_S, Leader, along, emulated_arm
+from haptether.view.style.colours import AXES, SIGNALS, controller_look, controller_title
+from haptether.view.style.figure import Columns, letter, new_figure, styled, write_figure
+from haptether.view.style.legend import legend_above, legend_below
 
 FOLLOW_CONTROLLERS: Final = ("none", "hsc", "wsc")
 JOINT: Final = 2
@@ -330,63 +332,71 @@ def scene_text(scene: FollowScene, controller: str, arm: ArmDescription, ports: 
     ).replace("'", '"')
 
 
-def draw_follow(scene: FollowScene, results: Sequence[FollowResult], path: Path) -> None:
+def draw_follow(scene: FollowScene, results: Sequence[FollowResult], path: Path, columns: Columns = 2) -> None:
     """Draws joints and gripper of the first run, and of each run what the hand felt, from the files beside `path`.
+
+    Args:
+        scene: What was run.
+        results: One for each controller.
+        path: Of the picture: .png, .pdf or .svg.
+        columns: Width, in columns of a page.
 
     Raises:
         ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
+        ValueError: Another ending.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13.0, 8.0), layout="constrained")
-    figure.suptitle(
-        f"An emulated follower takes something and carries it, is pushed with {scene.push_nm:g} N m, and the hand lets"
-        f" go of an emulated leader;\n{scene.delay_s * 1e3:g} ms each way, {scene.loss:.1%} loss"
-    )
-    panels = figure.subplots(2, 3)
-    names = {"none": "no controller", "hsc": "HSC", "wsc": "WSC"}
-    signals = (
-        ("velocity", "velocity [rad/s]"),
-        ("device_force", "reflected torque [N m]"),
-        ("position", f"angle of joint {JOINT} [rad]"),
-    )
-    for result in results:
-        with np.load(path.parent / f"follow-{result.controller}.npz") as arrays:
+    with styled():
+        title = (
+            f"A follower takes something and carries it, is pushed with {scene.push_nm:g} N m,\n"
+            f"and the hand lets go of the leader: {scene.delay_s * 1e3:g} ms each way, {scene.loss:.1%} loss"
+        )
+        figure = new_figure(columns, 5.2 if columns == 2 else 10.0, title)
+        panels = figure.subplots(2, 3) if columns == 2 else figure.subplots(6, 1).reshape(2, 3)
+        signals = (
+            ("velocity", f"velocity, joint {JOINT} [rad/s]"),
+            ("device_force", f"torque, joint {JOINT} [N m]"),
+            ("position", f"angle, joint {JOINT} [rad]"),
+        )
+        for result in results:
+            with np.load(path.parent / f"follow-{result.controller}.npz") as arrays:
+                near = {name: arrays[name] for name in (*NEAR, "trigger", "state")}
+            near_s = near["time_s"] - _begun_s(scene, near)
+            for panel, (signal, label) in zip(panels[1], signals, strict=True):
+                panel.plot(near_s, near[signal][:, JOINT - 1], label=controller_title(result.controller),
+                           **controller_look(result.controller))  # fmt: skip
+                panel.set_ylabel(label)
+        first = results[0].controller
+        far = read_recording(path.parent / f"follow-{first}.mcap").signals
+        with np.load(path.parent / f"follow-{first}.npz") as arrays:
             near = {name: arrays[name] for name in (*NEAR, "trigger", "state")}
         near_s = near["time_s"] - _begun_s(scene, near)
-        for panel, (signal, label) in zip(panels[1], signals, strict=True):
-            panel.plot(near_s, near[signal][:, JOINT - 1], label=names[result.controller], lw=1.3)
-            panel.set_ylabel(label)
-    panels[1][0].legend(fontsize=9)
-    first = results[0].controller
-    far = read_recording(path.parent / f"follow-{first}.mcap").signals
-    with np.load(path.parent / f"follow-{first}.npz") as arrays:
-        near = {name: arrays[name] for name in (*NEAR, "trigger", "state")}
-    near_s = near["time_s"] - _begun_s(scene, near)
-    # Each side has a clock of its own: they engage at the same time, but for the delay.
-    far_s = far["time_ns"] * 1e-9
-    far_s = far_s - far_s[np.flatnonzero(np.isin(far["state"], ("engaged", "stale")))[0]]
-    far_s = far_s + near_s[np.flatnonzero(near["state"] == ENGAGED)[0]]
-    joints, jaws, force = panels[0]
-    for index in range(near["position"].shape[1]):
-        joints.plot(near_s, near["position"][:, index] - near["position"][0, index], color=f"C{index}", lw=1.3)
-        joints.plot(far_s, far["position"][:, index] - far["position"][0, index], color=f"C{index}", ls="--", lw=1.0)
-    joints.set_ylabel("angles of leader (-) and follower (- -) [rad]")
-    jaws.plot(near_s, near["trigger"], label="trigger", lw=1.3)
-    jaws.plot(far_s, far["gripper"], label="jaws", lw=1.3)
-    jaws.fill_between(far_s, 0.0, 1.0, where=far["holds_object"].astype(bool).tolist(), color="0.9", label="holds")
-    jaws.set_ylabel("gripper, 0 (open) to 1 (closed)")
-    jaws.legend(fontsize=9)
-    force.plot(far_s, far["gripper_force"], label="jaws", lw=1.3)
-    force.plot(near_s, np.abs(near["trigger_device_force"]), label="finger", lw=1.3)
-    force.set_ylabel("force [N]")
-    force.legend(fontsize=9)
-    for panel in panels.flat:
-        panel.set_xlabel("time since the hand begins [s]")
-        panel.set_xlim(0.0, scene.duration_s)
-        panel.grid(visible=True, alpha=0.3)
-    with private_file(path) as target:
-        figure.savefig(target, dpi=120)
+        # Each side has a clock of its own: they engage at the same time, but for the delay.
+        far_s = far["time_ns"] * 1e-9
+        far_s = far_s - far_s[np.flatnonzero(np.isin(far["state"], ("engaged", "stale")))[0]]
+        far_s = far_s + near_s[np.flatnonzero(near["state"] == ENGAGED)[0]]
+        joints, jaws, force = panels[0]
+        for index in range(near["position"].shape[1]):
+            look = {"color": AXES[index % len(AXES)], "lw": 0.9}
+            joints.plot(near_s, near["position"][:, index] - near["position"][0, index], label=f"{index + 1}", **look)
+            joints.plot(far_s, far["position"][:, index] - far["position"][0, index], ls="--", **look)
+        joints.set_ylabel("leader, follower dashed [rad]")
+        jaws.plot(near_s, near["trigger"], label="trigger", color=SIGNALS["hand"])
+        jaws.plot(far_s, far["gripper"], label="jaws", color=SIGNALS["arm"])
+        jaws.fill_between(far_s, 0.0, 1.0, where=far["holds_object"].astype(bool).tolist(), color="#e3e6ea", lw=0.0,
+                          zorder=0.5, label="holds")  # fmt: skip
+        jaws.set_ylabel("gripper, 1 is closed")
+        force.plot(far_s, far["gripper_force"], label="jaws", color=SIGNALS["arm"])
+        force.plot(near_s, np.abs(near["trigger_device_force"]), label="finger", color=SIGNALS["hand"])
+        force.set_ylabel("force [N]")
+        beside = 3 if columns == 2 else 1
+        for panel in panels[0]:
+            legend_above(panel, width_in=figure.get_figwidth() / beside - 0.65)
+        legend_below(figure, panels[1][0].get_legend_handles_labels()[0])
+        for panel in panels.flat:
+            panel.set_xlabel("time since the hand begins [s]")
+            panel.set_xlim(0.0, scene.duration_s)
+        letter(list(panels.flat))
+    write_figure(figure, path)
 
 
 def _begun_s(scene: FollowScene, near: dict[str, npt.NDArray[Any]]) -> float:

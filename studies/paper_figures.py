@@ -1,11 +1,11 @@
-"""The figures of `haptether paper`, in SI units."""
+"""The figures of `haptether paper`: what this project computes beside what the paper says, in SI units."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from haptether.private_file import private_file
 from haptether.safety import (
     HandGraspObserver,
     SafetyObserver,
@@ -22,15 +22,28 @@ from haptether.studies.paper import (
     STIFFNESS,
     Bench,
     PaperReport,
+    PaperRow,
 )
+from haptether.view.style.colours import PAPER, SIGNALS, THRESHOLD, controller_look
+from haptether.view.style.figure import Columns, PictureFormat, letter, new_figure, styled, write_figure
+from haptether.view.style.legend import legend_above, legend_below
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+READ: dict[str, Any] = {"color": PAPER, "ls": "none", "marker": "x", "ms": 5.0, "mew": 1.2, "zorder": 5.0}
+"""How a value of the paper is drawn."""
 
-def draw_paper(report: PaperReport, folder: Path) -> list[Path]:
+
+def draw_paper(report: PaperReport, folder: Path, form: PictureFormat = "png", columns: Columns = 2) -> list[Path]:
     """Draws the figures of a report into `folder` and returns their paths.
+
+    Args:
+        report: With its rows.
+        folder: Made if it is not there.
+        form: Of the files.
+        columns: Width, in columns of a page.
 
     Raises:
         ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
@@ -38,137 +51,217 @@ def draw_paper(report: PaperReport, folder: Path) -> list[Path]:
     """
     bench = Bench(report.operator, report.device["encoder_quantum"])
     folder.mkdir(parents=True, exist_ok=True)
-    figures = {
-        "fig04_ejection": _ejection(bench),
-        "fig05_mev": _mev(report),
-        "fig06_observers": _observers(bench),
-        "fig08_to_11_controllers": _controllers(bench),
-        "table1_window": _window(report),
-        "fig12_to_15_active_force": _active(bench),
+    drawn = {
+        "fig04_ejection": _ejection,
+        "fig05_mev": _mev,
+        "fig06_observers": _observers,
+        "fig08_to_11_controllers": _controllers,
+        "table1_window": _window,
+        "fig12_to_15_active_force": _active,
     }
     paths = []
-    for name, figure in figures.items():
-        paths.append(folder / f"{name}.png")
-        with private_file(paths[-1]) as file:
-            figure.savefig(file, dpi=130)
+    for name, draw in drawn.items():
+        paths.append(folder / f"{name}.{form}")
+        with styled():
+            figure = draw(bench, report, columns)
+        write_figure(figure, paths[-1])
     return paths
 
 
-def _figure(columns: int, title: str) -> tuple["Figure", list["Axes"]]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(4.6 * columns, 3.8), layout="constrained")
-    figure.suptitle(title, fontsize=11)
-    axes = [figure.add_subplot(1, columns, column + 1) for column in range(columns)]
-    for panel in axes:
-        panel.grid(alpha=0.3)
-    return figure, axes
+def _figure(columns: Columns, count: int, title: str) -> tuple["Figure", list["Axes"]]:
+    beside = columns == 2 or count == 1
+    figure = new_figure(columns, ((2.5 if count < 3 else 2.7) if beside else 2.1 * count) + 0.2, title)
+    panels = figure.subplots(1, count) if beside else figure.subplots(count, 1)
+    return figure, list(np.atleast_1d(panels))
 
 
-def _label(panel: "Axes", x: str, y: str, *, legend: bool = True) -> None:
-    panel.set_xlabel(x)
-    panel.set_ylabel(y)
-    if legend:
-        panel.legend(fontsize=8)
+def _finish(figure: "Figure", panels: "Sequence[Axes]", columns: Columns) -> "Figure":
+    beside = len(panels) if columns == 2 else 1
+    narrow = beside > 2
+    if narrow:
+        # What a third of a page is too narrow for.
+        legend_below(figure, panels[0].get_legend_handles_labels()[0])
+    for panel in panels[1:] if narrow else panels:
+        legend_above(panel, width_in=figure.get_figwidth() / beside - 0.65)
+    letter(panels)
+    return figure
 
 
 def _time(operator: Operator, ticks: int) -> np.ndarray:
     return np.arange(ticks) * PERIOD_S - operator.release_at_s
 
 
-def _ejection(bench: Bench) -> "Figure":
+def _value(report: PaperReport, source: str, quantity: str, **of: Any) -> PaperRow:  # noqa: ANN401  # of a row
+    """The row of a claim."""
+    return next(
+        row
+        for row in report.rows
+        if row.source == source
+        and row.quantity == quantity
+        and all(getattr(row, name) == value for name, value in of.items())
+    )
+
+
+def _ejection(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
     trace = bench.press()
     time = _time(bench.operator, len(trace))
-    figure, (left, right) = _figure(2, "Fig. 4: released at t = 0, no controller (K = 200 N/m)")
-    shown = (time > -0.05) & (time < 0.25)
-    left.plot(time[shown], trace.velocity[shown], label="velocity V")
-    _label(left, "time since release [s]", "velocity [m/s]")
-    right.plot(time[shown], trace.position[shown], label="position z")
-    right.axhline(0.0, color="k", lw=0.8, ls=":", label="wall surface")
-    _label(right, "time since release [s]", "position [m]")
-    return figure
+    figure, (left, right) = _figure(columns, 2, "Fig. 4: released at t = 0, no controller, K = 200 N/m")
+    shown = (time > -0.05) & (time < 0.3)
+    left.plot(time[shown], trace.velocity[shown], label="ours", **controller_look("none"))
+    # From where ours is at 0.2 m/s, so that the slopes can be compared.
+    begin = float(time[np.flatnonzero((time > 0.0) & (trace.velocity >= 0.2))[0]])
+    took = _value(report, "Fig. 4a", "time_from_0.2_to_1.2_m_per_s").paper or 0.0
+    left.plot([begin, begin + took], [0.2, 1.2], **READ | {"ls": ":"}, label="paper: 0.2 to 1.2 m/s")
+    left.set(xlabel="time since release [s]", ylabel="velocity V [m/s]")
+    right.plot(time[shown], trace.position[shown], label="ours", **controller_look("none"))
+    reached = _value(report, "Fig. 4b", "time_to_0.1_m_outside").paper or 0.0
+    right.plot([0.0, reached], [-DEPTH, 0.1], **READ, label="paper: begin, and 0.1 m")
+    right.axhline(0.0, color=THRESHOLD, lw=0.8, ls=":", label="wall")
+    right.set(xlabel="time since release [s]", ylabel="position z [m]")
+    return _finish(figure, (left, right), columns)
 
 
-def _mev(report: PaperReport) -> "Figure":
-    figure, (left, right) = _figure(2, "Fig. 5: maximum ejection velocity, no controller")
+def _mev(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
+    del bench
+    figure, panels = _figure(columns, 2, "Fig. 5: maximum ejection velocity (MEV), no controller")
     mass = report.device["mass_kg"]
     for panel, source, key, label in (
-        (left, "Fig. 5a", "stiffness", "stiffness K [N/m], pressed to 7.8 N"),
-        (right, "Fig. 5b", "depth", "depth D [m], K = 200 N/m"),
+        (panels[0], "Fig. 5a", "stiffness", "stiffness K [N/m], pressed to 7.8 N"),
+        (panels[1], "Fig. 5b", "depth", "depth D [m], K = 200 N/m"),
     ):
         rows = [row for row in report.rows if row.source == source]
         at = np.array([getattr(row, key) for row in rows])
         ideal = MAX_FORCE_N / np.sqrt(mass * at) if key == "stiffness" else np.sqrt(STIFFNESS / mass) * at
-        panel.plot(at, [row.ours or np.nan for row in rows], "o-", label="ours")
-        panel.plot(at, ideal, "k:", label="sqrt(K/m) D")
-        panel.plot(at, [row.paper or np.nan for row in rows], "x", ms=9, label="paper")
-        _label(panel, label, "MEV [m/s]")
-    return figure
+        panel.plot(at, ideal, color=THRESHOLD, ls=":", label="sqrt(K/m) D")
+        panel.plot(at, [_known(row.ours) for row in rows], label="ours", marker="o", ms=3.0, **controller_look("none"))
+        panel.plot(at, [_known(row.paper) for row in rows], **READ, label="paper")
+        panel.set(xlabel=label, ylabel="MEV [m/s]")
+    return _finish(figure, panels, columns)
 
 
-def _observers(bench: Bench) -> "Figure":
+def _known(value: float | None) -> float:
+    return np.nan if value is None else value
+
+
+def _observers(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
     trace = bench.press()
     signals = (trace.velocity, trace.rendered_force, bench.grasp_force(trace))
     time = _time(bench.operator, len(trace))
     shown = (time > -0.02) & (time < 0.07)
-    figure, (left, right) = _figure(2, f"Fig. 6: observers after the release (D = {DEPTH} m)")
-    left.plot(time[shown], SafetyObserver(bench.model).run(*signals)[shown], label="SO")
-    left.plot(time[shown], WindowedSafetyObserver(bench.model).run(*signals)[shown], label="WSO, w = 100")
-    left.axhline(-0.03, color="r", lw=0.8, ls="--", label="delta")
-    _label(left, "time since release [s]", "energy [J]")
-    right.semilogy(time[shown], HandGraspObserver().run(*signals)[shown], label="HGO")
-    right.axhline(1.5, color="r", lw=0.8, ls="--", label="zeta")
-    _label(right, "time since release [s]", "S_h [1]")
-    return figure
+    figure, (left, right) = _figure(columns, 2, f"Fig. 6: observers after the release, D = {DEPTH} m")
+    left.plot(time[shown], SafetyObserver(bench.model).run(*signals)[shown], color=SIGNALS["of the hand"], label="SO")
+    left.plot(time[shown], WindowedSafetyObserver(bench.model).run(*signals)[shown], label="WSO, w = 100",
+              **controller_look("wsc"))  # fmt: skip
+    left.axhline(-0.03, color=THRESHOLD, lw=0.8, ls="--", label="delta")
+    seen = _value(report, "Fig. 6a", "time_to_see_release", controller="wso").paper
+    left.plot([_known(seen)], [-0.03], **READ, label="paper: WSO sees it")
+    left.set(xlabel="time since release [s]", ylabel="energy [J]")
+    right.semilogy(time[shown], HandGraspObserver().run(*signals)[shown], label="HGO", **controller_look("hsc"))
+    right.axhline(1.5, color=THRESHOLD, lw=0.8, ls="--", label="zeta")
+    seen = _value(report, "Fig. 6b", "time_to_see_release", controller="hgo").paper
+    right.plot([_known(seen)], [1.5], **READ, label="paper: HGO sees it")
+    right.set(xlabel="time since release [s]", ylabel="S_h")
+    return _finish(figure, (left, right), columns)
 
 
-CONTROLLERS = {
-    "no controller": None,
-    "VFC, Eq. 1 as printed": SafetySettings(["vfc"]),
-    "VFC, both thresholds": SafetySettings(["vfc"], vfc_form="both"),
-    "HSC": SafetySettings(["hsc"]),
-    "WSC, w = 100": SafetySettings(["wsc"]),
+CONTROLLERS: dict[str, tuple[str, SafetySettings | None]] = {
+    "no controller": ("none", None),
+    "VFC, as printed": ("vfc", SafetySettings(["vfc"])),
+    "VFC, both": ("vfc", SafetySettings(["vfc"], vfc_form="both")),
+    "HSC": ("hsc", SafetySettings(["hsc"])),
+    "WSC": ("wsc", SafetySettings(["wsc"])),
 }
 
 
-def _controllers(bench: Bench) -> "Figure":
-    figure, (left, right) = _figure(2, "Fig. 8 to 11: velocity and device force after the release")
-    for name, settings in CONTROLLERS.items():
+def _controllers(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
+    figure, (left, middle, right) = _figure(columns, 3, "Fig. 8 to 11: after the release, with each controller")
+    ours = []
+    for name, (controller, settings) in CONTROLLERS.items():
         trace = bench.press(settings)
         time = _time(bench.operator, len(trace))
         shown = (time > -0.02) & (time < 0.2)
-        left.plot(time[shown], trace.velocity[shown], label=name)
-        right.plot(time[shown], trace.device_force[shown], label=name)
-    _label(left, "time since release [s]", "velocity [m/s]")
-    _label(right, "time since release [s]", "device force [N]")
-    return figure
+        look = controller_look(controller) | ({"linestyle": ":"} if name == "VFC, both" else {})
+        left.plot(time[shown], trace.velocity[shown], label=name, **look)
+        middle.plot(time[shown], trace.device_force[shown], **look)
+        ours.append(bench.ejection(trace))
+    trip = _value(report, "Fig. 8", "time_to_trip", controller="vfc").paper
+    speed = _value(report, "Fig. 8", "speed_at_trip", controller="vfc").paper
+    left.plot([_known(trip)], [_known(speed)], **READ, label="paper: VFC trips")
+    left.set(xlabel="time since release [s]", ylabel="velocity [m/s]")
+    middle.set(xlabel="time since release [s]", ylabel="device force [N]")
+    quantity = "max_ejection_velocity"
+    vfc = _value(report, "Fig. 8", quantity, controller="vfc").paper
+    papers = [
+        _value(report, "Fig. 5b", quantity, depth=DEPTH).paper,
+        vfc,
+        vfc,
+        _value(report, "Fig. 9", quantity, controller="hsc").paper,
+        _value(report, "Fig. 10", quantity, controller="wsc").paper,
+    ]
+    colours = [controller_look(controller)["color"] for controller, _ in CONTROLLERS.values()]
+    _bars(right, ["none", "VFC\nprinted", "VFC\nboth", "HSC", "WSC"], ours, papers, colours)
+    return _finish(figure, (left, middle, right), columns)
 
 
-def _window(report: PaperReport) -> "Figure":
-    figure, (panel,) = _figure(1, "Table 1: WSC over its window")
+def _bars(
+    panel: "Axes", names: list[str], ours: Sequence[float | None], papers: Sequence[float | None], colours: list[str]
+) -> None:
+    """MEV, ours in the colour of the controller beside the paper's."""
+    at = np.arange(len(names))
+    panel.bar(at - 0.2, [_known(value) for value in ours], 0.38, color=colours)
+    panel.bar(at + 0.2, [_known(value) for value in papers], 0.38, facecolor="white", edgecolor=PAPER, lw=0.8,
+              hatch="////", label="paper (hatched)")  # fmt: skip
+    panel.set_xticks(at, names)
+    panel.set_ylabel("MEV [m/s]")
+    panel.grid(visible=False, axis="x")
+
+
+def _window(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
+    del bench
+    figure, panels = _figure(columns, 1, "Table 1: WSC over its window")
     rows = [row for row in report.rows if row.source == "Table 1"]
-    windows = [row.window for row in rows]
-    panel.semilogx(windows, [row.paper for row in rows], "x--", label="paper")
-    panel.semilogx(windows, [row.ours for row in rows], "o-", label="ours")
-    _label(panel, "window w [ticks of 1 ms]", "MEV [m/s]")
-    return figure
+    windows = [float(row.window or 0) for row in rows]
+    panels[0].semilogx(windows, [_known(row.ours) for row in rows], marker="o", ms=3.0, label="ours",
+                       **controller_look("wsc"))  # fmt: skip
+    panels[0].semilogx(windows, [_known(row.paper) for row in rows], **READ | {"ls": ":"}, label="paper")
+    panels[0].set(xlabel="window w [ticks of 1 ms]", ylabel="MEV [m/s]")
+    return _finish(figure, panels, columns)
 
 
-def _active(bench: Bench) -> "Figure":
-    figure, (left, right) = _figure(2, "Fig. 12 to 15: force sin(5 t) N, gripped until 1.35 s")
-    for name, settings in {
-        "no controller": None,
-        "WSC, delta = -0.005 J": SafetySettings(["wsc"], energy_threshold_j=ACTIVE_THRESHOLD_J),
-        "HSC": SafetySettings(["hsc"]),
-    }.items():
-        trace = bench.active(1.0, settings, ACTIVE_RELEASE_S)
+def _active(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
+    figure, (left, middle, right) = _figure(columns, 3, "Fig. 12 to 15: force sin(5 t) N, gripped until 1.35 s")
+    settings = {
+        "none": None,
+        "wsc": SafetySettings(["wsc"], energy_threshold_j=ACTIVE_THRESHOLD_J),
+        "hsc": SafetySettings(["hsc"]),
+    }
+    names = {"none": "no controller", "wsc": "WSC", "hsc": "HSC"}
+    for controller, of_run in settings.items():
+        trace = bench.active(1.0, of_run, ACTIVE_RELEASE_S)
         shown = slice(1200, 1800)
-        left.plot(trace.time_s[shown], trace.velocity[shown], label=name)
-    _label(left, "time [s]", "velocity [m/s]")
-    for amplitude in (1.0, 3.0, 5.0):
+        left.plot(trace.time_s[shown], trace.velocity[shown], label=names[controller], **controller_look(controller))
+    left.plot([ACTIVE_RELEASE_S + 0.17], [_known(_value(report, "Fig. 12", "speed_at_0.17_s").paper)], **READ,
+              label="paper: free for 0.17 s")  # fmt: skip
+    left.set(xlabel="time [s]", ylabel="velocity [m/s]")
+    # Of one controller's observer: its colour, darker with the amplitude.
+    for amplitude, shade, dashes in ((1.0, 0.4, ":"), (3.0, 0.7, "--"), (5.0, 1.0, "-")):
         trace = bench.active(amplitude, None, None)
         signals = (trace.velocity, trace.rendered_force, bench.grasp_force(trace))
         energy = WindowedSafetyObserver(bench.model).run(*signals)
-        right.plot(trace.time_s, energy, label=f"{amplitude:g} N, gripped")
-    _label(right, "time [s]", "energy of WSO [J]")
-    return figure
+        middle.plot(trace.time_s, energy, label=f"{amplitude:g} N", color=controller_look("wsc")["color"],
+                    alpha=shade, ls=dashes)  # fmt: skip
+    middle.axhline(ACTIVE_THRESHOLD_J, color=THRESHOLD, lw=0.8, ls="--", label="delta")
+    middle.set(xlabel="time [s]", ylabel="energy of WSO, gripped [J]")
+    quantity = "max_ejection_velocity"
+    rows = [
+        _value(report, "Fig. 12", quantity),
+        _value(report, "Fig. 14b", quantity),
+        _value(report, "Fig. 15b", quantity),
+    ]
+    # The paper has the uncontrolled one at 0.17 s after the release only.
+    free = _value(report, "Fig. 12", "speed_at_0.17_s")
+    ours = [free.ours, *(row.ours for row in rows[1:])]
+    papers = [free.paper, *(row.paper for row in rows[1:])]
+    colours = [controller_look(name)["color"] for name in ("none", "wsc", "hsc")]
+    _bars(right, ["none,\nat 0.17 s", "WSC", "HSC\n(paper: <)"], ours, papers, colours)
+    return _finish(figure, (left, middle, right), columns)

@@ -14,9 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.bridge import load_scene, read_recording, write_key
-from haptether.private_file import private_file
 from haptether.studies.demo import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, StopRequest, child_process
 from haptether.studies.leader import LEADER_S, led_leader
+from haptether.view.style.colours import SIGNALS
+from haptether.view.style.figure import Columns, letter, new_figure, styled, write_figure
+from haptether.view.style.legend import legend_above
 
 SCENE = "ur_pick"
 CARRIED_M = 0.1
@@ -174,14 +176,12 @@ def picked(signals: dict[str, npt.NDArray[Any]]) -> PickResult:
     )
 
 
-def draw_pick(scene: PickScene, folder: Path, path: Path) -> None:
+def draw_pick(scene: PickScene, folder: Path, path: Path, columns: Columns = 2) -> None:
     """Draws height, way aside, turn and gripper of hand and arm over time, from the files of the run in `folder`.
 
     Raises:
         ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
     """
-    from matplotlib.figure import Figure
-
     far = read_recording(folder / "pick.mcap").signals
     with np.load(folder / "pick.npz") as arrays:
         near = {name: arrays[name] for name in ("time_s", "position", "orientation", "trigger", "state")}
@@ -189,13 +189,7 @@ def draw_pick(scene: PickScene, folder: Path, path: Path) -> None:
     # Each side has a clock of its own: from its engagement on.
     far_s = far_s - far_s[np.flatnonzero(np.isin(far["state"], ("engaged", "stale")))[0]]
     near_s = near["time_s"] - near["time_s"][np.flatnonzero(near["state"] == 2)[0]]
-    figure = Figure(figsize=(9.0, 8.0), layout="constrained")
     arm = "an emulated UR5e with a 2F-85" if scene.slave == "ur" else "a model"
-    figure.suptitle(
-        f"Something is picked up, turned and put down by {arm},\n"
-        f"{scene.delay_s * 1e3:g} ms (σ {scene.jitter_s * 1e3:g} ms) and {scene.loss:.1%} loss each way"
-    )
-    panels = figure.subplots(4, 1, sharex=True)
     at = int(np.flatnonzero(far_s >= 0.0)[0])
     rows = (
         ("height [m]", near["position"][:, 2], far["position"][:, 2] - far["position"][at, 2]),
@@ -203,16 +197,24 @@ def draw_pick(scene: PickScene, folder: Path, path: Path) -> None:
         ("turned [deg]", np.degrees(angles(near["orientation"])), np.degrees(angles(far["orientation"]))),
         ("gripper", near["trigger"], far["gripper"]),
     )
-    for panel, (label, hand, tool) in zip(panels, rows, strict=True):
-        panel.plot(near_s, hand, label="trigger" if label == "gripper" else "hand", lw=1.3)
-        panel.plot(far_s, tool, label="jaws" if label == "gripper" else "arm", lw=1.3)
-        held = far["holds_object"].astype(bool)
-        panel.fill_between(far_s, *panel.get_ylim(), where=held.tolist(), color="0.9", label="it holds something")
-        panel.set_ylabel(label)
-        panel.grid(alpha=0.3)
-    panels[1].legend(fontsize=9, loc="upper left")
-    panels[3].legend(fontsize=9, loc="upper left")
-    panels[3].set_xlabel("time since engagement [s]")
-    panels[3].set_xlim(0.0, float(near_s[-1]))
-    with private_file(path) as file:
-        figure.savefig(file, dpi=120)
+    held = far["holds_object"].astype(bool)
+    with styled():
+        title = (
+            f"Something is picked up, turned and put down by {arm},\n"
+            f"{scene.delay_s * 1e3:g} ms (σ {scene.jitter_s * 1e3:g} ms) and {scene.loss:.1%} loss each way"
+        )
+        figure = new_figure(columns, 5.4, title)
+        panels = figure.subplots(4, 1, sharex=True)
+        for panel, (label, hand, tool) in zip(panels, rows, strict=True):
+            names = ("trigger", "jaws") if label == "gripper" else ("hand", "arm")
+            panel.plot(near_s, hand, label=names[0], color=SIGNALS["hand"])
+            panel.plot(far_s, tool, label=names[1], color=SIGNALS["arm"], ls="--")
+            panel.fill_between(far_s, 0.0, 1.0, where=held.tolist(), color="#e3e6ea", lw=0.0, zorder=0.5,
+                               transform=panel.get_xaxis_transform(), label="holds something")  # fmt: skip
+            panel.set_ylabel(label)
+            legend_above(panel)
+        panels[3].set_xlabel("time since engagement [s]")
+        panels[3].set_xlim(0.0, float(near_s[-1]))
+        letter(panels)
+        figure.align_ylabels(list(panels))
+    write_figure(figure, path)

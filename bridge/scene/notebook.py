@@ -18,7 +18,6 @@ CHARTS = {
     "environment_force": "force on the tool [N]",
 }
 """Signals that are drawn, if they were recorded."""
-COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
 WIDTH, HEIGHT = 320, 72
 POINTS = 160
 """Columns of a chart; each is drawn from its smallest to its largest value, so that a spike of one tick is seen."""
@@ -49,6 +48,8 @@ def _text(value: Any) -> str:  # noqa: ANN401
 
 def _chart(label: str, time_s: npt.NDArray[np.float64], values: npt.NDArray[Any]) -> str:
     """One signal over time, a line for each axis, with its range written beside it."""
+    from haptether.view.style.colours import AXES  # noqa: PLC0415
+
     axes = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
     known = axes[np.isfinite(axes)]
     if not len(known):
@@ -58,7 +59,7 @@ def _chart(label: str, time_s: npt.NDArray[np.float64], values: npt.NDArray[Any]
     lines = []
     starts = np.unique(np.linspace(0, len(axes), min(POINTS, len(axes)), endpoint=False).astype(int))
     x = np.linspace(0.0, WIDTH, len(starts))
-    for axis, colour in zip(axes.T, COLOURS, strict=False):
+    for axis, colour in zip(axes.T, AXES, strict=False):
         # Of NaN alone in a column, nothing is drawn.
         small = np.fmin.reduceat(axis, starts)
         large = np.fmax.reduceat(axis, starts)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import polars as pl
     import xarray
+    from matplotlib.figure import Figure
 
 SLAVE_SIGNALS = ("slave_", "environment_", "gripper", "holds_object", "handle_", "hole_", "body_")
 """How signals begin that have their own times, `slave_time_s`: the slave's period may differ from the master's."""
@@ -233,6 +234,29 @@ class Run(Struct, frozen=True, kw_only=True):
                 variables[name] = ((time, axis), values)
         about = {"scene": self.scene, "seed": self.seed, "version": self.version}
         return xarray.Dataset(variables, coordinates, attrs=about)
+
+    def plot(self, path: str | PathLike[str] | None = None, *, columns: Literal[1, 2] = 2) -> "Figure":
+        """Draws the run as `haptether simulate --plot` does, and writes it where a path is given.
+
+        Args:
+            path: Of a .png, .pdf or .svg.
+            columns: Width, in columns of a page: 3.5 or 7.16 inches.
+
+        Raises:
+            ImportError: Without matplotlib, of the extra `analysis`.
+            ValueError: No signals, another ending, or a symbolic link.
+            OSError: The file cannot be written.
+        """
+        from haptether.view.figures.run import draw_run  # noqa: PLC0415
+        from haptether.view.style.figure import check_columns, check_picture, write_figure  # noqa: PLC0415
+
+        check_columns(columns)
+        if path is not None:
+            check_picture(FilePath(path))
+        figure = draw_run(self, columns)
+        if path is not None:
+            write_figure(figure, FilePath(path))
+        return figure
 
     def _repr_html_(self) -> str:
         from haptether.bridge.scene.notebook import as_html  # noqa: PLC0415

@@ -50,7 +50,7 @@ def read_calibration(path: Path) -> tuple[int, tuple[ServoSettings, ...]]:
     try:
         text = path.read_text(encoding="utf-8")
         if "joints" in msgspec.toml.decode(text, type=dict[str, Any]):
-            message = "describes an arm (links, masses): must be a file that `haptether dynamixel calibrate` has written"
+            message = "describes an arm (links, masses): must be a file of `haptether dynamixel calibrate`"
             raise ValueError(message)
         file = msgspec.toml.decode(text, type=_File)
         if file.baud not in BAUD_RATES:

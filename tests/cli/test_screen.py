@@ -31,8 +31,9 @@ from haptether.cli.netsim.traffic import figures_table
 from haptether.cli.scene.simulate import Simulate
 from haptether.cli.scene.sweep import Sweep as SweepCommand
 from haptether.cli.shared.link_table import link_table
-from haptether.cli.shared.screen import Screen, folded, tables
+from haptether.cli.shared.screen import Screen
 from haptether.cli.shared.stop import Stopped, wait
+from haptether.cli.shared.table import folded, of_numbers
 from haptether.netsim import LinkFigures
 from haptether.printable import printable
 from haptether.studies import LinkSummary, PushResult
@@ -52,18 +53,11 @@ def shown(*of: RenderableType) -> str:
 
 
 def fits(text: str) -> None:
-    """No line is too long, nothing is cut, and no label of a table takes more than four lines."""
+    """No line is too long, and nothing is cut."""
+    assert text.strip()
     assert "…" not in text
-    lines = 0
     for line in text.splitlines():
         assert cell_len(line) <= WIDTH, line
-        cells = re.split("[│┃]", line)
-        if len(cells) < 4:
-            lines = 0
-            continue
-        # A row begins where its second cell does: values stand in its first line.
-        lines = 1 if cells[2].strip() else lines + 1
-        assert lines <= 4, text
 
 
 # -------------------------------------------------------------------------------------------------- 80 columns
@@ -132,7 +126,7 @@ def test_the_counts_of_a_proxy_fit() -> None:
     file = io.StringIO()
     statistics: Any = Big(forward=direction, backward=direction)
     print_proxy(Screen(file=file, width=WIDTH), statistics)
-    table = "\n".join(line for line in file.getvalue().splitlines() if line[:1] in "┃│┏┡└")
+    table = file.getvalue().partition("dropped forward")[0]
     fits(table)
     assert table.count(str(10**12)) == 20
 
@@ -147,7 +141,7 @@ def test_the_table_of_a_measurement_fits(capsys: pytest.CaptureFixture[str], mon
     }  # fmt: skip
     Record(peer="127.0.0.1:9")._print(figures)
     text = capsys.readouterr().out
-    fits("\n".join(line for line in text.splitlines() if line[:1] in "┃│┏┡└"))
+    fits(text.partition("only the sum")[0])
     assert text.count("12345.678 ms") == 7
 
 
@@ -161,13 +155,26 @@ def test_what_a_command_prints_fits(
     assert main(command) == 0
     text = capsys.readouterr().out
     fits("\n".join(line for line in text.splitlines() if not re.match(r"\s+\d+\.\d{4} s  ", line)))
-    # Rows of tables without rules begin where their first cell does.
-    body = text.partition("─\n")[2].partition("\n\n")[0] if command[0] == "paper" else ""
-    body = body.partition("  Fig. 10, wsc")[0]
-    continued = 0
-    for line in body.splitlines():
-        continued = continued + 1 if line.startswith("  ") else 0
-        assert continued < 4, body
+
+
+def test_the_paper_has_a_line_a_row_and_its_reasons_below(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    assert main(["paper", "--json", "-"]) == 0
+    captured = capsys.readouterr()
+    rows = json.loads(captured.out)["rows"]
+    table, _, reasons = captured.err.partition("Why they differ:")
+    body = table.partition("─\n")[2].strip().splitlines()
+    assert len(body) == len(rows)
+    for line, row in zip(body, rows, strict=True):
+        assert line.startswith(row["source"])
+        assert row["ours"] is None or f"{row['ours']:.3g}" in line
+        word = row["verdict"].partition(":")[0]
+        assert word in line or ("not kept" in line and word == "differs")
+    numbers = re.findall(r"\((\d+)\)$", "\n".join(line.rstrip() for line in body), re.MULTILINE)
+    assert set(re.findall(r"^ *(\d+)\) ", reasons, re.MULTILINE)) == set(numbers)
+    assert len(set(numbers)) > 5
 
 
 def run_of(name: str) -> Run:
@@ -229,9 +236,9 @@ def test_a_label_is_folded_on_four_lines_at_most(label: str, lines: int) -> None
 
 def test_columns_that_fit_are_one_table() -> None:
     columns = {"a": ["1"], "b": ["2"], "c": ["3"]}
-    (one,) = tables(columns, 1, 80)
+    (one,) = of_numbers(columns, 1).blocks(80)
     assert isinstance(one, Table)
-    assert len(tables(columns, 1, 8)) == 2
+    assert len(of_numbers(columns, 1).blocks(6)) == 2
 
 
 # -------------------------------------------------------------------------------------------------- text of others

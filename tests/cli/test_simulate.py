@@ -103,6 +103,11 @@ def test_signals_and_a_picture_are_kept(given: list[dict[str, Any]], tmp_path: P
     (picture,) = plot.iterdir()
     assert picture.name == "remote_push.png"
     assert picture.stat().st_size > 10_000
+    named = tmp_path / "named.svg"
+    assert main(["simulate", "remote_push", "--plot", str(named), "--columns", "1"]) == 0
+    assert named.read_bytes().startswith(b"<?xml")
+    assert main(["simulate", "remote_push", "--plot", str(plot), "--format", "pdf"]) == 0
+    assert (plot / "remote_push.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_a_run_that_diverged_is_status_1(given: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]) -> None:
@@ -275,16 +280,21 @@ def test_a_folder_that_cannot_be_is_refused_before_the_run(
     blocked.write_text("")
     assert main(["simulate", "remote_push", "--plot", str(blocked / "pictures")]) == 1
     assert "cannot be made: Not a directory; give another folder" in capsys.readouterr().err
-    picture = tmp_path / "run.png"
-    assert main(["simulate", "remote_push", "--plot", str(picture)]) == 2
-    assert f"{picture}: must be a folder" in capsys.readouterr().err
-    assert not picture.exists()
+    for picture, options, why in (
+        ("run.gif", [], "must be a folder, or end in .png, .pdf, .svg"),
+        ("run.png", ["--format", "pdf"], "format = pdf: the two differ"),
+        ("none/run.pdf", [], "cannot be written: is the folder there, and yours?"),
+    ):
+        status = main(["simulate", "remote_push", "--plot", str(tmp_path / picture), *options])
+        assert status == (1 if "none" in picture else 2)
+        assert why in capsys.readouterr().err
+        assert not (tmp_path / picture).exists()
     assert not given
 
 
 def test_what_chatters_is_reported_once() -> None:
     from haptether.bridge import Event
-    from haptether.cli.scene.simulate import merged_events
+    from haptether.view.figures.events import merged_events
 
     chatter = [Event(n * 0.001, ("trip", "recover")[n % 2], ("wsc", "")[n % 2]) for n in range(100)]
     around = [Event(-0.1, "contact", ""), *chatter, Event(0.2, "free", ""), Event(0.3, "trip", "hsc")]
@@ -307,7 +317,7 @@ def test_the_examples_in_the_help_work(
     (tmp_path / "my" / "scene.toml").write_text('schema = 1\nmaster = { device = "touch" }\nrecord = {}\n')
     lines = [line for command in (Simulate, Sweep) for line in (inspect.getdoc(command) or "").splitlines()]
     examples = [shlex.split(line)[1:] for line in lines if line.startswith("haptether ")]
-    assert len(examples) == 6
+    assert len(examples) == 7
     for example in examples:
         assert main(example) == 0, example
-    assert len(given) == 5
+    assert len(given) == 6

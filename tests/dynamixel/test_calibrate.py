@@ -213,7 +213,7 @@ def test_find(emulated: EmulatedBus) -> None:
         ("[[servo]]\nid = 1\nmodel = 'XM430-W350'\ncolour = 1\n", "unknown field `colour`"),
         ("[[servo]]\nid = 1\nmodel = 'XM430-W350'\noffset_rad = nan\n", "offset_rad"),
         ("[[servo", "arm.toml"),
-        ("[[joints]]\n", "describes an arm .links, masses.: must be a file that `haptether dynamixel calibrate` has"),
+        ("[[joints]]\n", "describes an arm .links, masses.: must be a file of `haptether dynamixel calibrate`"),
     ],
 )
 def test_files_that_are_none(tmp_path: Path, text: str, said: str) -> None:

@@ -27,6 +27,9 @@ MAY_IMPORT = {
     "studies": frozenset(CRATES),
     "view": frozenset({"bridge", "dynamixel", "slave", "master"}),
 }
+# The part of `view` that draws from arrays: it uses no other room, so whoever has arrays may use it.
+DRAWING = ("haptether.view.style", "haptether.view.figures")
+MAY_DRAW = frozenset({"bridge", "studies"})
 ROOMS = tuple(room for room in MAY_IMPORT if (PACKAGE / room).exists())
 
 # The runners and the threads beside them: they, and nothing else in Rust, may know what time it is.
@@ -111,8 +114,28 @@ def test_a_room_imports_only_the_rooms_its_crate_may_use(room: str) -> None:
         f"{path.relative_to(ROOT)}:{line}: {name}"
         for path, package in python_files(room)
         for line, name in imports(path, package)
-        if name.split(".")[0] == "haptether" and (*name.split("."), "")[1] in forbidden
+        if name.split(".")[0] == "haptether"
+        and (*name.split("."), "")[1] in forbidden
+        and not (room in MAY_DRAW and name.startswith(DRAWING))
     ]
+    assert not wrong
+
+
+@pytest.mark.parametrize("folder", ["style", "figures"])
+def test_what_draws_from_arrays_uses_no_other_room(folder: str) -> None:
+    others = {*MAY_IMPORT, "cli", ""} - {"view"}
+    allowed = (*DRAWING, "haptether.view.scene3d.colours")
+    files = [(path, package) for path, package in python_files("view") if path.parent.name == folder]
+    wrong = [
+        f"{path.relative_to(ROOT)}:{line}: {name}"
+        for path, package in files
+        for line, name in imports(path, package)
+        if name.split(".")[0] == "haptether"
+        and (
+            (*name.split("."), "")[1] in others or (name.startswith("haptether.view") and not name.startswith(allowed))
+        )
+    ]
+    assert len(files) > 3
     assert not wrong
 
 

@@ -8,8 +8,8 @@ import pytest
 from tests.scene.shipped import shipped
 
 from haptether.bridge import Run, SceneError, load_scene, override_scene, simulate, sweep
-from haptether.cli.scene.picture import angle_apart
-from haptether.cli.scene.simulate import frame_of
+from haptether.view.figures.rotation import angle_apart
+from haptether.view.figures.run import frame_of
 
 Array = npt.NDArray[np.float64]
 
@@ -491,11 +491,11 @@ def test_quaternions_of_the_signals_are_rotations() -> None:
 def test_the_angle_that_a_picture_of_an_alignment_shows_falls_to_0_in_any_frame(quat_wxyz: list[float]) -> None:
     """`|log(R_s (C R_m C')')|`: at first that of the tool, as the hand stands as its base frame does."""
     override = f"coupling.quat_wxyz={quat_wxyz!r}"
-    run, scene = simulate("alignment", overrides=[override]), load_scene("alignment", [override])
-    frame = frame_of(scene)
+    run = simulate("alignment", overrides=[override])
+    frame = frame_of(run.settings)
     assert frame == tuple(quat_wxyz)
     apart = angle_apart(run.signals, np.array(frame))
     assert apart[1] == pytest.approx(0.8, abs=1e-9)
     assert np.diff(apart[50:1600]) == pytest.approx(-0.5e-3, abs=1e-9)
     assert apart[1640] < 1e-6
-    assert frame_of(load_scene("valve", [])) is None
+    assert frame_of(simulate("valve").settings) is None

@@ -6,13 +6,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from haptether.cli.shared.picture import PictureOptions
+
 if TYPE_CHECKING:
     from haptether.cli.shared.screen import Screen
     from haptether.studies import DemoScene, FollowScene, PickScene, PushResult
 
 
 @dataclass(frozen=True, kw_only=True)
-class Demo:
+class Demo(PictureOptions):
     """Watch a remote push reach a hand, with and without protection, or a hand pick something up, over real sockets.
 
     Starts slave, network and master as three processes on this machine: 50 ms each way with a standard
@@ -176,8 +178,8 @@ class Demo:
                 except Interrupted:
                     console.print("interrupted: all processes have ended")
                     return 130
-        picture = self.out / "follow.png"
-        draw_follow(scene, results, picture)
+        picture = self.out / f"follow.{self.format or 'png'}"
+        draw_follow(scene, results, picture, self.columns)
         bare, *guarded = results
         protected = all(one.thrown_rad_s < bare.thrown_rad_s for one in guarded) and not any(r.holds for r in results)
         carried = all(one.is_carried for one in results)
@@ -226,8 +228,8 @@ class Demo:
             except Interrupted:
                 console.print("interrupted: all processes have ended")
                 return 130
-        picture = self.out / "pick.png"
-        draw_pick(scene, self.out, picture)
+        picture = self.out / f"pick.{self.format or 'png'}"
+        draw_pick(scene, self.out, picture, self.columns)
         write_report(self.json, {"scene": scene, "done": result.is_done, "picture": str(picture), "result": result})
         done = "done" if result.is_done else "NOT done as the hand did it"
         console.print(
@@ -263,8 +265,8 @@ class Demo:
                 )
         if broken:
             console.print(f"the link did not last in: {', '.join(broken)} (see holds and the final state)")
-        picture = self.out / "demo.png"
+        picture = self.out / f"demo.{self.format or 'png'}"
         write_report(self.json, {"scene": scene, "protected": protected, "picture": str(picture), "results": results})
-        draw_demo(scene, results, picture)
+        draw_demo(scene, results, picture, self.columns)
         console.print(f"picture: {picture}", highlight=False)
         return 0 if protected else 1

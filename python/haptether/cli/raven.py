@@ -48,19 +48,14 @@ class Raven:
         return 0 if report.is_as_expected else 1
 
     def _print(self, console: "Console", report: "RavenReport") -> None:
-        from rich.box import SIMPLE_HEAD
-        from rich.table import Table
         from rich.text import Text
 
-        table = Table(header_style="bold", pad_edge=False, padding=(0, 1, 0, 0), box=SIMPLE_HEAD)
-        for name in ("attack", "key", "works"):
-            table.add_column(name, no_wrap=True)
-        table.add_column("effect", overflow="fold")
-        for name in ("astray\nmm", "off\nmm", "extra\nN", "refused\n"):
-            table.add_column(name, justify="right", no_wrap=True)
-        table.add_column("arm\nends in", no_wrap=True)
+        from haptether.cli.shared.table import Column, Rows
+
+        numbers = (Column(label, numbers=True) for label in ("astray [mm]", "off [mm]", "extra [N]", "refused"))
+        table = Rows("attack", "key", "works", "effect", *numbers, "arm ends in", keys=2, gap=1)
         for row in report.rows:
-            table.add_row(
+            table.add(
                 _name(row),
                 "yes" if row.security == "on" else "no",
                 Text(row.works, style=COLOURS[row.works]),

@@ -230,14 +230,12 @@ class CheckDevice(DriverOptions):
 
 def print_findings(console: "Screen", name: str, found: "list[Finding]") -> None:
     """One line a property."""
-    from rich.table import Table
+    from haptether.cli.shared.table import Rows
 
-    table = Table(header_style="bold", pad_edge=False)
-    for column in ("", "check", f"{name}: what was seen"):
-        table.add_column(column, overflow="fold")
+    table = Rows("", "check", f"{name}: what was seen", keys=2)
     for finding in found:
         verdict = finding.verdict.upper() if finding.verdict == "mend" else finding.verdict
-        table.add_row(verdict, finding.check, finding.text)
+        table.add(verdict, finding.check, finding.text)
     console.print(table)
 
 

@@ -168,10 +168,10 @@ class Identify(DriverOptions):
         self, kind: str, results: "list[IdentifiedAxis | str]", lead: "Excitation", options: dict[str, object]
     ) -> int:
         import numpy as np
-        from rich.table import Table
 
         from haptether.cli.shared.output import write_report
         from haptether.cli.shared.screen import screen
+        from haptether.cli.shared.table import Column, Rows
         from haptether.studies.identification.fit import IdentifiedAxis
         from haptether.studies.identification.table import encoder_quantum, master_table, warnings
 
@@ -181,18 +181,16 @@ class Identify(DriverOptions):
         }
         found = list(by_axis.values())
         console = screen(self.json)
-        table = Table(header_style="bold", pad_edge=False)
         units = ("kg m²", "N m s/rad", "N m") if kind == "joints" else ("kg", "N s/m", "N")
         names = (f"mass_kg [{units[0]}]", f"viscous [{units[1]}]", f"coulomb [{units[2]}]", "F_0", "delay [ms]")
-        for column in ("axis", *names, "unexplained"):
-            table.add_column(column, justify="right")
+        table = Rows(*(Column(label, numbers=True) for label in ("axis", *names, "unexplained")))
         for axis, result in zip(axes, results, strict=True):
             if isinstance(result, str):
                 continue
             parts = (result.mass_kg, result.viscous, result.coulomb, result.offset_n)
             cells = [f"{part.value:.4g} ± {part.half:.2g}" for part in parts]
             cells.append(f"{1e3 * result.delay_s.value:.2f} ± {1e3 * result.delay_s.half:.2g}")
-            table.add_row(str(axis), *cells, f"{100.0 * result.unexplained:.2g} %")
+            table.add(str(axis), *cells, f"{100.0 * result.unexplained:.2g} %")
         said = [f"axis {axis}: {result}" for axis, result in zip(axes, results, strict=True) if isinstance(result, str)]
         said += warnings(by_axis, kind)
         text = None

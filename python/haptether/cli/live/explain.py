@@ -52,16 +52,12 @@ class Explain:
         return 0
 
     def _print(self, flight: "Flight", console: "Screen") -> None:
-        from rich.table import Table
+        from haptether.cli.shared.table import Column, Rows, of_numbers
 
-        from haptether.cli.shared.screen import tables
-
-        steps = Table(pad_edge=False, title=f"{flight.side}: steps of the ladder")
-        steps.add_column("time [s]", justify="right", no_wrap=True)
-        for name in ("from", "to", "because"):
-            steps.add_column(name, overflow="fold")
+        title = f"{flight.side}: steps of the ladder"
+        steps = Rows(Column("time [s]", numbers=True), "from", "to", "because", title=title)
         for step in flight.transitions:
-            steps.add_row(f"{step.time_s:.4f}", step.from_, step.to, step.reason)
+            steps.add(f"{step.time_s:.4f}", step.from_, step.to, step.reason)
         console.print(steps)
         _print_causes(flight, console)
         for line in _intervention_lines(flight):
@@ -73,7 +69,7 @@ class Explain:
             rest = f", of {len(ticks)} that are kept" if len(shown) < len(ticks) else ""
             console.print(f"\n{flight.side}: {len(shown)} ticks {title}{rest}", style="italic")
             ladder, values = _ladder_columns(flight.side, shown), _value_columns(flight.side, shown)
-            if len(tables(ladder | values, 1, console.width)) == 1:
+            if len(of_numbers(ladder | values, 1).blocks(console.width)) == 1:
                 console.print_columns(ladder | values, 1)
             else:
                 console.print_columns(ladder, 1)

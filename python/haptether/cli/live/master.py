@@ -188,14 +188,11 @@ def _protection(scene: "Scene") -> tuple[str, float | None]:
 
 def print_push(console: "Screen", results: "Sequence[PushResult]") -> None:
     """One column a run, and below them the texts of faults, which fit no column."""
-    from rich.table import Table
+    from haptether.cli.shared.table import Column, Rows
 
-    table = Table(header_style="bold", pad_edge=False)
-    table.add_column("controller")
-    for result in results:
-        table.add_column(result.controller, justify="right", no_wrap=True)
+    table = Rows("controller", *(Column(result.controller, numbers=True) for result in results))
     for name, show in ROWS.items():
-        table.add_row(name, *(show(result) for result in results))
+        table.add(name, *(show(result) for result in results))
     console.print(table)
     for result in results:
         if result.fault is not None:

@@ -27,23 +27,16 @@ class List:
     def run(self) -> int:
         """Prints a row per preset."""
         import msgspec
-        from rich.box import SIMPLE_HEAD
-        from rich.table import Table
 
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
+        from haptether.cli.shared.table import Column, Rows
         from haptether.netsim import PRESETS
 
         check_target(self.json)
-        table = Table(
-            box=SIMPLE_HEAD, header_style="bold", show_edge=False, pad_edge=False, padding=(0, 1, 0, 0), leading=1
-        )
-        table.add_column("preset", max_width=20)
-        for name in ("round trip", "loss"):
-            table.add_column(name, no_wrap=True)
-        table.add_column("source", overflow="fold")
+        table = Rows("preset", "round trip", Column("loss", numbers=True), "source", spaced=True)
         for name, preset in PRESETS.items():
-            table.add_row(f"{name}\n{preset.title}", *_figures(preset), preset.source)
+            table.add(f"{name}\n{preset.title}", *_figures(preset), preset.source)
         screen(self.json).print(table)
         write_report(self.json, {name: msgspec.to_builtins(preset) for name, preset in PRESETS.items()})
         return 0

@@ -230,15 +230,12 @@ def report(statistics: "ProxyStatistics", max_error_s: float, json: Path | None)
 
 
 def _print(console: "Console", statistics: "ProxyStatistics") -> None:
-    from rich.table import Table
+    from haptether.cli.shared.table import Column, Rows
 
-    table = Table(header_style="bold", pad_edge=False)
-    table.add_column("datagrams")
     directions = {"forward": _counts(statistics.forward), "backward": _counts(statistics.backward)}
-    for direction in directions:
-        table.add_column(direction, justify="right")
+    table = Rows("datagrams", *(Column(direction, numbers=True) for direction in directions))
     for name in COUNTS:
-        table.add_row(name.replace("_", " "), *(str(counts[name]) for counts in directions.values()))
+        table.add(name.replace("_", " "), *(str(counts[name]) for counts in directions.values()))
     console.print(table)
 
     def say(text: str) -> None:

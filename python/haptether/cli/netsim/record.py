@@ -70,9 +70,8 @@ class Record:
         return 0
 
     def _print(self, figures: "dict[str, float | int | None]") -> None:
-        from rich.table import Table
-
         from haptether.cli.shared.screen import screen
+        from haptether.cli.shared.table import Column, Rows
 
         def ms(name: str) -> str:
             value = figures[name]
@@ -83,15 +82,13 @@ class Record:
             return f"{count} of {sent}" + (f" ({count / sent:.2%})" if sent else "")
 
         console = screen(self.json)
-        table = Table(header_style="bold", pad_edge=False)
-        table.add_column(f"{figures['probes']} probes")
-        for name in ("round trip", "forward (estimated)", "backward (estimated)"):
-            table.add_column(name, justify="right")
+        labels = ("round trip", "forward (estimated)", "backward (estimated)")
+        table = Rows(f"{figures['probes']} probes", *(Column(label, numbers=True) for label in labels))
         for percent in ("p50", "p99"):
             paths = ("round_trip", "forward", "backward")
-            table.add_row(percent, *(ms(f"{path}_{percent}_s") for path in paths))
-        table.add_row("lost", "", lost("forward"), lost("backward"))
-        table.add_row("worst gap", ms("worst_gap_s"), "", "")
+            table.add(percent, *(ms(f"{path}_{percent}_s") for path in paths))
+        table.add("lost", "", lost("forward"), lost("backward"))
+        table.add("worst gap", ms("worst_gap_s"), "", "")
         console.print(table)
         shortest = ms("shortest_s")
         lines = [

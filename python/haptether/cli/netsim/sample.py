@@ -8,18 +8,16 @@ import tyro
 
 from haptether.cli.netsim.link_options import LinkOptions
 from haptether.cli.netsim.traffic import check_traffic, figures_table, sending_times
+from haptether.cli.shared.picture import PictureOptions
 
 if TYPE_CHECKING:
     from typing import TextIO
 
     from haptether.netsim import Verdicts
 
-MAX_POINTS = 5000
-"""Of the picture over time."""
-
 
 @dataclass(frozen=True, kw_only=True)
-class Sample(LinkOptions):
+class Sample(LinkOptions, PictureOptions):
     """Send packets at a constant rate through one direction of a link, in no time, and say what becomes of each.
 
     The table sets what was asked for beside what came out. With --csv, a row per packet: index, t_in_ns, t_out_ns
@@ -51,20 +49,19 @@ class Sample(LinkOptions):
     """Write a row per packet; - for standard output."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the figures as JSON; - for standard output."""
-    plot: Annotated[Path | None, tyro.conf.arg(metavar="PATH.png")] = None
-    """Draw delays over time, and how often each occurs."""
+    plot: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
+    """Draw the delay of each packet over time, and how often each occurs, as .png, .pdf or .svg."""
 
     def run(self) -> int:
         """Judges all packets."""
-        from haptether.cli.shared.output import check_target, require_matplotlib, table_goes_to_stderr, write_report
+        from haptether.cli.shared.output import check_target, table_goes_to_stderr, write_report
+        from haptether.cli.shared.picture import picture_file
         from haptether.cli.shared.screen import screen
         from haptether.netsim import asked, judge_all, realised
 
         self._check()
-        for target in (self.csv, self.json, self.plot):
-            check_target(target)
-        if self.plot is not None:
-            require_matplotlib()
+        check_target(self.csv, self.json)
+        picture = None if self.plot is None else picture_file(self.plot, self.format)
         links = self.links(self.scene)
         settings = getattr(links, self.direction)
         sent_ns = sending_times(self.packets, self.rate)
@@ -83,9 +80,17 @@ class Sample(LinkOptions):
             **figures,
         }
         write_report(self.json, report)
-        if self.plot is not None:
-            _draw(verdicts, self.plot)
-            console.print(f"picture: {self.plot}")
+        if picture is not None:
+            from haptether.netsim import repeats_every_s
+            from haptether.view.figures.link import draw_link
+            from haptether.view.style.figure import write_figure
+
+            through = self.preset or (Path(self.scene).stem if self.scene else "")
+            title = f"{self.packets} packets {self.direction}{f', {through}' if through else ''}, seed {links.seed}"
+            packets = verdicts.packets
+            every_s = repeats_every_s(settings, self.direction)
+            write_figure(draw_link(title, packets.t_in_ns, packets.t_out_ns, every_s, self.columns), picture)
+            console.print(f"picture: {picture}")
         return 0
 
     def _check(self) -> None:
@@ -120,29 +125,3 @@ def _write_csv(target: Path, verdicts: "Verdicts") -> None:
                     for index, t_in, t_out, cause in rows
                 )
             )
-
-
-def _draw(verdicts: "Verdicts", path: Path) -> None:
-    """Delays over time with what was lost, and how often each delay occurs."""
-    import numpy as np
-    from matplotlib.figure import Figure
-
-    from haptether.private_file import private_file
-
-    packets = verdicts.packets
-    arrived = packets.t_out_ns >= 0
-    sent_s = packets.t_in_ns * 1e-9
-    delay_ms = (packets.t_out_ns - packets.t_in_ns) * 1e-6
-    figure = Figure(figsize=(9.0, 3.2), layout="constrained")
-    over_time, often = figure.subplots(1, 2, width_ratios=(2, 1), sharey=True)
-    first = slice(0, MAX_POINTS)
-    over_time.plot(sent_s[first][arrived[first]], delay_ms[first][arrived[first]], ".", markersize=2)
-    top = float(delay_ms[arrived].max()) if arrived.any() else 1.0
-    lost = sent_s[first][~arrived[first]]
-    over_time.plot(lost, np.full(lost.size, 1.04 * top), "|", color="tab:red", label=f"lost ({(~arrived).mean():.2%})")
-    over_time.set(xlabel="sent [s]", ylabel="one-way delay [ms]")
-    over_time.legend(loc="center right")
-    often.hist(delay_ms[arrived], bins=100, orientation="horizontal")
-    often.set(xlabel="packets", xscale="log")
-    with private_file(path) as file:
-        figure.savefig(file, dpi=120, format=path.suffix[1:] or "png")

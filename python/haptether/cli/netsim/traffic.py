@@ -2,10 +2,11 @@
 
 from typing import TYPE_CHECKING
 
+from haptether.cli.shared.table import Column, Rows
+
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
-    from rich.table import Table
 
     from haptether.netsim import LinkFigures
 
@@ -49,14 +50,9 @@ def shown(name: str, value: float | None) -> str:
     return f"{value * 100:.4g} %" if name in SHARES else f"{value:.3f}"
 
 
-def figures_table(title: str, columns: "dict[str, LinkFigures]") -> "Table":
+def figures_table(title: str, columns: "dict[str, LinkFigures]") -> Rows:
     """A row per figure, a column per set of them."""
-    from rich.table import Table
-
-    table = Table(header_style="bold", pad_edge=False)
-    table.add_column(title)
-    for name in columns:
-        table.add_column(name, justify="right")
+    table = Rows(title, *(Column(name, numbers=True) for name in columns))
     for name, label in {**MILLISECONDS, "loss": "loss", "mean_burst": "mean burst", **SHARES}.items():
-        table.add_row(label, *(shown(name, getattr(figures, name)) for figures in columns.values()))
+        table.add(label, *(shown(name, getattr(figures, name)) for figures in columns.values()))
     return table

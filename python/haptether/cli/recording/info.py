@@ -37,9 +37,10 @@ class Info:
             ValueError: A file is no recording.
         """
         from haptether.bridge import load, read_recording
-        from haptether.cli.scene.simulate import merged_events, spinner
+        from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
+        from haptether.view.figures.events import merged_events
 
         if not self.files:
             message = "which file? Name what --record of master or slave wrote"
@@ -90,11 +91,9 @@ def described(recording: "Recording") -> dict[str, Any]:
 
 
 def _print_table(file: Path, report: dict[str, Any], console: Any) -> None:  # noqa: ANN401  # a Screen
-    from rich.table import Table
+    from haptether.cli.shared.table import Rows
 
-    table = Table(header_style="bold", pad_edge=False)
-    table.add_column(f"{file}", overflow="fold")
-    table.add_column(report["side"], overflow="fold")
+    table = Rows(f"{file}", report["side"])
     metrics = report["metrics"]
     rows = {
         "begun": report["begun"],
@@ -113,7 +112,7 @@ def _print_table(file: Path, report: dict[str, Any], console: Any) -> None:  # n
     }
     for name, text in rows.items():
         if text is not None:
-            table.add_row(name, text)
+            table.add(name, text)
     console.print(table)
 
 

@@ -34,8 +34,8 @@ class Playback:
     """What `--record` of master or slave wrote."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
     """Change a field of the scene; may be given often. Of a live master, its own command says what is set there."""
-    plot: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """In virtual time: draw the run as a PNG into this folder."""
+    plot: Annotated[Path | None, tyro.conf.arg(metavar="DIR|PICTURE")] = None
+    """In virtual time: draw the run into this folder or as this .png, .pdf or .svg."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.npz")] = None
     """In virtual time: write every signal as a NumPy array."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -73,18 +73,16 @@ class Playback:
     def _simulate(self, scene: "Scene") -> int:
         from haptether.bridge import simulate
         from haptether.cli.scene.simulate import Simulate, spinner
-        from haptether.cli.shared.output import make_folder, require_matplotlib
+        from haptether.cli.shared.picture import picture_in
         from haptether.cli.shared.screen import screen
 
         if self.out is not None and self.out.suffix != ".npz":
             message = f"{self.out}: must end in .npz"
             raise ValueError(message)
-        if self.plot is not None:
-            require_matplotlib()
-            make_folder(self.plot)
+        picture = None if self.plot is None else picture_in(self.plot, "playback", None)
         with spinner(f"playing {self.file} back"):
             run = simulate(scene)
-        return Simulate(scene="playback", json=self.json, plot=self.plot, out=self.out).report(screen(self.json), run)
+        return Simulate(scene="playback", json=self.json, out=self.out).report(screen(self.json), run, picture)
 
     def _play(self, listen: str, scene: "Scene") -> int:
         from haptether.cli.live.slave import Slave

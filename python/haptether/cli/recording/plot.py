@@ -6,11 +6,11 @@ from typing import Annotated
 
 import tyro
 
-SUFFIXES = (".png", ".pdf", ".svg")
+from haptether.cli.shared.picture import PictureOptions
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plot:
+class Plot(PictureOptions):
     """Draw a recorded run: positions, forces, what turns, the ladder and trips, with the events marked.
 
     With the recordings of both sides, both are in the picture, on the master's time as the clocks of the two machines
@@ -30,7 +30,7 @@ class Plot:
     slave_begun_s: float | None = None
     """When the slave's run began after the master's in s, where the clocks of two machines differ."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
-    """The picture: .png, .pdf or .svg; by default FILE with .png."""
+    """The picture: .png, .pdf or .svg; by default FILE with .png or --format."""
 
     def run(self) -> int:
         """Draws the picture.
@@ -39,18 +39,11 @@ class Plot:
             ValueError: No recording, or the name of no picture.
         """
         from haptether.cli.recording.files import read_run
-        from haptether.cli.scene.picture import draw_run
-        from haptether.cli.scene.simulate import merged_events
-        from haptether.cli.shared.output import check_target, require_matplotlib
+        from haptether.cli.shared.picture import picture_file
         from haptether.cli.shared.screen import screen
 
-        picture = self.out or self.file.with_suffix(".png")
-        if picture.suffix.lower() not in SUFFIXES:
-            message = f"{picture}: must end in {', '.join(SUFFIXES)}"
-            raise ValueError(message)
-        require_matplotlib()
-        check_target(picture)
+        picture = picture_file(self.out or self.file.with_suffix(f".{self.format or 'png'}"), self.format)
         run = read_run(self.file, self.other, self.slave_begun_s)
-        draw_run(run, merged_events(run.events), picture)
+        run.plot(picture, columns=self.columns)
         screen().print(f"picture: {picture}")
         return 0

@@ -6,13 +6,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from haptether.cli.shared.picture import PictureOptions
+
 if TYPE_CHECKING:
     from haptether.bridge import Replay as Replayed
     from haptether.cli.shared.screen import Screen
 
 
 @dataclass(frozen=True, kw_only=True)
-class Replay:
+class Replay(PictureOptions):
     """Put a recorded master through other settings: what the hand would have felt, and where the two part.
 
     Motion, remote force, network and ladder are those of the recording, tick by tick. Without --set the forces are
@@ -50,18 +52,14 @@ class Replay:
             ValueError: No recording that can be replayed, or settings that cannot be.
         """
         from haptether.bridge import read_recording, replay
-        from haptether.cli.recording.plot import SUFFIXES
         from haptether.cli.scene.simulate import spinner
-        from haptether.cli.shared.output import check_distinct, check_target, require_matplotlib, write_report
+        from haptether.cli.shared.output import check_distinct, check_target, write_report
+        from haptether.cli.shared.picture import picture_file
         from haptether.cli.shared.screen import screen
 
         check_distinct(file=self.file, plot=self.plot, json=self.json)
-        check_target(self.json, self.plot)
-        if self.plot is not None:
-            if self.plot.suffix.lower() not in SUFFIXES:
-                message = f"{self.plot}: must end in {', '.join(SUFFIXES)}"
-                raise ValueError(message)
-            require_matplotlib()
+        check_target(self.json)
+        picture = None if self.plot is None else picture_file(self.plot, self.format)
         with spinner(f"replaying {self.file}"):
             recording = read_recording(self.file)
             try:
@@ -72,11 +70,12 @@ class Replay:
         console = screen(self.json)
         _print(self.file, done, console)
         write_report(self.json, reported(self.file, done))
-        if self.plot is not None:
-            from haptether.cli.recording.picture import draw_replay
+        if picture is not None:
+            from haptether.view.figures.replay import draw_replay
+            from haptether.view.style.figure import write_figure
 
-            draw_replay(done, self.plot)
-            console.print(f"picture: {self.plot}")
+            write_figure(draw_replay(done, self.columns), picture)
+            console.print(f"picture: {picture}")
         return int(not self.set and self.hand != "modelled" and not done.identical)
 
 
@@ -100,18 +99,16 @@ def reported(file: Path, done: "Replayed") -> dict[str, Any]:
 
 def _print(file: Path, done: "Replayed", console: "Screen") -> None:
     import msgspec
-    from rich.table import Table
 
-    table = Table(header_style="bold", pad_edge=False)
-    table.add_column(f"{file}", overflow="fold")
-    table.add_column("recorded", justify="right")
-    table.add_column("replayed", justify="right")
+    from haptether.cli.shared.table import Column, Rows
+
+    table = Rows(f"{file}", Column("recorded", numbers=True), Column("replayed", numbers=True))
     before, after = msgspec.to_builtins(done.before), msgspec.to_builtins(done.after)
     for name, label in ROWS.items():
         if before[name] is not None:
-            table.add_row(label, f"{before[name]:.4g}", f"{after[name]:.4g}")
+            table.add(label, f"{before[name]:.4g}", f"{after[name]:.4g}")
     if done.hand is not None:
-        table.add_row("hand elsewhere by at most [mm]", "-", f"{done.largest_displacement * 1e3:.4g}")
+        table.add("hand elsewhere by at most [mm]", "-", f"{done.largest_displacement * 1e3:.4g}")
     console.print(table)
     console.print(f"level: {LEVELS[done.level]}")
     if (hand := done.hand) is not None:

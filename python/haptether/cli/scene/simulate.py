@@ -1,24 +1,26 @@
 """`haptether simulate`."""
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from haptether.cli.shared.picture import PictureOptions
+
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from haptether.bridge import Event, Run, Scene
+    from haptether.bridge import Run
 
 SPINNER_AFTER_S = 2.0
 EVENTS_SHOWN = 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class Simulate:
+class Simulate(PictureOptions):
     """Run a scene in virtual time: device, hand, arm, environment, network and safety from one TOML file.
 
     SCENE is the name of a scene that comes with Haptether (--list) or the path of a TOML file. Any field can be
@@ -47,8 +49,8 @@ class Simulate:
     """Change a field; may be given often. Values are TOML, bare words are strings."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write scene, seed, version, events and metrics as JSON; - for standard output."""
-    plot: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Draw positions, forces, what turns and trips as a PNG into this folder."""
+    plot: Annotated[Path | None, tyro.conf.arg(metavar="DIR|PICTURE")] = None
+    """Draw positions, forces, what turns and trips, into this folder or as this .png, .pdf or .svg."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.npz")] = None
     """Write every signal as a NumPy array."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -59,7 +61,8 @@ class Simulate:
     def run(self) -> int:
         """Runs the scene; 0, or 1 if it diverged."""
         from haptether.bridge import SceneError, load_scene, simulate
-        from haptether.cli.shared.output import check_target, make_folder, require_matplotlib
+        from haptether.cli.shared.output import check_target
+        from haptether.cli.shared.picture import picture_in
         from haptether.cli.shared.screen import screen
 
         console = screen(self.json)
@@ -73,9 +76,9 @@ class Simulate:
         if self.out is not None and self.out.suffix != ".npz":
             message = f"{self.out}: must end in .npz"
             raise ValueError(message)
+        picture = None
         if self.plot is not None:
-            require_matplotlib()
-            make_folder(self.plot)
+            picture = picture_in(self.plot, Path(self.scene).stem, self.format)
         scene = load_scene(self.scene, self.set)
         files = None
         if self.record is not None:
@@ -97,9 +100,9 @@ class Simulate:
                 console.print(
                     f"{key} = {name}: the model of [{table}] stands for it; `haptether {table} --scene` drives it live",
                 )
-        return self.report(console, run, frame_of(scene))
+        return self.report(console, run, picture)
 
-    def report(self, console: "Console", run: "Run", frame_wxyz: tuple[float, ...] | None = None) -> int:
+    def report(self, console: "Console", run: "Run", picture: Path | None) -> int:
         """Prints, writes and draws what came of a run; 0.
 
         Raises:
@@ -121,11 +124,8 @@ class Simulate:
             console.print(f"signals: {self.out}")
         if self.record is not None:
             console.print(f"recorded: {self.record / 'master.mcap'}, {self.record / 'slave.mcap'}")
-        if self.plot is not None:
-            from haptether.cli.scene.picture import draw_run
-
-            picture = self.plot / f"{Path(run.scene).stem}.png"
-            draw_run(run, merged_events(run.events), picture, frame_wxyz)
+        if picture is not None:
+            run.plot(picture, columns=self.columns)
             console.print(f"picture: {picture}")
         if run.metrics.diverged:
             last = next((event for event in run.events if event.kind == "diverged"), None)
@@ -136,16 +136,17 @@ class Simulate:
 
     def _print(self, console: "Console", run: "Run") -> None:
         import msgspec
-        from rich.table import Table
 
-        table = Table(header_style="bold", pad_edge=False)
-        table.add_column(run.scene, overflow="fold")
-        table.add_column(f"seed {run.seed}", justify="right")
+        from haptether.cli.shared.table import Column, Rows
+
+        table = Rows(run.scene, Column(f"seed {run.seed}", numbers=True))
         for name, value in msgspec.to_builtins(run.metrics).items():
             if name in OF_ROTATION and value is None:
                 continue
-            table.add_row(METRICS.get(name, name), shown(value))
+            table.add(METRICS.get(name, name), shown(value))
         console.print(table)
+        from haptether.view.figures.events import merged_events
+
         events = merged_events(run.events)
         for time_s, text in events[:EVENTS_SHOWN]:
             console.print(f"  {time_s:9.4f} s  {text}")
@@ -153,47 +154,13 @@ class Simulate:
             console.print(f"  and {len(events) - EVENTS_SHOWN} more; --json has all events")
 
     def _list(self, console: "Console") -> None:
-        from rich.table import Table
-
         from haptether.bridge import load_scene, scene_names
+        from haptether.cli.shared.table import Rows
 
-        table = Table(header_style="bold", pad_edge=False)
-        table.add_column("scene")
-        table.add_column("shows")
+        table = Rows("scene", "shows")
         for name in scene_names():
-            table.add_row(name, load_scene(name).shows)
+            table.add(name, load_scene(name).shows)
         console.print(table)
-
-
-def frame_of(scene: "Scene") -> tuple[float, ...] | None:
-    """C of a scene whose arm is turned to the hand; none of others, and where it changes on the way."""
-    coupling = scene.coupling
-    if coupling is None or coupling.alignment is None:
-        return None
-    return None if any(change.quat_wxyz is not None for change in coupling.changes) else coupling.quat_wxyz
-
-
-REPEATED = {"trip", "recover"}, {"contact", "free"}
-"""Events that chatter: the same two over and over."""
-
-
-def merged_events(events: "Sequence[Event]") -> list[tuple[float, str]]:
-    """Events for the screen, with a time in s each: what chatters is one line, with how often and until when."""
-    merged: list[tuple[float, str]] = []
-    waiting = list(events)
-    while waiting:
-        first = waiting[0]
-        pair = next((pair for pair in REPEATED if first.kind in pair), set())
-        same = waiting[: next((n for n, event in enumerate(waiting) if event.kind not in pair), len(waiting))]
-        times = sum(event.kind == first.kind for event in same)
-        text = f"{first.kind}  {first.detail}".rstrip()
-        if times > 2:
-            merged.append((first.time_s, f"{text}  {times} times, until {same[-1].time_s:.4f} s"))
-        else:
-            same = same[:1] or [first]
-            merged.append((first.time_s, text))
-        del waiting[: len(same)]
-    return merged
 
 
 METRICS = {

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from haptether.cli.shared.picture import PictureOptions
+
 if TYPE_CHECKING:
     from haptether.bridge import Sweep as SweepResult
     from haptether.cli.shared.screen import Screen
@@ -15,7 +17,7 @@ MAX_ROWS = 10_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sweep:
+class Sweep(PictureOptions):
     """Run a scene for many values of some of its numbers, every combination once.
 
     A range a:b:n is n values from a to b, both included; a list is v1,v2,... The last path varies fastest. Prints the
@@ -28,6 +30,8 @@ class Sweep:
     Examples:
 
     haptether sweep remote_push --vary link.forward.delay_s=0.01:0.1:10 --vary safety.window=50,100,200 --out push.csv
+
+    haptether sweep remote_push --vary link.forward.delay_s=0:0.1:11 --vary run.seed=1,2,3,4,5 --plot delay.pdf
 
     haptether sweep paper_wall --vary environment.objects.0.contact.stiffness=200:1000:9 --set safety.controllers=[hsc]
     """
@@ -50,6 +54,9 @@ class Sweep:
     """Write all rows as JSON; - for standard output."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.csv|FILE.npz")] = None
     """Write all rows as CSV or as NumPy arrays."""
+    plot: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
+    """Draw the metrics as .png, .pdf or .svg: over one path as lines, with 95 % bands where run.seed varies, too; over
+    two paths as maps."""
 
     def run(self) -> int:
         """Runs all rows."""
@@ -59,7 +66,10 @@ class Sweep:
 
         from haptether.bridge import sweep
         from haptether.cli.shared.output import check_target
+        from haptether.cli.shared.picture import picture_file
         from haptether.cli.shared.screen import Screen, screen
+        from haptether.view.figures.sweep import check_varied, draw_sweep
+        from haptether.view.style.figure import write_figure
 
         check_target(self.json, self.out)
         if self.out is not None and self.out.suffix not in {".csv", ".npz"}:
@@ -79,6 +89,10 @@ class Sweep:
         if rows > MAX_ROWS:
             message = f"{rows} rows: must be at most {MAX_ROWS}"
             raise ValueError(message)
+        picture = None
+        if self.plot is not None:
+            check_varied(list(grid))
+            picture = picture_file(self.plot, self.format)
         bar = Progress(BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=Screen(stderr=True))
         with bar:
             task = bar.add_task("", total=rows)
@@ -90,7 +104,11 @@ class Sweep:
                 progress=lambda done: bar.update(task, completed=done),
             )
             bar.update(task, completed=rows)
-        self._report(screen(self.json), result, len(grid) + 1)
+        console = screen(self.json)
+        self._report(console, result, len(grid) + 1)
+        if picture is not None:
+            write_figure(draw_sweep(self.scene, result.columns, list(grid), self.columns), picture)
+            console.print(f"picture: {picture}")
         return 0
 
     def _report(self, console: "Screen", result: "SweepResult", keys: int) -> None:

@@ -2,21 +2,19 @@
 
 from typing import TYPE_CHECKING
 
-from rich.table import Table
+from haptether.cli.shared.table import Rows
 
 if TYPE_CHECKING:
     from haptether.studies import LinkSummary
 
 
-def link_table(of: "LinkSummary") -> Table:
+def link_table(of: "LinkSummary") -> Rows:
     """Rate, late cycles, round trip, jitter, loss, worst gap; and what was recorded."""
 
     def ms(*values: float | None) -> str:
         return " / ".join("-" if value is None else f"{value * 1e3:.3f}" for value in values)
 
-    table = Table(header_style="bold", pad_edge=False, show_header=False)
-    table.add_column()
-    table.add_column(overflow="fold")
+    table = Rows("", "")
     loss = "-" if of.loss is None else f"{of.lost} of {of.arrived + of.lost} ({of.loss:.2%})"
     rows = {
         "real time": of.realtime,
@@ -37,5 +35,5 @@ def link_table(of: "LinkSummary") -> Table:
         if of.recording_end is not None:
             rows["recording ended early"] = of.recording_end
     for name, value in rows.items():
-        table.add_row(name, value)
+        table.add(name, value)
     return table

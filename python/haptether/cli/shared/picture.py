@@ -1,0 +1,64 @@
+"""What a command that draws is asked about its pictures, and where they go."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from haptether.cli.shared.output import check_target, make_folder, require_matplotlib
+
+if TYPE_CHECKING:
+    from haptether.view.style.figure import PictureFormat
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureOptions:
+    """Options of a command that draws."""
+
+    format: Literal["png", "pdf", "svg"] | None = None
+    """Of pictures; by default what their path ends in, or png."""
+    columns: Literal[1, 2] = 2
+    """How wide pictures are, in columns of a page: 3.5 or 7.16 inches."""
+
+
+def picture_file(path: Path, form: "PictureFormat | None") -> Path:
+    """Where a picture goes, refused early: its path ends in what it is, or gets that ending.
+
+    Raises:
+        ValueError: An ending that is no picture's, or another than `form`; a symbolic link.
+        OSError: It cannot be written.
+        ImportError: matplotlib is not there.
+    """
+    from haptether.view.style.figure import FORMATS
+
+    require_matplotlib()
+    ending = path.suffix[1:].lower()
+    if ending not in FORMATS:
+        if form is None or path.suffix:
+            message = f"{path}: must end in {', '.join(f'.{name}' for name in FORMATS)}"
+            raise ValueError(message)
+        path = path.with_suffix(f".{form}")
+    elif form is not None and ending != form:
+        message = f"{path}, format = {form}: the two differ: give one of them, or both alike"
+        raise ValueError(message)
+    check_target(path)
+    return path
+
+
+def picture_in(place: Path, name: str, form: "PictureFormat | None") -> Path:
+    """Where the one picture of a command goes: into a folder, under a name, or to a path that ends in what it is.
+
+    Raises:
+        ValueError: An ending that is no picture's, or other than `form`; a symbolic link.
+        OSError: It cannot be written, or the folder not be made.
+        ImportError: matplotlib is not there.
+    """
+    from haptether.view.style.figure import FORMATS
+
+    if place.suffix[1:].lower() in FORMATS and not place.is_dir():
+        return picture_file(place, form)
+    if place.suffix and not place.exists():
+        message = f"{place}: must be a folder, or end in {', '.join(f'.{name}' for name in FORMATS)}"
+        raise ValueError(message)
+    require_matplotlib()
+    make_folder(place)
+    return picture_file(place / f"{name}.{form or 'png'}", form)

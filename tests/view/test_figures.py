@@ -1,0 +1,358 @@
+"""Figures: what is drawn is seen, whatever a run is like; colours, sizes and fonts are the style's."""
+
+import re
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from tests.view.figures import check, event_names
+
+import haptether
+from haptether.bridge import Event, Metrics, Run, Signals
+from haptether.studies import DemoScene, draw_paper, reproduce_paper
+from haptether.studies.demo import draw_demo
+from haptether.studies.remote_push import PushResult
+from haptether.view.figures.intervals import mean_and_half, student_quantile
+from haptether.view.figures.link import draw_link
+from haptether.view.figures.run import draw_run
+from haptether.view.figures.sweep import draw_sweep
+from haptether.view.style.colours import CONTROLLERS, PAPER, SIGNALS, UNION, controller_look, controller_title
+from haptether.view.style.figure import WIDTHS_IN, Columns, new_figure, styled, write_figure
+from haptether.view.style.series import envelope
+
+pytestmark = pytest.mark.slow
+
+LONG = "master: the peer has been silent for 20 ms, for a reason that takes a whole line to say; $\\frac{1}{0}$"
+
+
+def run_of(ticks: int, *, axes: int | None = None, events: tuple[Event, ...] = (), flat: bool = False) -> Run:
+    shape = (ticks,) if axes is None else (ticks, axes)
+    noise = np.random.default_rng(1).normal(size=shape)
+    tripped = np.zeros(ticks, np.uint8)
+    for event in events:
+        tripped[min(ticks - 1, int(event.time_s * 1e3))] |= 4
+    signals: dict[str, npt.NDArray[Any]] = {
+        "time_s": np.arange(ticks) * 1e-3,
+        "position": np.full(shape, 0.5) if flat else np.cumsum(noise, axis=0) * 1e-5,
+        "velocity": np.zeros(shape) if flat else noise,
+        "device_force": np.zeros(shape) if flat else noise,
+        "rendered_force": np.zeros(shape) if flat else 2.0 * noise,
+        "state": np.full(ticks, 2, np.uint8),
+        "tripped": tripped,
+    }
+    return Run(scene="a run", seed=2**64 - 1, version="0", signals=Signals(signals), events=events, metrics=Metrics())
+
+
+CLOSE = tuple(Event(0.5 + 0.004 * n, ("trip", "hold", "contact")[n % 3], ("wsc", LONG, "")[n % 3]) for n in range(40))
+AT_THE_END = tuple(Event(1.99 + 0.001 * n, "hold", LONG) for n in range(5))
+AWKWARD = {
+    "many trips close together": run_of(2000, events=CLOSE),
+    "at the end": run_of(2000, events=AT_THE_END),
+    "three axes": run_of(2000, axes=3, events=CLOSE[:4]),
+    "seven joints": run_of(2000, axes=7),
+    "one tick": run_of(1),
+    "one tick, an event": run_of(1, events=(Event(0.0, "trip", "wsc"),)),
+    "nothing happens": run_of(2000, flat=True),
+    "long": run_of(60_000, axes=3),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "columns"), [*((name, 1) for name in AWKWARD), ("many trips close together", 2), ("at the end", 2)]
+)
+def test_no_label_of_a_run_falls_off_or_overlaps(name: str, columns: Columns) -> None:
+    check(draw_run(AWKWARD[name], columns))
+
+
+@pytest.mark.parametrize(
+    ("scene", "columns"), [("remote_push", 1), ("remote_push", 2), ("ur_peg", 1), ("felt_trigger", 2), ("gripper", 1)]
+)
+def test_no_label_of_a_scene_falls_off_or_overlaps(scene: str, columns: Columns) -> None:
+    check(haptether.simulate(scene).plot(columns=columns))
+
+
+def test_events_are_named_or_counted() -> None:
+    figure = draw_run(AWKWARD["many trips close together"])
+    named = event_names(figure)
+    left_out = re.search(r"\((\d+) more events", figure.axes[-1].get_xlabel())
+    assert left_out is not None
+    assert len(named) + int(left_out[1]) == len(CLOSE)
+    assert len(event_names(draw_run(AWKWARD["at the end"]))) == len(AT_THE_END)
+
+
+def test_three_axes_are_a_norm_and_components() -> None:
+    run = AWKWARD["three axes"]
+    labels = {panel.get_ylabel().replace("\n", " "): panel for panel in draw_run(run).axes}
+    assert list(labels)[:4] == ["|x - x(0)| [m]", "position [m]", "|velocity| [m/s]", "velocity [m/s]"]
+    norm = labels["|velocity| [m/s]"].get_lines()[0].get_ydata()
+    assert np.asarray(norm) == pytest.approx(np.linalg.norm(run.signals.velocity, axis=1))
+    assert len([line for line in labels["velocity [m/s]"].get_lines() if str(line.get_label()) in "xyz"]) == 3
+
+
+def test_a_spike_of_one_tick_survives_a_long_run() -> None:
+    values = np.zeros(1_000_000)
+    values[123_457], values[800_001] = 5.0, -7.0
+    time_s, drawn = envelope(np.arange(1_000_000.0) * 1e-3, values)
+    assert len(drawn) < 10_000
+    assert (drawn.max(), drawn.min()) == (5.0, -7.0)
+    assert time_s[np.argmax(drawn)] == pytest.approx(123.457)
+    assert np.all(np.diff(time_s) > 0.0)
+
+
+# --------------------------------------------------------------------------------------------------- sweeps, links
+
+
+def sweep_of(**varied: npt.NDArray[np.float64]) -> dict[str, npt.NDArray[Any]]:
+    grids = [grid.ravel() for grid in np.meshgrid(*varied.values(), indexing="ij")]
+    columns: dict[str, npt.NDArray[Any]] = dict(zip(varied, grids, strict=True))
+    noise = np.random.default_rng(2).normal(size=len(grids[0]))
+    speed = grids[0] + 0.1 * noise
+    speed[0] = np.nan
+    return columns | {"max_ejection_velocity": speed, "peak_device_force": 1e-4 + 0.0 * speed,
+                      "false_trips": np.zeros(len(speed)), "diverged": np.zeros(len(speed), bool)}  # fmt: skip
+
+
+TEN = np.linspace(0.01, 0.1, 10)
+
+
+@pytest.mark.parametrize("varied", [{"a": TEN}, {"a": TEN[:1]}, {"a": TEN, "run.seed": np.arange(5.0)},
+                                    {"link.forward.delay_s": TEN, "safety.window": np.array([50.0, 100.0, 1e3])},
+                                    {"a": TEN[:1], "b": TEN[:1]}, {"a": TEN, "b": TEN, "run.seed": np.arange(3.0)},
+                                    {"run.seed": np.arange(4.0)}])  # fmt: skip
+def test_no_label_of_a_sweep_falls_off_or_overlaps(varied: dict[str, Any]) -> None:
+    for columns in (1, 2) if len(varied) == 2 else (2,):
+        check(draw_sweep("remote_push", sweep_of(**varied), list(varied), columns))
+
+
+def test_a_sweep_over_seeds_has_the_mean_and_its_confidence() -> None:
+    varied = {"delay": TEN, "run.seed": np.arange(5.0)}
+    columns = sweep_of(**varied)
+    figure = draw_sweep("s", columns, list(varied))
+    panel = figure.axes[0]
+    line = next(line for line in panel.get_lines() if line.get_label() == "mean")
+    of_last = columns["max_ejection_velocity"][columns["delay"] == TEN[-1]]
+    assert np.asarray(line.get_ydata())[-1] == pytest.approx(of_last.mean())
+    (band,) = panel.collections
+    high = band.get_paths()[0].get_extents().y1
+    half = 2.7764 * of_last.std(ddof=1) / np.sqrt(5)
+    assert high >= of_last.mean() + 0.999 * half
+    assert "some not measured" in [line.get_label() for line in panel.get_lines()]
+
+
+def test_more_than_two_axes_are_refused() -> None:
+    varied = {"a": TEN[:2], "b": TEN[:2], "c": TEN[:2]}
+    with pytest.raises(ValueError, match=r"a, b, c vary: a picture has at most 2 beside run\.seed"):
+        draw_sweep("s", sweep_of(**varied), list(varied))
+    nothing = {"a": TEN, "max_ejection_velocity": np.full(10, np.nan)}
+    with pytest.raises(ValueError, match="no metric was measured"):
+        draw_sweep("s", nothing, ["a"])
+
+
+def test_the_confidence_is_students() -> None:
+    for degrees, quantile in ((1, 12.7062), (2, 4.30265), (3, 3.18245), (4, 2.77645), (10, 2.22814), (1000, 1.96234)):
+        assert student_quantile(degrees) == pytest.approx(quantile, rel=1e-3)
+    assert mean_and_half(np.array([1.0, np.nan, 3.0])) == pytest.approx((2.0, 12.7062), rel=1e-4)
+    with pytest.raises(ValueError, match="must be 1 or more"):
+        student_quantile(0)
+
+
+@pytest.mark.parametrize("columns", [1, 2])
+@pytest.mark.parametrize(("packets", "lost", "every_s"), [(10_000, 0.1, 3.7), (10_000, 0.0, 0.01), (1, 0.0, None),
+                                                         (1, 1.0, None), (50, 1.0, 0.02)])  # fmt: skip
+def test_no_label_of_a_link_falls_off_or_overlaps(
+    packets: int, lost: float, every_s: float | None, columns: Columns
+) -> None:
+    random = np.random.default_rng(3)
+    sent = np.arange(packets, dtype=np.int64) * 1_000_000
+    arrived = sent + (40e6 + 5e6 * random.normal(size=packets)).astype(np.int64)
+    arrived[random.random(packets) < lost] = -1
+    figure = draw_link("what is sent", sent, arrived, every_s, columns)
+    check(figure)
+    over_time = figure.axes[0]
+    dots = [line for line in over_time.get_lines() if line.get_label() == "arrived"]
+    assert len(np.asarray(dots[0].get_xdata())) == np.count_nonzero(arrived >= 0)
+    looped = every_s is not None and sent[-1] * 1e-9 >= every_s
+    assert ("begins anew" in figure.get_suptitle()) == looped
+
+
+# --------------------------------------------------------------------------------------------------- the studies
+
+
+@pytest.fixture(scope="module")
+def paper(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[int, Figure]]:
+    """Each figure of the paper, in both widths, by the name of its file."""
+    kept: dict[str, dict[int, Figure]] = {}
+    report = reproduce_paper()
+    widths: tuple[Columns, ...] = (1, 2)
+    for columns in widths:
+
+        def keep(figure: Figure, path: Path, columns: Columns = columns) -> None:
+            kept.setdefault(path.stem, {})[columns] = figure
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("haptether.studies.paper_figures.write_figure", keep)
+            draw_paper(report, tmp_path_factory.mktemp("paper"), "pdf", columns)
+    return kept
+
+
+def test_no_label_of_the_paper_falls_off_or_overlaps(paper: dict[str, dict[int, Figure]]) -> None:
+    assert len(paper) == 6
+    for figures in paper.values():
+        for figure in figures.values():
+            check(figure)
+
+
+def test_ours_is_beside_what_the_paper_says(paper: dict[str, dict[int, Figure]]) -> None:
+    for name, figures in paper.items():
+        drawn = [line for panel in figures[2].axes for line in panel.get_lines() if line.get_color() == PAPER]
+        assert drawn, name
+    (row,) = [line for line in paper["table1_window"][2].axes[0].get_lines() if line.get_label() == "paper"]
+    assert np.asarray(row.get_ydata())[:3] == pytest.approx([0.438, 0.357, 0.348])
+
+
+@pytest.fixture
+def demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Figure:
+    kept: dict[Path, Figure] = {}
+    monkeypatch.setattr("haptether.studies.demo.write_figure", lambda figure, path: kept.update({path: figure}))
+    results = []
+    time_s = np.arange(4000) * 1e-3
+    for controller in ("none", "vfc", "hsc", "wsc"):
+        np.savez(tmp_path / f"{controller}.npz", time_s=time_s, velocity=np.sin(time_s), device_force=time_s,
+                 position=time_s)  # fmt: skip
+        results.append(PushResult(
+            controller=controller, security="secure", engaged_s=0.1, release_s=2.6, peak_hand_speed=1.0,
+            peak_force_n=1.0, time_to_trip_s=None, trips_before_release=0, intervention_s=0.0, sent=1, lost=0, late=0,
+            refused=0, round_trip_s=0.1, overshoot_p50_s=0.0, overshoot_p99_s=0.0, ticks=1, skipped_ticks=0, holds=0,
+            dropped_records=0, unsent=0, force_at_release_n=1.0, final_state="engaged", fault=None,
+        ))  # fmt: skip
+    for columns in (1, 2):
+        draw_demo(DemoScene(), results, tmp_path / f"{columns}.png", columns)
+        check(kept[tmp_path / f"{columns}.png"])
+    return kept[tmp_path / "2.png"]
+
+
+def test_a_controller_has_one_colour_in_all_figures(paper: dict[str, dict[int, Figure]], demo: Figure) -> None:
+    titles = {"no controller": "none", "VFC": "vfc", "HSC": "hsc", "WSC": "wsc", "VFC, as printed": "vfc",
+              "WSO, w = 100": "wsc", "HGO": "hsc"}  # fmt: skip
+    seen: dict[str, set[str]] = {}
+    for figure in (demo, *(of[2] for of in paper.values())):
+        for panel in figure.axes:
+            for line in panel.get_lines():
+                if (label := str(line.get_label())) in titles:
+                    seen.setdefault(titles[label], set()).add(to_hex(line.get_color()))
+    assert seen == {name: {CONTROLLERS[name][0]} for name in ("none", "vfc", "hsc", "wsc")}
+    tripped = draw_run(AWKWARD["many trips close together"]).axes[-1]
+    assert {to_hex(np.asarray(bar.get_facecolor())[0].tolist()) for bar in tripped.collections} == {
+        CONTROLLERS["wsc"][0]
+    }
+
+
+# --------------------------------------------------------------------------------------------------- the style
+
+
+def luminance_and_tone(colour: str, *, blind: bool) -> npt.NDArray[np.float64]:
+    """A colour as it is seen, with red and green told apart or not (Vienot, Brettel, Mollon 1999)."""
+    rgb = np.array([int(colour[at : at + 2], 16) / 255.0 for at in (1, 3, 5)]) ** 2.2
+    seen = (
+        np.array([[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]]) @ rgb if blind else rgb
+    )
+    return np.clip(seen, 0.0, 1.0) ** (1.0 / 2.2)
+
+
+@pytest.mark.parametrize("blind", [False, True])
+def test_controllers_can_be_told_apart(blind: bool) -> None:
+    colours = [*(colour for colour, _ in CONTROLLERS.values()), UNION, PAPER]
+    for number, one in enumerate(colours):
+        for other in colours[:number]:
+            distance = np.linalg.norm(luminance_and_tone(one, blind=blind) - luminance_and_tone(other, blind=blind))
+            assert distance > 0.12, (one, other)
+    assert len({str(dashes) for _, dashes in CONTROLLERS.values()}) == 4
+
+
+def test_unions_are_told_by_their_dashes() -> None:
+    assert controller_look("wsc+hsc") == controller_look(["hsc", "wsc"])
+    assert controller_look("hsc+wsc")["color"] == UNION
+    assert controller_look("hsc+wsc")["linestyle"] != controller_look("vfc+wsc")["linestyle"]
+    assert controller_look([]) == controller_look("none")
+    assert controller_title("hsc+wsc") == "HSC + WSC"
+    assert controller_title([]) == "no controller"
+    with pytest.raises(ValueError, match="xyz"):
+        controller_look("xyz")
+
+
+@pytest.mark.parametrize("columns", [1, 2])
+def test_sizes_are_those_that_were_asked_for(tmp_path: Path, columns: Columns) -> None:
+    run = AWKWARD["one tick"]
+    figure = run.plot(tmp_path / "run.png", columns=columns)
+    head = (tmp_path / "run.png").read_bytes()[16:24]
+    assert int.from_bytes(head[:4], "big") == pytest.approx(WIDTHS_IN[columns] * 200, abs=1)
+    assert int.from_bytes(head[4:], "big") == pytest.approx(figure.get_figheight() * 200, abs=1)
+    run.plot(tmp_path / "run.pdf", columns=columns)
+    media = re.search(rb"/MediaBox \[ ?0 0 ([\d.]+) ([\d.]+) ?\]", (tmp_path / "run.pdf").read_bytes())
+    assert media is not None
+    assert float(media[1]) == pytest.approx(WIDTHS_IN[columns] * 72.0, abs=0.1)
+    run.plot(tmp_path / "run.svg", columns=columns)
+    width = re.search(r'<svg[^>]* width="([\d.]+)pt"', (tmp_path / "run.svg").read_text())
+    assert width is not None
+    assert float(width[1]) == pytest.approx(WIDTHS_IN[columns] * 72.0, abs=0.1)
+
+
+def test_fonts_are_embedded_whatever_the_user_has_set(tmp_path: Path) -> None:
+    import matplotlib as mpl
+
+    with mpl.rc_context({"pdf.fonttype": 3, "svg.fonttype": "none", "font.size": 40.0, "savefig.dpi": 10.0}):
+        for ending in ("pdf", "svg", "png"):
+            AWKWARD["one tick"].plot(tmp_path / f"run.{ending}")
+    text = (tmp_path / "run.pdf").read_bytes()
+    for stream in re.findall(rb"stream\r?\n(.*?)endstream", text, re.DOTALL):
+        try:
+            text += zlib.decompress(stream)
+        except zlib.error:
+            continue
+    assert b"/FontFile2" in text
+    assert b"/Subtype /Type3" not in text
+    svg = (tmp_path / "run.svg").read_text()
+    assert "<text" not in svg
+    assert int.from_bytes((tmp_path / "run.png").read_bytes()[16:20], "big") > 1400
+
+
+def test_the_same_figure_is_the_same_bytes(tmp_path: Path) -> None:
+    for ending in ("pdf", "svg"):
+        for number in range(2):
+            AWKWARD["one tick"].plot(tmp_path / f"{number}.{ending}")
+        assert (tmp_path / f"0.{ending}").read_bytes() == (tmp_path / f"1.{ending}").read_bytes()
+
+
+def test_what_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
+    run = AWKWARD["one tick"]
+    with pytest.raises(ValueError, match=r"run\.gif: must end in \.png, \.pdf, \.svg"):
+        run.plot(tmp_path / "run.gif")
+    with pytest.raises(ValueError, match="columns = 3: must be 1 or 2"):
+        run.plot(columns=3)  # type: ignore[arg-type]
+    bare = Run(scene="bare", seed=0, version="0", signals=Signals({}), events=(), metrics=Metrics())
+    with pytest.raises(ValueError, match="bare: no signals to draw"):
+        bare.plot()
+    link = tmp_path / "link.png"
+    link.symlink_to(tmp_path / "elsewhere.png")
+    with pytest.raises(ValueError, match="symbolic link"):
+        run.plot(link)
+    assert not (tmp_path / "elsewhere.png").exists()
+
+
+def test_a_picture_is_its_owners_alone(tmp_path: Path) -> None:
+    with styled():
+        figure = new_figure(1, 1.0, "a title")
+    write_figure(figure, tmp_path / "x.png")
+    assert (tmp_path / "x.png").stat().st_mode & 0o777 == 0o600
+
+
+def test_signals_have_the_colours_of_the_3d_view() -> None:
+    from haptether.view.scene3d import colours
+
+    assert SIGNALS["hand"] == colours.DEVICE_FORCE
+    assert SIGNALS["commanded"] == colours.COMMANDED

@@ -1,0 +1,42 @@
+"""What is written of events that chatter: one line for the same two over and over."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+REPEATED = {"trip", "recover"}, {"contact", "free"}
+"""Events that chatter: the same two over and over."""
+
+
+class RunEvent(Protocol):
+    """Something that happened once in a run."""
+
+    @property
+    def time_s(self) -> float:
+        """When, in s since the start."""
+
+    @property
+    def kind(self) -> str:
+        """What."""
+
+    @property
+    def detail(self) -> str:
+        """Which, or why."""
+
+
+def merged_events(events: Sequence[RunEvent]) -> list[tuple[float, str]]:
+    """Events with a time in s each: what chatters is one line, with how often and until when."""
+    merged: list[tuple[float, str]] = []
+    waiting = list(events)
+    while waiting:
+        first = waiting[0]
+        pair = next((pair for pair in REPEATED if first.kind in pair), set())
+        same = waiting[: next((n for n, event in enumerate(waiting) if event.kind not in pair), len(waiting))]
+        times = sum(event.kind == first.kind for event in same)
+        text = f"{first.kind}  {first.detail}".rstrip()
+        if times > 2:
+            merged.append((first.time_s, f"{text}  {times} times, until {same[-1].time_s:.4f} s"))
+        else:
+            same = same[:1] or [first]
+            merged.append((first.time_s, text))
+        del waiting[: len(same)]
+    return merged

@@ -1,0 +1,151 @@
+"""The figure of a sweep: lines with their confidence over one varied number, maps over two."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from haptether.view.figures.intervals import mean_and_half
+from haptether.view.style.colours import SIGNALS
+from haptether.view.style.figure import Columns, figure_of, letter, new_figure, plain_ticks, styled
+from haptether.view.style.legend import legend_above
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = npt.NDArray[np.float64]
+
+SEED = "run.seed"
+METRICS = {
+    "max_ejection_velocity": "ejection velocity [m/s]",
+    "max_ejection_rate": "ejection rate [rad/s]",
+    "peak_device_force": "largest force [N]",
+    "peak_device_torque": "largest torque [N m]",
+    "time_to_trip_s": "time to trip [s]",
+    "intervention_s": "under intervention [s]",
+    "false_trips": "false trips",
+    "position_rmse_m": "position error [m]",
+    "force_rmse_n": "force error [N]",
+    "orientation_rmse_rad": "orientation error [rad]",
+    "torque_rmse_n_m": "torque error [N m]",
+    "passivity_min_j": "least energy [J]",
+}
+"""What is drawn of a sweep, if it was measured: its columns, and what they are called."""
+MOST = 6
+"""Panels of a figure."""
+MOST_AXES = 2
+
+
+def draw_sweep(
+    scene: str, columns: Mapping[str, npt.NDArray[Any]], varied: Sequence[str], width: Columns = 2
+) -> "Figure":
+    """Draws each metric over one varied number as a line, over two as a map.
+
+    Where `run.seed` varies, too, a line is the mean of the seeds with its 95 % confidence band, and a map the mean.
+
+    Args:
+        scene: Its name.
+        columns: One value a row: of what varied, of the metrics.
+        varied: What varied.
+        width: In columns of a page.
+
+    Raises:
+        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
+        ValueError: More than two varied beside the seed, or nothing was measured.
+    """
+    over = check_varied(varied)
+    metrics = [name for name in METRICS if name in columns and np.isfinite(columns[name].astype(float)).any()][:MOST]
+    if not metrics:
+        message = f"{scene}: nothing to draw: no metric was measured in any row"
+        raise ValueError(message)
+    across = 1 if width == 1 else min(2 if len(over) == 1 else 3, len(metrics))
+    down = -(-len(metrics) // across)
+    seeds = len(np.unique(columns[SEED])) if SEED in varied and over != [SEED] else 1
+    rows = len(next(iter(columns.values())))
+    title = f"{Path(scene).stem or scene}, {rows} run{'s' if rows != 1 else ''}"
+    if seeds > 1:
+        title += f": mean of {seeds} seeds" + (", 95 % confidence" if len(over) == 1 else "")
+    with styled():
+        figure = new_figure(width, (1.75 if len(over) == 1 else 2.1) * down + 0.5, title)
+        panels = figure.subplots(down, across, squeeze=False).ravel().tolist()
+        for panel in panels[len(metrics) :]:
+            panel.remove()
+        for panel, metric in zip(panels, metrics, strict=False):
+            values = columns[metric].astype(float)
+            if len(over) == 1:
+                room_in = figure.get_figwidth() / across - 0.9
+                _draw_line(panel, over[0], columns[over[0]], values, METRICS[metric], width_in=room_in)
+            else:
+                _draw_map(panel, over, [columns[name] for name in over], values, METRICS[metric])
+        letter(panels[: len(metrics)])
+    return figure
+
+
+def check_varied(varied: Sequence[str]) -> list[str]:
+    """What a picture has on its axes: what varied, without the seed beside others.
+
+    Raises:
+        ValueError: More than two.
+    """
+    over = [name for name in varied if name != SEED] or list(varied)
+    if len(over) > MOST_AXES:
+        message = f"{', '.join(over)} vary: a picture has at most {MOST_AXES} beside run.seed; use --out for all"
+        raise ValueError(message)
+    return over
+
+
+def _draw_line(panel: "Axes", name: str, at: Array, values: Array, label: str, *, width_in: float) -> None:
+    places = np.unique(at)
+    of_places = [mean_and_half(values[at == place]) for place in places]
+    means, halves = np.array([mean for mean, _ in of_places]), np.array([half for _, half in of_places])
+    colour = SIGNALS["hand"]
+    runs = max(int(np.count_nonzero(at == place)) for place in places)
+    panel.plot(places, means, "o-" if len(places) <= 40 else "-", color=colour, ms=3.0,
+               label="mean" if runs > 1 else None)  # fmt: skip
+    if np.isfinite(halves).any():
+        panel.fill_between(places, means - halves, means + halves, color=colour, alpha=0.2, lw=0.0, label="95 %")
+    lacking = places[[not np.isfinite(values[at == place]).all() for place in places]]
+    if len(lacking):
+        panel.plot(lacking, np.zeros(len(lacking)), "x", color="#d62839", ms=4.0, clip_on=False, zorder=5.0,
+                   transform=panel.get_xaxis_transform(), label="some not measured")  # fmt: skip
+    panel.set_xlabel(name)
+    panel.set_ylabel(label)
+    panel.margins(y=0.08)
+    # What does not vary is a flat line, not the noise of its last digits.
+    low, high = panel.get_ylim()
+    least = 2e-3 * max(abs(low), abs(high))
+    if high - low < least:
+        panel.set_ylim(0.5 * (low + high - least), 0.5 * (low + high + least))
+    plain_ticks(panel, 5)
+    legend_above(panel, width_in=width_in)
+
+
+def _draw_map(panel: "Axes", names: list[str], at: list[Array], values: Array, label: str) -> None:
+    of_x, of_y = np.unique(at[0]), np.unique(at[1])
+    means = np.array([[mean_and_half(values[(at[0] == x) & (at[1] == y)])[0] for x in of_x] for y in of_y])
+    panel.set_facecolor("#e3e6ea")
+    drawn = panel.pcolormesh(
+        np.arange(len(of_x) + 1), np.arange(len(of_y) + 1), np.ma.masked_invalid(means), cmap="cividis", shading="flat",
+        rasterized=means.size > 2500,
+    )  # fmt: skip
+    for row, column in zip(*np.nonzero(~np.isfinite(means)), strict=True):
+        if means.size <= 400:
+            panel.plot(column + 0.5, row + 0.5, "x", color="#7a828c", ms=3.0)
+    _name_cells(panel, of_x, of_y)
+    panel.grid(visible=False)
+    panel.set_xlabel(names[0])
+    panel.set_ylabel(names[1])
+    bar = figure_of(panel).colorbar(drawn, ax=panel)
+    bar.set_label(label)
+    bar.outline.set_linewidth(0.6)
+
+
+def _name_cells(panel: "Axes", of_x: Array, of_y: Array) -> None:
+    """The values themselves below the middle of their cells, whatever their spacing; of many, some."""
+    few = np.unique(np.linspace(0, len(of_x) - 1, min(len(of_x), 3)).astype(int))
+    panel.set_xticks(few + 0.5, [f"{of_x[place]:.3g}" for place in few])
+    few = np.unique(np.linspace(0, len(of_y) - 1, min(len(of_y), 6)).astype(int))
+    panel.set_yticks(few + 0.5, [f"{of_y[place]:.3g}" for place in few])

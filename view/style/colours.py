@@ -1,0 +1,61 @@
+"""One colour for each controller and for the paper, the same in every figure; told apart by the colour-blind, too.
+
+Source: M. Okabe, K. Ito, "Color Universal Design", 2008. Lines differ in their dashes as well.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+from haptether.view.scene3d.colours import COMMANDED, DEVICE_FORCE, ENVIRONMENT_FORCE, HAND_FORCE
+
+CONTROLLERS = {
+    "none": ("#d55e00", "-"),
+    "vfc": ("#e69f00", "-."),
+    "hsc": ("#0072b2", "--"),
+    "wsc": ("#009e73", "-"),
+    "pc": ("#cc79a7", (0, (5, 1, 1, 1, 1, 1))),
+}
+"""Colour and dashes of each controller, and of a run without one."""
+UNION = "#56b4e9"
+"""Of several controllers at once; which ones is told by their dashes."""
+UNION_DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 3)))
+PAPER = "#000000"
+"""Of what was read off the paper."""
+THRESHOLD = "#7f7f7f"
+"""Of what an observer is held against, and of what theory says."""
+HELD = "#999999"
+"""Of an intervention that is held on."""
+
+SIGNALS = {
+    "hand": DEVICE_FORCE,
+    "arm": ENVIRONMENT_FORCE,
+    "commanded": COMMANDED,
+    "rendered": "#7a8794",
+    "of the hand": HAND_FORCE,
+}
+"""Of what moves and what pushes, as `haptether view` has them."""
+AXES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+"""Of x, y, z, and of joints."""
+
+
+def controller_look(controllers: str | Iterable[str]) -> dict[str, Any]:
+    """`color` and `linestyle` of a line that shows a run with these controllers; none is a run without one.
+
+    Raises:
+        KeyError: A name of no controller.
+    """
+    names = controllers.split("+") if isinstance(controllers, str) else list(controllers)
+    names = sorted({name for name in names if name != "none"}, key=list(CONTROLLERS).index) or ["none"]
+    if len(names) == 1:
+        colour, dashes = CONTROLLERS[names[0]]
+        return {"color": colour, "linestyle": dashes}
+    order = list(CONTROLLERS)
+    mask = sum(1 << (order.index(name) - 1) for name in names)
+    unions = [number for number in range(1 << (len(order) - 1)) if number.bit_count() > 1]
+    return {"color": UNION, "linestyle": UNION_DASHES[unions.index(mask) % len(UNION_DASHES)]}
+
+
+def controller_title(controllers: str | Iterable[str]) -> str:
+    """What a legend calls a run with these controllers."""
+    names = controllers.split("+") if isinstance(controllers, str) else list(controllers)
+    return " + ".join(name.upper() for name in names if name != "none") or "no controller"

@@ -1,0 +1,53 @@
+"""Legends above their panel, or below all, where no curve is."""
+
+from typing import TYPE_CHECKING, Any
+
+from haptether.view.style.figure import SMALL_PT, figure_of, text_width
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+HANDLE_EM, GAP_EM, PAD_EM = 1.8, 1.0, 0.5
+"""Of a legend: a line, the room between two entries, and between a line and its name, in sizes of its letters."""
+
+
+def legend_above(panel: "Axes", handles: "Sequence[Any] | None" = None, width_in: float | None = None) -> int:
+    """Puts a legend above a panel, at its left; returns how many lines it has.
+
+    Args:
+        panel: With labelled lines.
+        handles: What it lists; by default what is labelled.
+        width_in: Of the panel in inches; by default that of the figure, less the room of one row of labels.
+    """
+    listed = list(panel.get_legend_handles_labels()[0]) if handles is None else list(handles)
+    if not listed:
+        return 0
+    figure = figure_of(panel)
+    room = (figure.get_figwidth() - 1.0 if width_in is None else width_in) * figure.dpi
+    em = SMALL_PT / 72.0 * figure.dpi
+    widths = [text_width(figure, str(handle.get_label())) + (HANDLE_EM + PAD_EM + GAP_EM) * em for handle in listed]
+    columns = len(listed)
+    while columns > 1 and sum(max(widths[column::columns]) for column in range(columns)) > room:
+        columns -= 1
+    rows = -(-len(listed) // columns)
+    # matplotlib fills column by column; people read row by row.
+    order = [row * columns + column for column in range(columns) for row in range(rows)]
+    listed = [listed[place] for place in order if place < len(listed)]
+    panel.legend(handles=listed, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, facecolor="white",
+                 edgecolor="none", framealpha=1.0,
+                 borderaxespad=0.15, borderpad=0.1, handlelength=HANDLE_EM, columnspacing=GAP_EM, handletextpad=PAD_EM,
+                 labelspacing=0.2)  # fmt: skip
+    return rows
+
+
+def legend_below(figure: "Figure", handles: "Sequence[Any]") -> None:
+    """Puts one legend of several panels below them all."""
+    widths = [text_width(figure, str(handle.get_label())) for handle in handles]
+    em = SMALL_PT / 72.0 * figure.dpi
+    room = max(widths, default=0.0) + (HANDLE_EM + PAD_EM + GAP_EM) * em
+    columns = max(1, min(len(handles), int(0.98 * figure.bbox.width / room)))
+    figure.legend(handles=list(handles), loc="outside lower center", ncols=columns, frameon=False,
+                  handlelength=HANDLE_EM, columnspacing=GAP_EM, handletextpad=PAD_EM)  # fmt: skip
