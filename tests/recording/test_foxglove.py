@@ -1,6 +1,7 @@
 """`haptether export --foxglove`: the schemas that Foxglove publishes, and our own messages as they were."""
 
 import json
+import shutil
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ ARROW = {"pose", "shaft_length", "shaft_diameter", "head_length", "head_diameter
 def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("peg")
     paths = folder / "master.mcap", folder / "slave.mcap"
-    simulate("peg_in_hole", overrides=["run.duration_s=1.2"], record=paths)
+    simulate("peg_in_hole", overrides=["run.duration_s=2.4"], record=paths)
     return paths
 
 
@@ -146,8 +147,11 @@ def test_what_has_no_place_is_refused(
     target = tmp_path / "out.mcap"
     for arguments, text in [
         ([joints, "--foxglove", target], "angles have no place in three dimensions"),
-        ([files[0], files[0], "--foxglove", target], "both are of the master, must be one of each side"),
-        ([files[0], "--foxglove", files[0]], "file, foxglove"),
+        (
+            [files[0], shutil.copy(files[0], tmp_path / "copy.mcap"), "--foxglove", target],
+            "both are of the master, must be one of each side",
+        ),
+        ([files[0], "--foxglove", files[0]], "--file, --foxglove: both name"),
     ]:
         assert main(["export", *map(str, arguments)]) == 2
         error = capfd.readouterr().err
