@@ -61,15 +61,16 @@ def test_what_cannot_be_played_back_is_refused(
     apart = tmp_path / "apart.mcap"
     simulate("remote_push", overrides=["run.duration_s=0.05"], record=(tmp_path / "m.mcap", apart))
     bare = write_recording(tmp_path / "bare.mcap", "slave", [{}], scene=None)
-    for arguments, text in [
+    refused: list[tuple[list[Any], str]] = [
         ([apart], "the two sides never engaged, so that there is no force to play back"),
         ([bare], "does not say with which scene it was run"),
         ([files[1], "--key", "k"], "--key: without --listen there is no live side: leave it out"),
         ([files[1], "--listen", "127.0.0.1:0", "--insecure", "--plot", tmp_path], "with --listen nothing is drawn"),
         ([files[1], "--set", "safety.controlers=[]"], "did you mean controllers?"),
         ([files[1], "--listen", "127.0.0.1:0"], "--key PATH is missing"),
-    ]:
-        assert main(["playback", *map(str, arguments)]) == 2, arguments
+    ]
+    for arguments, text in refused:
+        assert main(["playback", *(str(part) for part in arguments)]) == 2, arguments
         error = capfd.readouterr().err
         assert text in error, error
 

@@ -214,7 +214,7 @@ def test_what_cannot_be_replayed_is_refused(push: Path, tmp_path: Path, capfd: p
     garbled = tmp_path / "garbled.mcap"
     garbled.write_bytes(bytes(range(256)) * 40)
     slave = push.with_name("slave.mcap")
-    for arguments, text in [
+    refused: list[tuple[list[Any], str]] = [
         ([slave], "slave.mcap: of the slave, must be of the master"),
         ([old], "old.mcap: has no received_force, requested_force, gain, missed, past, given_fault: it was written by"),
         ([nothing], "bare.mcap: does not say with which scene it was run"),
@@ -225,8 +225,9 @@ def test_what_cannot_be_replayed_is_refused(push: Path, tmp_path: Path, capfd: p
         ([push, "--set", "safety.controlers=[]"], "did you mean controllers?"),
         ([push, "--set", "safety.window=0"], "safety] window = 0"),
         ([push, "--plot", tmp_path / "one.gif"], "must end in .png, .pdf, .svg"),
-    ]:
-        assert main(["replay", *map(str, arguments)]) == 2, arguments
+    ]
+    for arguments, text in refused:
+        assert main(["replay", *(str(part) for part in arguments)]) == 2, arguments
         error = capfd.readouterr().err
         assert text in error, error
         assert len(error.splitlines()) == 1
