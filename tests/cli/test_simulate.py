@@ -38,8 +38,7 @@ def given(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     """The scenes that were run; a seed of 13 diverges."""
     scenes: list[dict[str, Any]] = []
 
-    def simulate_scene(scene: bytes, record: object = None) -> Played:
-        assert record is None
+    def simulate_scene(scene: bytes, _record: object = None) -> Played:
         scenes.append(json.loads(scene))
         return Played(diverged=scenes[-1]["run"]["seed"] == 13)
 
@@ -308,7 +307,7 @@ def test_the_examples_in_the_help_work(
     (tmp_path / "my" / "scene.toml").write_text('schema = 1\nmaster = { device = "touch" }\nrecord = {}\n')
     lines = [line for command in (Simulate, Sweep) for line in (inspect.getdoc(command) or "").splitlines()]
     examples = [shlex.split(line)[1:] for line in lines if line.startswith("haptether ")]
-    assert len(examples) == 6
+    assert len(examples) == 7
     for example in examples:
         assert main(example) == 0, example
-    assert len(given) == 5
+    assert len(given) == 6
