@@ -3,11 +3,10 @@
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
-from msgspec import json
 
 from haptether.bridge.recording.read import Recording, read_recording
 from haptether.bridge.recording.settings import tables_of
@@ -45,15 +44,13 @@ def playback_scene(file: str | os.PathLike[str] | Recording, *, overrides: Itera
         message = f"{name}: does not say with which scene it was run, so that there is no coupling to play it back by"
         raise ValueError(message)
     time_s, force = _force(recording, name)
-    raw = tables_of(recording.scene, ("run", "master", "operator", "safety", "coupling"))
-    spec = cast("dict[str, Any]", json.decode(recording.scene))
-    run = cast("dict[str, Raw]", raw["run"])
+    raw = tables_of(recording.scene, ("run", "master", "operator", "slave", "safety", "coupling"))
+    run, slave = cast("dict[str, Raw]", raw["run"]), cast("dict[str, Raw]", raw["slave"])
     run["duration_s"] = float(time_s[-1]) + SETTLE_S
     run["stop_early"] = False
     raw.setdefault("operator", dict(OPERATOR))
-    raw["slave"] = {"position": spec["slave"]["position"], "period_s": spec["slave"]["period_s"]}
-    if spec["slave"].get("tool") is not None:
-        raw["slave"]["tool"] = tables_of(recording.scene, ("slave",))["slave"]["tool"]  # type: ignore[index,call-overload]
+    # What was recorded has been through a sensor.
+    slave.pop("force_sensor", None)
     series = {"time_s": time_s.tolist(), "values": force.tolist()}
     raw["environment"] = {"pushers": [{"shape": "recorded", "recorded": series}]}
     raw["record"] = {"every": 1}

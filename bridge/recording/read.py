@@ -37,7 +37,7 @@ class Recording(msgspec.Struct, frozen=True, kw_only=True):
     scene: bytes
     """The scene as JSON, defaults and presets filled in; empty where the file has none."""
     begun_ns: int
-    """When the run began, in ns of the wall clock of that machine since 1970; 0 without a tick."""
+    """When the run began, in ns of the wall clock of that machine since 1970; 0 without a tick and in virtual time."""
     whole: bool
     """Whether the file has its end: it has none where the run was killed or the disk was full."""
     signals: dict[str, npt.NDArray[Any]]
@@ -85,7 +85,8 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
                         (cause_topics if topic.endswith("/cause") else topics).add(record.id)
                     case Message(channel_id=channel) if channel in topics:
                         messages.append(msgspec.json.decode(record.data))
-                        begun_ns = begun_ns or record.log_time - messages[0]["time_ns"]
+                        if len(messages) == 1:
+                            begun_ns = record.log_time - messages[0]["time_ns"]
                     case Message(channel_id=channel) if channel in cause_topics:
                         causes.append(msgspec.json.decode(record.data, type=RecordedCause))
                     case Footer():

@@ -300,7 +300,8 @@ def scenes_run(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
     """The scenes that were given to the extension."""
     given: list[bytes] = []
 
-    def simulate_scene(scene: bytes) -> FakeRun:
+    def simulate_scene(scene: bytes, record: object = None) -> FakeRun:
+        assert record is None
         given.append(scene)
         return FakeRun(10)
 

@@ -31,7 +31,7 @@ class LiveOptions:
     cpu: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Processor that the loop stays on; without it the kernel chooses."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="PATH.mcap")] = None
-    """Record every tick as MCAP, about 2 GB an hour; what a slow or full disk does not take is dropped and counted."""
+    """Record every tick as MCAP, about 3 GB an hour; what a slow or full disk does not take is dropped and counted."""
     min_free_bytes: Annotated[int, tyro.conf.arg(metavar="N")] = 1_000_000_000
     """End the recording, and nothing else, when fewer bytes than this are free on its disk."""
     telemetry: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None

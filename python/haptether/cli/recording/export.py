@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
-    """Write a recorded run as Parquet, CSV or NumPy arrays (a row for each tick, a column for each axis), or for Foxglove.
+    """Write a recorded run as Parquet, CSV or NumPy arrays, a column an axis and a row a tick, or for Foxglove.
 
     The two sides tick at times of their own, so that a table has one side; NumPy files have both.
 
