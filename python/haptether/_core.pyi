@@ -2252,6 +2252,8 @@ class LiveMaster(_MasterSide):
         record: File for an MCAP recording of every tick (`read_recording`); one that is there is replaced.
         min_free_bytes: The recording ends, and nothing else does, when fewer are free on its disk.
         telemetry: A Unix socket of this path sends samples and events, see `TelemetryReader`; the loop waits for no reader.
+        control: A Unix socket of this path takes requests, see `ControlClient`: stop, press and hold, scales. A thread of its
+            own serves it without the interpreter.
 
     Raises:
         ValueError: An address that is none, a time outside 0 to 1e9 s, a start that is to come, a key of another length,
@@ -2278,6 +2280,7 @@ class LiveMaster(_MasterSide):
         record: str | PathLike[str] | None = None,
         min_free_bytes: int = ...,
         telemetry: str | PathLike[str] | None = None,
+        control: str | PathLike[str] | None = None,
     ) -> LiveMaster: ...
     @property
     def realtime(self) -> str:
@@ -2316,6 +2319,7 @@ class LiveSlave(_SlaveSide):
         record: str | PathLike[str] | None = None,
         min_free_bytes: int = ...,
         telemetry: str | PathLike[str] | None = None,
+        control: str | PathLike[str] | None = None,
     ) -> LiveSlave: ...
     @property
     def realtime(self) -> str:
@@ -2360,6 +2364,7 @@ class MasterLoop(_MasterSide, _DrivenLoop):
         record: str | PathLike[str] | None = None,
         min_free_bytes: int = ...,
         telemetry: str | PathLike[str] | None = None,
+        control: str | PathLike[str] | None = None,
     ) -> MasterLoop: ...
     def step(
         self,
@@ -2435,6 +2440,7 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
         record: str | PathLike[str] | None = None,
         min_free_bytes: int = ...,
         telemetry: str | PathLike[str] | None = None,
+        control: str | PathLike[str] | None = None,
     ) -> SlaveLoop: ...
     def step(
         self,
