@@ -3,6 +3,7 @@
 
 const BEAT_MS = 120;       // between two beats of a hold; the loop's side demands five a second
 const WINDOW_S = 10;       // of the charts
+const DRAW_MS = 60;         // between two drawings of the charts: what a click needs is not spent on them
 const RETRY_MS = 500;      // between two attempts to connect
 const $ = id => document.getElementById(id);
 const base = location.pathname.replace(/[^/]*$/, "");
@@ -233,7 +234,7 @@ function numbers(side) {
   const table = element("table");
   for (const one of side.values) {
     const row = table.insertRow();
-    row.append(element("td", one.label), element("td", one.values.map(value => number(value, one.digits)).join("  "), "number"),
+    row.append(element("td", one.label), element("td", one.values.map(value => (one.signed && value >= 0 ? "+" : "") + number(value, one.digits)).join("  "), "number"),
       element("td", one.peak === null ? "" : `1 s: ${number(one.peak, one.digits)}`, "number dim"));
   }
   return table;
@@ -268,7 +269,7 @@ const CHARTS = {
   observer: [["master", "vfc", "VFC", "#bc4c00"], ["master", "hsc", "HSC", "#8250df"], ["master", "wsc", "WSC", "#0550ae"]],
 };
 const rows = [];
-let charts = null, needsDraw = false;
+let charts = null, needsDraw = false, drawn = 0;
 
 function add(row) {
   rows.push(row);
@@ -292,17 +293,17 @@ function makeCharts() {
   for (const [name, series] of Object.entries(CHARTS)) {
     const place = $("chart-" + name);
     charts[name] = new uPlot({
-      width: place.clientWidth || 420, height: 190, scales: { x: { time: false } }, cursor: { show: false },
+      width: place.clientWidth || 420, height: 170, scales: { x: { time: false } }, cursor: { show: false },
       axes: [{ values: (_, ticks) => ticks.map(tick => tick.toFixed(0) + " s") }, { size: 60 }],
-      series: [{ label: "s" }, ...series.map(([, , label, stroke]) => ({ label, stroke, width: 1.5 }))],
+      series: [{ label: "s" }, ...series.map(([, , label, stroke]) => ({ label, stroke, width: 1.5, spanGaps: true }))],
       legend: { live: false },
     }, [[], ...series.map(() => [])], place);
   }
 }
 
-function draw() {
-  if (needsDraw && !document.hidden) {
-    needsDraw = false;
+function draw(now) {
+  if (needsDraw && !document.hidden && now - drawn >= DRAW_MS) {
+    [needsDraw, drawn] = [false, now];
     if (!charts) makeCharts();
     const newest = rows.length ? rows[rows.length - 1].t : 0;
     const times = rows.map(row => row.t - newest);
@@ -314,7 +315,7 @@ function draw() {
 }
 
 addEventListener("resize", () => {
-  for (const name of Object.keys(charts || {})) charts[name].setSize({ width: $("chart-" + name).clientWidth, height: 190 });
+  for (const name of Object.keys(charts || {})) charts[name].setSize({ width: $("chart-" + name).clientWidth, height: 170 });
 });
 
 connect();

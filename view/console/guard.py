@@ -20,7 +20,7 @@ class Guard:
     """Refuses requests under another name of this machine, of another origin, and without the token.
 
     A page of another site that the browser shows as well can neither read nor command: its `Origin` is another; with
-    its name pointed at this machine the `Host` is; and it does not know the token, which is the first part of every path.
+    its name pointed at this machine the `Host` is; and it does not know the token, the first part of every path.
 
     Args:
         inner: What answers the rest; it sees the path without the token.
@@ -34,8 +34,8 @@ class Guard:
         self._prefix = f"/{token}/".encode()
         sources = " ".join(f"ws://{host}" for host in sorted(self._hosts))
         policy = (
-            f"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self' {sources};"
-            " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+            f"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:;"
+            f" connect-src 'self' {sources}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
         )
         self._headers = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
         self._headers.append((b"content-security-policy", policy.encode()))

@@ -1,7 +1,6 @@
 """The console's server: its files, what it sends to each page, and what pages request."""
 
 import asyncio
-import collections
 import contextlib
 import json
 import secrets
@@ -9,13 +8,14 @@ import socket
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
 from haptether.view.console.control import Asked, ControlConnection, stop_all
 from haptether.view.console.feed import SideFeed
 from haptether.view.console.guard import Guard
+from haptether.view.console.rows import Rows
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -36,6 +36,8 @@ ROWS = 150
 """That wait for a page; one that is slower loses the oldest, counted."""
 WORDS_EVERY = 3
 """Words and numbers beside the charts come with every third message."""
+SEND_BUFFER = 1 << 16
+"""Bytes that the system holds for a page."""
 MAX_PAGES = 8
 MAX_ASKED = 32
 """Requests of a page that wait; a page with more is closed."""
@@ -56,14 +58,15 @@ class Console:
 
     def __init__(self, telemetry: Sequence[Path], control: Sequence[Path], *, port: int = 0) -> None:
         self._socket = socket.create_server(("127.0.0.1", port))
+        # Of each page: what it does not take waits here and no longer in the system.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         self.port: int = self._socket.getsockname()[1]
         self._token = secrets.token_urlsafe(24)
         self.feeds = [SideFeed(path, f"side {number}") for number, path in enumerate(telemetry, start=1)]
         self._control = list(control)
         self._sides: dict[str, Path] = {}
         """Of each control socket that has said whose it is."""
-        self._rows: collections.deque[tuple[int, dict[str, Any]]] = collections.deque(maxlen=ROWS)
-        self._row = 0
+        self.rows = Rows(ROWS)
         self._words: list[dict[str, Any]] = []
         self._pages = 0
         self._begun_s = time.monotonic()
@@ -153,14 +156,13 @@ class Console:
         """A row of all sides, 30 times a second."""
         due = time.monotonic()
         while True:
-            if self._row % WORDS_EVERY == 0:
+            if self.rows.newest % WORDS_EVERY == 0:
                 self._words = [feed.summary() for feed in self.feeds]
             row: dict[str, Any] = {"t": time.monotonic() - self._begun_s}
             for feed in self.feeds:
                 if values := feed.take_row():
                     row[feed.side] = values
-            self._row += 1
-            self._rows.append((self._row, row))
+            self.rows.add(row)
             due = max(due + ROW_S, time.monotonic() - ROW_S)
             await asyncio.sleep(max(0.0, due - time.monotonic()))
 
@@ -190,17 +192,11 @@ class Console:
 
     def message_since(self, row: int) -> tuple[int, dict[str, Any]]:
         """What a page that has had row `row` is sent next, and the row that it then has."""
-        new = [values for number, values in self._rows if number > row]
-        lost = self._row - row - len(new)
+        new, lost = self.rows.since(row)
         message: dict[str, Any] = {"kind": "rows", "rows": new, "lost": lost}
-        if any(number % WORDS_EVERY == 0 for number in range(row + 1, self._row + 1)):
+        if self.rows.newest // WORDS_EVERY != row // WORDS_EVERY:
             message["sides"] = self._words
-        return self._row, message
-
-    @property
-    def newest_row(self) -> int:
-        """Number of the newest row."""
-        return self._row
+        return self.rows.newest, message
 
     async def stop(self) -> dict[str, dict[str, Any]]:
         """Stops every side that is controlled."""
@@ -218,7 +214,7 @@ class _Page(contextlib.AbstractAsyncContextManager["_Page"]):
         self._sending = asyncio.Lock()
         self._tasks: set[asyncio.Task[None]] = set()
 
-    async def __aenter__(self) -> "_Page":
+    async def __aenter__(self) -> Self:
         for work in (self._show(), self._answer_all()):
             self._tasks.add(asyncio.create_task(work))
         return self
@@ -262,7 +258,7 @@ class _Page(contextlib.AbstractAsyncContextManager["_Page"]):
                 await self._page.send_text(json.dumps(message, separators=(",", ":")))
 
     async def _show(self) -> None:
-        row = self._console.newest_row
+        row = self._console.rows.newest
         while True:
             # A page that does not take it holds this up, and what it then misses is counted.
             row, message = self._console.message_since(row)

@@ -76,11 +76,13 @@ def _vectors(state: SideState) -> list[dict[str, Any]]:
     for name, (label, unit) in PLACES.items():
         if (values := state.last(name)) is not None:
             shown = unit if _is_linear(state) else unit.replace("m", "rad")
-            found.append({"label": f"{label} [{shown}]", "values": values, "digits": 4, "peak": None})
+            found.append({"label": f"{label} [{shown}]", "values": values, "digits": 4, "peak": None, "signed": True})
     for name, label in FORCES.items():
         if (values := state.last(name)) is not None:
             unit = "N" if name.endswith("force") and _is_linear(state) else "N m"
-            found.append({"label": f"{label} [{unit}]", "values": values, "digits": 2, "peak": state.peak(name)})
+            found.append(
+                {"label": f"{label} [{unit}]", "values": values, "digits": 2, "peak": state.peak(name), "signed": True}
+            )
     return found
 
 
@@ -90,9 +92,6 @@ def _times(state: SideState) -> list[dict[str, Any]]:
         value, worst = state.last(name), state.peak(name)
         if value is not None and worst is not None:
             found.append({"label": f"{label} [ms]", "values": [value * 1e3], "digits": 2, "peak": worst * 1e3})
-    for name, label in (("lost", "frames lost"), ("missing", "frames lost")):
-        if state.last(name) is not None:
-            found.append({"label": label, "values": [state.last(name)], "digits": 0, "peak": None})
     return found
 
 

@@ -21,12 +21,12 @@ class Console:
     """Show running sides in a browser, and stop, engage and scale them from there.
 
     A page for this machine alone, at the address that is printed; it needs no network. What it shows is the telemetry
-    of the sides, what it does goes to their control sockets: STOP (also space and Esc), Engage, which is pressed and held
-    for a second, Release clutch, Acknowledge, and the scales of force and position. The loops wait for neither: closing
-    or stalling the page changes nothing.
+    of the sides, what it does goes to their control sockets: STOP (also space and Esc), Engage, which is pressed and
+    held for a second, Release clutch, Acknowledge, and the scales of force and position. The loops wait for neither:
+    closing or stalling the page changes nothing.
 
-    With --scene it starts both sides of a scene as processes of this machine, and ends them with itself; nothing engages
-    until somebody holds Engage.
+    With --scene it starts both sides of a scene as processes of this machine, and ends them with itself; nothing
+    engages until somebody holds Engage.
 
     Examples:
 
@@ -119,9 +119,7 @@ class Console:
             return ["--telemetry", str(folder / f"{side}.sock"), "--control", str(folder / f"{side}.ctl")]
 
         try:
-            slave = stack.enter_context(
-                child_process("slave", "--listen", "127.0.0.1:0", *common, *sockets("slave"))
-            )
+            slave = stack.enter_context(child_process("slave", "--listen", "127.0.0.1:0", *common, *sockets("slave")))
             address = slave.headline(stopped).rsplit(" ", 1)[-1]
             master = stack.enter_context(
                 child_process("master", "--peer", address, "--clutch", "open", *common, *sockets("master"))
