@@ -64,7 +64,7 @@ class SideFeed:
             return summary(self._state, self._trouble, str(self.path))
 
     def take_row(self) -> dict[str, Any]:
-        """Of each signal of the charts what was furthest from zero since the last row, in SI units; empty without news."""
+        """Of each signal of the charts what was furthest from zero since the last row, in SI units; or nothing."""
         with self._lock:
             row, self._row = self._row, {}
         return row

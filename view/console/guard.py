@@ -4,7 +4,7 @@ import hmac
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from starlette.types import ASGIApp, Receive, Scope, Send
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 HEADERS = {
     "cache-control": "no-store",
@@ -80,10 +80,9 @@ class Guard:
         return None
 
     def _with_headers(self, send: "Send") -> "Send":
-        async def sending(message: "dict[str, object]") -> None:
+        async def sending(message: "Message") -> None:
             if message["type"] == "http.response.start":
-                own: list[tuple[bytes, bytes]] = list(message.get("headers", []))  # type: ignore[call-overload]
-                message = {**message, "headers": [*own, *self._headers]}
+                message = {**message, "headers": [*message.get("headers", []), *self._headers]}
             await send(message)
 
         return sending

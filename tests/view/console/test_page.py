@@ -1,4 +1,4 @@
-"""The console in Chromium, against two live sides: every button, and pages that are killed, stalled, hidden, opened twice."""
+"""The console in Chromium, against two live sides: every button, and pages that are closed, stalled, hidden, second."""
 
 import os
 import signal
@@ -8,19 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.view.console.browser import chromium, hold
+from tests.view.console.browser import hold
 from tests.view.console.served import Served, served, wait_for
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 pytestmark = pytest.mark.live
-
-
-@pytest.fixture(scope="module")
-def browser() -> "Iterator[Browser]":
-    with chromium() as found:
-        yield found
 
 
 @pytest.fixture
@@ -56,14 +50,15 @@ def coupled(runs: Served, page: "Page") -> None:
 
 def test_every_button(runs: Served, page: "Page") -> None:
     errors: list[Any] = []
-    page.on("pageerror", lambda error: errors.append(error))
+    page.on("pageerror", lambda error: errors.append(str(error)))
     # A short click, and a hold that is let go of.
     page.click("#engage")
     hold(page, 0.7)
     said(page, "let go too early")
     # Events of a script are no person's.
     page.evaluate("""() => { for (const name of ['pointerdown', 'mousedown', 'click'])
-        document.getElementById('engage').dispatchEvent(new PointerEvent(name, {bubbles: true, button: 0, pointerId: 1})); }""")
+        document.getElementById('engage').dispatchEvent(
+            new PointerEvent(name, {bubbles: true, button: 0, pointerId: 1})); }""")
     page.wait_for_timeout(1300)
     assert runs.master.state == "disengaged"
     coupled(runs, page)

@@ -3,15 +3,20 @@
 import threading
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
-from tests.view.console.browser import chromium, hold
+from tests.view.console.browser import hold
 from tests.view.console.served import Served, served, wait_for
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 pytestmark = pytest.mark.alone
 
 WATCH = """() => { for (const name of ['pointerdown', 'keydown'])
-    document.addEventListener(name, event => { window.pressed ??= performance.timeOrigin + event.timeStamp; }, true); }"""
+    document.addEventListener(name, event => { window.pressed ??=
+        performance.timeOrigin + event.timeStamp; }, true); }"""
 
 
 def at_rest(runs: Served, into: list[float]) -> None:
@@ -21,8 +26,8 @@ def at_rest(runs: Served, into: list[float]) -> None:
 
 
 @pytest.mark.parametrize(("focus", "act"), [("#engage", " "), ("#force-scale", "Escape"), ("#axis", "click")])
-def test_a_click_and_a_key_stop_within_100_ms(focus: str, act: str, tmp_path: Path) -> None:
-    with chromium() as browser, served(tmp_path) as runs:
+def test_a_click_and_a_key_stop_within_100_ms(focus: str, act: str, browser: "Browser", tmp_path: Path) -> None:
+    with served(tmp_path) as runs:
         page = browser.new_page()
         page.goto(runs.console.address)
         page.wait_for_selector("#side-master .headline")
@@ -40,4 +45,5 @@ def test_a_click_and_a_key_stop_within_100_ms(focus: str, act: str, tmp_path: Pa
         watching.join(70.0)
         took_ms = ended[0] - page.evaluate("window.pressed")
         print(f"{act!r}: {took_ms:.0f} ms")
+        page.close()
         assert 0.0 < took_ms < 100.0
