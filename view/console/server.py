@@ -97,7 +97,7 @@ class Console:
             access_log=False,
             log_level="error",
             server_header=False,
-            limit_concurrency=64,
+            limit_concurrency=512,
             timeout_graceful_shutdown=1,
         )
         server = Server(config)
