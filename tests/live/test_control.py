@@ -3,6 +3,8 @@
 import contextlib
 import socket
 import stat
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -122,6 +124,32 @@ def test_a_stop_is_at_rest_at_once_whatever_others_do(
         assert took_s < 0.1
     wait_for(lambda: sides[side].finished)
     wait_for(lambda: not path.exists())
+
+
+BUSY = """
+import sys
+from haptether.bridge import LiveSlave, scene_json
+from tests.scene.two_sides import two_sides
+slave = LiveSlave(scene_json(two_sides()), listen="127.0.0.1:0", run_id=2, insecure=True, control=sys.argv[1])
+print("runs", flush=True)
+# One call in C: nobody else has the interpreter.
+sum(range(10**11))
+"""
+
+
+def test_a_stop_acts_while_the_interpreter_hangs(tmp_path: Path) -> None:
+    path = tmp_path / "slave"
+    with subprocess.Popen([sys.executable, "-c", BUSY, str(path)], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "runs\n"
+            time.sleep(0.2)
+            with Control(path) as control:
+                begun_s = time.monotonic()
+                answer = control.ask("stop")
+                assert (answer["is_at_rest"], time.monotonic() - begun_s < 0.1) == (True, True)
+        finally:
+            process.kill()
 
 
 @pytest.mark.parametrize(

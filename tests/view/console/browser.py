@@ -35,11 +35,16 @@ def chromium() -> "Iterator[Browser]":
         browser.close()
 
 
-def hold(page: "Page", seconds: float) -> None:
-    """Presses Engage, and lets go after so long."""
+def press(page: "Page") -> None:
+    """Presses Engage, and does not let go."""
     box = page.locator("#engage").bounding_box()
     assert box is not None
     page.mouse.move(box["x"] + 10, box["y"] + 10)
     page.mouse.down()
+
+
+def hold(page: "Page", seconds: float) -> None:
+    """Presses Engage, and lets go after so long."""
+    press(page)
     page.wait_for_timeout(seconds * 1e3)
     page.mouse.up()
