@@ -2252,7 +2252,7 @@ class LiveMaster(_MasterSide):
         record: File for an MCAP recording of every tick (`read_recording`); one that is there is replaced.
         min_free_bytes: The recording ends, and nothing else does, when fewer are free on its disk.
         telemetry: A Unix socket of this path sends samples and events, see `TelemetryReader`; the loop waits for no reader.
-        control: A Unix socket of this path takes requests, see `ControlClient`: stop, press and hold, scales. A thread of its
+        control: A Unix socket of this path takes requests (docs/console.md): stop, press and hold, scales. A thread of its
             own serves it without the interpreter.
 
     Raises:
