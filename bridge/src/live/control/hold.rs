@@ -57,7 +57,7 @@ impl Hold {
         if alive.is_some_and(|running| running.from != from) {
             return Held::Void("another page or program holds the button: it must let go first");
         }
-        let before = std::mem::replace(&mut self.0, None);
+        let before = self.0.take();
         let Some(token) = token else {
             if held_ns > MAX_SKEW_NS {
                 return Held::Void(

@@ -301,13 +301,11 @@ impl Server {
     }
 
     fn command(&mut self, command: OperatorCommand, done: &str, answer: Answer) -> Answer {
-        match self.port.command(command) {
-            Ok(()) => Answer { text: done.into(), ..answer },
-            Err(_) => {
-                let text = "the loop has not done what it was told before: is it running?".into();
-                Answer { done: false, text, ..answer }
-            }
+        if self.port.command(command).is_err() {
+            let text = "the loop has not done what it was told before: is it running?".into();
+            return Answer { done: false, text, ..answer };
         }
+        Answer { text: done.into(), ..answer }
     }
 
     fn status(&self) -> Status {
