@@ -118,7 +118,7 @@ mod tests {
     }
 
     fn even(step: u64) -> Vec<(u64, u64)> {
-        (0..).map(|beat| (beat * step, beat * step)).take_while(|(at, _)| *at < 1000 + step).collect()
+        (0..=1000 / step).map(|beat| (beat * step, beat * step)).collect()
     }
 
     #[test]
