@@ -15,6 +15,7 @@ pub mod ladder;
 mod lanes;
 mod link;
 pub mod live;
+mod live_socket;
 mod local;
 mod pace;
 pub mod path;

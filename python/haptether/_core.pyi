@@ -2253,6 +2253,8 @@ class LiveMaster(_MasterSide):
         record: File for an MCAP recording of every tick (`read_recording`); one that is there is replaced.
         min_free_bytes: The recording ends, and nothing else does, when fewer are free on its disk.
         telemetry: A Unix socket of this path sends samples and events, see `TelemetryReader`; the loop waits for no reader.
+        control: A Unix socket of this path takes requests (docs/console.md): stop, press and hold, scales. A thread of its
+            own serves it without the interpreter.
 
     Raises:
         ValueError: An address that is none, a time outside 0 to 1e9 s, a start that is to come, a key of another length,
@@ -2279,6 +2281,7 @@ class LiveMaster(_MasterSide):
         record: str | PathLike[str] | None = None,
         min_free_bytes: int = ...,
         telemetry: str | PathLike[str] | None = None,
+        control: str | PathLike[str] | None = None,
     ) -> LiveMaster: ...
     @property
     def realtime(self) -> str:
@@ -2317,6 +2320,7 @@ class LiveSlave(_SlaveSide):
         record: str | PathLike[str] | None = None,
         min_free_bytes: int = ...,
         telemetry: str | PathLike[str] | None = None,
+        control: str | PathLike[str] | None = None,
     ) -> LiveSlave: ...
     @property
     def realtime(self) -> str:
@@ -2361,6 +2365,7 @@ class MasterLoop(_MasterSide, _DrivenLoop):
         record: str | PathLike[str] | None = None,
         min_free_bytes: int = ...,
         telemetry: str | PathLike[str] | None = None,
+        control: str | PathLike[str] | None = None,
     ) -> MasterLoop: ...
     def step(
         self,
@@ -2436,6 +2441,7 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
         record: str | PathLike[str] | None = None,
         min_free_bytes: int = ...,
         telemetry: str | PathLike[str] | None = None,
+        control: str | PathLike[str] | None = None,
     ) -> SlaveLoop: ...
     def step(
         self,

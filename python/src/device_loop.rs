@@ -495,10 +495,11 @@ where
 {
     py.detach(|| {
         let (newest, outputs) = (place.newest()?, place.outputs()?);
+        let control = (place.settings.role, place.control()?);
         let (paced, watch, reader) =
             paced_by_device(side, place.socket, place.settings, place.security, outputs)
                 .map_err(not_begun)?;
-        Ok((paced, Watched::new(watch, reader, newest)))
+        Ok((paced, Watched::new(watch, reader, newest, control)?))
     })
 }
 

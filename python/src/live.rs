@@ -9,8 +9,8 @@ use std::{
 use haptether_bridge::{
     OperatorCommand,
     live::{
-        LiveHandle, LiveSettings, LiveWatch, PeerAddress, PeerSocket, RealtimeDemand, RealtimeSettings,
-        RecordOutputs, RecordReader, Security, StartError, now_ns,
+        Control, ControlSocket, LiveHandle, LiveSettings, LiveWatch, PeerAddress, PeerSocket, RealtimeDemand,
+        RealtimeSettings, RecordOutputs, RecordReader, Security, StartError, now_ns,
     },
     recorder::{Recorded, Recorder, RecorderSettings, SecurityMark},
     session::{KeyError, PreSharedKey},
@@ -65,6 +65,7 @@ pub(crate) struct Place {
     kept: usize,
     record: Option<RecorderSettings>,
     telemetry: Option<TelemetrySettings>,
+    control: Option<PathBuf>,
 }
 
 impl Place {
@@ -99,7 +100,7 @@ impl Place {
         period_ns: u64,
         how: How,
     ) -> PyResult<Self> {
-        let How { security, duration_s, patience_s, keep_s, realtime, record, telemetry } = how;
+        let How { security, duration_s, patience_s, keep_s, realtime, record, telemetry, control } = how;
         if !(keep_s > 0.0 && keep_s <= MAX_KEPT_S) {
             let text = format!("keep_s = {keep_s}: must be above 0 and at most {MAX_KEPT_S} s");
             return Err(PyValueError::new_err(text));
@@ -128,7 +129,7 @@ impl Place {
         if !reserve::fill() {
             return Err(PyMemoryError::new_err("no memory can be set aside for the end of a run"));
         }
-        Ok(Self { socket, settings, security, kept, record, telemetry })
+        Ok(Self { socket, settings, security, kept, record, telemetry, control })
     }
 
     /// Recorder and telemetry, if there are to be any: after the socket, so that a run that cannot be replaces no file.
@@ -144,6 +145,15 @@ impl Place {
         let begin =
             |to: &RecorderSettings| Recorder::begin(to).map_err(|error| refused("record", &to.path, error));
         Ok(RecordOutputs { recorder: self.record.as_ref().map(begin).transpose()?, telemetry })
+    }
+
+    /// The control socket, if there is to be one: before the loop, which must not begin where it cannot be.
+    pub(crate) fn control(&self) -> PyResult<Option<ControlSocket>> {
+        let refused = |path: &Path, error: std::io::Error| {
+            PyOSError::new_err(format!("control = {}: {error}", path.display()))
+        };
+        let listen = |path: &PathBuf| ControlSocket::listen(path).map_err(|error| refused(path, error));
+        self.control.as_ref().map(listen).transpose()
     }
 
     /// Room for the newest records.
@@ -178,6 +188,7 @@ pub(crate) struct How {
     pub(crate) realtime: RealtimeSettings,
     pub(crate) record: Option<RecorderSettings>,
     pub(crate) telemetry: Option<TelemetrySettings>,
+    pub(crate) control: Option<PathBuf>,
 }
 
 /// Why a loop did not begin.
@@ -251,16 +262,22 @@ pub(crate) struct Watched<Rows> {
     pub(crate) handle: LiveHandle,
     watch: Mutex<LiveWatch>,
     records: Mutex<Box<dyn KeptRows<Rows>>>,
+    /// Ends with this.
+    _control: Option<Control>,
 }
 
 impl<Rows> Watched<Rows> {
     pub(crate) fn new<R: Rowed<Rows = Rows>>(
-        watch: LiveWatch,
+        mut watch: LiveWatch,
         reader: RecordReader<R>,
         newest: Newest<R>,
-    ) -> Self {
+        (role, control): (Role, Option<ControlSocket>),
+    ) -> PyResult<Self> {
         let handle = watch.handle().clone();
-        Self { handle, watch: Mutex::new(watch), records: Mutex::new(Box::new(Kept { reader, newest })) }
+        let port = watch.port();
+        let control = control.zip(port).map(|(socket, port)| socket.serve(role, port)).transpose()?;
+        let records: Mutex<Box<dyn KeptRows<Rows>>> = Mutex::new(Box::new(Kept { reader, newest }));
+        Ok(Self { handle, watch: Mutex::new(watch), records, _control: control })
     }
 
     pub(crate) fn watch(&self) -> MutexGuard<'_, LiveWatch> {
@@ -297,7 +314,7 @@ macro_rules! constructor {
             #[new]
             #[pyo3(signature = (scene, *, $place, run_id, key=None, insecure=false, $($own=$default,)*
                 duration_s=None, patience_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None,
-                record=None, min_free_bytes=1_000_000_000, telemetry=None))]
+                record=None, min_free_bytes=1_000_000_000, telemetry=None, control=None))]
             fn new(
                 $py: Python<'_>,
                 scene: &[u8],
@@ -315,6 +332,7 @@ macro_rules! constructor {
                 record: Option<PathBuf>,
                 min_free_bytes: u64,
                 telemetry: Option<PathBuf>,
+                control: Option<PathBuf>,
             ) -> PyResult<Self> {
                 let $run_id = run_id;
                 let $how = How {
@@ -325,6 +343,7 @@ macro_rules! constructor {
                     realtime: realtime_settings(realtime, priority, cpu)?,
                     record: recorder_settings(record, min_free_bytes, insecure, scene),
                     telemetry: telemetry_settings(telemetry, insecure, scene),
+                    control,
                 };
                 of_axes!(scene_axes(scene)?, N => {
                     let $scene = scene_spec::<N>(scene)?;

@@ -192,6 +192,10 @@ class SideState:
             )
         return found
 
+    def signal_of(self, controller: str) -> str:
+        """The signal that a controller observes."""
+        return OBSERVERS[controller][0]
+
     def is_held(self) -> bool:
         """Whether an intervention was held on in the last second, as its hold-off and ramp do."""
         return bool(self._bits("tripped") & BITS["held"])

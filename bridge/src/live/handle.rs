@@ -84,6 +84,8 @@ pub struct LiveWatch {
     /// The newest that was taken.
     diagnosis: Option<Diagnosis>,
     commands: rtrb::Producer<(u64, OperatorCommand)>,
+    /// Until [`Self::port`] has handed it out.
+    port: Option<ControlPort>,
     address: SocketAddr,
     recording: Option<Recording>,
 }
@@ -99,6 +101,11 @@ impl LiveWatch {
         while let Ok(event) = self.events.pop() {
             take(event);
         }
+    }
+
+    /// The way in for a thread that serves others; none a second time.
+    pub fn port(&mut self) -> Option<ControlPort> {
+        self.port.take()
     }
 
     /// Where the socket listens.
@@ -142,6 +149,26 @@ impl LiveWatch {
         if let Some(flight) = &self.flight {
             self.diagnosis = self.handle.0.diagnosis(flight);
         }
+    }
+}
+
+/// Commands a loop from one thread, beside a [`LiveWatch`] on another; the loop never waits for it.
+#[derive(Debug)]
+pub struct ControlPort {
+    handle: LiveHandle,
+    commands: rtrb::Producer<(u64, OperatorCommand)>,
+}
+
+impl ControlPort {
+    /// Stops, presses, and says where the loop stands.
+    pub fn handle(&self) -> &LiveHandle {
+        &self.handle
+    }
+
+    /// As [`LiveWatch::command`].
+    pub fn command(&mut self, command: OperatorCommand) -> Result<(), OperatorCommand> {
+        let given = self.commands.push((system::now_ns(), command));
+        given.map_err(|rtrb::PushError::Full((_, command))| command)
     }
 }
 
@@ -231,11 +258,13 @@ impl Shared {
 pub(super) struct CommandQueue {
     started_ns: Option<u64>,
     given: rtrb::Consumer<(u64, OperatorCommand)>,
+    /// Of the control port.
+    controlled: rtrb::Consumer<(u64, OperatorCommand)>,
 }
 
 impl CommandQueue {
-    /// The next one: the start, what any thread has commanded through its handle, then those of the watch in their
-    /// order.
+    /// The next one: the start, what any thread has commanded through its handle, then those of the watch and of
+    /// the control port, each in their order.
     pub(super) fn next(&mut self, shared: &Shared) -> Option<(u64, OperatorCommand)> {
         if let Some(started_ns) = self.started_ns.take() {
             return Some((started_ns, OperatorCommand::Start));
@@ -248,7 +277,7 @@ impl CommandQueue {
                 return Some((at_ns, command));
             }
         }
-        self.given.pop().ok()
+        self.given.pop().or_else(|_| self.controlled.pop()).ok()
     }
 }
 
@@ -351,8 +380,11 @@ pub(super) fn channels<R>(
     let (to_flights, flights) = ring(MAX_FLIGHTS);
     let (to_diagnoses, diagnoses) = ring(MAX_DIAGNOSES);
     let (commands, given) = rtrb::RingBuffer::new(MAX_COMMANDS);
+    let (from_port, controlled) = rtrb::RingBuffer::new(MAX_COMMANDS);
+    let handle = LiveHandle(Arc::clone(&shared));
     let watch = LiveWatch {
-        handle: LiveHandle(Arc::clone(&shared)),
+        port: Some(ControlPort { handle: handle.clone(), commands: from_port }),
+        handle,
         events,
         flights,
         flight: None,
@@ -367,7 +399,7 @@ pub(super) fn channels<R>(
         events: to_events,
         flights: to_flights,
         diagnoses: to_diagnoses,
-        commands: CommandQueue { started_ns: Some(started_ns), given },
+        commands: CommandQueue { started_ns: Some(started_ns), given, controlled },
     };
     (channels, watch, RecordReader(records), shared)
 }

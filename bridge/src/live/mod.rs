@@ -1,6 +1,7 @@
 //! The live runner: the same sides as in virtual time, with sockets and sleep added and nothing else.
 
 mod channel;
+mod control;
 mod handle;
 mod handshakes;
 mod live_loop;
@@ -9,7 +10,8 @@ mod socket;
 mod system;
 
 pub use channel::Security;
-pub use handle::{Ineffective, LiveHandle, LiveWatch, RecordOutputs, RecordReader};
+pub use control::{Control, ControlSocket};
+pub use handle::{ControlPort, Ineffective, LiveHandle, LiveWatch, RecordOutputs, RecordReader};
 pub use handshakes::{SecurityEvent, StartError};
 pub(crate) use live_loop::DiagnosisReport;
 pub use live_loop::{LiveSettings, LoopReport};

@@ -1,31 +1,21 @@
 //! Those who read the telemetry of a loop, each at its own speed.
 
 use std::{
-    fs::File,
     io,
-    os::{
-        fd::OwnedFd,
-        unix::{
-            fs::{FileTypeExt, MetadataExt},
-            net::{UnixListener, UnixStream},
-        },
-    },
-    path::{Path, PathBuf},
+    os::unix::net::UnixStream,
+    path::Path,
     thread,
     time::{Duration, Instant},
 };
 
 use rustix::{
     event::{PollFd, PollFlags, Timespec, poll},
-    fs::{FlockOperation, flock},
     io::Errno,
-    net::{
-        AddressFamily, SendFlags, SocketAddrUnix, SocketFlags, SocketType, bind, connect, listen, send,
-        socket_with,
-    },
+    net::{SendFlags, send},
 };
 
 use super::frame;
+use crate::live_socket::LiveSocket;
 
 /// At once; another is sent `refused` and closed.
 const MAX_READERS: usize = 16;
@@ -33,10 +23,6 @@ const MAX_READERS: usize = 16;
 const MAX_BACKLOG: usize = 1 << 18;
 /// Bytes that may wait for a reader before it is closed: by then it has lost seconds of samples, and takes no events.
 const MAX_EVENTS: usize = 1 << 20;
-/// The longest path that a Unix socket can have, in bytes; Linux, `struct sockaddr_un`.
-const MAX_PATH: usize = 107;
-/// How long another run may take to make its socket.
-const LOCK_PATIENCE: Duration = Duration::from_secs(1);
 
 struct Reader {
     stream: UnixStream,
@@ -78,87 +64,9 @@ impl Reader {
     }
 }
 
-/// The file of a socket that listens, for as long as this is there.
-struct SocketFile {
-    path: PathBuf,
-    /// Another that has taken its place is left alone; none once it was removed.
-    inode: Option<u64>,
-}
-
-impl SocketFile {
-    /// That to which a socket has just been bound.
-    fn bound(path: &Path) -> io::Result<Self> {
-        match std::fs::symlink_metadata(path) {
-            Ok(found) => Ok(Self { path: path.to_owned(), inode: Some(found.ino()) }),
-            Err(error) => {
-                let _ = std::fs::remove_file(path);
-                Err(error)
-            }
-        }
-    }
-
-    fn remove(&mut self) {
-        let is_own = |inode| std::fs::symlink_metadata(&self.path).is_ok_and(|found| found.ino() == inode);
-        if self.inode.take().is_some_and(is_own) {
-            let _ = std::fs::remove_file(&self.path);
-        }
-    }
-}
-
-impl Drop for SocketFile {
-    fn drop(&mut self) {
-        self.remove();
-    }
-}
-
-fn refused(text: &str) -> io::Error {
-    io::Error::new(io::ErrorKind::InvalidInput, text)
-}
-
-fn unix_socket() -> io::Result<OwnedFd> {
-    let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;
-    Ok(socket_with(AddressFamily::UNIX, SocketType::STREAM, flags, None)?)
-}
-
-/// The folder of `path`, in which no other run makes or removes a socket while this is held.
-fn locked_folder(path: &Path) -> io::Result<File> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let folder = File::open(folder)?;
-    let end = Instant::now() + LOCK_PATIENCE;
-    loop {
-        match flock(&folder, FlockOperation::NonBlockingLockExclusive) {
-            Ok(()) => return Ok(folder),
-            Err(Errno::INTR) => {}
-            Err(Errno::WOULDBLOCK) if Instant::now() < end => thread::sleep(Duration::from_millis(5)),
-            Err(Errno::WOULDBLOCK) => return Err(refused("another program holds its folder locked")),
-            Err(error) => return Err(error.into()),
-        }
-    }
-}
-
-/// Removes a socket that a killed run has left behind; refuses what is anything else.
-fn remove_stale(path: &Path, address: &SocketAddrUnix) -> io::Result<()> {
-    match std::fs::symlink_metadata(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
-        Err(error) => return Err(error),
-        Ok(found) if !found.file_type().is_socket() => {
-            return Err(refused("is there and is no socket: name another path"));
-        }
-        Ok(_) => {}
-    }
-    // It never waits: where too many wait to be accepted, it is said at once.
-    match connect(&unix_socket()?, address) {
-        Err(Errno::CONNREFUSED) => std::fs::remove_file(path),
-        Err(Errno::NOENT) => Ok(()),
-        Ok(()) | Err(Errno::AGAIN) => Err(refused("another run sends its telemetry there")),
-        Err(error) => Err(refused(&format!("is another program's socket ({error}): name another path"))),
-    }
-}
-
 /// The readers of a loop, and the socket at which more may come.
 pub(super) struct Readers {
-    listener: UnixListener,
-    file: SocketFile,
+    socket: LiveSocket,
     hello: Vec<u8>,
     /// The newest, for those that come later; empty where there is none.
     cause: Vec<u8>,
@@ -168,33 +76,14 @@ pub(super) struct Readers {
 impl Readers {
     /// Listens at `path`; each reader gets `hello` first.
     pub(super) fn listen(path: &Path, hello: Vec<u8>) -> io::Result<Self> {
-        let length = path.as_os_str().len();
-        if length > MAX_PATH {
-            return Err(refused(&format!(
-                "a path of {length} bytes, must be at most {MAX_PATH} for a Unix socket"
-            )));
-        }
-        let address = SocketAddrUnix::new(path)?;
-        // Another run that begins now would take a socket that does not listen yet for one that was left behind.
-        let _alone = locked_folder(path)?;
-        remove_stale(path, &address)?;
-        let socket = unix_socket()?;
-        // Before it has a name: there is no moment in which others may connect.
-        rustix::fs::fchmod(&socket, 0o600.into())?;
-        bind(&socket, &address)?;
-        let file = SocketFile::bound(path)?;
-        listen(&socket, 16)?;
-        let listener = UnixListener::from(socket);
-        Ok(Self { listener, file, hello, cause: Vec::new(), connected: Vec::new() })
+        let socket = LiveSocket::listen(path, "another run sends its telemetry there")?;
+        Ok(Self { socket, hello, cause: Vec::new(), connected: Vec::new() })
     }
 
     /// Lets those in who wait; not more than one frame's worth.
     pub(super) fn accept(&mut self) {
         for _ in 0..MAX_READERS {
-            let Ok((stream, _)) = self.listener.accept() else { return };
-            if stream.set_nonblocking(true).is_err() {
-                continue;
-            }
+            let Some(stream) = self.socket.accept() else { return };
             if self.connected.len() == MAX_READERS {
                 // Some may have gone since.
                 self.flush();
@@ -250,7 +139,7 @@ impl Readers {
 
     /// Sends the last line and closes; waits for slow readers for so long. Whoever sees the end sees no socket's file.
     pub(super) fn end(mut self, last: &[u8], patience: Duration) {
-        self.file.remove();
+        self.socket.remove();
         self.connected.iter_mut().for_each(Reader::count_lost);
         self.events(last);
         let end = Instant::now() + patience;

@@ -50,6 +50,7 @@ from haptether.cli.scene.simulate import Simulate
 from haptether.cli.scene.sweep import Sweep
 from haptether.cli.shared.numbers import NUMBERS
 from haptether.cli.shared.output import QueuedOutput, queued_output
+from haptether.cli.view.console import Console
 from haptether.cli.view.view import View
 from haptether.cli.view.watch import Watch
 from haptether.printable import printable
@@ -68,6 +69,7 @@ COMMANDS: dict[str, type[Any]] = {
     "raven": Raven,
     "simulate": Simulate,
     "sweep": Sweep,
+    "console": Console,
     "view": View,
     "master": Master,
     "slave": Slave,

@@ -63,8 +63,9 @@ class Master(LiveOptions):
     """Rendered force over the force that the slave measures."""
     encoder_quantum: float = 2.3e-5
     """Resolution of the device in m; 0 measures position and velocity exactly."""
-    clutch: Literal["once", "auto"] = "once"
-    """Pressed at the start and held; or worked by a simulated person, who presses again 0.5 s after a hold. A scene's
+    clutch: Literal["once", "open", "auto"] = "once"
+    """Pressed at the start and held; open until somebody presses it; or worked by a simulated person, who presses again
+    0.5 s after a hold. A scene's
     "auto" counts only where it stands here as well, for a device with a driver, too: else only its button or SIGUSR1
     presses that."""
     flight: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None

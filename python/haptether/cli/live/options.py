@@ -36,6 +36,9 @@ class LiveOptions:
     """End the recording, and nothing else, when fewer bytes than this are free on its disk."""
     telemetry: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Send samples and events to whoever reads them, at a Unix socket of this path; see docs/telemetry.md."""
+    control: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Take a person's stop, press and scales at a Unix socket of this path, as `haptether console` sends them; see
+    docs/console.md."""
 
 
 def live_arguments(command: "Master | Slave", key: bytearray | None) -> dict[str, Any]:
@@ -74,6 +77,7 @@ def live_arguments(command: "Master | Slave", key: bytearray | None) -> dict[str
         "record": command.record,
         "min_free_bytes": command.min_free_bytes,
         "telemetry": command.telemetry,
+        "control": command.control,
     }
 
 

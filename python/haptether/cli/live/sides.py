@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 READY_S = 60.0
 """How long a driver may take to open its device."""
+OLD_START_S = 60.0
+"""A start of so long ago presses no clutch: 5 s are the most."""
 LOADED_S = time.monotonic()
 """Where the system does not say when this process began: when this was loaded."""
 
@@ -71,6 +73,8 @@ def with_clutch(scene: "Scene", clutch: str) -> "Scene":
         raise ValueError(message)
     if scene.operator is None or scene.operator.clutch == clutch:
         return scene
+    if clutch == "open":
+        return override_scene(scene, ["operator.clutch=once"])
     if not isinstance(scene.operator.clutch, str):
         if clutch == "auto":
             message = "--clutch auto: the scene has times for the clutch: change them by --set operator.clutch=auto"
@@ -99,6 +103,10 @@ def start_master(
     from haptether.bridge import LiveMaster, MasterLoop, MasterRun, load_master, scene_json
 
     arguments = {**arguments, "peer": command.peer, "started_s": started_s()}
+    clutch: Literal["once", "auto"] = "auto" if command.clutch == "auto" else "once"
+    if command.clutch == "open":
+        # Too old a start to be a press.
+        arguments["started_s"] = max(0.0, time.monotonic() - OLD_START_S)
     if scene is None:
         scene = baseline_scene(
             controller=command.controller,
@@ -106,13 +114,13 @@ def start_master(
             release_at_s=command.release_at_s,
             force_scale=command.force_scale,
             encoder_quantum=command.encoder_quantum,
-            clutch=command.clutch,
+            clutch=clutch,
         )
     spec = scene_json(scene)
     if scene.master.driver is None:
         return stopped.attached(LiveMaster(spec, **arguments))
     # The loop first: without a time of its own the start counts from here, and a driver may take its time to be loaded.
-    loop = stopped.attached(MasterLoop(spec, clutch=command.clutch, **arguments))
+    loop = stopped.attached(MasterLoop(spec, clutch=clutch, **arguments))
     device = load_master(scene.master.driver, scene.master.options)
     _announce(f"[master] driver = {scene.master.driver}", device)
     run = MasterRun(device, loop, period_s=scene.run.period_s)

@@ -1,0 +1,173 @@
+//! A press and hold from another program: only what a person does now is a press.
+//!
+//! Whoever holds sends a beat at least five times a second. Each but the first bears the token that the beat before was
+//! answered with, and all bear for how long the button has been down. So a queue that stalled cannot play a hold: its
+//! beats know no token, arrive in a burst, or say another time than has passed here.
+
+/// How long a press is held, in ns.
+const HOLD_NS: u64 = 1_000_000_000;
+/// The longest time from one beat to the next, in ns; above it the hold has ended.
+const MAX_GAP_NS: u64 = 400_000_000;
+/// By how much the time of the sender may differ from that here, in ns.
+const MAX_SKEW_NS: u64 = 250_000_000;
+/// Beats of a hold at least: five a second.
+const MIN_BEATS: u32 = 5;
+
+/// One beat, as it arrives.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Beat {
+    /// Of whose connection.
+    pub(super) from: u64,
+    /// When it arrived, in ns.
+    pub(super) now_ns: u64,
+    /// For how long the button has been down, in ns, as its sender says.
+    pub(super) held_ns: u64,
+    /// What the beat before was answered with; none of the first.
+    pub(super) token: Option<u64>,
+}
+
+/// What a beat leads to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Held {
+    /// It goes on: the token of the next beat.
+    Goes(u64),
+    /// It was long enough: the clutch is to be pressed. The hold is over.
+    Pressed,
+    /// It does not count, and the hold is over.
+    Void(&'static str),
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Running {
+    from: u64,
+    began_ns: u64,
+    last_ns: u64,
+    beats: u32,
+}
+
+/// The one hold that may run at a time.
+#[derive(Debug, Default)]
+pub(super) struct Hold(Option<Running>);
+
+impl Hold {
+    /// Takes a beat.
+    pub(super) fn beat(&mut self, beat: Beat) -> Held {
+        let Beat { from, now_ns, held_ns, token } = beat;
+        let alive = self.0.filter(|running| now_ns.saturating_sub(running.last_ns) <= MAX_GAP_NS);
+        if alive.is_some_and(|running| running.from != from) {
+            return Held::Void("another page or program holds the button: it must let go first");
+        }
+        let before = self.0.take();
+        let Some(token) = token else {
+            if held_ns > MAX_SKEW_NS {
+                return Held::Void(
+                    "the hold was under way before its first beat came: let go, and hold again",
+                );
+            }
+            self.0 = Some(Running { from, began_ns: now_ns, last_ns: now_ns, beats: 1 });
+            return Held::Goes(now_ns);
+        };
+        // Of another connection's hold that has lapsed there is nothing to go on with.
+        let Some(running) = before.filter(|running| running.from == from && running.last_ns == token) else {
+            return Held::Void("the beat answers none that was sent here last: let go, and hold again");
+        };
+        if now_ns.saturating_sub(running.last_ns) > MAX_GAP_NS {
+            return Held::Void("the beats stopped for more than 0.4 s: let go, and hold again");
+        }
+        let held_here_ns = now_ns.saturating_sub(running.began_ns);
+        if held_ns.abs_diff(held_here_ns) > MAX_SKEW_NS {
+            return Held::Void("the beats did not arrive as they were sent: let go, and hold again");
+        }
+        let beats = running.beats + 1;
+        if held_here_ns >= HOLD_NS && held_ns >= HOLD_NS {
+            return if beats >= MIN_BEATS {
+                Held::Pressed
+            } else {
+                Held::Void("fewer than five beats came in a second: let go, and hold again")
+            };
+        }
+        // A token is of one beat only, also of a clock that did not go on.
+        let now_ns = now_ns.max(running.last_ns + 1);
+        self.0 = Some(Running { last_ns: now_ns, beats, ..running });
+        Held::Goes(now_ns)
+    }
+
+    /// Whoever this is has let go, or is gone.
+    pub(super) fn end(&mut self, from: u64) {
+        self.0 = self.0.filter(|running| running.from != from);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+    const START: u64 = 77_000 * MS;
+
+    /// Beats that arrive after so many ms, and say so many ms, each with the token before; what the last leads to.
+    fn held(beats: &[(u64, u64)]) -> Held {
+        let mut hold = Hold::default();
+        let mut token = None;
+        let mut last = Held::Void("none");
+        for (at, says) in beats {
+            last = hold.beat(Beat { from: 1, now_ns: START + at * MS, held_ns: says * MS, token });
+            token = if let Held::Goes(next) = last { Some(next) } else { token };
+        }
+        last
+    }
+
+    fn even(step: u64) -> Vec<(u64, u64)> {
+        (0..=1000 / step).map(|beat| (beat * step, beat * step)).collect()
+    }
+
+    #[test]
+    fn a_hold_of_a_second_presses_once() {
+        assert_eq!(held(&even(100)), Held::Pressed);
+        assert_eq!(held(&even(200)), Held::Pressed);
+        let short: Vec<_> = even(100).into_iter().filter(|(at, _)| *at < 1000).collect();
+        assert!(matches!(held(&short), Held::Goes(_)));
+        let beyond: Vec<_> = (0..=11).map(|beat| (beat * 100, beat * 100)).collect();
+        assert!(matches!(held(&beyond), Held::Void(_)), "a hold that goes on does not press again");
+    }
+
+    #[test]
+    fn beats_that_are_not_of_now_do_not_count() {
+        let burst: Vec<_> = (0..=11).map(|beat| (beat, beat * 100)).collect();
+        assert!(matches!(held(&burst), Held::Void(_)), "a burst");
+        let late: Vec<_> = (0..=5).map(|beat| (beat * 100, beat * 100)).chain([(1000, 600)]).collect();
+        assert!(matches!(held(&late), Held::Void(_)), "a gap");
+        let slow: Vec<_> = (0..=3).map(|beat| (beat * 350, beat * 350)).collect();
+        assert!(matches!(held(&slow), Held::Void(_)), "too few beats");
+        let under_way = [(0, 900), (100, 1000)];
+        assert!(matches!(held(&under_way), Held::Void(_)), "under way");
+        let behind: Vec<_> = (0..=11).map(|beat| (beat * 100, beat * 60)).collect();
+        assert!(matches!(held(&behind), Held::Void(_)), "a clock of another speed");
+    }
+
+    #[test]
+    fn a_token_is_of_the_last_beat_only() {
+        let mut hold = Hold::default();
+        let mut beat = |after_ms: u64, token| {
+            hold.beat(Beat { from: 1, now_ns: START + after_ms * MS, held_ns: after_ms * MS, token })
+        };
+        let Held::Goes(first) = beat(0, None) else { panic!("it begins") };
+        assert!(matches!(beat(100, Some(first)), Held::Goes(_)));
+        assert!(matches!(beat(200, Some(first)), Held::Void(_)));
+    }
+
+    #[test]
+    fn one_holds_at_a_time_and_a_gap_or_an_end_frees_it() {
+        let mut hold = Hold::default();
+        let first =
+            |from, after_ms: u64| Beat { from, now_ns: START + after_ms * MS, held_ns: 0, token: None };
+        assert!(matches!(hold.beat(first(1, 0)), Held::Goes(_)));
+        assert!(matches!(hold.beat(first(2, 100)), Held::Void(_)));
+        let Held::Goes(_) = hold.beat(first(1, 200)) else { panic!("the other changes nothing") };
+        assert!(matches!(hold.beat(first(2, 601)), Held::Goes(_)), "lapsed");
+        hold.end(1);
+        assert!(matches!(hold.beat(first(1, 700)), Held::Void(_)), "that of another does not end by it");
+        hold.end(2);
+        assert!(matches!(hold.beat(first(1, 700)), Held::Goes(_)));
+    }
+}

@@ -1,0 +1,324 @@
+//! The control socket of a live side: what a person at another program may do to the loop while it runs.
+//!
+//! Apart from telemetry, which nobody can command anything through: whoever only looks on must not be able to. A thread
+//! of its own serves it, without the interpreter, so that a stop acts whatever Python does; the loop sees of it what it
+//! sees of any other command. Lines of JSON, each answered by one; see docs/console.md.
+
+mod hold;
+mod request;
+
+use std::{
+    io::{self, Read},
+    os::unix::net::UnixStream,
+    path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::{self, JoinHandle},
+    time::{Duration, Instant},
+};
+
+use rustix::{
+    event::{PollFd, PollFlags, Timespec, poll},
+    io::Errno,
+    net::{SendFlags, send},
+};
+
+use self::{
+    hold::{Beat, Held, Hold},
+    request::{Answer, Request, Status},
+};
+use super::{handle::ControlPort, handle::Ineffective, system};
+use crate::{command::OperatorCommand, live_socket::LiveSocket, wire::Role};
+
+/// At once; another is told so and closed. So many that no page that was left open keeps a stop out.
+const MAX_CONNECTIONS: usize = 32;
+/// Bytes of a request, without its end.
+const MAX_REQUEST: usize = 512;
+/// Requests of a connection that are answered before others have their turn.
+const MAX_AT_ONCE: usize = 8;
+/// Between two looks at whether the loop is over.
+const LOOK_EVERY: Timespec = Timespec { tv_sec: 0, tv_nsec: 20_000_000 };
+/// How long a stop waits for the loop to be at rest before it is answered.
+const REST: Duration = Duration::from_millis(300);
+
+/// A control socket that listens; whoever connects waits until there is a loop.
+pub struct ControlSocket {
+    socket: LiveSocket,
+    path: PathBuf,
+}
+
+impl ControlSocket {
+    /// Listens at `path`, for its owner alone. A socket that nobody listens at is replaced, anything else refused.
+    pub fn listen(path: &Path) -> io::Result<Self> {
+        let socket = LiveSocket::listen(path, "another run is controlled there")?;
+        Ok(Self { socket, path: path.to_owned() })
+    }
+
+    /// Serves the loop of a side until it is over.
+    pub fn serve(self, role: Role, port: ControlPort) -> io::Result<Control> {
+        let is_over = Arc::<AtomicBool>::default();
+        let theirs = Arc::clone(&is_over);
+        let Self { socket, path } = self;
+        let thread = thread::Builder::new().name("haptether-control".into()).spawn(move || {
+            let server = Server { socket, role, port, hold: Hold::default(), connected: Vec::new(), next: 0 };
+            server.serve(&theirs);
+        })?;
+        Ok(Control { thread: Some(thread), is_over, path })
+    }
+}
+
+/// The thread that serves a control socket, and ends with this.
+#[derive(Debug)]
+pub struct Control {
+    thread: Option<JoinHandle<()>>,
+    is_over: Arc<AtomicBool>,
+    path: PathBuf,
+}
+
+impl Control {
+    /// Of its socket.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+impl Drop for Control {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+struct Connection {
+    number: u64,
+    stream: UnixStream,
+    received: Vec<u8>,
+}
+
+impl Connection {
+    /// Sends a line; whether all of it was taken at once, as it is by whoever reads the answers.
+    fn send(&self, line: &[u8]) -> bool {
+        loop {
+            match send(&self.stream, line, SendFlags::NOSIGNAL | SendFlags::DONTWAIT) {
+                Ok(taken) => return taken == line.len(),
+                Err(Errno::INTR) => {}
+                Err(_) => return false,
+            }
+        }
+    }
+
+    /// Takes what has arrived; whether it is still there.
+    fn receive(&mut self) -> bool {
+        // Whoever sends faster than it is answered waits.
+        if self.received.len() > MAX_REQUEST {
+            return true;
+        }
+        let mut bytes = [0; MAX_REQUEST * MAX_AT_ONCE];
+        match self.stream.read(&mut bytes) {
+            Ok(0) => false,
+            Ok(count) => {
+                self.received.extend_from_slice(&bytes[..count]);
+                true
+            }
+            Err(error) => matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted),
+        }
+    }
+
+    /// The next whole line; an error where it is longer than a request can be.
+    fn line(&mut self) -> Result<Option<Vec<u8>>, String> {
+        let end = self.received.iter().position(|byte| *byte == b'\n');
+        if end.unwrap_or(self.received.len()) > MAX_REQUEST {
+            return Err(format!("a request of more than {MAX_REQUEST} bytes"));
+        }
+        Ok(end.map(|end| {
+            let mut line: Vec<u8> = self.received.drain(..=end).collect();
+            line.pop();
+            line
+        }))
+    }
+}
+
+struct Server {
+    socket: LiveSocket,
+    role: Role,
+    port: ControlPort,
+    hold: Hold,
+    connected: Vec<Connection>,
+    /// Number of the next connection.
+    next: u64,
+}
+
+impl Server {
+    fn serve(mut self, is_over: &AtomicBool) {
+        // What a stop has requested is answered before: it waits for the loop to be at rest.
+        while !is_over.load(Ordering::Relaxed) && !self.port.handle().is_at_rest() {
+            self.wait();
+            self.accept();
+            let connected = std::mem::take(&mut self.connected);
+            for mut connection in connected {
+                if self.serve_one(&mut connection) {
+                    self.connected.push(connection);
+                } else {
+                    self.hold.end(connection.number);
+                }
+            }
+        }
+    }
+
+    /// Until somebody has sent something or wants in, or it is time to look around.
+    fn wait(&self) {
+        if self.connected.iter().any(|connection| connection.received.contains(&b'\n')) {
+            return;
+        }
+        let mut seen = vec![PollFd::new(&self.socket, PollFlags::IN)];
+        seen.extend(self.connected.iter().map(|connection| PollFd::new(&connection.stream, PollFlags::IN)));
+        if poll(&mut seen, Some(&LOOK_EVERY)).is_err() {
+            thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    fn accept(&mut self) {
+        for _ in 0..MAX_CONNECTIONS {
+            let Some(stream) = self.socket.accept() else { return };
+            let connection = Connection { number: self.next, stream, received: Vec::new() };
+            self.next += 1;
+            if self.connected.len() == MAX_CONNECTIONS {
+                let text = format!("{MAX_CONNECTIONS} programs are connected already: end one of them");
+                connection.send(&Answer { text, ..Answer::default() }.line());
+            } else {
+                self.connected.push(connection);
+            }
+        }
+    }
+
+    /// Answers what a connection has sent; whether it stays.
+    fn serve_one(&mut self, connection: &mut Connection) -> bool {
+        let is_there = connection.receive();
+        for _ in 0..MAX_AT_ONCE {
+            let line = match connection.line() {
+                Ok(Some(line)) => line,
+                Ok(None) => break,
+                Err(text) => {
+                    connection.send(&Answer { text, ..Answer::default() }.line());
+                    return false;
+                }
+            };
+            match Request::of(&line) {
+                Ok(request) => {
+                    let answer = self.answer(connection.number, request);
+                    if !connection.send(&answer.line()) {
+                        return false;
+                    }
+                }
+                Err(text) => {
+                    connection.send(&Answer { text, ..Answer::default() }.line());
+                    return false;
+                }
+            }
+        }
+        is_there
+    }
+
+    fn answer(&mut self, from: u64, request: Request) -> Answer {
+        let answer = Answer { request: request.name(), done: true, ..Answer::default() };
+        let refused = |text: &str| Answer { done: false, text: text.into(), ..answer.clone() };
+        match request {
+            Request::Stop {} => Answer { text: self.stop().into(), status: Some(self.status()), ..answer },
+            Request::Status {} => Answer { status: Some(self.status()), ..answer },
+            Request::LetGo {} => {
+                self.hold.end(from);
+                Answer { text: "let go".into(), ..answer }
+            }
+            _ if self.port.handle().is_stopped() => refused("the run is being stopped"),
+            Request::Hold { .. } | Request::Release {} if self.role != Role::Master => {
+                refused("the clutch is at the master: send it there")
+            }
+            Request::Hold { held_ms, token } => self.beat(from, held_ms, token, answer),
+            Request::Release {} => self.command(OperatorCommand::Release, "the clutch is released", answer),
+            Request::Acknowledge {} => {
+                self.command(OperatorCommand::Acknowledge, "what was wrong counts as mended", answer)
+            }
+            Request::ForceScale { .. } | Request::TorqueScale { .. } if self.role != Role::Master => {
+                refused("the scale of the force is at the master: send it there")
+            }
+            Request::PositionScale { .. } | Request::RotationScale { .. } if self.role != Role::Slave => {
+                refused("the scale of the motion is at the slave: send it there")
+            }
+            Request::ForceScale { scale } => self.scale(OperatorCommand::ForceScale(scale), scale, answer),
+            Request::PositionScale { scale } => {
+                self.scale(OperatorCommand::PositionScale(scale), scale, answer)
+            }
+            Request::TorqueScale { scale } => self.scale(OperatorCommand::TorqueScale(scale), scale, answer),
+            Request::RotationScale { scale } => {
+                self.scale(OperatorCommand::RotationScale(scale), scale, answer)
+            }
+        }
+    }
+
+    /// Ends the loop, and waits a moment for it to be at rest: nobody has anything to request of it any more.
+    fn stop(&mut self) -> &'static str {
+        self.port.handle().stop();
+        let end = Instant::now() + REST;
+        while !self.port.handle().is_at_rest() {
+            if Instant::now() >= end {
+                return "stopped, but it is not at rest yet: its driver has not returned";
+            }
+            thread::sleep(Duration::from_millis(1));
+        }
+        "stopped: no force, no motion"
+    }
+
+    fn beat(&mut self, from: u64, held_ms: u32, token: Option<u64>, answer: Answer) -> Answer {
+        let held_ns = u64::from(held_ms) * 1_000_000;
+        // In us, which a page's numbers hold for centuries.
+        let now_ns = system::now_ns() / 1000 * 1000;
+        let token = token.map(|token| token.saturating_mul(1000));
+        match self.hold.beat(Beat { from, now_ns, held_ns, token }) {
+            Held::Goes(next) => Answer {
+                text: "held".into(),
+                token: Some(next.div_ceil(1000)),
+                pressed: Some(false),
+                ..answer
+            },
+            Held::Pressed => {
+                self.port.handle().press_clutch();
+                Answer { text: "the clutch is pressed".into(), pressed: Some(true), ..answer }
+            }
+            Held::Void(text) => Answer { done: false, text: text.into(), pressed: Some(false), ..answer },
+        }
+    }
+
+    fn scale(&mut self, command: OperatorCommand, scale: f64, answer: Answer) -> Answer {
+        if let Err(error) = command.check::<1>() {
+            return Answer { done: false, text: error.to_string(), ..answer };
+        }
+        let text = format!("the scale is {scale}");
+        self.command(command, &text, answer)
+    }
+
+    fn command(&mut self, command: OperatorCommand, done: &str, answer: Answer) -> Answer {
+        if self.port.command(command).is_err() {
+            let text = "the loop has not done what it was told before: is it running?".into();
+            return Answer { done: false, text, ..answer };
+        }
+        Answer { text: done.into(), ..answer }
+    }
+
+    fn status(&self) -> Status {
+        let handle = self.port.handle();
+        let (ineffective_presses, why) = handle.ineffective_presses();
+        Status {
+            side: if self.role == Role::Master { "master" } else { "slave" },
+            state: handle.state().name(),
+            ticks: handle.ticks(),
+            is_stopped: handle.is_stopped(),
+            is_at_rest: handle.is_at_rest(),
+            ineffective_presses,
+            ineffective: why.and_then(Ineffective::text),
+        }
+    }
+}

@@ -1,0 +1,118 @@
+//! A request at the control socket, and what it is answered with: a line of JSON each.
+
+use serde::{Deserialize, Serialize};
+
+/// What a line asks for. Times are in ms, whole numbers: a page's numbers are exact up to 2^53.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
+pub(super) enum Request {
+    Stop {},
+    Status {},
+    Hold { held_ms: u32, token: Option<u64> },
+    LetGo {},
+    Release {},
+    Acknowledge {},
+    ForceScale { scale: f64 },
+    PositionScale { scale: f64 },
+    TorqueScale { scale: f64 },
+    RotationScale { scale: f64 },
+}
+
+/// What there is, for the line that refuses anything else.
+const REQUESTS: &str = "stop, status, hold, let_go, release, acknowledge, force_scale, position_scale, torque_scale, \
+                        rotation_scale";
+
+impl Request {
+    /// Reads a line.
+    pub(super) fn of(line: &[u8]) -> Result<Self, String> {
+        serde_json::from_slice(line).map_err(|error| {
+            // Its text repeats what was sent, which may be anything.
+            let at = error.column();
+            format!("no request (at column {at}): must be {{\"do\": NAME, ...}} with NAME one of {REQUESTS}")
+        })
+    }
+
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Stop {} => "stop",
+            Self::Status {} => "status",
+            Self::Hold { .. } => "hold",
+            Self::LetGo {} => "let_go",
+            Self::Release {} => "release",
+            Self::Acknowledge {} => "acknowledge",
+            Self::ForceScale { .. } => "force_scale",
+            Self::PositionScale { .. } => "position_scale",
+            Self::TorqueScale { .. } => "torque_scale",
+            Self::RotationScale { .. } => "rotation_scale",
+        }
+    }
+}
+
+/// The answer: what was done, or why nothing was.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct Answer {
+    /// The name of the request; empty where it was none.
+    #[serde(rename = "to")]
+    pub(super) request: &'static str,
+    pub(super) done: bool,
+    pub(super) text: String,
+    /// Of the next beat of a hold.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) token: Option<u64>,
+    /// Whether this beat has pressed the clutch.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) pressed: Option<bool>,
+    /// Where the loop stands.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    pub(super) status: Option<Status>,
+}
+
+/// Where a loop stands.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Status {
+    pub(super) side: &'static str,
+    pub(super) state: &'static str,
+    pub(super) ticks: u64,
+    pub(super) is_stopped: bool,
+    pub(super) is_at_rest: bool,
+    /// Presses that did nothing, and why the last of them did not; none where the cause says so.
+    pub(super) ineffective_presses: u64,
+    pub(super) ineffective: Option<&'static str>,
+}
+
+impl Answer {
+    pub(super) fn line(&self) -> Vec<u8> {
+        // Texts and whole numbers only.
+        let mut line = serde_json::to_vec(self).unwrap_or_default();
+        line.push(b'\n');
+        line
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_request_is_refused() {
+        for line in [
+            "",
+            "stop",
+            "{}",
+            r#"{"do":"press"}"#,
+            r#"{"do":"stop","now":true}"#,
+            r#"{"do":"force_scale"}"#,
+            r#"{"do":"force_scale","scale":"1"}"#,
+            r#"{"do":"hold","held_ms":-1}"#,
+            r#"{"do":"hold","held_ms":1e9}"#,
+            r#"[{"do":"stop"}]"#,
+            r#"{"do":"stop"} {"do":"stop"}"#,
+        ] {
+            let refused = Request::of(line.as_bytes()).expect_err(line);
+            assert!(refused.contains("must be"), "{line}: {refused}");
+        }
+        assert_eq!(Request::of(br#"{"do":"stop"}"#), Ok(Request::Stop {}));
+        let beat = Request::Hold { held_ms: 200, token: Some(7) };
+        assert_eq!(Request::of(br#"{"do":"hold","held_ms":200,"token":7}"#), Ok(beat));
+    }
+}

@@ -1,0 +1,129 @@
+"""`haptether console`."""
+
+import contextlib
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from haptether.cli.shared.stop import Stopped
+
+LONG_S = "1000000"
+"""For how long the sides of a scene wait for a person, in s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Console:
+    """Show running sides in a browser, and stop, engage and scale them from there.
+
+    A page for this machine alone, at the address that is printed; it needs no network. What it shows is the telemetry
+    of the sides, what it does goes to their control sockets: STOP (also space and Esc), Engage, which is pressed and
+    held for a second, Release clutch, Acknowledge, and the scales of force and position. The loops wait for neither:
+    closing or stalling the page changes nothing.
+
+    With --scene it starts both sides of a scene as processes of this machine, and ends them with itself; nothing
+    engages until somebody holds Engage.
+
+    Examples:
+
+    haptether console --scene remote_push
+
+    haptether master --peer 127.0.0.1:9000 --key arm.key --telemetry /tmp/m.sock --control /tmp/m.ctl
+
+    haptether console --connect /tmp/m.sock --control /tmp/m.ctl
+    """
+
+    connect: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(metavar="PATH")] = ()
+    """What --telemetry of a running side names; may be given twice."""
+    control: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(metavar="PATH")] = ()
+    """What --control of a running side names; without it the page only shows. May be given twice."""
+    scene: Annotated[str | None, tyro.conf.arg(metavar="SCENE")] = None
+    """Start the sides of a scene for trying it out, a shipped one or a TOML file."""
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
+    """Change the scene, as in `haptether simulate`; may be given often."""
+    port: Annotated[int, tyro.conf.arg(metavar="PORT")] = 0
+    """Where the page is served on 127.0.0.1; a free one by default."""
+
+    def run(self) -> int:
+        """Serves the page until Ctrl-C.
+
+        Raises:
+            ValueError: Nothing to show, or too much.
+            OSError: The port is taken.
+            RuntimeError: A side of the scene did not start, or the extra is not installed.
+        """
+        from haptether.cli.shared.stop import Stopped
+
+        if (self.scene is None) == (not self.connect):
+            message = "--connect, --scene: give one of the two"
+            raise ValueError(message)
+        if self.scene is not None and self.control:
+            message = "--control: the sides of --scene have their own: leave it out"
+            raise ValueError(message)
+        if self.scene is None and self.set:
+            message = f"set = {self.set[0]}: changes a scene: --scene must name one"
+            raise ValueError(message)
+        if len(self.connect) > 2 or len(self.control) > 2:
+            message = f"--connect, --control: {max(len(self.connect), len(self.control))} sides, must be at most 2"
+            raise ValueError(message)
+        if not 0 <= self.port <= 65535:
+            message = f"port = {self.port}: must be 0 to 65535"
+            raise ValueError(message)
+        try:
+            import starlette  # noqa: F401
+            import uvicorn  # noqa: F401
+            import websockets  # noqa: F401
+        except ImportError as error:
+            message = f"{error.name} is not installed: pip install haptether[console]"
+            raise RuntimeError(message) from None
+        with Stopped() as stopped, contextlib.ExitStack() as stack:
+            if self.scene is None:
+                self._serve(self.connect, self.control, stopped)
+            else:
+                folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="haptether-console-")))
+                self._start(folder, stack, stopped)
+                sides = ("master", "slave")
+                telemetry = [folder / f"{side}.sock" for side in sides]
+                self._serve(telemetry, [folder / f"{side}.ctl" for side in sides], stopped)
+        return 0
+
+    def _serve(self, telemetry: "list[Path] | tuple[Path, ...]", control: "list[Path] | tuple[Path, ...]",
+               stopped: "Stopped") -> None:  # fmt: skip
+        from haptether.view.console.server import Console as Server
+
+        server = Server(telemetry, control, port=self.port)
+        print(f"console on {server.address}", flush=True)
+        print("Ctrl-C ends it; the address is the key to it: show it to nobody", flush=True)
+        server.serve(lambda: bool(stopped))
+
+    def _start(self, folder: Path, stack: contextlib.ExitStack, stopped: "Stopped") -> None:
+        """Starts slave and master of the scene on loopback, with a key of this run."""
+        from haptether.bridge import load_scene, write_key
+        from haptether.studies.demo import Interrupted, child_process
+
+        assert self.scene is not None
+        # Said here, in one line, and not by a process that does not start.
+        load_scene(self.scene, self.set)
+        os.chmod(folder, 0o700)  # noqa: PTH101
+        key = folder / "console.key"
+        write_key(key)
+        common = ["--key", str(key), "--scene", self.scene, "--keep-s", "60", "--patience-s", LONG_S]
+        for change in self.set:
+            common += ["--set", change]
+
+        def sockets(side: str) -> list[str]:
+            return ["--telemetry", str(folder / f"{side}.sock"), "--control", str(folder / f"{side}.ctl")]
+
+        try:
+            slave = stack.enter_context(child_process("slave", "--listen", "127.0.0.1:0", *common, *sockets("slave")))
+            address = slave.headline(stopped).rsplit(" ", 1)[-1]
+            master = stack.enter_context(
+                child_process("master", "--peer", address, "--clutch", "open", *common, *sockets("master"))
+            )
+            master.headline(stopped)
+        except Interrupted:
+            raise KeyboardInterrupt from None

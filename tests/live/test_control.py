@@ -1,0 +1,217 @@
+"""The control socket of a live side: who may stop, press and scale it, and who not."""
+
+import contextlib
+import socket
+import stat
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.live.control_client import Control
+from tests.scene.two_sides import two_sides
+
+from haptether.bridge import LiveMaster, LiveSlave, override_scene, scene_json
+
+pytestmark = pytest.mark.live
+
+BEAT_S = 0.1
+
+
+@pytest.fixture
+def sides(tmp_path: Path) -> Iterator[tuple[LiveMaster, LiveSlave]]:
+    """Two whose start presses nothing, each with a control socket in the folder."""
+    scene = scene_json(override_scene(two_sides(), ["operator.clutch=once"]))
+    slave = LiveSlave(scene, listen="127.0.0.1:0", run_id=2, insecure=True, control=tmp_path / "slave")
+    old_s = time.monotonic() - 10.0
+    master = LiveMaster(
+        scene, peer=slave.address, run_id=1, insecure=True, started_s=old_s, control=tmp_path / "master"
+    )
+    wait_for(lambda: master.is_answered)
+    yield master, slave
+    master.finish()
+    slave.finish()
+
+
+def wait_for(condition: Callable[[], bool], within_s: float = 5.0) -> None:
+    end_s = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < end_s
+        time.sleep(0.005)
+
+
+def hold(control: Control, *, beats: int = 12, every_s: float = BEAT_S) -> dict[str, Any]:
+    """Beats at even times until the first that is no more answered by a token; its answer."""
+    begun_s = time.monotonic()
+    token: dict[str, Any] = {}
+    answer: dict[str, Any] = {}
+    for beat in range(beats):
+        time.sleep(max(0.0, begun_s + beat * every_s - time.monotonic()))
+        held_ms = round((time.monotonic() - begun_s) * 1e3)
+        answer = control.ask("hold", held_ms=held_ms, **token)
+        if "token" not in answer:
+            break
+        token = {"token": answer["token"]}
+    return answer
+
+
+def test_a_hold_of_a_second_couples_and_a_release_ends_it(sides: tuple[LiveMaster, LiveSlave], tmp_path: Path) -> None:
+    master, _ = sides
+    with Control(tmp_path / "master") as control, Control(tmp_path / "master") as other:
+        assert master.state == "disengaged"
+        begun_s = time.monotonic()
+        control.ask("hold", held_ms=0)
+        refused = other.ask("hold", held_ms=0)
+        assert (refused["done"], "holds the button" in refused["text"]) == (False, True)
+        assert hold(control)["pressed"] is True
+        assert time.monotonic() - begun_s > 1.0
+        wait_for(lambda: master.state == "engaged")
+        assert other.ask("release")["done"]
+        wait_for(lambda: master.state != "engaged")
+
+
+def test_what_is_no_hold_presses_nothing(sides: tuple[LiveMaster, LiveSlave], tmp_path: Path) -> None:
+    master, _ = sides
+    path = tmp_path / "master"
+    with Control(path) as control:
+        # A queue that stalled and goes on: a whole hold at once.
+        beats = b"".join(b'{"do":"hold","held_ms":%d}\n' % held for held in range(0, 1300, 100))
+        control.send(beats)
+        answers = [control.answer() for _ in range(13)]
+        assert not any(answer["pressed"] for answer in answers)
+        assert not answers[-1]["done"]
+        # Tokens in time, but all beats within a moment.
+        assert not hold(control, every_s=0.001)["pressed"]
+        # A gap.
+        token = control.ask("hold", held_ms=0)["token"]
+        time.sleep(0.45)
+        assert "stopped" in control.ask("hold", held_ms=450, token=token)["text"]
+        # Too short.
+        assert not hold(control, beats=6)["pressed"]
+        control.ask("let_go")
+    with Control(path) as control:
+        assert not hold(control, beats=5)["pressed"]
+    with Control(path) as control:
+        # It does not go on at another connection.
+        assert "let go" in control.ask("hold", held_ms=600, token=1)["text"]
+    time.sleep(0.3)
+    assert master.state == "disengaged"
+    assert master.ineffective_presses[0] == 1, "that of the old start"
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_stop_is_at_rest_at_once_whatever_others_do(
+    side: int, sides: tuple[LiveMaster, LiveSlave], tmp_path: Path
+) -> None:
+    path = tmp_path / ("master", "slave")[side]
+    with Control(path) as silent, Control(path) as talks, Control(path) as stops:
+        # One sends without end and reads nothing.
+        talks.socket.setblocking(False)
+        try:
+            while True:
+                talks.send(b'{"do":"status"}\n' * 100)
+        except (BlockingIOError, BrokenPipeError, ConnectionResetError):
+            # Who does not read the answers is closed.
+            pass
+        silent.send(b'{"do":"st')
+        begun_s = time.monotonic()
+        answer = stops.ask("stop")
+        took_s = time.monotonic() - begun_s
+        assert (answer["done"], answer["is_at_rest"]) == (True, True)
+        assert took_s < 0.1
+    wait_for(lambda: sides[side].finished)
+    wait_for(lambda: not path.exists())
+
+
+BUSY = """
+import sys
+from haptether.bridge import LiveSlave, scene_json
+from tests.scene.two_sides import two_sides
+slave = LiveSlave(scene_json(two_sides()), listen="127.0.0.1:0", run_id=2, insecure=True, control=sys.argv[1])
+print("runs", flush=True)
+# One call in C: nobody else has the interpreter.
+sum(range(10**11))
+"""
+
+
+def test_a_stop_acts_while_the_interpreter_hangs(tmp_path: Path) -> None:
+    path = tmp_path / "slave"
+    with subprocess.Popen([sys.executable, "-c", BUSY, str(path)], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "runs\n"
+            time.sleep(0.2)
+            with Control(path) as control:
+                begun_s = time.monotonic()
+                answer = control.ask("stop")
+                assert (answer["is_at_rest"], time.monotonic() - begun_s < 0.1) == (True, True)
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize(
+    ("sent", "said"),
+    [
+        (b"GET / HTTP/1.1\r\n\r\n", "must be"),
+        (b"\0\xff\xfe\n", "must be"),
+        (b'{"do":"press"}\n', "must be"),
+        (b"x" * 513, "more than 512 bytes"),
+        (b'{"do":"stop","x":"' + b"x" * 600 + b'"}\n', "more than 512 bytes"),
+    ],
+)
+def test_what_is_no_request_is_one_line_and_the_end(
+    sent: bytes, said: str, sides: tuple[LiveMaster, LiveSlave], tmp_path: Path
+) -> None:
+    with Control(tmp_path / "master") as control:
+        control.send(sent)
+        answer = control.answer()
+        assert answer["done"] is False
+        assert said in answer["text"]
+        # A reset, where it had not read all of it.
+        with contextlib.suppress(ConnectionResetError):
+            assert control.answer() == {}
+    with Control(tmp_path / "master") as control:
+        assert control.ask("status")["is_stopped"] is False
+    assert not sides[0].finished
+
+
+def test_scales_are_set_at_the_side_that_has_them(sides: tuple[LiveMaster, LiveSlave], tmp_path: Path) -> None:
+    assert not sides[0].finished
+    with Control(tmp_path / "master") as master, Control(tmp_path / "slave") as slave:
+        assert master.ask("force_scale", scale=0.5)["done"]
+        assert slave.ask("position_scale", scale=0.5)["done"]
+        for at, do, scale, said in (
+            (master, "position_scale", 0.5, "at the slave"),
+            (slave, "force_scale", 0.5, "at the master"),
+            (master, "force_scale", -1.0, "force_scale"),
+            (slave, "hold", 0.0, "at the master"),
+        ):
+            given = {"held_ms": 0} if do == "hold" else {"scale": scale}
+            answer = at.ask(do, **given)
+            assert (answer["done"], said in answer["text"]) == (False, True), answer
+        assert master.ask("acknowledge")["done"]
+        assert master.ask("status")["side"] == "master"
+
+
+def test_the_socket_is_its_owners_and_replaces_only_one_that_is_left(tmp_path: Path) -> None:
+    scene = scene_json(two_sides())
+
+    def slave(path: Path) -> LiveSlave:
+        return LiveSlave(scene, listen="127.0.0.1:0", run_id=2, insecure=True, control=path)
+
+    path = tmp_path / "slave"
+    with socket.socket(socket.AF_UNIX) as left:
+        left.bind(str(path))
+    running = slave(path)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    with pytest.raises(OSError, match="another run is controlled there"):
+        slave(path)
+    link = tmp_path / "link"
+    link.symlink_to(path)
+    with pytest.raises(OSError, match="is no socket"):
+        slave(link)
+    running.finish()
+    wait_for(lambda: not path.exists())

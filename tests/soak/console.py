@@ -1,0 +1,107 @@
+"""A page of the console that reads two loops at 1 kHz for minutes: browser, server and loops must not grow.
+
+python -m tests.soak.console --minutes 10
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tests.view.console.browser import chromium, hold
+
+if TYPE_CHECKING:
+    from playwright.sync_api import CDPSession
+
+WARM_UP_S = 60.0
+"""Until what is cached is there: fonts, charts, the first garbage collections."""
+
+
+def children(pid: int) -> list[int]:
+    """A process and all that descend from it."""
+    found = [pid]
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        for child in task.read_text().split():
+            found += children(int(child))
+    return found
+
+
+def proportional_mib(pids: list[int]) -> float:
+    """Memory in MiB, what is shared counted in parts."""
+    total = 0
+    for pid in pids:
+        for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
+            if line.startswith("Pss:"):
+                total += int(line.split()[1])
+    return total / 1024
+
+
+def command(pid: int) -> str:
+    return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode("utf-8", "replace")
+
+
+class Memory:
+    """What is measured of whom."""
+
+    def __init__(self, console: int, browser: list[int], session: "CDPSession") -> None:
+        self.console = console
+        self.browser = browser
+        self.session = session
+
+    def now(self) -> dict[str, float]:
+        """In MiB."""
+        self.session.send("HeapProfiler.collectGarbage")
+        metrics = {one["name"]: one["value"] for one in self.session.send("Performance.getMetrics")["metrics"]}
+        sides = {
+            name: [pid for pid in children(self.console)[1:] if f"haptether {name} " in command(pid)]
+            for name in ("master", "slave")
+        }
+        return {
+            "browser, all processes": proportional_mib(self.browser),
+            "page, script heap": metrics["JSHeapUsedSize"] / 2**20,
+            "server": proportional_mib([self.console]),
+            **{f"loop of the {name}": proportional_mib(pids) for name, pids in sides.items()},
+        }
+
+
+def main() -> int:
+    """Prints the memory at begin and end."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=10.0)
+    minutes: float = parser.parse_args().minutes
+    with subprocess.Popen(
+        [sys.executable, "-m", "haptether", "console", "--scene", "remote_push"], stdout=subprocess.PIPE, text=True
+    ) as console:
+        assert console.stdout is not None
+        address = console.stdout.readline().split()[-1]
+        before = set(children(console.pid))
+        with chromium() as browser:
+            page = browser.new_page(viewport={"width": 1280, "height": 900})
+            page.goto(address)
+            page.wait_for_selector("#side-master .headline")
+            hold(page, 1.3)
+            page.wait_for_selector("#side-master .headline .engaged")
+            own = [pid for pid in children(os.getpid()) if pid not in before and "chromium" in command(pid)]
+            session = page.context.new_cdp_session(page)
+            session.send("Performance.enable")
+            memory = Memory(console.pid, own, session)
+            page.wait_for_timeout(WARM_UP_S * 1e3)
+            begin, begun_s = memory.now(), time.monotonic()
+            print(f"{'MiB':28}{'begin':>10}", flush=True)
+            for name, value in begin.items():
+                print(f"{name:28}{value:10.1f}", flush=True)
+            page.wait_for_timeout(minutes * 60e3)
+            end, took_s = memory.now(), time.monotonic() - begun_s
+            print(f"\n{'MiB':28}{'begin':>10}{'end':>10}{'change':>10}   after {took_s / 60:.1f} min")
+            for name, value in end.items():
+                print(f"{name:28}{begin[name]:10.1f}{value:10.1f}{value - begin[name]:+10.1f}")
+            print("page:", page.inner_text("#side-master .headline"), page.inner_text("#link") or "no row was lost")
+        console.terminate()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,50 @@
+"""Chromium without a display, and a page of the console in it."""
+
+import shutil
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from playwright.sync_api import Browser, Page
+
+ARGUMENTS = (
+    "--no-sandbox", "--disable-quic", "--disable-background-networking", "--disable-component-update",
+    "--disable-sync", "--no-first-run",
+)  # fmt: skip
+"""No sandbox: it does not begin for root. The rest talks to nobody."""
+
+
+@contextmanager
+def chromium() -> "Iterator[Browser]":
+    """That of the system; Debian's package `chromium`.
+
+    Raises:
+        RuntimeError: There is none.
+    """
+    from playwright.sync_api import sync_playwright
+
+    path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if path is None:
+        message = "chromium is not installed: on Debian and Ubuntu the package is named chromium; .ci/run installs it"
+        raise RuntimeError(message)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=list(ARGUMENTS))
+        yield browser
+        browser.close()
+
+
+def press(page: "Page") -> None:
+    """Presses Engage, and does not let go."""
+    box = page.locator("#engage").bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 10, box["y"] + 10)
+    page.mouse.down()
+
+
+def hold(page: "Page", seconds: float) -> None:
+    """Presses Engage, and lets go after so long."""
+    press(page)
+    page.wait_for_timeout(seconds * 1e3)
+    page.mouse.up()

@@ -1,0 +1,122 @@
+"""A live side as the console has it: its telemetry, read on a thread of its own, and the newest rows of its charts."""
+
+import threading
+from pathlib import Path
+from typing import Any
+
+from haptether.bridge import TelemetryEnd, TelemetryReader, TelemetrySample
+from haptether.view.console.summary import summary
+from haptether.view.terminal.state import SideState
+
+RETRY_S = 0.5
+"""Between two attempts to connect."""
+PLACES = ("position", "command")
+VECTORS = (
+    "rendered_force",
+    "safety_force",
+    "device_force",
+    "grasp_force",
+    "environment_force",
+)
+"""Of the charts, where a side has them."""
+
+
+class SideFeed:
+    """Reads the telemetry at `path` until it is closed, and again where another run begins there.
+
+    Args:
+        path: Of `--telemetry`.
+        name: What the side is called until it has said it.
+    """
+
+    def __init__(self, path: Path, name: str) -> None:
+        self.path = path
+        self._name = name
+        self._state: SideState | None = None
+        self._trouble = "not connected yet"
+        self._row: dict[str, Any] = {}
+        self._lock = threading.Lock()
+        self._reader: TelemetryReader | None = None
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"console-{name}", daemon=True)
+
+    def start(self) -> None:
+        """Begins to read."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Ends it; the loop does not notice."""
+        self._closed.set()
+        reader = self._reader
+        if reader is not None:
+            reader.close()
+        self._thread.join(1.0)
+
+    @property
+    def side(self) -> str:
+        """`master` or `slave`."""
+        state = self._state
+        return self._name if state is None else state.side
+
+    def summary(self) -> dict[str, Any]:
+        """What the page shows beside the charts."""
+        with self._lock:
+            return summary(self._state, self._trouble, str(self.path))
+
+    def take_row(self) -> dict[str, Any]:
+        """Of each signal of the charts what was furthest from zero since the last row, in SI units; or nothing."""
+        with self._lock:
+            row, self._row = self._row, {}
+        return row
+
+    def _run(self) -> None:
+        while not self._closed.is_set():
+            try:
+                with TelemetryReader(self.path) as reader:
+                    self._reader = reader
+                    self._read(reader)
+            except (OSError, ValueError) as error:
+                trouble = "nobody sends there" if isinstance(error, FileNotFoundError) else str(error)
+                with self._lock:
+                    self._trouble = trouble
+            self._closed.wait(RETRY_S)
+
+    def _read(self, reader: TelemetryReader) -> None:
+        state = SideState(reader.hello)
+        with self._lock:
+            self._state, self._trouble, self._row = state, "", {}
+        for message in reader:
+            with self._lock:
+                state.take(message)
+                if isinstance(message, TelemetrySample):
+                    self._add(state, message)
+            if isinstance(message, TelemetryEnd):
+                break
+        with self._lock:
+            self._trouble = (
+                "the run has ended" if state.has_ended else "ended without a word: the side has failed or was killed"
+            )
+
+    def _add(self, state: SideState, sample: TelemetrySample) -> None:
+        row = self._row
+        for name in PLACES:
+            if name in sample.signals:
+                row[name] = [axis[2] for axis in sample.signals[name]]
+        for name in VECTORS:
+            if name in sample.signals:
+                now = [_furthest(axis[0], axis[1]) for axis in sample.signals[name]]
+                row[name] = [_furthest(*pair) for pair in zip(row.get(name, now), now, strict=True)]
+        for one in state.observers():
+            if one.threshold:
+                low, high, _ = sample.signals[state.signal_of(one.controller)]
+                value = high if one.trips_above else low
+                if value is not None:
+                    share = value / one.threshold
+                    row[one.controller] = max(share, row.get(one.controller, share))
+
+
+def _furthest(low: float | None, high: float | None) -> float | None:
+    """The one further from zero, so that a spike of one tick is seen."""
+    if low is None or high is None:
+        return high if low is None else low
+    return low if -low > high else high

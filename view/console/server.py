@@ -1,0 +1,285 @@
+"""The console's server: its files, what it sends to each page, and what pages request."""
+
+import asyncio
+import contextlib
+import json
+import secrets
+import socket
+import time
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import msgspec
+
+from haptether.view.console.control import Asked, ControlConnection, stop_all
+from haptether.view.console.feed import SideFeed
+from haptether.view.console.guard import Guard
+from haptether.view.console.rows import Rows
+
+if TYPE_CHECKING:
+    from starlette.applications import Starlette
+    from starlette.requests import Request
+    from starlette.responses import Response
+    from starlette.websockets import WebSocket
+
+FILES = {
+    "": ("page.html", "text/html; charset=utf-8"),
+    "console.js": ("console.js", "text/javascript; charset=utf-8"),
+    "console.css": ("console.css", "text/css; charset=utf-8"),
+    "uplot.js": ("vendor/uPlot.iife.min.js", "text/javascript; charset=utf-8"),
+    "uplot.css": ("vendor/uPlot.min.css", "text/css; charset=utf-8"),
+}
+ROW_S = 1.0 / 30
+"""Between two rows of the charts, and two messages to a page."""
+ROWS = 150
+"""That wait for a page; one that is slower loses the oldest, counted."""
+WORDS_EVERY = 3
+"""Words and numbers beside the charts come with every third message."""
+SEND_BUFFER = 1 << 16
+"""Bytes that the system holds for a page."""
+MAX_PAGES = 8
+MAX_ASKED = 32
+"""Requests of a page that wait; a page with more is closed."""
+MAX_MESSAGE = 4096
+
+
+class Console:
+    """Sides that run, shown to pages of this machine.
+
+    Args:
+        telemetry: Sockets of `--telemetry`.
+        control: Sockets of `--control`, of sides that tell which they are.
+        port: Where it listens on 127.0.0.1; 0 lets the system choose.
+
+    Raises:
+        OSError: The port is taken.
+    """
+
+    def __init__(self, telemetry: Sequence[Path], control: Sequence[Path], *, port: int = 0) -> None:
+        self._socket = socket.create_server(("127.0.0.1", port))
+        # Of each page: what it does not take waits here and no longer in the system.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        self.port: int = self._socket.getsockname()[1]
+        self._token = secrets.token_urlsafe(24)
+        self.feeds = [SideFeed(path, f"side {number}") for number, path in enumerate(telemetry, start=1)]
+        self._control = list(control)
+        self._sides: dict[str, Path] = {}
+        """Of each control socket that has said whose it is."""
+        self.rows = Rows(ROWS)
+        self._words: list[dict[str, Any]] = []
+        self._pages = 0
+        self._begun_s = time.monotonic()
+
+    @property
+    def address(self) -> str:
+        """What a browser opens."""
+        return f"http://127.0.0.1:{self.port}/{self._token}/"
+
+    def serve(self, stopped: Callable[[], bool]) -> None:
+        """Serves until `stopped` says so; the loops of the sides do not notice."""
+        import uvicorn
+
+        class Server(uvicorn.Server):
+            @contextlib.contextmanager
+            def capture_signals(self) -> Iterator[None]:
+                # Whoever runs it says when it ends.
+                yield
+
+        config = uvicorn.Config(
+            Guard(self._application(), self.port, self._token),
+            ws="websockets-sansio",
+            ws_max_size=MAX_MESSAGE,
+            ws_max_queue=MAX_ASKED,
+            ws_per_message_deflate=False,
+            lifespan="off",
+            # The path holds the token.
+            access_log=False,
+            log_level="error",
+            server_header=False,
+            limit_concurrency=512,
+            timeout_graceful_shutdown=1,
+        )
+        server = Server(config)
+
+        async def run() -> None:
+            rows = asyncio.create_task(self._sample())
+            end = asyncio.create_task(self._end(server, stopped))
+            try:
+                await server.serve(sockets=[self._socket])
+            finally:
+                rows.cancel()
+                end.cancel()
+
+        for feed in self.feeds:
+            feed.start()
+        try:
+            asyncio.run(run())
+        finally:
+            for feed in self.feeds:
+                feed.close()
+            self._socket.close()
+
+    async def _end(self, server: Any, stopped: Callable[[], bool]) -> None:  # noqa: ANN401  # of a library of an extra
+        while not stopped():
+            await asyncio.sleep(0.05)
+        server.should_exit = True
+
+    def _application(self) -> "Starlette":
+        from starlette.applications import Starlette
+        from starlette.routing import Route, WebSocketRoute
+
+        return Starlette(
+            routes=[
+                *(Route(f"/{name}", self._file) for name in FILES),
+                Route("/stop", self._stop, methods=["POST"]),
+                WebSocketRoute("/live", self._live),
+            ]
+        )
+
+    async def _file(self, request: "Request") -> "Response":
+        from starlette.responses import Response
+
+        name, kind = FILES[request.url.path.strip("/")]
+        return Response((Path(__file__).parent / name).read_bytes(), media_type=kind)
+
+    async def _stop(self, _: "Request") -> "Response":
+        """The stop of a page whose connection does not answer."""
+        from starlette.responses import Response
+
+        return Response(json.dumps(await self._stop_all()), media_type="application/json")
+
+    async def _stop_all(self) -> dict[str, dict[str, Any]]:
+        return await stop_all({str(path): path for path in self._control})
+
+    async def _sample(self) -> None:
+        """A row of all sides, 30 times a second."""
+        due = time.monotonic()
+        while True:
+            if self.rows.newest % WORDS_EVERY == 0:
+                self._words = [feed.summary() for feed in self.feeds]
+            row: dict[str, Any] = {"t": time.monotonic() - self._begun_s}
+            for feed in self.feeds:
+                if values := feed.take_row():
+                    row[feed.side] = values
+            self.rows.add(row)
+            due = max(due + ROW_S, time.monotonic() - ROW_S)
+            await asyncio.sleep(max(0.0, due - time.monotonic()))
+
+    async def _live(self, page: "WebSocket") -> None:
+        await page.accept()
+        if self._pages >= MAX_PAGES:
+            await page.send_text(json.dumps({"kind": "refused", "text": f"{MAX_PAGES} pages are open: close one"}))
+            await page.close(1013)
+            return
+        self._pages += 1
+        try:
+            async with _Page(page, self) as one:
+                await one.serve()
+        finally:
+            self._pages -= 1
+
+    async def path_of(self, side: str) -> Path | None:
+        """The control socket of a side; none where none was named, or it does not answer."""
+        if side not in self._sides:
+            for path in self._control:
+                connection = ControlConnection(path)
+                answer = await connection.ask({"do": "status"})
+                connection.close()
+                if answer.get("done"):
+                    self._sides[str(answer["side"])] = path
+        return self._sides.get(side)
+
+    def message_since(self, row: int) -> tuple[int, dict[str, Any]]:
+        """What a page that has had row `row` is sent next, and the row that it then has."""
+        new, lost = self.rows.since(row)
+        message: dict[str, Any] = {"kind": "rows", "rows": new, "lost": lost}
+        if self.rows.newest // WORDS_EVERY != row // WORDS_EVERY:
+            message["sides"] = self._words
+        return self.rows.newest, message
+
+    async def stop(self) -> dict[str, dict[str, Any]]:
+        """Stops every side that is controlled."""
+        return await self._stop_all()
+
+
+class _Page(contextlib.AbstractAsyncContextManager["_Page"]):
+    """A page that is open: what is sent to it, and what it requests, each in its own task."""
+
+    def __init__(self, page: "WebSocket", console: Console) -> None:
+        self._page = page
+        self._console = console
+        self._asked: asyncio.Queue[Asked] = asyncio.Queue(MAX_ASKED)
+        self._connections: dict[str, ControlConnection] = {}
+        self._sending = asyncio.Lock()
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    async def __aenter__(self) -> Self:
+        for work in (self._show(), self._answer_all()):
+            self._tasks.add(asyncio.create_task(work))
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        # A hold ends with its page.
+        for connection in self._connections.values():
+            connection.close()
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    async def serve(self) -> None:
+        """Takes what the page requests, until it is closed."""
+        async for text in self._texts():
+            if text == '{"do":"stop"}':
+                # Behind nothing else.
+                task = asyncio.create_task(self._stop())
+                self._tasks.add(task)
+                task.add_done_callback(self._tasks.discard)
+                continue
+            try:
+                self._asked.put_nowait(msgspec.json.decode(text, type=Asked))
+            except (msgspec.DecodeError, asyncio.QueueFull) as error:
+                reason = "too many requests" if isinstance(error, asyncio.QueueFull) else f"no request: {error}"
+                await self._page.close(1008, reason[:100])
+                return
+
+    async def _texts(self) -> AsyncIterator[str]:
+        from starlette.websockets import WebSocketDisconnect
+
+        with contextlib.suppress(WebSocketDisconnect, KeyError, RuntimeError):
+            while True:
+                yield await self._page.receive_text()
+
+    async def _send(self, message: dict[str, Any]) -> None:
+        from starlette.websockets import WebSocketDisconnect
+
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            async with self._sending:
+                await self._page.send_text(json.dumps(message, separators=(",", ":")))
+
+    async def _show(self) -> None:
+        row = self._console.rows.newest
+        while True:
+            # A page that does not take it holds this up, and what it then misses is counted.
+            row, message = self._console.message_since(row)
+            await self._send(message)
+            await asyncio.sleep(ROW_S)
+
+    async def _stop(self) -> None:
+        answers = await self._console.stop()
+        await self._send({"kind": "stopped", "answers": answers})
+
+    async def _answer_all(self) -> None:
+        while True:
+            asked = await self._asked.get()
+            answer = await self._answer(asked)
+            await self._send({"kind": "answer", "id": asked.id, **answer})
+
+    async def _answer(self, asked: Asked) -> dict[str, Any]:
+        if asked.side not in self._connections:
+            path = await self._console.path_of(asked.side)
+            if path is None:
+                text = f"no --control of the {asked.side} was given, or nobody answers there"
+                return {"to": asked.do, "done": False, "text": text}
+            self._connections[asked.side] = ControlConnection(path)
+        return await self._connections[asked.side].ask(asked.request())

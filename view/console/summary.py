@@ -1,0 +1,104 @@
+"""What a page shows of a side in words and numbers, as what becomes JSON."""
+
+from typing import Any
+
+from haptether.view.terminal.panel import FORCES, PLACES, TIMES, headline
+from haptether.view.terminal.state import SideState
+
+EVENTS = 12
+"""Newest that are shown."""
+GRIPPER = {"trigger": "trigger", "gripper": "gripper", "gripper_force": "gripper force [N]"}
+
+
+def summary(state: SideState | None, trouble: str, path: str) -> dict[str, Any]:
+    """The side, its ladder, cause, numbers, observers and newest events.
+
+    Args:
+        state: Of its telemetry; none before it has said what it is.
+        trouble: Why nothing comes; empty where it does.
+        path: Of its socket.
+    """
+    if state is None:
+        return {"side": None, "trouble": f"{path}: {trouble}"}
+    cause = state.cause
+    return {
+        "side": state.side,
+        "trouble": f"{path}: {trouble}" if trouble else "",
+        "has_ended": state.has_ended,
+        "version": state.hello.version,
+        "secure": state.hello.security == "secure",
+        "device": _device(state),
+        "time_s": state.time_s,
+        "state": state.last("state"),
+        "headline": headline(state),
+        "clutch": state.last("clutch"),
+        "cause": None
+        if cause is None
+        else {
+            "at": cause.at,
+            "text": cause.text,
+            "steps": [{"text": step.text, "at": step.at, "remedy": step.remedy} for step in cause.steps],
+        },
+        "values": [*_vectors(state), *_times(state), *_gripper(state)],
+        "observers": [
+            {
+                "name": one.controller.upper(),
+                "symbol": one.symbol,
+                "value": one.value,
+                "share": one.share,
+                "threshold": one.threshold,
+                "above": one.trips_above,
+                "tripped": one.tripped,
+            }
+            for one in state.observers()
+        ],
+        "held": state.is_held(),
+        "events": [[time_s, text] for time_s, text in list(state.events)[-EVENTS:]],
+        "lost_ticks": state.lost_ticks + state.dropped,
+    }
+
+
+def _device(state: SideState) -> str:
+    scene = state.hello.scene or {}
+    table = scene.get(state.side) or {}
+    for key in ("driver", "device"):
+        if table.get(key):
+            return str(table[key])
+    return "model"
+
+
+def _is_linear(state: SideState) -> bool:
+    return ((state.hello.scene or {}).get("master") or {}).get("kind") != "joints"
+
+
+def _vectors(state: SideState) -> list[dict[str, Any]]:
+    found = []
+    for name, (label, unit) in PLACES.items():
+        if (values := state.last(name)) is not None:
+            shown = unit if _is_linear(state) else unit.replace("m", "rad")
+            found.append({"label": f"{label} [{shown}]", "values": values, "digits": 4, "peak": None, "signed": True})
+    for name, label in FORCES.items():
+        if (values := state.last(name)) is not None:
+            unit = "N" if name.endswith("force") and _is_linear(state) else "N m"
+            found.append(
+                {"label": f"{label} [{unit}]", "values": values, "digits": 2, "peak": state.peak(name), "signed": True}
+            )
+    return found
+
+
+def _times(state: SideState) -> list[dict[str, Any]]:
+    found = []
+    for name, label in TIMES.items():
+        value, worst = state.last(name), state.peak(name)
+        if value is not None and worst is not None:
+            found.append({"label": f"{label} [ms]", "values": [value * 1e3], "digits": 2, "peak": worst * 1e3})
+    return found
+
+
+def _gripper(state: SideState) -> list[dict[str, Any]]:
+    found = []
+    for name, label in GRIPPER.items():
+        if (value := state.last(name)) is not None:
+            grips = ", holds something" if name == "gripper" and state.last("holds_object") else ""
+            found.append({"label": label + grips, "values": [value], "digits": 2, "peak": None})
+    return found
