@@ -80,7 +80,7 @@ fn begun(folder: &Path, peer: SocketAddr, (name, telemetry, recording): (&str, b
     if telemetry {
         let mut reader = UnixStream::connect(&path).unwrap();
         thread::spawn(move || {
-            let mut taken = [0; 1 << 16];
+            let mut taken = vec![0; 1 << 16];
             while reader.read(&mut taken).is_ok_and(|count| count > 0) {}
         });
     }
@@ -108,7 +108,7 @@ fn begun(folder: &Path, peer: SocketAddr, (name, telemetry, recording): (&str, b
 }
 
 fn main() {
-    let ticks: usize = env::args().nth(1).and_then(|text| text.parse().ok()).expect("recorded_tick TICKS");
+    let ticks: usize = env::args().nth(1).and_then(|text| text.parse().ok()).unwrap();
     let folder = env::temp_dir().join(format!("haptether-recorded-tick-{}", std::process::id()));
     std::fs::create_dir(&folder).unwrap();
     // It answers nothing and reads nothing.

@@ -601,9 +601,9 @@ class ServoArm:
                     f"servo {servo_id}", "its torque does not stay on", "see hardware error and supply, then try again"
                 )
         moved = float(np.abs(self.position - before).max())
-        torque = "took torque" if self._is_waiting else "has torque"
+        taken = "took" if self._is_waiting else "has"
         checklist.check(
-            "arm", f"{torque}, and moved {moved:.3f} rad meanwhile", good=moved <= MOVED_RAD,
+            "arm", f"{taken} torque, and moved {moved:.3f} rad meanwhile", good=moved <= MOVED_RAD,
             remedy="support it, and do not move it meanwhile",
         )  # fmt: skip
         checklist.finish()

@@ -94,7 +94,11 @@ fn ticks<const N: usize>(recorded: &Recorded<'_, '_>, times: &[u64]) -> PyResult
             requested_force: requested.axes(row),
             gain: gain.values[row],
             missed: count(&missed, row),
-            past: [Past::Kept, Past::Stalled, Past::Acknowledged][(count(&past, row) as usize).min(2)],
+            past: match count(&past, row) {
+                0 => Past::Kept,
+                1 => Past::Stalled,
+                _ => Past::Acknowledged,
+            },
             fault: u8::try_from(count(&fault, row)).ok().and_then(Fault::from_code),
             ..HandInput::idle()
         };
@@ -110,14 +114,17 @@ fn ticks<const N: usize>(recorded: &Recorded<'_, '_>, times: &[u64]) -> PyResult
 }
 
 fn rows_out<const W: usize>(py: Python<'_>, rows: impl Iterator<Item = Axes<W>>) -> PyResult<Py<PyAny>> {
-    let flat: Vec<f64> = rows.flat_map(|row| <[f64; W]>::from(row)).collect();
+    let flat: Vec<f64> = rows.flat_map(<[f64; W]>::from).collect();
     let ticks = flat.len() / W;
     column(py, flat).call_method1(py, "reshape", (ticks, W))
 }
 
+/// A signal of a replayed tick.
+type Signal<const N: usize> = fn(&ReplayedTick<N>) -> Axes<N>;
+
 fn out<const N: usize>(py: Python<'_>, done: &[ReplayedTick<N>]) -> PyResult<Py<PyDict>> {
     let table = PyDict::new(py);
-    let vectors: [(&str, fn(&ReplayedTick<N>) -> Axes<N>); 7] = [
+    let vectors: [(&str, Signal<N>); 7] = [
         ("velocity", |tick| tick.safety.motion.velocity),
         ("rendered_force", |tick| tick.safety.rendered_force),
         ("grasp_force", |tick| tick.safety.grasp_force),

@@ -61,7 +61,7 @@ class Simulate(PictureOptions):
     def run(self) -> int:
         """Runs the scene; 0, or 1 if it diverged."""
         from haptether.bridge import SceneError, load_scene, simulate
-        from haptether.cli.shared.output import check_target
+        from haptether.cli.shared.output import check_target, make_folder
         from haptether.cli.shared.picture import picture_in
         from haptether.cli.shared.screen import screen
 
