@@ -428,6 +428,7 @@ REQUIRED = {
     "explain": ["master.flight"],
     "watch": ["master.sock"],
     "plot": ["master.mcap"],
+    "playback": ["slave.mcap"],
     "export": ["master.mcap"],
     "sweep": ["remote_push"],
 }

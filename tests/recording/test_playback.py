@@ -80,7 +80,7 @@ def test_the_command_plays_it_in_virtual_time(
 ) -> None:
     assert main(["playback", str(files[1]), "--plot", str(tmp_path), "--out", str(tmp_path / "run.npz")]) == 0
     assert "trip  wsc" in capfd.readouterr().out
-    assert (tmp_path / "Playback.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "playback.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.live
