@@ -103,6 +103,7 @@ class Master(LiveOptions):
         if scene is not None:
             scene = with_clutch(scene, self.clutch)
         controller, release_at_s = _protection(scene) if scene is not None else (self.controller, self.release_at_s)
+        is_of_joints = scene is not None and scene.master.kind == "joints"
         with Stopped() as stopped:
             master = start_master(self, scene, stopped, arguments)
             handed_over(key)
@@ -111,7 +112,8 @@ class Master(LiveOptions):
             trace, report = master.finish()
             cause = watch.after_end(report)
         result = measure_push(controller, trace, report, release_at_s)
-        self._report(result, summarise_link(trace, report), cause, answered=bool(np.isfinite(trace.age_s).any()))
+        answered = bool(np.isfinite(trace.age_s).any())
+        self._report(result, summarise_link(trace, report), cause, answered=answered, joints=is_of_joints)
         if self.trace is not None:
             save_master_trace(trace, self.trace)
         watch.raise_error()
@@ -150,7 +152,9 @@ class Master(LiveOptions):
             " of the master, presses it again"
         )
 
-    def _report(self, result: "PushResult", link: "LinkSummary", cause: "Cause | None", *, answered: bool) -> None:
+    def _report(
+        self, result: "PushResult", link: "LinkSummary", cause: "Cause | None", *, answered: bool, joints: bool
+    ) -> None:
         import msgspec
 
         from haptether.cli.shared.link_table import link_table
@@ -160,7 +164,7 @@ class Master(LiveOptions):
         console = screen(self.json)
         # A table of what was not measured is no table.
         if result.engaged_s is not None:
-            print_push(console, [result])
+            print_push(console, [result], joints=joints)
         if answered:
             console.print(link_table(link))
         write_report(self.json, {**msgspec.to_builtins(result), "cause": cause, "link": link})
@@ -187,17 +191,35 @@ def _protection(scene: "Scene") -> tuple[str, float | None]:
 # ----------------------------------------------------------------------------------------- the table of this and `demo`
 
 
-def print_push(console: "Screen", results: "Sequence[PushResult]") -> None:
-    """One column a run, and below them the texts of faults, which fit no column."""
+def print_push(console: "Screen", results: "Sequence[PushResult]", *, joints: bool = False) -> None:
+    """One column a run, and below them the texts of faults, which fit no column.
+
+    Args:
+        console: Where it is printed.
+        results: Of runs.
+        joints: Whether they are of joints: speeds in rad/s, torques in N m.
+    """
     from haptether.cli.shared.table import Column, Rows
 
     table = Rows("controller", *(Column(result.controller, numbers=True) for result in results))
     for name, show in ROWS.items():
-        table.add(name, *(show(result) for result in results))
+        table.add(_of_joints(name) if joints else name, *(show(result) for result in results))
     console.print(table)
     for result in results:
         if result.fault is not None:
             console.print(f"fault, {result.controller}: {result.fault}", soft_wrap=True)
+
+
+def _of_joints(label: str) -> str:
+    """The same of joints."""
+    for linear, turning in (
+        ("[m/s]", "[rad/s]"),
+        ("[N]", "[N m]"),
+        ("force on", "torque on"),
+        (" away from the wall", ""),
+    ):
+        label = label.replace(linear, turning)
+    return label
 
 
 def _figure(value: float | None, digits: int, scale: float = 1.0) -> str:
