@@ -1,5 +1,6 @@
 """Reading what a live loop sends of itself while it runs."""
 
+import contextlib
 import os
 import socket
 import time
@@ -154,7 +155,9 @@ class TelemetryReader:
             yield self._decoded(line)
 
     def close(self) -> None:
-        """Ends the connection; the loop does not notice."""
+        """Ends the connection, of a thread that waits for a message, too; the loop does not notice."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
     def __enter__(self) -> Self:

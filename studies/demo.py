@@ -4,6 +4,7 @@ import contextlib
 import os
 import queue
 import secrets
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -250,9 +251,13 @@ class Process:
 
 @contextlib.contextmanager
 def child_process(name: str, *arguments: str, says: str | None = None) -> Iterator[Process]:
-    """One of our own commands as a child process, which is ended with the block; `says` begins its first line."""
+    """One of our own commands as a child process, which is ended with the block; `says` begins its first line.
+
+    It ends with this process, too, where that is killed and `setpriv` of util-linux is there.
+    """
+    ends_with_this = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
     process = subprocess.Popen(
-        [sys.executable, "-m", "haptether", name, *arguments],
+        [*ends_with_this, sys.executable, "-m", "haptether", name, *arguments],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

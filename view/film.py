@@ -99,13 +99,13 @@ def _write_gif(
     signs = [round(shade * level) for shade in SHADES for level in rgb]
     palette = Image.new("P", (1, 1))
     palette.putpalette([*(frequent.getpalette() or [])[: 3 * COLOURS], *signs])
-    flat = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    # One after the other: of a frame only what differs from the one before is kept.
+    flat = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
     each_ms = round(1000.0 / fps)
-    durations = [each_ms] * (len(flat) - 1) + [each_ms + round(1000.0 * LAST_S)]
+    durations = [each_ms] * (len(times_s) - 1) + [each_ms + round(1000.0 * LAST_S)]
+    first = next(flat)
     with private_file(path) as file:
-        flat[0].save(
-            file, format="GIF", save_all=True, append_images=flat[1:], duration=durations, loop=0, optimize=False
-        )
+        first.save(file, format="GIF", save_all=True, append_images=flat, duration=durations, loop=0, optimize=False)
 
 
 def _write_mp4(path: Path, frames: Iterator[Pixels], fps: float) -> None:

@@ -210,6 +210,9 @@ def _drive(
     wait = None if device.paces else loop.wait
     try:
         while True:
+            if loop.take_acknowledgement():
+                # By the control socket.
+                notes.acknowledged_s = time.monotonic()
             if notes.acknowledged_s is not None:
                 _acknowledge(device, loop, notes, notes.acknowledged_s, gripper)
             if not step():

@@ -123,7 +123,7 @@ class ServoArm:
         """Without the gripper, which has a fault."""
         self._status = SyncRead(TORQUE_ENABLE, STATUS_SIZE, list(self._members))
         self._watchdogs = SyncRead(BUS_WATCHDOG, 1, list(self._members))
-        self._ramp = self._ramp_begin_s = self._heard_s = self._watch_at_s = self._watched_s = 0.0
+        self._ramp = self._ramp_begin_s = self._heard_s = self._watch_at_s = self._watched_s = self._alive_s = 0.0
         self._fault: ArmFaultError | None = None
         self._stopped: ArmFaultError | None = None
         """By `stop`, since the last `open` or acknowledgement: what gives torque ends."""
@@ -190,10 +190,12 @@ class ServoArm:
                 self._fault = self._stopped = self._unsent = self._ticking = None
                 self._ending, self._held = False, frozenset()
                 self._is_waiting = not give_torque
+                self._alive_s = _awake_s()
             try:
                 self._connect()
                 if self._is_waiting:
                     self._rest()
+                    self._alive_s = _awake_s()
             except BaseException:
                 self._disconnect()
                 raise
@@ -207,7 +209,7 @@ class ServoArm:
         if not self._is_waiting or self._fault is not None or self._bus is None:
             return
         self._is_waiting = False
-        late_s = time.monotonic() - self._heard_s
+        late_s, self._alive_s = _awake_s() - self._alive_s, _awake_s()
         with self._connecting:
             try:
                 if late_s > BEGUN_S:
@@ -427,6 +429,7 @@ class ServoArm:
             if self._fault is None or str(self._fault) != shown or self._recovery is not None or self._ending:
                 return
             self._recovered = self._stopped = None
+            self._alive_s = _awake_s()
         self._recovery = threading.Thread(target=self._recover, name="dynamixel-recovery", daemon=True)
         self._recovery.start()
 
@@ -441,7 +444,14 @@ class ServoArm:
         return bus
 
     def _go_on(self) -> None:
-        """Ends an `open` or a recovery whose arm is being closed or stopped."""
+        """Ends an `open` or a recovery whose arm is being closed or stopped, or whose process stood still meanwhile."""
+        before_s, self._alive_s = self._alive_s, _awake_s()
+        # What lies between two calls is silent servos and the trial of the watchdogs at most.
+        if (still_s := self._alive_s - before_s) > BEGUN_S + self.settings.watchdog_s:
+            message = (
+                f"{self.name}: this process stood still for {still_s:.0f} s: whoever began it may be gone: begin anew"
+            )
+            raise ArmRefusedError(message)
         if self._ending:
             message = f"{self.name}: closed before it was open"
             raise ArmRefusedError(message)
@@ -866,6 +876,7 @@ class ServoArm:
     def _recover(self) -> None:
         with self._connecting:
             try:
+                self._is_waiting = False
                 self._go_on()
                 if self.fault_kind in {FaultKind.UNPLUGGED, FaultKind.NOT_READY}:
                     # Its port may be one that is gone.
@@ -948,6 +959,11 @@ def _is_off(bus: DynamixelBus, servo_id: int) -> bool:
             if isinstance(error, OSError) and error.errno in GONE:
                 return False
     return False
+
+
+def _awake_s() -> float:
+    """Time in s that a machine's sleep counts for, too."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 def _to_stderr(line: str) -> None:

@@ -67,7 +67,7 @@ class DynamixelMaster:
             self.write_trigger = self._write_trigger
 
     def open(self) -> None:
-        """Goes through the checklist of the bus; torque rises from 0 then.
+        """Goes through the checklist of the bus; torque comes with the first `read`, and rises from 0.
 
         Raises:
             ArmRefusedError: What is wrong, each with what to do.

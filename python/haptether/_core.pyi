@@ -2227,6 +2227,9 @@ class _DrivenLoop:
             text: The driver's own, which both sides show: up to 239 bytes of UTF-8 on one line.
         """
 
+    def take_acknowledgement(self) -> bool:
+        """Whether the device's fault was acknowledged by the control socket since the last call, and within 0.25 s."""
+
     def announce_end(self) -> None:
         """Announces to the peer that this side ends, within 20 ms; the loop is over. `finish` does it where nobody has."""
 

@@ -46,7 +46,7 @@ where
         let control = (place.settings.role, place.control()?);
         let (run, watch, reader) =
             run_live(side, place.socket, place.settings, place.security, outputs).map_err(not_begun)?;
-        Ok((Mutex::new(run), Watched::new(watch, reader, newest, control)?))
+        Ok((Mutex::new(run), Watched::new(watch, reader, newest, control, false)?))
     })
 }
 

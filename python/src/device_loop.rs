@@ -273,6 +273,10 @@ macro_rules! loop_methods {
                 Ok(())
             }
 
+            fn take_acknowledgement(&self) -> bool {
+                self.watched.handle.take_acknowledgement()
+            }
+
             fn announce_end(&self, py: Python<'_>) -> PyResult<()> {
                 let mut paced = own(&self.paced)?;
                 let paced = &mut **paced;
@@ -499,7 +503,7 @@ where
         let (paced, watch, reader) =
             paced_by_device(side, place.socket, place.settings, place.security, outputs)
                 .map_err(not_begun)?;
-        Ok((paced, Watched::new(watch, reader, newest, control)?))
+        Ok((paced, Watched::new(watch, reader, newest, control, true)?))
     })
 }
 

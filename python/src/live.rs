@@ -272,10 +272,12 @@ impl<Rows> Watched<Rows> {
         reader: RecordReader<R>,
         newest: Newest<R>,
         (role, control): (Role, Option<ControlSocket>),
+        has_driver: bool,
     ) -> PyResult<Self> {
         let handle = watch.handle().clone();
         let port = watch.port();
-        let control = control.zip(port).map(|(socket, port)| socket.serve(role, port)).transpose()?;
+        let control =
+            control.zip(port).map(|(socket, port)| socket.serve(role, port, has_driver)).transpose()?;
         let records: Mutex<Box<dyn KeptRows<Rows>>> = Mutex::new(Box::new(Kept { reader, newest }));
         Ok(Self { handle, watch: Mutex::new(watch), records, _control: control })
     }

@@ -87,6 +87,11 @@ fn ticks<const N: usize>(recorded: &Recorded<'_, '_>, times: &[u64]) -> PyResult
         .transpose()?;
     let mut ticks = Vec::with_capacity(times.len());
     for (row, &time_ns) in times.iter().enumerate() {
+        // A loop that leaves out more has stalled, and takes nothing over.
+        if count(&missed, row) > MAX_MISSED {
+            let text = format!("missed = {}: must be at most {MAX_MISSED}", missed.values[row]);
+            return Err(PyValueError::new_err(text));
+        }
         let mut reading =
             MasterReading::point(position.axes(row), velocity.as_ref().map(|rows| rows.axes(row)));
         let mut input = HandInput {
@@ -104,6 +109,11 @@ fn ticks<const N: usize>(recorded: &Recorded<'_, '_>, times: &[u64]) -> PyResult
         };
         if let Some((orientation, rate, received, requested)) = &turning {
             let rate = rate.as_ref().map(|rows| rows.axes(row));
+            let norm = orientation.axes::<4>(row).norm();
+            if (norm - 1.0).abs() > MAX_NORM_ERROR {
+                let text = format!("orientation: a norm of {norm} at row {row}, must be 1");
+                return Err(PyValueError::new_err(text));
+            }
             reading = reading.turned(orientation.axes::<4>(row).into(), rate);
             (input.received_torque, input.requested_torque) = (received.axes(row), requested.axes(row));
         }
@@ -118,6 +128,11 @@ fn rows_out<const W: usize>(py: Python<'_>, rows: impl Iterator<Item = Axes<W>>)
     let ticks = flat.len() / W;
     column(py, flat).call_method1(py, "reshape", (ticks, W))
 }
+
+/// Ticks that may be left out between two.
+const MAX_MISSED: u64 = 10_000;
+/// How far a recorded quaternion may be from the length of 1.
+const MAX_NORM_ERROR: f64 = 1e-6;
 
 /// A signal of a replayed tick.
 type Signal<const N: usize> = fn(&ReplayedTick<N>) -> Axes<N>;

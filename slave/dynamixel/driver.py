@@ -79,7 +79,7 @@ class DynamixelSlave:
         self.servos = ServoArm(self.settings, grip=grip)
 
     def open(self) -> None:
-        """Goes through the checklist; then the arm takes up its own weight where it stands."""
+        """Goes through the checklist; with the first `read` the arm takes up its own weight where it stands."""
         self._goal, self._led, self._refused, self._is_measured = None, False, None, False
         self.servos.open(give_torque=False)
         self._torque.reset()

@@ -13,6 +13,7 @@ import pytest
 from tests.dynamixel.emulated import EmulatedBus, emulated_bus
 from tests.dynamixel.test_arm import TIMEOUT_S, arm_of, opened, refused, torques, until
 
+from haptether.checklist import Checklist
 from haptether.dynamixel import DynamixelBus
 from haptether.dynamixel.arm import ArmRefusedError, ArmSettings, FaultKind, ServoArm, ServoSettings, read_calibration
 from haptether.dynamixel.arm.calibration import calibration_text
@@ -205,10 +206,38 @@ def test_an_arm_that_nobody_reads_for_long_is_given_no_torque(
 ) -> None:
     arm = arm_of(two.port, servos=ONE, watchdog_s=0.1)
     arm.open(give_torque=False)
-    monkeypatch.setattr("haptether.dynamixel.arm.arm.BEGUN_S", 0.2)
-    time.sleep(0.3)
+    # As where the machine slept.
+    later_s = time.clock_gettime(time.CLOCK_BOOTTIME) + 3600.0
+    monkeypatch.setattr("haptether.dynamixel.arm.arm._awake_s", lambda: later_s)
     with pytest.raises(ArmRefusedError, match="not read since: start anew"):
         arm.begin()
+    assert torques(two)[0] is False
+    arm.close()
+
+
+def test_a_process_that_was_halted_in_its_open_or_its_recovery_gives_no_torque(
+    two: EmulatedBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    awake = [0.0]
+    monkeypatch.setattr("haptether.dynamixel.arm.arm._awake_s", lambda: awake[0])
+    placed = ServoArm._place
+
+    def halted(arm: ServoArm, checklist: Checklist) -> None:
+        placed(arm, checklist)
+        awake[0] += 60.0
+
+    arm = arm_of(two.port, servos=ONE, watchdog_s=0.1)
+    monkeypatch.setattr(ServoArm, "_place", halted)
+    with pytest.raises(ArmRefusedError, match="stood still for 60 s: whoever began it may be gone"):
+        arm.open()
+    assert torques(two)[0] is False
+    monkeypatch.setattr(ServoArm, "_place", placed)
+    arm.open()
+    assert arm.read()
+    arm.stop(FaultKind.JUMP, "of a test")
+    monkeypatch.setattr(ServoArm, "_place", halted)
+    arm.acknowledge(arm.fault)
+    until(lambda: not arm.read() and arm.fault_kind == FaultKind.NOT_READY)
     assert torques(two)[0] is False
     arm.close()
 

@@ -34,3 +34,7 @@ class Control:
     def ask(self, do: str, **given: object) -> dict[str, Any]:
         self.send(json.dumps({"do": do, **given}).encode() + b"\n")
         return self.answer()
+
+    def set(self, do: str, **given: object) -> dict[str, Any]:
+        """A request that changes something, with the token of a status of now."""
+        return self.ask(do, **given, token=self.ask("status")["token"])

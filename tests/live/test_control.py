@@ -181,19 +181,30 @@ def test_what_is_no_request_is_one_line_and_the_end(
 def test_scales_are_set_at_the_side_that_has_them(sides: tuple[LiveMaster, LiveSlave], tmp_path: Path) -> None:
     assert not sides[0].finished
     with Control(tmp_path / "master") as master, Control(tmp_path / "slave") as slave:
-        assert master.ask("force_scale", scale=0.5)["done"]
-        assert slave.ask("position_scale", scale=0.5)["done"]
+        assert master.set("force_scale", scale=0.5)["done"]
+        assert slave.set("position_scale", scale=0.5)["done"]
         for at, do, scale, said in (
             (master, "position_scale", 0.5, "at the slave"),
             (slave, "force_scale", 0.5, "at the master"),
             (master, "force_scale", -1.0, "force_scale"),
             (slave, "hold", 0.0, "at the master"),
         ):
-            given = {"held_ms": 0} if do == "hold" else {"scale": scale}
-            answer = at.ask(do, **given)
+            answer = at.ask(do, held_ms=0) if do == "hold" else at.set(do, scale=scale)
             assert (answer["done"], said in answer["text"]) == (False, True), answer
-        assert master.ask("acknowledge")["done"]
+        assert master.set("acknowledge")["done"]
         assert master.ask("status")["side"] == "master"
+
+
+def test_what_waited_in_a_queue_changes_nothing(sides: tuple[LiveMaster, LiveSlave], tmp_path: Path) -> None:
+    assert not sides[0].finished
+    with Control(tmp_path / "master") as control:
+        token = control.ask("status")["token"]
+        for late in (token - 1_000_000, token + 60_000_000, 0):
+            for do, given in (("acknowledge", {}), ("force_scale", {"scale": 0.5}), ("torque_scale", {"scale": 0.5})):
+                answer = control.ask(do, token=late, **given)
+                assert (answer["done"], "came too late" in answer["text"]) == (False, True), (do, late, answer)
+        time.sleep(0.5)
+        assert control.ask("acknowledge", token=token)["done"] is False
 
 
 def test_the_socket_is_its_owners_and_replaces_only_one_that_is_left(tmp_path: Path) -> None:

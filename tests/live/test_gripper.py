@@ -4,11 +4,13 @@ import math
 import secrets
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 from tests.gripper.serving import served
 from tests.gripper.virtual import gripper as emulated
+from tests.live.control_client import Control
 from tests.ur.stalls import anew_after_stalls
 
 from haptether.bridge import (
@@ -125,9 +127,9 @@ class Jaws:
         self.orders.append("close")
 
 
-def slave_of(jaws: Gripper, spec: bytes = SPEC) -> tuple[SlaveRun, Arm]:
+def slave_of(jaws: Gripper, spec: bytes = SPEC, **others: object) -> tuple[SlaveRun, Arm]:
     arm = Arm()
-    loop = SlaveLoop(spec, listen="127.0.0.1:0", **how())
+    loop = SlaveLoop(spec, listen="127.0.0.1:0", **how(**others))
     return SlaveRun(arm, loop, gripper=jaws), arm
 
 
@@ -202,6 +204,25 @@ def test_a_fault_of_the_gripper_stops_the_arm_and_is_named_and_acknowledged() ->
     slave.acknowledge()
     until(lambda: slave.state != "fault")
     assert jaws.orders[count:] == ["acknowledge"], "the gripper moves no more: nobody has engaged anew"
+    master.stop()
+    master.finish()
+    slave.finish()
+
+
+@anew_after_stalls
+def test_an_acknowledgement_at_the_control_socket_reaches_the_driver(tmp_path: Path) -> None:
+    jaws = Jaws()
+    slave, _ = slave_of(jaws, control=tmp_path / "slave")
+    master = LiveMaster(SPEC, peer=slave.address, patience_s=10.0, **how())
+    until(lambda: jaws.position > 0.1)
+    jaws.fault = "silence: the server does not answer"
+    until(lambda: slave.state == "fault")
+    count = len(jaws.orders)
+    with Control(tmp_path / "slave") as control:
+        answer = control.set("acknowledge")
+    assert (answer["done"], answer["text"]) == (True, "acknowledged, to the device as well")
+    until(lambda: slave.state != "fault")
+    assert "acknowledge" in jaws.orders[count:]
     master.stop()
     master.finish()
     slave.finish()

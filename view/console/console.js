@@ -4,6 +4,7 @@
 const BEAT_MS = 120;       // between two beats of a hold; the loop's side demands five a second
 const WINDOW_S = 10;       // of the charts
 const DRAW_MS = 60;         // between two drawings of the charts: what a click needs is not spent on them
+const FRESH_MS = 500;      // from a click to its request
 const RETRY_MS = 500;      // between two attempts to connect
 const $ = id => document.getElementById(id);
 const base = location.pathname.replace(/[^/]*$/, "");
@@ -56,16 +57,20 @@ function say(text, bad = false) {
   $("said").className = bad ? "bad" : "";
 }
 
-async function request(side, what) {
-  const answer = await ask(side, what);
+// What changes something bears the token of a status of now, so that none counts that has waited in a queue; `clicked` is
+// when the person did it.
+async function request(side, what, clicked) {
+  const status = await ask(side, { do: "status" });
+  if (status.done && performance.now() - clicked > FRESH_MS) return say(`${side}: it took too long to get there: once more`, true);
+  const answer = status.done ? await ask(side, { ...what, token: status.token }) : status;
   say(`${side}: ${answer.text}`, !answer.done);
-  return answer;
 }
 
 // ---------------------------------------------------------------------------------------------------- stop
 
 function stop() {
   letGo();
+  sayStopped.done = false;
   say("STOP");
   if (socket && socket.readyState === WebSocket.OPEN && socket.bufferedAmount === 0) {
     socket.send('{"do":"stop"}');
@@ -77,7 +82,8 @@ function stop() {
 
 function sayStopped(answers) {
   const texts = Object.entries(answers).map(([, answer]) => `${answer.side || ""} ${answer.text}`);
-  const done = texts.length > 0 && Object.values(answers).every(answer => answer.done);
+  // One that is not at rest is what somebody must see to.
+  const done = texts.length > 0 && Object.values(answers).every(answer => answer.done && answer.is_at_rest);
   if (done) sayStopped.done = true;
   // The second of two stops finds nobody any more.
   if (done || !sayStopped.done) {
@@ -94,10 +100,10 @@ async function beat(mine, token) {
   const held = performance.now() - mine.began;
   $("engage-fill").style.width = Math.min(100, held / 10) + "%";
   const answer = await ask("master", { do: "hold", held_ms: Math.round(held), ...(token === null ? {} : { token }) });
-  if (hold !== mine) return;
   if (answer.pressed) {
+    // Also where it was let go while the answer was on its way: it is pressed.
     const before = mine.presses;
-    end();
+    if (hold === mine) end();
     say("master: " + answer.text);
     // Whether the loop took it.
     setTimeout(async () => {
@@ -106,6 +112,8 @@ async function beat(mine, token) {
         say("the press did nothing: " + (status.ineffective || "see what is to be done first"), true);
       }
     }, 150);
+  } else if (hold !== mine) {
+    return;
   } else if (!answer.done) {
     end();
     say("master: " + answer.text, true);
@@ -152,14 +160,17 @@ document.addEventListener("keydown", event => {
     if (!event.repeat) stop();
   }
 }, true);
-$("release").addEventListener("click", () => request("master", { do: "release" }));
+$("release").addEventListener("click", async () => {
+  const answer = await ask("master", { do: "release" });
+  say(`master: ${answer.text}`, !answer.done);
+});
 for (const [form, input, side, name] of [["force-form", "force-scale", "master", "force_scale"],
   ["position-form", "position-scale", "slave", "position_scale"]]) {
   $(form).addEventListener("submit", event => {
     event.preventDefault();
     const scale = Number($(input).value.trim() || NaN);
     if (!Number.isFinite(scale)) say(`${$(input).value}: must be a number`, true);
-    else request(side, { do: name, scale });
+    else request(side, { do: name, scale }, event.timeStamp);
   });
 }
 
@@ -184,10 +195,19 @@ function showSides(sides) {
     section.append(words, button);
     $("sides").append(section);
     const at = sections.length;
-    button.addEventListener("click", () => { const side = sections[at].side; if (side) request(side, { do: "acknowledge" }); });
+    button.addEventListener("click", event => {
+      const side = sections[at].side;
+      if (side) request(side, { do: "acknowledge" }, event.timeStamp);
+    });
     sections.push({ section, words, button, side: null });
   }
   sides.forEach((side, index) => showSide(sections[index], side));
+  for (const side of sides) {
+    for (const [key, id] of [["force_scale", "force-scale"], ["position_scale", "position-scale"]]) {
+      // What the scene has, until somebody types.
+      if (side.scales && side.scales[key] !== null && $(id).value === "" && document.activeElement !== $(id)) $(id).value = side.scales[key];
+    }
+  }
   $("link").textContent = lostRows ? `${lostRows} rows not shown: this page was too slow` : "";
 }
 
@@ -261,12 +281,15 @@ function observers(side) {
 
 // ---------------------------------------------------------------------------------------------------- charts
 
+// Those of every figure of the project.
+const COLOURS = JSON.parse($("colours").textContent);
 // Side, signal, name, colour.
 const CHARTS = {
-  position: [["master", "position", "hand", "#0550ae"], ["slave", "command", "commanded", "#bc4c00"], ["slave", "position", "tool", "#1a7f37"]],
-  force: [["master", "rendered_force", "requested F_v", "#bc4c00"], ["master", "safety_force", "controllers F_c", "#8250df"],
-    ["master", "device_force", "exerted F_device", "#0550ae"], ["slave", "environment_force", "on the tool F_e", "#1a7f37"]],
-  observer: [["master", "vfc", "VFC", "#bc4c00"], ["master", "hsc", "HSC", "#8250df"], ["master", "wsc", "WSC", "#0550ae"]],
+  position: [["master", "position", "hand", COLOURS.hand], ["slave", "command", "commanded", COLOURS.commanded],
+    ["slave", "position", "tool", COLOURS.arm]],
+  force: [["master", "rendered_force", "requested F_v", COLOURS.rendered], ["master", "safety_force", "controllers F_c", COLOURS.safety],
+    ["master", "device_force", "exerted F_device", COLOURS.hand], ["slave", "environment_force", "on the tool F_e", COLOURS.arm]],
+  observer: ["vfc", "hsc", "wsc", "pc"].map(name => ["master", name, name.toUpperCase(), COLOURS[name]]),
 };
 const rows = [];
 let charts = null, needsDraw = false, drawn = 0;

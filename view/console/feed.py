@@ -34,6 +34,8 @@ class SideFeed:
         self._name = name
         self._state: SideState | None = None
         self._trouble = "not connected yet"
+        self._is_over = False
+        """Whether the run whose state is shown sends nothing any more."""
         self._row: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._reader: TelemetryReader | None = None
@@ -75,16 +77,19 @@ class SideFeed:
                 with TelemetryReader(self.path) as reader:
                     self._reader = reader
                     self._read(reader)
-            except (OSError, ValueError) as error:
-                trouble = "nobody sends there" if isinstance(error, FileNotFoundError) else str(error)
+            except Exception as error:  # a thread that ends would leave the last sample standing
+                nobody = isinstance(error, FileNotFoundError | ConnectionRefusedError)
                 with self._lock:
-                    self._trouble = trouble
+                    # How the last run ended says more than that nobody has come since.
+                    if not (nobody and self._is_over):
+                        self._trouble = "nobody sends there" if nobody else str(error) or type(error).__name__
+                        self._is_over = self._state is not None
             self._closed.wait(RETRY_S)
 
     def _read(self, reader: TelemetryReader) -> None:
         state = SideState(reader.hello)
         with self._lock:
-            self._state, self._trouble, self._row = state, "", {}
+            self._state, self._trouble, self._row, self._is_over = state, "", {}, False
         for message in reader:
             with self._lock:
                 state.take(message)
@@ -93,6 +98,7 @@ class SideFeed:
             if isinstance(message, TelemetryEnd):
                 break
         with self._lock:
+            self._is_over = True
             self._trouble = (
                 "the run has ended" if state.has_ended else "ended without a word: the side has failed or was killed"
             )

@@ -69,6 +69,8 @@ class Console:
         self.rows = Rows(ROWS)
         self._words: list[dict[str, Any]] = []
         self._pages = 0
+        self._stops: set[asyncio.Task[dict[str, dict[str, Any]]]] = set()
+        """Under way; no page that closes ends one."""
         self._begun_s = time.monotonic()
 
     @property
@@ -90,14 +92,12 @@ class Console:
             Guard(self._application(), self.port, self._token),
             ws="websockets-sansio",
             ws_max_size=MAX_MESSAGE,
-            ws_max_queue=MAX_ASKED,
             ws_per_message_deflate=False,
             lifespan="off",
             # The path holds the token.
             access_log=False,
             log_level="error",
             server_header=False,
-            limit_concurrency=512,
             timeout_graceful_shutdown=1,
         )
         server = Server(config)
@@ -141,13 +141,16 @@ class Console:
         from starlette.responses import Response
 
         name, kind = FILES[request.url.path.strip("/")]
-        return Response((Path(__file__).parent / name).read_bytes(), media_type=kind)
+        text = (Path(__file__).parent / name).read_bytes()
+        if name == "page.html":
+            text = text.replace(b"COLOURS", json.dumps(_colours()).encode(), 1)
+        return Response(text, media_type=kind)
 
     async def _stop(self, _: "Request") -> "Response":
         """The stop of a page whose connection does not answer."""
         from starlette.responses import Response
 
-        return Response(json.dumps(await self._stop_all()), media_type="application/json")
+        return Response(json.dumps(await self.stop()), media_type="application/json")
 
     async def _stop_all(self) -> dict[str, dict[str, Any]]:
         return await stop_all({str(path): path for path in self._control})
@@ -199,8 +202,23 @@ class Console:
         return self.rows.newest, message
 
     async def stop(self) -> dict[str, dict[str, Any]]:
-        """Stops every side that is controlled."""
-        return await self._stop_all()
+        """Stops every side that is controlled, whatever becomes of the page that asks for it."""
+        return await asyncio.shield(self.begin_stop())
+
+    def begin_stop(self) -> "asyncio.Task[dict[str, dict[str, Any]]]":
+        """The same, begun."""
+        task = asyncio.create_task(self._stop_all())
+        self._stops.add(task)
+        task.add_done_callback(self._stops.discard)
+        return task
+
+
+def _colours() -> dict[str, str]:
+    """Of the charts, by what is drawn: those of every figure."""
+    from haptether.view.style.colours import AXES, CONTROLLERS, SIGNALS
+
+    controllers = {name: colour for name, (colour, _) in CONTROLLERS.items()}
+    return {**controllers, **SIGNALS, "safety": AXES[3]}
 
 
 class _Page(contextlib.AbstractAsyncContextManager["_Page"]):
@@ -231,8 +249,9 @@ class _Page(contextlib.AbstractAsyncContextManager["_Page"]):
         """Takes what the page requests, until it is closed."""
         async for text in self._texts():
             if text == '{"do":"stop"}':
-                # Behind nothing else.
-                task = asyncio.create_task(self._stop())
+                # Behind nothing else, and begun here: what waits for its answer may be cancelled.
+                stopping = self._console.begin_stop()
+                task = asyncio.create_task(self._say_stopped(stopping))
                 self._tasks.add(task)
                 task.add_done_callback(self._tasks.discard)
                 continue
@@ -265,9 +284,8 @@ class _Page(contextlib.AbstractAsyncContextManager["_Page"]):
             await self._send(message)
             await asyncio.sleep(ROW_S)
 
-    async def _stop(self) -> None:
-        answers = await self._console.stop()
-        await self._send({"kind": "stopped", "answers": answers})
+    async def _say_stopped(self, stopping: "asyncio.Task[dict[str, dict[str, Any]]]") -> None:
+        await self._send({"kind": "stopped", "answers": await asyncio.shield(stopping)})
 
     async def _answer_all(self) -> None:
         while True:

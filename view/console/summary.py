@@ -28,6 +28,7 @@ def summary(state: SideState | None, trouble: str, path: str) -> dict[str, Any]:
         "version": state.hello.version,
         "secure": state.hello.security == "secure",
         "device": _device(state),
+        "scales": _scales(state),
         "time_s": state.time_s,
         "state": state.last("state"),
         "headline": headline(state),
@@ -65,6 +66,13 @@ def _device(state: SideState) -> str:
         if table.get(key):
             return str(table[key])
     return "model"
+
+
+def _scales(state: SideState) -> dict[str, float | None]:
+    """Of the scene, at the side that has them; what was changed since is not in telemetry."""
+    table = (state.hello.scene or {}).get("coupling") or {}
+    own = "force_scale" if state.side == "master" else "position_scale"
+    return {own: table.get(own, 1.0)}
 
 
 def _is_linear(state: SideState) -> bool:

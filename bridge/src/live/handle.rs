@@ -8,7 +8,7 @@ use std::{
     },
 };
 
-use super::{handshakes::SecurityEvent, system};
+use super::{handshakes::SecurityEvent, live_loop::PROMPT_NS, system};
 use crate::{
     command::OperatorCommand,
     ladder::{Diagnosis, FlightRecorder, LadderState},
@@ -47,6 +47,22 @@ impl LiveHandle {
     /// only. Void as [`Self::press_clutch`].
     pub fn allow_takeover(&self) {
         self.0.takeover_ns.store(system::now_ns().max(1), Ordering::Relaxed);
+    }
+
+    /// The operator says that the fault of a device that a driver steps is mended: the driver takes it, by
+    /// [`Self::take_acknowledgement`].
+    pub fn acknowledge_device(&self) {
+        self.0.acknowledged_ns.store(system::now_ns().max(1), Ordering::Relaxed);
+    }
+
+    /// Whether [`Self::acknowledge_device`] was called since the last time, and within 0.25 s.
+    pub fn take_acknowledgement(&self) -> bool {
+        // Of each tick: the swap is for those in which there is one.
+        if self.0.acknowledged_ns.load(Ordering::Relaxed) == 0 {
+            return false;
+        }
+        let at_ns = self.0.acknowledged_ns.swap(0, Ordering::Relaxed);
+        system::now_ns().saturating_sub(at_ns) <= PROMPT_NS
     }
 
     /// How often a press did nothing, and why the last one did not: [`Self::press_clutch`], or a start that was too
@@ -226,6 +242,8 @@ pub(super) struct Shared {
     /// When a press and a takeover were commanded last, in ns; 0 where not since the loop looked.
     press_ns: AtomicU64,
     takeover_ns: AtomicU64,
+    /// When the fault of a driver's device was acknowledged, in ns; 0 where it was taken.
+    acknowledged_ns: AtomicU64,
     /// Presses that did nothing, and why the last of them did not.
     ineffective_presses: AtomicU64,
     ineffective: AtomicU8,

@@ -82,7 +82,7 @@ const END_NS: [u64; 9] =
 const SETTLED_NS: u64 = 50_000_000;
 /// Greatest age in ns of a command when the loop takes it, and for how long after a stall it takes no press: a signal
 /// that was sent while the process stood still arrives when it goes on.
-const PROMPT_NS: u64 = 250_000_000;
+pub(super) const PROMPT_NS: u64 = 250_000_000;
 
 /// Whether a command that was given at `at_ns` still counts at `now_ns`; `stalled_ns` is the end of the loop's last
 /// stall, `failed_ns` when the side went to the fault in which it stands.

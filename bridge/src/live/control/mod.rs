@@ -23,13 +23,14 @@ use rustix::{
     event::{PollFd, PollFlags, Timespec, poll},
     io::Errno,
     net::{SendFlags, send},
+    time::{ClockId, clock_gettime},
 };
 
 use self::{
     hold::{Beat, Held, Hold},
     request::{Answer, Request, Status},
 };
-use super::{handle::ControlPort, handle::Ineffective, system};
+use super::{handle::ControlPort, handle::Ineffective};
 use crate::{command::OperatorCommand, live_socket::LiveSocket, wire::Role};
 
 /// At once; another is told so and closed. So many that no page that was left open keeps a stop out.
@@ -40,6 +41,8 @@ const MAX_REQUEST: usize = 512;
 const MAX_AT_ONCE: usize = 8;
 /// Between two looks at whether the loop is over.
 const LOOK_EVERY: Timespec = Timespec { tv_sec: 0, tv_nsec: 20_000_000 };
+/// How old the token of a request may be, in us.
+const MAX_TOKEN_US: u64 = 400_000;
 /// How long a stop waits for the loop to be at rest before it is answered.
 const REST: Duration = Duration::from_millis(300);
 
@@ -56,13 +59,15 @@ impl ControlSocket {
         Ok(Self { socket, path: path.to_owned() })
     }
 
-    /// Serves the loop of a side until it is over.
-    pub fn serve(self, role: Role, port: ControlPort) -> io::Result<Control> {
+    /// Serves the loop of a side until it is over. Where a driver steps it, acknowledgements are for its device as well, and
+    /// the driver takes them: [`super::LiveHandle::take_acknowledgement`].
+    pub fn serve(self, role: Role, port: ControlPort, has_driver: bool) -> io::Result<Control> {
         let is_over = Arc::<AtomicBool>::default();
         let theirs = Arc::clone(&is_over);
         let Self { socket, path } = self;
         let thread = thread::Builder::new().name("haptether-control".into()).spawn(move || {
-            let server = Server { socket, role, port, hold: Hold::default(), connected: Vec::new(), next: 0 };
+            let (hold, connected) = (Hold::default(), Vec::new());
+            let server = Server { socket, role, port, has_driver, hold, connected, next: 0 };
             server.serve(&theirs);
         })?;
         Ok(Control { thread: Some(thread), is_over, path })
@@ -91,6 +96,20 @@ impl Drop for Control {
             let _ = thread.join();
         }
     }
+}
+
+/// Time since the machine started in us, its sleep included: what was sent before a sleep is old after it. A page's numbers
+/// hold it for centuries.
+fn now_us() -> u64 {
+    let now = clock_gettime(ClockId::Boottime);
+    #[allow(clippy::cast_sign_loss)] // it starts at boot
+    let (seconds, nanoseconds) = (now.tv_sec as u64, now.tv_nsec as u64);
+    seconds * 1_000_000 + nanoseconds / 1000
+}
+
+/// Whether a token was issued shortly before.
+fn is_fresh(token: u64) -> bool {
+    now_us().checked_sub(token).is_some_and(|age_us| age_us <= MAX_TOKEN_US)
 }
 
 struct Connection {
@@ -146,6 +165,7 @@ struct Server {
     socket: LiveSocket,
     role: Role,
     port: ControlPort,
+    has_driver: bool,
     hold: Hold,
     connected: Vec<Connection>,
     /// Number of the next connection.
@@ -228,7 +248,7 @@ impl Server {
         let refused = |text: &str| Answer { done: false, text: text.into(), ..answer.clone() };
         match request {
             Request::Stop {} => Answer { text: self.stop().into(), status: Some(self.status()), ..answer },
-            Request::Status {} => Answer { status: Some(self.status()), ..answer },
+            Request::Status {} => Answer { token: Some(now_us()), status: Some(self.status()), ..answer },
             Request::LetGo {} => {
                 self.hold.end(from);
                 Answer { text: "let go".into(), ..answer }
@@ -239,24 +259,42 @@ impl Server {
             }
             Request::Hold { held_ms, token } => self.beat(from, held_ms, token, answer),
             Request::Release {} => self.command(OperatorCommand::Release, "the clutch is released", answer),
-            Request::Acknowledge {} => {
-                self.command(OperatorCommand::Acknowledge, "what was wrong counts as mended", answer)
-            }
+            Request::Acknowledge { token } if is_fresh(token) => self.acknowledge(answer),
             Request::ForceScale { .. } | Request::TorqueScale { .. } if self.role != Role::Master => {
                 refused("the scale of the force is at the master: send it there")
             }
             Request::PositionScale { .. } | Request::RotationScale { .. } if self.role != Role::Slave => {
                 refused("the scale of the motion is at the slave: send it there")
             }
-            Request::ForceScale { scale } => self.scale(OperatorCommand::ForceScale(scale), scale, answer),
-            Request::PositionScale { scale } => {
+            Request::ForceScale { scale, token } if is_fresh(token) => {
+                self.scale(OperatorCommand::ForceScale(scale), scale, answer)
+            }
+            Request::PositionScale { scale, token } if is_fresh(token) => {
                 self.scale(OperatorCommand::PositionScale(scale), scale, answer)
             }
-            Request::TorqueScale { scale } => self.scale(OperatorCommand::TorqueScale(scale), scale, answer),
-            Request::RotationScale { scale } => {
+            Request::TorqueScale { scale, token } if is_fresh(token) => {
+                self.scale(OperatorCommand::TorqueScale(scale), scale, answer)
+            }
+            Request::RotationScale { scale, token } if is_fresh(token) => {
                 self.scale(OperatorCommand::RotationScale(scale), scale, answer)
             }
+            Request::Acknowledge { .. }
+            | Request::ForceScale { .. }
+            | Request::PositionScale { .. }
+            | Request::TorqueScale { .. }
+            | Request::RotationScale { .. } => {
+                refused("it came too late, or without a status before it: once more")
+            }
         }
+    }
+
+    /// A device that a driver steps is told of it by that: the loop alone would count as mended what is not.
+    fn acknowledge(&mut self, answer: Answer) -> Answer {
+        if self.has_driver {
+            self.port.handle().acknowledge_device();
+            return Answer { text: "acknowledged, to the device as well".into(), ..answer };
+        }
+        self.command(OperatorCommand::Acknowledge, "what was wrong counts as mended", answer)
     }
 
     /// Ends the loop, and waits a moment for it to be at rest: nobody has anything to request of it any more.
@@ -274,8 +312,7 @@ impl Server {
 
     fn beat(&mut self, from: u64, held_ms: u32, token: Option<u64>, answer: Answer) -> Answer {
         let held_ns = u64::from(held_ms) * 1_000_000;
-        // In us, which a page's numbers hold for centuries.
-        let now_ns = system::now_ns() / 1000 * 1000;
+        let now_ns = now_us() * 1000;
         let token = token.map(|token| token.saturating_mul(1000));
         match self.hold.beat(Beat { from, now_ns, held_ns, token }) {
             Held::Goes(next) => Answer {

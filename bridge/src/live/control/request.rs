@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// What a line asks for. Times are in ms, whole numbers: a page's numbers are exact up to 2^53.
+/// What a line asks for. Times are in ms, whole numbers: a page's numbers are exact up to 2^53. A token is what a `status`
+/// was answered with shortly before: what waited in a queue bears an old one.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum Request {
@@ -11,11 +12,11 @@ pub(super) enum Request {
     Hold { held_ms: u32, token: Option<u64> },
     LetGo {},
     Release {},
-    Acknowledge {},
-    ForceScale { scale: f64 },
-    PositionScale { scale: f64 },
-    TorqueScale { scale: f64 },
-    RotationScale { scale: f64 },
+    Acknowledge { token: u64 },
+    ForceScale { scale: f64, token: u64 },
+    PositionScale { scale: f64, token: u64 },
+    TorqueScale { scale: f64, token: u64 },
+    RotationScale { scale: f64, token: u64 },
 }
 
 /// What there is, for the line that refuses anything else.
@@ -39,7 +40,7 @@ impl Request {
             Self::Hold { .. } => "hold",
             Self::LetGo {} => "let_go",
             Self::Release {} => "release",
-            Self::Acknowledge {} => "acknowledge",
+            Self::Acknowledge { .. } => "acknowledge",
             Self::ForceScale { .. } => "force_scale",
             Self::PositionScale { .. } => "position_scale",
             Self::TorqueScale { .. } => "torque_scale",
@@ -56,7 +57,7 @@ pub(super) struct Answer {
     pub(super) request: &'static str,
     pub(super) done: bool,
     pub(super) text: String,
-    /// Of the next beat of a hold.
+    /// Of the next beat of a hold; of a `status` that of the request that follows it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) token: Option<u64>,
     /// Whether this beat has pressed the clutch.
@@ -101,8 +102,10 @@ mod tests {
             "{}",
             r#"{"do":"press"}"#,
             r#"{"do":"stop","now":true}"#,
-            r#"{"do":"force_scale"}"#,
-            r#"{"do":"force_scale","scale":"1"}"#,
+            r#"{"do":"acknowledge"}"#,
+            r#"{"do":"force_scale","token":1}"#,
+            r#"{"do":"force_scale","scale":1.0}"#,
+            r#"{"do":"force_scale","scale":"1","token":1}"#,
             r#"{"do":"hold","held_ms":-1}"#,
             r#"{"do":"hold","held_ms":1e9}"#,
             r#"[{"do":"stop"}]"#,

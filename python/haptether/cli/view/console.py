@@ -107,7 +107,21 @@ class Console:
 
         assert self.scene is not None
         # Said here, in one line, and not by a process that does not start.
-        load_scene(self.scene, self.set)
+        scene = load_scene(self.scene, self.set)
+        jaws = None if scene.slave is None else scene.slave.gripper
+        named = {
+            "master.driver": scene.master.driver,
+            "slave.device": None if scene.slave is None else scene.slave.device,
+            "slave.gripper.device": None if jaws is None else jaws.device,
+        }
+        for key_of, device in named.items():
+            if device not in {None, "simulated"}:
+                # What it says before it exerts is for a person to read, and nobody reads what these processes print.
+                message = (
+                    f"{key_of} = {device}: the console starts models only: start slave and master in terminals, with"
+                    " --telemetry and --control, and give their sockets to --connect and --control"
+                )
+                raise ValueError(message)
         os.chmod(folder, 0o700)  # noqa: PTH101
         key = folder / "console.key"
         write_key(key)
