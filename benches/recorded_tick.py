@@ -2,10 +2,11 @@
 
 Four loops of a master of three axes tick one after the other in one thread at 1 kHz, in another order each time
 (`bridge/examples/recorded_tick.rs`): without either, with telemetry that a reader takes, with a recording, with both.
-Then how late the live loop wakes, without and with both, in turn: what their threads take of the processors.
+Then how late the live loop wakes without either, with telemetry, and with both, in turn: what their threads take of the
+processors.
 
-Required: telemetry adds at most 100 ns to a tick, by the median of the differences of the same period; p99 of a tick
-and of the lateness at most 1.05 times that without, by the median over rounds.
+Required: telemetry adds at most 100 ns to a tick, by the median of the differences of the same period; with it p99 of a
+tick and of the lateness are at most 1.05 times those without, by the median over rounds.
 """
 
 import json
@@ -28,6 +29,7 @@ from haptether.bridge import LiveMaster, TelemetryReader, load_scene, scene_json
 EXAMPLE = "example: python benches/recorded_tick.py --rounds 10 --json -"
 ROOT = Path(__file__).resolve().parents[1]
 CASES = ("telemetry", "recording", "both")
+LATE = ("none", "telemetry", "both")
 REQUIRED_NS, REQUIRED = 100.0, 1.05
 
 
@@ -45,11 +47,11 @@ def read_all(path: Path) -> None:
             pass
 
 
-def lateness_us(seconds: float, folder: Path | None) -> tuple[float, float]:
-    """p50 and p99 of how late a live loop wakes, in us; with telemetry, a reader and a recording in a folder."""
-    outputs: dict[str, Any] = {}
-    if folder is not None:
-        outputs = {"telemetry": folder / "master.sock", "record": folder / "master.mcap", "min_free_bytes": 0}
+def lateness_us(seconds: float, case: str, folder: Path) -> tuple[float, float]:
+    """p50 and p99 of how late a live loop wakes, in us; with telemetry and a reader, or a recording as well."""
+    outputs: dict[str, Any] = {} if case == "none" else {"telemetry": folder / "master.sock"}
+    if case == "both":
+        outputs |= {"record": folder / "master.mcap", "min_free_bytes": 0}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sink:
         sink.bind(("127.0.0.1", 0))
         master = LiveMaster(
@@ -98,7 +100,7 @@ def main() -> int:
             }
         rounds.append(one)
         with tempfile.TemporaryDirectory() as folder:
-            late.append({"none": lateness_us(chosen.seconds, None), "both": lateness_us(chosen.seconds, Path(folder))})
+            late.append({case: lateness_us(chosen.seconds, case, Path(folder)) for case in LATE})
         print(f"round {number + 1} of {chosen.rounds}", file=sys.stderr)
 
     def median(case: str, key: str) -> float:
@@ -114,16 +116,15 @@ def main() -> int:
             f"{median(case, 'added_ns'):12.0f}{median(case, 'p99_times'):12.3f}",
             file=out,
         )
-    p99_late = statistics.median(one["both"][1] / one["none"][1] for one in late)
-    print("\nwakes late [us]     p50     p99", file=out)
-    for case in ("none", "both"):
+    p99_late = {case: statistics.median(one[case][1] / one["none"][1] for one in late) for case in LATE}
+    print("\nwakes late [us]     p50     p99   p99, times", file=out)
+    for case in LATE:
         p50, p99 = (statistics.median(one[case][place] for one in late) for place in (0, 1))
-        print(f"{case:14}{p50:9.1f}{p99:8.1f}", file=out)
-    print(f"p99 with both: {p99_late:.3f} times", file=out)
+        print(f"{case:14}{p50:9.1f}{p99:8.1f}{p99_late[case]:13.3f}", file=out)
     holds = {
         "telemetry adds at most 100 ns": median("telemetry", "added_ns") <= REQUIRED_NS,
-        "p99 of a tick within 5 %": all(median(case, "p99_times") <= REQUIRED for case in CASES),
-        "p99 of the lateness within 5 %": p99_late <= REQUIRED,
+        "p99 of a tick within 5 %": median("telemetry", "p99_times") <= REQUIRED,
+        "p99 of the lateness within 5 %": p99_late["telemetry"] <= REQUIRED,
     }
     for what, seen in holds.items():
         print(f"{what}: {'holds' if seen else 'DOES NOT HOLD'}", file=out)

@@ -1,7 +1,6 @@
 """The process of an emulated bus: its pseudo-terminal, its TCP port and its clock."""
 
 import fcntl
-import gc
 import os
 import select
 import struct
@@ -116,9 +115,6 @@ class Server:
 
     def run(self, stopped: "Callable[[], bool]") -> None:
         """Serves until `stopped`."""
-        gc.collect()
-        # Objects of now live as long as the process: no collection need visit them.
-        gc.freeze()
         while not stopped():
             self._wait()
             now_s = time.monotonic()

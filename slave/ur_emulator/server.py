@@ -1,6 +1,5 @@
 """The process of an emulated controller: its sockets and its clock; no other module has them."""
 
-import gc
 import select
 import socket
 import time
@@ -113,9 +112,6 @@ class Server:
 
     def run(self, stopped: Callable[[], bool]) -> None:
         """Serves until `stopped`."""
-        gc.collect()
-        # Objects of now live as long as the process: no collection need visit them.
-        gc.freeze()
         period_s = self.controller.period_s
         due_s = time.monotonic() + period_s
         while not stopped():
