@@ -71,7 +71,7 @@ def serve(
                     raise ValueError(message) from None
             with nullcontext() if realtime is None else requested(realtime) as granted:
                 controlled = "" if channel is None else f", controlled by {channel.address}"
-                # What is there lives as long as the process: a collection that visited it would hold answers up for 10 ms.
+                # What is there lives as long as the process; a collection that visited it would take 10 ms.
                 gc.collect()
                 gc.freeze()
                 in_real_time = "" if granted is None else f", real time: {granted}"
