@@ -2,13 +2,17 @@
 
 `describe` computes what is where, without any library that draws, and `LiveDescription` that of a run that goes on;
 `Picture` draws it with PyVista, `write_page` makes a page of it that needs nothing else. The extra `view` brings the
-libraries.
+libraries. A name is loaded when it is asked for: who draws a figure in the style of the project loads no scenes.
 """
 
-from haptether.view.scene3d.description import Description, Moment, NothingRecordedError, describe, describe_beside
-from haptether.view.scene3d.live import LiveDescription
-from haptether.view.terminal.panel import headline, panel
-from haptether.view.terminal.state import Observer, SideState
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from haptether.view.scene3d.description import Description, Moment, NothingRecordedError, describe, describe_beside
+    from haptether.view.scene3d.live import LiveDescription
+    from haptether.view.terminal.panel import headline, panel
+    from haptether.view.terminal.state import Observer, SideState
 
 __all__ = [
     "Description",
@@ -22,3 +26,24 @@ __all__ = [
     "headline",
     "panel",
 ]
+
+_MODULES = {
+    "scene3d.description": ("Description", "Moment", "NothingRecordedError", "describe", "describe_beside"),
+    "scene3d.live": ("LiveDescription",),
+    "terminal.panel": ("headline", "panel"),
+    "terminal.state": ("Observer", "SideState"),
+}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+
+
+if not TYPE_CHECKING:  # else any name would do
+
+    def __getattr__(name: str) -> object:
+        if (module := _MODULE_OF.get(name)) is None:
+            message = f"module {__name__!r} has no attribute {name!r}"
+            raise AttributeError(message)
+        return getattr(import_module(f"{__name__}.{module}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
