@@ -23,8 +23,6 @@ KEYS: Final = (
 """What a window listens to."""
 SPEEDS: Final = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 STEP_S: Final = 0.01
-TIMER_MS: Final = 15
-"""Between two looks at the clock; what is drawn in between is what the machine manages, 30 a second or more."""
 
 
 class Player:
