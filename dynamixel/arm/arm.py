@@ -618,7 +618,8 @@ class ServoArm:
         )  # fmt: skip
         checklist.finish()
         self._go_on()
-        if self.grip is not None and not self._is_waiting:
+        # It keeps its torque, whether that of the arm waits or not.
+        if self.grip is not None and verify:
             self.grip.begin(bus)
         self._ramp = 0.0
         self._ramp_begin_s = self._heard_s = time.monotonic()

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from tests.dynamixel.emulated import emulated_bus
+from tests.ur.stalls import anew_after_stalls
 
 pytestmark = pytest.mark.live
 
@@ -45,6 +46,7 @@ sign = -1
 """
 
 
+@anew_after_stalls
 def test_joints_lead_servos(tmp_path: Path) -> None:
     scene, arm, ended = tmp_path / "scene.toml", tmp_path / "arm.toml", tmp_path / "slave.json"
     arm.write_text(ARM)
@@ -74,6 +76,8 @@ def test_joints_lead_servos(tmp_path: Path) -> None:
         finally:
             slave.kill()
             slave.wait()
+            if slave.stderr is not None:
+                slave.stderr.close()
         # Ahead by what the hand went; the second servo's q is reversed.
         assert held[0]["position_rad"] == pytest.approx(0.6, abs=0.1)
         assert held[1]["position_rad"] == pytest.approx(-0.2, abs=0.1)

@@ -312,6 +312,7 @@ def test_a_device_that_an_interrupted_driver_leaves_under_force_is_named() -> No
     run.finish()
 
 
+@anew_after_stalls
 def test_ctrl_c_in_a_driver_leaves_no_force_and_tells_the_peer() -> None:
     class Interrupted(Hand):
         reads = 0

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from PIL import Image, ImageGrab
 
-pytestmark = pytest.mark.live
+# They draw on all processors: beside loops in real time these would be late.
+pytestmark = pytest.mark.alone
 
 TIMEOUT_S = 60.0
 SMALL = ("--size", "420x300")

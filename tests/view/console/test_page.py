@@ -15,7 +15,8 @@ from tests.view.console.served import Served, served, wait_for
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-pytestmark = pytest.mark.live
+# They draw on all processors: beside loops in real time these would be late.
+pytestmark = pytest.mark.alone
 
 
 @pytest.fixture
