@@ -205,7 +205,7 @@ function showSides(sides) {
   for (const side of sides) {
     for (const [key, id] of [["force_scale", "force-scale"], ["position_scale", "position-scale"]]) {
       // What the scene has, until somebody types.
-      if (side.scales && side.scales[key] !== null && $(id).value === "" && document.activeElement !== $(id)) $(id).value = side.scales[key];
+      if (side.scales && typeof side.scales[key] === "number" && $(id).value === "" && document.activeElement !== $(id)) $(id).value = side.scales[key];
     }
   }
   $("link").textContent = lostRows ? `${lostRows} rows not shown: this page was too slow` : "";

@@ -65,6 +65,8 @@ def test_every_button(runs: Served, page: "Page") -> None:
     assert runs.master.state == "disengaged"
     coupled(runs, page)
     page.wait_for_selector("#side-master .headline .engaged")
+    # Those of the scene, until a person types.
+    assert [page.input_value(f"#{name}-scale") for name in ("force", "position")] == ["1", "1"]
     for form, value, text in (
         ("force", "0.5", "master: the scale is 0.5"),
         ("position", "0.8", "slave: the scale is 0.8"),
