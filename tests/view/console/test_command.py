@@ -30,6 +30,7 @@ PATH = Path("side")
         (Console(connect=(PATH, PATH, PATH)), "3 sides, must be at most 2"),
         (Console(connect=(PATH,), port=70000), "port = 70000: must be 0 to 65535"),
         (Console(scene="no_scene"), "no_scene"),
+        (Console(scene="remote_push", set=("slave.device=ur",)), "slave.device = ur: the console starts models only"),
     ],
 )
 def test_what_cannot_be_is_refused(console: Console, said: str) -> None:
