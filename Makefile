@@ -47,12 +47,20 @@ help: ## list the targets
 demo: $(EXTENSION) ## run `haptether demo`
 	@$(BIN)/haptether demo
 
+NOT_THOROUGH = $() and not thorough
+LIVE_AT_ONCE := 6
+
 .PHONY: test
 test: $(EXTENSION) ## cargo test and pytest
 	cargo test --locked
-	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m 'not live and not alone'
-	$(BIN)/python -m pytest --numprocesses 3 --dist worksteal -m 'live and not alone'
-	$(BIN)/python -m pytest -m alone
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m 'not live and not alone$(NOT_THOROUGH)'
+	$(BIN)/python -m pytest --numprocesses $(LIVE_AT_ONCE) --dist worksteal -m 'live and not alone$(NOT_THOROUGH)'
+	$(BIN)/python -m pytest -m 'alone$(NOT_THOROUGH)'
+
+.PHONY: thorough
+thorough: NOT_THOROUGH :=
+thorough: LIVE_AT_ONCE := 3
+thorough: test ## `make test` with all cases of what it samples, in about half an hour
 
 .PHONY: quick
 quick: $(EXTENSION) ## after a change of Python, in about a minute: ruff, mypy, the quick tests

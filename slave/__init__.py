@@ -1,9 +1,9 @@
 """The side of the robot: arm and environment models, what drivers of arms and grippers have, the UR arm, Robotiq."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from haptether._core import ForceSensor, SceneTouch, Wall
+from haptether.lazy_names import lazy_names
 from haptether.slave.device import SlaveDevice, SlaveSample
 from haptether.slave.gripper import Gripper, GripperCommand, GripperSample
 
@@ -60,31 +60,28 @@ __all__ = [
     "ur_model",
 ]
 
-# Whoever has no UR arm does not wait for NumPy.
-WHERE: Final = {
-    name: module
-    for module, names in {
-        "robotiq.driver": ("RobotiqGripper",),
-        "robotiq.models": ("ROBOTIQ_MODELS", "RobotiqModel"),
-        "robotiq.options": ("RobotiqOptions",),
-        "ur.driver": ("UrSlave",),
-        "ur.kinematics.arm": ("Rates", "UrKinematics"),
-        "ur.kinematics.chain": ("UrCalibration", "read_calibration"),
-        "ur.kinematics.constraints": (
-            "SelfKeepOut", "StreamingCost", "StreamingLimits", "WorkspacePlane", "model_limits",
-        ),
-        "ur.kinematics.inverse": ("UrInverse",),
-        "ur.kinematics.models": ("UR_MODELS", "UrModel", "WrenchSensor", "ur_model"),
-        "ur.kinematics.quadratic": ("QuadraticProgram",),
-        "ur.kinematics.streaming": ("UrStreaming",),
-        "ur.options": ("UrOptions",),
-    }.items()
-    for name in names
-}  # fmt: skip
-
-
-def __getattr__(name: str) -> object:
-    if name in WHERE:
-        return getattr(import_module(f"haptether.slave.{WHERE[name]}"), name)
-    message = f"module {__name__!r} has no attribute {name!r}"
-    raise AttributeError(message)
+if not TYPE_CHECKING:  # else any name would do
+    # Whoever has no UR arm does not wait for NumPy.
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "robotiq.driver": ("RobotiqGripper",),
+            "robotiq.models": ("ROBOTIQ_MODELS", "RobotiqModel"),
+            "robotiq.options": ("RobotiqOptions",),
+            "ur.driver": ("UrSlave",),
+            "ur.kinematics.arm": ("Rates", "UrKinematics"),
+            "ur.kinematics.chain": ("UrCalibration", "read_calibration"),
+            "ur.kinematics.constraints": (
+                "SelfKeepOut",
+                "StreamingCost",
+                "StreamingLimits",
+                "WorkspacePlane",
+                "model_limits",
+            ),
+            "ur.kinematics.inverse": ("UrInverse",),
+            "ur.kinematics.models": ("UR_MODELS", "UrModel", "WrenchSensor", "ur_model"),
+            "ur.kinematics.quadratic": ("QuadraticProgram",),
+            "ur.kinematics.streaming": ("UrStreaming",),
+            "ur.options": ("UrOptions",),
+        },
+    )

@@ -1,22 +1,27 @@
 """Studies: what uses the bridge to answer a question."""
 
-from haptether.studies.delay_margin import ContactLoop, Follower, largest_delay_s
-from haptether.studies.demo import (
-    DEMO_CONTROLLERS,
-    DemoScene,
-    Interrupted,
-    draw_demo,
-    run_demo,
-)
-from haptether.studies.follow import FOLLOW_CONTROLLERS, FollowResult, FollowScene, draw_follow, run_follow
-from haptether.studies.link_summary import LinkSummary, LinkVerdict, judge_link, summarise_link
-from haptether.studies.operator import Operator
-from haptether.studies.paper import PaperReport, PaperRow, reproduce_paper
-from haptether.studies.paper_figures import draw_paper
-from haptether.studies.pick import PickResult, PickScene, draw_pick, run_pick
-from haptether.studies.raven import RavenReport, RavenRow, measure_attack, raven_suite
-from haptether.studies.raven_attacks import RAVEN_ATTACKS, RavenAttack
-from haptether.studies.remote_push import PushResult, measure_push, save_master_trace
+from typing import TYPE_CHECKING
+
+from haptether.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from haptether.studies.delay_margin import ContactLoop, Follower, largest_delay_s
+    from haptether.studies.demo import (
+        DEMO_CONTROLLERS,
+        DemoScene,
+        Interrupted,
+        draw_demo,
+        run_demo,
+    )
+    from haptether.studies.follow import FOLLOW_CONTROLLERS, FollowResult, FollowScene, draw_follow, run_follow
+    from haptether.studies.link_summary import LinkSummary, LinkVerdict, judge_link, summarise_link
+    from haptether.studies.operator import Operator
+    from haptether.studies.paper import PaperReport, PaperRow, reproduce_paper
+    from haptether.studies.paper_figures import draw_paper
+    from haptether.studies.pick import PickResult, PickScene, draw_pick, run_pick
+    from haptether.studies.raven import RavenReport, RavenRow, measure_attack, raven_suite
+    from haptether.studies.raven_attacks import RAVEN_ATTACKS, RavenAttack
+    from haptether.studies.remote_push import PushResult, measure_push, save_master_trace
 
 __all__ = [
     "DEMO_CONTROLLERS",
@@ -55,3 +60,63 @@ __all__ = [
     "save_master_trace",
     "summarise_link",
 ]
+
+if not TYPE_CHECKING:  # else any name would do
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "delay_margin": (
+                "ContactLoop",
+                "Follower",
+                "largest_delay_s",
+            ),
+            "demo": (
+                "DEMO_CONTROLLERS",
+                "DemoScene",
+                "Interrupted",
+                "draw_demo",
+                "run_demo",
+            ),
+            "follow": (
+                "FOLLOW_CONTROLLERS",
+                "FollowResult",
+                "FollowScene",
+                "draw_follow",
+                "run_follow",
+            ),
+            "link_summary": (
+                "LinkSummary",
+                "LinkVerdict",
+                "judge_link",
+                "summarise_link",
+            ),
+            "operator": ("Operator",),
+            "paper": (
+                "PaperReport",
+                "PaperRow",
+                "reproduce_paper",
+            ),
+            "paper_figures": ("draw_paper",),
+            "pick": (
+                "PickResult",
+                "PickScene",
+                "draw_pick",
+                "run_pick",
+            ),
+            "raven": (
+                "RavenReport",
+                "RavenRow",
+                "measure_attack",
+                "raven_suite",
+            ),
+            "raven_attacks": (
+                "RAVEN_ATTACKS",
+                "RavenAttack",
+            ),
+            "remote_push": (
+                "PushResult",
+                "measure_push",
+                "save_master_trace",
+            ),
+        },
+    )

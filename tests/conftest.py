@@ -3,13 +3,16 @@
 HAPTETHER_HYPOTHESIS_PROFILE chooses. `fast` tries the same examples each time, so that a change is
 judged and not the luck of a draw; `slow` draws new ones.
 
-`make test` runs modules with the marker `live` three at a time, those with `alone` one after the other, and all others
-two at a time.
+`make test` runs modules with the marker `live` six at a time, for they mostly wait, those with `alone` one after the
+other, and all others two at a time. It leaves out what is `thorough`, which `make thorough` runs as well: what takes
+long and whose subject other tests have, too, and of a test with `sampled(n)` all but n of its cases.
 """
 
 import os
+import re
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -22,6 +25,21 @@ settings.load_profile(os.environ.get("HAPTETHER_HYPOTHESIS_PROFILE", "fast"))
 for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
     if signal.getsignal(number) is signal.SIG_IGN:
         signal.signal(number, handler)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Of a test with `sampled(n)`, has n cases that lie evenly among all be for every run and the others `thorough`."""
+    cases: dict[str, list[pytest.Item]] = {}
+    for item in items:
+        if item.get_closest_marker("sampled"):
+            cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    for of_one in cases.values():
+        (kept,) = of_one[0].iter_markers("sampled")
+        share = kept.args[0] / len(of_one)
+        for at, item in enumerate(of_one):
+            if int((at + 1) * share) == int(at * share) and share < 1.0:
+                item.add_marker(pytest.mark.thorough)
 
 
 @pytest.fixture(autouse=True)
@@ -39,3 +57,15 @@ def _scheduling() -> tuple[int, int]:
     if not hasattr(os, "sched_getscheduler"):
         return 0, 0
     return os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Passes over modules that have nothing of what is wanted: several processes would load them all for nothing."""
+    if collection_path.suffix != ".py":
+        return None
+    text = collection_path.read_text("utf-8")
+    if wanted := re.match(r"(live|alone)\b", config.option.markexpr):
+        return f"mark.{wanted[1]}" not in text or None
+    if config.option.markexpr.startswith("not live and not alone"):
+        return re.search(r"^pytestmark = pytest\.mark\.(live|alone)$", text, re.MULTILINE) is not None or None
+    return None

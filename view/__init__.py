@@ -5,8 +5,9 @@
 libraries. A name is loaded when it is asked for: who draws a figure in the style of the project loads no scenes.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from haptether.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from haptether.view.scene3d.description import Description, Moment, NothingRecordedError, describe, describe_beside
@@ -27,23 +28,13 @@ __all__ = [
     "panel",
 ]
 
-_MODULES = {
-    "scene3d.description": ("Description", "Moment", "NothingRecordedError", "describe", "describe_beside"),
-    "scene3d.live": ("LiveDescription",),
-    "terminal.panel": ("headline", "panel"),
-    "terminal.state": ("Observer", "SideState"),
-}
-_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
-
-
 if not TYPE_CHECKING:  # else any name would do
-
-    def __getattr__(name: str) -> object:
-        if (module := _MODULE_OF.get(name)) is None:
-            message = f"module {__name__!r} has no attribute {name!r}"
-            raise AttributeError(message)
-        return getattr(import_module(f"{__name__}.{module}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "scene3d.description": ("Description", "Moment", "NothingRecordedError", "describe", "describe_beside"),
+            "scene3d.live": ("LiveDescription",),
+            "terminal.panel": ("headline", "panel"),
+            "terminal.state": ("Observer", "SideState"),
+        },
+    )

@@ -50,6 +50,7 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytes
         assert "Examples" in shown("netsim", name, "--help")
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -170,6 +171,7 @@ def test_a_driver_that_times_out_by_itself_is_reported_with_its_own_words() -> N
     assert given_up == [True]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("columns", ["0", "1", "5", "-5", "wide", ""])
 def test_no_width_of_a_terminal_takes_output_away(columns: str) -> None:
     for arguments in (["list"], ["netsim", "list"], ["list", "--help"]):
@@ -180,6 +182,7 @@ def test_no_width_of_a_terminal_takes_output_away(columns: str) -> None:
         assert len(ended.stdout) > 300, arguments
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     "arguments", [["--help"], ["master", "--help"], ["netsim", "--help"], ["--completion", "bash"], ["list"]]
 )

@@ -68,6 +68,7 @@ WRONG = {
 }  # fmt: skip
 
 
+@pytest.mark.sampled(8)
 @live
 @pytest.mark.parametrize("name", WRONG)
 @anew_after_stalls

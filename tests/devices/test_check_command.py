@@ -65,6 +65,7 @@ def test_a_driver_that_hangs_in_open_ends_with_status_1_in_bounded_time(tmp_path
     assert time.monotonic() - begun_s < 30.0
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -101,6 +102,7 @@ def test_a_bad_request_is_one_line_and_status_2_and_opens_nothing(
     assert not (tmp_path / "written").exists()
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("wrong", "status", "said"),
     [
@@ -137,6 +139,7 @@ def test_jaws_that_an_activation_moves_are_activated_on_a_persons_word_only(tmp_
     assert "robotiq: not opened: nobody said yes" in terminal.printed
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("answer", ["no\n", "\n", "y\n", "yes"])
 def test_nothing_but_a_yes_on_the_terminal_pushes(tmp_path: Path, answer: str) -> None:
     environment = declared(tmp_path, stylus="Stylus") | {WRITTEN: str(tmp_path / "written")}

@@ -79,6 +79,7 @@ DEVICES = {
 }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", DEVICES)
 def test_mass_and_friction_are_found_to_2_percent(name: str) -> None:
@@ -108,6 +109,7 @@ def test_the_paper_s_device_is_found_and_its_viscous_friction_as_uncertain_as_it
     assert any("viscous" in line for line in warnings({0: found}, "linear"))
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_two_axes_are_found_one_after_the_other_and_the_others_stay() -> None:
     plants = [Plant(0.1, 0.5, 0.1), Plant(0.2, 0.8, 0.05)]

@@ -92,6 +92,7 @@ def test_a_driver_that_hangs_while_it_moves_is_said_to_keep_its_command(tmp_path
     assert "its device keeps its last command, switch it off" in ended.stderr or "a sample came" in ended.stderr
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.live
 @pytest.mark.parametrize(
     ("arguments", "said", "status"),

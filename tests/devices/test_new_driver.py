@@ -48,6 +48,7 @@ def install(package: Path, folder: Path) -> None:
         environment=environment_of(folder))  # fmt: skip
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("side", "name"), [("master", "my-stylus"), ("slave", "arm7")])
 def test_what_it_writes_is_sound_and_its_own_test_passes_once_it_is_installed(
     tmp_path: Path, side: str, name: str

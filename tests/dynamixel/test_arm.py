@@ -311,6 +311,7 @@ def driven_into(emulated: EmulatedBus, arm: ServoArm, fault: str) -> float:
     return time.monotonic() - begin
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("fault", "kind"),
     [
@@ -373,6 +374,7 @@ def test_a_halt_is_seen_by_the_watchdog(emulated: EmulatedBus) -> None:
         assert arm.fault_kind == FaultKind.WATCHDOG
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("fault", ["hardware-error 2 overload", "brown-out 0.3", "unplug"])
 def test_an_acknowledged_fault_is_mended(tmp_path: Path, fault: str) -> None:
     link = tmp_path / "leader"
@@ -509,6 +511,7 @@ finally:
 """
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("end", ["SIGINT", "SIGKILL", "SIGSTOP", "raise"])
 def test_the_current_ends_with_the_process(emulated: EmulatedBus, end: str) -> None:
     with subprocess.Popen([sys.executable, "-c", CLIENT, emulated.port, end], stderr=subprocess.PIPE) as process:

@@ -45,6 +45,7 @@ def test_numbers_that_cannot_be(measure: Callable[[], Row]) -> None:
 DRIVERS = drivers.rows(LOOSE.hold_s)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("measure", DRIVERS, ids=names(DRIVERS))
 def test_drivers_in_python_that_fail(measure: Callable[[], Row]) -> None:
     judge(measure())
@@ -53,6 +54,7 @@ def test_drivers_in_python_that_fail(measure: Callable[[], Row]) -> None:
 GRIPPERS = grippers.rows(2.0)
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("measure", GRIPPERS, ids=names(GRIPPERS))
 def test_grippers_that_fail(measure: Callable[[], Row]) -> None:
     judge(measure())
@@ -61,6 +63,7 @@ def test_grippers_that_fail(measure: Callable[[], Row]) -> None:
 SERVOS = servos.rows(patient=True)
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("measure", SERVOS, ids=names(SERVOS))
 @anew_after_stalls
 def test_servos_that_fail(measure: Callable[[], Row]) -> None:
@@ -70,6 +73,7 @@ def test_servos_that_fail(measure: Callable[[], Row]) -> None:
 POSES = poses.rows(LOOSE.hold_s)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("measure", POSES, ids=names(POSES))
 def test_poses_and_buttons_that_cannot_be(measure: Callable[[], Row]) -> None:
     judge(measure())
@@ -83,6 +87,7 @@ SELECTED = {
 }
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", SELECTED)
 def test_with_processes(name: str) -> None:
     judge(SELECTED[name]())

@@ -221,6 +221,7 @@ def test_close_keeps_the_grip(server: Served) -> None:
 # ---------------------------------------------------------------------------------------------------------- faults
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("misbehaves", "said"), MISBEHAVIOURS)
 def test_a_lost_connection_is_a_fault_that_moves_nothing(
     server: Served, led: RobotiqGripper, misbehaves: Misbehaviour, said: str

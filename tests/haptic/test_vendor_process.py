@@ -71,6 +71,7 @@ def test_it_is_listed(driver: str) -> None:
 TURNS = {"force-dimension": ["wrist=true", "gripper_open_m=0.03"], "touch": ["orientation=true"]}
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("kind", ["linear", "pose"])
 @pytest.mark.parametrize("driver", SOURCES)
 @anew_after_stalls
@@ -172,6 +173,7 @@ def until_in_log(tmp_path: Path, line: str) -> None:
         time.sleep(0.02)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("driver", SOURCES)
 @anew_after_stalls
 def test_a_hand_feels_a_wall_through_the_whole_bridge(driver: str, libraries: dict[str, Path], tmp_path: Path) -> None:
@@ -225,6 +227,7 @@ def test_a_finger_feels_what_the_gripper_holds(libraries: dict[str, Path], tmp_p
     assert signals["trigger"][100] == pytest.approx(0.0, abs=0.02)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("driver", SOURCES)
 @anew_after_stalls
 def test_ctrl_c_closes_the_device_without_a_force(driver: str, libraries: dict[str, Path], tmp_path: Path) -> None:
@@ -241,6 +244,7 @@ def test_ctrl_c_closes_the_device_without_a_force(driver: str, libraries: dict[s
     assert all(line in written[-8:] for line in ends[driver])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("driver", SOURCES)
 @anew_after_stalls
 def test_an_unplugged_device_is_a_fault_of_the_run_and_is_closed(
@@ -260,6 +264,7 @@ def test_an_unplugged_device_is_a_fault_of_the_run_and_is_closed(
     assert calls(tmp_path)[-1] == CLOSED[driver]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("driver", SOURCES)
 @anew_after_stalls
 def test_nothing_of_ours_outlives_a_kill(driver: str, libraries: dict[str, Path], tmp_path: Path) -> None:

@@ -150,12 +150,14 @@ def test_free_motion_needs_under_5_percent_of_gravity(name: str) -> None:
     assert heavy.hand == pytest.approx(heavy.gravity, rel=0.05)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("scale", [0.95, 1.05])
 def test_masses_wrong_by_5_percent_are_felt_as_5_percent(scale: float) -> None:
     effort = swing(Leader(without_friction("factr"), options(), mass_scale=scale))
     assert 0.03 * effort.gravity < effort.hand < 0.08 * effort.gravity
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["factr", "gello-ur"])
 def test_free_motion_with_friction_needs_under_5_percent_of_gravity(name: str) -> None:
     """3.2 % while joints move, of 28 and 26 %; starts and stops of the motion cost what standing friction does."""
@@ -167,6 +169,7 @@ def test_free_motion_with_friction_needs_under_5_percent_of_gravity(name: str) -
     assert 0.05 * eased.gravity < eased.hand < 0.1 * eased.gravity
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("told", "low", "high"), [(0.8, 0.05, 0.1), (1.1, 0.0, 0.03)])
 def test_friction_is_compensated_as_well_as_it_is_known(told: float, low: float, high: float) -> None:
     """At 0.8 of it 8.0 % are left, at 1.1, of which 0.99 are compensated, 1.2 %."""

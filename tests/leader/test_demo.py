@@ -28,6 +28,7 @@ class Never:
         time.sleep(seconds)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.live
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("slave", ["simulated", "ur"])
@@ -47,6 +48,7 @@ def test_a_led_arm_picks_something_up(slave: Literal["simulated", "ur"], tmp_pat
     assert result.lifted_m == pytest.approx(0.06, abs=3e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.live
 @pytest.mark.timeout(400)
 def test_a_follower_grips_and_carries_and_a_push_reaches_the_hand_damped(tmp_path: Path) -> None:

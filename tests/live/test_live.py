@@ -94,6 +94,7 @@ def children() -> Iterator[list[Child]]:
         child.process.communicate()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("controller", ["none", "hsc", "wsc"])
 @anew_after_stalls
 def test_a_killed_slave_takes_the_force_from_the_hand(
@@ -168,6 +169,7 @@ def test_a_stopped_slave_holds_until_the_clutch_is_pressed_anew(
     assert abs(trace["device_force"][-1]) > 0.5
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_both_commands_end_cleanly_on_a_signal(key: Path, children: list[Child], number: signal.Signals) -> None:
     slave = Child("slave", "--key", str(key), "--listen", "127.0.0.1:0")

@@ -38,6 +38,7 @@ ROWS = {
 }
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("measure", ROWS.values(), ids=list(ROWS))
 def test_stop(measure: Callable[[], Row]) -> None:
     row = measure()
@@ -55,6 +56,7 @@ LIVE = (
 )
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("arguments", "kind"),
     list(zip(LIVE, itertools.cycle(["pipe", "pty"]))),
@@ -196,6 +198,7 @@ def test_a_button_pressed_while_a_side_loads_does_not_end_it(button: int, ignore
 # ------------------------------------------------------------------------------------------------------- memory
 
 
+@pytest.mark.thorough
 def test_a_side_that_idles_and_records_takes_no_more_memory(tmp_path: Path) -> None:
     process = subprocess.Popen(
         [*HAPTETHER, "slave", "--insecure", "--listen", "127.0.0.1:0", "--record", str(tmp_path / "run.mcap"),

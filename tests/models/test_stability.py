@@ -86,6 +86,7 @@ def test_a_simulated_loop_is_stable_up_to_its_closed_form(name: str) -> None:
     assert abs(row.error) < TOLERANCE, row
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("number", [0, 1, 2, 3])
 def test_position_force_is_stable_up_to_the_ratio_of_the_masses(number: int) -> None:
     """At 0.1 ms the loop is two periods late, which costs up to 3 % of gain: held against its sampled form."""

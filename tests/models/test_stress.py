@@ -182,6 +182,7 @@ def test_a_spring_five_seconds_late_diverges(integrator: str) -> None:
     assert run(remote).metrics.diverged
 
 
+@pytest.mark.thorough
 def test_ten_million_ticks() -> None:
     """A free oscillation keeps its energy over 1e7 ticks: the wall's held force returns what b takes at K = b / T."""
     raw: dict[str, Any] = {

@@ -188,6 +188,7 @@ def test_an_empty_log_has_its_columns_and_types(start: Start, peer: socket.socke
     assert len(columns) == 9
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("kind", ["unix", "tcp"])
 def test_a_change_is_seen_by_live_datagrams(start: Start, peer: socket.socket, tmp_path: Path, kind: str) -> None:
     path = tmp_path / "control"

@@ -48,6 +48,7 @@ def measured(name: str, quantity: str) -> float:
     return gaps_per_minute(PRESETS[name].forward, int(quantity.split("-")[4]) * 1e-3)
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize(
     ("name", "figure"),
     [(name, figure) for name, preset in PRESETS.items() for figure in preset.figures],

@@ -47,6 +47,7 @@ def wrong(base: str) -> list[str]:
     return found
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("base", BASES)
 def test_a_number_at_the_end_of_its_range_is_run_or_refused_in_one_line(base: str) -> None:
     # In a process of its own: a loop without end in the extension is none that Python could interrupt.

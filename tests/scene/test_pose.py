@@ -95,6 +95,7 @@ def tilted(azimuth: float) -> str:
     return f"slave.tool.quat_wxyz=[{cos(half)!r}, {sin(half) * cos(azimuth)!r}, {sin(half) * sin(azimuth)!r}, 0.0]"
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "overrides",
@@ -161,6 +162,7 @@ def test_a_valve_is_turned_by_90_degrees_and_its_friction_is_felt(delay_s: float
 # ------------------------------------------------------------------------------------------------ pick and place
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("overrides", [[], ["run.seed=1"], [*both_ways(0.02, 0.05), "run.seed=2"]])
 def test_a_box_is_carried_and_turned(overrides: list[str]) -> None:

@@ -37,6 +37,7 @@ def same(one: Sweep, other: Sweep) -> None:
         assert column.tobytes() == other[name].tobytes(), name
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("name", scene_names())
 def test_the_same_scene_and_seed_give_the_same_bytes(name: str) -> None:
     first, second = shipped(name), simulate(name)
@@ -96,6 +97,7 @@ def test_a_run_that_ends_early_says_so_and_measures_the_same(overrides: list[str
     assert "settled" not in {event.kind for event in whole.events}
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize(
     "arguments",

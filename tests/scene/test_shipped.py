@@ -211,6 +211,7 @@ def test_a_run_that_diverges_says_why() -> None:
     assert run.signals["time_s"][-1] < last.time_s < 6.7
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("name", scene_names())
 def test_a_shipped_scene_is_drawn(name: str, tmp_path: Path) -> None:
     """Also where hand and arm have periods of their own, and so as many samples."""

@@ -33,6 +33,7 @@ def test_a_long_soak_allows_as_much_for_each_five_minutes() -> None:
     assert growth([0] * 6000, 1.0).allowed_bytes == 10 * ALLOWED_BYTES
 
 
+@pytest.mark.thorough
 def test_a_short_soak_samples_three_processes() -> None:
     """Whether memory is flat shows after each page of the rings has been touched, which is later than this."""
     lines: list[str] = []

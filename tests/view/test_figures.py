@@ -62,6 +62,7 @@ AWKWARD = {
 }
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("name", "columns"), [*((name, 1) for name in AWKWARD), ("many trips close together", 2), ("at the end", 2)]
 )

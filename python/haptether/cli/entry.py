@@ -13,86 +13,64 @@ import shutil
 import sys
 import textwrap
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import make_dataclass
-from typing import Annotated, Any, Protocol, Union
+from typing import Annotated, Any, Union
 
 import tyro
 
 from haptether import __version__
-from haptether.cli.demo import Demo
-from haptether.cli.device.check_device import CheckDevice
-from haptether.cli.device.identify import Identify
-from haptether.cli.device.new_driver import NewDriver
-from haptether.cli.dynamixel import DYNAMIXEL_COMMANDS, Dynamixel
-from haptether.cli.emulators.dynamixel import DynamixelEmulator
-from haptether.cli.emulators.inverse3 import Inverse3Emulator
-from haptether.cli.emulators.ur import UrEmulator
 from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS
-from haptether.cli.keygen import Keygen
-from haptether.cli.list import List
-from haptether.cli.live.check_link import CheckLink
-from haptether.cli.live.explain import Explain
-from haptether.cli.live.master import Master
-from haptether.cli.live.slave import Slave
-from haptether.cli.netsim import NETSIM_COMMANDS, Netsim
-from haptether.cli.netsim.echo import Echo
-from haptether.cli.netsim.proxy import Proxy
-from haptether.cli.netsim.record import Record
-from haptether.cli.paper import Paper
-from haptether.cli.raven import Raven
-from haptether.cli.recording.export import Export
-from haptether.cli.recording.info import Info
-from haptether.cli.recording.playback import Playback
-from haptether.cli.recording.plot import Plot
-from haptether.cli.recording.replay import Replay
-from haptether.cli.scene.simulate import Simulate
-from haptether.cli.scene.sweep import Sweep
+from haptether.cli.shared.commands import Command, CommandTable
 from haptether.cli.shared.numbers import NUMBERS
 from haptether.cli.shared.output import QueuedOutput, queued_output
-from haptether.cli.view.console import Console
-from haptether.cli.view.view import View
-from haptether.cli.view.watch import Watch
 from haptether.printable import printable
 
-
-class Command(Protocol):
-    """What one command is."""
-
-    def run(self) -> int:
-        """Does it and returns the exit status."""
-
-
-COMMANDS: dict[str, type[Any]] = {
-    "demo": Demo,
-    "paper": Paper,
-    "raven": Raven,
-    "simulate": Simulate,
-    "sweep": Sweep,
-    "console": Console,
-    "view": View,
-    "master": Master,
-    "slave": Slave,
-    "netsim": Netsim,
-    "ur-emulator": UrEmulator,
-    "dynamixel": Dynamixel,
-    "dynamixel-emulator": DynamixelEmulator,
-    "inverse3-emulator": Inverse3Emulator,
-    "check-link": CheckLink,
-    "check-device": CheckDevice,
-    "identify": Identify,
-    "new-driver": NewDriver,
-    "watch": Watch,
-    "explain": Explain,
-    "info": Info,
-    "plot": Plot,
-    "export": Export,
-    "replay": Replay,
-    "playback": Playback,
-    "keygen": Keygen,
-    "list": List,
+COMMANDS = CommandTable(
+    {
+        "demo": "demo:Demo",
+        "paper": "paper:Paper",
+        "raven": "raven:Raven",
+        "simulate": "scene.simulate:Simulate",
+        "sweep": "scene.sweep:Sweep",
+        "console": "view.console:Console",
+        "view": "view.view:View",
+        "master": "live.master:Master",
+        "slave": "live.slave:Slave",
+        "netsim": "netsim:Netsim",
+        "ur-emulator": "emulators.ur:UrEmulator",
+        "dynamixel": "dynamixel:Dynamixel",
+        "dynamixel-emulator": "emulators.dynamixel:DynamixelEmulator",
+        "inverse3-emulator": "emulators.inverse3:Inverse3Emulator",
+        "check-link": "live.check_link:CheckLink",
+        "check-device": "device.check_device:CheckDevice",
+        "identify": "device.identify:Identify",
+        "new-driver": "device.new_driver:NewDriver",
+        "watch": "view.watch:Watch",
+        "explain": "live.explain:Explain",
+        "info": "recording.info:Info",
+        "plot": "recording.plot:Plot",
+        "export": "recording.export:Export",
+        "replay": "recording.replay:Replay",
+        "playback": "recording.playback:Playback",
+        "keygen": "keygen:Keygen",
+        "list": "list:List",
+    }
+)
+GROUPS = {
+    "netsim": CommandTable(
+        {
+            "list": "netsim.list:List",
+            "sample": "netsim.sample:Sample",
+            "proxy": "netsim.proxy:Proxy",
+            "set": "netsim.set:Set",
+            "echo": "netsim.echo:Echo",
+            "record": "netsim.record:Record",
+            "compare": "netsim.compare:Compare",
+        }
+    ),
+    "dynamixel": CommandTable({"find": "dynamixel.find:Find", "calibrate": "dynamixel.calibrate:Calibrate"}),
 }
-GROUPS: dict[str, dict[str, type[Command]]] = {"netsim": NETSIM_COMMANDS, "dynamixel": DYNAMIXEL_COMMANDS}
 """Commands that only name others."""
 
 
@@ -112,19 +90,21 @@ MIN_COLUMNS = 40
 LONG_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.])(?<=[\d.]{30})")
 """More digits than a number has: nobody counts the zeros of 1e300."""
 
-NEVER_WAITS = (
-    Master,
-    Slave,
-    Demo,
-    UrEmulator,
-    DynamixelEmulator,
-    Inverse3Emulator,
-    CheckLink,
-    CheckDevice,
-    Identify,
-    Proxy,
-    Echo,
-    Record,
+NEVER_WAITS = frozenset(
+    {
+        "master",
+        "slave",
+        "demo",
+        "ur-emulator",
+        "dynamixel-emulator",
+        "inverse3-emulator",
+        "check-link",
+        "check-device",
+        "identify",
+        "netsim proxy",
+        "netsim echo",
+        "netsim record",
+    }
 )
 """Commands that go on, and end, whether anybody reads what they print or not."""
 
@@ -156,7 +136,7 @@ def _main(arguments: Sequence[str]) -> int:
         return _unwritten(error)
     try:
         INTERRUPTS.raising = True
-        if not isinstance(command, NEVER_WAITS):
+        if name_of(arguments) not in NEVER_WAITS:
             status = _status(command)
         else:
             with queued_output() as output:
@@ -230,6 +210,11 @@ def _let_go_of_output() -> None:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
+def name_of(arguments: Sequence[str]) -> str:
+    """The name of a command as it is called, within its group, too."""
+    return " ".join(arguments[: 2 if arguments[0] in GROUPS else 1])
+
+
 def parse(arguments: Sequence[str]) -> Command:
     """The command that the arguments request.
 
@@ -245,9 +230,7 @@ def parse(arguments: Sequence[str]) -> Command:
     return _parsed(COMMANDS, "haptether", None, with_overrides(arguments))
 
 
-def _parsed(
-    commands: "dict[str, type[Command]]", prog: str, group: "type[object] | None", arguments: Sequence[str]
-) -> Command:
+def _parsed(commands: CommandTable, prog: str, group: "type[object] | None", arguments: Sequence[str]) -> Command:
     printed = io.StringIO()
     # The parser repeats arguments as they are.
     safe = all(argument.isprintable() for argument in arguments)
@@ -282,7 +265,7 @@ def _parsed(
     return command
 
 
-def union_of(commands: "dict[str, type[Any]]") -> Any:  # noqa: ANN401  # put together at run time, without a static type
+def union_of(commands: Mapping[str, type[Any]]) -> Any:  # noqa: ANN401  # put together at run time, without a static type
     """The commands as one type that the parser chooses from."""
     return Union[  # noqa: UP007
         tuple(
@@ -292,7 +275,7 @@ def union_of(commands: "dict[str, type[Any]]") -> Any:  # noqa: ANN401  # put to
     ]
 
 
-def check_command(arguments: Sequence[str], commands: "dict[str, type[Any]]") -> None:
+def check_command(arguments: Sequence[str], commands: Mapping[str, type[Any]]) -> None:
     """Refuses a command that there is not.
 
     Raises:
@@ -318,7 +301,7 @@ def complete(arguments: Sequence[str]) -> int:
     # The parser prints it and exits.
     with contextlib.suppress(SystemExit):
         tyro.cli(
-            union_of(COMMANDS | nested),
+            union_of({**COMMANDS, **nested}),
             prog="haptether",
             args=["--tyro-print-completion", *arguments],
             config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),

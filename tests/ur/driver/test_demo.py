@@ -42,6 +42,7 @@ class Never:
         time.sleep(seconds)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.timeout(200)
 @pytest.mark.parametrize("slave", ["simulated", "ur"])
 def test_something_is_picked_up_turned_and_put_down(slave: Literal["simulated", "ur"], tmp_path: Path) -> None:
@@ -134,6 +135,7 @@ def peg(folder: Path, running: list[subprocess.Popen[str]]) -> tuple[dict[str, A
         return json.loads(result.read_text()), arrays["device_force"], arrays["position"]
 
 
+@pytest.mark.thorough
 @pytest.mark.timeout(200)
 def test_a_peg_meets_table_and_wall_on_three_axes(tmp_path: Path, running: list[subprocess.Popen[str]]) -> None:
     for _ in range(ATTEMPTS):

@@ -57,6 +57,7 @@ MODES = [
 ]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("row", MODES, ids=lambda row: row.mode)
 @anew_after_stalls
 def test_a_hand_leads_the_arm_into_a_wall_and_feels_it(row: ModeRow) -> None:
@@ -208,6 +209,7 @@ def recover(watching: Watching) -> float:
         time.sleep(0.3)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("mode", ["servoj", "servol", "speedl", "direct-torque"])
 @anew_after_stalls
 def test_a_soft_stop_from_full_speed_ends_before_the_watchdog(mode: str) -> None:

@@ -40,6 +40,7 @@ def across(start: tuple[float, ...], tilted: float = 0.0) -> Path:
     return turn(Posed("servoj", start).home.pose, axis=(axis / np.linalg.norm(axis)).tolist(), angle=1.0, speed=0.8)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("mode", LATE_S)
 def test_the_tool_follows_a_figure_that_turns_by_60_degrees(mode: str) -> None:
     arm = Posed(mode)
@@ -56,6 +57,7 @@ def test_the_tool_follows_a_figure_that_turns_by_60_degrees(mode: str) -> None:
     assert (np.abs(led.qd) < POSE_SPEED_SHARE * np.array(MODEL.max_speed)).all()
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("tilted", [0.0, 0.3])
 @pytest.mark.parametrize(("mode", "share", "swing"), [
     # What is commanded keeps to a share; servoj swings beyond, the loop of speedl makes up, springs saturate.
@@ -202,6 +204,7 @@ def test_springs_of_direct_torque_hold_the_orientation() -> None:
     assert np.abs(want).max() > 0.05
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("mode", LATE_S)
 def test_planes_hold_for_a_tool_that_turns(mode: str) -> None:
     arm = Posed(mode, workspace=[[0.0, 0.0, 1.0, START_Z - 0.02]])

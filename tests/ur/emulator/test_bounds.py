@@ -78,6 +78,7 @@ def flood(host: str, port: int, content: bytes, *, reads: bool) -> None:
             connection.close()
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("port", "request_", "reads"),
     [
@@ -104,6 +105,7 @@ def test_no_flood_of_requests_holds_the_control_cycle_up(port: int, request_: by
     flooded()
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "line",
     ["set_payload(1,[1,2])", "set_payload(1,[1e999,0,0])", 'textmsg("a"*700000000)', "set_tcp(p[1e999,0,0,0,0,0])",

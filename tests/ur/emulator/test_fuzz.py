@@ -148,6 +148,7 @@ WRONG = (
 )
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("name", SIGNATURES)
 def test_every_function_with_every_number_of_arguments(name: str) -> None:
     of = world()

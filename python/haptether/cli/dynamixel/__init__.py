@@ -2,11 +2,6 @@
 
 from dataclasses import dataclass
 
-from haptether.cli.dynamixel.calibrate import Calibrate
-from haptether.cli.dynamixel.find import Find
-
-DYNAMIXEL_COMMANDS = {"find": Find, "calibrate": Calibrate}
-
 
 @dataclass(frozen=True)
 class Dynamixel:

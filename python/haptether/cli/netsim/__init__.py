@@ -2,24 +2,6 @@
 
 from dataclasses import dataclass
 
-from haptether.cli.netsim.compare import Compare
-from haptether.cli.netsim.echo import Echo
-from haptether.cli.netsim.list import List
-from haptether.cli.netsim.proxy import Proxy
-from haptether.cli.netsim.record import Record
-from haptether.cli.netsim.sample import Sample
-from haptether.cli.netsim.set import Set
-
-NETSIM_COMMANDS = {
-    "list": List,
-    "sample": Sample,
-    "proxy": Proxy,
-    "set": Set,
-    "echo": Echo,
-    "record": Record,
-    "compare": Compare,
-}
-
 
 @dataclass(frozen=True)
 class Netsim:
