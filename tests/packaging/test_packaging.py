@@ -141,6 +141,7 @@ def test_the_sdist_holds_the_sources_of_both_languages_once(sdist: Path) -> None
     assert sorted(members) == sorted([*root, *rust, *(f"python/{name}" for name in packaged())])
 
 
+@pytest.mark.thorough
 @building
 def test_the_sdist_builds_the_same_wheel(sdist: Path, wheel: Path, tmp_path: Path) -> None:
     # At one place, so that what cargo keeps of it is replaced and does not pile up; and with new

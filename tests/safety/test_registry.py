@@ -128,6 +128,7 @@ fn it_has_a_name_a_bit_and_a_column_and_it_intervenes() {
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.alone
 @pytest.mark.timeout(600)
 def test_a_controller_is_a_file_and_its_line(tmp_path: Path) -> None:

@@ -34,6 +34,7 @@ def measured(mode: str) -> dict[str, dict[str, Any]]:
     return {row["path"]: row for row in rows}
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("mode", LATE_S)
 @anew_after_stalls
 def test_the_arm_follows_poses_and_goes_through_its_wrist(mode: str) -> None:
