@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from haptether.studies.demo import (
         DEMO_CONTROLLERS,
         DemoScene,
-        Interrupted,
         draw_demo,
         run_demo,
     )
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     from haptether.studies.paper import PaperReport, PaperRow, reproduce_paper
     from haptether.studies.paper_figures import draw_paper
     from haptether.studies.pick import PickResult, PickScene, draw_pick, run_pick
+    from haptether.studies.processes import Interrupted
     from haptether.studies.raven import RavenReport, RavenRow, measure_attack, raven_suite
     from haptether.studies.raven_attacks import RAVEN_ATTACKS, RavenAttack
     from haptether.studies.remote_push import PushResult, measure_push, save_master_trace
@@ -73,7 +73,6 @@ if not TYPE_CHECKING:  # else any name would do
             "demo": (
                 "DEMO_CONTROLLERS",
                 "DemoScene",
-                "Interrupted",
                 "draw_demo",
                 "run_demo",
             ),
@@ -103,6 +102,7 @@ if not TYPE_CHECKING:  # else any name would do
                 "draw_pick",
                 "run_pick",
             ),
+            "processes": ("Interrupted",),
             "raven": (
                 "RavenReport",
                 "RavenRow",

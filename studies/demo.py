@@ -1,53 +1,25 @@
 """The demonstration: slave, network and master as processes, once per controller."""
 
 import contextlib
-import os
-import queue
 import secrets
-import shutil
-import subprocess
-import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import Literal
 
 import msgspec
 import numpy as np
 
 from haptether.bridge import write_key
+from haptether.studies.processes import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, Process, StopRequest, child_process
 from haptether.studies.remote_push import PushResult
 from haptether.view.style.colours import controller_look, controller_title
 from haptether.view.style.events import EventMark, name_events
 from haptether.view.style.figure import Columns, letter, new_figure, styled, write_figure
 from haptether.view.style.legend import legend_below
 
-if TYPE_CHECKING:
-    from subprocess import Popen
-
 DEMO_CONTROLLERS = ("none", "vfc", "hsc", "wsc")
-
-START_TIMEOUT_S = 20.0
-"""A process that has not opened its socket by then has failed."""
-END_TIMEOUT_S = 5.0
-NICE = -10
-"""Of the processes of a demonstration, before others of the machine, until their loops have real time."""
-
-
-class Interrupted(Exception):  # noqa: N818  # not an error: somebody pressed Ctrl-C
-    """A stop of the run was requested."""
-
-
-class StopRequest(Protocol):
-    """Whether a stop was requested, and a sleep that ends when they do."""
-
-    def __bool__(self) -> bool:
-        """True once a stop was requested."""
-
-    def sleep(self, seconds: float) -> None:
-        """Waits up to `seconds`."""
 
 
 class DemoScene(msgspec.Struct, frozen=True, kw_only=True):
@@ -180,97 +152,6 @@ def _follow(
             message = f"the master did not end within {scene.duration_s + START_TIMEOUT_S:g} s"
             raise RuntimeError(message)
         stopped.sleep(0.05)
-
-
-class Process:
-    """One of our own commands as a child process, and what it says."""
-
-    def __init__(self, name: str, process: "Popen[str]", says: str) -> None:
-        self.name = name
-        self._says = says
-        self.process = process
-        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._all: list[str] = []
-        # The pipe is read all the time: a child must never block on a full one.
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-
-    def _read(self) -> None:
-        if self.process.stdout is not None:
-            for line in self.process.stdout:
-                self._all.append(line.strip())
-                self._lines.put(line.strip())
-
-    def headline(self, stopped: StopRequest) -> str:
-        """The line that says that its socket is open.
-
-        Raises:
-            Interrupted: A stop was requested.
-            RuntimeError: It ended or said nothing in time.
-        """
-        deadline = time.monotonic() + START_TIMEOUT_S
-        while time.monotonic() < deadline:
-            if stopped:
-                raise Interrupted
-            try:
-                line = self._lines.get(timeout=0.05)
-            except queue.Empty:
-                if self.process.poll() is not None and self._lines.empty():
-                    break
-                continue
-            if line.startswith(self._says):
-                return line
-        if stopped:
-            raise Interrupted
-        message = f"{self.name} did not start: {self.said() or 'it said nothing'}"
-        raise RuntimeError(message)
-
-    def last(self) -> str:
-        """What it has said last of what went wrong, or at all."""
-        lines = [line for line in self._all if line]
-        wrong = [line for line in lines if "fault:" in line or line.startswith(("haptether:", "hold", "stop"))]
-        return next(reversed(wrong or lines), f"{self.name} said nothing")
-
-    def said(self) -> str:
-        """All that it has said so far, in one line."""
-        return " / ".join(line for line in self._all if line)
-
-    def end(self) -> None:
-        """Requests it to end cleanly, and ends it by force if it does not."""
-        if self.process.poll() is None:
-            self.process.terminate()
-            try:
-                self.process.wait(END_TIMEOUT_S)
-            except subprocess.TimeoutExpired:
-                self.process.kill()
-                self.process.wait()
-        self._reader.join(END_TIMEOUT_S)
-        if self.process.stdout is not None:
-            self.process.stdout.close()
-
-
-@contextlib.contextmanager
-def child_process(name: str, *arguments: str, says: str | None = None) -> Iterator[Process]:
-    """One of our own commands as a child process, which is ended with the block; `says` begins its first line.
-
-    It ends with this process, too, where that is killed and `setpriv` of util-linux is there.
-    """
-    ends_with_this = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
-    process = subprocess.Popen(
-        [*ends_with_this, sys.executable, "-m", "haptether", name, *arguments],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    # They load for seconds, each before the next begins; where that is not allowed they take their time.
-    with contextlib.suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, process.pid, NICE)
-    child = Process(name, process, says or name)
-    try:
-        yield child
-    finally:
-        child.end()
 
 
 def draw_demo(scene: DemoScene, results: Sequence[PushResult], path: Path, columns: Columns = 2) -> None:

@@ -16,8 +16,8 @@ from haptether.dynamixel.arm import calibration_text
 from haptether.dynamixel.description import ArmDescription, Trigger
 from haptether.dynamixel.emulator import JointSettings, servos_of
 from haptether.master.dynamixel.options import LeaderOptions, arm_settings
-from haptether.studies.demo import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, Process, StopRequest, child_process
 from haptether.studies.leader import CLUTCH, LEADER, ROW_S, Leader, along, emulated_arm
+from haptether.studies.processes import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, Process, StopRequest, child_process
 from haptether.view.style.colours import AXES, SIGNALS, controller_look, controller_title
 from haptether.view.style.figure import Columns, letter, new_figure, styled, write_figure
 from haptether.view.style.legend import legend_above, legend_below

@@ -17,7 +17,7 @@ from haptether.dynamixel.emulator import servos_of
 from haptether.master.dynamixel import pose_model
 
 if TYPE_CHECKING:
-    from haptether.studies.demo import StopRequest
+    from haptether.studies.processes import StopRequest
 
 Array = npt.NDArray[np.float64]
 
@@ -139,7 +139,7 @@ def led_leader(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest", 
 
 def emulated_arm(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest", *more: str) -> Leader:
     """Starts an emulated bus with the leader's servos for `limit` s."""
-    from haptether.studies.demo import child_process
+    from haptether.studies.processes import child_process
 
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
     port = free_port()

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.bridge import load_scene, read_recording, write_key
-from haptether.studies.demo import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, StopRequest, child_process
 from haptether.studies.leader import LEADER_S, led_leader
+from haptether.studies.processes import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, StopRequest, child_process
 from haptether.view.style.colours import SIGNALS
 from haptether.view.style.figure import Columns, letter, new_figure, styled, write_figure
 from haptether.view.style.legend import legend_above

@@ -103,7 +103,7 @@ class Console:
     def _start(self, folder: Path, stack: contextlib.ExitStack, stopped: "Stopped") -> None:
         """Starts slave and master of the scene on loopback, with a key of this run."""
         from haptether.bridge import load_scene, write_key
-        from haptether.studies.demo import Interrupted, child_process
+        from haptether.studies.processes import Interrupted, child_process
 
         assert self.scene is not None
         # Said here, in one line, and not by a process that does not start.
