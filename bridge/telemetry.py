@@ -46,6 +46,18 @@ class TelemetryHello(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind"
     signals: list[TelemetrySignal]
 
 
+class TelemetryLink(msgspec.Struct, frozen=True, kw_only=True):
+    """Frames of the link, since the run began; of one tick each, not all of the same."""
+
+    sent: int = 0
+    fresh: int = 0
+    """That were newer than all before when they arrived."""
+    late: int = 0
+    """That arrived after a newer one, or so late that they were not looked at."""
+    missing: int = 0
+    """Of the peer's that have not arrived up to the newest one."""
+
+
 class TelemetrySample(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="sample"):
     """The ticks of 1/60 s; what was no finite number is None."""
 
@@ -56,6 +68,7 @@ class TelemetrySample(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind
     """Records that did not reach the sender's thread, since the run began."""
     unsent_changes: int
     """Changes beyond 256 in one sample, since the run began."""
+    link: TelemetryLink = TelemetryLink()
     signals: dict[str, Any]
     """`[min, max, last]` of a number, one such list for each axis of "axes", `[those of any tick, those of the last]`
     of "bits", the last one of all else."""

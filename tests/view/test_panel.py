@@ -5,6 +5,7 @@ import math
 from typing import Any
 
 import pytest
+from msgspec import structs
 from rich.console import Console
 
 from haptether.bridge import (
@@ -13,6 +14,7 @@ from haptether.bridge import (
     TelemetryCleared,
     TelemetryEnd,
     TelemetryHello,
+    TelemetryLink,
     TelemetryLost,
     TelemetrySample,
     TelemetrySignal,
@@ -173,3 +175,25 @@ def test_numbers_that_are_none_are_dashes() -> None:
     state = SideState(hello(axes=3))
     state.take(sample(0.0, axes=3, position=[[None, None, None], [0.1, 0.1, 0.1], [0.0, 0.0, 0.0]]))
     assert "-  +0.1000  +0.0000" in shown(state)
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "loss"),
+    [
+        ((100, 0, 0), (160, 0, 0), 0.0),
+        ((100, 0, 0), (150, 4, 6), 0.1),
+        # What was missing has come late.
+        ((100, 0, 9), (140, 9, 0), 0.0),
+        ((100, 0, 9), (100, 0, 9), None),
+    ],
+)
+def test_loss_is_the_share_of_the_last_second(
+    before: tuple[int, int, int], now: tuple[int, int, int], loss: float | None
+) -> None:
+    state = SideState(hello())
+    assert state.loss() is None
+    for time_s, (fresh, late, missing) in ((0.0, (0, 0, 0)), (1.5, before), (2.0, now)):
+        link = TelemetryLink(sent=0, fresh=fresh, late=late, missing=missing)
+        state.take(structs.replace(sample(time_s), link=link))
+    assert state.loss() == (None if loss is None else pytest.approx(loss))
+    assert ("frames lost [%]" in shown(state)) == (loss is not None)

@@ -50,8 +50,8 @@ AXES = 3
 """Of a vector on one line; of more, the norm."""
 
 
-def panel(state: SideState) -> RenderableType:
-    """All that is known of a side, at most 80 columns wide."""
+def panel(state: SideState, width: int = 80) -> RenderableType:
+    """All that is known of a side, in `width` columns."""
     parts: list[RenderableType] = [_headline(state)]
     if state.cause is not None:
         parts += _cause(state)
@@ -63,7 +63,7 @@ def panel(state: SideState) -> RenderableType:
     if state.events:
         parts += [Text(""), *_events(state)]
     title = f"{state.side}, Haptether {state.hello.version}".rstrip()
-    return Panel(Group(*parts), title=Text(title), title_align="left", border_style=_style(state), width=80)
+    return Panel(Group(*parts), title=Text(title), title_align="left", border_style=_style(state), width=width)
 
 
 def headline(state: SideState) -> str:
@@ -176,11 +176,18 @@ def _loop(state: SideState) -> Table:
         value, worst = state.last(name), state.peak(name)
         if value is not None and worst is not None:
             table.add_row(f"{label} [ms]", f"{value * 1e3:.2f}", Text(f"1 s: {worst * 1e3:.2f}", style="dim"))
+    if (loss := state.loss()) is not None:
+        table.add_row("frames lost [%]", f"{loss * 100:.1f}", Text(_counts(state), style="dim"))
     if state.last("fault"):
         table.add_row("fault code", str(state.last("fault")), "")
     if state.dropped or state.lost_ticks:
         table.add_row("ticks not seen here", str(state.dropped + state.lost_ticks), "")
     return table
+
+
+def _counts(state: SideState) -> str:
+    link = state.link
+    return "" if link is None else f"run: {link.missing} of {link.missing + link.fresh + link.late}"
 
 
 def _events(state: SideState) -> list[Text]:

@@ -12,6 +12,7 @@ from haptether.bridge import (
     TelemetryCleared,
     TelemetryEnd,
     TelemetryHello,
+    TelemetryLink,
     TelemetryLost,
     TelemetryMessage,
     TelemetrySample,
@@ -120,6 +121,11 @@ class SideState:
                 pass
 
     @property
+    def link(self) -> TelemetryLink | None:
+        """Frames of the link since the run began; none before the first sample."""
+        return self._samples[-1].link if self._samples else None
+
+    @property
     def watched_s(self) -> float:
         """From the first sample to the last, in s of the run."""
         return 0.0 if self._begun_s is None else self.time_s - self._begun_s
@@ -199,6 +205,18 @@ class SideState:
     def is_held(self) -> bool:
         """Whether an intervention was held on in the last second, as its hold-off and ramp do."""
         return bool(self._bits("tripped") & BITS["held"])
+
+    def loss(self) -> float | None:
+        """Share of the peer's frames of the last second that have not arrived; none where there were none.
+
+        A frame that is overtaken counts as lost until it arrives.
+        """
+        if len(self._samples) < 2:
+            return None
+        first, last = self._samples[0].link, self._samples[-1].link
+        arrived = last.fresh + last.late - first.fresh - first.late
+        missing = max(0, last.missing - first.missing)
+        return missing / (arrived + missing) if arrived + missing > 0 else None
 
     def _note(self, time_ns: int, text: str) -> None:
         self.events.append((time_ns * 1e-9, text))

@@ -10,6 +10,7 @@ use std::{
 
 use super::{handshakes::SecurityEvent, live_loop::PROMPT_NS, system};
 use crate::{
+    LinkStatistics,
     command::OperatorCommand,
     ladder::{Diagnosis, FlightRecorder, LadderState},
     recorder::{Recorder, Recording, RecordingReport},
@@ -338,6 +339,13 @@ impl<R: Copy> RecordSinks<R> {
             telemetry.take(record);
         }
         self.read.push(record)
+    }
+
+    /// Hands on what the link has counted.
+    pub(super) fn count_link(&self, link: &LinkStatistics) {
+        if let Some(telemetry) = &self.outputs.telemetry {
+            telemetry.count_link(link);
+        }
     }
 
     /// Hands on why the two sides are not coupled, since `time_ns` after the start or shortly before; none where that

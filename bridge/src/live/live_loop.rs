@@ -345,7 +345,9 @@ impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
         shared.state.store(state.code(), Ordering::Relaxed);
         shared.ticks.store(report.ticks, Ordering::Relaxed);
         // A round trip is known from the first answer on.
-        shared.answered.store(exchange.link().statistics().round_trip_ns != 0, Ordering::Relaxed);
+        let link = exchange.link().statistics();
+        channels.records.count_link(&link);
+        shared.answered.store(link.round_trip_ns != 0, Ordering::Relaxed);
     }
 
     /// Leaves the plant at rest and announces the end of this side to the peer; nothing a second time.

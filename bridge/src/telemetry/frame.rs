@@ -2,10 +2,12 @@
 
 use serde_json::json;
 
+use super::Counts;
 use crate::{
     ladder::{Diagnosis, Explanation},
     recorder::{Recorded, SecurityMark, Value},
 };
+use std::sync::atomic::Ordering;
 
 /// Of the lines, raised when a reader of before would misread them.
 const SCHEMA: u32 = 1;
@@ -234,16 +236,21 @@ impl Frame {
     }
 
     /// The sample of the frame and how many ticks it stands for, and begins the next; none where there was no tick.
-    pub(super) fn sample(&mut self, dropped: u64) -> Option<(&[u8], u64)> {
+    pub(super) fn sample(&mut self, counts: &Counts) -> Option<(&[u8], u64)> {
         if self.ticks == 0 {
             return None;
         }
         let Self { signals, time_ns, ticks, sample: out, unsent, .. } = self;
         out.clear();
+        let [dropped, sent, fresh, late, missing] =
+            [&counts.dropped, &counts.sent, &counts.fresh, &counts.late, &counts.missing]
+                .map(|count| count.load(Ordering::Relaxed));
         let head = format!(
             r#"{{"kind":"sample","time_ns":{time_ns},"ticks":{ticks},"dropped":{dropped},"unsent_changes":{unsent}"#
         );
         out.extend_from_slice(head.as_bytes());
+        let link = format!(r#","link":{{"sent":{sent},"fresh":{fresh},"late":{late},"missing":{missing}}}"#);
+        out.extend_from_slice(link.as_bytes());
         out.extend_from_slice(br#","signals":{"#);
         let mut is_first = true;
         for signal in signals.iter_mut().filter(|signal| signal.name != TIME) {

@@ -24,6 +24,7 @@ use frame::Frame;
 use readers::Readers;
 
 use crate::{
+    LinkStatistics,
     ladder::Diagnosis,
     recorder::{Recorded, SecurityMark},
     ring::ring,
@@ -60,13 +61,38 @@ const FAILED: u8 = 2;
 /// Why the two sides are not coupled, so long after the run began; none where that is over.
 type Note = (u64, Option<Diagnosis>);
 
+/// What the loop counts since its run began, as the thread reads it: each count is true, all together are not of one tick.
+#[derive(Debug, Default)]
+struct Counts {
+    /// Records that found the ring full.
+    dropped: AtomicU64,
+    /// Of [`LinkStatistics`].
+    sent: AtomicU64,
+    fresh: AtomicU64,
+    late: AtomicU64,
+    missing: AtomicU64,
+}
+
+impl Counts {
+    fn count_link(&self, link: &LinkStatistics) {
+        let counts = [
+            (&self.sent, link.sent),
+            (&self.fresh, link.fresh),
+            (&self.late, link.late),
+            (&self.missing, link.missing),
+        ];
+        for (count, now) in counts {
+            count.store(now, Ordering::Relaxed);
+        }
+    }
+}
+
 /// The loop's end of the ring.
 #[derive(Debug)]
 pub struct Telemetry<R> {
     records: rtrb::Producer<R>,
     notes: rtrb::Producer<Note>,
-    /// Records that found the ring full.
-    dropped: Arc<AtomicU64>,
+    counts: Arc<Counts>,
     state: Arc<AtomicU8>,
     sent: mpsc::Receiver<()>,
 }
@@ -77,15 +103,15 @@ impl<R: Recorded> Telemetry<R> {
         let readers = Readers::listen(&settings.path, frame::hello::<R>(settings.security, &settings.scene))?;
         let (records, waiting) = ring(RING);
         let (notes, noted) = ring(NOTES);
-        let dropped = Arc::<AtomicU64>::default();
+        let counts = Arc::<Counts>::default();
         let state = Arc::new(AtomicU8::new(RUNNING));
         let (to_loop, sent) = mpsc::sync_channel(1);
-        let seen = (Arc::clone(&dropped), Arc::clone(&state));
+        let seen = (Arc::clone(&counts), Arc::clone(&state));
         thread::Builder::new().name("haptether-telemetry".into()).spawn(move || {
             send_while_running(readers, (waiting, noted), (&seen.0, &seen.1));
             let _ = to_loop.send(());
         })?;
-        Ok(Self { records, notes, dropped, state, sent })
+        Ok(Self { records, notes, counts, state, sent })
     }
 }
 
@@ -94,8 +120,14 @@ impl<R> Telemetry<R> {
     #[inline]
     pub(crate) fn take(&mut self, record: R) {
         if self.records.push(record).is_err() {
-            self.dropped.fetch_add(1, Ordering::Relaxed);
+            self.counts.dropped.fetch_add(1, Ordering::Relaxed);
         }
+    }
+
+    /// Takes what the link has counted.
+    #[inline]
+    pub(crate) fn count_link(&self, link: &LinkStatistics) {
+        self.counts.count_link(link);
     }
 
     /// Hands over why the two sides are not coupled, `time_ns` after the run began; none where that is over.
@@ -121,7 +153,7 @@ impl<R> Drop for Telemetry<R> {
 fn send_while_running<R: Recorded>(
     mut readers: Readers,
     (mut records, mut notes): (rtrb::Consumer<R>, rtrb::Consumer<Note>),
-    (dropped, state): (&AtomicU64, &AtomicU8),
+    (counts, state): (&Counts, &AtomicU8),
 ) {
     let mut frame = Frame::of::<R>();
     let mut due = Instant::now();
@@ -141,7 +173,7 @@ fn send_while_running<R: Recorded>(
             }
         }
         frame.events(|lines| readers.events(lines));
-        if let Some((sample, ticks)) = frame.sample(dropped.load(Ordering::Relaxed)) {
+        if let Some((sample, ticks)) = frame.sample(counts) {
             readers.sample(sample, ticks);
         }
         if state != RUNNING {

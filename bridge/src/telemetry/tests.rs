@@ -55,6 +55,19 @@ fn of_kind<'a>(lines: &'a [Json], kind: &str) -> Vec<&'a Json> {
     lines.iter().filter(|line| line["kind"] == kind).collect()
 }
 
+/// Three records that were dropped, and of 40 frames one that did not arrive and two that were late.
+fn counts() -> Counts {
+    let counts = Counts { dropped: 3.into(), ..Counts::default() };
+    counts.count_link(&LinkStatistics {
+        sent: 41,
+        fresh: 37,
+        late: 2,
+        missing: 1,
+        ..LinkStatistics::default()
+    });
+    counts
+}
+
 /// The sample of a frame, and its changes.
 fn framed(records: &[Record]) -> (Json, Vec<Json>) {
     let mut frame = Frame::of::<Record>();
@@ -63,7 +76,7 @@ fn framed(records: &[Record]) -> (Json, Vec<Json>) {
     }
     let mut changes = Vec::new();
     frame.events(|of| changes = lines(of));
-    (lines(frame.sample(3).unwrap().0).remove(0), changes)
+    (lines(frame.sample(&counts()).unwrap().0).remove(0), changes)
 }
 
 #[test]
@@ -78,6 +91,7 @@ fn a_frame_has_the_smallest_the_largest_and_the_last_of_each_axis() {
         [&sample["ticks"], &sample["time_ns"], &sample["dropped"]],
         [&Json::from(17), &16_000_000.into(), &3.into()]
     );
+    assert_eq!(sample["link"], serde_json::json!({"sent": 41, "fresh": 37, "late": 2, "missing": 1}));
 }
 
 #[test]
@@ -126,10 +140,10 @@ fn bits_of_any_tick_and_changes_survive() {
 fn frames_follow_one_another() {
     let mut frame = Frame::of::<Record>();
     frame.take(&Record { tripped: 2, ..record(9) });
-    let _ = frame.sample(0).unwrap();
-    assert!(frame.sample(0).is_none(), "a frame without a tick says nothing");
+    let _ = frame.sample(&Counts::default()).unwrap();
+    assert!(frame.sample(&Counts::default()).is_none(), "a frame without a tick says nothing");
     frame.take(&Record { state: LadderState::Stop, ..record(1) });
-    let sample = lines(frame.sample(0).unwrap().0).remove(0);
+    let sample = lines(frame.sample(&Counts::default()).unwrap().0).remove(0);
     assert_eq!(sample["signals"]["position"][0], serde_json::json!([1.0, 1.0, 1.0]));
     assert_eq!(sample["signals"]["tripped"], serde_json::json!([2, 0]), "it was on until this frame");
     let mut changes = Vec::new();
@@ -146,7 +160,7 @@ fn changes_without_end_are_counted() {
     let mut changes = 0;
     frame.events(|of| changes = lines(of).len());
     assert_eq!(changes, 256);
-    assert_eq!(lines(frame.sample(0).unwrap().0)[0]["unsent_changes"], 999 - 256);
+    assert_eq!(lines(frame.sample(&Counts::default()).unwrap().0)[0]["unsent_changes"], 999 - 256);
 }
 
 #[test]
@@ -363,7 +377,7 @@ fn a_loop_that_is_faster_than_the_thread_drops_and_counts() {
     for tick in 0..200_000 {
         telemetry.take(record(tick));
     }
-    let dropped = telemetry.dropped.load(Ordering::Relaxed);
+    let dropped = telemetry.counts.dropped.load(Ordering::Relaxed);
     telemetry.end();
     let seen = read_to_end(&reader);
     let samples = of_kind(&seen, "sample");

@@ -86,6 +86,7 @@ class Master(LiveOptions):
         import numpy as np
 
         from haptether.cli.live.options import handed_over, live_arguments, session_key
+        from haptether.cli.live.panel_process import panel_process
         from haptether.cli.live.run import FlightFile, SideWatch
         from haptether.cli.live.sides import live_scene, start_master, with_clutch
         from haptether.cli.shared.numbers import check_duration
@@ -104,11 +105,11 @@ class Master(LiveOptions):
             scene = with_clutch(scene, self.clutch)
         controller, release_at_s = _protection(scene) if scene is not None else (self.controller, self.release_at_s)
         is_of_joints = scene is not None and scene.master.kind == "joints"
-        with Stopped() as stopped:
+        with Stopped() as stopped, panel_process(arguments["telemetry"], quiet=self.quiet) as panel:
             master = start_master(self, scene, stopped, arguments)
             handed_over(key)
             watch = SideWatch("master", master, stopped, flight, insecure=self.insecure)
-            watch.until_end(f"master on {master.address} talks to {self.peer}")
+            watch.until_end(f"master on {master.address} talks to {self.peer}", panel, quiet=self.quiet)
             trace, report = master.finish()
             cause = watch.after_end(report)
         result = measure_push(controller, trace, report, release_at_s)

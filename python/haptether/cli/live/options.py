@@ -34,8 +34,11 @@ class LiveOptions:
     """Record every tick as MCAP, about 3 GB an hour; what a slow or full disk does not take is dropped and counted."""
     min_free_bytes: Annotated[int, tyro.conf.arg(metavar="N")] = 1_000_000_000
     """End the recording, and nothing else, when fewer bytes than this are free on its disk."""
-    telemetry: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Send samples and events to whoever reads them, at a Unix socket of this path; see docs/telemetry.md."""
+    telemetry: Annotated[Path | None, tyro.conf.arg(metavar="PATH|none")] = None
+    """Send samples and events to whoever reads them, at a Unix socket of this path, or nowhere (none); by default in
+    the user's folder for what runs, where `haptether watch` finds it. See docs/telemetry.md."""
+    quiet: bool = False
+    """Show neither panel nor status line: only what is wrong, what is to be done, and the result."""
     control: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Take a person's stop, press and scales at a Unix socket of this path, as `haptether console` sends them; see
     docs/console.md."""
@@ -76,9 +79,18 @@ def live_arguments(command: "Master | Slave", key: bytearray | None) -> dict[str
         "cpu": command.cpu,
         "record": command.record,
         "min_free_bytes": command.min_free_bytes,
-        "telemetry": command.telemetry,
+        "telemetry": telemetry_of(command),
         "control": command.control,
     }
+
+
+def telemetry_of(command: "Master | Slave") -> Path | None:
+    """Where a side sends its telemetry, if anywhere."""
+    from haptether.cli.live.run_folder import default_telemetry
+
+    if command.telemetry is None:
+        return default_telemetry(type(command).__name__.lower())
+    return None if str(command.telemetry) == "none" else command.telemetry
 
 
 def session_key(key: Path | None, *, insecure: bool) -> bytearray | None:

@@ -19,6 +19,7 @@ from haptether.private_file import refuse_link, write_private
 
 if TYPE_CHECKING:
     from haptether.bridge import LiveMaster, LiveSlave, LoopReport
+    from haptether.cli.live.panel_process import PanelProcess
 
 
 BLOCKED_S = 0.5
@@ -57,10 +58,22 @@ class SideWatch:
         self._ticks = 0
         self._ticked_s = time.monotonic()
 
-    def until_end(self, headline: str) -> None:
-        """Says `headline` and what real time there is, then shows the side until its loop has ended or is stopped."""
+    def until_end(self, headline: str, panel: "PanelProcess | None", *, quiet: bool) -> None:
+        """Says `headline` and what real time there is, then shows the side until its loop has ended or is stopped.
+
+        Where the process that draws its panel is not there, or not any more, that is a line.
+        """
         headline = f"{marked(headline, insecure=self._insecure)}\nreal time: {self._side.realtime}"
-        wait(headline, self._status, lambda: self._side.finished, self._stopped, None)
+        if panel is not None:
+            print(headline, file=sys.stderr, flush=True)
+            headline = ""
+            with panel.says():
+                is_over = lambda: self._side.finished or not panel.draws  # noqa: E731
+                wait(headline, self._status, is_over, self._stopped, None, shown=False)
+            panel.end()
+            if self._side.finished or self._stopped:
+                return
+        wait(headline, self._status, lambda: self._side.finished, self._stopped, None, shown=not quiet)
 
     def after_end(self, report: "LoopReport") -> Cause | None:
         """Why a side that has ended is not coupled; printed if a driver ended it, maybe before it was last shown.

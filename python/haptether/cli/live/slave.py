@@ -71,6 +71,7 @@ class Slave(LiveOptions):
         import numpy as np
 
         from haptether.cli.live.options import handed_over, live_arguments, session_key
+        from haptether.cli.live.panel_process import panel_process
         from haptether.cli.live.run import FlightFile, SideWatch
         from haptether.cli.live.sides import start_slave
         from haptether.cli.shared.output import check_distinct, check_target
@@ -82,11 +83,11 @@ class Slave(LiveOptions):
         key = session_key(self.key, insecure=self.insecure)
         flight = FlightFile(self.flight)
         arguments = live_arguments(self, key)
-        with Stopped() as stopped:
+        with Stopped() as stopped, panel_process(arguments["telemetry"], quiet=self.quiet) as panel:
             slave = start_slave(self, scene, stopped, arguments)
             handed_over(key)
             watch = SideWatch("slave", slave, stopped, flight, insecure=self.insecure)
-            watch.until_end(f"slave listens on {slave.address}")
+            watch.until_end(f"slave listens on {slave.address}", panel, quiet=self.quiet)
             trace, report = slave.finish()
             cause = watch.after_end(report)
         state = self._report(trace, report, cause)

@@ -104,18 +104,26 @@ def wait(
     finished: Callable[[], bool],
     stopped: Stopped,
     duration_s: float | None,
+    *,
+    shown: bool = True,
 ) -> None:
-    """Says `headline`, then shows `status` until the run has finished, is stopped, or `duration_s` is over."""
+    """Says `headline`, if any, then asks for `status` until the run has finished, is stopped, or `duration_s` is over.
+
+    Where it is `shown` and there is a terminal, that is a line beside a spinner.
+    """
     from haptether.cli.shared.screen import Screen, plain
 
     console = Screen(stderr=True)
     # The operator or a parent process reads this line to learn that the socket is open.
-    print(headline, file=sys.stderr, flush=True)
+    if headline:
+        print(headline, file=sys.stderr, flush=True)
     end = time.monotonic() + duration_s if duration_s is not None else float("inf")
-    with contextlib.suppress(MemoryError), console.status("starting") as shown:
+    with contextlib.suppress(MemoryError), console.status("starting") if shown else contextlib.nullcontext() as line:
         while not (finished() or stopped or stopped.out_of_memory or time.monotonic() >= end):
             try:
-                shown.update(plain(f"{status()}   (Ctrl-C ends)"))
+                text = status()
+                if line is not None:
+                    line.update(plain(f"{text}   (Ctrl-C ends)"))
             except MemoryError:
                 stopped.spend_reserve()
             stopped.sleep(POLL_S)

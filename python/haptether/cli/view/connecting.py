@@ -1,4 +1,4 @@
-"""Waits for a running side to send what it does."""
+"""Finds a running side, and waits for it to send what it does."""
 
 import time
 from pathlib import Path
@@ -8,6 +8,24 @@ if TYPE_CHECKING:
     from haptether.bridge import TelemetryReader
 
 WAIT_S = 10.0
+
+
+def only_side() -> Path:
+    """The socket of the one side that runs with its telemetry in the user's folder for that.
+
+    Raises:
+        ValueError: None runs, or several do.
+    """
+    from haptether.cli.live.run_folder import running_sides
+
+    sides = running_sides()
+    if len(sides) == 1:
+        return sides[0]
+    if not sides:
+        message = "no side of this user runs here: start master or slave, or give the PATH of its --telemetry"
+    else:
+        message = f"{len(sides)} sides run here: give the PATH of one: {', '.join(map(str, sides))}"
+    raise ValueError(message)
 
 
 def connected(path: Path) -> "TelemetryReader":

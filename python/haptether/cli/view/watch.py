@@ -27,13 +27,16 @@ class Watch:
 
     Examples:
 
+    haptether watch
+
     haptether master --peer 127.0.0.1:9000 --key arm.key --telemetry /tmp/master.sock
 
     haptether watch /tmp/master.sock
     """
 
-    path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]
-    """The Unix socket that --telemetry of the running side names; waited for up to 10 s."""
+    path: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")] = None
+    """The Unix socket that --telemetry of the running side names, waited for up to 10 s; without it that of the one
+    side of this user that runs here."""
     duration_s: float | None = None
     """End after this time in s; without it, with the run."""
 
@@ -42,20 +45,21 @@ class Watch:
 
         Raises:
             OSError: Nobody sends there, or it ended in the middle.
-            ValueError: What is sent is no telemetry.
+            ValueError: What is sent is no telemetry; without a path, none or several sides run here.
         """
         from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.screen import Screen
-        from haptether.cli.view.connecting import connected
+        from haptether.cli.view.connecting import connected, only_side
         from haptether.view import SideState
 
         check_duration("duration_s", self.duration_s)
         screen = Screen()
-        with connected(self.path) as telemetry:
+        path = only_side() if self.path is None else self.path
+        with connected(path) as telemetry:
             state = SideState(telemetry.hello)
             (self._live if screen.is_terminal else self._lines)(screen, telemetry, state)
         if not state.has_ended and not self._is_over(state):
-            message = f"{self.path}: ended after {state.time_s:.3f} s without a word: the side has failed or was killed"
+            message = f"{path}: ended after {state.time_s:.3f} s without a word: the side has failed or was killed"
             raise ConnectionError(message)
         return 0
 

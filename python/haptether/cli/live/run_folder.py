@@ -1,0 +1,57 @@
+"""The folder of this user in which sides that run have their telemetry, unless it is given another place."""
+
+import contextlib
+import os
+import socket
+import stat
+import tempfile
+from pathlib import Path
+
+from haptether.private_file import refuse_link
+
+
+def run_folder() -> Path | None:
+    """`$XDG_RUNTIME_DIR/haptether`, or a folder of this user among temporary files; none where neither can be private.
+
+    Whoever may write there could take a socket's place, so it must be this user's, and nobody else's to enter.
+    """
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    folder = Path(base) / "haptether" if base else Path(tempfile.gettempdir()) / f"haptether-{os.getuid()}"
+    with contextlib.suppress(OSError, ValueError):
+        refuse_link(folder)
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+        if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077:
+            return folder
+    return None
+
+
+def default_telemetry(side: str) -> Path | None:
+    """Where a side of this process sends its telemetry; none where there is no private folder."""
+    folder = run_folder()
+    return None if folder is None else folder / f"{side}-{os.getpid()}.sock"
+
+
+def running_sides() -> list[Path]:
+    """Sockets of the run folder at which somebody sends; those that killed runs have left behind are removed."""
+    folder = run_folder()
+    found = []
+    for path in sorted(folder.glob("*.sock")) if folder is not None else ():
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+                probe.settimeout(0.5)
+                probe.connect(str(path))
+        except ConnectionRefusedError:
+            if not _lives(path):
+                path.unlink(missing_ok=True)
+        except OSError:
+            continue
+        else:
+            found.append(path)
+    return found
+
+
+def _lives(path: Path) -> bool:
+    """Whether the process that the name of a socket ends with is there: it may be about to listen."""
+    number = path.stem.rpartition("-")[2]
+    return number.isdecimal() and Path(f"/proc/{number}").exists()
