@@ -471,8 +471,8 @@ impl<R: MasterTurn, const N: usize> Watched<R, N> {
             ("device_force", Sample::Vector(&record.device_force)),
         ];
         let trigger = self.has_gripper.then_some(("trigger", Sample::Scalar(record.trigger)));
-        let observed = ControllerKind::cancelling()
-            .map(|kind| (kind.observed().column, Sample::Scalar(record.observers[kind])));
+        let observed =
+            ControllerKind::ALL.map(|kind| (kind.observed().column, Sample::Scalar(record.observers[kind])));
         let state = [
             ("tripped", Sample::Scalar(f64::from(record.tripped))),
             ("state", Sample::Scalar(f64::from(record.state.code()))),
