@@ -22,6 +22,7 @@ ALL = "safety.controllers=[vfc, hsc, wsc, pc]"
 RUNS = {
     "push": ("remote_push", [ALL, "safety.limiter.max_force_n=5", "run.duration_s=3"]),
     "gripper": ("pick_and_place", ["run.duration_s=3"]),
+    "felt": ("felt_trigger", ["run.duration_s=3"]),
     "pose": ("peg_in_hole", ["run.duration_s=2"]),
 }
 
@@ -55,6 +56,7 @@ KEPT: dict[str, tuple[str, str, list[str]]] = {
     "the arm": ("push", "slave", ["position", "command", "environment_force"]),
     "the link at the arm": ("push", "slave", ["age_s", "round_trip_s", "clutch"]),
     "the trigger": ("gripper", "master", ["trigger"]),
+    "a felt trigger": ("felt", "master", ["trigger_velocity", "trigger_rendered_force", "trigger_device_force"]),
     "the gripper": ("gripper", "slave", ["gripper", "gripper_command", "gripper_force", "holds_object"]),
     "a pose of the hand": (
         "pose", "master", ["orientation", "true_orientation", "angular_velocity", "rendered_torque", "device_torque",
