@@ -18,6 +18,7 @@ from haptether._core import (
     ladder_state_name,
     run_local,
 )
+from haptether.bridge.codes import LADDER_STATES, OBSERVED_SIGNALS, TRIP_BITS, ObservedSignal, tripped_names
 from haptether.bridge.devices.find import (
     GRIPPERS,
     MASTERS,
@@ -30,6 +31,7 @@ from haptether.bridge.devices.find import (
 )
 from haptether.bridge.devices.loop import DeviceRun, MasterRun, SlaveRun, drive_master, drive_slave
 from haptether.bridge.devices.open import DeviceError
+from haptether.bridge.recording.flight import flight_of_file
 from haptether.bridge.recording.foxglove.write import write_foxglove
 from haptether.bridge.recording.hand import HandFit
 from haptether.bridge.recording.load import load
@@ -113,8 +115,11 @@ from haptether.bridge.telemetry import (
 
 __all__ = [
     "GRIPPERS",
+    "LADDER_STATES",
     "MASTERS",
+    "OBSERVED_SIGNALS",
     "SLAVES",
+    "TRIP_BITS",
     "AdaptiveWindow",
     "AlignmentTable",
     "BackwardDifference",
@@ -153,6 +158,7 @@ __all__ = [
     "Metrics",
     "MotionTable",
     "ObjectTable",
+    "ObservedSignal",
     "OperatorRotationTable",
     "OperatorTable",
     "PathReport",
@@ -208,6 +214,7 @@ __all__ = [
     "device_names",
     "drive_master",
     "drive_slave",
+    "flight_of_file",
     "ladder_reason",
     "ladder_state_name",
     "load",
@@ -226,6 +233,7 @@ __all__ = [
     "scene_names",
     "simulate",
     "sweep",
+    "tripped_names",
     "wipe_key",
     "write_foxglove",
     "write_key",

@@ -93,7 +93,8 @@ class Tick(msgspec.Struct, frozen=True, kw_only=True):
     peer: str | None
     age_s: float | None
     clutch: bool
-    gain: float
+    gain: float | None
+    """The ladder's share; none of a recorded slave, which does not keep it."""
     tripped: list[str] = []
     position: list[float | None]
     command: list[float | None]

@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from haptether.bridge import Event, Metrics, Run, Signals, ladder_state_name
-
-CONTROLLERS = {1: "vfc", 2: "hsc", 4: "wsc", 8: "pc", 16: "held"}
+from haptether.bridge import Event, Metrics, Run, Signals, ladder_state_name, tripped_names
 
 
 def saved_run(path: Path) -> Run:
@@ -48,7 +46,7 @@ def _events(signals: Signals) -> Iterator[Event]:
             yield Event(time_s, ladder_state_name(now), side)
     for time_s, before, now in _changes(signals, "tripped"):
         if now and not before:
-            yield Event(time_s, "trip", " ".join(name for bit, name in CONTROLLERS.items() if now & bit))
+            yield Event(time_s, "trip", " ".join(tripped_names(now)))
         elif before and not now:
             yield Event(time_s, "recover", "")
     for time_s, _, now in _changes(signals, "holds_object"):

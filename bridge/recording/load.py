@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from haptether._core import ladder_state_name
+from haptether.bridge.codes import LADDER_STATES, tripped_names
 from haptether.bridge.recording.read import Recording, read_recording
 from haptether.bridge.scene.run import Event, Metrics, Run, Signals
 
 Array = npt.NDArray[Any]
 
-STATES = {ladder_state_name(code): code for code in range(7)}
+STATES = {state: code for code, state in enumerate(LADDER_STATES)}
 """Codes of the ladder's states by their names."""
 CODES = {"tripped", "rotation_tripped", "acted", "rotation_acted", "limited"}
 """Sets of bits, which fit a byte."""
-CONTROLLERS = {1: "vfc", 2: "hsc", 4: "wsc", 8: "pc", 16: "held"}
 MODELLED = {"hand_force", "hand_torque"}
 """Known of a modelled hand only, and 0 of any other."""
 MEASURED = {"trigger", "measured_velocity", "measured_angular_velocity"}
@@ -49,7 +48,6 @@ def load(
             machines have it.
 
     Raises:
-        ImportError: Without the extra `record`.
         OSError: A file cannot be read.
         ValueError: It is no recording of Haptether; the two are of the same side, or not of the same time.
     """
@@ -150,7 +148,10 @@ def _is_unknown(values: Array) -> bool:
 def _shaped(name: str, values: Array) -> Array:
     """As virtual time keeps it: codes for states, bits in a byte, one axis without an axis of its own."""
     if name in {"state", "peer_state"}:
-        return np.array([STATES.get(state, 255) for state in values], dtype=np.uint8)
+        # A state lasts for thousands of ticks.
+        at = np.array(_changes(values), dtype=np.intp)
+        codes = np.array([STATES.get(str(state), 255) for state in values[at]], dtype=np.uint8)
+        return np.repeat(codes, np.diff(at, append=len(values)))
     if name in CODES:
         return values.astype(np.uint8)
     if values.ndim == 2 and values.shape[1] == 1:
@@ -184,8 +185,8 @@ def _trips(time_s: Array, tripped: Array, layer: str) -> Iterator[Event]:
     for at in _changes(tripped):
         now = int(tripped[at])
         if now and not before:
-            names = [name for bit, name in CONTROLLERS.items() if now & bit]
-            yield Event(float(time_s[at]), "trip", " ".join([layer, *names] if layer else names))
+            names = tripped_names(now)
+            yield Event(float(time_s[at]), "trip", " ".join((layer, *names) if layer else names))
         elif before and not now:
             yield Event(float(time_s[at]), "recover", layer)
         before = now

@@ -34,7 +34,6 @@ def playback_scene(file: str | os.PathLike[str] | Recording, *, overrides: Itera
         overrides: Fields of the scene to change, `table.key=value` each.
 
     Raises:
-        ImportError: Without the extra `record`.
         OSError: The file cannot be read.
         ValueError: It is no recording with a scene and an engagement; joints; a scene that cannot be.
     """

@@ -1,14 +1,13 @@
 """The file that `--record` of master or slave writes, read back."""
 
 import os
-import struct
-from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from haptether._core import read_recording_columns
 from haptether.bridge.flight import Cause, Step
 
 SCHEMA = "1"
@@ -52,67 +51,47 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     """Reads an MCAP file of `record=` or `--record`, as far as it goes.
 
     Raises:
-        ImportError: Without the extra `record`.
         OSError: It cannot be read.
-        ValueError: It is no recording of Haptether, or of another version.
+        ValueError: It is no recording of Haptether, or of another version; it was cut off before it says what its
+            signals are; somebody compressed it.
     """
-    try:
-        from mcap.exceptions import McapError
-        from mcap.records import Channel, Footer, Message, Metadata, Schema
-        from mcap.stream_reader import StreamReader
-    except ImportError:
-        message = "reading a recording needs mcap: install haptether[record]"
-        raise ImportError(message) from None
-
-    about: dict[str, str] = {}
-    meanings: dict[str, str] = {}
-    topics: set[int] = set()
-    messages: list[dict[str, Any]] = []
-    cause_topics: set[int] = set()
-    causes: list[RecordedCause] = []
-    begun_ns = 0
-    whole = False
-    with Path(path).open("rb") as file:
-        try:
-            for record in StreamReader(file).records:
-                match record:
-                    case Metadata(name="haptether"):
-                        about = record.metadata
-                    case Schema(name="haptether.master" | "haptether.slave"):
-                        properties = msgspec.json.decode(record.data)["properties"]
-                        meanings = {name: field["description"] for name, field in properties.items()}
-                    case Channel(message_encoding="json", topic=topic):
-                        (cause_topics if topic.endswith("/cause") else topics).add(record.id)
-                    case Message(channel_id=channel) if channel in topics:
-                        messages.append(msgspec.json.decode(record.data))
-                        if len(messages) == 1:
-                            begun_ns = record.log_time - messages[0]["time_ns"]
-                    case Message(channel_id=channel) if channel in cause_topics:
-                        causes.append(msgspec.json.decode(record.data, type=RecordedCause))
-                    case Footer():
-                        whole = True
-        except (McapError, msgspec.DecodeError, EOFError, struct.error):
-            # Cut off: what was written before counts.
-            whole = False
+    read = read_recording_columns(path)
+    about = read.about
     if about.get("schema") != SCHEMA:
         found = f"schema {about['schema']!r}, must be {SCHEMA!r}" if "schema" in about else "no recording of Haptether"
         message = f"{path}: {found}"
         raise ValueError(message)
+    if "time_ns" not in read.columns:
+        message = f"{path}: was cut off before its first tick: it does not even say what its signals are"
+        raise ValueError(message)
+    causes, is_whole = _causes(read.causes)
     return Recording(
         side=about["side"],
         security=about["security"],
         version=about.get("version", ""),
         scene=about.get("scene", "").encode(),
-        begun_ns=begun_ns,
-        whole=whole,
-        signals={name: _column([message.get(name) for message in messages]) for name in meanings},
-        meanings=meanings,
+        begun_ns=read.begun_ns,
+        whole=read.whole and is_whole,
+        signals={name: _signal(column) for name, column in read.columns.items()},
+        meanings=read.meanings,
         causes=causes,
     )
 
 
-def _column(values: list[Any]) -> npt.NDArray[Any]:
-    """Null is NaN, and alone among integers it makes them floats."""
-    if any(value is None for value in values) or (values and isinstance(values[0], float | list)):
-        return np.array(values, dtype=np.float64)
-    return np.array(values)
+def _signal(column: npt.NDArray[Any] | tuple[list[str], npt.NDArray[np.uint8]]) -> npt.NDArray[Any]:
+    """Names, where it has them and not their places."""
+    if not isinstance(column, tuple):
+        return column
+    names, places = column
+    return np.array(names, dtype=np.str_)[places]
+
+
+def _causes(messages: list[bytes]) -> tuple[list[RecordedCause], bool]:
+    """Those before the first that is none, and whether they are all."""
+    causes: list[RecordedCause] = []
+    for message in messages:
+        try:
+            causes.append(msgspec.json.decode(message, type=RecordedCause))
+        except msgspec.DecodeError:
+            return causes, False
+    return causes, True

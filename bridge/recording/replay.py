@@ -116,7 +116,6 @@ def replay(
             be identified.
 
     Raises:
-        ImportError: Without the extra `record`.
         OSError: The file cannot be read.
         ValueError: No recording of a master with a scene; settings that cannot be or are not replayed; a hand that
             cannot be identified where it is to be modelled.

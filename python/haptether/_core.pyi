@@ -25,9 +25,12 @@ from haptether.safety import ControllerName
 __all__ = [
     "CONTROLLERS",
     "ESTIMATORS",
+    "LADDER_STATES",
+    "OBSERVED",
     "OBSERVERS",
     "PRESS_S",
     "ROUND_TRIP_S",
+    "TRIP_BITS",
     "DeviceModel",
     "DirectionStatistics",
     "DynamixelBus",
@@ -55,6 +58,7 @@ __all__ = [
     "Proxy",
     "ProxyStatistics",
     "Recording",
+    "RecordingColumns",
     "RecordingReport",
     "SafetyController",
     "SafetyLayer",
@@ -81,6 +85,7 @@ __all__ = [
     "ladder_state_name",
     "link_bounds",
     "read_link_file",
+    "read_recording_columns",
     "record",
     "replay_recording",
     "run_local",
@@ -104,6 +109,12 @@ ROUND_TRIP_S: float
 """What of `PRESS_S` a press takes over the slowest link, besides a turn: 500 ms each way."""
 CONTROLLERS: tuple[tuple[str, str, str], ...]
 """Name, title and source of each safety controller, in the order of the bits of `tripped`."""
+TRIP_BITS: tuple[tuple[str, int], ...]
+"""Controllers by their name, and "held", with the bit of each in `tripped`."""
+OBSERVED: tuple[tuple[str, str, str], ...]
+"""Of each controller: its name, the signal of its observer, and the symbol of that with its unit."""
+LADDER_STATES: tuple[str, ...]
+"""States of the ladder in the order of their codes."""
 OBSERVERS: tuple[tuple[str, str, str], ...]
 """Name, title and source of each safety observer."""
 ESTIMATORS: tuple[tuple[str, str, str], ...]
@@ -2683,6 +2694,43 @@ def simulate_scene(
 
     Raises:
         ValueError: JSON that is no such scene, or a number that a part of it does not take; a file that cannot be written.
+    """
+
+@final
+class RecordingColumns:
+    """What was read of a recording."""
+
+    @property
+    def about(self) -> dict[str, str]:
+        """What the file says of itself: schema, side, security, version, scene; empty where it is no recording."""
+    @property
+    def meanings(self) -> dict[str, str]:
+        """What each signal is, with its unit."""
+    @property
+    def columns(self) -> dict[str, npt.NDArray[Any] | tuple[list[str], npt.NDArray[np.uint8]]]:
+        """One value a tick; of what has axes, shape `(n_ticks, axes)`. Null is NaN.
+
+        Of names those that occur, and at each tick the place of that which it was.
+        """
+    @property
+    def causes(self) -> list[bytes]:
+        """Why the two sides were not coupled, as JSON, in the order of the file."""
+    @property
+    def begun_ns(self) -> int:
+        """When the run began, in ns of the wall clock; 0 without a tick."""
+    @property
+    def whole(self) -> bool:
+        """Whether the file has its end, and nothing else in it is broken."""
+
+def read_recording_columns(path: str | PathLike[str]) -> RecordingColumns:
+    """Reads an MCAP file of `record=` as far as it goes, without the interpreter's lock.
+
+    It ends at a message that does not fit: no JSON, a signal of another kind or number of axes than before, a count
+    beyond 64 bits. What it takes of memory is bounded by a multiple of what it read.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: A recording whose chunks somebody compressed.
     """
 
 def replay_recording(

@@ -1,9 +1,10 @@
 //! `haptether.bridge`: what the codes of the ladder mean, and times as numbers.
 
 use haptether_bridge::{LadderState, Reason};
-use pyo3::{exceptions::PyValueError, prelude::*};
+use pyo3::{exceptions::PyValueError, prelude::*, types::PyTuple};
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("LADDER_STATES", PyTuple::new(module.py(), LadderState::ALL.map(LadderState::name))?)?;
     module.add_function(wrap_pyfunction!(ladder_state_name, module)?)?;
     module.add_function(wrap_pyfunction!(ladder_reason, module)?)
 }

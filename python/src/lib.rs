@@ -15,6 +15,7 @@ mod dynamixel;
 mod live;
 mod local;
 mod netsim;
+mod recording;
 mod replay;
 mod reserve;
 mod safety;
@@ -35,6 +36,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     dynamixel::register(module)?;
     touch::register(module)?;
     scene::register(module)?;
+    recording::register(module)?;
     replay::register(module)?;
     ur_environment::register(module)?;
     bridge_trace::register(module)?;

@@ -155,7 +155,7 @@ fn out<const N: usize>(py: Python<'_>, done: &[ReplayedTick<N>]) -> PyResult<Py<
     table.set_item("tripped", bits(|tick| tick.safety.intervention.tripped.bits()))?;
     table.set_item("acted", bits(|tick| tick.safety.acted.bits()))?;
     table.set_item("fault", bits(|tick| tick.safety.fault.map_or(0, Fault::code)))?;
-    for kind in ControllerKind::cancelling() {
+    for kind in ControllerKind::ALL {
         let observed = done.iter().map(|tick| tick.safety.intervention.observed[kind]).collect::<Vec<f64>>();
         table.set_item(kind.observed().column, column(py, observed))?;
     }

@@ -7,7 +7,12 @@ mod layer;
 mod limiter;
 mod observer;
 
-use haptether_safety::{About, controller::ControllerKind, estimator::ESTIMATORS, observer::OBSERVERS};
+use haptether_safety::{
+    About,
+    controller::{ControllerKind, Tripped},
+    estimator::ESTIMATORS,
+    observer::OBSERVERS,
+};
 use pyo3::{prelude::*, types::PyTuple};
 
 use controller::PySafetyController;
@@ -44,5 +49,10 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
         let rows = list.iter().map(|about| (about.name, about.title, about.source));
         module.add(name, PyTuple::new(module.py(), rows.collect::<Vec<_>>())?)?;
     }
-    Ok(())
+    let named = ControllerKind::ALL.map(|kind| (kind.about().name, Tripped::of(kind).bits()));
+    let bits = named.into_iter().chain([("held", Tripped::HELD.bits())]).collect::<Vec<_>>();
+    module.add("TRIP_BITS", PyTuple::new(module.py(), bits)?)?;
+    let observed = ControllerKind::ALL.map(|kind| (kind.about().name, kind.observed()));
+    let observed = observed.map(|(name, observed)| (name, observed.column, observed.symbol));
+    module.add("OBSERVED", PyTuple::new(module.py(), observed)?)
 }

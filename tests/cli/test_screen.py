@@ -17,10 +17,13 @@ import pytest
 from rich.cells import cell_len
 from rich.console import RenderableType
 from rich.table import Table
+from tests.recording.files import write_recording
 
 from haptether.bridge import Metrics, Run, Sweep
+from haptether.bridge.devices.check.finding import Finding
 from haptether.bridge.scene.run import Signals
 from haptether.cli import main
+from haptether.cli.device.check_device import print_findings, print_verdict
 from haptether.cli.entry import COMMANDS
 from haptether.cli.live.explain import Explain
 from haptether.cli.live.master import print_push
@@ -31,7 +34,7 @@ from haptether.cli.netsim.traffic import figures_table
 from haptether.cli.scene.simulate import Simulate
 from haptether.cli.scene.sweep import Sweep as SweepCommand
 from haptether.cli.shared.link_table import link_table
-from haptether.cli.shared.screen import Screen
+from haptether.cli.shared.screen import Screen, screen
 from haptether.cli.shared.stop import Stopped, wait
 from haptether.cli.shared.table import folded, of_numbers
 from haptether.netsim import LinkFigures
@@ -284,6 +287,92 @@ def test_explain_names_trips_and_cuts_no_number(
     assert "hsc wsc held" in text
     assert text.count("-0.1235") == text.count("1.235e-12") == text.count("none") == 3 * axes
     assert "12345.6789" in text
+
+
+LONG = "OSError: " + "the bus of joint 4 does not answer on /dev/serial/by-id/" + "x" * 120
+CAUSES = {
+    "a driver": ("slave", f"the slave has a fault: {LONG}"),
+    "words": ("master", "the master has a fault: " + "its pen is not where it was " * 9),
+    "a link": ("link", "nothing has arrived from 192.0.2.1:9000 for 0.1 s"),
+    "hostile": ("slave", f"the slave has a fault: {HOSTILE}".replace("\ud800", "")),
+}
+
+
+@pytest.mark.parametrize("kind", CAUSES)
+@pytest.mark.parametrize("form", ["flight", "recording"])
+def test_explain_says_the_cause_in_80_columns_whatever_the_words(
+    kind: str, form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    at, words = CAUSES[kind]
+    step = {"at": at, "remedy": "acknowledge", "text": f"mend the cause, then acknowledge it: {words}"}
+    cause = {"state": "hold", "at": at, "text": words, "steps": [step]}
+    if form == "flight":
+        body = json.loads(flight("peer has a fault")) | {"causes": [{"time_s": 1.5, **cause}]}
+        text = explained(tmp_path, capsys, json.dumps(body).encode())
+    else:
+        ticks: list[dict[str, Any]] = [
+            {"age_s": None, "grasp": 0.0},
+            {"state": "engaged", "reason": "both sides aligned", "peer_state": "engaged"},
+            {"tripped": 2, "grasp": 1.75, "trigger": 0.2, "trigger_tripped": 16.0},
+            {"tripped": 18, "grasp": 9.0},
+            {"tripped": 0, "trigger_tripped": 0.0, "state": "hold", "reason": "peer has a fault"},
+        ]
+        scene = {"run": {"seed": 0}, "safety": {"grasp_threshold": 1.5, "energy_threshold_j": -0.03}}
+        path = write_recording(
+            tmp_path / "one.mcap", "master", ticks, scene=scene, causes=[{"time_ns": 1_500_000_000, **cause}]
+        )
+        assert main(["explain", str(path)]) == 0
+        text = capsys.readouterr().out
+        for said in (
+            "0.0020 to 0.0030 s  hsc: S_h = 1.75, above 1.5",
+            "0.0020 to 0.0030 s  trigger: held on",
+            "5 ticks until the last hold",
+        ):
+            assert said in " ".join(text.split()) or said in text, said
+    fits(text)
+    assert not FORBIDDEN.search(text)
+    # Broken in the middle of a word where that is longer than a line, and nothing lost.
+    letters = "".join(character for character in printable(words) if not character.isspace())
+    assert f"1.5000s,hold:{letters}" in "".join(text.split())
+    assert f"1.mendthecause,thenacknowledgeit:{letters}" in "".join(text.split())
+
+
+def test_explain_of_a_recording_without_a_tick_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_recording(tmp_path / "empty.mcap", "slave", [])
+    assert main(["explain", str(path)]) == 2
+    assert "slave: has no tick" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [LONG, "it moves 3 mm " * 20, "one two"])
+def test_what_is_found_of_a_device_and_a_link_fits(
+    words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    found = [Finding("close after an exception", "mend", words), Finding("time of its samples", "unseen", words)]
+    console = screen()
+    print_findings(console, "a-driver-of-a-long-name", found)
+    assert print_verdict(console, [*found, *(Finding(f"property {number}", "unseen", "") for number in range(9))]) == 1
+    fits(capsys.readouterr().out)
+    reason = words[:128]
+    ticks: list[dict[str, Any]] = [
+        {"state": "engaged", "reason": reason},
+        {"tripped": 6},
+        {"state": "hold", "reason": reason},
+    ]
+    causes = [{"time_ns": 0, "state": "hold", "at": "slave", "text": words, "steps": []}]
+    path = write_recording(tmp_path / "m.mcap", "master", [{}, *ticks], causes=causes)
+    assert main(["info", str(path)]) == 0
+    rest = capsys.readouterr().out
+    fits(rest)
+    assert "".join(words.split()) in "".join(rest.split())
+
+
+def test_what_netem_does_fits(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    netem = "delay 100ms 10ms 25% loss 5% 25% duplicate 5% 50% reorder 25% 50%"
+    assert main(["netsim", "compare", netem, "--packets", "2000"]) == 0
+    fits(capsys.readouterr().out)
 
 
 def test_explain_says_how_many_ticks_there_are(

@@ -221,13 +221,17 @@ def test_a_fault_of_the_arm_is_shown_at_both_screens_with_what_to_do_in_order(
         assert [step.remedy for step in recording.causes[0].steps] == ["acknowledge", "press"]
         assert recording.causes[0].time_ns > 0
         assert "fault" in set(recording.signals["state" if name == "slave" else "peer_state"])
-    explained = subprocess.run(
-        [*COMMAND, "explain", str(tmp_path / "master.flight")],
-        capture_output=True, text=True, timeout=TIMEOUT_S, check=True,
-    ).stdout  # fmt: skip
-    assert "joint 4: the brake [/nope]" in " ".join(explained.split())
-    assert "acknowledge it at the slave" in explained
-    assert "\x1b" not in explained
+    for name in ("master.flight", "master.mcap", "slave.mcap"):
+        explained = subprocess.run(
+            [*COMMAND, "explain", str(tmp_path / name)],
+            env=os.environ | {"COLUMNS": "80"}, capture_output=True, text=True, timeout=TIMEOUT_S, check=True,
+        ).stdout  # fmt: skip
+        said = " ".join(explained.split())
+        # The words of the arm, whosever file it is.
+        assert "the slave has a fault: joint 4: the brake [/nope]" in said
+        assert "1. mend the cause, then acknowledge it at the slave" in said
+        assert "\x1b" not in explained
+        assert max(map(len, explained.splitlines())) <= 80
 
 
 @pytest.mark.parametrize("debug", [False, True], ids=["plain", "debug"])

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 
 BEGUN_NS = 1_790_000_000_000_000_000
 SCENE = {"schema": 1, "run": {"seed": 7}}
@@ -32,12 +32,13 @@ def write_recording(
     scene: Mapping[str, Any] | None = SCENE,
     causes: Sequence[Mapping[str, Any]] = (),
     schema: str = "1",
+    compression: CompressionType = CompressionType.NONE,
 ) -> Path:
     """Writes a file as the recorder does: each tick changes what the one before left of `MASTER` or `SLAVE`."""
     tick = {"time_ns": 0, **(MASTER if side == "master" else SLAVE)}
     names = {name for one in ticks for name in one} | set(tick)
     with path.open("wb") as file:
-        writer = Writer(file, chunk_size=1 << 12)
+        writer = Writer(file, chunk_size=1 << 12, compression=compression)
         writer.start(profile="haptether", library="a test")
         about = {"schema": schema, "side": side, "security": "secure"}
         kept = {} if scene is None else {"version": "0.1.0", "scene": json.dumps(scene)}

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from tests.recording.files import write_recording
 from haptether.bridge import load, simulate, write_foxglove
 from haptether.bridge.recording.foxglove.write import LAYOUT
 from haptether.cli import main
+from haptether.view.scene3d.colours import ENVIRONMENT_FORCE
 
 TIME = {"sec", "nsec"}
 POSE = {"position": {"x", "y", "z"}, "orientation": {"x", "y", "z", "w"}}
@@ -105,6 +107,7 @@ def test_poses_frames_and_arrows_are_foxgloves(files: tuple[Path, Path], tmp_pat
         arrows += 1
         assert set(arrow) == ARROW
         assert {name: set(part) for name, part in arrow["pose"].items()} == POSE
+        assert "#{:02x}{:02x}{:02x}".format(*(round(255 * arrow["color"][part]) for part in "rgb")) == ENVIRONMENT_FORCE
         newtons = (arrow["shaft_length"] + arrow["head_length"]) / 0.01
         np.testing.assert_allclose(newtons * pointed(arrow["pose"]["orientation"]), force, atol=1e-9)
         np.testing.assert_array_equal(list(arrow["pose"]["position"].values()), run.signals.slave_position[tick])
@@ -160,6 +163,17 @@ def test_what_has_no_place_is_refused(
     assert not target.exists()
     assert main(["export", *map(str, files), "--foxglove", str(target)]) == 0
     assert f"written: {target}" in capfd.readouterr().out.replace("\n", "")
+
+
+def test_only_the_export_needs_the_library_of_the_format(
+    files: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("haptether.bridge.recording.foxglove.write.find_spec", lambda _: None)
+    for module in [name for name in sys.modules if name.partition(".")[0] == "mcap"]:
+        monkeypatch.setitem(sys.modules, module, None)
+    assert len(load(*files).signals.time_s) > 1000
+    with pytest.raises(ImportError, match=r"needs mcap: install haptether\[record\]"):
+        write_foxglove(tmp_path / "out.mcap", *files)
 
 
 def test_the_layout_names_what_is_there(files: tuple[Path, Path], tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """`haptether.load`: a recorded run has the names, shapes, codes and events of one in virtual time."""
 
+import errno
 import pickle
 import time
 import xml.etree.ElementTree as ET
@@ -9,6 +10,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 import pytest
+from mcap.writer import CompressionType
 from tests.recording.files import BEGUN_NS, write_recording
 
 import haptether
@@ -150,6 +152,29 @@ def test_a_file_without_a_scene_or_cut_off_is_read_as_far_as_it_goes(tmp_path: P
     assert 1000 < lengths[-1] <= 2000
     empty = load(write_recording(tmp_path / "empty.mcap", "master", []))
     assert (len(empty.signals.time_s), empty.events, empty.metrics.outcome) == (0, (), "never-engaged")
+
+
+def test_a_file_that_is_cut_off_or_changed_early_is_refused_in_a_word(tmp_path: Path) -> None:
+    content = write_recording(tmp_path / "m.mcap", "master", [{}]).read_bytes()
+    described = content.index(b"haptether.master")
+    for text, bytes_ in {
+        "no recording of Haptether": content[:20],
+        "was cut off before its first tick": content[:described],
+        "its chunks are compressed": write_recording(
+            tmp_path / "z.mcap", "master", [{}], compression=CompressionType.ZSTD
+        ).read_bytes(),
+    }.items():
+        (path := tmp_path / "changed.mcap").write_bytes(bytes_)
+        with pytest.raises(ValueError, match=text):
+            read_recording(path)
+    for path, error in {tmp_path / "none": FileNotFoundError, tmp_path: IsADirectoryError}.items():
+        with pytest.raises(error) as raised:
+            read_recording(path)
+        assert (raised.value.filename, raised.value.errno) == (path, errno_of(path))
+
+
+def errno_of(path: Path) -> int:
+    return errno.EISDIR if path.is_dir() else errno.ENOENT
 
 
 def test_tables_hold_what_the_signals_hold() -> None:

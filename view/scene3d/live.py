@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.bridge import (
+    LADDER_STATES,
     Event,
     Metrics,
     Run,
@@ -20,7 +21,7 @@ from haptether.bridge import (
     TelemetryLost,
     TelemetryMessage,
     TelemetrySample,
-    ladder_state_name,
+    tripped_names,
 )
 from haptether.view.scene3d.arms import arms_of
 from haptether.view.scene3d.description import Description, Moment, described
@@ -43,11 +44,10 @@ Array = npt.NDArray[np.float64]
 
 TELEMETRY_HZ = 60
 MAX_EVENTS = 256
-STATES = {ladder_state_name(code): code for code in range(7)}
+STATES = {state: code for code, state in enumerate(LADDER_STATES)}
 TIMES = {"master": "time_s", "slave": "slave_time_s"}
 SHARED = ("environment_", "gripper", "holds_object")
 """How signals of the slave begin that have no namesake of the master."""
-TRIP_BITS = {1: "vfc", 2: "hsc", 4: "wsc", 8: "pc", 16: "held"}
 MOVING = {"hand": ("position",), "robot": ("slave_position", "slave_command")}
 """Signals of each end that say where something is."""
 ROOM = 0.3
@@ -164,7 +164,7 @@ class LiveDescription:
                     last = self.events.pop()
                     self.events.append(Event(last.time_s, last.kind, f"{of}: {message.to}"))
             case TelemetryChange(signal="tripped" | "rotation_tripped", from_=before, to=now):
-                new = [name for bit, name in TRIP_BITS.items() if int(now) & bit and not int(before) & bit]
+                new = tripped_names(int(now) & ~int(before))
                 if new and not int(before):
                     self._note(of, message.time_ns, "trip", " ".join(new))
             case TelemetryChange(signal="holds_object", to=to):

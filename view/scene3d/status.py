@@ -7,20 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from haptether.bridge import Event, Scene, Signals, ladder_state_name
+from haptether.bridge import (
+    LADDER_STATES,
+    OBSERVED_SIGNALS,
+    TRIP_BITS,
+    Event,
+    Scene,
+    Signals,
+    ladder_state_name,
+)
 from haptether.view.scene3d.parts import Course
 
-TRIP_BITS = {"vfc": 1, "hsc": 2, "wsc": 4, "pc": 8}
-"""Of `tripped`, by controller."""
-OBSERVED = {
-    "vfc": ("V·F", "velocity_force", ""),
-    "hsc": ("S_h", "grasp", ""),
-    "wsc": ("E_wso", "windowed_energy_j", " J"),
-    "pc": ("E", "energy_j", " J"),
-}
-"""Symbol, signal and unit of what each controller observes."""
 TRIPS = frozenset({"trip"})
-LADDER_KINDS = frozenset({"aligning", "engaged", "stale", "hold", "stop", "fault", "disengaged"})
+INTERVENES = sum(TRIP_BITS.values())
+"""All bits of `tripped`."""
+LADDER_KINDS = frozenset(LADDER_STATES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,9 +95,9 @@ class StatusCourse:
             slave=self._state("slave_state", time_s),
             reason="" if told is None else told.detail,
             age_s=self._value("age_s", time_s, math.nan),
-            tripped=tuple(name for name, bit in TRIP_BITS.items() if bits & bit),
-            acting=tuple(self._last_trip(time_s).split()) if bits & 31 else (),
-            intervenes=bits & 31 != 0,
+            tripped=tuple(name for name in OBSERVED_SIGNALS if bits & TRIP_BITS[name]),
+            acting=tuple(self._last_trip(time_s).split()) if bits & INTERVENES else (),
+            intervenes=bits & INTERVENES != 0,
             gauges=tuple(self._gauge(name, bits, time_s) for name in self.controllers),
             speed=self._norm("velocity", time_s),
             device_force=self._norm("device_force", time_s),
@@ -112,8 +113,8 @@ class StatusCourse:
         return "" if trip is None else trip.detail
 
     def _gauge(self, controller: str, bits: int, time_s: float) -> Gauge:
-        symbol, signal, unit = OBSERVED[controller]
-        value, threshold = self._value(signal, time_s, math.nan), self._thresholds[controller]
+        observed = OBSERVED_SIGNALS[controller]
+        value, threshold = self._value(observed.signal, time_s, math.nan), self._thresholds[controller]
         # PC acts below 0, so there is no share of a threshold, only of the largest energy.
         if threshold == 0.0 and math.isfinite(value):
             # Of a live run the largest is not known beforehand.
@@ -121,10 +122,10 @@ class StatusCourse:
         share = value / threshold if threshold != 0.0 else -value / self._largest_energy_j
         return Gauge(
             controller=controller,
-            symbol=symbol,
+            symbol=observed.symbol,
             value=value,
             threshold=threshold,
-            unit=unit,
+            unit=f" {observed.unit}".rstrip(),
             share=max(0.0, share) if math.isfinite(share) else 0.0,
             tripped=bool(bits & TRIP_BITS[controller]),
         )
@@ -150,10 +151,12 @@ def largest(signals: Signals, name: str) -> float:
 
 def _controllers(signals: Signals, scene: Scene | None) -> tuple[str, ...]:
     if scene is not None:
-        return tuple(name for name in OBSERVED if name in scene.safety.controllers)
+        return tuple(name for name in OBSERVED_SIGNALS if name in scene.safety.controllers)
     # A recording without its scene: those whose observer was fed.
     return tuple(
-        name for name, (_, signal, _) in OBSERVED.items() if signal in signals and np.isfinite(signals[signal]).any()
+        name
+        for name, (signal, *_) in OBSERVED_SIGNALS.items()
+        if signal in signals and np.isfinite(signals[signal]).any()
     )
 
 

@@ -7,6 +7,8 @@ from typing import Any
 from msgspec import Struct
 
 from haptether.bridge import (
+    OBSERVED_SIGNALS,
+    TRIP_BITS,
     TelemetryCause,
     TelemetryChange,
     TelemetryCleared,
@@ -16,17 +18,9 @@ from haptether.bridge import (
     TelemetryLost,
     TelemetryMessage,
     TelemetrySample,
+    tripped_names,
 )
 
-OBSERVERS = {
-    "vfc": ("velocity_force", "S_vf"),
-    "hsc": ("grasp", "S_h"),
-    "wsc": ("windowed_energy_j", "E_wso [J]"),
-    "pc": ("energy_j", "E_so [J]"),
-}
-"""The signal of each controller's observer, and its symbol."""
-BITS = {"vfc": 1, "hsc": 2, "wsc": 4, "pc": 8, "held": 16}
-"""Of `tripped`."""
 SECOND_NS = 1_000_000_000
 MAX_SAMPLES = 120
 """Of the last second, which are 60, and more where samples come late."""
@@ -105,7 +99,7 @@ class SideState:
             case TelemetryChange(signal="state"):
                 self._note(message.time_ns, str(message.to))
             case TelemetryChange(signal="tripped", from_=before, to=now):
-                new = [name for name, bit in BITS.items() if int(now) & bit and not int(before) & bit]
+                new = tripped_names(int(now) & ~int(before))
                 if new:
                     self._note(message.time_ns, f"trip {' '.join(new)}")
             case TelemetryCause():
@@ -180,7 +174,8 @@ class SideState:
         armed = safety.get("controllers")
         bits = self._bits("tripped") | self._bits("rotation_tripped")
         found = []
-        for name, (signal, symbol) in OBSERVERS.items():
+        for name, observed in OBSERVED_SIGNALS.items():
+            signal = observed.signal
             extremes = self.extremes(signal)
             if signal not in self.kinds or (extremes is None if armed is None else name not in armed):
                 continue
@@ -188,23 +183,23 @@ class SideState:
             found.append(
                 Observer(
                     controller=name,
-                    symbol=symbol,
+                    symbol=observed.label,
                     value=self.last(signal),
                     worst=None if extremes is None else extremes[1 if above else 0],
                     threshold=thresholds[name] if safety else None,
                     trips_above=above,
-                    tripped=bool(bits & BITS[name]),
+                    tripped=bool(bits & TRIP_BITS[name]),
                 )
             )
         return found
 
     def signal_of(self, controller: str) -> str:
         """The signal that a controller observes."""
-        return OBSERVERS[controller][0]
+        return OBSERVED_SIGNALS[controller].signal
 
     def is_held(self) -> bool:
         """Whether an intervention was held on in the last second, as its hold-off and ramp do."""
-        return bool(self._bits("tripped") & BITS["held"])
+        return bool(self._bits("tripped") & TRIP_BITS["held"])
 
     def loss(self) -> float | None:
         """Share of the peer's frames of the last second that have not arrived; none where there were none.

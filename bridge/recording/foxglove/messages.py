@@ -15,6 +15,7 @@ from haptether.bridge.recording.foxglove.schemas import (
     Json,
 )
 from haptether.bridge.recording.read import Recording
+from haptether.view.style.colours import SIGNALS
 
 Array = npt.NDArray[Any]
 
@@ -25,11 +26,11 @@ WORLD = "haptether"
 METRES_PER_NEWTON = 0.01
 LEAST_N = 0.05
 """Below it there is no arrow."""
-ARROWS: dict[str, dict[str, tuple[float, float, float]]] = {
-    "master": {"rendered_force": (0.12, 0.47, 0.71), "device_force": (0.84, 0.15, 0.16)},
-    "slave": {"environment_force": (0.17, 0.63, 0.17)},
+ARROWS = {
+    "master": {"rendered_force": SIGNALS["rendered"], "device_force": SIGNALS["hand"]},
+    "slave": {"environment_force": SIGNALS["arm"]},
 }
-"""Forces that are drawn at each end, and their colours."""
+"""Forces that are drawn at each end, in the colours that they have in every picture."""
 
 
 class FoxgloveMessage(NamedTuple):
@@ -131,12 +132,12 @@ def _transform(stamp: Json, parent: str, child: str, translation: Json, rotation
     }
 
 
-def _arrow(tail: Array, force: Array, colour: tuple[float, float, float]) -> Json | None:
+def _arrow(tail: Array, force: Array, colour: str) -> Json | None:
     newtons = float(np.linalg.norm(force))
     if not math.isfinite(newtons) or newtons < LEAST_N:
         return None
     length = newtons * METRES_PER_NEWTON
-    red, green, blue = colour
+    red, green, blue = (byte / 255.0 for byte in bytes.fromhex(colour.removeprefix("#")))
     return {
         "pose": {"position": _vector(tail), "orientation": _quaternion(_from_x(force / newtons))},
         "shaft_length": 0.8 * length,

@@ -4,6 +4,7 @@ import heapq
 import os
 import struct
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -48,6 +49,9 @@ def write_foxglove(
         OSError: A file cannot be read or written.
         ValueError: It is no recording of Haptether; two of one side; joints, which have no place; a symbolic link.
     """
+    if find_spec("mcap") is None:
+        message = "writing a file for Foxglove needs mcap: install haptether[record]"
+        raise ImportError(message)
     paths = [Path(path) for path in (file, other) if path is not None]
     recordings = [read_recording(path) for path in paths]
     if len({recording.side for recording in recordings}) < len(recordings):

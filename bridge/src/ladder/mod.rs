@@ -9,6 +9,7 @@ mod flight;
 mod input;
 mod machine;
 mod operator;
+mod report;
 pub mod table;
 
 pub use diagnosis::{Diagnosis, Explanation, PeerCause, Remedy, Step};
@@ -18,4 +19,5 @@ pub use input::{AlignmentState, LadderInput, LadderInputs, LinkView, PeerFrame, 
 pub use machine::{History, Ladder, LadderError, LadderSettings, Transition};
 pub(crate) use operator::Button;
 pub use operator::{Clutch, ClutchError, ClutchOperator, PRESS_NS};
+pub(crate) use report::DiagnosisReport;
 pub use table::{LadderState, Reason};

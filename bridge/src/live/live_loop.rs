@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     command::OperatorCommand,
-    ladder::{Diagnosis, FlightRecorder, LadderState, PRESS_NS},
+    ladder::{Diagnosis, DiagnosisReport, FlightRecorder, LadderState, PRESS_NS},
     link::{LinkStatistics, LinkTime},
     pace::{TickTime, Wake},
     path::PathReport,
@@ -78,8 +78,6 @@ const RECEIVE_SHARE: u64 = 4;
 /// After each of the last frames and releases, the time in ns to the next: 20 ms in all, since losses occur in bursts.
 const END_NS: [u64; 9] =
     [1_000_000, 1_000_000, 2_000_000, 4_000_000, 1_000_000, 1_000_000, 2_000_000, 8_000_000, 0];
-/// A diagnosis is reported once it has stood for this long in ns: the text of a peer arrives in pieces.
-const SETTLED_NS: u64 = 50_000_000;
 /// Greatest age in ns of a command when the loop takes it, and for how long after a stall it takes no press: a signal
 /// that was sent while the process stood still arrives when it goes on.
 pub(super) const PROMPT_NS: u64 = 250_000_000;
@@ -124,62 +122,6 @@ impl<S: Side<N>, const N: usize> RestOnDrop<S, N> {
 impl<S: Side<N>, const N: usize> Drop for RestOnDrop<S, N> {
     fn drop(&mut self) {
         self.rest();
-    }
-}
-
-/// Why the two sides are not coupled, and whether that was reported.
-pub(crate) struct DiagnosisReport {
-    newest: Option<Diagnosis>,
-    since_ns: u64,
-    is_reported: bool,
-    /// Whether recording and telemetry have it: they do not wait for those who look.
-    is_noted: bool,
-}
-
-impl DiagnosisReport {
-    /// Nothing stands since `start_ns`.
-    pub(crate) fn new(start_ns: u64) -> Self {
-        Self { newest: None, since_ns: start_ns, is_reported: true, is_noted: true }
-    }
-
-    /// Takes the newest of a run in virtual time, and returns it once it has stood for long enough; at the end at once.
-    pub(crate) fn settled(
-        &mut self,
-        now_ns: u64,
-        newest: Option<&Diagnosis>,
-        is_end: bool,
-    ) -> Option<Diagnosis> {
-        let is_due = self.is_due(now_ns, newest) || (is_end && !self.is_reported);
-        self.is_reported |= is_due;
-        self.newest.filter(|_| is_due)
-    }
-
-    /// Takes the newest; whether it is still to be reported.
-    fn is_unreported(&mut self, newest: Option<&Diagnosis>) -> bool {
-        if self.newest.as_ref() != newest {
-            (self.newest, self.is_reported, self.is_noted) = (newest.copied(), false, false);
-        }
-        !self.is_reported
-    }
-
-    /// Takes the newest; whether it has stood for long enough, and is still to be reported.
-    fn is_due(&mut self, now_ns: u64, newest: Option<&Diagnosis>) -> bool {
-        // More text on the same case, or a link that comes and goes, do not put off what was not reported yet.
-        let is_same_case = |before: &Diagnosis| newest.is_some_and(|newest| before.is_same_case(newest));
-        if self.newest.as_ref() != newest
-            && (self.is_reported || !self.newest.as_ref().is_some_and(is_same_case))
-        {
-            self.since_ns = now_ns;
-        }
-        self.is_unreported(newest) && now_ns.saturating_sub(self.since_ns) >= SETTLED_NS
-    }
-
-    /// Reports it, `time_ns` after the start; again at the next tick where nobody has taken those before.
-    fn report<R: Copy>(&mut self, time_ns: u64, channels: &mut LoopChannels<R>) {
-        self.is_reported = channels.diagnoses.push(self.newest).is_ok();
-        if !std::mem::replace(&mut self.is_noted, true) {
-            channels.records.note(time_ns, self.newest.as_ref());
-        }
     }
 }
 
@@ -340,7 +282,10 @@ impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
             self.shown = state;
         }
         if self.diagnosis.is_due(*now_ns, shared.diagnosis(exchange.flight()).as_ref()) {
-            self.diagnosis.report(elapsed_ns, channels);
+            self.diagnosis.report(
+                |newest| channels.diagnoses.push(newest).is_ok(),
+                |newest| channels.records.note(elapsed_ns, newest),
+            );
         }
         shared.state.store(state.code(), Ordering::Relaxed);
         shared.ticks.store(report.ticks, Ordering::Relaxed);
@@ -386,7 +331,10 @@ impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
         drop(plant);
         let mut diagnosis = self.diagnosis;
         if diagnosis.is_unreported(shared.diagnosis(&flight).as_ref()) {
-            diagnosis.report(now_ns - start_ns, &mut channels);
+            diagnosis.report(
+                |newest| channels.diagnoses.push(newest).is_ok(),
+                |newest| channels.records.note(now_ns - start_ns, newest),
+            );
         }
         report.out_of_memory = system::is_exhausted();
         report.rejections = channel.end();

@@ -13,7 +13,6 @@ pub use channel::Security;
 pub use control::{Control, ControlSocket};
 pub use handle::{ControlPort, Ineffective, LiveHandle, LiveWatch, RecordOutputs, RecordReader};
 pub use handshakes::{SecurityEvent, StartError};
-pub(crate) use live_loop::DiagnosisReport;
 pub use live_loop::{LiveSettings, LoopReport};
 pub use run::{DriverLoop, Ended, LiveRun, Paced, PacedLoop, paced_by_device, run_live};
 pub use socket::{PeerAddress, PeerSocket};

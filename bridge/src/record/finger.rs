@@ -6,7 +6,7 @@ use haptether_safety::{Axes, SafetyTick};
 use super::{MasterRotation, MasterTurn};
 use crate::{
     plant::RotationTruth,
-    recorder::{Field, Value},
+    recorder::{Field, Recorded, Value},
 };
 
 /// One tick of a trigger that the finger feels; positive closes.
@@ -71,7 +71,14 @@ impl<R: MasterTurn> MasterTurn for Feeling<R> {
 
     fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>)) {
         self.turn.fields(take);
-        let FingerTick { velocity, rendered_force, safety_force, device_force, tripped } = self.finger;
+        self.finger.fields(take);
+    }
+}
+
+impl FingerTick {
+    /// Hands each field to `take`.
+    fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>)) {
+        let Self { velocity, rendered_force, safety_force, device_force, tripped } = *self;
         for field in [
             ("trigger_velocity", "of the trigger in m/s, positive closes", Value::Number(velocity)),
             ("trigger_rendered_force", "F_v at the trigger in N", Value::Number(rendered_force)),
@@ -85,5 +92,37 @@ impl<R: MasterTurn> MasterTurn for Feeling<R> {
         ] {
             take(field);
         }
+    }
+}
+
+/// The record of a master and what the finger felt at that tick: what a run in virtual time writes, whose own records
+/// are those of any trigger.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct WithFinger<M> {
+    record: M,
+    finger: FingerTick,
+}
+
+impl<M> WithFinger<M> {
+    /// Of a tick; `felt` is none where the finger felt nothing.
+    pub(crate) fn new(record: M, felt: Option<&SafetyTick<1>>) -> Self {
+        Self { record, finger: felt.map_or_else(|| FingerTick::of(&SafetyTick::still()), FingerTick::of) }
+    }
+}
+
+impl<M: Recorded> Recorded for WithFinger<M> {
+    const SIDE: &'static str = M::SIDE;
+
+    fn any() -> Self {
+        Self::new(M::any(), None)
+    }
+
+    fn time_ns(&self) -> u64 {
+        self.record.time_ns()
+    }
+
+    fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>)) {
+        self.record.fields(take);
+        self.finger.fields(take);
     }
 }

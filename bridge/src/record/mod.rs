@@ -3,6 +3,7 @@
 mod finger;
 mod rotation;
 
+pub(crate) use finger::WithFinger;
 pub use finger::{Feeling, FingerTick};
 pub use rotation::{MasterRotation, MasterTurn, SlaveRotation, SlaveTurn};
 

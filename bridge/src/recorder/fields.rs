@@ -143,7 +143,7 @@ impl<const N: usize, R: MasterTurn> Recorded for MasterRecord<N, R> {
     }
 
     fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>)) {
-        let observed = ControllerKind::cancelling().map(|kind| {
+        let observed = ControllerKind::ALL.map(|kind| {
             let about = kind.observed();
             (about.column, about.meaning, Value::Number(self.observers[kind]))
         });

@@ -26,7 +26,7 @@ use super::{
 use crate::{ladder::Explanation, live::now_ns};
 
 /// Name of the metadata that say what the file is.
-const METADATA: &str = "haptether";
+pub(super) const METADATA: &str = "haptether";
 
 /// Of the channel that says why the two sides were not coupled.
 const CAUSE_SCHEMA: &str = r#"{"title": "haptether.cause", "type": "object", "properties": {

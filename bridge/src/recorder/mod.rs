@@ -5,6 +5,7 @@
 
 mod fields;
 mod file;
+mod read;
 mod waiting;
 
 use std::{
@@ -21,6 +22,7 @@ use std::{
 
 pub use fields::{Field, Recorded, Value};
 use file::{FreeSpace, McapFile};
+pub use read::{Column, ReadError, ReadRecording, Values, read_recording};
 pub(crate) use waiting::WaitingRecorder;
 
 use crate::{ladder::Diagnosis, ring::ring};

@@ -3,7 +3,7 @@
 use std::{fs::File, io, marker::PhantomData};
 
 use super::{CHUNK, Note, Recorded, RecorderSettings, file, file::McapFile};
-use crate::{ladder::Diagnosis, live::DiagnosisReport};
+use crate::ladder::{Diagnosis, DiagnosisReport};
 
 /// A file that takes every record, as soon as the disk does.
 pub(crate) struct WaitingRecorder<R> {

@@ -10,6 +10,7 @@ use std::{
 use super::{
     assemble::{
         SceneError, clutch, contradiction, exact_master, is_continuous, period_ns, stepped_master, ticks,
+        trigger_feedback,
     },
     coupling::{Present, commands},
     measures::{Divergence, DivergenceCause, Ending, MeasureSettings, Measures},
@@ -24,14 +25,16 @@ use crate::{
     MasterTurn, ModelArm, Reason, Side, SideKind, SlavePlant, SlaveRecord, SlaveSide, SlaveTurn,
     VirtualSettings,
     coupling::CouplingError,
+    ladder::Diagnosis,
     live::LoopReport,
+    record::WithFinger,
     recorder::{Recorded, RecorderSettings, SecurityMark, WaitingRecorder},
     run_virtual,
 };
 use haptether_master::SimulatedMaster;
 use haptether_netsim::{ClockSettings, EndpointClock};
 use haptether_safety::{
-    Axes, Fault,
+    Axes, Fault, SafetyTick,
     controller::{ControllerKind, Tripped},
 };
 
@@ -203,7 +206,8 @@ where
     };
     let mut refused = Ok(());
     let security = if settings.secure { SecurityMark::Secure } else { SecurityMark::Insecure };
-    let mut kept = files.map(|files| Kept::begin(files, security)).transpose()?;
+    let is_felt = trigger_feedback(scene, coupled(scene)?.0)?.is_some();
+    let mut kept = files.map(|files| Kept::begin(files, security, is_felt)).transpose()?;
     let counts = run_virtual(&settings, &mut master, &mut slave, |event, (master, slave)| {
         if stop.load(Ordering::Relaxed) {
             return ControlFlow::Break(());
@@ -215,7 +219,7 @@ where
             Err(error) => refused = Err(error),
         }
         if let Some(kept) = &mut kept {
-            kept.take(&event, master.exchange(), slave.exchange());
+            kept.take(&event, master.side.felt(), master.exchange(), slave.exchange());
         }
         match event {
             Event::Master(record) => watched.near(&record, &master.side),
@@ -280,15 +284,46 @@ pub struct RecordingFiles {
     pub scene: String,
 }
 
+/// The recording of the side of the hand.
+enum Near<M> {
+    Plain(WaitingRecorder<M>),
+    /// Of a trigger that the finger feels.
+    Felt(WaitingRecorder<WithFinger<M>>),
+}
+
+impl<M: Recorded> Near<M> {
+    fn begin(settings: &RecorderSettings, is_felt: bool) -> io::Result<Self> {
+        Ok(if is_felt {
+            Self::Felt(WaitingRecorder::begin(settings)?)
+        } else {
+            Self::Plain(WaitingRecorder::begin(settings)?)
+        })
+    }
+
+    fn take(&mut self, record: &M, felt: Option<&SafetyTick<1>>, newest: Option<&Diagnosis>) {
+        match self {
+            Self::Plain(recorder) => recorder.take(record, newest),
+            Self::Felt(recorder) => recorder.take(&WithFinger::new(*record, felt), newest),
+        }
+    }
+
+    fn finish(self, time_ns: u64, newest: Option<&Diagnosis>) -> io::Result<()> {
+        match self {
+            Self::Plain(recorder) => recorder.finish(time_ns, newest),
+            Self::Felt(recorder) => recorder.finish(time_ns, newest),
+        }
+    }
+}
+
 /// The files of both sides, with the time of the newest record of each.
 struct Kept<'a, M, S> {
     files: &'a RecordingFiles,
-    master: (WaitingRecorder<M>, u64),
+    master: (Near<M>, u64),
     slave: (WaitingRecorder<S>, u64),
 }
 
 impl<'a, M: Recorded, S: Recorded> Kept<'a, M, S> {
-    fn begin(files: &'a RecordingFiles, security: SecurityMark) -> Result<Self, SceneError> {
+    fn begin(files: &'a RecordingFiles, security: SecurityMark, is_felt: bool) -> Result<Self, SceneError> {
         let settings = |path: &PathBuf| RecorderSettings {
             path: path.clone(),
             min_free_bytes: 0,
@@ -298,16 +333,22 @@ impl<'a, M: Recorded, S: Recorded> Kept<'a, M, S> {
         let [master, slave] = [&files.master, &files.slave].map(settings);
         Ok(Self {
             files,
-            master: (WaitingRecorder::begin(&master).map_err(|error| refused(&files.master, &error))?, 0),
+            master: (Near::begin(&master, is_felt).map_err(|error| refused(&files.master, &error))?, 0),
             slave: (WaitingRecorder::begin(&slave).map_err(|error| refused(&files.slave, &error))?, 0),
         })
     }
 
-    fn take<const N: usize>(&mut self, event: &Event<M, S>, master: &Exchange<N>, slave: &Exchange<N>) {
+    fn take<const N: usize>(
+        &mut self,
+        event: &Event<M, S>,
+        felt: Option<&SafetyTick<1>>,
+        master: &Exchange<N>,
+        slave: &Exchange<N>,
+    ) {
         match event {
             Event::Master(record) => {
                 self.master.1 = record.time_ns();
-                self.master.0.take(record, master.flight().diagnosis());
+                self.master.0.take(record, felt, master.flight().diagnosis());
             }
             Event::Slave(record) => {
                 self.slave.1 = record.time_ns();
@@ -471,8 +512,8 @@ impl<R: MasterTurn, const N: usize> Watched<R, N> {
             ("device_force", Sample::Vector(&record.device_force)),
         ];
         let trigger = self.has_gripper.then_some(("trigger", Sample::Scalar(record.trigger)));
-        let observed = ControllerKind::cancelling()
-            .map(|kind| (kind.observed().column, Sample::Scalar(record.observers[kind])));
+        let observed =
+            ControllerKind::ALL.map(|kind| (kind.observed().column, Sample::Scalar(record.observers[kind])));
         let state = [
             ("tripped", Sample::Scalar(f64::from(record.tripped))),
             ("state", Sample::Scalar(f64::from(record.state.code()))),

@@ -102,9 +102,8 @@ fn what_is_no_number_bounds_nothing() {
     records[2].trigger = f64::NAN;
     let (sample, _) = framed(&records);
     assert_eq!(sample["signals"]["trigger"], serde_json::json!([0.5, 0.5, null]));
-    let observers: Vec<_> = haptether_safety::controller::ControllerKind::cancelling()
-        .map(|kind| kind.observed().column)
-        .collect();
+    let observers: Vec<_> =
+        haptether_safety::controller::ControllerKind::ALL.map(|kind| kind.observed().column).to_vec();
     assert_eq!(sample["signals"][observers[0]], serde_json::json!([0.25, 0.25, 0.25]));
     assert_eq!(sample["signals"][observers[1]], serde_json::json!([null, null, null]));
 }

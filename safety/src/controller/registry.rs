@@ -170,7 +170,7 @@ pub(super) use controllers;
 const COUNT: usize = ControllerKind::ALL.len();
 
 impl ControllerKind {
-    /// Those that call for `-F_v - mu V`, whose values every record of a master has.
+    /// Those that call for `-F_v - mu V`, in the order of the registry.
     pub fn cancelling() -> impl Iterator<Item = Self> {
         Self::ALL.into_iter().filter(|kind| !kind.adds_force())
     }

@@ -209,7 +209,7 @@ class CheckDevice(DriverOptions):
             }
             for name, values in rows.items():
                 shown = " / ".join(f"{1e3 * value:.3f}" for value in values)
-                console.print(f"{name}, p50 / p99 / max [ms]: {shown}", soft_wrap=True)
+                console.print_item(f"{name}, p50 / p99 / max [ms]: {shown}")
             without = "" if check.run.has_real_time else ", without real time: the system does not give it"
             console.print(f"rate: {times.rate_hz:.1f} Hz{without}")
         wrong = print_verdict(console, found)
@@ -244,7 +244,7 @@ def print_verdict(console: "Screen", found: "list[Finding]") -> int:
     wrong = sum(finding.verdict == "mend" for finding in found)
     unseen = [finding.check for finding in found if finding.verdict == "unseen"]
     if unseen:
-        console.print(f"not seen: {', '.join(unseen)}", soft_wrap=True)
+        console.print_item(f"not seen: {', '.join(unseen)}")
     console.print("pass" if not wrong else f"{wrong} to mend")
     return wrong
 

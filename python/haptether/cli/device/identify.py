@@ -203,11 +203,11 @@ class Identify(DriverOptions):
             text = master_table(self.name, options, kind, found, quantum)
             console.print(f"\n{text}\n")
         for line in said:
-            console.print(f"NOT CERTAIN: {line}", soft_wrap=True)
+            console.print_item(f"NOT CERTAIN: {line}")
         if text is None and found:
-            console.print("no [master] table: it needs every axis", soft_wrap=True)
+            console.print_item("no [master] table: it needs every axis")
         if kind == "pose":
-            console.print("the rotation was not identified: [master.rotation] needs numbers of its own", soft_wrap=True)
+            console.print_item("the rotation was not identified: [master.rotation] needs numbers of its own")
         known = len(found) == len(results) and all(axis.mass_kg.is_determined for axis in found)
         write_report(
             self.json,

@@ -152,7 +152,7 @@ class CheckLink:
         if verdict.good:
             lines.append("good enough")
         for line in lines:
-            console.print(line, soft_wrap=True)
+            console.print_item(line)
         write_report(self.json, {"peer": self.peer, "verdict": verdict, "link": summary})
 
 

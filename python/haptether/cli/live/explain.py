@@ -13,20 +13,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Explain:
-    """Say why a side held or stopped: print what `--flight` of master or slave wrote.
+    """Say why a side held or stopped: print what `--flight` or `--record` of master or slave wrote.
 
-    Prints the last 32 steps of the ladder with their reasons, the last 16 interventions of the safety controllers with
-    what tripped them, and the last 10 of the 50 ticks that are kept until the last hold and until the end.
+    Prints the last 32 steps of the ladder with their reasons, the causes in the words of the side that had them, the
+    last 16 interventions of the safety controllers with what tripped them, and the last 10 of the 50 ticks that are
+    kept until the last hold and until the end. A recording has all steps and causes of the run.
 
     Examples:
 
     haptether master --peer 127.0.0.1:9000 --key arm.key --flight master.flight
 
     haptether explain master.flight --ticks 50
+
+    haptether explain slave.mcap
     """
 
     file: Annotated[Path, tyro.conf.Positional]
-    """What `--flight` wrote."""
+    """What `--flight` or `--record` wrote."""
     ticks: int = 10
     """How many ticks until the last hold, and until the end, are printed; 50 of each are kept."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -36,9 +39,9 @@ class Explain:
         """Prints the file.
 
         Raises:
-            ValueError: The file is none of a flight recorder.
+            ValueError: The file is none of a flight recorder, and no recording.
         """
-        from haptether.bridge.flight import read_flight
+        from haptether.bridge import flight_of_file
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
 
@@ -46,7 +49,7 @@ class Explain:
         if self.ticks < 0:
             message = f"ticks = {self.ticks}: must be 0 or more"
             raise ValueError(message)
-        flight = read_flight(self.file)
+        flight = flight_of_file(self.file)
         self._print(flight, screen(self.json))
         write_report(self.json, flight)
         return 0
@@ -61,7 +64,7 @@ class Explain:
         console.print(steps)
         _print_causes(flight, console)
         for line in _intervention_lines(flight):
-            console.print(line, soft_wrap=True)
+            console.print_item(line)
         for title, ticks in (("until the last hold", flight.at_hold), ("until the end", flight.latest)):
             shown = ticks[len(ticks) - min(self.ticks, len(ticks)) :]
             if not shown:
@@ -108,7 +111,7 @@ def _ladder_columns(side: str, ticks: "list[Tick]") -> dict[str, list[str]]:
         "peer": [tick.peer or "-" for tick in ticks],
         "silent [ms]": ["-" if tick.age_s is None else f"{tick.age_s * 1e3:.1f}" for tick in ticks],
         "clutch": ["closed" if tick.clutch else "open" for tick in ticks],
-        "gain": [f"{tick.gain:.2f}" for tick in ticks],
+        "gain": ["-" if tick.gain is None else f"{tick.gain:.2f}" for tick in ticks],
     }
     if side == "master":
         columns["trips"] = [" ".join(tick.tripped) or "-" for tick in ticks]
@@ -141,6 +144,6 @@ def _print_causes(flight: "Flight", console: "Screen") -> None:
     if flight.causes:
         console.print(f"{flight.side}: why the two sides were not coupled", style="italic")
     for cause in flight.causes:
-        console.print(f"{cause.time_s:.4f} s, {cause.state}: {cause.text}", soft_wrap=True)
+        console.print_item(f"{cause.time_s:.4f} s, {cause.state}: {cause.text}")
         for number, step in enumerate(cause.steps, start=1):
-            console.print(f"  {number}. {step.text}", soft_wrap=True)
+            console.print_item(f"  {number}. {step.text}")

@@ -52,9 +52,9 @@ class Compare:
         columns = {"asked": found.asked, "netem": found.netem, "ours": found.ours}
         console.print(figures_table(f"{self.packets} packets, seed {self.seed}", columns))
         for quirk in found.quirks:
-            console.print(quirk, soft_wrap=True)
+            console.print_item(quirk)
         if found.refused is not None:
-            console.print(f"no link of ours can: {found.refused}", soft_wrap=True)
+            console.print_item(f"no link of ours can: {found.refused}")
         if not found.quirks:
             console.print("no quirk of netem acted")
         report = {

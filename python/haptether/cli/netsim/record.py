@@ -100,7 +100,7 @@ class Record:
             lines.append(f"replay it: haptether netsim sample --trace {self.csv}, or in a scene's [link.forward] and "
                          f'[link.backward]: trace = {{ file = "{self.csv}" }}')  # fmt: skip
         for line in lines:
-            console.print(line, soft_wrap=True)
+            console.print_item(line)
 
 
 def summarised(recording: "Recording") -> "dict[str, float | int | None]":

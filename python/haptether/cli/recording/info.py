@@ -57,7 +57,7 @@ class Info:
             _print_table(file, report, console)
             events = merged_events(run.events)
             for time_s, text in events[:EVENTS_SHOWN]:
-                console.print(f"  {time_s:9.4f} s  {text}")
+                console.print_item(f"  {time_s:9.4f} s  {text}")
             if len(events) > EVENTS_SHOWN:
                 console.print(f"  and {len(events) - EVENTS_SHOWN} more; --json has all events")
         write_report(self.json, reports)

@@ -11,6 +11,10 @@ from haptether.cli.shared.output import table_goes_to_stderr
 from haptether.cli.shared.table import of_numbers
 from haptether.printable import printable
 
+HANGING = "    "
+"""Before what does not fit on the first line of an item."""
+MIN_ITEM_WIDTH = 10
+
 
 class Screen(Console):
     """A console that takes no string for markup or emoji codes, and lets nothing through that a terminal would obey."""
@@ -25,6 +29,15 @@ class Screen(Console):
     def status(self, status: RenderableType, **how: Any) -> Status:  # noqa: ANN401  # of Console
         """A line beside a spinner, which would take a string for markup."""
         return super().status(plain(status) if isinstance(status, str) else status, **how)
+
+    def print_item(self, text: str) -> None:
+        """A text that may be longer than a line: what follows the first is indented, and a long word broken."""
+        said = text.lstrip(" ")
+        before = " " * (len(text) - len(said))
+        width = max(MIN_ITEM_WIDTH, self.width - len(before) - len(HANGING))
+        for number, line in enumerate(plain(said).wrap(self, width)):
+            line.rstrip()
+            self.print(Text(before + (HANGING if number else "")) + line, soft_wrap=True)
 
     def print_columns(self, columns: dict[str, list[str]], keys: int) -> None:
         """Columns of numbers below a blank line, in as many tables as the width needs; see `Rows`."""

@@ -366,7 +366,6 @@ def recorded(path: Path, *other: Path, slave_begun_s: float | None = None) -> "R
     """A recording of one side or of both, or what `Run.save` wrote.
 
     Raises:
-        ImportError: Without the extra `record`.
         OSError: It cannot be read.
         ValueError: It is no recording, or the two do not go together.
     """

@@ -1,0 +1,153 @@
+"""A recording as the flight recorder of that side would have kept the run."""
+
+import math
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import json
+
+from haptether.bridge.codes import LADDER_STATES, OBSERVED_SIGNALS, TRIP_BITS, tripped_names
+from haptether.bridge.flight import SCHEMA, Flight, FlightCause, Intervention, Tick, Transition, Trip, read_flight
+from haptether.bridge.recording.read import Recording, read_recording
+
+MAGIC = b"\x89MCAP"
+"""How a recording begins."""
+KEPT_TICKS = 50
+KEPT_INTERVENTIONS = 16
+LAYERS = {"translation": "tripped", "rotation": "rotation_tripped", "trigger": "trigger_tripped"}
+"""The bits of each safety layer of a hand."""
+LEFT = ("hold", "stop", "fault")
+"""States in which two sides are coupled no more."""
+
+
+def flight_of_file(path: str | os.PathLike[str]) -> Flight:
+    """What a flight recorder wrote, or the same of a recording.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: It is neither, of another version, or has no tick.
+    """
+    with Path(path).open("rb") as file:
+        is_recording = file.read(len(MAGIC)) == MAGIC
+    return flight_of(read_recording(path)) if is_recording else read_flight(Path(path))
+
+
+def flight_of(recording: Recording) -> Flight:
+    """Steps of the ladder, interventions, causes and the last ticks of a recorded side.
+
+    What an observer saw of a turn or a trigger is not recorded, so that trips there have no number.
+
+    Raises:
+        ValueError: It has no tick.
+    """
+    signals = recording.signals
+    time_s = signals["time_ns"].astype(np.float64) * 1e-9
+    if not len(time_s):
+        message = f"{recording.side}: has no tick: the run was ended before its first, or killed before it was written"
+        raise ValueError(message)
+    states = signals["state"]
+    steps = _changes(states)
+    interventions = sorted(_interventions(recording, time_s), key=lambda one: one.time_s)
+    before = "disengaged"
+    transitions = []
+    for at in steps:
+        if states[at] != before:
+            to = str(states[at])
+            transitions.append(
+                Transition(time_s=float(time_s[at]), from_=before, to=to, reason=str(signals["reason"][at]))
+            )
+            before = to
+    left = [at for at in steps if at and states[at] in LEFT and states[at - 1] not in LEFT]
+    return Flight(
+        schema=SCHEMA,
+        side=recording.side,
+        transitions=transitions,
+        interventions=interventions[-KEPT_INTERVENTIONS:],
+        interventions_seen=len(interventions),
+        causes=[
+            FlightCause(cause.time_ns * 1e-9, state=cause.state, at=cause.at, text=cause.text, steps=cause.steps)
+            for cause in recording.causes
+        ],
+        at_hold=_ticks(recording, time_s, left[-1] + 1) if left else [],
+        latest=_ticks(recording, time_s, len(time_s)),
+    )
+
+
+def _changes(values: npt.NDArray[Any]) -> list[int]:
+    """Where a value differs from the one before; the first, too."""
+    return [0, *(np.flatnonzero(values[1:] != values[:-1]) + 1).tolist()]
+
+
+def _interventions(recording: Recording, time_s: npt.NDArray[np.float64]) -> Iterator[Intervention]:
+    thresholds = _thresholds(recording)
+    for layer, name in LAYERS.items():
+        if name not in recording.signals:
+            continue
+        bits = np.nan_to_num(recording.signals[name]).astype(np.uint8)
+        edges = np.diff(np.concatenate([[0], (bits != 0).astype(np.int8), [0]]))
+        for begin, end in zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True):
+            trips = []
+            for controller, observed in OBSERVED_SIGNALS.items():
+                tripped = np.flatnonzero(bits[begin:end] & TRIP_BITS[controller])
+                if not len(tripped):
+                    continue
+                values = recording.signals.get(observed.signal) if layer == "translation" else None
+                seen = math.nan if values is None else float(values[begin + tripped[0]])
+                trips.append(
+                    Trip(
+                        controller=controller,
+                        observer=observed.label,
+                        observed=seen if math.isfinite(seen) else None,
+                        threshold=thresholds.get(controller),
+                    )
+                )
+            yield Intervention(time_s=float(time_s[begin]), until_s=float(time_s[end - 1]), layer=layer, trips=trips)
+
+
+def _thresholds(recording: Recording) -> dict[str, float]:
+    """Beyond which each controller trips; none without the scene."""
+    if not recording.scene:
+        return {}
+    safety = json.decode(recording.scene).get("safety", {})
+    named = {"hsc": safety.get("grasp_threshold"), "wsc": safety.get("energy_threshold_j")}
+    return {"vfc": 1.0, "pc": 0.0} | {name: float(value) for name, value in named.items() if value is not None}
+
+
+def _ticks(recording: Recording, time_s: npt.NDArray[np.float64], end: int) -> list[Tick]:
+    signals = recording.signals
+    command, force = (
+        ("device_force", "rendered_force") if recording.side == "master" else ("command", "environment_force")
+    )
+    gain = signals.get("gain")
+    ticks = []
+    for at in range(max(0, end - KEPT_TICKS), end):
+        tripped = [
+            name if layer == "translation" else f"{layer}:{name}"
+            for layer, bits in LAYERS.items()
+            if bits in signals
+            for name in tripped_names(int(np.nan_to_num(signals[bits][at])))
+        ]
+        peer = str(signals["peer_state"][at])
+        ticks.append(
+            Tick(
+                time_s=float(time_s[at]),
+                state=str(signals["state"][at]),
+                peer=peer if peer in LADDER_STATES else None,
+                age_s=_finite(signals["age_s"][at]),
+                clutch=bool(signals["clutch"][at]),
+                gain=None if gain is None else float(gain[at]),
+                tripped=tripped,
+                position=[_finite(value) for value in np.atleast_1d(signals["position"][at])],
+                command=[_finite(value) for value in np.atleast_1d(signals[command][at])],
+                force=[_finite(value) for value in np.atleast_1d(signals[force][at])],
+            )
+        )
+    return ticks
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,179 @@
+//! A message of a recording into the columns of its signals, without a tree of values in between.
+
+use std::{collections::HashMap, fmt};
+
+use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
+
+use super::column::{Cell, Column, Unfit};
+
+/// The signals of a recording, tick by tick.
+#[derive(Debug, Default)]
+pub(super) struct Table {
+    pub(super) columns: Vec<Column>,
+    pub(super) ticks: usize,
+    places: HashMap<String, usize>,
+    /// Columns in the order in which the last message named them: the next one is of the same order.
+    order: Vec<usize>,
+}
+
+impl Table {
+    pub(super) fn new(columns: Vec<Column>) -> Self {
+        let places = columns.iter().enumerate().map(|(place, column)| (column.name.clone(), place)).collect();
+        Self { columns, ticks: 0, places, order: Vec::new() }
+    }
+
+    /// Takes the message of the next tick; nothing of one that does not fit. What it does not name is null.
+    pub(super) fn push(&mut self, message: &[u8]) -> bool {
+        let mut json = serde_json::Deserializer::from_slice(message);
+        let is_taken = Row(self).deserialize(&mut json).is_ok() && json.end().is_ok() && self.fill();
+        if is_taken {
+            self.ticks += 1;
+        } else {
+            let ticks = self.ticks;
+            self.columns.iter_mut().for_each(|column| column.truncate(ticks));
+        }
+        is_taken
+    }
+
+    fn fill(&mut self) -> bool {
+        let ticks = self.ticks;
+        let mut missing = self.columns.iter_mut().filter(|column| column.ticks() == ticks);
+        missing.all(|column| column.push(Cell::Null).is_ok())
+    }
+
+    /// The column of the `nth` signal of a message, none where the schema does not have it.
+    fn place(&mut self, nth: usize, name: &str) -> Option<usize> {
+        if let Some(&place) = self.order.get(nth)
+            && self.columns[place].name == name
+        {
+            return Some(place);
+        }
+        let place = *self.places.get(name)?;
+        self.order.truncate(nth);
+        if self.order.len() == nth {
+            self.order.push(place);
+        }
+        Some(place)
+    }
+}
+
+/// One message.
+struct Row<'a>(&'a mut Table);
+
+impl<'de> DeserializeSeed<'de> for Row<'_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_map(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Row<'_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("one object a tick")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+        let mut nth = 0;
+        while let Some(place) = map.next_key_seed(Place { table: &mut *self.0, nth })? {
+            if let Some(place) = place {
+                nth += 1;
+                let ticks = self.0.ticks;
+                let column = &mut self.0.columns[place];
+                if column.ticks() != ticks {
+                    return Err(A::Error::custom("a signal that is there twice"));
+                }
+                map.next_value_seed(At(column))?;
+            } else {
+                map.next_value::<IgnoredAny>()?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The name of a signal.
+struct Place<'a> {
+    table: &'a mut Table,
+    nth: usize,
+}
+
+impl<'de> DeserializeSeed<'de> for Place<'_> {
+    type Value = Option<usize>;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
+        deserializer.deserialize_str(self)
+    }
+}
+
+impl Visitor<'_> for Place<'_> {
+    type Value = Option<usize>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("the name of a signal")
+    }
+
+    fn visit_str<E: Error>(self, name: &str) -> Result<Self::Value, E> {
+        Ok(self.table.place(self.nth, name))
+    }
+}
+
+/// The value of a signal.
+struct At<'a>(&'a mut Column);
+
+impl At<'_> {
+    fn push<E: Error>(self, cell: Cell<'_>) -> Result<(), E> {
+        fitting(self.0.push(cell))
+    }
+}
+
+fn fitting<E: Error>(pushed: Result<(), Unfit>) -> Result<(), E> {
+    pushed.map_err(|Unfit| E::custom("a value of another kind than before"))
+}
+
+impl<'de> DeserializeSeed<'de> for At<'_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl<'de> Visitor<'de> for At<'_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a number, a name, yes or no, null, or a row of numbers")
+    }
+
+    fn visit_unit<E: Error>(self) -> Result<(), E> {
+        self.push(Cell::Null)
+    }
+
+    fn visit_bool<E: Error>(self, value: bool) -> Result<(), E> {
+        self.push(Cell::Flag(value))
+    }
+
+    fn visit_i64<E: Error>(self, value: i64) -> Result<(), E> {
+        self.push(Cell::Count(value))
+    }
+
+    fn visit_u64<E: Error>(self, value: u64) -> Result<(), E> {
+        self.push(Cell::Count(i64::try_from(value).map_err(E::custom)?))
+    }
+
+    fn visit_f64<E: Error>(self, value: f64) -> Result<(), E> {
+        self.push(Cell::Number(value))
+    }
+
+    fn visit_str<E: Error>(self, name: &str) -> Result<(), E> {
+        self.push(Cell::Name(name))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut row: A) -> Result<(), A::Error> {
+        let next = || Ok(row.next_element::<Option<f64>>()?.map(|number| number.unwrap_or(f64::NAN)));
+        fitting(self.0.push_row(next)?)
+    }
+}
