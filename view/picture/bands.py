@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from haptether.printable import printable
 from haptether.view.picture.layout import Column, Rectangle
@@ -23,6 +23,10 @@ NAMES = {"hand": "hand", "robot": "robot"}
 ELLIPSIS = "…"
 MARGIN = 0.7
 """Left and right of the time line, in letters."""
+STATUS_LETTERS = 3.9
+"""Height of the two rows above the names of events."""
+CURSOR_LETTERS = 0.9
+"""Width of what marks the time that is shown."""
 
 
 @functools.cache
@@ -85,14 +89,6 @@ class Band:
         small = self._image.resize((self.rectangle.width, self.rectangle.height), Image.Resampling.BOX)
         return np.asarray(small)
 
-    def copy(self) -> "Band":
-        """With what was drawn."""
-        other = Band.__new__(Band)
-        other.__dict__.update(self.__dict__)
-        other._image = self._image.copy()
-        other._draw = ImageDraw.Draw(other._image)
-        return other
-
     def _at(self, x: float, y: float) -> tuple[float, float]:
         return x * self._unit, y * self._unit
 
@@ -152,8 +148,10 @@ class Bands:
     def renew(self, described: Description) -> None:
         """Another time line of the same run."""
         self._described = described
-        self._quiet = Band(self._column.foot, self._letter)
-        self._draw_line(self._quiet)
+        quiet = Band(self._column.foot, self._letter)
+        self._draw_line(quiet)
+        self._width = quiet.width
+        self._quiet = quiet.pixels()
 
     def head(self) -> Pixels:
         """Title, and what the run comes to."""
@@ -179,12 +177,16 @@ class Bands:
             time_s: Which time.
             note: What is said besides, as how fast it plays.
         """
-        band = self._quiet.copy()
+        # Thirty times a second: only what changes is drawn anew.
+        foot = self._column.foot
+        band = Band(Rectangle(foot.left, foot.top, foot.width, round(STATUS_LETTERS * self._letter)), self._letter)
         status = self._described.status.at(time_s)
         self._write_status(band, status, note)
         self._write_gauges(band, status)
-        self._draw_cursor(band, time_s)
-        return band.pixels()
+        pixels = self._quiet.copy()
+        pixels[: band.rectangle.height] = band.pixels()
+        self._draw_cursor(pixels, self._x(self._width, time_s))
+        return pixels
 
     def time_at(self, x: float, y: float) -> float | None:
         """The time in s at a pixel of the time line; none elsewhere."""
@@ -192,7 +194,7 @@ class Bands:
         if not foot.holds(x, y) or (y - foot.top) / self._letter < self._line_top - 1.4:
             return None
         line = self._described.timeline
-        share = ((x - foot.left) / self._letter - MARGIN) / (self._quiet.width - 2.0 * MARGIN)
+        share = ((x - foot.left) / self._letter - MARGIN) / (self._width - 2.0 * MARGIN)
         return line.begin_s + min(max(share, 0.0), 1.0) * (line.end_s - line.begin_s)
 
     def _write_status(self, band: Band, status: Status, note: str) -> None:
@@ -265,10 +267,10 @@ class Bands:
                 band.text(begin + bar + 0.4, y, text, colours.FAINT_INK, size=0.85)
                 break
 
-    def _x(self, band: Band, time_s: float) -> float:
+    def _x(self, width: float, time_s: float) -> float:
         line = self._described.timeline
         span = max(line.end_s - line.begin_s, 1e-9)
-        return MARGIN + (time_s - line.begin_s) / span * (band.width - 2.0 * MARGIN)
+        return MARGIN + (time_s - line.begin_s) / span * (width - 2.0 * MARGIN)
 
     def _draw_line(self, band: Band) -> None:
         line, top = self._described.timeline, self._line_top
@@ -277,34 +279,34 @@ class Bands:
         band.box(left, force, right - left, low - force, "#eef1f5")
         for begin, end in line.trips:
             band.box(
-                self._x(band, begin),
+                self._x(band.width, begin),
                 force,
-                max(self._x(band, end) - self._x(band, begin), 0.08),
+                max(self._x(band.width, end) - self._x(band.width, begin), 0.08),
                 low - force,
                 "#f8d3d7",
             )
         for begin, end, state in line.ladder:
             band.box(
-                self._x(band, begin),
+                self._x(band.width, begin),
                 ladder - 0.35,
-                self._x(band, end) - self._x(band, begin),
+                self._x(band.width, end) - self._x(band.width, begin),
                 0.5,
                 colours.LADDER[state],
             )
         if len(line.force_n) and (peak := float(line.force_n.max())) > 0.0:
             points = [
-                (self._x(band, float(t)), low - 0.08 - float(f) / peak * (low - force - 0.3))
+                (self._x(band.width, float(t)), low - 0.08 - float(f) / peak * (low - force - 0.3))
                 for t, f in zip(line.force_time_s, line.force_n, strict=True)
             ]
             band.area([(points[0][0], low), *points, (points[-1][0], low)], "#c5dbf5")
             band.line(points, colours.DEVICE_FORCE, 0.09)
         for mark in line.marks:
-            x = self._x(band, mark.time_s)
+            x = self._x(band.width, mark.time_s)
             band.line([(x, force), (x, low)], colours.INK if mark.named else colours.LINE, 0.07)
         for x, text, is_trip in self._labels(band):
             band.text(x, top - 0.72, text, colours.TRIP if is_trip else colours.INK, size=0.78)
         for tick_s in _ticks(line.begin_s, line.end_s, band.width):
-            x = self._x(band, tick_s)
+            x = self._x(band.width, tick_s)
             band.line([(x, low), (x, low + 0.25)], colours.FAINT_INK, 0.07)
             anchor = "lm" if x < left + 0.6 else "rm" if x > right - 0.6 else "mm"
             band.text(x, low + 0.85, f"{tick_s:g} s", colours.FAINT_INK, size=0.78, anchor=anchor)
@@ -313,7 +315,7 @@ class Bands:
         """Names of events with where they begin; those that would overlap are written as one."""
         groups: list[tuple[float, list[str]]] = []
         for mark in self._described.timeline.marks:
-            x = self._x(band, mark.time_s)
+            x = self._x(band.width, mark.time_s)
             if not mark.named:
                 continue
             if groups and x < groups[-1][0] + band.width_of(", ".join(groups[-1][1]), 0.78) + 0.6:
@@ -332,10 +334,24 @@ class Bands:
             labels.append((begin, text, any(name.startswith("trip") for name in texts)))
         return labels
 
-    def _draw_cursor(self, band: Band, time_s: float) -> None:
-        x, top = self._x(band, time_s), self._line_top
-        band.line([(x, top - 0.1), (x, top + 3.5)], colours.INK, 0.16)
-        band.area([(x - 0.35, top - 0.25), (x + 0.35, top - 0.25), (x, top + 0.3)], colours.INK)
+    def _draw_cursor(self, pixels: Pixels, x: float) -> None:
+        """A line with a point above it, over what is there."""
+        top, letter = self._line_top - 0.3, self._letter
+        width, height = math.ceil(CURSOR_LETTERS * letter) + 2, math.ceil(4.0 * letter)
+        left, first = round((x - 0.5 * CURSOR_LETTERS) * letter) - 1, int(top * letter)
+        band = Band(Rectangle(0, 0, width, height), letter, "#ffffff")
+        middle, down = x - left / letter, top - first / letter
+        band.line([(middle, down + 0.2), (middle, down + 3.8)], "#000000", 0.16)
+        band.area([(middle - 0.35, down + 0.05), (middle + 0.35, down + 0.05), (middle, down + 0.6)], "#000000")
+        begin, end = max(0, -left), min(width, pixels.shape[1] - left)
+        if begin >= end:
+            # Runs side by side may end at different times.
+            return
+        covered = 1.0 - band.pixels()[:, begin:end, :1] / 255.0
+        under = pixels[first : first + height, left + begin : left + end]
+        covered = covered[: len(under)]
+        ink = np.array(ImageColor.getrgb(colours.INK), dtype=np.float64)
+        under[:] = np.rint(under + covered * (ink - under))
 
 
 def _ticks(begin_s: float, end_s: float, width: float) -> list[float]:
