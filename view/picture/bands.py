@@ -21,6 +21,8 @@ FINER = 2
 """Bands are drawn so many times larger, and made small again: lines have smooth edges."""
 NAMES = {"hand": "hand", "robot": "robot"}
 ELLIPSIS = "…"
+NUMBER_COLOURS = {"hand": colours.DEVICE_FORCE, "tool": colours.ENVIRONMENT_FORCE, "V": colours.MEASURED}
+"""By the last word of what a number is called."""
 MARGIN = 0.7
 """Left and right of the time line, in letters."""
 STATUS_LETTERS = 3.9
@@ -100,12 +102,14 @@ def caption(
     band = Band(rectangle, letter, "#eceff3")
     middle = 0.5 * band.height
     x = band.text(0.6, middle, NAMES[station], bold=True) + 0.8
-    forces = [arrow for arrow in described.arrows if arrow.station == station and arrow.heads == 1]
-    arrows = [arrow for arrow in described.arrows if arrow.station == station]
-    if forces and math.isfinite(pixels_per_metre):
-        scale_n = _bar_of(forces[0].scale * pixels_per_metre / letter)
-        length = scale_n * forces[0].scale * pixels_per_metre / letter
-        label = f"{scale_n:g} N"
+    arrows = sorted((arrow for arrow in described.arrows if arrow.station == station), key=lambda arrow: arrow.heads)
+    # Of joints the torques are what is known, and the force at the tip what is made of them.
+    joints = described.status.joints
+    measured = [arrow for arrow in arrows if arrow.heads == (2 if joints else 1)]
+    if measured and math.isfinite(pixels_per_metre):
+        scale = _bar_of(measured[0].scale * pixels_per_metre / letter)
+        length = scale * measured[0].scale * pixels_per_metre / letter
+        label = f"{scale:g} {'N m' if joints else 'N'}"
         begin = band.width - 0.6 - length
         band.line([(begin, middle), (begin + length, middle)], colours.INK, 0.16)
         for end in (begin, begin + length):
@@ -114,11 +118,10 @@ def caption(
         band.text(limit, middle, label, size=0.85)
     else:
         limit = band.width - 0.3
-    rows = [(arrow.label, arrow.colour, 0.4) for arrow in arrows if arrow.heads == 1]
-    rows += [(arrow.label, arrow.colour, 0.4) for arrow in arrows if arrow.heads == 2]
+    rows = [(arrow.label, arrow.colour, 0.4) for arrow in arrows]
     trails = [trail for trail in described.trails if trail.station == station]
     rows += [(trail.label, trail.colour, 0.14) for trail in trails]
-    for label, colour, thick in rows:
+    for label, colour, thick in dict.fromkeys(rows):
         width = 1.3 + band.width_of(label, 0.85) + 0.9
         if x + width > limit:
             break
@@ -129,7 +132,7 @@ def caption(
 
 
 def _bar_of(letters_per_newton: float) -> float:
-    """The force in N, 1, 2 or 5 times a power of ten, whose bar is about four letters long."""
+    """The force in N, or torque in N m, 1, 2 or 5 times a power of ten, whose bar is about four letters long."""
     wanted = 4.0 / letters_per_newton
     power = 10.0 ** math.floor(math.log10(wanted))
     return max((step * power for step in (1.0, 2.0, 5.0) if step * power <= wanted), default=power)
@@ -225,19 +228,12 @@ class Bands:
 
     def _write_gauges(self, band: Band, status: Status) -> None:
         y = 2.85
-        forces = [
-            ("F hand", status.device_force, colours.DEVICE_FORCE),
-            ("F tool", status.environment_force, colours.ENVIRONMENT_FORCE),
-        ]
-        words = [(f"{name} {value:.2f} N", colour) for name, value, colour in forces if math.isfinite(value)]
-        if math.isfinite(status.speed):
-            words.append((f"V {status.speed:.2f} m/s", colours.MEASURED))
         x = 0.6
-        for text, colour in words:
-            band.box(x, y - 0.35, 0.35, 0.7, colour, round_by=0.08)
-            band.text(x + 0.6, y, text, size=0.9)
+        for name, value, unit in status.numbers:
+            band.box(x, y - 0.35, 0.35, 0.7, NUMBER_COLOURS[name.rpartition(" ")[2]], round_by=0.08)
+            band.text(x + 0.6, y, f"{name} {value:.2f} {unit}", size=0.9)
             # As wide as the widest number, so that nothing shifts from frame to frame.
-            x += 0.6 + band.width_of(f"{text.rpartition(' ')[0].rpartition(' ')[0]} 00.00 m/s", 0.9) + 0.9
+            x += 0.6 + band.width_of(f"{name} 00.00 {'rad/s' if status.joints else 'm/s'}", 0.9) + 0.9
         if not status.gauges:
             if band.width - x > 9.0 and "hand" in self._described.views:
                 band.text(x, y, "no controller watches", colours.FAINT_INK, size=0.9, within=band.width - x - 0.6)

@@ -32,7 +32,6 @@ SAMPLES = 4
 """Of each pixel of a picture or film, for smooth edges."""
 SOFTWARE = ("llvmpipe", "softpipe", "swiftshader")
 """Names of what draws on the processor."""
-MOST_TRAIL_POINTS = 500
 
 
 class Picture:
@@ -189,10 +188,8 @@ class Picture:
             points = trail.until(time_s)
             actor.SetVisibility(len(points) > 1)
             if len(points) > 1:
-                step = max(1, len(points) // MOST_TRAIL_POINTS)
-                kept = np.concatenate([points[:-1:step], points[-1:]])
-                line.points = kept
-                line.lines = np.array([len(kept), *range(len(kept))])
+                line.points = points
+                line.lines = np.array([len(points), *range(len(points))])
         for number, (band, column) in enumerate(zip(self.bands, self.columns, strict=True)):
             self._show_band(f"foot {number}", column.foot, band.foot(time_s, note))
 
