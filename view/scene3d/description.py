@@ -135,7 +135,7 @@ def described(run: Run, scene: Scene | None, title: str, shared: dict[str, Exten
         views["hand"] = _view_of(shared["hand"], CHAIN_ABOVE if is_chain else 0.6)
     else:
         notes.append("the hand is not drawn: nothing of the master was given")
-    if "slave_position" not in run.signals and "peer_state" in run.signals:
+    if "slave_position" not in run.signals and not {"peer_state", "state"}.isdisjoint(run.signals):
         notes.append("the robot is not drawn: nothing of the slave was given")
     else:
         robot = RobotEnd(run, scene, shared["robot"], arms)

@@ -169,6 +169,9 @@ def largest(signals: Signals, name: str) -> float:
 
 
 def _controllers(signals: Signals, scene: Scene | None) -> tuple[str, ...]:
+    if "time_s" not in signals:
+        # They are at the hand, of which nothing is known.
+        return ()
     if scene is not None:
         return tuple(name for name in OBSERVED if name in scene.safety.controllers)
     # A recording without its scene: those whose observer was fed.
