@@ -55,7 +55,7 @@ class View {
       this.where[name] = gl.getUniformLocation(this.program, name);
     this.at = gl.getAttribLocation(this.program, "at");
     this.normal = gl.getAttribLocation(this.program, "normal");
-    gl.enable(gl.DEPTH_TEST); gl.enable(gl.BLEND); gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    gl.enable(gl.DEPTH_TEST); gl.enable(gl.CULL_FACE); gl.enable(gl.BLEND); gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
     this.parts = run.parts.filter((part) => part.station === station).map((part) => {
       const buffer = (kind, values) => {
         const made = gl.createBuffer();
