@@ -94,6 +94,10 @@ class RobotEnd:
         self.parts.extend(arm_parts(postures))
         if postures.is_relative:
             self.notes.append("posture of the arm is chosen: the tool is recorded from where it began")
+        elif self._jaws:
+            self.notes.append(
+                "the tool point is taken to be between the jaws: a recording does not say the controller's own"
+            )
         if postures.unreached:
             self.notes.append(f"{postures.unreached} poses that the arm cannot reach: it is drawn where it was")
 
