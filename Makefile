@@ -133,6 +133,10 @@ lock: $(PINNED_UV) ## renew tools/*.txt (UPGRADE=--upgrade takes the newest vers
 	    $(COMPILE) --group bench --constraint tools/requirements.txt --output-file tools/bench.txt
 	@$(USE_INDEX); set -x; $(COMPILE) --output-file tools/uv.txt tools/uv.in
 
+.PHONY: images
+images: $(EXTENSION) ## make the pictures of docs/images anew, where Chromium and EGL are (some minutes)
+	@$(BIN)/python -m tests.images
+
 .PHONY: clean
 clean: ## remove all that these targets made
 	rm -rf .tools .venv target fuzz/target fuzz/artifacts out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

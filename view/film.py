@@ -41,7 +41,7 @@ def write_picture(path: Path, pixels: Pixels) -> None:
     """
     refuse_link(path)
     with private_file(path) as file:
-        Image.fromarray(pixels).save(file, format="PNG", optimize=True)
+        Image.fromarray(pixels).save(file, format="PNG", compress_level=6)
 
 
 def require_film(path: Path) -> None:

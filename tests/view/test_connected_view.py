@@ -1,5 +1,6 @@
 """`haptether view --connect` beside live sides."""
 
+import json
 import os
 import shutil
 import signal
@@ -13,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image, ImageGrab
+
+from haptether.view.window.playback import KEYS
 
 # They draw on all processors: beside loops in real time these would be late.
 pytestmark = pytest.mark.alone
@@ -109,3 +112,31 @@ def test_a_window_shows_a_live_run_and_ends_with_it(display: str, tmp_path: Path
         side.wait(TIMEOUT_S)
         _, error = seen.communicate(timeout=TIMEOUT_S)
     assert (seen.returncode, error) == (0, "")
+
+
+def test_every_key_steers_a_window_through_the_events_of_its_toolkit(display: str) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "VTK_DEFAULT_OPENGL_WINDOW"}
+    ended = subprocess.run(
+        [sys.executable, "-m", "tests.view.steered"], capture_output=True, text=True, timeout=TIMEOUT_S, check=False,
+        env=environment | {"DISPLAY": display},
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr
+    rows = json.loads(ended.stdout)
+    (opened, space, timer, pause, home, right, left, up, down, slower, end, trip, *looks, keys, gone, unknown, closed,
+     click) = rows  # fmt: skip
+    assert (opened["time_s"], opened["playing"]) == (2.0, False)
+    assert space["playing"]
+    assert timer["time_s"] > 2.0
+    assert not pause["playing"]
+    assert [home["time_s"], right["time_s"], left["time_s"]] == pytest.approx([0.0, 0.01, 0.0])
+    assert [up["speed"], down["speed"], slower["speed"]] == [2.0, 1.0, 0.5]
+    assert end["time_s"] == pytest.approx(3.999)
+    assert 2.6 < trip["time_s"] < 2.8, "after the last trip comes the first"
+    assert [look["camera"] for look in looks] == ["front", "side", "top", "corner"]
+    for key, does in KEYS:
+        assert key in keys["keys"]
+        assert does in keys["keys"]
+    assert gone["keys"] == ""
+    assert unknown | {"event": ""} == gone | {"event": ""}
+    assert closed["closed"]
+    assert click["time_s"] == pytest.approx(1.0, abs=0.05)

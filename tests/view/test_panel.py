@@ -58,6 +58,14 @@ def shown(state: SideState, width: int = 100) -> str:
     return screen.getvalue()
 
 
+def test_every_number_has_its_unit() -> None:
+    state = SideState(hello())
+    state.take(sample(0.0, round_trip_s=[0.001, 0.001, 0.001]))
+    text = shown(state)
+    for label in ("position [m]", "velocity [m/s]", "F_v [N]", "round trip [ms]"):
+        assert label in text
+
+
 def test_extremes_are_those_of_the_last_second_and_a_spike_of_one_tick_stays() -> None:
     state = SideState(hello())
     state.take(sample(0.0, device_force=[[-9.0, 9.0, 0.0]]))

@@ -123,6 +123,59 @@ def test_a_chain_of_servos_ends_where_its_kinematics_do(name: str) -> None:
         assert at[:3, 3] == pytest.approx(tool, abs=1e-12)
 
 
+def sent_and_pushed(force_n: tuple[float, float, float]) -> tuple[Run, ArmKinematics]:
+    """Servos that follow 0.1 s late, with a force at their tip, as torques of the joints."""
+    arm = load_arm("gello-ur")
+    kinematics = ArmKinematics(arm)
+    time_s = np.arange(0.0, 1.0, 0.01)
+    angles = np.array([0.3, -0.8, 1.2, 0.4, 0.5, 0.2]) + 0.5 * np.sin(3.0 * time_s)[:, None]
+    late = np.concatenate([angles[:1].repeat(10, axis=0), angles[:-10]])
+    torques = [kinematics.torques(q.tolist(), [*force_n, 0.0, 0.0, 0.0]) for q in late]
+    signals = {
+        "time_s": time_s, "position": angles, "slave_time_s": time_s, "slave_position": late, "slave_command": angles,
+        "environment_force": torques,
+    }  # fmt: skip
+    return run_of(signals), kinematics
+
+
+def test_servos_have_a_ghost_trails_and_what_acts_on_them() -> None:
+    force_n = np.array([3.0, 1.0, -5.0])
+    run, kinematics = sent_and_pushed((3.0, 1.0, -5.0))
+    described = describe(run, arm="gello-ur", leader="gello-ur")
+    moment = described.at(0.5)
+
+    def tip(name: str, index: int) -> list[float]:
+        return kinematics.state(run.signals[name][index].tolist(), [0.0] * 6)[0]
+
+    ghost = moment.poses["ghost of the command: tool"]
+    assert ghost is not None
+    assert ghost[:3, 3] == pytest.approx(tip("slave_command", 50), abs=1e-12)
+    for trail, name in (("tool trail", "slave_position"), ("command trail", "slave_command")):
+        assert moment.trails[trail].shape == (51, 3)
+        assert moment.trails[trail][20] == pytest.approx(tip(name, 20), abs=1e-12)
+    arrows = {arrow.name: arrow for arrow in described.arrows}
+    torques = run.signals["environment_force"][50]
+    for joint, torque in enumerate(torques):
+        arrow = arrows[f"robot torque {joint + 1}"]
+        assert arrow.heads == 2
+        assert np.linalg.norm(arrow.vector(0.5)) == pytest.approx(abs(torque))
+    at_tip = arrows["robot tip force"]
+    assert at_tip.vector(0.5) == pytest.approx(force_n, rel=0.03)
+    assert at_tip.tail(0.5) == pytest.approx(tip("slave_position", 50), abs=1e-12)
+    ((name, value, unit),) = described.status.at(0.5).numbers
+    assert (name, unit) == ("T tool", "N m")
+    assert value == pytest.approx(np.abs(torques).max())
+
+
+def test_a_torque_that_no_force_at_the_tip_exerts_is_none() -> None:
+    run, kinematics = sent_and_pushed((0.0, 0.0, 0.0))
+    turning = kinematics.torques(run.signals["slave_position"][50].tolist(), [0.0, 0.0, 0.0, 0.5, 0.5, 0.5])
+    run.signals["environment_force"][50] = turning
+    described = describe(run, arm="gello-ur")
+    (at_tip,) = [arrow for arrow in described.arrows if arrow.name == "robot tip force"]
+    assert at_tip.length(0.5) == 0.0
+
+
 def test_a_ur_that_no_recording_names() -> None:
     time_s = np.arange(0.0, 1.0, 0.02)
     position = np.stack([-0.3 + 0.1 * time_s, np.full_like(time_s, -0.4), np.full_like(time_s, 0.3)], axis=1)

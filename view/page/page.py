@@ -90,15 +90,7 @@ class _Frames:
                 "master": status.master,
                 "slave": status.slave,
                 "acting": "+".join(status.acting).upper(),
-                "numbers": [
-                    f"{name} {value:.2f} {unit}"
-                    for name, value, unit in (
-                        ("F hand", status.device_force, "N"),
-                        ("F tool", status.environment_force, "N"),
-                        ("V", status.speed, "m/s"),
-                    )
-                    if math.isfinite(value)
-                ],
+                "numbers": [f"{name} {value:.2f} {unit}" for name, value, unit in status.numbers],
                 "gauges": [[gauge.controller.upper(), round(gauge.share, 3), gauge.text] for gauge in status.gauges],
             }
         )
@@ -112,8 +104,12 @@ class _Frames:
             "views": {station: [low.tolist(), high.tolist()] for station, (low, high) in one.views.items()},
             "parts": [_part(part, np.stack(poses)) for part, poses in zip(one.parts, self._poses, strict=True)],
             "trails": [_trail(trail) for trail in one.trails],
-            "legend": [[arrow.station, arrow.label, arrow.colour] for arrow in one.arrows]
-            + [[trail.station, trail.label, trail.colour] for trail in one.trails],
+            "legend": list(
+                dict.fromkeys(
+                    [(arrow.station, arrow.label, arrow.colour) for arrow in one.arrows]
+                    + [(trail.station, trail.label, trail.colour) for trail in one.trails]
+                )
+            ),
             "status": self._status,
             "line": _line(one.timeline),
         }

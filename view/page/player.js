@@ -29,7 +29,7 @@ precision mediump float;
 uniform vec4 tint; uniform float lit; uniform vec3 eye; uniform vec3 lamp; varying vec3 facing;
 void main() {
   vec3 n = normalize(facing);
-  float light = 0.42 + 0.38 * max(dot(n, eye), 0.0) + 0.36 * max(dot(n, lamp), 0.0);
+  float light = 0.42 + 0.38 * max(dot(n, eye), 0.0) + 0.34 * max(dot(n, lamp), 0.0);
   gl_FragColor = vec4(tint.rgb * mix(1.0, light, lit), tint.a);
 }`;
 
@@ -37,7 +37,7 @@ class View {
   constructor(run, station, canvas) {
     this.run = run;
     this.canvas = canvas;
-    const gl = this.gl = canvas.getContext("webgl", { antialias: true, preserveDrawingBuffer: true });
+    const gl = this.gl = canvas.getContext("webgl", { alpha: false, antialias: true, preserveDrawingBuffer: true });
     if (!gl) { canvas.replaceWith("This browser has no WebGL."); return; }
     const [low, high] = run.views[station];
     this.low = low; this.high = high;
@@ -55,7 +55,7 @@ class View {
       this.where[name] = gl.getUniformLocation(this.program, name);
     this.at = gl.getAttribLocation(this.program, "at");
     this.normal = gl.getAttribLocation(this.program, "normal");
-    gl.enable(gl.DEPTH_TEST); gl.enable(gl.BLEND); gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    gl.enable(gl.DEPTH_TEST); gl.enable(gl.CULL_FACE); gl.enable(gl.BLEND); gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
     this.parts = run.parts.filter((part) => part.station === station).map((part) => {
       const buffer = (kind, values) => {
         const made = gl.createBuffer();
@@ -204,12 +204,24 @@ class Line {
     line.force.forEach((f, n) => pen.lineTo(x(line.forceTimes[n]), 65 - (f / peak) * 36));
     pen.strokeStyle = "#1769c9"; pen.stroke();
     pen.font = "11px DejaVu Sans, Verdana, sans-serif"; pen.textBaseline = "middle";
-    let free = 0;
+    // Names that would overlap are one; where that is too long, trips are what one looks for.
+    const groups = [], wide = (texts) => pen.measureText([...new Set(texts)].join(", ")).width;
     for (const [t, text, named] of line.marks) {
       pen.fillStyle = named ? "#1d2733" : "#c9d0d8"; pen.fillRect(x(t), 26, 1, 40);
-      const wide = pen.measureText(text).width, left = Math.min(x(t), width - wide - 4);
-      if (named && left > free) { pen.fillText(text, left, 9); free = left + wide + 8; }
+      if (!named) continue;
+      const last = groups[groups.length - 1];
+      if (last && x(t) < last.left + wide(last.texts) + 8) last.texts.push(text);
+      else groups.push({ left: x(t), texts: [text] });
     }
+    groups.forEach(({ left, texts }, number) => {
+      const end = number + 1 < groups.length ? groups[number + 1].left - 6 : width - 4;
+      while (texts.length > 1 && left + wide(texts) > end) {
+        const spare = texts.map((text) => text.startsWith("trip")).lastIndexOf(false);
+        texts.splice(spare, 1);
+      }
+      pen.fillStyle = texts.some((text) => text.startsWith("trip")) ? "#d62839" : "#1d2733";
+      pen.fillText([...new Set(texts)].join(", "), Math.min(left, width - wide(texts) - 4), 9);
+    });
     pen.fillStyle = "#66727f"; pen.textAlign = "center";
     const wanted = (line.end - line.begin) / Math.max(2, width / 90), power = 10 ** Math.floor(Math.log10(wanted));
     const step = [1, 2, 5, 10].map((s) => s * power).find((s) => s >= wanted * 0.999);
@@ -301,7 +313,9 @@ pick("trip").addEventListener("click", nextTrip);
 pick("scrub").addEventListener("input", (event) => { playing = false; show(begin + event.target.value * (end - begin)); });
 addEventListener("resize", () => { dirty = true; });
 addEventListener("keydown", (event) => {
-  if (event.target.tagName === "SELECT" || event.target.tagName === "BUTTON") return;
+  const on = event.target.tagName;
+  // A button takes the space for itself; all other keys are ours, for who has clicked it goes on by them.
+  if (on === "SELECT" || (on === "BUTTON" && event.key === " ")) return;
   const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key], camera = Object.values(CONTENT.cameras)[Number(event.key) - 1];
   if (event.key === " ") { toggle(); event.preventDefault(); }
   else if (step) { playing = false; show(times[Math.max(0, Math.min(times.length - 1, frameAt(now) + step))]); event.preventDefault(); }

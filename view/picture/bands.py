@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from haptether.printable import printable
 from haptether.view.picture.layout import Column, Rectangle
@@ -21,8 +21,14 @@ FINER = 2
 """Bands are drawn so many times larger, and made small again: lines have smooth edges."""
 NAMES = {"hand": "hand", "robot": "robot"}
 ELLIPSIS = "…"
+NUMBER_COLOURS = {"hand": colours.DEVICE_FORCE, "tool": colours.ENVIRONMENT_FORCE, "V": colours.MEASURED}
+"""By the last word of what a number is called."""
 MARGIN = 0.7
 """Left and right of the time line, in letters."""
+STATUS_LETTERS = 3.9
+"""Height of the two rows above the names of events."""
+CURSOR_LETTERS = 0.9
+"""Width of what marks the time that is shown."""
 
 
 @functools.cache
@@ -85,14 +91,6 @@ class Band:
         small = self._image.resize((self.rectangle.width, self.rectangle.height), Image.Resampling.BOX)
         return np.asarray(small)
 
-    def copy(self) -> "Band":
-        """With what was drawn."""
-        other = Band.__new__(Band)
-        other.__dict__.update(self.__dict__)
-        other._image = self._image.copy()
-        other._draw = ImageDraw.Draw(other._image)
-        return other
-
     def _at(self, x: float, y: float) -> tuple[float, float]:
         return x * self._unit, y * self._unit
 
@@ -104,12 +102,14 @@ def caption(
     band = Band(rectangle, letter, "#eceff3")
     middle = 0.5 * band.height
     x = band.text(0.6, middle, NAMES[station], bold=True) + 0.8
-    forces = [arrow for arrow in described.arrows if arrow.station == station and arrow.heads == 1]
-    arrows = [arrow for arrow in described.arrows if arrow.station == station]
-    if forces and math.isfinite(pixels_per_metre):
-        scale_n = _bar_of(forces[0].scale * pixels_per_metre / letter)
-        length = scale_n * forces[0].scale * pixels_per_metre / letter
-        label = f"{scale_n:g} N"
+    arrows = sorted((arrow for arrow in described.arrows if arrow.station == station), key=lambda arrow: arrow.heads)
+    # Of joints the torques are what is known, and the force at the tip what is made of them.
+    joints = described.status.joints
+    measured = [arrow for arrow in arrows if arrow.heads == (2 if joints else 1)]
+    if measured and math.isfinite(pixels_per_metre):
+        scale = _bar_of(measured[0].scale * pixels_per_metre / letter)
+        length = scale * measured[0].scale * pixels_per_metre / letter
+        label = f"{scale:g} {'N m' if joints else 'N'}"
         begin = band.width - 0.6 - length
         band.line([(begin, middle), (begin + length, middle)], colours.INK, 0.16)
         for end in (begin, begin + length):
@@ -118,11 +118,10 @@ def caption(
         band.text(limit, middle, label, size=0.85)
     else:
         limit = band.width - 0.3
-    rows = [(arrow.label, arrow.colour, 0.4) for arrow in arrows if arrow.heads == 1]
-    rows += [(arrow.label, arrow.colour, 0.4) for arrow in arrows if arrow.heads == 2]
+    rows = [(arrow.label, arrow.colour, 0.4) for arrow in arrows]
     trails = [trail for trail in described.trails if trail.station == station]
     rows += [(trail.label, trail.colour, 0.14) for trail in trails]
-    for label, colour, thick in rows:
+    for label, colour, thick in dict.fromkeys(rows):
         width = 1.3 + band.width_of(label, 0.85) + 0.9
         if x + width > limit:
             break
@@ -133,7 +132,7 @@ def caption(
 
 
 def _bar_of(letters_per_newton: float) -> float:
-    """The force in N, 1, 2 or 5 times a power of ten, whose bar is about four letters long."""
+    """The force in N, or torque in N m, 1, 2 or 5 times a power of ten, whose bar is about four letters long."""
     wanted = 4.0 / letters_per_newton
     power = 10.0 ** math.floor(math.log10(wanted))
     return max((step * power for step in (1.0, 2.0, 5.0) if step * power <= wanted), default=power)
@@ -152,8 +151,10 @@ class Bands:
     def renew(self, described: Description) -> None:
         """Another time line of the same run."""
         self._described = described
-        self._quiet = Band(self._column.foot, self._letter)
-        self._draw_line(self._quiet)
+        quiet = Band(self._column.foot, self._letter)
+        self._draw_line(quiet)
+        self._width = quiet.width
+        self._quiet = quiet.pixels()
 
     def head(self) -> Pixels:
         """Title, and what the run comes to."""
@@ -179,12 +180,16 @@ class Bands:
             time_s: Which time.
             note: What is said besides, as how fast it plays.
         """
-        band = self._quiet.copy()
+        # Thirty times a second: only what changes is drawn anew.
+        foot = self._column.foot
+        band = Band(Rectangle(foot.left, foot.top, foot.width, round(STATUS_LETTERS * self._letter)), self._letter)
         status = self._described.status.at(time_s)
         self._write_status(band, status, note)
         self._write_gauges(band, status)
-        self._draw_cursor(band, time_s)
-        return band.pixels()
+        pixels = self._quiet.copy()
+        pixels[: band.rectangle.height] = band.pixels()
+        self._draw_cursor(pixels, self._x(self._width, time_s))
+        return pixels
 
     def time_at(self, x: float, y: float) -> float | None:
         """The time in s at a pixel of the time line; none elsewhere."""
@@ -192,7 +197,7 @@ class Bands:
         if not foot.holds(x, y) or (y - foot.top) / self._letter < self._line_top - 1.4:
             return None
         line = self._described.timeline
-        share = ((x - foot.left) / self._letter - MARGIN) / (self._quiet.width - 2.0 * MARGIN)
+        share = ((x - foot.left) / self._letter - MARGIN) / (self._width - 2.0 * MARGIN)
         return line.begin_s + min(max(share, 0.0), 1.0) * (line.end_s - line.begin_s)
 
     def _write_status(self, band: Band, status: Status, note: str) -> None:
@@ -223,19 +228,12 @@ class Bands:
 
     def _write_gauges(self, band: Band, status: Status) -> None:
         y = 2.85
-        forces = [
-            ("F hand", status.device_force, colours.DEVICE_FORCE),
-            ("F tool", status.environment_force, colours.ENVIRONMENT_FORCE),
-        ]
-        words = [(f"{name} {value:.2f} N", colour) for name, value, colour in forces if math.isfinite(value)]
-        if math.isfinite(status.speed):
-            words.append((f"V {status.speed:.2f} m/s", colours.MEASURED))
         x = 0.6
-        for text, colour in words:
-            band.box(x, y - 0.35, 0.35, 0.7, colour, round_by=0.08)
-            band.text(x + 0.6, y, text, size=0.9)
+        for name, value, unit in status.numbers:
+            band.box(x, y - 0.35, 0.35, 0.7, NUMBER_COLOURS[name.rpartition(" ")[2]], round_by=0.08)
+            band.text(x + 0.6, y, f"{name} {value:.2f} {unit}", size=0.9)
             # As wide as the widest number, so that nothing shifts from frame to frame.
-            x += 0.6 + band.width_of(f"{text.rpartition(' ')[0].rpartition(' ')[0]} 00.00 m/s", 0.9) + 0.9
+            x += 0.6 + band.width_of(f"{name} 00.00 {'rad/s' if status.joints else 'm/s'}", 0.9) + 0.9
         if not status.gauges:
             if band.width - x > 9.0 and "hand" in self._described.views:
                 band.text(x, y, "no controller watches", colours.FAINT_INK, size=0.9, within=band.width - x - 0.6)
@@ -265,10 +263,10 @@ class Bands:
                 band.text(begin + bar + 0.4, y, text, colours.FAINT_INK, size=0.85)
                 break
 
-    def _x(self, band: Band, time_s: float) -> float:
+    def _x(self, width: float, time_s: float) -> float:
         line = self._described.timeline
         span = max(line.end_s - line.begin_s, 1e-9)
-        return MARGIN + (time_s - line.begin_s) / span * (band.width - 2.0 * MARGIN)
+        return MARGIN + (time_s - line.begin_s) / span * (width - 2.0 * MARGIN)
 
     def _draw_line(self, band: Band) -> None:
         line, top = self._described.timeline, self._line_top
@@ -277,34 +275,34 @@ class Bands:
         band.box(left, force, right - left, low - force, "#eef1f5")
         for begin, end in line.trips:
             band.box(
-                self._x(band, begin),
+                self._x(band.width, begin),
                 force,
-                max(self._x(band, end) - self._x(band, begin), 0.08),
+                max(self._x(band.width, end) - self._x(band.width, begin), 0.08),
                 low - force,
                 "#f8d3d7",
             )
         for begin, end, state in line.ladder:
             band.box(
-                self._x(band, begin),
+                self._x(band.width, begin),
                 ladder - 0.35,
-                self._x(band, end) - self._x(band, begin),
+                self._x(band.width, end) - self._x(band.width, begin),
                 0.5,
                 colours.LADDER[state],
             )
         if len(line.force_n) and (peak := float(line.force_n.max())) > 0.0:
             points = [
-                (self._x(band, float(t)), low - 0.08 - float(f) / peak * (low - force - 0.3))
+                (self._x(band.width, float(t)), low - 0.08 - float(f) / peak * (low - force - 0.3))
                 for t, f in zip(line.force_time_s, line.force_n, strict=True)
             ]
             band.area([(points[0][0], low), *points, (points[-1][0], low)], "#c5dbf5")
             band.line(points, colours.DEVICE_FORCE, 0.09)
         for mark in line.marks:
-            x = self._x(band, mark.time_s)
+            x = self._x(band.width, mark.time_s)
             band.line([(x, force), (x, low)], colours.INK if mark.named else colours.LINE, 0.07)
         for x, text, is_trip in self._labels(band):
             band.text(x, top - 0.72, text, colours.TRIP if is_trip else colours.INK, size=0.78)
         for tick_s in _ticks(line.begin_s, line.end_s, band.width):
-            x = self._x(band, tick_s)
+            x = self._x(band.width, tick_s)
             band.line([(x, low), (x, low + 0.25)], colours.FAINT_INK, 0.07)
             anchor = "lm" if x < left + 0.6 else "rm" if x > right - 0.6 else "mm"
             band.text(x, low + 0.85, f"{tick_s:g} s", colours.FAINT_INK, size=0.78, anchor=anchor)
@@ -313,7 +311,7 @@ class Bands:
         """Names of events with where they begin; those that would overlap are written as one."""
         groups: list[tuple[float, list[str]]] = []
         for mark in self._described.timeline.marks:
-            x = self._x(band, mark.time_s)
+            x = self._x(band.width, mark.time_s)
             if not mark.named:
                 continue
             if groups and x < groups[-1][0] + band.width_of(", ".join(groups[-1][1]), 0.78) + 0.6:
@@ -332,10 +330,24 @@ class Bands:
             labels.append((begin, text, any(name.startswith("trip") for name in texts)))
         return labels
 
-    def _draw_cursor(self, band: Band, time_s: float) -> None:
-        x, top = self._x(band, time_s), self._line_top
-        band.line([(x, top - 0.1), (x, top + 3.5)], colours.INK, 0.16)
-        band.area([(x - 0.35, top - 0.25), (x + 0.35, top - 0.25), (x, top + 0.3)], colours.INK)
+    def _draw_cursor(self, pixels: Pixels, x: float) -> None:
+        """A line with a point above it, over what is there."""
+        top, letter = self._line_top - 0.3, self._letter
+        width, height = math.ceil(CURSOR_LETTERS * letter) + 2, math.ceil(4.0 * letter)
+        left, first = round((x - 0.5 * CURSOR_LETTERS) * letter) - 1, int(top * letter)
+        band = Band(Rectangle(0, 0, width, height), letter, "#ffffff")
+        middle, down = x - left / letter, top - first / letter
+        band.line([(middle, down + 0.2), (middle, down + 3.8)], "#000000", 0.16)
+        band.area([(middle - 0.35, down + 0.05), (middle + 0.35, down + 0.05), (middle, down + 0.6)], "#000000")
+        begin, end = max(0, -left), min(width, pixels.shape[1] - left)
+        if begin >= end:
+            # Runs side by side may end at different times.
+            return
+        covered = 1.0 - band.pixels()[:, begin:end, :1] / 255.0
+        under = pixels[first : first + height, left + begin : left + end]
+        covered = covered[: len(under)]
+        ink = np.array(ImageColor.getrgb(colours.INK), dtype=np.float64)
+        under[:] = np.rint(under + covered * (ink - under))
 
 
 def _ticks(begin_s: float, end_s: float, width: float) -> list[float]:

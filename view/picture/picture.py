@@ -30,7 +30,8 @@ ROOM = 1.06
 """Between what is seen and the edge of its view."""
 SAMPLES = 4
 """Of each pixel of a picture or film, for smooth edges."""
-MOST_TRAIL_POINTS = 500
+SOFTWARE = ("llvmpipe", "softpipe", "swiftshader")
+"""Names of what draws on the processor."""
 
 
 class Picture:
@@ -67,7 +68,7 @@ class Picture:
                 lighting="none",
             ),
         )
-        # A window has to keep up: drawn by the processor, smooth edges cost more than half of the frames.
+        # Which draws is known only later, and a window of the processor's has to keep up.
         self.plotter.render_window.SetMultiSamples(0 if window else SAMPLES)
         if not window and not self.plotter.render_window.SupportsOpenGL():
             message = f"OpenGL does not draw here: on Debian or Ubuntu install {PACKAGES}"
@@ -83,6 +84,15 @@ class Picture:
         self._overlay = self._add_overlay()
         self.camera = _checked(camera)
         self.lay_out(size)
+
+    def keep_up(self) -> None:
+        """Fits a window, which is open, to what draws it: smooth edges by a graphics card, 30 Hz by the processor."""
+        if any(name in self.plotter.render_window.ReportCapabilities().lower() for name in SOFTWARE):
+            # What is translucent is then blended as it was added, which saves buffers as large as the window.
+            for renderer in self.plotter.renderers:
+                renderer.SetUseOIT(False)
+        else:
+            self.plotter.render_window.SetMultiSamples(SAMPLES)
 
     def lay_out(self, size: tuple[int, int]) -> None:
         """Fits everything to a size in pixels."""
@@ -178,10 +188,8 @@ class Picture:
             points = trail.until(time_s)
             actor.SetVisibility(len(points) > 1)
             if len(points) > 1:
-                step = max(1, len(points) // MOST_TRAIL_POINTS)
-                kept = np.concatenate([points[:-1:step], points[-1:]])
-                line.points = kept
-                line.lines = np.array([len(kept), *range(len(kept))])
+                line.points = points
+                line.lines = np.array([len(points), *range(len(points))])
         for number, (band, column) in enumerate(zip(self.bands, self.columns, strict=True)):
             self._show_band(f"foot {number}", column.foot, band.foot(time_s, note))
 
@@ -243,6 +251,8 @@ class Picture:
             look.color, look.opacity, look.interpolation = part.colour, part.opacity, "gouraud"
             look.ambient, look.diffuse = (0.6, 0.45) if is_sign else (0.38, 0.68)
             look.specular, look.specular_power = (0.0, 1.0) if is_sign else (0.12, 25.0)
+            # All are closed: what looks away would be drawn for nothing, and twice where one sees through.
+            look.culling = "back"
             self.plotter.add_actor(actor, reset_camera=False)
             self._actors.append((part, actor))
         for trail in one.trails:
@@ -309,28 +319,51 @@ def _unit(vector: Array) -> Array:
 
 
 class _Board:
-    """Pixels on the screen."""
+    """Pixels on the screen, which the graphics keep until others are shown."""
 
     def __init__(self, renderer: Any) -> None:  # noqa: ANN401  # VTK has no types
-        from vtkmodules.vtkCommonDataModel import vtkImageData
-        from vtkmodules.vtkRenderingCore import vtkActor2D, vtkImageMapper
+        from vtkmodules.vtkCommonCore import vtkPoints
+        from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkImageData, vtkPolyData
+        from vtkmodules.vtkRenderingCore import vtkPolyDataMapper2D, vtkTexture, vtkTexturedActor2D
 
         self._image = vtkImageData()
-        mapper = vtkImageMapper()
-        mapper.SetInputData(self._image)
-        mapper.SetColorWindow(255.0)
-        mapper.SetColorLevel(127.5)
-        self._actor = vtkActor2D()
+        texture = vtkTexture()
+        texture.SetInputData(self._image)
+        texture.InterpolateOff()
+        self._corners = vtkPoints()
+        self._corners.SetNumberOfPoints(4)
+        quad = vtkCellArray()
+        quad.InsertNextCell(4, (0, 1, 2, 3))
+        self._sheet = vtkPolyData()
+        self._sheet.SetPoints(self._corners)
+        self._sheet.SetPolys(quad)
+        on_image = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32)
+        self._sheet.GetPointData().SetTCoords(_vtk_array(on_image))
+        mapper = vtkPolyDataMapper2D()
+        mapper.SetInputData(self._sheet)
+        self._actor = vtkTexturedActor2D()
+        self._actor.SetTexture(texture)
         self._actor.SetMapper(mapper)
+        self._rectangle = (0, 0, 0, 0)
         renderer.AddViewProp(self._actor)
 
     def show(self, pixels: Pixels, left: int, bottom: int) -> None:
         """Puts pixels, (height, width, 3), at a place in pixels from the lower left."""
-        from vtkmodules.util.numpy_support import numpy_to_vtk
-
         height, width, _ = pixels.shape
         flipped = np.ascontiguousarray(pixels[::-1]).reshape(-1, 3)
         self._image.SetDimensions(width, height, 1)
-        self._image.GetPointData().SetScalars(numpy_to_vtk(flipped, deep=True))  # type: ignore[no-untyped-call]
+        self._image.GetPointData().SetScalars(_vtk_array(flipped))
         self._image.Modified()
-        self._actor.SetPosition(left, bottom)
+        if (rectangle := (left, bottom, width, height)) != self._rectangle:
+            self._rectangle = rectangle
+            across, up = (left, left + width, left + width, left), (bottom, bottom, bottom + height, bottom + height)
+            for corner, (x, y) in enumerate(zip(across, up, strict=True)):
+                self._corners.SetPoint(corner, x, y, 0.0)
+            self._corners.Modified()
+            self._sheet.Modified()
+
+
+def _vtk_array(values: npt.NDArray[Any]) -> Any:  # noqa: ANN401  # VTK has no types
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+
+    return numpy_to_vtk(values, deep=True)  # type: ignore[no-untyped-call]

@@ -120,7 +120,9 @@ class LiveUrPostures(UrPostures):
     """As `UrPostures`, of an arm whose run goes on: each posture is found when it is asked for."""
 
     def _begin(self) -> None:
-        self._has_begun = False
+        self._has_begun, self._last_q = False, np.array(READY)
+        # Where there are samples already, the arm stands by the oldest, however often it is described anew.
+        self._q_at(float(self._position.time_s[0]))
 
     def _q_at(self, time_s: float) -> Array:
         position = self._position.at(time_s)

@@ -8,7 +8,8 @@ import numpy.typing as npt
 
 from haptether.bridge import Run, Scene
 from haptether.view.scene3d.arms import Arms, arms_of
-from haptether.view.scene3d.extent import Extent, axes_of, extents
+from haptether.view.scene3d.chain import CHAIN_ABOVE
+from haptether.view.scene3d.extent import Extent, axes_of, chain_of, extents, is_joints
 from haptether.view.scene3d.hand import hand_end
 from haptether.view.scene3d.parts import Arrow, Part, Station, Trail
 from haptether.view.scene3d.robot import RobotEnd
@@ -130,10 +131,11 @@ def described(run: Run, scene: Scene | None, title: str, shared: dict[str, Exten
     views: dict[Station, tuple[Array, Array]] = {}
     if "position" in run.signals:
         parts, arrows, trails, notes = hand_end(run, scene, shared["hand"], arms)
-        views["hand"] = _view_of(shared["hand"], 0.6)
+        is_chain = is_joints(run.signals, scene) and chain_of(run.signals, "position", arms.master) is not None
+        views["hand"] = _view_of(shared["hand"], CHAIN_ABOVE if is_chain else 0.6)
     else:
         notes.append("the hand is not drawn: nothing of the master was given")
-    if "slave_position" not in run.signals and "peer_state" in run.signals:
+    if "slave_position" not in run.signals and not {"peer_state", "state"}.isdisjoint(run.signals):
         notes.append("the robot is not drawn: nothing of the slave was given")
     else:
         robot = RobotEnd(run, scene, shared["robot"], arms)
@@ -150,7 +152,7 @@ def described(run: Run, scene: Scene | None, title: str, shared: dict[str, Exten
         status=StatusCourse(run.signals, run.events, scene),
         timeline=timeline_of(run.signals, run.events),
         notes=tuple(notes),
-        figures=_figures(run),
+        figures=_figures(run, joints=is_joints(run.signals, scene)),
         views=views,
         flat=axes_of(run.signals) == 1,
     )
@@ -163,11 +165,13 @@ def _view_of(extent: Extent, above: float) -> tuple[Array, Array]:
     return low, high
 
 
-def _figures(run: Run) -> str:
+def _figures(run: Run, *, joints: bool) -> str:
     metrics = run.metrics
+    error_mm = None if metrics.position_rmse_m is None else 1e3 * metrics.position_rmse_m
     rows = [
-        ("largest ejection velocity", metrics.max_ejection_velocity, "m/s"),
-        ("largest force on the hand", metrics.peak_device_force, "N"),
-        ("position error", None if metrics.position_rmse_m is None else 1e3 * metrics.position_rmse_m, "mm RMS"),
-    ]
+        ("largest ejection velocity", metrics.max_ejection_velocity, "rad/s" if joints else "m/s"),
+        ("largest torque on the hand" if joints else "largest force on the hand", metrics.peak_device_force,
+         "N m" if joints else "N"),
+        ("position error", error_mm, "mrad RMS" if joints else "mm RMS"),
+    ]  # fmt: skip
     return "   ".join(f"{label} {value:.3g} {unit}" for label, value, unit in rows if value is not None)

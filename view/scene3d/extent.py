@@ -1,7 +1,7 @@
 """How large things are drawn: by what a run, or several side by side, moves through."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,8 @@ import numpy.typing as npt
 from haptether.bridge import Box, Run, Scene, Signals, Sphere
 from haptether.dynamixel.description import ArmDescription
 from haptether.view.scene3d.arms import Arms
-from haptether.view.scene3d.chain import chain_corners
+from haptether.view.scene3d.chain import angles_of, chain_corners
+from haptether.view.scene3d.history import History
 
 Array = npt.NDArray[np.float64]
 
@@ -18,6 +19,8 @@ LEAST_M = 0.04
 """Of a run in which next to nothing moves."""
 ARROW_SHARE = 0.62
 """Length of the largest force over the size of its end."""
+JOINT_SHARE = 0.3
+"""That of a joint's torque, of which there are several."""
 FORCES = {
     "hand": ("device_force", "hand_force", "grasp_force", "safety_force"),
     "robot": ("environment_force",),
@@ -51,7 +54,10 @@ def points_of(values: npt.NDArray[np.float64]) -> Array:
     """Positions or forces of 1 to 3 axes as (n, 3); an axis that there is not is 0."""
     columns = np.asarray(values, dtype=np.float64)
     columns = columns[:, None] if columns.ndim == 1 else columns[:, :3]
-    return np.pad(columns, ((0, 0), (0, 3 - columns.shape[1])))
+    # Asked for many times a frame: np.pad would take ten times as long.
+    points = np.zeros((len(columns), 3))
+    points[:, : columns.shape[1]] = columns
+    return points
 
 
 def vector_of(value: float | Sequence[float] | None, axes: int) -> Array:
@@ -81,12 +87,6 @@ def chain_of(signals: Signals, name: str, arm: object) -> ArmDescription | None:
     return arm if isinstance(arm, ArmDescription) and len(arm.joints) == joints else None
 
 
-def angles_of(values: npt.NDArray[np.float64]) -> Array:
-    """Angles of joints as (n, joints)."""
-    angles = np.asarray(values, dtype=np.float64)
-    return angles[:, None] if angles.ndim == 1 else angles
-
-
 def is_joints(signals: Signals, scene: Scene | None) -> bool:
     """Whether what was recorded are angles of joints."""
     return axes_of(signals) > 3 or (scene is not None and scene.master.kind == "joints")
@@ -95,7 +95,9 @@ def is_joints(signals: Signals, scene: Scene | None) -> bool:
 def _joints(signals: Signals, name: str, arm: object) -> Array:
     chain = chain_of(signals, name, arm)
     if chain is not None:
-        return chain_corners(chain, angles_of(signals[name]))
+        # A live arm may yet go anywhere.
+        angles = angles_of(signals[name])
+        return chain_corners(chain, angles[:0] if isinstance(signals, History) else angles)
     return np.array([[-LEAST_M, 0.0, -LEAST_M], [LEAST_M, 0.0, LEAST_M]])
 
 
@@ -147,18 +149,32 @@ def _extent(end: str, points: Sequence[Array], of: Sequence[tuple[Run, Scene | N
     low, high = (known.min(axis=0), known.max(axis=0)) if len(known) else (np.zeros(3), np.zeros(3))
     size = max(LEAST_M, float((high - low).max()))
     signals = [run.signals for run, _ in of]
+    if any(is_joints(run.signals, scene) for run, scene in of):
+        # What is called a force is a torque of each joint.
+        per = JOINT_SHARE * size / _peak(signals, FORCES[end], largest_of)
+        return Extent(low=low, high=high, size=size, metres_per_newton=per, metres_per_newton_metre=per)
     return Extent(
         low=low,
         high=high,
         size=size,
-        metres_per_newton=ARROW_SHARE * size / _peak(signals, FORCES[end]),
-        metres_per_newton_metre=ARROW_SHARE * size / _peak(signals, TORQUES[end]),
+        metres_per_newton=ARROW_SHARE * size / _peak(signals, FORCES[end], norms_of),
+        metres_per_newton_metre=ARROW_SHARE * size / _peak(signals, TORQUES[end], norms_of),
     )
 
 
-def _peak(signals: Sequence[Signals], names: Sequence[str]) -> float:
+def norms_of(vectors: Array) -> Array:
+    """Of vectors of 1 to 3 axes, (n, ...): (n,)."""
+    return np.asarray(np.linalg.norm(points_of(vectors), axis=1))
+
+
+def largest_of(torques: Array) -> Array:
+    """Of the joints' torques, (n, ...), the greatest, (n,)."""
+    return np.asarray(np.abs(angles_of(torques)).max(axis=1))
+
+
+def _peak(signals: Sequence[Signals], names: Sequence[str], by: Callable[[Array], Array]) -> float:
     """The largest that there is, rounded up to 1, 2 or 5 times a power of ten."""
-    norms = [np.linalg.norm(points_of(of[name]), axis=1) for of in signals for name in names if name in of]
+    norms = [by(of[name]) for of in signals for name in names if name in of]
     known = [float(np.nanmax(norm)) for norm in norms if np.isfinite(norm).any()]
     largest = max(known, default=0.0)
     return nice_above(largest) if largest > 1e-9 else 1.0

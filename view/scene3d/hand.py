@@ -8,8 +8,8 @@ import numpy.typing as npt
 from haptether.bridge import Run, Scene, Signals
 from haptether.view.scene3d import colours
 from haptether.view.scene3d.arms import Arms
-from haptether.view.scene3d.chain import chain_parts
-from haptether.view.scene3d.extent import Extent, angles_of, axes_of, chain_of, is_joints, points_of, stops
+from haptether.view.scene3d.chain import ChainEnd, angles_of
+from haptether.view.scene3d.extent import Extent, axes_of, chain_of, is_joints, points_of, stops
 from haptether.view.scene3d.history import History
 from haptether.view.scene3d.mesh import Mesh, box, capsule, cylinder, joined, lathed, placed, sphere
 from haptether.view.scene3d.parts import Arrow, Course, Part, Pose, Station, Trail, still
@@ -32,7 +32,11 @@ def hand_end(
     if is_joints(signals, scene):
         chain = chain_of(signals, "position", arms.master)
         if chain is not None:
-            return chain_parts("hand", chain, Course(signals, "position", angles_of)), [], [], []
+            end = ChainEnd(
+                "hand", chain, signals, place="position", command="", torque="device_force",
+                colour=colours.DEVICE_FORCE, metres_per_newton_metre=extent.metres_per_newton_metre,
+            )  # fmt: skip
+            return end.parts, end.arrows, end.trails, []
         return dials("hand", signals, "position", extent.size), [], [], []
     size = extent.size
     position = Course(signals, "position", points_of)
@@ -135,7 +139,7 @@ def _arrows(signals: Signals, extent: Extent, stylus: Pose, grip: Array) -> list
                 scale=extent.metres_per_newton if heads == 1 else extent.metres_per_newton_metre,
                 thickness_m=0.018 * size,
                 tail=tail,
-                vector=Course(signals, name, points_of),
+                vector=Course(signals, name, points_of).at,
                 heads=2 if heads == 2 else 1,
             )
         )

@@ -28,10 +28,12 @@ from haptether.view.scene3d.description import Description, Moment, described
 from haptether.view.scene3d.extent import (
     ARROW_SHARE,
     FORCES,
+    JOINT_SHARE,
     TORQUES,
     Extent,
     axes_of,
     extents,
+    is_joints,
     nice_above,
     points_of,
     stops,
@@ -112,8 +114,10 @@ class LiveDescription:
         """What there is to see; its time line is that of the last `refresh`."""
         self._low: dict[str, Array] = {}
         self._high: dict[str, Array] = {}
+        self._joints = is_joints(self._history, self._scene)
+        """Whether places are angles, and forces torques."""
         corners = stops(self._scene, axes_of(self._history))
-        if corners is not None and "slave" in self.sides:
+        if corners is not None and not self._joints and "slave" in self.sides:
             # Before it moves, the robot is taken to move as far as the hand can.
             self._low["robot"], self._high["robot"] = corners
         self._peaks = {
@@ -247,7 +251,7 @@ class LiveDescription:
         grown = False
         for station, names in MOVING.items():
             of: Extent = self._extents[station]
-            for name in names:
+            for name in () if self._joints else names:
                 at = _vector(row.get(name))
                 if at is None:
                     continue
@@ -257,11 +261,19 @@ class LiveDescription:
                 grown = grown or bool(beyond > 0.02 * of.size)
         for station, kind, forces in _FORCES:
             for name in forces:
-                vector = _vector(row.get(name))
-                if vector is not None and (norm := float(np.linalg.norm(vector))) > self._peaks[kind][station]:
-                    self._peaks[kind][station] = nice_above(1.2 * norm)
-                    grown = True
+                if self._joints:
+                    torques = np.atleast_1d(np.asarray(row.get(name, math.nan), dtype=np.float64))
+                    grown = self._pushes("torque", station, float(np.abs(torques).max())) or grown
+                elif (vector := _vector(row.get(name))) is not None:
+                    grown = self._pushes(kind, station, float(np.linalg.norm(vector))) or grown
         return grown
+
+    def _pushes(self, kind: str, station: str, norm: float) -> bool:
+        """Whether something pushes harder than is drawn."""
+        if not norm > self._peaks[kind][station]:
+            return False
+        self._peaks[kind][station] = nice_above(1.2 * norm)
+        return True
 
     def _build(self) -> None:
         run = Run(
@@ -283,10 +295,11 @@ class LiveDescription:
             room = ROOM * np.where(seen_high > seen_low, max(0.0, float((seen_high - seen_low).max())), 0.0)
             low, high = np.minimum(low, seen_low - room), np.maximum(high, seen_high + room)
         size = max(of.size, float((high - low).max()))
+        torque_share = JOINT_SHARE if self._joints else ARROW_SHARE
         return replace(
             of, low=low, high=high, size=size,
             metres_per_newton=ARROW_SHARE * size / self._peaks["force"][station],
-            metres_per_newton_metre=ARROW_SHARE * size / self._peaks["torque"][station],
+            metres_per_newton_metre=torque_share * size / self._peaks["torque"][station],
         )  # fmt: skip
 
 

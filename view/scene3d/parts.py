@@ -1,5 +1,6 @@
 """What a scene in three dimensions is made of: bodies, arrows and trails, each with where it is at a time."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -52,10 +53,13 @@ class Course:
         index = self.index(time_s)
         return np.asarray(self._by(self._signals[self._name][index : index + 1])[0])
 
-    def between(self, begin_s: float, end_s: float) -> tuple[Array, Array]:
-        """Times, (k,), and samples, (k, ...), from a time to another, that one included."""
+    def between(self, begin_s: float, end_s: float, most: int) -> tuple[Array, Array]:
+        """Times, (k,), and samples, (k, ...), from a time to another, that one included; some of them, evenly."""
         first, last = np.searchsorted(self.time_s, [begin_s, end_s + 1e-9])
-        return self.time_s[first:last], self._by(self._signals[self._name][first:last])
+        # Always the same ones: else a line would tremble as it grows.
+        step = 1 << max(0, math.ceil(math.log2(max(1, last - first) / most)))
+        kept = np.union1d(np.arange(first - first % -step, last, step), np.arange(last - 1, last)[: last - first])
+        return self.time_s[kept], self._by(self._signals[self._name][kept])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,6 +82,8 @@ def still(at: Array) -> Pose:
 
 HEAD_LENGTH, HEAD_RADIUS, SHAFT_RADIUS = 4.2, 1.75, 0.7
 """Of an arrow, as multiples of its thickness."""
+MOST_TRAIL_POINTS = 500
+"""That are seen of a trail at once."""
 LEAST_LENGTH = 0.25
 """Multiple of the thickness below which an arrow is not seen."""
 
@@ -95,13 +101,13 @@ class Arrow:
     thickness_m: float
     tail: Callable[[float], Array]
     """Where it begins, (3,) in m."""
-    vector: Course
-    """(n, 3) in N or N m."""
+    vector: Callable[[float], Array]
+    """(3,) in N or N m."""
     heads: Literal[1, 2] = 1
 
     def length(self, time_s: float) -> float:
         """In m; 0 where it is not known."""
-        length = self.scale * float(np.linalg.norm(self.vector.at(time_s)))
+        length = self.scale * float(np.linalg.norm(self.vector(time_s)))
         return length if np.isfinite(length) else 0.0
 
     def parts(self) -> list[Part]:
@@ -129,7 +135,7 @@ class Arrow:
     def _frame(self, time_s: float) -> Array | None:
         if self.length(time_s) < LEAST_LENGTH * self.thickness_m:
             return None
-        return transform(self.tail(time_s), rotation_to(self.vector.at(time_s)))
+        return transform(self.tail(time_s), rotation_to(self.vector(time_s)))
 
     def _shaft(self, time_s: float, head_m: float) -> Array | None:
         frame, length = self._frame(time_s), self.length(time_s)
@@ -162,7 +168,7 @@ class Trail:
 
     def until(self, time_s: float) -> Array:
         """What is seen of it at a time, (k, 3)."""
-        times_s, points = self.points.between(time_s - self.window_s, time_s)
+        times_s, points = self.points.between(time_s - self.window_s, time_s, MOST_TRAIL_POINTS)
         seen = points + (time_s - times_s)[:, None] * self.drift
         known: Array = seen[np.isfinite(seen).all(axis=1)]
         return known

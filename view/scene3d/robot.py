@@ -10,8 +10,8 @@ from haptether.slave import UrModel
 from haptether.view.scene3d import colours
 from haptether.view.scene3d.arm import GRIPPER_M, LiveUrPostures, UrPostures, arm_parts
 from haptether.view.scene3d.arms import Arms
-from haptether.view.scene3d.chain import chain_parts
-from haptether.view.scene3d.extent import Extent, angles_of, axes_of, chain_of, is_joints, points_of
+from haptether.view.scene3d.chain import CHAIN_ABOVE, ChainEnd
+from haptether.view.scene3d.extent import Extent, axes_of, chain_of, is_joints, points_of
 from haptether.view.scene3d.hand import dials, drift, floor, has_force, rail
 from haptether.view.scene3d.history import History
 from haptether.view.scene3d.mesh import Mesh, box, capsule, cylinder, joined, placed, sphere
@@ -46,7 +46,13 @@ class RobotEnd:
         if is_joints(signals, scene):
             chain = chain_of(signals, name, arms.slave)
             if chain is not None:
-                self.parts = chain_parts("robot", chain, Course(signals, name, angles_of))
+                end = ChainEnd(
+                    "robot", chain, signals, place=name, command="slave_command", torque="environment_force",
+                    colour=colours.ENVIRONMENT_FORCE,
+                    metres_per_newton_metre=extent.metres_per_newton_metre,
+                )  # fmt: skip
+                self.parts, self.arrows, self.trails = end.parts, end.arrows, end.trails
+                self.above = CHAIN_ABOVE
                 return
             self.parts = dials("robot", signals, name, extent.size)
             self.notes.append("angles only: a scene says no geometry of joints, --arm and --leader name one")
@@ -88,6 +94,10 @@ class RobotEnd:
         self.parts.extend(arm_parts(postures))
         if postures.is_relative:
             self.notes.append("posture of the arm is chosen: the tool is recorded from where it began")
+        elif self._jaws:
+            self.notes.append(
+                "the tool point is taken to be between the jaws: a recording does not say the controller's own"
+            )
         if postures.unreached:
             self.notes.append(f"{postures.unreached} poses that the arm cannot reach: it is drawn where it was")
 
@@ -300,7 +310,7 @@ class RobotEnd:
                     tail=lambda time_s, above=above: (  # type: ignore[misc]
                         np.full(3, np.nan) if (at := self._tool(time_s)) is None else at[:3, 3] + above
                     ),
-                    vector=Course(signals, name, points_of),
+                    vector=Course(signals, name, points_of).at,
                     heads=2 if heads == 2 else 1,
                 )
             )

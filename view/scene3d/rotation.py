@@ -1,5 +1,7 @@
 """Rigid transforms, (4, 4), as what is placed needs them."""
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -30,11 +32,12 @@ def transform(position: Array, rotation: Array | None = None) -> Array:
 
 def rotation_to(direction: Array) -> Array:
     """A rotation whose z axis points along a vector of any length but 0."""
-    z = np.asarray(direction, dtype=np.float64) / np.linalg.norm(direction)
-    other = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    x = np.cross(other, z)
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z])
+    a, b, c = np.asarray(direction, dtype=np.float64) / np.linalg.norm(direction)
+    # x across z and whichever of e_x and e_y is further from it; y = z cross x.
+    p, q, r = (0.0, -c, b) if abs(a) < 0.9 else (c, 0.0, -a)
+    length = math.hypot(p, q, r)
+    p, q, r = p / length, q / length, r / length
+    return np.array([[p, b * r - c * q, a], [q, c * p - a * r, b], [r, a * q - b * p, c]])
 
 
 def turn_about(axis: Array, angle: float) -> Array:

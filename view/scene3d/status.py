@@ -16,6 +16,7 @@ from haptether.bridge import (
     Signals,
     ladder_state_name,
 )
+from haptether.view.scene3d.extent import is_joints
 from haptether.view.scene3d.parts import Course
 
 TRIPS = frozenset({"trip"})
@@ -67,11 +68,24 @@ class Status:
     """Whether a controller acts, its hold-off included."""
     gauges: tuple[Gauge, ...]
     speed: float
-    """|V| of the hand's device, in m/s; NaN where it is not recorded."""
+    """|V| of the hand's device, in m/s, or of its fastest joint in rad/s; NaN where it is not recorded."""
     device_force: float
-    """|F_device| in N."""
+    """|F_device| in N, or of the joint that exerts most in N m."""
     environment_force: float
-    """|F_e| in N; NaN without an arm."""
+    """|F_e| in N, or of the joint that bears most in N m; NaN without an arm."""
+    joints: bool
+    """Whether they are of joints."""
+
+    @property
+    def numbers(self) -> tuple[tuple[str, float, str], ...]:
+        """Symbol, value and unit of what is known of them."""
+        force, unit, speed = ("T", "N m", "rad/s") if self.joints else ("F", "N", "m/s")
+        rows = (
+            (f"{force} hand", self.device_force, unit),
+            (f"{force} tool", self.environment_force, unit),
+            ("V", self.speed, speed),
+        )
+        return tuple(row for row in rows if math.isfinite(row[1]))
 
 
 class StatusCourse:
@@ -81,6 +95,8 @@ class StatusCourse:
         self._signals = signals
         self._courses = {name: Course(signals, name) for name in signals if name not in {"time_s", "slave_time_s"}}
         self._events = events
+        self.joints = is_joints(signals, scene)
+        """Whether forces are torques of joints."""
         self.controllers = _controllers(signals, scene)
         self._thresholds = _thresholds(scene)
         self._largest_energy_j = largest(signals, "energy_j") or 1.0
@@ -102,6 +118,7 @@ class StatusCourse:
             speed=self._norm("velocity", time_s),
             device_force=self._norm("device_force", time_s),
             environment_force=self._norm("environment_force", time_s),
+            joints=self.joints,
         )
 
     def _newest(self, time_s: float, kinds: frozenset[str]) -> Event | None:
@@ -137,7 +154,10 @@ class StatusCourse:
         return value if math.isfinite(value) else otherwise
 
     def _norm(self, name: str, time_s: float) -> float:
-        return float(np.linalg.norm(self._courses[name].at(time_s))) if name in self._courses else math.nan
+        if name not in self._courses:
+            return math.nan
+        value = np.atleast_1d(self._courses[name].at(time_s))
+        return float(np.abs(value).max() if self.joints else np.linalg.norm(value))
 
     def _state(self, name: str, time_s: float) -> str:
         return ladder_state_name(int(self._value(name, time_s, 0.0))) if name in self._courses else ""
@@ -150,6 +170,9 @@ def largest(signals: Signals, name: str) -> float:
 
 
 def _controllers(signals: Signals, scene: Scene | None) -> tuple[str, ...]:
+    if "time_s" not in signals:
+        # They are at the hand, of which nothing is known.
+        return ()
     if scene is not None:
         return tuple(name for name in OBSERVED_SIGNALS if name in scene.safety.controllers)
     # A recording without its scene: those whose observer was fed.

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.bridge import Event, Signals, ladder_state_name
-from haptether.view.scene3d.extent import points_of
+from haptether.view.scene3d.extent import is_joints, largest_of, norms_of
 from haptether.view.scene3d.status import spans
 
 MOST_COLUMNS = 1500
@@ -45,7 +45,8 @@ class Timeline:
     """When controllers intervened, hold-off included."""
     force_time_s: npt.NDArray[np.float64]
     force_n: npt.NDArray[np.float64]
-    """|F_device|, or |F_e| where the hand is not known: the largest of each piece of the time line."""
+    """|F_device|, or |F_e| where the hand is not known, of joints the greatest torque: the largest of each piece of the
+    time line."""
 
     def next_trip(self, time_s: float) -> float | None:
         """When the next intervention begins; after the last, the first; none without any."""
@@ -100,7 +101,7 @@ def _force(signals: Signals, time_s: npt.NDArray[np.float64]) -> dict[str, npt.N
     name = next((name for name in names if name in signals), None)
     if name is None:
         return {"force_time_s": np.zeros(0), "force_n": np.zeros(0)}
-    norm = np.linalg.norm(points_of(signals[name]), axis=1)
+    norm = (largest_of if is_joints(signals, None) else norms_of)(signals[name])
     piece = max(1, len(norm) // MOST_COLUMNS)
     whole = len(norm) // piece * piece
     return {

@@ -116,18 +116,19 @@ def _values(state: SideState) -> Table:
         if values is not None:
             # The coordinates of joints are angles.
             shown = unit if _is_linear(state) else unit.replace("m", "rad")
-            table.add_row(f"{label} [{shown}]", _vector(state, name, 4), "")
+            # As text: Rich would take [m] for one of its styles.
+            table.add_row(Text(f"{label} [{shown}]"), _vector(state, name, 4), "")
     for name, label in FORCES.items():
         peak = state.peak(name)
         if state.last(name) is None or (peak == 0.0 and name.startswith(("safety", "grasp"))):
             continue
         unit = "N" if name.endswith("force") and _is_linear(state) else "N m"
-        table.add_row(f"{label} [{unit}]", _vector(state, name, 2), "" if peak is None else f"1 s: {peak:.2f}")
+        table.add_row(Text(f"{label} [{unit}]"), _vector(state, name, 2), "" if peak is None else f"1 s: {peak:.2f}")
     for name, label in (("trigger", "trigger"), ("gripper", "gripper"), ("gripper_force", "gripper force [N]")):
         value = state.last(name)
         if value is not None:
             grips = ", holds something" if name == "gripper" and state.last("holds_object") else ""
-            table.add_row(label, f"{value:.2f}{grips}", "")
+            table.add_row(Text(label), f"{value:.2f}{grips}", "")
     return table
 
 
@@ -175,9 +176,9 @@ def _loop(state: SideState) -> Table:
     for name, label in TIMES.items():
         value, worst = state.last(name), state.peak(name)
         if value is not None and worst is not None:
-            table.add_row(f"{label} [ms]", f"{value * 1e3:.2f}", Text(f"1 s: {worst * 1e3:.2f}", style="dim"))
+            table.add_row(Text(f"{label} [ms]"), f"{value * 1e3:.2f}", Text(f"1 s: {worst * 1e3:.2f}", style="dim"))
     if (loss := state.loss()) is not None:
-        table.add_row("frames lost [%]", f"{loss * 100:.1f}", Text(_counts(state), style="dim"))
+        table.add_row(Text("frames lost [%]"), f"{loss * 100:.1f}", Text(_counts(state), style="dim"))
     if state.last("fault"):
         table.add_row("fault code", str(state.last("fault")), "")
     if state.dropped or state.lost_ticks:

@@ -80,6 +80,7 @@ class Window(ABC):
         plotter = self.picture.plotter
         interactor = plotter.iren.interactor
         plotter.iren.initialize()
+        self.picture.keep_up()
         # Some of VTK's own keys would end the window or draw wires.
         interactor.RemoveObservers("CharEvent")
         plotter.iren.add_observer("KeyPressEvent", lambda *_: self.press(interactor.GetKeySym()))

@@ -1,0 +1,61 @@
+"""How each picture of the documents is made: the command lines that its page gives, or who photographs a screen."""
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from tests.images.panel import photograph_panel
+
+ROOT = Path(__file__).resolve().parents[2]
+LONGEST_S = 900.0
+
+Maker = Callable[[Path], None]
+"""Writes a picture to a path."""
+
+
+def run(*command: str) -> None:
+    """Runs a command that must succeed."""
+    subprocess.run(command, check=True, timeout=LONGEST_S, cwd=ROOT, stdout=subprocess.DEVNULL)
+
+
+def haptether(*arguments: str) -> Maker:
+    """A command whose last option takes the path of the picture."""
+    return lambda path: run(sys.executable, "-m", "haptether", *arguments, str(path))
+
+
+def from_folder(name: str, *command: str) -> Maker:
+    """A command that writes into a folder, of which one file is kept."""
+
+    def make(path: Path) -> None:
+        with TemporaryDirectory() as folder:
+            run(sys.executable, *command, folder)
+            shutil.copyfile(Path(folder) / name, path)
+
+    return make
+
+
+MAKERS: Mapping[str, Maker] = {
+    "console.png": lambda path: run(sys.executable, "-m", "tests.view.console.screenshot", str(path)),
+    "demo.png": from_folder("demo.png", "-m", "haptether", "demo", "--out"),
+    "netsim_lte_driving.png": haptether(
+        "netsim", "sample", "--preset", "lte-driving", "--packets", "20000", "--plot"
+    ),
+    "panel.png": photograph_panel,
+    "paper_controllers.png": from_folder("fig08_to_11_controllers.png", "-m", "haptether", "paper", "--plot"),
+    "run_remote_push.png": haptether("simulate", "remote_push", "--plot"),
+    "sweep_delay.png": haptether(
+        "sweep", "remote_push", "--vary", "link.forward.delay_s=0.01:0.1:10", "--vary", "run.seed=1,2,3,4,5", "--plot"
+    ),
+    "view_push.gif": haptether(
+        "view", "remote_push", "--compare", "safety.controllers=[]", "--title", "with WSC",
+        "--title", "without a controller", "--from-s", "2.5", "--until-s", "3.1", "--speed", "0.2", "--fps", "12",
+        "--size", "880x560", "--movie",
+    ),
+    "view_remote_push.png": haptether("view", "remote_push", "--at-s", "2.745", "--size", "1000x600", "--screenshot"),
+    "view_ur_pick.png": haptether("view", "ur_pick", "--camera", "corner", "--at-s", "4", "--screenshot"),
+    "work_precision.png": from_folder("work_precision.png", "benches/work_precision.py", "--plot"),
+}  # fmt: skip
+"""By the name under docs/images."""
