@@ -15,7 +15,13 @@ def lazy_names(
         if (module := module_of.get(name)) is None:
             message = f"module {package!r} has no attribute {name!r}"
             raise AttributeError(message)
-        value = getattr(import_module(f"{package}.{module}"), name)
+        try:
+            found = import_module(f"{package}.{module}")
+        except AttributeError as error:
+            # Whoever imports the name would be told that it is not there, and not why.
+            message = f"{package}.{module} cannot be loaded: {error}"
+            raise ImportError(message) from error
+        value = getattr(found, name)
         setattr(sys.modules[package], name, value)
         return value
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from tests.images.panel import photograph_panel
+from tests.images.report import photograph_report
 
 ROOT = Path(__file__).resolve().parents[2]
 LONGEST_S = 900.0
@@ -44,7 +45,13 @@ MAKERS: Mapping[str, Maker] = {
         "netsim", "sample", "--preset", "lte-driving", "--packets", "20000", "--plot"
     ),
     "panel.png": photograph_panel,
+    "paper_active_force.png": from_folder("fig12_to_15_active_force.png", "-m", "haptether", "paper", "--plot"),
     "paper_controllers.png": from_folder("fig08_to_11_controllers.png", "-m", "haptether", "paper", "--plot"),
+    "paper_ejection.png": from_folder("fig04_ejection.png", "-m", "haptether", "paper", "--plot"),
+    "paper_mev.png": from_folder("fig05_mev.png", "-m", "haptether", "paper", "--plot"),
+    "paper_observers.png": from_folder("fig06_observers.png", "-m", "haptether", "paper", "--plot"),
+    "paper_window.png": from_folder("table1_window.png", "-m", "haptether", "paper", "--plot"),
+    "report.png": photograph_report,
     "run_remote_push.png": haptether("simulate", "remote_push", "--plot"),
     "sweep_delay.png": haptether(
         "sweep", "remote_push", "--vary", "link.forward.delay_s=0.01:0.1:10", "--vary", "run.seed=1,2,3,4,5", "--plot"

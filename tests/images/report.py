@@ -1,0 +1,16 @@
+"""What a notebook shows of a run, as a picture."""
+
+from pathlib import Path
+
+from tests.view.console.browser import chromium
+
+import haptether
+
+
+def photograph_report(path: Path) -> None:
+    """Writes a PNG of `Run._repr_html_`."""
+    shown = haptether.simulate("remote_push")._repr_html_()
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": 600, "height": 800}, device_scale_factor=1.5)
+        page.set_content(f"<!doctype html><body style='font-family:sans-serif;font-size:13px;margin:0'>{shown}</body>")
+        page.locator("body > div").screenshot(path=path)
