@@ -471,7 +471,7 @@ mod tests {
             assert_eq!(usize::from(reason.code()), index + 1);
             assert!(!Reason::ALL[..index].iter().any(|other| other.text() == reason.text()));
         }
-        assert_eq!((Reason::from_code(0), Reason::from_code(23)), (None, None));
+        assert_eq!((Reason::from_code(0), Reason::from_code(24)), (None, None));
     }
 
     /// The diagram in the documentation is that of the table.
