@@ -587,6 +587,9 @@ class SafetySettings:
         pc_max_damping: Bound in N s/m on the damping of Eq. 12, between 0 and m / (5 dT).
         hold_off_s: Least duration of an intervention in s, 0 to 60.
         release_ramp_s: Time in s over which an intervention fades out, 0 to 60.
+        probe_force_n: A in N of the probe that a hand must answer before an intervention fades, at least 2 c / r_th; 0
+            lets it fade by time alone.
+        probe_threshold: r_th, the share of the probe that a hand holds against at least, above 0 and below 1.
 
     Raises:
         ValueError: No such controller or `vfc_form`.
@@ -613,6 +616,8 @@ class SafetySettings:
         pc_max_damping: float = 10.0,
         hold_off_s: float = 0.0,
         release_ramp_s: float = 0.0,
+        probe_force_n: float = 0.0,
+        probe_threshold: float = 0.2,
     ) -> SafetySettings: ...
     def __eq__(self, other: object, /) -> bool: ...
 

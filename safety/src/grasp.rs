@@ -50,6 +50,11 @@ impl<const N: usize> DeviceModel<N> {
     pub fn lightest_kg(&self) -> f64 {
         self.mass.min()
     }
+
+    /// The largest of the Coulomb frictions in N: a force below it moves nothing.
+    pub fn largest_coulomb(&self) -> f64 {
+        self.coulomb.max()
+    }
 }
 
 impl<const N: usize, S: Real> DeviceModel<N, S> {

@@ -4,6 +4,7 @@ use nalgebra::UnitQuaternion;
 
 use crate::{
     Axes, Fault, LayerSettings, ParameterError, SafetyLayer, SafetyTick,
+    controller::Judged,
     rotation::{RotationLayer, RotationSettings, check, in_base},
 };
 
@@ -102,9 +103,12 @@ impl<const N: usize> WrenchLayer<N> {
             let of_force = translation.controller().judge(&moves.seen);
             let of_torque = rotation.controller().judge(&turns.seen);
             let is_unsafe = of_force.is_unsafe() | of_torque.is_unsafe();
-            let response = translation.controller().answer(&moves.seen, authority, &of_force, is_unsafe);
+            let by_force = translation.controller().feel(&moves.seen, authority, is_unsafe);
+            let by_torque = rotation.controller().feel(&turns.seen, authority, is_unsafe);
+            let judged = Judged { is_unsafe, felt: either(by_force, by_torque) };
+            let response = translation.controller().answer(&moves.seen, authority, &of_force, judged);
             let translation = translation.bound(&moves, response);
-            let response = rotation.controller().answer(&turns.seen, authority, &of_torque, is_unsafe);
+            let response = rotation.controller().answer(&turns.seen, authority, &of_torque, judged);
             (translation, rotation.bound(&turns, response))
         } else {
             (translation.decide(&moves, authority), rotation.decide(&turns, authority))
@@ -124,8 +128,11 @@ impl<const N: usize> WrenchLayer<N> {
         if self.shares_trips {
             let (of_force, of_torque) = (translation.judge(&moves), rotation.judge(&turns));
             let is_unsafe = of_force.is_unsafe() | of_torque.is_unsafe();
-            translation.answer(&moves, 1.0, &of_force, is_unsafe);
-            rotation.answer(&turns, 1.0, &of_torque, is_unsafe);
+            let felt =
+                either(translation.feel(&moves, 1.0, is_unsafe), rotation.feel(&turns, 1.0, is_unsafe));
+            let judged = Judged { is_unsafe, felt };
+            translation.answer(&moves, 1.0, &of_force, judged);
+            rotation.answer(&turns, 1.0, &of_torque, judged);
         } else {
             translation.respond(&moves, 1.0);
             rotation.respond(&turns, 1.0);
@@ -154,6 +161,14 @@ impl<const N: usize> WrenchLayer<N> {
         check(orientation)?;
         self.translation.reset(position)?;
         self.rotation.reset(orientation)
+    }
+}
+
+/// Whether either probe has felt the hand; where only one is there, that one decides.
+fn either(of_force: Option<bool>, of_torque: Option<bool>) -> Option<bool> {
+    match (of_force, of_torque) {
+        (Some(force), Some(torque)) => Some(force | torque),
+        (one, other) => one.or(other),
     }
 }
 

@@ -37,6 +37,8 @@ fn table() -> Value {
         "pc_max_damping": 10.0,
         "hold_off_s": 0.0,
         "release_ramp_s": 0.1,
+        "probe_force_n": 0.5,
+        "probe_threshold": 0.2,
         "estimator": {"kind": "adaptive-window", "noise_bound_m": 1e-4, "max_window": 16, "fit": "best"},
         "limiter": {"max_force_n": 3.0, "max_slew_n_per_s": 1e3, "max_power_w": 20.0, "ramp_in_s": 0.2},
     })
@@ -49,6 +51,7 @@ fn a_table_becomes_settings() {
         controllers: [ControllerKind::Hsc, ControllerKind::Pc].into(),
         vfc_form: VelocityForceForm::Both,
         release_ramp_s: 0.1,
+        probe_force_n: 0.5,
         ..SafetySettings::default()
     };
     let estimator = EstimatorKind::AdaptiveWindow { noise_bound_m: 1e-4, max_window: 16, fit: Fit::Best };

@@ -359,6 +359,10 @@ class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """Least duration of an intervention in s, 0 to 60."""
     release_ramp_s: Hold = 0.0
     """Time in s over which an intervention fades out, 0 to 60."""
+    probe_force_n: NonNegative = 0.0
+    """A in N of the probe that a hand must answer before an intervention fades; 0 lets it fade by time alone."""
+    probe_threshold: Annotated[float, Meta(gt=0.0, lt=1.0)] = 0.2
+    """r_th: the share of the probe that a hand holds against, at least."""
     limiter: LimiterTable = LimiterTable()
     """Bounds on the device force."""
     ladder: LadderTable | None = None

@@ -177,6 +177,9 @@ impl<const N: usize> MasterEndpoint<N> {
             trigger = self.trigger.as_mut().map(|trigger| trigger.fail(fault));
         } else {
             self.report(reading, &safety, rotation.as_ref(), missed);
+            if safety.intervention.withheld || rotation.is_some_and(|tick| tick.intervention.withheld) {
+                self.exchange.ladder.withhold(now_ns);
+            }
         }
         let mut observed = [Observed::NOTHING; LAYERS.len()];
         observed[TRANSLATION] = Observed::of(&safety.intervention);

@@ -199,6 +199,11 @@ impl Ladder {
         self.gain = 0.0;
     }
 
+    /// No hand has answered the probe after a trip: a person must say that there is one.
+    pub fn withhold(&mut self, now_ns: u64) {
+        self.apply(now_ns, Reason::HandGone);
+    }
+
     /// The operator at this side says that the fault is mended. The clutch must then be released and pressed.
     pub fn acknowledge(&mut self, now_ns: u64) {
         self.apply(now_ns, Reason::Acknowledged);

@@ -5,8 +5,8 @@ use std::fmt::Write as _;
 use LadderState::{Aligning, Disengaged, Engaged, Fault, Hold, Stale, Stop};
 use Reason::{
     Acknowledged, AlignTimedOut, BadNumber, BothAligned, ClutchPressed, ClutchReleased, FramesBack,
-    FramesLate, MasterStartedAnew, NewsOld, OwnDelay, PeerDeaf, PeerDisengaged, PeerEnded, PeerFaulted,
-    PeerHolds, PeerRestarted, PeerSilent, PeerStopped, SilentTooLong, TurnCut, TurnRefused,
+    FramesLate, HandGone, MasterStartedAnew, NewsOld, OwnDelay, PeerDeaf, PeerDisengaged, PeerEnded,
+    PeerFaulted, PeerHolds, PeerRestarted, PeerSilent, PeerStopped, SilentTooLong, TurnCut, TurnRefused,
 };
 
 /// Where an endpoint stands, in increasing order of what has gone wrong.
@@ -124,11 +124,13 @@ pub enum Reason {
     TurnRefused,
     /// While the slave turned to the master, the two ceased to hear one another, or the master to wait for it.
     TurnCut,
+    /// After a trip no hand has answered the probe, in all its tries.
+    HandGone,
 }
 
 impl Reason {
     /// All reasons in the order of their codes.
-    pub const ALL: [Self; 22] = [
+    pub const ALL: [Self; 23] = [
         BadNumber,
         OwnDelay,
         PeerRestarted,
@@ -151,6 +153,7 @@ impl Reason {
         PeerDisengaged,
         TurnRefused,
         TurnCut,
+        HandGone,
     ];
 
     /// Its number in records, from 1; 0 stands for none.
@@ -188,6 +191,7 @@ impl Reason {
             PeerDisengaged => "peer is disengaged",
             TurnRefused => "arm is turned too far from the master",
             TurnCut => "arm's turn to the master was cut off",
+            HandGone => "no hand was felt on the device after a push",
         }
     }
 }
@@ -236,6 +240,7 @@ pub const TABLE: &[Row] = &[
     row(Aligning, BothAligned, Engaged),
     row(Engaged, BadNumber, Fault),
     row(Engaged, OwnDelay, Hold),
+    row(Engaged, HandGone, Hold),
     row(Engaged, PeerRestarted, Hold),
     row(Engaged, PeerFaulted, Hold),
     row(Engaged, PeerEnded, Disengaged),
@@ -249,6 +254,7 @@ pub const TABLE: &[Row] = &[
     row(Engaged, FramesLate, Stale),
     row(Stale, BadNumber, Fault),
     row(Stale, OwnDelay, Hold),
+    row(Stale, HandGone, Hold),
     row(Stale, PeerRestarted, Hold),
     row(Stale, PeerFaulted, Hold),
     row(Stale, PeerEnded, Disengaged),
@@ -336,7 +342,7 @@ mod tests {
         [OwnDelay, PeerRestarted, PeerFaulted, PeerEnded, SilentTooLong, AlignTimedOut, TurnRefused, TurnCut];
 
     fn all_facts() -> impl Iterator<Item = Facts> {
-        (0..1_u32 << 22).map(|bits| Facts(bits << 1))
+        (0..1_u32 << 23).map(|bits| Facts(bits << 1))
     }
 
     #[test]
@@ -356,7 +362,7 @@ mod tests {
         }
     }
 
-    /// Every state under every set of reasons: 7 times 4194304 cases.
+    /// Every state under every set of reasons: 7 times 8388608 cases.
     #[test]
     fn every_state_under_all_that_can_be_the_case_at_once() {
         for state in LadderState::ALL {
@@ -364,7 +370,7 @@ mod tests {
                 let Some(row) = next(state, facts) else {
                     // What must never be ignored.
                     assert!(!facts.has(BadNumber) || state == Fault, "{state:?} {facts:?}");
-                    let worse = [OwnDelay, PeerSilent, PeerRestarted, NewsOld, PeerDisengaged];
+                    let worse = [OwnDelay, HandGone, PeerSilent, PeerRestarted, NewsOld, PeerDisengaged];
                     assert!(!state.is_coupled() || !worse.iter().any(|reason| facts.has(*reason)));
                     assert!(state != Aligning || !ENDS.iter().any(|reason| facts.has(*reason)));
                     continue;
@@ -402,6 +408,7 @@ mod tests {
         let coupled: &[(Reason, LadderState)] = &[
             (BadNumber, Fault),
             (OwnDelay, Hold),
+            (HandGone, Hold),
             (PeerRestarted, Hold),
             (PeerSilent, Hold),
             (PeerDeaf, Hold),
@@ -464,7 +471,7 @@ mod tests {
             assert_eq!(usize::from(reason.code()), index + 1);
             assert!(!Reason::ALL[..index].iter().any(|other| other.text() == reason.text()));
         }
-        assert_eq!((Reason::from_code(0), Reason::from_code(23)), (None, None));
+        assert_eq!((Reason::from_code(0), Reason::from_code(24)), (None, None));
     }
 
     /// The diagram in the documentation is that of the table.

@@ -6,8 +6,9 @@ use crate::{
     Axes, DeviceModel, Fault, Observation, ParameterError, Real,
     controller::{
         Built, ControllerKind, Controllers, PerController, Tripped, Verdicts, cancel_and_damp, dampable,
+        probe::{GraspProbe, GraspProbes, Intervening},
     },
-    lanes::{nowhere, pack},
+    lanes::{nowhere, option, pack},
     observer::VelocityForceForm,
     parameter::{in_range, positive},
 };
@@ -46,6 +47,10 @@ pub struct SafetySettings {
     pub hold_off_s: f64,
     /// Time in s over which an intervention fades out; 0 returns the rendered force as a step.
     pub release_ramp_s: f64,
+    /// A in N of the probe that a hand must answer before an intervention fades; 0 lets it fade by time alone.
+    pub probe_force_n: f64,
+    /// `r_th`: share of the probe that a hand holds against, at least.
+    pub probe_threshold: f64,
 }
 
 impl SafetySettings {
@@ -60,6 +65,7 @@ impl SafetySettings {
             grasp_floor_n: self.grasp_floor_n * lever_m,
             hsc_force_threshold_n: self.hsc_force_threshold_n * lever_m,
             pc_max_damping: self.pc_max_damping * lever_m * lever_m,
+            probe_force_n: self.probe_force_n * lever_m,
             ..self
         }
     }
@@ -76,13 +82,14 @@ impl SafetySettings {
             hsc_force_threshold_n: self.hsc_force_threshold_n * force,
             energy_threshold_j: self.energy_threshold_j * force * way,
             pc_max_damping: self.pc_max_damping * force / way,
+            probe_force_n: self.probe_force_n * force,
             ..self
         }
     }
 }
 
 impl Default for SafetySettings {
-    /// The paper's thresholds (section 4), no controller, no hold-off, no ramp.
+    /// The paper's thresholds (section 4), no controller, no hold-off, no ramp, no probe.
     fn default() -> Self {
         Self {
             controllers: Controllers::NONE,
@@ -99,6 +106,8 @@ impl Default for SafetySettings {
             pc_max_damping: 10.0,
             hold_off_s: 0.0,
             release_ramp_s: 0.0,
+            probe_force_n: 0.0,
+            probe_threshold: 0.2,
         }
     }
 }
@@ -108,6 +117,8 @@ impl Default for SafetySettings {
 /// While one of VFC, HSC, WSC trips, `F_c = -F_v - mu V`. It stays so for at least the hold-off, then fades over
 /// the release ramp: `F_c = g (-F_v - mu V)` with `g = 1 - s²`, s from 0 to 1. A new trip sets g to 1 at once. PC adds
 /// its own force in the share 1 - g that the intervention leaves.
+///
+/// With a probe ([`SafetySettings::probe_force_n`]) it fades only once a hand was felt; until then g = 1.
 ///
 /// Source: paper Eq. 2, 12, 13, 14.
 #[derive(Clone, Debug, PartialEq)]
@@ -122,6 +133,8 @@ pub struct SafetyController<const N: usize, S = f64> {
     fading_for: S,
     /// Share of `F_v` that the last tick let through.
     let_through: S,
+    /// Only where a hand must be felt before an intervention fades.
+    probe: Option<GraspProbes<N, S>>,
 }
 
 impl<const N: usize> SafetyController<N> {
@@ -151,6 +164,7 @@ impl<const N: usize> SafetyController<N> {
             on_for: 0.0,
             fading_for: 0.0,
             let_through: 1.0,
+            probe: GraspProbe::new(device, period_s, settings)?.filter(|_| damps).map(GraspProbes::one),
         })
     }
 
@@ -185,6 +199,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
             on_for: pack(of, |one| one.on_for)?,
             fading_for: pack(of, |one| one.fading_for)?,
             let_through: pack(of, |one| one.let_through)?,
+            probe: option(of, |one| one.probe.clone(), GraspProbes::gather)?,
         })
     }
 
@@ -193,7 +208,8 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     pub fn respond(&mut self, seen: &Observation<N, S>, authority: S) -> Response<N, S> {
         let verdicts = self.judge(seen);
         let is_unsafe = verdicts.is_unsafe();
-        self.answer(seen, authority, &verdicts, is_unsafe)
+        let felt = self.feel(seen, authority, is_unsafe);
+        self.answer(seen, authority, &verdicts, Judged { is_unsafe, felt })
     }
 
     /// What each controller makes of this tick. An [`answer`](Self::answer) must follow.
@@ -203,18 +219,36 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         self.controllers.step(seen, felt_share)
     }
 
-    /// `F_c` for verdicts, where the tick is taken to be unsafe: where they say so, or also those of another device that
-    /// the same hand holds.
+    /// Where a hand has answered the probe, so that an intervention may fade; None without a probe. An
+    /// [`answer`](Self::answer) must follow.
+    #[inline(always)]
+    pub(crate) fn feel(
+        &mut self,
+        seen: &Observation<N, S>,
+        authority: S,
+        is_unsafe: S::SimdBool,
+    ) -> Option<S::SimdBool> {
+        let probe = self.probe.as_mut()?;
+        let may_end = self.on_for.simd_ge(self.hold_off_ticks);
+        Some(probe.step(seen, |lane| Intervening {
+            is_on: self.on_for.extract(lane) > 0.0,
+            may_end: may_end.bitmask() >> lane & 1 == 1,
+            is_unsafe: is_unsafe.bitmask() >> lane & 1 == 1,
+            authority: authority.extract(lane),
+        }))
+    }
+
+    /// `F_c` for verdicts and what is made of them: by this device alone, or also by another that the same hand holds.
     #[inline(always)]
     pub(crate) fn answer(
         &mut self,
         seen: &Observation<N, S>,
         authority: S,
         verdicts: &Verdicts<N, S>,
-        is_unsafe: S::SimdBool,
+        judged: Judged<S>,
     ) -> Response<N, S> {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
-        let gain = self.gain(is_unsafe);
+        let gain = self.gain(judged);
         self.let_through = all - gain;
         let is_on = gain.simd_gt(nothing);
         let safety_force = is_on.if_else(
@@ -222,11 +256,13 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
             Axes::zeros, // not -0.0: records stay clean
         );
         let held = is_on & !verdicts.is_unsafe();
+        let probe_force = self.probe.as_ref().map(|probe| probe.force * authority);
         let mut response = Response {
-            safety_force,
+            safety_force: probe_force.map_or(safety_force, |force| safety_force + force),
             acts: is_on,
             tripped: verdicts.tripped(),
             held,
+            withheld: self.probe.as_ref().map_or_else(nowhere::<S>, GraspProbes::withheld),
             observed: verdicts.observed(),
         };
         verdicts.add_forces(&self.controllers, gain, authority, &mut response);
@@ -238,19 +274,23 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     /// While an intervention cancels `F_v`, a hand has nothing to hold against: against all of `F_v`, `S_h` would stay
     /// large for ever and the hand that has come back would never get its force again. So the force comes back over
     /// the ramp, and `S_h` compares the hand with the share that is rendered: one that holds ends the intervention, one
-    /// that is gone trips it anew as soon as that share exceeds `F_t`. Without a ramp, Eq. 14 stands as printed.
+    /// that is gone trips it anew as soon as that share exceeds `F_t`. Without a ramp or a probe, Eq. 14 stands as printed.
     #[inline(always)]
     fn felt_share(&self) -> S {
         let nothing = S::splat(0.0);
-        let fades = self.ramp_ticks.simd_gt(nothing) & self.on_for.simd_gt(nothing);
+        let is_on = self.on_for.simd_gt(nothing);
+        let fades = if self.probe.is_some() { is_on } else { is_on & self.ramp_ticks.simd_gt(nothing) };
         self.let_through.select(fades, S::splat(1.0))
     }
 
     /// Share of the intervention that is on at this tick.
     #[inline(always)]
-    fn gain(&mut self, is_unsafe: S::SimdBool) -> S {
+    fn gain(&mut self, judged: Judged<S>) -> S {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
         let Self { on_for, fading_for, hold_off_ticks, ramp_ticks, .. } = *self;
+        let Judged { is_unsafe, felt } = judged;
+        let stays = on_for.simd_lt(hold_off_ticks);
+        let stays = felt.map_or(stays, |felt| stays | !felt);
         // For one scenario it is but one of the branches below.
         if S::LANES > 1 && (is_unsafe | on_for.simd_gt(nothing)).none() {
             return nothing;
@@ -262,7 +302,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
                 Vector3::new(all, begun + all, nothing)
             },
             (|| on_for.simd_eq(nothing), || off),
-            (|| on_for.simd_lt(hold_off_ticks), || Vector3::new(all, on_for + all, fading_for)),
+            (|| stays, || Vector3::new(all, on_for + all, fading_for)),
             || {
                 let fading_for = fading_for + all;
                 // Slowly at first: a hand needs some 50 ms to take up a load, and one that is still taking it up
@@ -284,7 +324,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     /// Whether a controller reads the grasp force.
     #[inline(always)]
     pub fn needs_grasp_force(&self) -> bool {
-        self.controllers.reads_grasp_force()
+        self.controllers.reads_grasp_force() || self.probe.is_some()
     }
 
     /// Energy in J that PC requested (`E_so` of the tick) and the force `delivered` beyond `F_v` did not dissipate; 0
@@ -302,8 +342,20 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     /// Clears all energy and ends any intervention.
     pub fn reset(&mut self) {
         self.controllers.reset();
+        if let Some(probe) = &mut self.probe {
+            probe.reset();
+        }
         (self.on_for, self.fading_for, self.let_through) = (S::splat(0.0), S::splat(0.0), S::splat(1.0));
     }
+}
+
+/// What is made of the verdicts of one hand.
+#[derive(Clone, Copy)]
+pub(crate) struct Judged<S: Real> {
+    /// Where the tick is unsafe.
+    pub(crate) is_unsafe: S::SimdBool,
+    /// Where a hand was felt, so that an intervention may fade; None where none needs to be.
+    pub(crate) felt: Option<S::SimdBool>,
 }
 
 /// What the safety controllers add at one tick, and what they saw.
@@ -313,6 +365,8 @@ pub struct Intervention<const N: usize> {
     pub safety_force: Axes<N>,
     /// Who tripped.
     pub tripped: Tripped,
+    /// No hand has answered the probe in all tries: there is no force until a reset.
+    pub withheld: bool,
     /// `S_vf`, `S_h`, `E_wso` and `E_so` in J; NaN where the controller is not built.
     pub observed: PerController<f64>,
 }
@@ -323,6 +377,7 @@ impl<const N: usize> Intervention<N> {
         Self {
             safety_force: Axes::zeros(),
             tripped: Tripped::NONE,
+            withheld: false,
             observed: PerController::repeat(f64::NAN),
         }
     }
@@ -340,6 +395,8 @@ pub struct Response<const N: usize, S: Real = f64> {
     /// Where no controller does now, but the minimum time on or the release ramp has not ended, or the intervention is
     /// that of another device of the same hand.
     pub held: S::SimdBool,
+    /// Where no hand has answered the probe in all tries: there is no force until a reset.
+    pub withheld: S::SimdBool,
     /// The observers' values; NaN where the controller is not built.
     pub observed: PerController<S>,
 }
@@ -358,6 +415,7 @@ impl<const N: usize, S: Real> Response<N, S> {
         Intervention {
             safety_force: self.safety_force.extract(lane),
             tripped,
+            withheld: is_set(self.withheld),
             observed: PerController(self.observed.0.map(|value| value.extract(lane))),
         }
     }
@@ -623,6 +681,7 @@ mod tests {
                 acts: only(0),
                 tripped: PerController([0, 1, 2, 3].map(only)),
                 held: only(0),
+                withheld: only(1),
                 observed: PerController([10.0, 20.0, 30.0, 40.0].map(number)),
             };
             let own = response.lane(lane);
@@ -632,7 +691,8 @@ mod tests {
                 (2, Tripped::of(ControllerKind::Wsc)),
                 (3, Tripped::of(ControllerKind::Pc)),
             ] {
-                assert_eq!(response.lane((lane + place) % 4).tripped, one);
+                let other = response.lane((lane + place) % 4);
+                assert_eq!((other.tripped, other.withheld), (one, place == 1));
             }
             let place = lane as f64;
             assert_eq!(own.safety_force[0], 1.0 + place);

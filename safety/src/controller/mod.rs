@@ -7,10 +7,12 @@
 mod combined;
 mod hand_grasp;
 mod passivity;
+mod probe;
 mod registry;
 mod velocity_force;
 mod windowed;
 
+pub(crate) use combined::Judged;
 pub use combined::{Intervention, Response, SafetyController, SafetySettings};
 pub use registry::{Controllers, PerController, Tripped};
 

@@ -57,6 +57,8 @@ pub(crate) fn trigger_feedback<const N: usize>(
         hsc_force_threshold_n: watched.hsc_force_threshold_n.unwrap_or(scaled.hsc_force_threshold_n),
         energy_threshold_j: watched.energy_threshold_j.unwrap_or(scaled.energy_threshold_j),
         pc_max_damping: watched.pc_max_damping.unwrap_or(scaled.pc_max_damping.min(most)),
+        // A finger that has left its trigger is no stylus that flies: its force comes back by time.
+        probe_force_n: 0.0,
         ..scaled
     };
     let quantum = (own.encoder_quantum > 0.0).then_some(own.encoder_quantum);

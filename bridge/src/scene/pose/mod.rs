@@ -102,6 +102,9 @@ pub(super) fn master_rotation<const N: usize>(
         pc_max_damping: own.pc_max_damping.unwrap_or(at_lever.pc_max_damping.min(most)),
         ..at_lever
     };
+    // A probe that friction of the handle hides decides nothing; that of the force then decides for both.
+    let decides = safety.probe_force_n * safety.probe_threshold >= 2.0 * parameters.coulomb;
+    let safety = SafetySettings { probe_force_n: if decides { safety.probe_force_n } else { 0.0 }, ..safety };
     let bounds = limiter(&scene.safety).at_lever(own.lever_m);
     let max_torque_n_m = own.max_torque_n_m.or(parameters.max_torque_n_m).unwrap_or(bounds.max_force_n);
     let limiter = LimiterSettings {

@@ -1,0 +1,243 @@
+//! After a trip the force comes back to a hand and to nothing else: trials over devices, models that are wrong, and hands.
+#![allow(clippy::unwrap_used)] // a test may
+
+use haptether_safety::{
+    Axes, DeviceModel, LayerSettings, LimiterSettings, SafetyLayer,
+    controller::{ControllerKind, SafetySettings, Tripped},
+    estimator::EstimatorKind,
+};
+
+const PERIOD_S: f64 = 1e-3;
+const QUANTUM_M: f64 = 2.3e-5;
+const SUBSTEPS: u32 = 4;
+const RELEASED_AT: u32 = 400;
+const PROBE_N: f64 = 0.6;
+const DAMPING: f64 = 5.0;
+const WSC: Tripped = Tripped::of(ControllerKind::Wsc);
+
+/// `SplitMix64`, in [low, high).
+struct Draws(u64);
+
+impl Draws {
+    fn within(&mut self, low: f64, high: f64) -> f64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+}
+
+/// What the device meets after the release.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Class {
+    Free,
+    /// A stop 15 to 40 mm away, in the direction of the push.
+    Stop,
+    Light,
+    Firm,
+    /// A firm hand whose target drifts.
+    Moving,
+}
+
+impl Class {
+    fn hand(self, draws: &mut Draws) -> Option<Held> {
+        match self {
+            Self::Free | Self::Stop => None,
+            Self::Light => Some(Held {
+                stiffness: draws.within(50.0, 150.0),
+                damping: draws.within(1.0, 4.0),
+                mass_kg: draws.within(0.05, 0.5),
+                drift: 0.0,
+            }),
+            Self::Firm | Self::Moving => Some(Held {
+                stiffness: draws.within(250.0, 600.0),
+                damping: draws.within(5.0, 20.0),
+                mass_kg: draws.within(0.05, 0.5),
+                drift: if self == Self::Moving { draws.within(0.0, 0.1) } else { 0.0 },
+            }),
+        }
+    }
+}
+
+/// A hand: an impedance towards its target, with a mass of its own.
+struct Held {
+    stiffness: f64,
+    damping: f64,
+    mass_kg: f64,
+    drift: f64,
+}
+
+struct Outcome {
+    /// From the first trip to the end of the intervention, if it ended, in s.
+    back_after_s: Option<f64>,
+    /// Largest speed in m/s after the first 50 ms of the intervention.
+    later_speed: f64,
+    /// From where the device was 50 ms after the trip, in m.
+    displacement: f64,
+    /// What gravity that is left over does to a free device in that time, in m.
+    drift: f64,
+    withheld: bool,
+}
+
+/// A push of `N` axes on a hand that lets go, or is surprised and comes back at once.
+fn trial<const N: usize>(class: Class, seed: u64, ticks: u32) -> Outcome {
+    let mut draws = Draws(seed);
+    let model = DeviceModel::<N>::phantom_desktop();
+    let mass_kg = 0.157 / (1.0 + draws.within(-0.2, 0.2));
+    let coulomb = 0.038 * draws.within(0.5, 2.0);
+    let push_n = draws.within(2.0, 7.9);
+    let along = Axes::<N>::from_fn(|_, _| draws.within(-1.0, 1.0)).normalize();
+    let gravity = Axes::<N>::from_fn(|_, _| draws.within(-0.05, 0.05)) / (N as f64).sqrt();
+    let stop_m = draws.within(0.015, 0.04);
+    let held = class.hand(&mut draws);
+    // What yields takes energy, and more than delta of it trips WSC again, whatever ends an intervention: F^2 / 2 K is half
+    // of it here.
+    let push_n = held.as_ref().map_or(push_n, |hand| push_n.min((0.03 * hand.stiffness).sqrt()));
+    let drift = Axes::<N>::from_fn(|_, _| draws.within(-1.0, 1.0)).normalize();
+    let (tremor, tremor_hz) = (draws.within(2e-5, 2e-4), draws.within(8.0, 12.0));
+    let mut layer = SafetyLayer::<N>::new(&LayerSettings {
+        device: model,
+        period_s: PERIOD_S,
+        estimator: EstimatorKind::default(),
+        safety: SafetySettings {
+            controllers: [ControllerKind::Wsc].into(),
+            hold_off_s: 0.1,
+            release_ramp_s: 0.2,
+            probe_force_n: PROBE_N,
+            ..SafetySettings::default()
+        },
+        limiter: LimiterSettings { ramp_in_s: 0.3, ..LimiterSettings::default() },
+    })
+    .unwrap();
+    let (mut x, mut v) = (Axes::<N>::zeros(), Axes::<N>::zeros());
+    let mut target = Axes::<N>::zeros();
+    let (mut tripped_at, mut back_at, mut later_speed, mut withheld) = (None, None, 0.0_f64, false);
+    let (mut origin, mut displacement, mut caught) = (Axes::<N>::zeros(), 0.0_f64, false);
+    for tick in 0..RELEASED_AT + ticks {
+        let time_s = f64::from(tick) * PERIOD_S;
+        let sample = x.map(|at| (at / QUANTUM_M).round() * QUANTUM_M);
+        let step = layer.tick(&sample, None, &(along * push_n));
+        let intervention = step.intervention;
+        match tripped_at {
+            None if tick >= RELEASED_AT && intervention.tripped.contains(WSC) => tripped_at = Some(tick),
+            Some(at) if !intervention.tripped.any() => {
+                back_at.get_or_insert(f64::from(tick - at) * PERIOD_S);
+            }
+            Some(at) if tick == at + 50 => origin = x,
+            Some(at) if tick > at + 50 => {
+                later_speed = later_speed.max(v.norm());
+                displacement = displacement.max((x - origin).norm());
+            }
+            _ => {}
+        }
+        withheld |= intervention.withheld;
+        // The hand takes hold again as it feels the jerk of the trip, 50 ms later.
+        let gone = tick >= RELEASED_AT && tripped_at.is_none_or(|at| tick < at + 50);
+        let hand = held.as_ref().filter(|_| !gone);
+        if hand.is_some() && tick >= RELEASED_AT && !caught {
+            (target, caught) = (x, true);
+        }
+        let still = (Axes::<N>::zeros(), 0.0, 3000.0, 60.0);
+        for _ in 0..SUBSTEPS {
+            let dt = PERIOD_S / f64::from(SUBSTEPS);
+            let (moves, hand_kg, stiffness, damping) = match hand {
+                Some(hand) if caught => (drift * hand.drift, hand.mass_kg, hand.stiffness, hand.damping),
+                _ => still,
+            };
+            target += moves * dt;
+            let mut force = step.device_force + gravity;
+            let holds = tick < RELEASED_AT || hand.is_some();
+            if holds {
+                let trembles = drift * (tremor * (std::f64::consts::TAU * tremor_hz * time_s).sin());
+                force += (target + trembles - x) * stiffness + (moves - v) * damping;
+            }
+            let depth = x.dot(&along) - stop_m;
+            if class == Class::Stop && depth > 0.0 {
+                let normal = (3000.0 * depth + 5.0 * v.dot(&along)).max(0.0);
+                force -= along * normal;
+            }
+            let total_kg = mass_kg + if holds { hand_kg } else { 0.0 };
+            let speed = v.norm();
+            v += force * (dt / total_kg);
+            let slowed = (v.norm() - coulomb / total_kg * dt).max(0.0);
+            v = if speed > 0.0 || slowed > 0.0 {
+                v.try_normalize(0.0).map_or_else(Axes::zeros, |direction| direction * slowed)
+            } else {
+                v
+            };
+            x += v * dt;
+        }
+    }
+    assert!(tripped_at.is_some(), "{class:?} {seed}: nothing has tripped");
+    Outcome {
+        back_after_s: back_at,
+        later_speed,
+        displacement,
+        drift: gravity.norm() / DAMPING * f64::from(ticks) * PERIOD_S,
+        withheld,
+    }
+}
+
+/// Wilson's interval at 95 %.
+///
+/// Source: Wilson 1927, "Probable inference, the law of succession, and statistical inference".
+fn interval(hits: u32, trials: u32) -> (f64, f64) {
+    let (n, z) = (f64::from(trials), 1.96_f64);
+    let share = f64::from(hits) / n;
+    let middle = (share + z * z / (2.0 * n)) / (1.0 + z * z / n);
+    let half = z * (share * (1.0 - share) / n + z * z / (4.0 * n * n)).sqrt() / (1.0 + z * z / n);
+    ((middle - half).max(0.0), (middle + half).min(1.0))
+}
+
+/// How many trials of each class; `PROBE_TRIALS` asks for more.
+fn trials() -> u32 {
+    std::env::var("PROBE_TRIALS").ok().and_then(|count| count.parse().ok()).unwrap_or(100)
+}
+
+fn nobody_is_thrown_again<const N: usize>(class: Class) {
+    let (mut again, mut fastest, mut furthest) = (0, 0.0_f64, 0.0_f64);
+    for seed in 0..trials() {
+        let outcome = trial::<N>(class, u64::from(seed), 5000);
+        again += u32::from(outcome.back_after_s.is_some());
+        fastest = fastest.max(outcome.later_speed);
+        furthest = furthest.max(outcome.displacement - outcome.drift);
+        assert!(outcome.withheld || outcome.back_after_s.is_some(), "{class:?} {seed}: it is not given up");
+    }
+    println!(
+        "{class:?}, {N} axes: {again} of {} given force, at most {:.4}; speed {fastest:.3} m/s, way {furthest:.4} m",
+        trials(),
+        interval(again, trials()).1
+    );
+    assert_eq!(again, 0, "{class:?}: force without a hand");
+    // What is left 50 ms after the trip, and the probe, of a model that is wrong.
+    assert!(fastest < 0.14 && furthest < 0.02, "{class:?}: {fastest} m/s, {furthest} m");
+}
+
+#[test]
+fn without_a_hand_nothing_comes_back() {
+    nobody_is_thrown_again::<1>(Class::Free);
+    nobody_is_thrown_again::<3>(Class::Free);
+    nobody_is_thrown_again::<1>(Class::Stop);
+    nobody_is_thrown_again::<3>(Class::Stop);
+}
+
+#[test]
+fn a_hand_has_its_force_again() {
+    for (class, within_ms, share) in [
+        (Class::Light, 600, 0.99),
+        (Class::Firm, 600, 0.99),
+        (Class::Moving, 600, 0.9),
+        (Class::Moving, 2500, 0.95),
+    ] {
+        let within_s = f64::from(within_ms) * PERIOD_S;
+        let mut late = 0;
+        for seed in 0..trials() {
+            let back = trial::<1>(class, u64::from(seed), within_ms + 300).back_after_s;
+            late += u32::from(back.is_none_or(|after_s| after_s > within_s));
+        }
+        let (least, most) = interval(late, trials());
+        println!("{class:?}: {late} of {} not within {within_s} s, {least:.4} to {most:.4}", trials());
+        assert!(least <= 1.0 - share, "{class:?}: {late} late");
+    }
+}
