@@ -31,7 +31,7 @@ from haptether.bridge.scene.tables.ranges import (
 )
 from haptether.bridge.scene.tables.slave import EnvironmentTable, SlaveTable
 from haptether.netsim import LinkSettings
-from haptether.safety import ControllerName
+from haptether.safety import ControllerName, EjectionSettings
 
 
 class RunTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -405,3 +405,14 @@ class Scene(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_
     """Who watches the hand; by default only the bounds of the limiter."""
     record: RecordTable | None = None
     """What is kept of the signals; by default nothing."""
+
+    def ejection_settings(self) -> EjectionSettings:
+        """What `haptether.safety.ejection_bound` takes of it.
+
+        Raises:
+            SceneError: A scene that cannot be built.
+        """
+        # It reads the tables of this file.
+        from haptether.bridge.scene.ejection import settings_of  # noqa: PLC0415
+
+        return settings_of(self)
