@@ -210,9 +210,9 @@ def _assumptions(settings: EjectionSettings) -> tuple[str, ...]:
         else f"the hand moves at up to {settings.hand_speed:g} m/s, evenly, and lets go at once"
     )
     late = "no tick is late" if settings.late_s == 0.0 else f"a tick is late by at most {settings.late_s * 1e3:g} ms"
-    hsc = ("of hsc alone: from the release on the push neither grows nor turns",) if "hsc" in settings.controllers else ()
+    steady = "of hsc alone: from the release on the push neither grows nor turns"
     mass = f"the mass is known to {settings.mass_error * 100:g} %" if settings.mass_error else "the mass is as told"
-    return (hand, mass, late, "no mechanical stop is met", *hsc)
+    return (hand, mass, late, "no mechanical stop is met", *([steady] if "hsc" in settings.controllers else []))
 
 
 class _Model:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from haptether.cli.interrupts import INTERRUPTS
+from haptether.cli.shared.ejection import announce_bound
 
 if TYPE_CHECKING:
     from haptether.bridge import (
@@ -117,6 +118,7 @@ def start_master(
             clutch=clutch,
         )
     spec = scene_json(scene)
+    announce_bound(scene)
     if scene.master.driver is None:
         return stopped.attached(LiveMaster(spec, **arguments))
     # The loop first: without a time of its own the start counts from here, and a driver may take its time to be loaded.
