@@ -8,6 +8,7 @@ from haptether.studies.demo import (
     draw_demo,
     run_demo,
 )
+from haptether.studies.falsify import Falsified, Release, ReleaseBounds, falsify
 from haptether.studies.follow import FOLLOW_CONTROLLERS, FollowResult, FollowScene, draw_follow, run_follow
 from haptether.studies.link_summary import LinkSummary, LinkVerdict, judge_link, summarise_link
 from haptether.studies.operator import Operator
@@ -24,6 +25,7 @@ __all__ = [
     "RAVEN_ATTACKS",
     "ContactLoop",
     "DemoScene",
+    "Falsified",
     "FollowResult",
     "FollowScene",
     "Follower",
@@ -39,10 +41,13 @@ __all__ = [
     "RavenAttack",
     "RavenReport",
     "RavenRow",
+    "Release",
+    "ReleaseBounds",
     "draw_demo",
     "draw_follow",
     "draw_paper",
     "draw_pick",
+    "falsify",
     "judge_link",
     "largest_delay_s",
     "measure_attack",

@@ -46,6 +46,7 @@ from haptether.cli.recording.info import Info
 from haptether.cli.recording.playback import Playback
 from haptether.cli.recording.plot import Plot
 from haptether.cli.recording.replay import Replay
+from haptether.cli.scene.falsify import Falsify
 from haptether.cli.scene.simulate import Simulate
 from haptether.cli.scene.sweep import Sweep
 from haptether.cli.shared.numbers import NUMBERS
@@ -69,6 +70,7 @@ COMMANDS: dict[str, type[Any]] = {
     "raven": Raven,
     "simulate": Simulate,
     "sweep": Sweep,
+    "falsify": Falsify,
     "console": Console,
     "view": View,
     "master": Master,

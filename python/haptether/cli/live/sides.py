@@ -118,11 +118,13 @@ def start_master(
             clutch=clutch,
         )
     spec = scene_json(scene)
-    announce_bound(scene)
     if scene.master.driver is None:
-        return stopped.attached(LiveMaster(spec, **arguments))
+        master = stopped.attached(LiveMaster(spec, **arguments))
+        announce_bound(scene)
+        return master
     # The loop first: without a time of its own the start counts from here, and a driver may take its time to be loaded.
     loop = stopped.attached(MasterLoop(spec, clutch=clutch, **arguments))
+    announce_bound(scene)
     device = load_master(scene.master.driver, scene.master.options)
     _announce(f"[master] driver = {scene.master.driver}", device)
     run = MasterRun(device, loop, period_s=scene.run.period_s)

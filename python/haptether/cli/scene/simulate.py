@@ -1,7 +1,7 @@
 """`haptether simulate`."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -207,8 +207,8 @@ def shown(value: object) -> str:
 
 
 @contextlib.contextmanager
-def spinner(text: str) -> Iterator[None]:
-    """Says on standard error that something goes on, once it takes longer than two seconds."""
+def spinner(text: str) -> Iterator[Callable[[str], None]]:
+    """Says on standard error that something goes on, after two seconds. Yields what changes the text."""
     import threading
 
     from haptether.cli.shared.screen import Screen
@@ -218,7 +218,7 @@ def spinner(text: str) -> Iterator[None]:
     timer.daemon = True
     timer.start()
     try:
-        yield
+        yield status.update
     finally:
         timer.cancel()
         timer.join()
