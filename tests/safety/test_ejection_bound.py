@@ -19,6 +19,7 @@ ESTIMATORS = {
     "savitzky-golay": EstimatorKind.savitzky_golay(degree=2, window=15),
     "low-pass": EstimatorKind.low_pass(cutoff_hz=30.0),
     "backward-difference": EstimatorKind.backward_difference(),
+    "dual-kalman": EstimatorKind.dual_kalman(velocity_jerk_density=1000.0, jerk_density=10.0, quantum_m=2.3e-5),
 }
 PERIODS = (5e-4, 1e-3, 4e-3)
 IDEAL: dict[str, Any] = {"controllers": ("wsc",), "mass_kg": (0.157,), "held_force_n": 0.0}
@@ -157,6 +158,21 @@ def test_a_limit_on_growth_lowers_the_bound() -> None:
     speeds = [speed_of(max_slew_n_per_s=slew) for slew in (100.0, 500.0, 1000.0, 4000.0, 1e9)]
     assert speeds == sorted(speeds)
     assert speeds[0] < 0.8 * speeds[-1]
+
+
+def test_a_quick_estimate_of_v_lowers_the_bound_at_the_same_grasp_force() -> None:
+    one, two = kernel(ESTIMATORS["kalman"], 1e-3), kernel(ESTIMATORS["dual-kalman"], 1e-3)
+    ticks = min(len(one.acceleration), len(two.acceleration))
+    np.testing.assert_array_equal(one.acceleration[:ticks], two.acceleration[:ticks])
+    np.testing.assert_array_equal(one.acceleration_noise[:ticks], two.acceleration_noise[:ticks])
+    scene = load_scene("remote_push")
+    calm, quick = (
+        ejection_bound(override_scene(scene, [f"safety.estimator={{kind={kind}}}"])).speed
+        for kind in ("kalman", "dual-kalman")
+    )
+    assert calm is not None
+    assert quick is not None
+    assert quick < 0.8 * calm
 
 
 # ----------------------------------------------------------------------------------------- which there is, and why not

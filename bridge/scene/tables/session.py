@@ -211,7 +211,18 @@ class Kalman(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_
     """Quantum of the encoder in m; by default the resolution of the device, of an exact one 2.3e-5."""
 
 
-EstimatorTable: TypeAlias = BackwardDifference | LowPass | AdaptiveWindow | SavitzkyGolay | Kalman
+class DualKalman(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="dual-kalman"):
+    """A quick Kalman filter for V, a calm one for A: for a lower bound on ejection speed at the same grasp force."""
+
+    velocity_jerk_density: Positive = 1000.0
+    """q_v in m²/s⁵, of V."""
+    jerk_density: Positive = 10.0
+    """q in m²/s⁵, of A."""
+    quantum_m: Positive | None = None
+    """Quantum of the encoder in m; by default the resolution of the device, of an exact one 2.3e-5."""
+
+
+EstimatorTable: TypeAlias = BackwardDifference | LowPass | AdaptiveWindow | SavitzkyGolay | Kalman | DualKalman
 
 
 class LimiterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -9,13 +9,14 @@ const PERIOD_S: f64 = 1e-3;
 const QUANTUM_M: f64 = 2.3e-5;
 const MASS_KG: f64 = 0.3;
 
-const KINDS: [EstimatorKind; 9] = [
+const KINDS: [EstimatorKind; 10] = [
     EstimatorKind::BackwardDifference {},
     EstimatorKind::LowPass { cutoff_hz: 30.0 },
     EstimatorKind::AdaptiveWindow { noise_bound_m: QUANTUM_M, max_window: 32, fit: Fit::End },
     EstimatorKind::AdaptiveWindow { noise_bound_m: QUANTUM_M, max_window: 32, fit: Fit::Best },
     EstimatorKind::SavitzkyGolay { degree: 2, window: 21 },
     EstimatorKind::SavitzkyGolay { degree: 3, window: 31 },
+    EstimatorKind::DualKalman { velocity_jerk_density: 1000.0, jerk_density: 10.0, quantum_m: QUANTUM_M },
     EstimatorKind::SavitzkyGolay { degree: 2, window: 3 },
     EstimatorKind::Kalman { jerk_density: 10.0, quantum_m: QUANTUM_M },
     EstimatorKind::Kalman { jerk_density: 1e6, quantum_m: QUANTUM_M },
