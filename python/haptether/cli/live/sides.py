@@ -124,8 +124,8 @@ def start_master(
         return master
     # The loop first: without a time of its own the start counts from here, and a driver may take its time to be loaded.
     loop = stopped.attached(MasterLoop(spec, clutch=clutch, **arguments))
-    announce_bound(scene)
     device = load_master(scene.master.driver, scene.master.options)
+    announce_bound(scene)
     _announce(f"[master] driver = {scene.master.driver}", device)
     run = MasterRun(device, loop, period_s=scene.run.period_s)
     if command.clutch == "auto":

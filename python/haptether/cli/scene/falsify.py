@@ -141,9 +141,9 @@ class Falsify:
         for after_s, level_n in zip(release.after_s, release.level_n, strict=True):
             console.print(f"  {after_s * 1e3:8.2f} ms after the release  {level_n:+.3g} N")
         if found.bound.speed is None:
-            console.print(found.bound.text(), soft_wrap=True)
+            console.print(found.bound.text())
         else:
-            console.print(f"assumed: {'; '.join(found.bound.assumptions)}", soft_wrap=True)
+            console.print(f"assumed: {'; '.join(found.bound.assumptions)}")
         console.print(f"scene: {out}")
         write_report(
             self.json,

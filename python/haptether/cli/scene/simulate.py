@@ -120,7 +120,7 @@ class Simulate(PictureOptions):
         self._print(console, run)
         bound = None if scene is None else scene_bound(scene)
         if scene is not None and bound is not None:
-            console.print(bound_line(scene, bound), soft_wrap=True)
+            console.print(bound_line(scene, bound))
         report = {
             "scene": run.scene,
             "seed": run.seed,
