@@ -41,6 +41,7 @@ from haptether.bridge.recording.replay import Replay, ReplayFigures, replay
 from haptether.bridge.scene.errors import SceneError
 from haptether.bridge.scene.load import load_scene, override_scene, scene_json, scene_names
 from haptether.bridge.scene.run import Event, Metrics, Run, Signals, simulate
+from haptether.bridge.scene.save import save_scene, scene_toml
 from haptether.bridge.scene.sweep import Sweep, sweep
 from haptether.bridge.scene.tables.master import (
     ButtonsTable,
@@ -64,6 +65,7 @@ from haptether.bridge.scene.tables.session import (
     ChangeTable,
     ClockTable,
     CouplingTable,
+    DualKalman,
     Kalman,
     LadderTable,
     LimiterTable,
@@ -132,6 +134,7 @@ __all__ = [
     "CouplingTable",
     "DeviceError",
     "DeviceRun",
+    "DualKalman",
     "EnvironmentTable",
     "Event",
     "FingerTable",
@@ -229,8 +232,10 @@ __all__ = [
     "read_recording",
     "replay",
     "run_local",
+    "save_scene",
     "scene_json",
     "scene_names",
+    "scene_toml",
     "simulate",
     "sweep",
     "tripped_names",

@@ -25,6 +25,13 @@ from haptether._core import (
     WindowedSafetyObserver,
     fault_message,
 )
+from haptether.safety.ejection.bound import (
+    ControllerBound,
+    EjectionBound,
+    EjectionSettings,
+    EjectionTerms,
+    ejection_bound,
+)
 
 ControllerName: TypeAlias = Literal["vfc", "hsc", "wsc", "pc"]
 """The names of `CONTROLLERS`, for scenes and type checkers."""
@@ -33,8 +40,12 @@ __all__ = [
     "CONTROLLERS",
     "ESTIMATORS",
     "OBSERVERS",
+    "ControllerBound",
     "ControllerName",
     "DeviceModel",
+    "EjectionBound",
+    "EjectionSettings",
+    "EjectionTerms",
     "Estimator",
     "EstimatorKind",
     "HandGraspObserver",
@@ -51,5 +62,6 @@ __all__ = [
     "SafetyTicks",
     "VelocityForceObserver",
     "WindowedSafetyObserver",
+    "ejection_bound",
     "fault_message",
 ]

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
         draw_demo,
         run_demo,
     )
+    from haptether.studies.falsifier import Falsified, Release, ReleaseBounds, falsify
     from haptether.studies.follow import FOLLOW_CONTROLLERS, FollowResult, FollowScene, draw_follow, run_follow
     from haptether.studies.link_summary import LinkSummary, LinkVerdict, judge_link, summarise_link
     from haptether.studies.operator import Operator
@@ -29,6 +30,7 @@ __all__ = [
     "RAVEN_ATTACKS",
     "ContactLoop",
     "DemoScene",
+    "Falsified",
     "FollowResult",
     "FollowScene",
     "Follower",
@@ -44,10 +46,13 @@ __all__ = [
     "RavenAttack",
     "RavenReport",
     "RavenRow",
+    "Release",
+    "ReleaseBounds",
     "draw_demo",
     "draw_follow",
     "draw_paper",
     "draw_pick",
+    "falsify",
     "judge_link",
     "largest_delay_s",
     "measure_attack",
@@ -76,6 +81,7 @@ if not TYPE_CHECKING:  # else any name would do
                 "draw_demo",
                 "run_demo",
             ),
+            "falsifier": ("Falsified", "Release", "ReleaseBounds", "falsify"),
             "follow": (
                 "FOLLOW_CONTROLLERS",
                 "FollowResult",

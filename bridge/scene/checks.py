@@ -40,6 +40,8 @@ MAX_STEPS = 1e9
 """Of the integrator in one run."""
 MAX_REFERENCE_M = 10.0
 """Of a point of the tool from the tool point."""
+JERK_DENSITIES = {"kalman": ("jerk_density",), "dual-kalman": ("velocity_jerk_density", "jerk_density")}
+"""What says how quick each Kalman filter is."""
 KALMAN_BANDWIDTH = (1e-3, 10.0)
 """Bounds on omega dT of the Kalman filter."""
 
@@ -576,9 +578,9 @@ def _of_numbers(spec: Spec) -> Iterator[SceneError]:
         limit = max_damping([master["gripper"]["mass_kg"]], run["period_s"])
         yield from _own_damping(safety, "gripper", f"at most m / (5 dT) = {limit:g}", limit)
     estimator = safety["estimator"]
-    if estimator["kind"] == "kalman":
+    for key in JERK_DENSITIES.get(estimator["kind"], ()):
         # (12 q / (quantum² dT))^(1/6) dT, by logarithms: no power of what is allowed then overflows or vanishes.
-        power = log(12.0 * estimator["jerk_density"] / run["period_s"]) - 2.0 * log(estimator["quantum_m"])
+        power = log(12.0 * estimator[key] / run["period_s"]) - 2.0 * log(estimator["quantum_m"])
         bandwidth = exp(power / 6.0) * run["period_s"]
         low, high = KALMAN_BANDWIDTH
         if not low <= bandwidth <= high:
@@ -586,7 +588,7 @@ def _of_numbers(spec: Spec) -> Iterator[SceneError]:
                 f"such that omega dT is {low:g} to {high:g}, not {bandwidth:.3g} as with quantum_m = "
                 f"{estimator['quantum_m']:g}"
             )
-            yield wrong(("safety", "estimator", "jerk_density"), estimator["jerk_density"], allowed)
+            yield wrong(("safety", "estimator", key), estimator[key], allowed)
 
 
 def _own_damping(safety: Spec, table: str, allowed: str, limit: float) -> Iterator[SceneError]:

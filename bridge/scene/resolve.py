@@ -22,6 +22,7 @@ from haptether.bridge.scene.tables.ranges import UNBOUNDED, Broadcast, SideKind
 from haptether.bridge.scene.tables.session import (
     AdaptiveWindow,
     CouplingTable,
+    DualKalman,
     EstimatorTable,
     Kalman,
     LadderTable,
@@ -325,7 +326,7 @@ def _safety(scene: Scene, master: Spec) -> SafetyTable:
 
 def _estimator(table: EstimatorTable, quantum_m: float) -> EstimatorTable:
     match table:
-        case Kalman():
+        case Kalman() | DualKalman():
             return _filled(table, quantum_m=quantum_m)
         case AdaptiveWindow():
             return _filled(table, noise_bound_m=quantum_m)

@@ -261,6 +261,18 @@ class EstimatorKind:
         Source: Bar-Shalom, Li and Kirubarajan 2001, section 6.2.3.
         """
 
+    @staticmethod
+    def dual_kalman(*, velocity_jerk_density: float, jerk_density: float, quantum_m: float) -> EstimatorKind:
+        """V of a quick Kalman filter, A of a calm one: less lag of V at the same noise of the grasp force.
+
+        Args:
+            velocity_jerk_density: q_v in m²/s⁵ (rad²/s⁵ for joints), above 0, of V.
+            jerk_density: q in the same unit, above 0, of A.
+            quantum_m: Quantum of the encoder in m (rad for joints), above 0.
+
+        Source: Bar-Shalom, Li and Kirubarajan 2001, section 6.2.3; `docs/ejection_bound.md`, Eq. 5.
+        """
+
 @final
 class Estimator:
     """V and A of a device from its sampled position; keeps its state from call to call.

@@ -43,6 +43,7 @@ fn every_estimator_comes_to_rest_at_the_largest_damping() {
         EstimatorKind::AdaptiveWindow { noise_bound_m: QUANTUM, max_window: 16, fit: Fit::End },
         EstimatorKind::SavitzkyGolay { degree: 2, window: 15 },
         EstimatorKind::default(),
+        EstimatorKind::DualKalman { velocity_jerk_density: 1e3, jerk_density: 10.0, quantum_m: QUANTUM },
     ] {
         let safety = SafetySettings {
             controllers: [ControllerKind::Hsc].into(),

@@ -148,7 +148,12 @@ fn kind(which: usize, numbers: &Numbers) -> EstimatorKind {
         1 => EstimatorKind::LowPass { cutoff_hz: 10.0 * own },
         2 => EstimatorKind::SavitzkyGolay { degree: 2, window: 15 },
         3 => EstimatorKind::Kalman { jerk_density: 10.0 * own, quantum_m: QUANTUM_M },
-        4 if own > 5.0 => EstimatorKind::AdaptiveWindow { noise_bound_m, max_window: 8, fit: Fit::Best },
+        4 => EstimatorKind::DualKalman {
+            velocity_jerk_density: 100.0 * own,
+            jerk_density: 10.0 * own,
+            quantum_m: QUANTUM_M,
+        },
+        5 if own > 5.0 => EstimatorKind::AdaptiveWindow { noise_bound_m, max_window: 8, fit: Fit::Best },
         _ => EstimatorKind::AdaptiveWindow { noise_bound_m, max_window: 16, fit: Fit::End },
     }
 }
@@ -286,7 +291,7 @@ fn estimators_agree<const N: usize, L: Real>(
     numbers: &[Numbers; LANES],
     ticks: &[Tick],
 ) -> Result<(), TestCaseError> {
-    for which in 0..5 {
+    for which in 0..6 {
         let build = |of: &Numbers| kind(which, of).build::<N>(PERIOD_S).unwrap();
         let ones: Vec<_> = numbers[..L::LANES].iter().map(build).collect();
         agree!(ones.clone(), AnyEstimator::<N, L>::gather, ticks, |it, at| {
@@ -448,7 +453,7 @@ proptest! {
 
     #[test]
     fn the_layer(
-        which in 0_usize..5,
+        which in 0_usize..6,
         measures_velocity in any::<bool>(),
         shared in shared(),
         numbers in numbers(),

@@ -20,17 +20,18 @@ const MASS_KG: f64 = 0.157;
 const QUANTUM_M: f64 = 2.3e-5;
 
 /// The linear ones, and then those whose windows follow the motion.
-const KINDS: [EstimatorKind; 8] = [
+const KINDS: [EstimatorKind; 9] = [
     EstimatorKind::BackwardDifference {},
     EstimatorKind::LowPass { cutoff_hz: 30.0 },
     EstimatorKind::SavitzkyGolay { degree: 2, window: 15 },
     EstimatorKind::SavitzkyGolay { degree: 3, window: 31 },
     EstimatorKind::Kalman { jerk_density: 10.0, quantum_m: QUANTUM_M },
     EstimatorKind::Kalman { jerk_density: 1e4, quantum_m: QUANTUM_M },
+    EstimatorKind::DualKalman { velocity_jerk_density: 1e3, jerk_density: 10.0, quantum_m: QUANTUM_M },
     EstimatorKind::AdaptiveWindow { noise_bound_m: QUANTUM_M, max_window: 16, fit: Fit::End },
     EstimatorKind::AdaptiveWindow { noise_bound_m: QUANTUM_M, max_window: 32, fit: Fit::Best },
 ];
-const LINEAR: usize = 6;
+const LINEAR: usize = 7;
 
 fn device<const N: usize>() -> DeviceModel<N> {
     DeviceModel::uniform(MASS_KG, -0.005, 0.038).unwrap()

@@ -520,6 +520,7 @@ REQUIRED = {
     "playback": ["slave.mcap"],
     "export": ["master.mcap"],
     "sweep": ["remote_push"],
+    "falsify": ["remote_push"],
 }
 NUMBERS = [(name, option) for name, command in COMMANDS.items() for option in numbers_of(command)]
 

@@ -321,3 +321,29 @@ def test_the_examples_in_the_help_work(
     for example in examples:
         assert main(example) == 0, example
     assert len(given) == 7
+
+
+@pytest.mark.usefixtures("given")
+@pytest.mark.parametrize(
+    ("controllers", "said", "speed"),
+    [
+        ("[wsc]", "after a release at most 0.97 m/s, by wsc (the hand rested", 0.964),
+        ("[vfc]", "no bound on the speed after a release: none of hsc and wsc watches", None),
+        ("[]", None, None),
+    ],
+)
+def test_the_bound_on_ejection_is_said_where_a_controller_watches(
+    controllers: str, said: str | None, speed: float | None, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    written = tmp_path / "run.json"
+    arguments = ["simulate", "remote_push", "--set", f"safety.controllers={controllers}", "--json", str(written)]
+    assert main(arguments) == 0
+    printed = capsys.readouterr().out
+    bound = json.loads(written.read_text())["ejection_bound"]
+    if said is None:
+        assert bound is None
+        assert "after a release" not in printed.replace("time to trip after the release", "")
+    else:
+        assert said in printed
+        assert bound["speed"] == pytest.approx(speed, abs=1e-3)
+        assert (bound["reason"] is None) == (speed is not None)

@@ -87,6 +87,9 @@ MACHINES = {
     "window-end": estimator(EstimatorKind.adaptive_window(noise_bound_m=QUANTUM, max_window=8)),
     "window-best": estimator(EstimatorKind.adaptive_window(noise_bound_m=QUANTUM, fit="best")),
     "savitzky-golay": estimator(EstimatorKind.savitzky_golay(degree=3, window=7)),
+    "dual-kalman": estimator(
+        EstimatorKind.dual_kalman(velocity_jerk_density=1000.0, jerk_density=10.0, quantum_m=QUANTUM)
+    ),
     "kalman": estimator(EstimatorKind.kalman(jerk_density=100.0, quantum_m=QUANTUM)),
     "vfo": observer(lambda axes: VelocityForceObserver(axes=axes)),
     "vfo-both": observer(lambda axes: VelocityForceObserver(form="both", axes=axes)),

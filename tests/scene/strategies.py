@@ -237,6 +237,7 @@ def estimators(period_s: float) -> st.SearchStrategy[Raw]:
         ),
         table({"kind": st.just("savitzky-golay")}, degree=st.sampled_from([2, 3]), window=st.integers(4, 128)),
         st.just({"kind": "kalman", "jerk_density": 10.0, "quantum_m": 2.3e-5}),
+        st.just({"kind": "dual-kalman", "velocity_jerk_density": 500.0, "quantum_m": 2.3e-5}),
     )
 
 

@@ -318,6 +318,7 @@ BAD_ARM_SCENES: list[tuple[dict[str, Any], str]] = [
     ({"safety.estimator": {"kind": "low-pass", "cutoff_hz": 501.0}}, "cutoff_hz = 501: must be at most half the sample rate, 500"),
     ({"safety.estimator": {"kind": "savitzky-golay", "degree": 3, "window": 3}}, "window = 3: must be above degree = 3"),
     ({"safety.estimator": {"kind": "kalman", "jerk_density": 1e9, "quantum_m": 1e-9}}, "such that omega dT is 0.001 to 10"),
+    ({"safety.estimator": {"kind": "dual-kalman", "velocity_jerk_density": 1e9, "quantum_m": 1e-6}}, "velocity_jerk_density = 1e+09: must be such that omega dT is 0.001 to 10"),
     ({"safety.limiter": {"enabled": False, "max_power_w": 5.0}}, "[safety.limiter] enabled: bounds that are off have no other"),
     ({"master.stops": [0.1, -0.1]}, "[master] stops = [0.1, -0.1]: must be the lower stop below the upper"),
     ({"master.stops": [0.05, 0.1]}, "[master] position = 0.02: must be within the stops, 0.05 to 0.1"),

@@ -31,7 +31,7 @@ from haptether.bridge.scene.tables.ranges import (
 )
 from haptether.bridge.scene.tables.slave import EnvironmentTable, SlaveTable
 from haptether.netsim import LinkSettings
-from haptether.safety import ControllerName
+from haptether.safety import ControllerName, EjectionSettings
 
 
 class RunTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -211,7 +211,18 @@ class Kalman(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_
     """Quantum of the encoder in m; by default the resolution of the device, of an exact one 2.3e-5."""
 
 
-EstimatorTable: TypeAlias = BackwardDifference | LowPass | AdaptiveWindow | SavitzkyGolay | Kalman
+class DualKalman(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="dual-kalman"):
+    """A quick Kalman filter for V, a calm one for A: for a lower bound on ejection speed at the same grasp force."""
+
+    velocity_jerk_density: Positive = 1000.0
+    """q_v in m²/s⁵, of V."""
+    jerk_density: Positive = 10.0
+    """q in m²/s⁵, of A."""
+    quantum_m: Positive | None = None
+    """Quantum of the encoder in m; by default the resolution of the device, of an exact one 2.3e-5."""
+
+
+EstimatorTable: TypeAlias = BackwardDifference | LowPass | AdaptiveWindow | SavitzkyGolay | Kalman | DualKalman
 
 
 class LimiterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -409,3 +420,14 @@ class Scene(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_
     """Who watches the hand; by default only the bounds of the limiter."""
     record: RecordTable | None = None
     """What is kept of the signals; by default nothing."""
+
+    def ejection_settings(self) -> EjectionSettings:
+        """What `haptether.safety.ejection_bound` takes of it.
+
+        Raises:
+            SceneError: A scene that cannot be built.
+        """
+        # It reads the tables of this file.
+        from haptether.bridge.scene.ejection import settings_of  # noqa: PLC0415
+
+        return settings_of(self)

@@ -33,6 +33,7 @@ COMMANDS = CommandTable(
         "raven": "raven:Raven",
         "simulate": "scene.simulate:Simulate",
         "sweep": "scene.sweep:Sweep",
+        "falsify": "scene.falsify:Falsify",
         "console": "view.console:Console",
         "view": "view.view:View",
         "master": "live.master:Master",

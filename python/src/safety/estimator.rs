@@ -60,6 +60,12 @@ impl PyEstimatorKind {
         Self { inner: EstimatorKind::Kalman { jerk_density, quantum_m } }
     }
 
+    #[staticmethod]
+    #[pyo3(signature = (*, velocity_jerk_density, jerk_density, quantum_m))]
+    fn dual_kalman(velocity_jerk_density: f64, jerk_density: f64, quantum_m: f64) -> Self {
+        Self { inner: EstimatorKind::DualKalman { velocity_jerk_density, jerk_density, quantum_m } }
+    }
+
     fn __repr__(&self) -> String {
         format!("{:?}", self.inner)
     }

@@ -9,7 +9,7 @@ const PERIOD_S: f64 = 1e-3;
 const QUANTUM_M: f64 = 2.3e-5;
 const MASS_KG: f64 = 0.3;
 
-const KINDS: [EstimatorKind; 9] = [
+const KINDS: [EstimatorKind; 10] = [
     EstimatorKind::BackwardDifference {},
     EstimatorKind::LowPass { cutoff_hz: 30.0 },
     EstimatorKind::AdaptiveWindow { noise_bound_m: QUANTUM_M, max_window: 32, fit: Fit::End },
@@ -19,6 +19,7 @@ const KINDS: [EstimatorKind; 9] = [
     EstimatorKind::SavitzkyGolay { degree: 2, window: 3 },
     EstimatorKind::Kalman { jerk_density: 10.0, quantum_m: QUANTUM_M },
     EstimatorKind::Kalman { jerk_density: 1e6, quantum_m: QUANTUM_M },
+    EstimatorKind::DualKalman { velocity_jerk_density: 1000.0, jerk_density: 10.0, quantum_m: QUANTUM_M },
 ];
 
 /// Positions of a device that rests at `start` and is then moved by accelerations, each held over one tick.
@@ -174,7 +175,7 @@ fn quantisation_passes_the_difference_whole_and_the_others_in_part() {
     // White rounding noise of variance q²/12 has sqrt(6/12) of a quantum behind the second difference.
     assert!((difference_rms / quantum_of_acceleration - 0.5_f64.sqrt()).abs() < 0.1, "{difference_rms}");
     // About 1.5 times what each lets through: a worse choice of weights or windows shows.
-    for (kind, part) in [(1, 0.16), (2, 0.006), (3, 0.0036), (4, 0.008), (5, 0.018), (7, 0.01)] {
+    for (kind, part) in [(1, 0.16), (2, 0.006), (3, 0.0036), (4, 0.008), (5, 0.018), (7, 0.01), (9, 0.01)] {
         let (rms, _) = quantisation_noise(KINDS[kind]);
         assert!(rms < part * difference_rms, "{:?}: {rms}", KINDS[kind]);
     }

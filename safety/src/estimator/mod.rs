@@ -10,6 +10,7 @@ mod adaptive_window;
 mod backward_difference;
 #[cfg(test)]
 mod contract_tests;
+mod dual_kalman;
 mod kalman;
 mod low_pass;
 mod measured_velocity;
@@ -17,6 +18,7 @@ mod savitzky_golay;
 
 pub use adaptive_window::{AdaptiveWindow, Fit};
 pub use backward_difference::BackwardDifference;
+pub use dual_kalman::DualKalman;
 pub use kalman::Kalman;
 pub use low_pass::LowPass;
 pub use measured_velocity::MeasuredVelocity;
@@ -130,6 +132,15 @@ estimators! {
         /// Position quantum in m (rad for joints).
         quantum_m: f64,
     } as Kalman<N, S>;
+    /// [`DualKalman`].
+    DualKalman {
+        /// Spectral density `q_v` of the jerk in m²/s⁵ (rad²/s⁵ for joints) that V is filtered for.
+        velocity_jerk_density: f64,
+        /// The same, q, that A is filtered for.
+        jerk_density: f64,
+        /// Position quantum in m (rad for joints).
+        quantum_m: f64,
+    } as DualKalman<N, S>;
 }
 
 impl EstimatorKind {
@@ -139,6 +150,11 @@ impl EstimatorKind {
     pub fn at_lever(self, lever_m: f64) -> Self {
         match self {
             Self::Kalman { jerk_density, quantum_m } => Self::Kalman {
+                jerk_density: jerk_density / (lever_m * lever_m),
+                quantum_m: quantum_m / lever_m,
+            },
+            Self::DualKalman { velocity_jerk_density, jerk_density, quantum_m } => Self::DualKalman {
+                velocity_jerk_density: velocity_jerk_density / (lever_m * lever_m),
                 jerk_density: jerk_density / (lever_m * lever_m),
                 quantum_m: quantum_m / lever_m,
             },

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from haptether.cli.interrupts import INTERRUPTS
+from haptether.cli.shared.ejection import announce_bound
 
 if TYPE_CHECKING:
     from haptether.bridge import (
@@ -118,10 +119,13 @@ def start_master(
         )
     spec = scene_json(scene)
     if scene.master.driver is None:
-        return stopped.attached(LiveMaster(spec, **arguments))
+        master = stopped.attached(LiveMaster(spec, **arguments))
+        announce_bound(scene)
+        return master
     # The loop first: without a time of its own the start counts from here, and a driver may take its time to be loaded.
     loop = stopped.attached(MasterLoop(spec, clutch=clutch, **arguments))
     device = load_master(scene.master.driver, scene.master.options)
+    announce_bound(scene)
     _announce(f"[master] driver = {scene.master.driver}", device)
     run = MasterRun(device, loop, period_s=scene.run.period_s)
     if command.clutch == "auto":

@@ -1,7 +1,7 @@
 """`haptether simulate`."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +13,7 @@ from haptether.cli.shared.picture import PictureOptions
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from haptether.bridge import Run
+    from haptether.bridge import Run, Scene
 
 SPINNER_AFTER_S = 2.0
 EVENTS_SHOWN = 20
@@ -48,7 +48,7 @@ class Simulate(PictureOptions):
     ] = ()
     """Change a field; may be given often. Values are TOML, bare words are strings."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Write scene, seed, version, events and metrics as JSON; - for standard output."""
+    """Write scene, seed, version, events, metrics and the bound on ejection speed as JSON; - for standard output."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="DIR|PICTURE")] = None
     """Draw positions, forces, what turns and trips, into this folder or as this .png, .pdf or .svg."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.npz")] = None
@@ -100,23 +100,34 @@ class Simulate(PictureOptions):
                 console.print(
                     f"{key} = {name}: the model of [{table}] stands for it; `haptether {table} --scene` drives it live",
                 )
-        return self.report(console, run, picture)
+        return self.report(console, run, picture, scene)
 
-    def report(self, console: "Console", run: "Run", picture: Path | None) -> int:
+    def report(self, console: "Console", run: "Run", picture: Path | None, scene: "Scene | None" = None) -> int:
         """Prints, writes and draws what came of a run; 0.
+
+        Args:
+            console: Where it is printed.
+            run: What is reported.
+            picture: Where it is drawn; none for nowhere.
+            scene: What was run, whose bound is said too; none for a run whose hand has been recorded.
 
         Raises:
             RuntimeError: It diverged.
         """
+        from haptether.cli.shared.ejection import bound_line, scene_bound
         from haptether.cli.shared.output import write_report
 
         self._print(console, run)
+        bound = None if scene is None else scene_bound(scene)
+        if scene is not None and bound is not None:
+            console.print(bound_line(scene, bound))
         report = {
             "scene": run.scene,
             "seed": run.seed,
             "version": run.version,
             "events": run.events,
             "metrics": run.metrics,
+            "ejection_bound": bound,
         }
         write_report(self.json, report)
         if self.out is not None:
@@ -196,8 +207,8 @@ def shown(value: object) -> str:
 
 
 @contextlib.contextmanager
-def spinner(text: str) -> Iterator[None]:
-    """Says on standard error that something goes on, once it takes longer than two seconds."""
+def spinner(text: str) -> Iterator[Callable[[str], None]]:
+    """Says on standard error that something goes on, after two seconds. Yields what changes the text."""
     import threading
 
     from haptether.cli.shared.screen import Screen
@@ -207,7 +218,7 @@ def spinner(text: str) -> Iterator[None]:
     timer.daemon = True
     timer.start()
     try:
-        yield
+        yield status.update
     finally:
         timer.cancel()
         timer.join()

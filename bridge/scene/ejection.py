@@ -1,0 +1,65 @@
+"""A scene as what the bound on ejection speed depends on."""
+
+from math import hypot, inf
+
+from haptether.bridge.scene.resolve import Spec, spec_of
+from haptether.bridge.scene.tables.session import Scene
+from haptether.safety import EjectionSettings, EstimatorKind
+
+
+def settings_of(scene: Scene) -> EjectionSettings:
+    """Device, loop, estimator, limits and thresholds, defaults and presets filled in.
+
+    Of kind "pose" they are those of the translation.
+
+    Raises:
+        SceneError: A scene that cannot be built.
+    """
+    spec = spec_of(scene)
+    master, safety, run = spec["master"], spec["safety"], spec["run"]
+    limiter = safety["limiter"] or {"max_force_n": inf, "max_slew_n_per_s": inf}
+    stops = master["stops"]
+    is_exact = safety["signals"] == "true" or master["measures_velocity"]
+    return EjectionSettings(
+        controllers=tuple(safety["controllers"]),
+        mass_kg=tuple(master["mass_kg"]),
+        viscous=tuple(master["viscous"]),
+        coulomb=tuple(master["coulomb"]),
+        friction=master["friction"],
+        period_s=run["period_s"],
+        estimator=None if is_exact else _kind(safety["estimator"]),
+        quantum_m=0.0 if is_exact else master["encoder_quantum"],
+        max_force_n=limiter["max_force_n"],
+        max_slew_n_per_s=limiter["max_slew_n_per_s"],
+        force_quantum_n=master["force_quantum_n"],
+        energy_threshold_j=safety["energy_threshold_j"],
+        energy_ratio=safety["energy_ratio"],
+        window=safety["window"],
+        grasp_threshold=safety["grasp_threshold"],
+        grasp_floor_n=safety["grasp_floor_n"],
+        hsc_force_threshold_n=safety["hsc_force_threshold_n"],
+        release_ramp_s=safety["release_ramp_s"],
+        damping=safety["damping"],
+        travel_m=None if stops is None else hypot(*(high - low for low, high in stops)),
+        outside=_outside(spec),
+    )
+
+
+def _outside(spec: Spec) -> str | None:
+    """What of the assumptions a scene does not meet."""
+    limiter, device_n = spec["safety"]["limiter"], spec["master"]["max_force_n"]
+    if limiter is None:
+        return "the limiter is off, so the force has no cap"
+    if device_n is not None and limiter["max_force_n"] > device_n:
+        return f"the limiter lets {limiter['max_force_n']:g} N pass, and the device exerts {device_n:g} N of it"
+    environment = spec["environment"]
+    if spec["slave"] is None and environment is not None and environment["rendering"] == "continuous":
+        return "the force acts at every instant, and is not held between ticks"
+    return None
+
+
+def _kind(table: Spec) -> EstimatorKind:
+    """The estimator that a table describes."""
+    parameters = {name: value for name, value in table.items() if name != "kind"}
+    made: EstimatorKind = getattr(EstimatorKind, table["kind"].replace("-", "_"))(**parameters)
+    return made

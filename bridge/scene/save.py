@@ -1,0 +1,78 @@
+"""A scene as TOML, which reads as the same scene."""
+
+import json
+from os import PathLike
+from pathlib import Path as FilePath
+from typing import Any
+
+import msgspec
+
+from haptether.bridge.scene.tables.session import Scene
+from haptether.private_file import refuse_link, write_private
+
+LINE = 100
+"""Characters of a table within a line; what is longer is a table of its own."""
+
+
+def scene_toml(scene: Scene, comment: str = "") -> str:
+    """The scene as text, defaults left out; `comment` stands above it, a line each."""
+    raw = msgspec.to_builtins(scene)
+    lines = [f"# {line}".rstrip() for line in comment.splitlines()]
+    lines += [f"{name} = {_value(value)}" for name, value in raw.items() if not isinstance(value, dict)]
+    for name, table in raw.items():
+        if isinstance(table, dict):
+            lines += _table(name, table)
+    return "\n".join(lines) + "\n"
+
+
+def save_scene(scene: Scene, path: str | PathLike[str], comment: str = "") -> None:
+    """Writes the scene, for its owner alone.
+
+    Raises:
+        ValueError: A symbolic link.
+        OSError: The file cannot be written.
+    """
+    target = FilePath(path)
+    refuse_link(target)
+    write_private(target, scene_toml(scene, comment).encode())
+
+
+def _table(name: str, table: dict[str, Any]) -> list[str]:
+    """A table, then those within it: small ones within its lines."""
+    own, below = [], []
+    for key, value in table.items():
+        if value is None:
+            continue
+        line = f"{_key(key)} = {_value(value)}"
+        path = f"{name}.{_key(key)}"
+        if _is_list_of_tables(value):
+            for each in value:
+                _, head, *rest = _table(path, each)
+                below += ["", f"[{head}]", *rest]
+        elif isinstance(value, dict) and len(line) > LINE:
+            below += _table(path, value)
+        else:
+            own.append(line)
+    return ["", f"[{name}]", *own, *below]
+
+
+def _is_list_of_tables(value: object) -> bool:
+    return isinstance(value, list | tuple) and bool(value) and all(isinstance(each, dict) for each in value)
+
+
+def _key(key: str) -> str:
+    return key if key.replace("_", "").replace("-", "").isalnum() and key.isascii() else json.dumps(key)
+
+
+def _value(value: Any) -> str:  # noqa: ANN401  # any field
+    """A value within a line."""
+    if isinstance(value, dict):
+        return (
+            "{ " + ", ".join(f"{_key(key)} = {_value(each)}" for key, each in value.items() if each is not None) + " }"
+        )
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    if isinstance(value, str | bool):
+        # JSON escapes as TOML does.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return repr(value)

@@ -1,0 +1,163 @@
+"""`haptether falsify`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from haptether.studies import Falsified, ReleaseBounds
+
+
+@dataclass(frozen=True, kw_only=True)
+class Falsify:
+    """Search for the release after which a scene's device becomes fastest, and hold it to the bound on that speed.
+
+    Device, loop, link, arm and safety are the scene's. Searched for, within bounds: what the hand holds, how firmly
+    and how suddenly it lets go, the steps in which the push goes on, and delay, jitter and loss of a link. The worst is
+    made simple and written as a scene of its own. The same seed and number of tries find the same; a search by time
+    tries as many as the machine is quick. Ctrl-C ends the search and keeps the worst so far, status 130. Exit status 1
+    says that the bound was exceeded.
+
+    Needs cma, of the extra `analysis`. How the bound is derived, and what holds under it: docs/ejection_bound.md.
+
+    Examples:
+
+    haptether falsify paper_wall
+
+    haptether falsify remote_push --controller wsc,hsc --seconds 600 --out worst.toml --json worst.json
+
+    haptether falsify moving_wall --controller hsc --push any --set master.stops=[-0.08,0.08] --tries 20000 --seed 2
+    """
+
+    scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
+    """Name of a shipped scene, or path of a TOML file."""
+    controller: Annotated[str | None, tyro.conf.arg(metavar="NAME,...")] = None
+    """Who watches, separated by commas; by default the scene's."""
+    seconds: float = 60.0
+    """How long it searches, in s."""
+    tries: int | None = None
+    """Releases after which it ends, also before."""
+    seed: int = 1
+    """Of the search, 1 or more."""
+    steps: int = 8
+    """Steps of the push after the release, 1 to 40."""
+    decay_s: float = 0.05
+    """Longest time in s in which the grip gives way; 0 for sudden releases only."""
+    delay_s: float = 0.2
+    """Longest delay of a direction of the link in s, where the scene has one."""
+    jitter_s: float = 0.01
+    """Largest standard deviation of that delay in s."""
+    loss: float = 0.05
+    """Largest share of packets that are lost."""
+    push: Literal["auto", "any", "steady"] = "auto"
+    """Any push within the cap, or one that neither grows nor turns, as the bound of HSC takes it; auto is what the
+    bound holds for."""
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
+    """Change a field of the scene first; may be given often."""
+    threads: int | None = None
+    """Threads to run in; as many as there are processors if not given."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
+    """Where the worst release goes as a scene; by default SCENE_worst.toml in this folder."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write speeds, bound, margin and the release as JSON; - for standard output."""
+
+    def run(self) -> int:
+        """Searches; 0, or 130 if it was ended before its time."""
+        from haptether.bridge import load_scene, save_scene
+        from haptether.cli.interrupts import INTERRUPTED
+        from haptether.cli.scene.simulate import spinner
+        from haptether.cli.shared.numbers import check_duration
+        from haptether.cli.shared.output import check_target
+        from haptether.cli.shared.screen import screen
+        from haptether.studies import falsify
+
+        check_duration("seconds", self.seconds)
+        out = self.out or Path(f"{Path(self.scene).stem}_worst.toml")
+        if out.suffix != ".toml":
+            message = f"{out}: must end in .toml"
+            raise ValueError(message)
+        check_target(self.json, out)
+        scene = load_scene(self.scene, self.set)
+        controllers = None if self.controller is None else tuple(filter(None, self.controller.split(",")))
+        with spinner(f"searching {self.scene}") as say:
+            found = falsify(
+                scene,
+                controllers=controllers,
+                bounds=self._bounds(),
+                seconds=self.seconds,
+                tries=self.tries,
+                seed=self.seed,
+                threads=self.threads,
+                progress=lambda tried, speed: say(f"{self.scene}: {tried} releases, up to {speed:.3f} m/s"),
+            )
+        save_scene(found.scene, out, self._comment(found))
+        self._report(screen(self.json), found, out)
+        if found.margin is not None and found.margin < 0.0:
+            message = f"{out}: {found.worst:.4f} m/s exceeds the bound of {found.bound.speed:.4f} m/s"
+            raise RuntimeError(message)
+        return INTERRUPTED if found.interrupted else 0
+
+    def _bounds(self) -> "ReleaseBounds":
+        from haptether.studies import ReleaseBounds
+
+        return ReleaseBounds(
+            push=self.push,
+            steps=self.steps,
+            decay_s=self.decay_s,
+            delay_s=self.delay_s,
+            jitter_s=self.jitter_s,
+            loss=self.loss,
+        )
+
+    def _comment(self, found: "Falsified") -> str:
+        against = " and ".join(found.scene.safety.controllers) or "nobody"
+        return (
+            f"The worst release against {against} that `haptether falsify {self.scene} --seed {self.seed}` found in"
+            f" {found.tried} tries, made simple.\nIt throws the device at {found.speed:.4f} m/s;"
+            f" {found.bound.text()}."
+        )
+
+    def _report(self, console: "Console", found: "Falsified", out: Path) -> None:
+        from haptether.cli.shared.output import write_report
+        from haptether.cli.shared.table import Column, Rows
+
+        release = found.release
+        table = Rows(self.scene, Column(" + ".join(found.scene.safety.controllers) or "nobody", numbers=True))
+        table.add("releases tried", str(found.tried))
+        table.add("largest speed seen [m/s]", f"{found.worst:.4f}")
+        table.add("of the simple release [m/s]", f"{found.speed:.4f}")
+        if found.bound.speed is not None and found.margin is not None:
+            table.add("bound [m/s]", f"{found.bound.speed:.4f}")
+            table.add("margin [m/s]", f"{found.margin:.4f}")
+            table.add("seen / bound", f"{found.worst / found.bound.speed:.3f}")
+        table.add("held [N]", f"{release.held_n:.3g}")
+        table.add("grip gives way in [ms]", f"{release.decay_s * 1e3:.3g}")
+        table.add("steps of the push", str(len(release.level_n)))
+        console.print(table)
+        for after_s, level_n in zip(release.after_s, release.level_n, strict=True):
+            console.print(f"  {after_s * 1e3:8.2f} ms after the release  {level_n:+.3g} N")
+        if found.bound.speed is None:
+            console.print(found.bound.text())
+        else:
+            console.print(f"assumed: {'; '.join(found.bound.assumptions)}")
+        console.print(f"scene: {out}")
+        write_report(
+            self.json,
+            {
+                "scene": self.scene,
+                "controllers": found.scene.safety.controllers,
+                "seed": self.seed,
+                "tried": found.tried,
+                "interrupted": found.interrupted,
+                "worst": found.worst,
+                "speed": found.speed,
+                "margin": found.margin,
+                "bound": found.bound,
+                "release": release,
+                "file": str(out),
+            },
+        )

@@ -1,0 +1,447 @@
+"""How fast a device can become after a hand has let it go, whatever it is told to render."""
+
+from collections.abc import Callable
+from math import inf, isfinite, sqrt
+from typing import Literal, Protocol
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from haptether._core import EstimatorKind
+from haptether.safety.ejection.kernel import Array, Kernel, exact, kernel
+
+MAX_LATE_S = 0.02
+"""A tick that is later is a tick that is left out: the loop drops the force."""
+BOUNDED = ("hsc", "wsc")
+"""Controllers for which there is a bound."""
+
+
+class EjectionSettings(Struct, frozen=True, kw_only=True):
+    """What the bound depends on: device, loop, estimator, limits, thresholds, and what the hand did before."""
+
+    controllers: tuple[str, ...]
+    """Who watches."""
+    mass_kg: tuple[float, ...]
+    """m in kg that the safety layer knows, one an axis."""
+    viscous: tuple[float, ...] = (0.0,)
+    """b in N s/m, one an axis."""
+    coulomb: tuple[float, ...] = (0.0,)
+    """c in N, one an axis."""
+    friction: Literal["vector", "axis"] = "vector"
+    """Whether c acts along the motion, as the safety layer takes it, or on each axis by itself."""
+    period_s: float = 1e-3
+    """dT in s."""
+    estimator: EstimatorKind | None = EstimatorKind()
+    """How V and A are had from the position; none where V itself is measured."""
+    quantum_m: float = 0.0
+    """Resolution of the position in m; 0 is exact."""
+    max_force_n: float = 7.9
+    """F_max in N."""
+    max_slew_n_per_s: float = inf
+    """Largest growth of the force in N/s; unloading is free."""
+    force_quantum_n: float = 0.0
+    """Resolution of the force in N; 0 is exact."""
+    energy_threshold_j: float = -0.03
+    """delta in J, of WSC."""
+    energy_ratio: float = 0.5
+    """eta, of WSC."""
+    window: int = 100
+    """w in ticks, of WSC."""
+    grasp_threshold: float = 1.5
+    """zeta, of HSC."""
+    grasp_floor_n: float = 1e-3
+    """alpha in N, of HSC."""
+    hsc_force_threshold_n: float = 0.1
+    """F_t in N, of HSC."""
+    release_ramp_s: float = 0.0
+    """Time in s over which an intervention fades out."""
+    damping: float = 5.0
+    """mu in N s/m."""
+    travel_m: float | None = None
+    """X in m: the way from one mechanical stop to the other; none without stops."""
+
+    hand_speed: float = 0.0
+    """V0 in m/s: of the hand when it lets go."""
+    hand_power_w: float | None = None
+    """P_h in W: what the hand put in at most before; by default that of a hand of that speed against the whole cap."""
+    held_force_n: float | None = None
+    """F_0 in N: what the hand held when it let go; by default the cap."""
+    late_s: float = 0.0
+    """J in s: how much longer a force is held at a late tick, at most 0.02; one such tick within a window."""
+    mass_error: float = 0.0
+    """Largest relative error of `mass_kg`, at least 0 and below 1."""
+    outside: str | None = None
+    """Why what is described is outside the assumptions, and has no bound; none where it has."""
+
+
+class HasEjectionSettings(Protocol):
+    """A scene, or whatever else knows what the bound depends on."""
+
+    def ejection_settings(self) -> EjectionSettings:
+        """What the bound depends on."""
+
+
+class EjectionTerms(Struct, frozen=True, kw_only=True):
+    """What a bound is made of, Eq. numbers of `docs/ejection_bound.md`."""
+
+    lag_s: float
+    """Lambda in s: of the estimate of V under the growth limit (Eq. 6); without that limit L_v."""
+    lag_norm_s: float
+    """L_v in s."""
+    acceleration: float
+    """a = F_max / m in m/s²."""
+    threshold_speed: float | None = None
+    """v_th in m/s: speed that the observer lets pass (Eq. 10), of WSC."""
+    lag_speed: float = 0.0
+    """e in m/s: how much faster than its estimate the device may be (Eq. 5)."""
+    tick_speed: float = 0.0
+    """a (dT + J) in m/s: what the tick adds in which the controller decides."""
+    phantom_force_n: float = 0.0
+    """rho in N: of a hand that is not there (Eq. 8)."""
+    phantom_energy_j: float = 0.0
+    """W in J: energy of the hand that is still in the window, or never was (Eq. 9)."""
+    unseen_force_n: float | None = None
+    """F_e in N: the push that HSC never sees (Eq. 13)."""
+    floor: float = 0.0
+    """Lambda a + a (dT + J) in m/s: no threshold guarantees less."""
+
+
+class ControllerBound(Struct, frozen=True, kw_only=True):
+    """The bound of one controller."""
+
+    controller: str
+    """Its name."""
+    speed: float | None
+    """In m/s; none where there is none."""
+    reason: str | None
+    """Why there is none."""
+    terms: EjectionTerms | None = None
+    """What it is made of."""
+
+
+class EjectionBound(Struct, frozen=True, kw_only=True):
+    """The bound of all controllers together: the least of theirs, for any of them trips."""
+
+    speed: float | None
+    """Largest |V| in m/s after a release; none where there is no bound."""
+    reason: str | None
+    """Why there is none."""
+    controller: str | None
+    """Whose bound it is."""
+    of: tuple[ControllerBound, ...]
+    """That of each controller that watches and has one."""
+    assumptions: tuple[str, ...]
+    """What it holds under."""
+
+    def text(self, unit: str = "m/s") -> str:
+        """In one line."""
+        if self.speed is None:
+            return f"no bound on the speed after a release: {self.reason}"
+        return f"after a release at most {_rounded_up(self.speed)} {unit}, by {self.controller}"
+
+
+def ejection_bound(
+    of: EjectionSettings | HasEjectionSettings,
+    *,
+    hand_speed: float | None = None,
+    late_s: float | None = None,
+    mass_error: float | None = None,
+) -> EjectionBound:
+    """Largest speed in m/s of a device after a hand has let it go, whatever force it is then told to render.
+
+    `|V| <= max(V0, v_th + e) + a (dT + J)` for WSC, `V² <= V_H² + 2 F_e X / m` for HSC, the lesser for both.
+
+    Args:
+        of: A scene, or settings.
+        hand_speed: V0 in m/s, of the hand when it lets go; 0 where the settings say nothing.
+        late_s: J in s, how much longer than a tick the device may keep a force, 0 to 0.02.
+        mass_error: Largest relative error of the mass that the safety layer knows, 0 to 1.
+
+    Raises:
+        ValueError: A number outside its range.
+
+    Source: `docs/ejection_bound.md`, Eq. 7 to 14, on paper Eq. 5, 11, 13 and 14.
+    """
+    settings = of if isinstance(of, EjectionSettings) else of.ejection_settings()
+    changes = {"hand_speed": hand_speed, "late_s": late_s, "mass_error": mass_error}
+    settings = replace(settings, **{name: value for name, value in changes.items() if value is not None})
+    _check(settings)
+    if reason := _no_bound(settings):
+        return EjectionBound(speed=None, reason=reason, controller=None, of=(), assumptions=())
+    try:
+        known = (
+            exact(settings.period_s) if settings.estimator is None else kernel(settings.estimator, settings.period_s)
+        )
+    except ValueError as error:
+        return EjectionBound(speed=None, reason=str(error), controller=None, of=(), assumptions=())
+    model = _Model(settings, known)
+    bounds = tuple(
+        model.of_wsc() if name == "wsc" else model.of_hsc() for name in BOUNDED if name in settings.controllers
+    )
+    found = [(bound.speed, bound) for bound in bounds if bound.speed is not None]
+    if not found:
+        reason = "; ".join(f"{bound.controller}: {bound.reason}" for bound in bounds)
+        return EjectionBound(speed=None, reason=reason, controller=None, of=bounds, assumptions=_assumptions(settings))
+    speed, least = min(found, key=lambda pair: pair[0])
+    return EjectionBound(
+        speed=speed, reason=None, controller=least.controller, of=bounds, assumptions=_assumptions(settings)
+    )
+
+
+def _check(settings: EjectionSettings) -> None:
+    for name, low, high in (("hand_speed", 0.0, 1e3), ("late_s", 0.0, MAX_LATE_S), ("mass_error", 0.0, 0.999)):
+        value = getattr(settings, name)
+        if not low <= value <= high:
+            message = f"{name} = {value}: must be between {low:g} and {high:g}"
+            raise ValueError(message)
+
+
+def _no_bound(settings: EjectionSettings) -> str | None:
+    if not any(name in settings.controllers for name in BOUNDED):
+        return "none of hsc and wsc watches"
+    return settings.outside
+
+
+def _assumptions(settings: EjectionSettings) -> tuple[str, ...]:
+    hand = (
+        "the hand rested against the force and lets go at once"
+        if settings.hand_speed == 0.0
+        else f"the hand moves at up to {settings.hand_speed:g} m/s, evenly, and lets go at once"
+    )
+    late = "no tick is late" if settings.late_s == 0.0 else f"a tick is late by at most {settings.late_s * 1e3:g} ms"
+    steady = "of hsc alone: from the release on the push neither grows nor turns"
+    mass = f"the mass is known to {settings.mass_error * 100:g} %" if settings.mass_error else "the mass is as told"
+    return (hand, mass, late, "no mechanical stop is met", *([steady] if "hsc" in settings.controllers else []))
+
+
+class _Model:
+    """The bound's terms for one device, loop and estimator."""
+
+    def __init__(self, settings: EjectionSettings, known: Kernel) -> None:
+        self.settings, self.kernel = settings, known
+        axes = len(settings.mass_kg)
+        self.known_mass = min(settings.mass_kg)
+        self.mass = self.known_mass / (1.0 + settings.mass_error)
+        self.heaviest = max(settings.mass_kg)
+        self.force = settings.max_force_n + 0.5 * settings.force_quantum_n
+        self.held = self.force if settings.held_force_n is None else min(settings.held_force_n, self.force)
+        self.viscous = max(abs(one) for one in settings.viscous)
+        self.drives = max(0.0, -min(settings.viscous))
+        per_axis = axes > 1 and settings.friction == "axis"
+        coulomb = np.broadcast_to(settings.coulomb, axes)
+        self.coulomb = float(np.linalg.norm(coulomb) if per_axis else coulomb.max())
+        # Of several axes friction that differs between them, or acts on each, does not cancel in direction.
+        self.kernel_of_friction = known.acceleration if axes == 1 else np.abs(known.acceleration)
+        self.is_modelled = not per_axis
+        self.wrong_force = 0.5 * settings.force_quantum_n * sqrt(axes) * known.gain
+        step_n = settings.max_slew_n_per_s * settings.period_s + settings.force_quantum_n
+        self.growth = step_n / self.force
+        self.lag_s = known.growing_lag_s(self.growth)
+        self.reading_m = 0.5 * settings.quantum_m * sqrt(axes)
+        self.velocity_noise = float(np.abs(known.velocity_noise).sum()) * self.reading_m
+        self.acceleration_noise = float(np.abs(known.acceleration_noise).sum()) * self.reading_m
+        self.late_s = settings.late_s
+
+    def acceleration(self, speed: float) -> float:
+        """Of the force, a in m/s², with what a negative b adds at that speed."""
+        return (self.force + self.drives * speed) / self.mass
+
+    def lag(self, speed: float) -> float:
+        """How far the estimate may be off, e in m/s: `|V - V^|` below that speed (Eq. 5)."""
+        friction = self.kernel.lag_norm_s * (self.coulomb + self.viscous * speed)
+        late = self.acceleration(speed) * self.late_s
+        return (self.force * self.lag_s + friction) / self.mass + late + self.velocity_noise
+
+    def phantom_force(self, speed: float) -> float:
+        """What a hand that is long gone seems to exert, rho in N: `|F_h^|` below that speed (Eq. 8)."""
+        friction = (1.0 + self.kernel.gain) * self.coulomb
+        noise = self.heaviest * self.acceleration_noise
+        return friction + self._viscous(speed) + self._wrong_mass(speed) + self.wrong_force + noise
+
+    def phantom_energy(self, speed: float) -> float:
+        """Energy in J of a hand that is long gone, in a window below that speed (Eq. 9).
+
+        Friction shows only while its kernel still has the other direction, the noise of readings only where V^ bends.
+        """
+        known, settings = self.kernel, self.settings
+        window_s, mass = settings.window * settings.period_s, self.heaviest
+        a, e = self.acceleration(speed), self.lag(speed)
+        fastest = speed + e
+        # Friction that A has from j ticks ago has another direction than V^ only if V has changed by as much since.
+        since = e + a * settings.period_s * (np.arange(len(known.acceleration)) + 1.0)
+        turned = np.maximum(self.kernel_of_friction, 0.0) * np.minimum(fastest, since)
+        friction = 2.0 * self.coulomb * float(turned.sum())
+        if not self.is_modelled:
+            friction = (1.0 + known.gain) * self.coulomb * fastest
+        viscous = self._viscous(speed) * fastest
+        wrong = (self._wrong_mass(speed) + self.wrong_force) * fastest
+        steady = (self.coulomb + self.viscous * speed) / self.mass
+        noise = (
+            self.reading_m
+            * mass
+            * known.noise_power(
+                ticks=settings.window, growth=self.growth, force=self.force / self.mass, steady=steady, speed=fastest
+            )
+        )
+        both = mass * self.acceleration_noise * self.velocity_noise * window_s
+        return (friction + viscous + wrong) * window_s + noise + both
+
+    def _viscous(self, speed: float) -> float:
+        """What viscous friction leaves in F_h^, in N: V^ and the V of the friction differ by lag alone."""
+        known = self.kernel
+        lagging = self.acceleration(speed) * known.viscous_lag_s + self.velocity_noise
+        return self.viscous * min((1.0 + known.gain) * speed, lagging)
+
+    def _wrong_mass(self, speed: float) -> float:
+        """What a wrong mass leaves in F_h^, in N."""
+        return self.settings.mass_error * self.kernel.gain * (self.force + self.coulomb + self.viscous * speed)
+
+    def tail_energy(self) -> float:
+        """Energy in J of the hand that A still shows after it has gone (Eq. 9).
+
+        It held against the push, so a motion with the push takes energy out, and one against it, whose force has to
+        grow from zero, puts some in.
+        """
+        known, settings = self.kernel, self.settings
+        tail = known.tail[:-1]
+        answer = np.abs(known.velocity)
+        # In units of the cap: the force that pushes on, and the one that has turned round and grows.
+        forward = np.cumsum(answer)
+        grown = np.minimum(1.0, self.growth * np.arange(1, len(answer) + 1))
+        backward = np.convolve(answer, grown)[: len(answer)]
+        # V^ at tick k has seen the ticks up to k.
+        before = np.zeros(1)
+        forward, backward = np.concatenate((before, forward))[:-1], np.concatenate((before, backward))[:-1]
+        seen = np.where(tail > 0.0, backward, forward) * self.force / self.mass + self.velocity_noise
+        seen += settings.hand_speed
+        return float(self.held * (1.0 + settings.mass_error) * settings.period_s * (np.abs(tail) * seen).sum())
+
+    def of_wsc(self) -> ControllerBound:
+        """WSC, Eq. 7 to 11."""
+        settings, known = self.settings, self.kernel
+        window_s = settings.window * settings.period_s
+        power = settings.hand_power_w
+        if power is None:
+            power = max(self.force, settings.damping * settings.hand_speed) * settings.hand_speed
+            power *= 1.0 + settings.mass_error
+        # Ticks since the release: as long as energy from before is in the window.
+        time_s = settings.period_s * np.arange(settings.window + 1)
+        tail = self.tail_energy()
+
+        def allowed(speed: float) -> tuple[float, Array]:
+            """The energy that does not depend on the time since the release, and v_th at each tick (Eq. 9, 10)."""
+            fastest = speed + self.lag(speed)
+            late = 2.0 * known.gain * self.force * self.late_s
+            energy = tail + self.phantom_energy(speed) + late * fastest
+            whole = abs(settings.energy_threshold_j) + energy + (window_s - time_s) * power
+            return energy, np.sqrt(2.0 * settings.energy_ratio * whole / self.known_mass)
+
+        def next_speed(speed: float) -> float:
+            _, threshold = allowed(speed)
+            a = self.acceleration(speed)
+            passes = np.minimum(settings.hand_speed + a * (time_s + self.late_s), threshold + self.lag(speed))
+            # After the window has passed nothing depends on the time any more.
+            passes[-1] = threshold[-1] + self.lag(speed)
+            return float(max(settings.hand_speed, passes.max())) + a * (settings.period_s + self.late_s)
+
+        speed = _least_fixed_point(next_speed, settings.hand_speed)
+        if speed is None:
+            reason = "friction, noise or errors of the model look like a hand that feeds any speed"
+            return ControllerBound(controller="wsc", speed=None, reason=reason)
+        energy, threshold = allowed(speed)
+        terms = self._terms(speed)
+        terms = replace(terms, threshold_speed=float(threshold[-1]), phantom_energy_j=energy)
+        return ControllerBound(controller="wsc", speed=speed, reason=None, terms=terms)
+
+    def _terms(self, speed: float) -> EjectionTerms:
+        a = self.acceleration(speed)
+        tick = a * (self.settings.period_s + self.late_s)
+        return EjectionTerms(
+            lag_s=self.lag_s,
+            lag_norm_s=self.kernel.lag_norm_s,
+            acceleration=a,
+            lag_speed=self.lag(speed),
+            tick_speed=tick,
+            phantom_force_n=self.phantom_force(speed),
+            floor=self.lag_s * a + tick,
+        )
+
+    def of_hsc(self) -> ControllerBound:
+        """HSC, Eq. 12 to 14."""
+        settings = self.settings
+        if settings.travel_m is None:
+            reason = "hsc does not see a push of less than F_t, and without mechanical stops nothing ends it"
+            return ControllerBound(controller="hsc", speed=None, reason=reason)
+        travel_m = settings.travel_m
+
+        # A push that falls leaves the kernel's negative part behind: an impulse, once, however it falls (Eq. 13).
+        dip = np.maximum(-self.kernel.acceleration, 0.0)
+        impulse = self.held * settings.period_s * float((np.arange(len(dip)) * dip).sum()) / self.mass
+
+        def next_speed(speed: float) -> float:
+            push, limit = self._unseen(speed)
+            a_tick = self.acceleration(speed) * (settings.period_s + self.late_s)
+            gained = settings.hand_speed + np.concatenate(([0.0], np.cumsum(push) * settings.period_s / self.mass))
+
+            def over_travel(force: Array) -> Array:
+                # From each tick on, the largest of the forces to come works over the whole travel.
+                later = np.maximum.accumulate(np.concatenate((force, force[-1:]))[::-1])[::-1]
+                work = 2.0 * (later + self.drives * speed) * travel_m / self.mass
+                reached: Array = np.sqrt((gained + a_tick) ** 2 + work)
+                return reached
+
+            return float(min(over_travel(push).min(), over_travel(limit).min() + impulse))
+
+        speed = _least_fixed_point(next_speed, settings.hand_speed)
+        if speed is None:
+            reason = "friction, noise or errors of the model look like a hand at any speed"
+            return ControllerBound(controller="hsc", speed=None, reason=reason)
+        terms = replace(self._terms(speed), unseen_force_n=float(min(each[-1] for each in self._unseen(speed))))
+        return ControllerBound(controller="hsc", speed=speed, reason=None, terms=terms)
+
+    def _unseen(self, speed: float) -> tuple[Array, Array]:
+        """Largest push in N at each tick after the release that HSC does not trip at, the last for ever (Eq. 12, 13).
+
+        And what A then shows of it at most, which is the same of a push that is steady.
+        """
+        settings, known = self.settings, self.kernel
+        tail = known.tail
+        grasp = (1.0 + settings.mass_error) * self.held * np.abs(tail)
+        grasp += self.phantom_force(speed) + settings.grasp_floor_n
+        # What A shows of a push F that has not grown since it was F_0: at least `reach F - dip F_0 + tail F_0`.
+        reach = np.concatenate(([0.0], np.cumsum(np.maximum(known.acceleration, 0.0))))
+        dip = np.concatenate(([0.0], np.cumsum(np.maximum(-known.acceleration, 0.0))))
+        limit = np.maximum(settings.hsc_force_threshold_n, settings.grasp_threshold * grasp)
+        reach[0] = 1.0
+        push = np.maximum((limit + (dip - tail) * self.held) / reach, settings.hsc_force_threshold_n)
+        push[0] = self.force
+        if settings.release_ramp_s > 0.0:
+            # An intervention that fades lets through so much more at its last tick than at the one before.
+            more = 2.0 * self.force * settings.period_s / settings.release_ramp_s
+            push, limit = push + more, limit + more
+        return np.minimum(push, self.force), np.minimum(limit, self.force)
+
+
+def _least_fixed_point(of: Callable[[float], float], start: float) -> float | None:
+    """The least speed that is its own bound, from below; none where there is no such speed."""
+    speed = start
+    for _ in range(MOST_ITERATIONS):
+        following = of(speed)
+        if not isfinite(following) or following > FASTEST:
+            return None
+        if following <= speed * (1.0 + TOLERANCE):
+            return following * (1.0 + TOLERANCE)
+        speed = following
+    return None
+
+
+MOST_ITERATIONS = 1000
+TOLERANCE = 1e-9
+FASTEST = 1e3
+"""In m/s: what the safety layer takes for possible."""
+
+
+def _rounded_up(speed: float) -> str:
+    """To two digits behind the point, never below."""
+    return f"{np.ceil(speed * 100.0 - 1e-9) / 100.0:.2f}"

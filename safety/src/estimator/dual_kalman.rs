@@ -1,0 +1,111 @@
+//! Two Kalman filters of one position: a quick one for V, a calm one for A.
+
+use super::{Estimator, Kalman, Motion};
+use crate::lanes::part;
+use crate::parameter::ParameterError;
+use crate::{About, Axes, Real};
+
+/// V of a [`Kalman`] filter of jerk density `q_v`, A of one of q.
+///
+/// One filter has one bandwidth: what keeps the noise of A, and of the grasp force `m A`, low has V lag. The noise of V
+/// matters little to an energy `m V² / 2`, but its lag is all that the bound on ejection speed has left once delta is
+/// small. Alignment is that of A.
+///
+/// Source: [`Kalman`]; `docs/ejection_bound.md`, Eq. 5.
+#[derive(Clone, Debug)]
+pub struct DualKalman<const N: usize, S = f64> {
+    quick: Kalman<N, S>,
+    calm: Kalman<N, S>,
+}
+
+impl<const N: usize> DualKalman<N> {
+    /// What it is called.
+    pub const ABOUT: About = About {
+        name: "dual-kalman",
+        title: "quick Kalman filter for V, calm one for A",
+        source: "Bar-Shalom, Li and Kirubarajan 2001, section 6.2.3, twice",
+    };
+
+    /// An estimator for positions rounded to `quantum_m` and sampled every `period_s`; jerk densities in m²/s⁵, within
+    /// the bounds of [`Kalman::new`].
+    pub fn new(
+        period_s: f64,
+        velocity_jerk_density: f64,
+        jerk_density: f64,
+        quantum_m: f64,
+    ) -> Result<Self, ParameterError> {
+        Ok(Self {
+            quick: Kalman::new(period_s, velocity_jerk_density, quantum_m)
+                .map_err(|error| error.of_field("jerk_density", "velocity_jerk_density"))?,
+            calm: Kalman::new(period_s, jerk_density, quantum_m)?,
+        })
+    }
+}
+
+impl<const N: usize, S: Real> Estimator<N, S> for DualKalman<N, S> {
+    type One = DualKalman<N>;
+
+    /// As of both filters.
+    fn gather(of: &[DualKalman<N>]) -> Option<Self> {
+        Some(Self {
+            quick: part(of, |one| one.quick.clone(), Kalman::gather)?,
+            calm: part(of, |one| one.calm.clone(), Kalman::gather)?,
+        })
+    }
+
+    #[inline(always)]
+    fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
+        let velocity = self.quick.step(position).velocity;
+        Motion { velocity, ..self.calm.step(position) }
+    }
+
+    #[inline(always)]
+    fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
+        self.calm.align(device_force)
+    }
+
+    fn shift(&mut self, by: &Axes<N, S>) {
+        self.quick.shift(by);
+        self.calm.shift(by);
+    }
+
+    fn has_late_velocity(&self) -> bool {
+        false
+    }
+
+    fn reset(&mut self, position: &Axes<N, S>) {
+        self.quick.reset(position);
+        self.calm.reset(position);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_signal_is_that_of_its_filter() {
+        let mut both = DualKalman::<1>::new(1e-3, 1000.0, 10.0, 2.3e-5).unwrap();
+        let mut quick = Kalman::<1>::new(1e-3, 1000.0, 2.3e-5).unwrap();
+        let mut calm = Kalman::<1>::new(1e-3, 10.0, 2.3e-5).unwrap();
+        for n in 0..200 {
+            let t = f64::from(n) * 1e-3;
+            let position = Axes::from([0.01 * (40.0 * t).sin()]);
+            let force = Axes::from([(70.0 * t).cos()]);
+            let seen = both.step(&position);
+            assert_eq!(seen.velocity, quick.step(&position).velocity);
+            assert_eq!(seen.acceleration, calm.step(&position).acceleration);
+            assert_eq!(both.align(&force), calm.align(&force));
+        }
+    }
+
+    #[test]
+    fn a_bad_density_is_named_as_it_was_given() {
+        for (velocity_jerk_density, jerk_density, name) in
+            [(-1.0, 10.0, "velocity_jerk_density"), (10.0, -1.0, "jerk_density"), (1e30, 10.0, "bandwidth")]
+        {
+            let error = DualKalman::<1>::new(1e-3, velocity_jerk_density, jerk_density, 2.3e-5).unwrap_err();
+            assert_eq!(error.name, name);
+        }
+    }
+}

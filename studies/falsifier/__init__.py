@@ -1,0 +1,6 @@
+"""The release that throws a device fastest: searched for, made simple, written as a scene."""
+
+from haptether.studies.falsifier.release import Release, ReleaseBounds
+from haptether.studies.falsifier.search import Falsified, falsify
+
+__all__ = ["Falsified", "Release", "ReleaseBounds", "falsify"]

@@ -1,0 +1,276 @@
+"""The worst release that a search finds, and the simplest that is nearly as bad."""
+
+import importlib
+import importlib.util
+import itertools
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Struct
+from msgspec.structs import replace
+
+from haptether.bridge import Scene, override_scene, simulate, sweep
+from haptether.safety import EjectionBound, ejection_bound
+from haptether.studies.falsifier.release import STRONGEST, Release, ReleaseBounds, Releases
+
+Array = npt.NDArray[np.float64]
+
+POPULATION = 48
+"""Releases of a generation: lanes of the batch engine are full."""
+SPREAD = 0.3
+"""Of the first generation, of the range of each number."""
+STALLED = 30
+"""Generations without a better release, after which the search starts anew elsewhere."""
+KEPT = 0.98
+"""Share of the speed that a simpler release must keep."""
+DIGITS = 3
+
+
+class Falsified(Struct, frozen=True, kw_only=True):
+    """The worst release that was found, and how near it came to the bound."""
+
+    scene: Scene
+    """It as a scene, made simple."""
+    release: Release
+    """It in numbers."""
+    speed: float
+    """Largest speed in m/s that `scene` reaches after the release."""
+    worst: float
+    """Largest speed in m/s of all releases that were tried."""
+    bound: EjectionBound
+    """What none may exceed."""
+    margin: float | None
+    """The bound less `worst`, in m/s; below 0 it is exceeded. None without a bound."""
+    tried: int
+    """How many releases were tried."""
+    seed: int
+    """Of the search."""
+    interrupted: bool
+    """Whether somebody ended it."""
+
+
+def falsify(
+    scene: Scene,
+    *,
+    controllers: tuple[str, ...] | None = None,
+    bounds: ReleaseBounds | None = None,
+    seconds: float = 60.0,
+    tries: int | None = None,
+    seed: int = 1,
+    threads: int | None = None,
+    progress: Callable[[int, float], None] | None = None,
+) -> Falsified:
+    """Searches for the release after which a scene's device becomes fastest, by CMA-ES with restarts.
+
+    Device, loop, link, arm and safety are the scene's; hand and push are searched for, within bounds.
+
+    Args:
+        scene: What is attacked.
+        controllers: Who watches; by default the scene's.
+        bounds: Of hand, push and link; by default `ReleaseBounds()`.
+        seconds: How long it searches.
+        tries: Releases after which it ends, also before; then the same seed finds the same.
+        seed: Of the search, 1 or more.
+        threads: Of the runs; by default as many as there are processors.
+        progress: Called with how many were tried and the largest speed in m/s.
+
+    Raises:
+        SceneError: A scene that has no such releases, or cannot be built.
+        ValueError: A number out of its bounds.
+        ImportError: Without cma, of the extra `analysis`.
+
+    Source: Hansen and Ostermeier 2001 (CMA-ES); Zeller and Hildebrandt 2002 (shrinking by parts left out).
+    """
+    for name, value in (("seed", seed), ("tries", tries)):
+        if value is not None and value < 1:
+            message = f"{name} = {value}: must be 1 or more"
+            raise ValueError(message)
+    if not seconds > 0.0:
+        message = f"seconds = {seconds}: must be above 0"
+        raise ValueError(message)
+    if controllers is not None:
+        scene = override_scene(scene, [f"safety.controllers=[{','.join(controllers)}]"])
+    bound = ejection_bound(scene)
+    bounds = bounds or ReleaseBounds()
+    if bounds.push == "auto":
+        bounds = replace(bounds, push="steady" if bound.controller == "hsc" else "any")
+    search = _Search(Releases(scene, bounds), threads, progress)
+    begun = time.perf_counter()
+
+    def is_over() -> bool:
+        return time.perf_counter() - begun >= seconds or (tries is not None and search.tried >= tries)
+
+    interrupted = False
+    try:
+        search.run(seed, is_over)
+    except KeyboardInterrupt:
+        interrupted = True
+    if search.best is None:
+        message = "it was ended before the first releases had been tried"
+        raise RuntimeError(message)
+    release, found = search.best, search.speed
+    try:
+        release = search.simplified(found)
+    except KeyboardInterrupt:
+        interrupted = True
+    said = f"Worst release found against {' + '.join(scene.safety.controllers) or 'nobody'}"
+    simple = search.releases.scene_of(release, said)
+    seen = simulate(simple).metrics.max_ejection_velocity
+    return Falsified(
+        scene=simple,
+        release=release,
+        speed=seen or 0.0,
+        worst=max(found, seen or 0.0),
+        bound=bound,
+        margin=None if bound.speed is None else bound.speed - max(found, seen or 0.0),
+        tried=search.tried,
+        seed=seed,
+        interrupted=interrupted,
+    )
+
+
+class _Search:
+    """The best release so far, and what it takes to find a better one."""
+
+    def __init__(self, releases: Releases, threads: int | None, progress: Callable[[int, float], None] | None) -> None:
+        self.releases, self.threads, self.progress = releases, threads, progress
+        self.best: Release | None = None
+        self.speed = 0.0
+        self.tried = 0
+
+    def speeds(self, tried: list[Release]) -> Array:
+        """The speed that each leads to, in m/s; 0 where nothing was measured."""
+        base = self.releases.scene_of(tried[0], whole=True)
+        seen = sweep(base, samples=self.releases.samples(tried), threads=self.threads)["max_ejection_velocity"]
+        found: Array = np.nan_to_num(np.asarray(seen, dtype=np.float64))
+        self.tried += len(tried)
+        place = int(np.argmax(found))
+        if self.best is None or found[place] > self.speed:
+            self.best, self.speed = tried[place], float(found[place])
+        if self.progress is not None:
+            self.progress(self.tried, self.speed)
+        return found
+
+    def run(self, seed: int, is_over: Callable[[], bool]) -> None:
+        """Starts again and again, each time elsewhere, until it is over."""
+        if importlib.util.find_spec("cma") is None:
+            message = "a search needs cma, of the extra analysis: install haptether[analysis]"
+            raise ImportError(message)
+        cma: Any = importlib.import_module("cma")
+        rng = np.random.default_rng(seed)
+        while self.best is None or not is_over():
+            start = self._start(rng)
+            options = {
+                "bounds": [0.0, 1.0],
+                "popsize": POPULATION,
+                "seed": int(rng.integers(1, 2**31)),
+                "verbose": -9,
+                "verb_log": 0,
+                "verb_disp": 0,
+            }
+            strategy = cma.CMAEvolutionStrategy(start, SPREAD, options)
+            best, since = 0.0, 0
+            while (self.best is None or not is_over()) and since < STALLED and not strategy.stop():
+                numbers = strategy.ask()
+                speeds = self.speeds([self.releases.of(each) for each in numbers])
+                strategy.tell(numbers, (-speeds).tolist())
+                since = 0 if speeds.max() > best * 1.001 else since + 1
+                best = max(best, float(speeds.max()))
+
+    def _start(self, rng: np.random.Generator) -> Array:
+        """Where a search begins: a sudden release at the cap, and a push at random or to and fro."""
+        start = rng.uniform(0.1, 0.9, self.releases.size)
+        start[:3] = (0.9, 0.1, 0.9)
+        steps = self.releases.bounds.steps
+        if rng.random() < 0.5:
+            start[3 : 3 + steps] = rng.uniform(0.1, 0.6)
+            start[3 + steps : 3 + 2 * steps] = np.where((np.arange(steps) + rng.integers(2)) % 2 == 0, 0.1, 0.9)
+        return start
+
+    def simplified(self, speed: float) -> Release:
+        """The simplest release that keeps most of a speed: one part less, rounder numbers, as long as that goes."""
+        assert self.best is not None
+        release, least = self.best, KEPT * speed
+        while True:
+            simpler = [
+                each
+                for each in _simpler(release, self.releases.cap_n)
+                if _parts(each) < _parts(release) and each.decay_s <= min(each.after_s, default=0.0)
+            ]
+            if not simpler:
+                return _without_idle_steps(release)
+            kept = [each for each, seen in zip(simpler, self.speeds(simpler), strict=True) if seen >= least]
+            if not kept:
+                return _without_idle_steps(release)
+            release = min(kept, key=_parts)
+
+
+def _without_idle_steps(release: Release) -> Release:
+    """The same without steps that change nothing."""
+    steps = zip(release.after_s, itertools.pairwise((release.held_n, *release.level_n)), strict=True)
+    kept = [(after, new) for after, (old, new) in steps if new != old]
+    return replace(release, after_s=tuple(after for after, _ in kept), level_n=tuple(new for _, new in kept))
+
+
+def _parts(release: Release) -> float:
+    """How much a release has to it: steps, then digits."""
+    levels = (release.held_n, *release.level_n)
+    steps = sum(new != old for old, new in itertools.pairwise(levels))
+    numbers = (
+        release.decay_s,
+        release.margin,
+        *release.after_s,
+        *levels,
+        *release.delay_s,
+        release.jitter_s,
+        release.loss,
+    )
+    return 100.0 * steps + sum(len(f"{number:.12g}".strip("0.")) for number in numbers)
+
+
+def _simpler(release: Release, cap_n: float) -> Iterator[Release]:
+    """The releases that are one step simpler."""
+    levels = (release.held_n, *release.level_n)
+    for place in range(1, len(levels)):
+        if levels[place] != levels[place - 1]:
+            # A step less: the level before lasts, and so on where the next ones were the same.
+            changed = list(levels)
+            old = changed[place]
+            for later in range(place, len(levels)):
+                if changed[later] != old:
+                    break
+                changed[later] = changed[place - 1]
+            yield replace(release, level_n=tuple(changed[1:]))
+    whole = tuple(_nearest(level, (-cap_n, 0.0, cap_n)) for level in release.level_n)
+    yield replace(release, level_n=whole)
+    for place, level in enumerate(release.level_n):
+        for near in (_nearest(level, (-cap_n, 0.0, cap_n)), _rounded(level)):
+            changed = list(release.level_n)
+            changed[place] = near
+            yield replace(release, level_n=tuple(changed))
+        after = list(release.after_s)
+        after[place] = round(after[place], 3)
+        yield replace(release, after_s=tuple(after))
+    yield replace(release, after_s=tuple(round(after, 3) for after in release.after_s))
+    yield replace(release, held_n=cap_n)
+    yield replace(release, held_n=_rounded(release.held_n))
+    yield replace(release, decay_s=0.0, margin=STRONGEST)
+    yield replace(release, decay_s=round(release.decay_s, 3))
+    yield replace(release, margin=_rounded(release.margin))
+    yield replace(release, delay_s=(0.0, 0.0), jitter_s=0.0, loss=0.0)
+    yield replace(release, jitter_s=0.0)
+    yield replace(release, loss=0.0)
+    yield replace(release, delay_s=(0.0, release.delay_s[1]), jitter_s=0.0)
+    yield replace(release, delay_s=(round(release.delay_s[0], 3), round(release.delay_s[1], 3)))
+
+
+def _nearest(level: float, levels: tuple[float, ...]) -> float:
+    return min(levels, key=lambda one: abs(one - level))
+
+
+def _rounded(value: float) -> float:
+    """To three digits."""
+    return float(f"{value:.{DIGITS}g}")

@@ -1,0 +1,160 @@
+"""The search for the worst release: within bounds, the same again, made simple, written as a scene that reproduces."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from haptether.bridge import Scene, SceneError, load_scene, simulate
+from haptether.cli import main
+from haptether.safety import ejection_bound
+from haptether.studies import Falsified, ReleaseBounds, falsify
+from haptether.studies.falsifier.release import Releases
+
+TRIES = 192
+FEW = ReleaseBounds(steps=3, longest_s=0.02)
+
+
+@pytest.fixture(scope="module")
+def wall() -> Scene:
+    """V is measured: the bound is nearly reached by whoever pushes at the cap."""
+    return load_scene("paper_wall")
+
+
+@pytest.fixture(scope="module")
+def found(wall: Scene) -> Falsified:
+    return falsify(wall, bounds=FEW, tries=TRIES, seconds=60.0, seed=3, threads=2)
+
+
+def test_it_comes_near_the_bound_and_not_beyond(found: Falsified) -> None:
+    assert found.bound.speed is not None
+    assert 0.95 * found.bound.speed < found.worst <= found.bound.speed
+    assert found.margin == found.bound.speed - found.worst
+    assert found.tried >= TRIES
+    assert not found.interrupted
+
+
+def test_the_same_seed_finds_the_same(wall: Scene, found: Falsified) -> None:
+    again = falsify(wall, bounds=FEW, tries=TRIES, seconds=60.0, seed=3, threads=1)
+    assert (again.scene, again.speed, again.worst, again.tried) == (
+        found.scene,
+        found.speed,
+        found.worst,
+        found.tried,
+    )
+
+
+def test_what_is_left_is_simple(found: Falsified) -> None:
+    """A steady push does it: no step is left that does nothing, and the speed is nearly that of the worst."""
+    assert len(found.release.level_n) <= 2
+    assert 0.98 * found.worst <= found.speed <= found.worst
+    environment = found.scene.environment
+    assert environment is not None
+    assert len(environment.pushers) == 1 + len(found.release.level_n)
+
+
+@pytest.mark.parametrize("name", ["paper_wall", "remote_push", "three_axis_box"])
+@pytest.mark.parametrize("push", ["any", "steady"])
+def test_releases_keep_their_bounds(name: str, push: str) -> None:
+    scene = load_scene(name)
+    bounds = ReleaseBounds(push="steady" if push == "steady" else "any", steps=5, decay_s=0.02, delay_s=0.1)
+    releases = Releases(scene, bounds)
+    rng = np.random.default_rng(1)
+    for numbers in [*rng.uniform(0.0, 1.0, (50, releases.size)), np.zeros(releases.size), np.ones(releases.size)]:
+        release = releases.of(numbers)
+        levels = np.array([release.held_n, *release.level_n])
+        assert np.abs(levels).max() <= releases.cap_n * (1 + 1e-12)
+        assert release.after_s[0] >= release.decay_s
+        assert (np.diff(release.after_s) >= bounds.shortest_s - 1e-12).all()
+        assert 0.0 <= release.decay_s <= 0.02
+        assert max(release.delay_s) <= (0.1 if scene.link else 0.0)
+        if push == "steady":
+            assert (np.diff(levels) <= 0.0).all()
+            assert (levels >= 0.0).all()
+        written = releases.scene_of(release)
+        assert written.environment is not None
+        # With the delay on its way back nothing reaches the hand before it lets go.
+        sent = [pusher.at_s for pusher in written.environment.pushers[1:]]
+        assert all(at_s + release.delay_s[1] >= releases.at_s - 1e-9 for at_s in sent)
+        assert written.ejection_settings() == scene.ejection_settings()
+
+
+def test_ctrl_c_keeps_the_worst_so_far(wall: Scene) -> None:
+    calls = []
+
+    def interrupted(tried: int, speed: float) -> None:
+        calls.append((tried, speed))
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+
+    found = falsify(wall, bounds=FEW, seconds=60.0, threads=1, progress=interrupted)
+    assert found.interrupted
+    assert found.worst >= calls[1][1] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"), [("valve", "kind = pose"), ("paper_wall", "enabled = false"), ("nothing", "no shipped scene")]
+)
+def test_scenes_without_such_releases_are_refused(name: str, problem: str) -> None:
+    overrides = ("safety.limiter={enabled=false}",) if name == "paper_wall" else ()
+    with pytest.raises(SceneError, match=problem):
+        falsify(load_scene(name, overrides), tries=1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [({"steps": 0}, "steps = 0: must be between 1 and 40"), ({"loss": 1.0}, "loss = 1.0: must be between 0 and 0.9")],
+)
+def test_bounds_that_cannot_be_are_refused(changes: dict[str, float], problem: str) -> None:
+    with pytest.raises(ValueError, match=problem):
+        ReleaseBounds(**changes)  # type: ignore[arg-type]  # numbers of either kind
+
+
+def test_the_command_writes_a_scene_that_reproduces(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    arguments = [
+        "falsify",
+        "paper_wall",
+        "--controller",
+        "wsc,hsc",
+        "--tries",
+        "48",
+        "--steps",
+        "2",
+        "--threads",
+        "1",
+        "--json",
+        "-",
+    ]
+    assert main(arguments) == 0
+    report = json.loads(capsys.readouterr().out)
+    file = tmp_path / "paper_wall_worst.toml"
+    assert report["file"] == file.name
+    assert report["controllers"] == ["wsc", "hsc"]
+    run = simulate(file)
+    assert run.metrics.max_ejection_velocity == report["speed"]
+    assert report["margin"] == report["bound"]["speed"] - report["worst"]
+    assert f"at {report['speed']:.4f} m/s" in file.read_text()
+    written = load_scene(file)
+    assert ejection_bound(written).speed == report["bound"]["speed"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (["--out", "worst.npz"], "worst.npz: must end in .toml"),
+        (["--tries", "0"], "tries = 0: must be 1 or more"),
+        (["--controller", "abc"], "controllers.0 = \"abc\": must be"),
+        (["--seconds", "0"], "seconds = 0.0: must be above 0"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused(
+    arguments: list[str], problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert main(["falsify", "paper_wall", *arguments]) == 2
+    assert problem in capsys.readouterr().err
