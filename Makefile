@@ -48,7 +48,7 @@ demo: $(EXTENSION) ## run `haptether demo`
 	@$(BIN)/haptether demo
 
 NOT_THOROUGH = $() and not thorough
-LIVE_AT_ONCE := 6
+LIVE_AT_ONCE := 4
 
 .PHONY: test
 test: $(EXTENSION) ## cargo test and pytest

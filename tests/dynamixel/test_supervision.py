@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from tests.dynamixel.emulated import EmulatedBus, emulated_bus
 from tests.dynamixel.test_arm import TIMEOUT_S, arm_of, opened, refused, torques, until
+from tests.ur.stalls import anew_after_stalls
 
 from haptether.checklist import Checklist
 from haptether.dynamixel import DynamixelBus
@@ -129,6 +130,7 @@ def test_a_shadow_is_checked_driven_watched_and_let_go(two: EmulatedBus) -> None
         ("silent 2 on", {FaultKind.SILENT}),
     ],
 )
+@anew_after_stalls
 def test_what_is_wrong_with_a_shadow_ends_the_torque_of_both(
     two: EmulatedBus, fault: str, kinds: set[FaultKind]
 ) -> None:

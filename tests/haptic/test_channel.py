@@ -12,6 +12,7 @@ from contextlib import contextmanager
 
 import pytest
 from tests.haptic.emulated import EmulatedInverse, emulated_service
+from tests.ur.stalls import anew_after_stalls
 
 from haptether.checklist import RefusedError
 from haptether.master.inverse3 import Inverse3
@@ -85,6 +86,7 @@ def returns_within(seconds: float, call: "threading.Thread") -> None:
     ids=["pongs", "parts"],
 )
 @pytest.mark.parametrize("limit_s", [0.0, 0.01])
+@anew_after_stalls
 def test_a_wait_for_a_frame_ends_whatever_else_arrives(first: bytes, sent: bytes, limit_s: float) -> None:
     with flooding(sent, first) as channel:
         found: list[object] = []
@@ -180,6 +182,7 @@ def service() -> Iterator[EmulatedInverse]:
         yield running
 
 
+@anew_after_stalls
 def test_it_is_opened_once_and_anew_after_its_end(service: EmulatedInverse) -> None:
     driver = Inverse3(**service.options)
     driver.open()

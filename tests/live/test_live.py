@@ -210,6 +210,7 @@ def test_a_taken_address_is_one_line(key: Path, children: list[Child]) -> None:
     assert second.stderr.count("\n") == 1
 
 
+@anew_after_stalls
 def test_ipv6_works_and_a_mix_is_refused(key: Path, children: list[Child]) -> None:
     slave = Child("slave", "--key", str(key), "--listen", "[::1]:0", "--duration-s", "1", "--patience-s", "20")
     children.append(slave)
