@@ -30,6 +30,7 @@ function take(message) {
   if (message.kind === "rows") {
     lostRows += message.lost;
     for (const row of message.rows) add(row);
+    ends.take(message.bodies);
     if (message.sides) showSides(message.sides);
     needsDraw = true;
   } else if (message.kind === "answer") {
@@ -334,6 +335,7 @@ function draw(now) {
       charts[name].setData([times, ...series.map(([side, signal]) => values(side, signal))]);
     }
   }
+  ends.draw(now);
   requestAnimationFrame(draw);
 }
 

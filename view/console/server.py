@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
+from haptether.view.console.bodies import Bodies
 from haptether.view.console.control import Asked, ControlConnection, stop_all
 from haptether.view.console.feed import SideFeed
 from haptether.view.console.guard import Guard
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 FILES = {
     "": ("page.html", "text/html; charset=utf-8"),
     "console.js": ("console.js", "text/javascript; charset=utf-8"),
+    "renderer.js": ("../page/renderer.js", "text/javascript; charset=utf-8"),
+    "ends.js": ("ends.js", "text/javascript; charset=utf-8"),
     "console.css": ("console.css", "text/css; charset=utf-8"),
     "uplot.js": ("vendor/uPlot.iife.min.js", "text/javascript; charset=utf-8"),
     "uplot.css": ("vendor/uPlot.min.css", "text/css; charset=utf-8"),
@@ -62,7 +65,8 @@ class Console:
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         self.port: int = self._socket.getsockname()[1]
         self._token = secrets.token_urlsafe(24)
-        self.feeds = [SideFeed(path, f"side {number}") for number, path in enumerate(telemetry, start=1)]
+        self.bodies = Bodies()
+        self.feeds = [SideFeed(path, f"side {number}", self.bodies) for number, path in enumerate(telemetry, start=1)]
         self._control = list(control)
         self._sides: dict[str, Path] = {}
         """Of each control socket that has said whose it is."""
@@ -111,6 +115,7 @@ class Console:
                 rows.cancel()
                 end.cancel()
 
+        self.bodies.start()
         for feed in self.feeds:
             feed.start()
         try:
@@ -118,6 +123,7 @@ class Console:
         finally:
             for feed in self.feeds:
                 feed.close()
+            self.bodies.close()
             self._socket.close()
 
     async def _end(self, server: Any, stopped: Callable[[], bool]) -> None:  # noqa: ANN401  # of a library of an extra
@@ -132,6 +138,7 @@ class Console:
         return Starlette(
             routes=[
                 *(Route(f"/{name}", self._file) for name in FILES),
+                Route("/bodies", self._geometry),
                 Route("/stop", self._stop, methods=["POST"]),
                 WebSocketRoute("/live", self._live),
             ]
@@ -145,6 +152,11 @@ class Console:
         if name == "page.html":
             text = text.replace(b"COLOURS", json.dumps(_colours()).encode(), 1)
         return Response(text, media_type=kind)
+
+    async def _geometry(self, _: "Request") -> "Response":
+        from starlette.responses import Response
+
+        return Response(self.bodies.geometry, media_type="application/json")
 
     async def _stop(self, _: "Request") -> "Response":
         """The stop of a page whose connection does not answer."""
@@ -176,11 +188,13 @@ class Console:
             await page.close(1013)
             return
         self._pages += 1
+        self.bodies.is_watched = True
         try:
             async with _Page(page, self) as one:
                 await one.serve()
         finally:
             self._pages -= 1
+            self.bodies.is_watched = self._pages > 0
 
     async def path_of(self, side: str) -> Path | None:
         """The control socket of a side; none where none was named, or it does not answer."""
@@ -277,10 +291,13 @@ class _Page(contextlib.AbstractAsyncContextManager["_Page"]):
                 await self._page.send_text(json.dumps(message, separators=(",", ":")))
 
     async def _show(self) -> None:
-        row = self._console.rows.newest
+        row, drawn = self._console.rows.newest, None
         while True:
             # A page that does not take it holds this up, and what it then misses is counted.
             row, message = self._console.message_since(row)
+            frame = self._console.bodies.frame
+            if frame is not drawn:
+                message["bodies"] = drawn = frame
             await self._send(message)
             await asyncio.sleep(ROW_S)
 
