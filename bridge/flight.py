@@ -74,6 +74,12 @@ class Trip(msgspec.Struct, frozen=True, kw_only=True):
     observed: float | None
     threshold: float | None
 
+    def __str__(self) -> str:
+        if self.observed is None or self.threshold is None:
+            return self.controller
+        side = "above" if self.observed > self.threshold else "below"
+        return f"{self.controller}: {self.observer} = {self.observed:.4g}, {side} {self.threshold:g}"
+
 
 class Intervention(msgspec.Struct, frozen=True, kw_only=True):
     """Ticks that lie together at which controllers acted."""
@@ -83,6 +89,11 @@ class Intervention(msgspec.Struct, frozen=True, kw_only=True):
     layer: str = "translation"
     """"translation", "rotation" or "trigger": each has observers and thresholds of its own."""
     trips: list[Trip]
+
+    def __str__(self) -> str:
+        what = "; ".join(map(str, self.trips)) or "held on"
+        layer = "" if self.layer == "translation" else f"{self.layer}: "
+        return f"{self.time_s:.4f} to {self.until_s:.4f} s  {layer}{what}"
 
 
 class Tick(msgspec.Struct, frozen=True, kw_only=True):

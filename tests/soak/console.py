@@ -1,5 +1,7 @@
 """A page of the console that reads two loops at 1 kHz for minutes: browser, server and loops must not grow.
 
+It fails unless the pair was coupled all the time, since a loop that rests proves little.
+
 python -m tests.soak.console --minutes 10
 """
 
@@ -67,8 +69,20 @@ class Memory:
         }
 
 
+COUPLED = """() => {
+    const watch = window.coupled = { begun: performance.now(), until: null };
+    setInterval(() => {
+        const sides = ['master', 'slave'].map(side => document.querySelector(`#side-${side} .headline .engaged`));
+        if (watch.until === null && !sides.every(Boolean)) watch.until = performance.now();
+    }, 50);
+}"""
+"""Looks at the page from now on: when one of the two was first not engaged."""
+STATE = """() => ({ coupled_s: ((coupled.until ?? performance.now()) - coupled.begun) / 1e3,
+    to_the_end: coupled.until === null })"""
+
+
 def main() -> int:
-    """Prints the memory at begin and end."""
+    """Prints the memory at begin and end, and how long the pair was coupled; 1 unless it was to the end."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=10.0)
     minutes: float = parser.parse_args().minutes
@@ -84,6 +98,8 @@ def main() -> int:
             page.wait_for_selector("#side-master .headline")
             hold(page, 1.3)
             page.wait_for_selector("#side-master .headline .engaged")
+            page.wait_for_selector("#side-slave .headline .engaged")
+            page.evaluate(COUPLED)
             own = [pid for pid in children(os.getpid()) if pid not in before and "chromium" in command(pid)]
             session = page.context.new_cdp_session(page)
             session.send("Performance.enable")
@@ -99,8 +115,14 @@ def main() -> int:
             for name, value in end.items():
                 print(f"{name:28}{begin[name]:10.1f}{value:10.1f}{value - begin[name]:+10.1f}")
             print("page:", page.inner_text("#side-master .headline"), page.inner_text("#link") or "no row was lost")
+            state = page.evaluate(STATE)
+            end_of = "to the end" if state["to_the_end"] else "NOT to the end"
+            print(f"coupled for {state['coupled_s']:.1f} s, {end_of}")
+            for side in ("master", "slave"):
+                causes = page.locator(f"#side-{side} .cause").all_inner_texts()
+                print(f"{side}: {page.inner_text(f'#side-{side} .headline')}", *causes)
         console.terminate()
-    return 0
+    return 0 if state["to_the_end"] else 1
 
 
 if __name__ == "__main__":

@@ -30,6 +30,8 @@ function take(message) {
   if (message.kind === "rows") {
     lostRows += message.lost;
     for (const row of message.rows) add(row);
+    ends.take(message.bodies);
+    if (message.flights) showFlights(message.flights, element);
     if (message.sides) showSides(message.sides);
     needsDraw = true;
   } else if (message.kind === "answer") {
@@ -164,13 +166,13 @@ $("release").addEventListener("click", async () => {
   const answer = await ask("master", { do: "release" });
   say(`master: ${answer.text}`, !answer.done);
 });
-for (const [form, input, side, name] of [["force-form", "force-scale", "master", "force_scale"],
-  ["position-form", "position-scale", "slave", "position_scale"]]) {
-  $(form).addEventListener("submit", event => {
+const SCALES = { force: "master", torque: "master", position: "slave", rotation: "slave" };   // each at its side
+for (const [name, side] of Object.entries(SCALES)) {
+  $(name + "-form").addEventListener("submit", event => {
     event.preventDefault();
-    const scale = Number($(input).value.trim() || NaN);
-    if (!Number.isFinite(scale)) say(`${$(input).value}: must be a number`, true);
-    else request(side, { do: name, scale }, event.timeStamp);
+    const text = $(name + "-scale").value, scale = Number(text.trim() || NaN);
+    if (!Number.isFinite(scale)) say(`${text}: must be a number`, true);
+    else request(side, { do: name + "_scale", scale }, event.timeStamp);
   });
 }
 
@@ -203,9 +205,11 @@ function showSides(sides) {
   }
   sides.forEach((side, index) => showSide(sections[index], side));
   for (const side of sides) {
-    for (const [key, id] of [["force_scale", "force-scale"], ["position_scale", "position-scale"]]) {
+    for (const [key, scale] of Object.entries(side.scales || {})) {
+      const name = key.replace("_scale", ""), input = $(name + "-scale");
+      $(name + "-form").hidden = false;
       // What the scene has, until somebody types.
-      if (side.scales && typeof side.scales[key] === "number" && $(id).value === "" && document.activeElement !== $(id)) $(id).value = side.scales[key];
+      if (input.value === "" && document.activeElement !== input) input.value = scale;
     }
   }
   $("link").textContent = lostRows ? `${lostRows} rows not shown: this page was too slow` : "";
@@ -334,6 +338,7 @@ function draw(now) {
       charts[name].setData([times, ...series.map(([side, signal]) => values(side, signal))]);
     }
   }
+  ends.draw(now);
   requestAnimationFrame(draw);
 }
 

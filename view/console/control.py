@@ -19,7 +19,10 @@ class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     id: int
     """Its own, which the answer bears."""
     side: Literal["master", "slave"]
-    do: Literal["status", "hold", "let_go", "release", "acknowledge", "force_scale", "position_scale"]
+    do: Literal[
+        "status", "hold", "let_go", "release", "acknowledge",
+        "force_scale", "torque_scale", "position_scale", "rotation_scale",
+    ]  # fmt: skip
     held_ms: int | None = None
     token: int | None = None
     scale: float | None = None

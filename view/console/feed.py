@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from haptether.bridge import TelemetryEnd, TelemetryReader, TelemetrySample
+from haptether.view.console.bodies import Bodies
 from haptether.view.console.summary import summary
 from haptether.view.terminal.state import SideState
 
@@ -27,10 +28,12 @@ class SideFeed:
     Args:
         path: Of `--telemetry`.
         name: What the side is called until it has said it.
+        bodies: Which are drawn of it.
     """
 
-    def __init__(self, path: Path, name: str) -> None:
+    def __init__(self, path: Path, name: str, bodies: Bodies) -> None:
         self.path = path
+        self._bodies = bodies
         self._name = name
         self._state: SideState | None = None
         self._trouble = "not connected yet"
@@ -88,9 +91,11 @@ class SideFeed:
 
     def _read(self, reader: TelemetryReader) -> None:
         state = SideState(reader.hello)
+        self._bodies.take(reader.hello)
         with self._lock:
             self._state, self._trouble, self._row, self._is_over = state, "", {}, False
         for message in reader:
+            self._bodies.take(reader.hello, message)
             with self._lock:
                 state.take(message)
                 if isinstance(message, TelemetrySample):

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
+from haptether.view.console.bodies import Bodies
 from haptether.view.console.control import Asked, ControlConnection, stop_all
 from haptether.view.console.feed import SideFeed
 from haptether.view.console.guard import Guard
+from haptether.view.console.recorder import FlightWatch
 from haptether.view.console.rows import Rows
 
 if TYPE_CHECKING:
@@ -26,12 +28,17 @@ if TYPE_CHECKING:
 FILES = {
     "": ("page.html", "text/html; charset=utf-8"),
     "console.js": ("console.js", "text/javascript; charset=utf-8"),
+    "renderer.js": ("../page/renderer.js", "text/javascript; charset=utf-8"),
+    "ends.js": ("ends.js", "text/javascript; charset=utf-8"),
+    "recorder.js": ("recorder.js", "text/javascript; charset=utf-8"),
     "console.css": ("console.css", "text/css; charset=utf-8"),
     "uplot.js": ("vendor/uPlot.iife.min.js", "text/javascript; charset=utf-8"),
     "uplot.css": ("vendor/uPlot.min.css", "text/css; charset=utf-8"),
 }
 ROW_S = 1.0 / 30
 """Between two rows of the charts, and two messages to a page."""
+RECORDERS_S = 0.5
+"""Between two looks at the files of flight recorders."""
 ROWS = 150
 """That wait for a page; one that is slower loses the oldest, counted."""
 WORDS_EVERY = 3
@@ -50,20 +57,26 @@ class Console:
     Args:
         telemetry: Sockets of `--telemetry`.
         control: Sockets of `--control`, of sides that tell which they are.
+        flight: Files of `--flight`.
         port: Where it listens on 127.0.0.1; 0 lets the system choose.
 
     Raises:
         OSError: The port is taken.
     """
 
-    def __init__(self, telemetry: Sequence[Path], control: Sequence[Path], *, port: int = 0) -> None:
+    def __init__(self, telemetry: Sequence[Path], control: Sequence[Path], *, flight: Sequence[Path] = (),
+                 port: int = 0) -> None:  # fmt: skip
         self._socket = socket.create_server(("127.0.0.1", port))
         # Of each page: what it does not take waits here and no longer in the system.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         self.port: int = self._socket.getsockname()[1]
         self._token = secrets.token_urlsafe(24)
-        self.feeds = [SideFeed(path, f"side {number}") for number, path in enumerate(telemetry, start=1)]
+        self.bodies = Bodies()
+        self.feeds = [SideFeed(path, f"side {number}", self.bodies) for number, path in enumerate(telemetry, start=1)]
         self._control = list(control)
+        self._recorders = [FlightWatch(path) for path in flight]
+        self.flights: list[dict[str, Any]] = []
+        """What was recorded at the last hold or end of each side; another list whenever one was written."""
         self._sides: dict[str, Path] = {}
         """Of each control socket that has said whose it is."""
         self.rows = Rows(ROWS)
@@ -105,12 +118,15 @@ class Console:
         async def run() -> None:
             rows = asyncio.create_task(self._sample())
             end = asyncio.create_task(self._end(server, stopped))
+            recorders = asyncio.create_task(self._read_recorders())
             try:
                 await server.serve(sockets=[self._socket])
             finally:
                 rows.cancel()
                 end.cancel()
+                recorders.cancel()
 
+        self.bodies.start()
         for feed in self.feeds:
             feed.start()
         try:
@@ -118,6 +134,7 @@ class Console:
         finally:
             for feed in self.feeds:
                 feed.close()
+            self.bodies.close()
             self._socket.close()
 
     async def _end(self, server: Any, stopped: Callable[[], bool]) -> None:  # noqa: ANN401  # of a library of an extra
@@ -132,6 +149,7 @@ class Console:
         return Starlette(
             routes=[
                 *(Route(f"/{name}", self._file) for name in FILES),
+                Route("/bodies", self._geometry),
                 Route("/stop", self._stop, methods=["POST"]),
                 WebSocketRoute("/live", self._live),
             ]
@@ -145,6 +163,11 @@ class Console:
         if name == "page.html":
             text = text.replace(b"COLOURS", json.dumps(_colours()).encode(), 1)
         return Response(text, media_type=kind)
+
+    async def _geometry(self, _: "Request") -> "Response":
+        from starlette.responses import Response
+
+        return Response(self.bodies.geometry, media_type="application/json")
 
     async def _stop(self, _: "Request") -> "Response":
         """The stop of a page whose connection does not answer."""
@@ -169,6 +192,14 @@ class Console:
             due = max(due + ROW_S, time.monotonic() - ROW_S)
             await asyncio.sleep(max(0.0, due - time.monotonic()))
 
+    async def _read_recorders(self) -> None:
+        """In a thread: a disk that hangs keeps no stop waiting."""
+        while True:
+            news = [await asyncio.to_thread(one.read) for one in self._recorders]
+            if any(news):
+                self.flights = [one.content for one in self._recorders if one.content is not None]
+            await asyncio.sleep(RECORDERS_S)
+
     async def _live(self, page: "WebSocket") -> None:
         await page.accept()
         if self._pages >= MAX_PAGES:
@@ -176,11 +207,13 @@ class Console:
             await page.close(1013)
             return
         self._pages += 1
+        self.bodies.is_watched = True
         try:
             async with _Page(page, self) as one:
                 await one.serve()
         finally:
             self._pages -= 1
+            self.bodies.is_watched = self._pages > 0
 
     async def path_of(self, side: str) -> Path | None:
         """The control socket of a side; none where none was named, or it does not answer."""
@@ -277,10 +310,15 @@ class _Page(contextlib.AbstractAsyncContextManager["_Page"]):
                 await self._page.send_text(json.dumps(message, separators=(",", ":")))
 
     async def _show(self) -> None:
-        row = self._console.rows.newest
+        row, drawn, explained = self._console.rows.newest, None, None
         while True:
             # A page that does not take it holds this up, and what it then misses is counted.
             row, message = self._console.message_since(row)
+            frame = self._console.bodies.frame
+            if frame is not drawn:
+                message["bodies"] = drawn = frame
+            if (flights := self._console.flights) is not explained:
+                message["flights"] = explained = flights
             await self._send(message)
             await asyncio.sleep(ROW_S)
 

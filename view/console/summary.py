@@ -68,11 +68,16 @@ def _device(state: SideState) -> str:
     return "model"
 
 
-def _scales(state: SideState) -> dict[str, float | None]:
-    """Of the scene, at the side that has them; what was changed since is not in telemetry."""
-    table = (state.hello.scene or {}).get("coupling") or {}
-    own = "force_scale" if state.side == "master" else "position_scale"
-    return {own: table.get(own, 1.0)}
+SCALES = {"master": ("force_scale", "torque_scale"), "slave": ("position_scale", "rotation_scale")}
+"""At the side that has them: of translation, and where it is a pose of rotation."""
+
+
+def _scales(state: SideState) -> dict[str, float]:
+    """Of the scene; what was changed since is not in telemetry."""
+    scene = state.hello.scene or {}
+    table = scene.get("coupling") or {}
+    is_pose = (scene.get("master") or {}).get("kind") == "pose"
+    return {name: table.get(name, 1.0) for name in SCALES[state.side][: 2 if is_pose else 1]}
 
 
 def _is_linear(state: SideState) -> bool:
@@ -100,6 +105,8 @@ def _times(state: SideState) -> list[dict[str, Any]]:
         value, worst = state.last(name), state.peak(name)
         if value is not None and worst is not None:
             found.append({"label": f"{label} [ms]", "values": [value * 1e3], "digits": 2, "peak": worst * 1e3})
+    if (loss := state.loss()) is not None:
+        found.append({"label": "frames lost [%]", "values": [loss * 100.0], "digits": 1, "peak": None})
     return found
 
 

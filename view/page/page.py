@@ -1,6 +1,5 @@
 """Writes a run as one HTML file, whose few hundred lines of WebGL draw what `scene3d` describes."""
 
-import base64
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -11,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.private_file import refuse_link, write_private
+from haptether.view.page.geometry import geometry, packed
 from haptether.view.picture.picture import CAMERAS
 from haptether.view.scene3d import colours
 from haptether.view.scene3d.description import Description
@@ -63,13 +63,8 @@ def page(
     # Titles are somebody's text: none may end the script.
     text = json.dumps(content, allow_nan=False).replace("<", "\\u003c").replace("\u2028", " ").replace("\u2029", " ")
     whole = (HERE / "page.html").read_text(encoding="utf-8")
-    return whole.replace("/*PLAYER*/", (HERE / "player.js").read_text(encoding="utf-8")).replace(
-        "/*CONTENT*/null", text
-    )
-
-
-def _packed(values: npt.ArrayLike, kind: str = "<f4") -> str:
-    return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode()
+    scripts = "\n".join((HERE / name).read_text(encoding="utf-8") for name in ("renderer.js", "player.js"))
+    return whole.replace("/*PLAYER*/", scripts).replace("/*CONTENT*/null", text)
 
 
 class _Frames:
@@ -117,16 +112,7 @@ class _Frames:
 
 def _part(part: Part, poses: npt.NDArray[np.float64]) -> dict[str, Any]:
     is_still = bool(np.all(poses == poses[0]))
-    return {
-        "name": part.name,
-        "station": part.station,
-        "colour": part.colour,
-        "opacity": part.opacity,
-        "points": _packed(part.mesh.points),
-        "normals": _packed(part.mesh.normals),
-        "triangles": _packed(part.mesh.triangles, "<u2"),
-        "poses": _packed(poses[:1] if is_still else poses),
-    }
+    return {**geometry(part), "poses": packed(poses[:1] if is_still else poses)}
 
 
 def _trail(trail: Trail) -> dict[str, Any]:
@@ -136,8 +122,8 @@ def _trail(trail: Trail) -> dict[str, Any]:
     return {
         "station": trail.station,
         "colour": trail.colour,
-        "times": _packed(trail.points.time_s[kept]),
-        "points": _packed(points[kept]),
+        "times": packed(trail.points.time_s[kept]),
+        "points": packed(points[kept]),
         "window": trail.window_s,
         "drift": trail.drift.tolist(),
     }

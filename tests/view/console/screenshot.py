@@ -17,7 +17,7 @@ def main(path: str) -> None:
         assert console.stdout is not None
         address = console.stdout.readline().split()[-1]
         with chromium() as browser:
-            page = browser.new_page(viewport={"width": 1280, "height": 900})
+            page = browser.new_page(viewport={"width": 1280, "height": 1320})
             page.goto(address)
             page.wait_for_selector("#side-slave .headline")
             page.wait_for_timeout(4e3)

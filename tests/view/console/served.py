@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tests.scene.two_sides import two_sides
 
-from haptether.bridge import LiveMaster, LiveSlave, override_scene, scene_json
+from haptether.bridge import LiveMaster, LiveSlave, Scene, override_scene, scene_json
 from haptether.view.console.server import Console
 
 
@@ -31,9 +31,9 @@ class Served:
 
 
 @contextlib.contextmanager
-def served(folder: Path, *, controlled: bool = True) -> Iterator[Served]:
+def served(folder: Path, *, controlled: bool = True, of: Scene | None = None) -> Iterator[Served]:
     """Two sides whose start presses nothing, and the console that shows them."""
-    scene = scene_json(override_scene(two_sides(), ["operator.clutch=once"]))
+    scene = scene_json(override_scene(of or two_sides(), ["operator.clutch=once"]))
     slave = LiveSlave(
         scene, listen="127.0.0.1:0", run_id=2, insecure=True, telemetry=folder / "s.sock", control=folder / "s.ctl"
     )
@@ -42,7 +42,7 @@ def served(folder: Path, *, controlled: bool = True) -> Iterator[Served]:
         telemetry=folder / "m.sock", control=folder / "m.ctl",
     )  # fmt: skip
     control = [folder / "m.ctl", folder / "s.ctl"] if controlled else []
-    console = Console([folder / "m.sock", folder / "s.sock"], control)
+    console = Console([folder / "m.sock", folder / "s.sock"], control, flight=[folder / "m.flight"])
     runs = Served(master, slave, console, folder)
     thread = threading.Thread(target=console.serve, args=(runs.console_stopped.is_set,))
     thread.start()
@@ -52,8 +52,10 @@ def served(folder: Path, *, controlled: bool = True) -> Iterator[Served]:
     finally:
         runs.console_stopped.set()
         thread.join(20.0)
-        master.finish()
-        slave.finish()
+        for side in (master, slave):
+            # A test may have seen to the end of one.
+            with contextlib.suppress(RuntimeError):
+                side.finish()
     assert not thread.is_alive()
 
 

@@ -27,6 +27,7 @@ PATH = Path("side")
         (Console(connect=(PATH,), scene="remote_push"), "--connect, --scene: give one of the two"),
         (Console(control=(PATH,), scene="remote_push"), "--control: the sides of --scene have their own"),
         (Console(connect=(PATH,), set=("run.period_s=1",)), "--scene must name one"),
+        (Console(flight=(PATH,), scene="remote_push"), "--flight: the sides of --scene have their own"),
         (Console(connect=(PATH, PATH, PATH)), "3 sides, must be at most 2"),
         (Console(connect=(PATH,), port=70000), "port = 70000: must be 0 to 65535"),
         (Console(scene="no_scene"), "no_scene"),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 if TYPE_CHECKING:
-    from haptether.bridge.flight import Flight, Tick, Trip
+    from haptether.bridge.flight import Flight, Tick
     from haptether.cli.shared.screen import Screen
 
 
@@ -87,18 +87,7 @@ def _intervention_lines(flight: "Flight") -> list[str]:
     lines = [f"interventions of safety controllers: {max(flight.interventions_seen, len(flight.interventions))}"]
     if flight.interventions_seen > len(flight.interventions):
         lines[0] += f", of which {len(flight.interventions)} are kept:"
-    for one in flight.interventions:
-        what = "; ".join(map(_trip, one.trips)) or "held on"
-        layer = "" if one.layer == "translation" else f"{one.layer}: "
-        lines.append(f"  {one.time_s:.4f} to {one.until_s:.4f} s  {layer}{what}")
-    return lines
-
-
-def _trip(trip: "Trip") -> str:
-    if trip.observed is None or trip.threshold is None:
-        return trip.controller
-    side = "above" if trip.observed > trip.threshold else "below"
-    return f"{trip.controller}: {trip.observer} = {trip.observed:.4g}, {side} {trip.threshold:g}"
+    return [*lines, *(f"  {one}" for one in flight.interventions)]
 
 
 TIME = "time [s]"

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -41,6 +42,8 @@ class Console:
     """What --telemetry of a running side names; may be given twice."""
     control: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(metavar="PATH")] = ()
     """What --control of a running side names; without it the page only shows. May be given twice."""
+    flight: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(metavar="PATH")] = ()
+    """What --flight of a running side names: why it held or stopped, on the page. May be given twice."""
     scene: Annotated[str | None, tyro.conf.arg(metavar="SCENE")] = None
     """Start the sides of a scene for trying it out, a shipped one or a TOML file."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
@@ -61,14 +64,15 @@ class Console:
         if (self.scene is None) == (not self.connect):
             message = "--connect, --scene: give one of the two"
             raise ValueError(message)
-        if self.scene is not None and self.control:
-            message = "--control: the sides of --scene have their own: leave it out"
+        if self.scene is not None and (self.control or self.flight):
+            message = f"--{'control' if self.control else 'flight'}: the sides of --scene have their own: leave it out"
             raise ValueError(message)
         if self.scene is None and self.set:
             message = f"set = {self.set[0]}: changes a scene: --scene must name one"
             raise ValueError(message)
-        if len(self.connect) > 2 or len(self.control) > 2:
-            message = f"--connect, --control: {max(len(self.connect), len(self.control))} sides, must be at most 2"
+        most = max(map(len, (self.connect, self.control, self.flight)))
+        if most > 2:
+            message = f"--connect, --control, --flight: {most} sides, must be at most 2"
             raise ValueError(message)
         if not 0 <= self.port <= 65535:
             message = f"port = {self.port}: must be 0 to 65535"
@@ -82,20 +86,22 @@ class Console:
             raise RuntimeError(message) from None
         with Stopped() as stopped, contextlib.ExitStack() as stack:
             if self.scene is None:
-                self._serve(self.connect, self.control, stopped)
+                self._serve(self.connect, self.control, self.flight, stopped)
             else:
                 folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="haptether-console-")))
                 self._start(folder, stack, stopped)
                 sides = ("master", "slave")
-                telemetry = [folder / f"{side}.sock" for side in sides]
-                self._serve(telemetry, [folder / f"{side}.ctl" for side in sides], stopped)
+                telemetry, control, flight = (
+                    [folder / f"{side}.{kind}" for side in sides] for kind in ("sock", "ctl", "flight")
+                )
+                self._serve(telemetry, control, flight, stopped)
         return 0
 
-    def _serve(self, telemetry: "list[Path] | tuple[Path, ...]", control: "list[Path] | tuple[Path, ...]",
+    def _serve(self, telemetry: Sequence[Path], control: Sequence[Path], flight: Sequence[Path],
                stopped: "Stopped") -> None:  # fmt: skip
         from haptether.view.console.server import Console as Server
 
-        server = Server(telemetry, control, port=self.port)
+        server = Server(telemetry, control, flight=flight, port=self.port)
         print(f"console on {server.address}", flush=True)
         print("Ctrl-C ends it; the address is the key to it: show it to nobody", flush=True)
         server.serve(lambda: bool(stopped))
@@ -130,7 +136,8 @@ class Console:
             common += ["--set", change]
 
         def sockets(side: str) -> list[str]:
-            return ["--telemetry", str(folder / f"{side}.sock"), "--control", str(folder / f"{side}.ctl")]
+            return ["--telemetry", str(folder / f"{side}.sock"), "--control", str(folder / f"{side}.ctl"),
+                    "--flight", str(folder / f"{side}.flight")]  # fmt: skip
 
         try:
             slave = stack.enter_context(child_process("slave", "--listen", "127.0.0.1:0", *common, *sockets("slave")))

@@ -1,0 +1,128 @@
+"""Both ends in three dimensions for the pages: one description for all of them, made on a thread of its own."""
+
+import json
+import threading
+import time
+from queue import Empty, Full, Queue
+from typing import Any
+
+import numpy as np
+
+from haptether.bridge import TelemetryHello, TelemetryMessage
+from haptether.view.page.geometry import geometry, packed
+from haptether.view.picture.picture import CAMERAS
+from haptether.view.scene3d.description import Description
+from haptether.view.scene3d.live import LiveDescription
+
+FRAME_S = 1.0 / 20
+"""Between two frames: a browser without a graphics card draws no more."""
+HISTORY_S = 2.0
+"""How long a trail is."""
+WAITING = 1024
+"""Messages that wait for the thread; what comes beyond them is not drawn."""
+
+
+class Bodies:
+    """What the pages draw of the sides: bodies once, then where each is, at most 20 times a second.
+
+    Whoever reads telemetry or serves pages waits for none of it: messages go into a bounded queue, and what was made
+    last is taken as it is.
+    """
+
+    def __init__(self) -> None:
+        self.geometry = b"{}"
+        """JSON of bodies, trails, views, legend and notes, with their `generation`."""
+        self.frame: dict[str, Any] | None = None
+        """Where they are: `generation`, `time_s`, `poses` and `trails`; none before there is a sample."""
+        self.is_watched = False
+        """Whether a page is open: else nothing is computed but what there is."""
+        self._queue: Queue[tuple[TelemetryHello, TelemetryMessage | None, float]] = Queue(WAITING)
+        self._hellos: dict[str, TelemetryHello] = {}
+        self._live: LiveDescription | None = None
+        self._generation = 0
+        """Of all runs that were shown."""
+        self._shown: tuple[LiveDescription, int, float] | None = None
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="console-bodies", daemon=True)
+
+    def start(self) -> None:
+        """Begins."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Ends it."""
+        self._closed.set()
+        self._thread.join(1.0)
+
+    def take(self, hello: TelemetryHello, message: TelemetryMessage | None = None) -> None:
+        """Takes a message of the run that began with `hello`, or that it begins; never waits."""
+        try:
+            self._queue.put_nowait((hello, message, time.monotonic()))
+        except Full:
+            return
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        while not self._closed.is_set():
+            try:
+                self._take_all()
+                live = self._live
+                if self.is_watched and live is not None and live.has_begun and self._shown != _state(live):
+                    self._show(live)
+            except Exception as error:  # a picture that fails must leave the page the rest
+                self._live = self._shown = None
+                self._generation += 1
+                self.geometry = self._text(None, str(error))
+                self.frame = {"generation": self._generation, "poses": "", "trails": []}
+            due = max(due + FRAME_S, time.monotonic())
+            self._closed.wait(due - time.monotonic())
+
+    def _take_all(self) -> None:
+        for _ in range(WAITING):
+            try:
+                hello, message, received_s = self._queue.get_nowait()
+            except Empty:
+                return
+            if message is None:
+                # Of the other side the next sample says where it is.
+                self._hellos[hello.side] = hello
+                self._live = LiveDescription(*self._hellos.values(), history_s=HISTORY_S)
+            elif self._live is not None and self._hellos.get(hello.side) is hello:
+                self._live.take(message, hello.side, received_s=received_s)
+
+    def _show(self, live: LiveDescription) -> None:
+        described = live.description
+        shown, self._shown = self._shown, _state(live)
+        if shown is None or shown[:2] != self._shown[:2]:
+            self._generation += 1
+            self.geometry = self._text(described)
+        poses = [part.pose(live.time_s) for part in described.parts]
+        rows = [np.full(12, np.nan) if at is None else at[:3].ravel() for at in poses]
+        self.frame = {
+            "generation": self._generation,
+            "time_s": live.time_s,
+            "poses": packed(rows),
+            "trails": [packed(trail.until(live.time_s)) for trail in described.trails],
+        }
+
+    def _text(self, described: Description | None, *notes: str) -> bytes:
+        whole: dict[str, Any] = {"generation": self._generation, "camera": CAMERAS["front"]}
+        if described is None:
+            whole |= {"parts": [], "trails": [], "views": {}, "legend": [], "notes": notes}
+        else:
+            whole |= {
+                "parts": [geometry(part) for part in described.parts],
+                "trails": [{"station": one.station, "colour": one.colour} for one in described.trails],
+                "views": {name: [low.tolist(), high.tolist()] for name, (low, high) in described.views.items()},
+                "legend": [
+                    *([arrow.station, arrow.label, arrow.colour] for arrow in described.arrows),
+                    *([trail.station, trail.label, trail.colour] for trail in described.trails),
+                ],
+                "notes": (*described.notes, *notes),
+            }
+        return json.dumps(whole, allow_nan=False, separators=(",", ":")).encode()
+
+
+def _state(live: LiveDescription) -> tuple[LiveDescription, int, float]:
+    """What a frame depends on."""
+    return live, live.generation, live.time_s

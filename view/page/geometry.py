@@ -1,0 +1,27 @@
+"""Bodies as the renderer of a page takes them: numbers little-endian, in base64."""
+
+import base64
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from haptether.view.scene3d.parts import Part
+
+
+def packed(values: npt.ArrayLike, kind: str = "<f4") -> str:
+    """Numbers row by row, by NumPy's name of their kind."""
+    return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode()
+
+
+def geometry(part: Part) -> dict[str, Any]:
+    """A body in its own frame, without where it is."""
+    return {
+        "name": part.name,
+        "station": part.station,
+        "colour": part.colour,
+        "opacity": part.opacity,
+        "points": packed(part.mesh.points),
+        "normals": packed(part.mesh.normals),
+        "triangles": packed(part.mesh.triangles, "<u2"),
+    }
