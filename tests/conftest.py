@@ -36,9 +36,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
     for of_one in cases.values():
         (kept,) = of_one[0].iter_markers("sampled")
-        share = kept.args[0] / len(of_one)
+        wanted, count = kept.args[0], len(of_one)
         for at, item in enumerate(of_one):
-            if int((at + 1) * share) == int(at * share) and share < 1.0:
+            if wanted < count and (at + 1) * wanted // count == at * wanted // count:
                 item.add_marker(pytest.mark.thorough)
 
 

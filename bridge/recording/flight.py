@@ -31,6 +31,9 @@ def flight_of_file(path: str | os.PathLike[str]) -> Flight:
         OSError: It cannot be read.
         ValueError: It is neither, of another version, or has no tick.
     """
+    if not Path(path).is_file():
+        # A pipe is read once, and recordings are files.
+        return read_flight(Path(path))
     with Path(path).open("rb") as file:
         is_recording = file.read(len(MAGIC)) == MAGIC
     return flight_of(read_recording(path)) if is_recording else read_flight(Path(path))
@@ -102,7 +105,8 @@ def _interventions(recording: Recording, time_s: npt.NDArray[np.float64]) -> Ite
                         controller=controller,
                         observer=observed.label,
                         observed=seen if math.isfinite(seen) else None,
-                        threshold=thresholds.get(controller),
+                        # Each layer has its own, which only that of the translation has from the scene as it is.
+                        threshold=thresholds.get(controller) if layer == "translation" else None,
                     )
                 )
             yield Intervention(time_s=float(time_s[begin]), until_s=float(time_s[end - 1]), layer=layer, trips=trips)

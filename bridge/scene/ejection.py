@@ -40,6 +40,7 @@ def settings_of(scene: Scene) -> EjectionSettings:
         hsc_force_threshold_n=safety["hsc_force_threshold_n"],
         release_ramp_s=safety["release_ramp_s"],
         damping=safety["damping"],
+        probe_force_n=safety["probe_force_n"],
         travel_m=None if stops is None else hypot(*(high - low for low, high in stops)),
         outside=_outside(spec),
     )

@@ -58,6 +58,8 @@ class EjectionSettings(Struct, frozen=True, kw_only=True):
     """Time in s over which an intervention fades out."""
     damping: float = 5.0
     """mu in N s/m."""
+    probe_force_n: float = 0.0
+    """A in N of the probe for a hand; 0 without."""
     travel_m: float | None = None
     """X in m: the way from one mechanical stop to the other; none without stops."""
 
@@ -179,6 +181,10 @@ def ejection_bound(
     bounds = tuple(
         model.of_wsc() if name == "wsc" else model.of_hsc() for name in BOUNDED if name in settings.controllers
     )
+    if settings.probe_force_n > 0.0:
+        bounds = tuple(
+            bound if bound.speed is None else replace(bound, speed=max(bound.speed, model.probed())) for bound in bounds
+        )
     found = [(bound.speed, bound) for bound in bounds if bound.speed is not None]
     if not found:
         reason = "; ".join(f"{bound.controller}: {bound.reason}" for bound in bounds)
@@ -212,7 +218,15 @@ def _assumptions(settings: EjectionSettings) -> tuple[str, ...]:
     late = "no tick is late" if settings.late_s == 0.0 else f"a tick is late by at most {settings.late_s * 1e3:g} ms"
     steady = "of hsc alone: from the release on the push neither grows nor turns"
     mass = f"the mass is known to {settings.mass_error * 100:g} %" if settings.mass_error else "the mass is as told"
-    return (hand, mass, late, "no mechanical stop is met", *([steady] if "hsc" in settings.controllers else []))
+    measured = ["V is measured without lag or noise"] if settings.estimator is None else []
+    return (
+        hand,
+        mass,
+        late,
+        "no mechanical stop is met",
+        *measured,
+        *([steady] if "hsc" in settings.controllers else []),
+    )
 
 
 class _Model:
@@ -252,6 +266,12 @@ class _Model:
         friction = self.kernel.lag_norm_s * (self.coulomb + self.viscous * speed)
         late = self.acceleration(speed) * self.late_s
         return (self.force * self.lag_s + friction) / self.mass + late + self.velocity_noise
+
+    def probed(self) -> float:
+        """What a probe may drive a free device to, in m/s: `A / mu + e + a (dT + J)`, damped by the estimate of V."""
+        settings, speed = self.settings, self.settings.probe_force_n / self.settings.damping
+        late_s = settings.period_s + self.late_s
+        return speed + self.lag(speed) + (settings.probe_force_n + self.drives * speed) / self.mass * late_s
 
     def phantom_force(self, speed: float) -> float:
         """What a hand that is long gone seems to exert, rho in N: `|F_h^|` below that speed (Eq. 8)."""

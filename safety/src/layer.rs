@@ -128,7 +128,7 @@ impl<const N: usize> SafetyLayer<N> {
     /// nothing is decided. The next [`tick`](Self::tick) refuses what is not finite.
     pub fn missed(&mut self, position: &Axes<N>, velocity: Option<&Axes<N>>) {
         if let Some(seen) = self.missed_observation(position, velocity, &mut PointMass) {
-            self.controller.respond(&seen, 1.0);
+            self.controller.carry(&seen);
         }
     }
 

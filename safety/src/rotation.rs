@@ -209,7 +209,7 @@ impl RotationLayer {
     /// [`SafetyLayer::missed`].
     pub fn missed(&mut self, orientation: &UnitQuaternion<f64>, angular_velocity: Option<&Axes<3>>) {
         if let Some(seen) = self.missed_observation(orientation, angular_velocity) {
-            self.layer.controller().respond(&seen, 1.0);
+            self.layer.controller().carry(&seen);
         }
     }
 

@@ -4,7 +4,7 @@ use nalgebra::UnitQuaternion;
 
 use crate::{
     Axes, Fault, LayerSettings, ParameterError, SafetyLayer, SafetyTick,
-    controller::Judged,
+    controller::{Judged, UNDECIDED},
     rotation::{RotationLayer, RotationSettings, check, in_base},
 };
 
@@ -105,7 +105,10 @@ impl<const N: usize> WrenchLayer<N> {
             let is_unsafe = of_force.is_unsafe() | of_torque.is_unsafe();
             let by_force = translation.controller().feel(&moves.seen, authority, is_unsafe);
             let by_torque = rotation.controller().feel(&turns.seen, authority, is_unsafe);
-            let judged = Judged { is_unsafe, felt: either(by_force, by_torque) };
+            let felt = either(by_force, by_torque);
+            translation.controller().accept(felt);
+            rotation.controller().accept(felt);
+            let judged = Judged { is_unsafe, felt };
             let response = translation.controller().answer(&moves.seen, authority, &of_force, judged);
             let translation = translation.bound(&moves, response);
             let response = rotation.controller().answer(&turns.seen, authority, &of_torque, judged);
@@ -128,14 +131,16 @@ impl<const N: usize> WrenchLayer<N> {
         if self.shares_trips {
             let (of_force, of_torque) = (translation.judge(&moves), rotation.judge(&turns));
             let is_unsafe = of_force.is_unsafe() | of_torque.is_unsafe();
-            let felt =
-                either(translation.feel(&moves, 1.0, is_unsafe), rotation.feel(&turns, 1.0, is_unsafe));
+            let felt = either(
+                translation.feel(&moves, UNDECIDED, is_unsafe),
+                rotation.feel(&turns, UNDECIDED, is_unsafe),
+            );
             let judged = Judged { is_unsafe, felt };
             translation.answer(&moves, 1.0, &of_force, judged);
             rotation.answer(&turns, 1.0, &of_torque, judged);
         } else {
-            translation.respond(&moves, 1.0);
-            rotation.respond(&turns, 1.0);
+            translation.carry(&moves);
+            rotation.carry(&turns);
         }
     }
 

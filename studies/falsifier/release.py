@@ -102,7 +102,7 @@ class Releases:
         """Takes what is kept of the scene.
 
         Raises:
-            SceneError: A scene of kind "pose", without a cap, or with a driver.
+            SceneError: A scene of kind "pose", or without a cap.
         """
         self.bounds, self.scene = bounds, scene
         if scene.master.kind == "pose":

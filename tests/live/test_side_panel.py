@@ -10,10 +10,11 @@ import stat
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
+from tests.live.test_device_loop import BLOCKING, packaged
 
 pytestmark = pytest.mark.live
 
@@ -23,9 +24,9 @@ TIMEOUT_S = 60.0
 class Terminal:
     """A terminal of 100 columns with a command on it."""
 
-    def __init__(self, folder: Path, *arguments: str) -> None:
+    def __init__(self, folder: Path, *arguments: str, environment: Mapping[str, str] = os.environ) -> None:
         self.master, slave = os.openpty()
-        environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "100", "LINES": "40"}
+        environment = {**environment, "TERM": "xterm-256color", "COLUMNS": "100", "LINES": "40"}
         self.process = subprocess.Popen(
             [sys.executable, "-m", "haptether", *arguments],
             stdin=slave, stdout=slave, stderr=slave, start_new_session=True,
@@ -111,6 +112,18 @@ def test_a_terminal_that_takes_nothing_holds_no_end_up(folder: Path) -> None:
     time.sleep(1.5)
     side.process.send_signal(signal.SIGTERM)
     assert side.process.wait(10.0) in {0, 1, -signal.SIGTERM, 143}
+
+
+def test_a_driver_that_blocks_is_said_above_the_panel_while_it_does(folder: Path) -> None:
+    arguments = slave("--scene", "remote_push", "--set", "slave.device=bench")
+    environment = packaged(folder, BLOCKING.replace("2.0", "5.0"))
+    side = Terminal(folder, *arguments, environment=environment)
+    side.until("loop late")
+    # No sample comes while it blocks.
+    begun_s = time.monotonic()
+    side.until("its device keeps its last command, switch it off")
+    assert time.monotonic() - begun_s < 4.0
+    assert side.end(signal.SIGTERM) in {0, 1}
 
 
 def test_telemetry_without_an_option_is_private_and_found(folder: Path) -> None:

@@ -137,6 +137,9 @@ pub struct SafetyController<const N: usize, S = f64> {
     probe: Option<GraspProbes<N, S>>,
 }
 
+/// Authority at which a probe neither begins, nor counts, nor is given up.
+pub(crate) const UNDECIDED: f64 = 0.5;
+
 impl<const N: usize> SafetyController<N> {
     /// Longest hold-off or ramp in s.
     pub const MAX_HOLD_S: f64 = 60.0;
@@ -236,6 +239,24 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
             is_unsafe: is_unsafe.bitmask() >> lane & 1 == 1,
             authority: authority.extract(lane),
         }))
+    }
+
+    /// Carries all along over a tick that was missed, and decides nothing: whoever is in full authority may be felt, and who
+    /// has none may try anew, so it is neither.
+    #[inline(always)]
+    pub(crate) fn carry(&mut self, seen: &Observation<N, S>) {
+        let verdicts = self.judge(seen);
+        let is_unsafe = verdicts.is_unsafe();
+        let felt = self.feel(seen, S::splat(UNDECIDED), is_unsafe);
+        self.answer(seen, S::splat(1.0), &verdicts, Judged { is_unsafe, felt });
+    }
+
+    /// Takes it that a hand is there, where the probe of another device that it holds has felt it.
+    #[inline(always)]
+    pub(crate) fn accept(&mut self, felt: Option<S::SimdBool>) {
+        if let (Some(probe), Some(felt)) = (self.probe.as_mut(), felt) {
+            probe.accept(felt);
+        }
     }
 
     /// `F_c` for verdicts and what is made of them: by this device alone, or also by another that the same hand holds.

@@ -12,8 +12,9 @@ mod registry;
 mod velocity_force;
 mod windowed;
 
-pub(crate) use combined::Judged;
 pub use combined::{Intervention, Response, SafetyController, SafetySettings};
+pub(crate) use combined::{Judged, UNDECIDED};
+pub use probe::FRICTION_ROOM;
 pub use registry::{Controllers, PerController, Tripped};
 
 use crate::{

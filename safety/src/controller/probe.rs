@@ -1,6 +1,6 @@
 //! The probe for a hand: after a trip the force comes back to a hand only.
 
-use nalgebra::SimdValue as _;
+use nalgebra::{SimdBool as _, SimdValue as _};
 
 use crate::{
     Axes, DeviceModel, Observation, ParameterError, Real,
@@ -28,7 +28,7 @@ const INTERVAL_S: f64 = 1.0;
 /// Tries before the force is withheld for good.
 const TRIES: u32 = 5;
 /// What a model of Coulomb friction may be wrong by, in shares of it, with room for what else is wrong.
-const FRICTION_ROOM: f64 = 2.0;
+pub const FRICTION_ROOM: f64 = 2.0;
 
 /// Whether a hand holds the device, asked while an intervention keeps `F_v` away and damps.
 ///
@@ -182,13 +182,20 @@ impl<const N: usize> GraspProbe<N> {
                 self.enter(Phase::Settling);
             }
             Phase::Probing => return self.probe(seen),
-            Phase::Waiting if self.is_driven() && !is_unsafe => self.enter(Phase::Felt),
+            Phase::Waiting if self.is_driven() && !is_unsafe && authority >= 1.0 => self.enter(Phase::Felt),
             Phase::Waiting if self.lasts(self.ticks, INTERVAL_S - 2.0 * HALF_S) => {
                 self.enter(Phase::Settling);
             }
             _ => {}
         }
         Axes::zeros()
+    }
+
+    /// Takes it that a hand is there: it was felt elsewhere.
+    fn accept(&mut self) {
+        if self.phase != Phase::Idle {
+            self.enter(Phase::Felt);
+        }
     }
 
     /// Whether the force may come back, or never went.
@@ -318,6 +325,16 @@ impl<const N: usize, S: Real> GraspProbes<N, S> {
             self.force.replace(lane, probe.step(&seen, intervening(lane)));
         }
         self.mask(GraspProbe::is_felt)
+    }
+
+    /// Takes it that a hand is there, where it was felt by another probe.
+    pub(super) fn accept(&mut self, felt: S::SimdBool) {
+        let felt = felt.bitmask();
+        for (lane, probe) in self.lanes.iter_mut().enumerate() {
+            if felt >> lane & 1 == 1 {
+                probe.accept();
+            }
+        }
     }
 
     /// Where no hand was felt in all tries.

@@ -164,6 +164,21 @@ impl EstimatorKind {
             other => other,
         }
     }
+
+    /// The same for positions of this quantum in m (rad for joints), where it takes one.
+    #[must_use]
+    pub fn with_quantum(self, quantum: f64) -> Self {
+        match self {
+            Self::Kalman { jerk_density, .. } => Self::Kalman { jerk_density, quantum_m: quantum },
+            Self::DualKalman { velocity_jerk_density, jerk_density, .. } => {
+                Self::DualKalman { velocity_jerk_density, jerk_density, quantum_m: quantum }
+            }
+            Self::AdaptiveWindow { max_window, fit, .. } => {
+                Self::AdaptiveWindow { noise_bound_m: quantum, max_window, fit }
+            }
+            other => other,
+        }
+    }
 }
 
 impl Default for EstimatorKind {

@@ -1,9 +1,7 @@
 //! The trigger of a scene and the finger that holds it, and who watches that.
 
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path};
-use haptether_safety::{
-    Axes, DeviceModel, LimiterSettings, controller::SafetySettings, estimator::EstimatorKind,
-};
+use haptether_safety::{Axes, DeviceModel, LimiterSettings, controller::SafetySettings};
 use haptether_slave::ArmSettings;
 
 use super::{
@@ -62,15 +60,8 @@ pub(crate) fn trigger_feedback<const N: usize>(
         ..scaled
     };
     let quantum = (own.encoder_quantum > 0.0).then_some(own.encoder_quantum);
-    let estimator = match (scene.safety.estimator, quantum) {
-        (EstimatorKind::Kalman { jerk_density, .. }, Some(quantum_m)) => {
-            EstimatorKind::Kalman { jerk_density, quantum_m }
-        }
-        (EstimatorKind::AdaptiveWindow { max_window, fit, .. }, Some(noise_bound_m)) => {
-            EstimatorKind::AdaptiveWindow { noise_bound_m, max_window, fit }
-        }
-        (other, _) => other,
-    };
+    let estimator = scene.safety.estimator;
+    let estimator = quantum.map_or(estimator, |quantum| estimator.with_quantum(quantum));
     Ok(Some(TriggerSettings {
         travel_m,
         device: DeviceModel::uniform(mass_kg, viscous, coulomb)?,

@@ -6,7 +6,8 @@ use std::any::Any;
 
 use haptether_master::{RotationHand, RotationParameters, SimulatedRotation};
 use haptether_safety::{
-    LimiterSettings, RotationModel, controller::SafetySettings, estimator::EstimatorKind,
+    LimiterSettings, RotationModel,
+    controller::{FRICTION_ROOM, SafetySettings},
 };
 use haptether_slave::{PushKind, PusherSettings, SeriesSettings, SimulatedTool, ToolWorldSettings};
 
@@ -102,8 +103,10 @@ pub(super) fn master_rotation<const N: usize>(
         pc_max_damping: own.pc_max_damping.unwrap_or(at_lever.pc_max_damping.min(most)),
         ..at_lever
     };
-    // A probe that friction of the handle hides decides nothing; that of the force then decides for both.
-    let decides = safety.probe_force_n * safety.probe_threshold >= 2.0 * parameters.coulomb;
+    // A probe that friction of the handle hides decides nothing; that of the force then decides for both. Where each
+    // decides for itself it stays, and is refused.
+    let decides = !own.shares_trips
+        || safety.probe_force_n * safety.probe_threshold >= FRICTION_ROOM * parameters.coulomb;
     let safety = SafetySettings { probe_force_n: if decides { safety.probe_force_n } else { 0.0 }, ..safety };
     let bounds = limiter(&scene.safety).at_lever(own.lever_m);
     let max_torque_n_m = own.max_torque_n_m.or(parameters.max_torque_n_m).unwrap_or(bounds.max_force_n);
@@ -113,15 +116,8 @@ pub(super) fn master_rotation<const N: usize>(
         max_power_w: own.max_power_w.unwrap_or(bounds.max_power_w),
         ..bounds
     };
-    let estimator = match (scene.safety.estimator.at_lever(own.lever_m), own.quantum_rad) {
-        (EstimatorKind::Kalman { jerk_density, .. }, Some(quantum_m)) => {
-            EstimatorKind::Kalman { jerk_density, quantum_m }
-        }
-        (EstimatorKind::AdaptiveWindow { max_window, fit, .. }, Some(noise_bound_m)) => {
-            EstimatorKind::AdaptiveWindow { noise_bound_m, max_window, fit }
-        }
-        (other, _) => other,
-    };
+    let estimator = scene.safety.estimator.at_lever(own.lever_m);
+    let estimator = own.quantum_rad.map_or(estimator, |quantum| estimator.with_quantum(quantum));
     Ok(MasterRotationSettings {
         device,
         estimator,

@@ -105,7 +105,7 @@ class Master(LiveOptions):
             scene = with_clutch(scene, self.clutch)
         controller, release_at_s = _protection(scene) if scene is not None else (self.controller, self.release_at_s)
         is_of_joints = scene is not None and scene.master.kind == "joints"
-        with Stopped() as stopped, panel_process(arguments["telemetry"], quiet=self.quiet) as panel:
+        with panel_process(arguments["telemetry"], quiet=self.quiet) as panel, Stopped() as stopped:
             master = start_master(self, scene, stopped, arguments)
             handed_over(key)
             watch = SideWatch("master", master, stopped, flight, insecure=self.insecure)

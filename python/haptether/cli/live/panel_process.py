@@ -7,7 +7,6 @@ a driver at 1 kHz, and a terminal that takes nothing holds up this process and n
 import contextlib
 import io
 import os
-import queue
 import signal
 import subprocess
 import sys
@@ -20,6 +19,7 @@ from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
 from haptether.cli.shared.output import QueuedBuffer, QueuedWriter
 
 if TYPE_CHECKING:
+    from haptether.bridge import TelemetryReader
     from haptether.cli.shared.screen import Screen
 
 END_S = 0.5
@@ -72,7 +72,9 @@ class PanelProcess:
             self._process.wait(END_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
-            self._process.wait()
+            # One that the system holds is not waited for.
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(END_S)
             print(SHOW_CURSOR, end="", file=sys.stderr, flush=True)
 
 
@@ -85,7 +87,12 @@ def panel_process(telemetry: Path | None, *, quiet: bool) -> Iterator[PanelProce
     if quiet or telemetry is None or not screen.is_terminal or screen.is_dumb_terminal:
         yield None
         return
-    panel = PanelProcess(telemetry)
+    try:
+        panel = PanelProcess(telemetry)
+    except OSError:
+        # No room for another process: there is a line instead.
+        yield None
+        return
     try:
         yield panel
     finally:
@@ -96,21 +103,20 @@ def panel_process(telemetry: Path | None, *, quiet: bool) -> Iterator[PanelProce
 
 
 class _Said:
-    """What the side has said, read by a thread."""
+    """What the side says, printed by a thread at once: also while no samples come, as of a driver that blocks."""
 
-    def __init__(self) -> None:
-        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self.has_ended = False
+    def __init__(self, screen: "Screen") -> None:
+        self._screen = screen
+        self.ended = threading.Event()
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
-        for line in sys.stdin:
-            self._lines.put(line.rstrip("\n"))
-        self.has_ended = True
-
-    def print(self, screen: "Screen") -> None:
-        while not self._lines.empty():
-            screen.print(self._lines.get(), soft_wrap=True)
+        try:
+            for line in sys.stdin.buffer:
+                # A console has a lock: the panel is drawn anew below it.
+                self._screen.print(line.decode(errors="replace").rstrip("\n"), soft_wrap=True)
+        finally:
+            self.ended.set()
 
 
 def draw(telemetry: Path) -> None:
@@ -124,29 +130,33 @@ def draw(telemetry: Path) -> None:
     # Ctrl-C is for the side, whose end this process shows.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(NICE)
-    said, screen = _Said(), Screen(stderr=True)
-    while not said.has_ended:
+    screen = Screen(stderr=True)
+    said = _Said(screen)
+    while not said.ended.is_set():
         try:
             reader = TelemetryReader(telemetry)
         except (OSError, ValueError):
-            said.print(screen)
-            time.sleep(POLL_S)
+            said.ended.wait(POLL_S)
             continue
+        # The end of what is said ends the wait for a sample.
+        threading.Thread(target=_close_after, args=(said.ended, reader), daemon=True).start()
         state, next_s = SideState(reader.hello), 0.0
         with reader, Live(console=screen, auto_refresh=False, transient=True) as live, contextlib.suppress(OSError):
             for message in reader:
                 state.take(message)
-                if said.has_ended:
+                if said.ended.is_set():
                     break
                 if state.ticks and (now_s := time.monotonic()) >= next_s:
                     next_s = now_s + 1.0 / REFRESH_HZ
-                    said.print(screen)
                     live.update(panel(state, min(80, screen.width)), refresh=True)
         # A driver that blocks sends no samples: it is waited for anew.
-        while state.has_ended and not said.has_ended:
-            said.print(screen)
-            time.sleep(POLL_S)
-    said.print(screen)
+        if state.has_ended:
+            said.ended.wait()
+
+
+def _close_after(ended: threading.Event, reader: "TelemetryReader") -> None:
+    ended.wait()
+    reader.close()
 
 
 if __name__ == "__main__":

@@ -73,6 +73,8 @@ class SideWatch:
             panel.end()
             if self._side.finished or self._stopped:
                 return
+            # What it was passed may have been lost with it: said once more.
+            self._cause, self._ticked_s = None, time.monotonic()
         wait(headline, self._status, lambda: self._side.finished, self._stopped, None, shown=not quiet)
 
     def after_end(self, report: "LoopReport") -> Cause | None:

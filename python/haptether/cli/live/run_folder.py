@@ -9,6 +9,9 @@ from pathlib import Path
 
 from haptether.private_file import refuse_link
 
+MAX_PATH = 107
+"""Bytes of the path of a Unix socket; Linux, `struct sockaddr_un`."""
+
 
 def run_folder() -> Path | None:
     """`$XDG_RUNTIME_DIR/haptether`, or a folder of this user among temporary files; none where neither can be private.
@@ -29,7 +32,8 @@ def run_folder() -> Path | None:
 def default_telemetry(side: str) -> Path | None:
     """Where a side of this process sends its telemetry; none where there is no private folder."""
     folder = run_folder()
-    return None if folder is None else folder / f"{side}-{os.getpid()}.sock"
+    path = None if folder is None else folder / f"{side}-{os.getpid()}.sock"
+    return None if path is None or len(os.fsencode(path)) > MAX_PATH else path
 
 
 def running_sides() -> list[Path]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from haptether.cli.interrupts import INTERRUPTS
-from haptether.cli.shared.ejection import announce_bound
+from haptether.cli.shared.ejection import announcement
 
 if TYPE_CHECKING:
     from haptether.bridge import (
@@ -119,13 +119,15 @@ def start_master(
         )
     spec = scene_json(scene)
     if scene.master.driver is None:
+        bound = announcement(scene)
         master = stopped.attached(LiveMaster(spec, **arguments))
-        announce_bound(scene)
+        _say(bound)
         return master
+    bound = announcement(scene)
     # The loop first: without a time of its own the start counts from here, and a driver may take its time to be loaded.
     loop = stopped.attached(MasterLoop(spec, clutch=clutch, **arguments))
     device = load_master(scene.master.driver, scene.master.options)
-    announce_bound(scene)
+    _say(bound)
     _announce(f"[master] driver = {scene.master.driver}", device)
     run = MasterRun(device, loop, period_s=scene.run.period_s)
     if command.clutch == "auto":
@@ -205,6 +207,11 @@ def _within(scene: "Scene", device: "SlaveDevice") -> "Scene":
         if most is not None and (now if isinstance(now, int | float) else float("inf")) > most:
             slower.append(f"coupling.{key}={most}")
     return override_scene(scene, slower) if slower else scene
+
+
+def _say(line: str | None) -> None:
+    if line is not None:
+        print(line, file=sys.stderr, flush=True)
 
 
 def _announce(name: str, device: object) -> None:

@@ -83,7 +83,7 @@ class Slave(LiveOptions):
         key = session_key(self.key, insecure=self.insecure)
         flight = FlightFile(self.flight)
         arguments = live_arguments(self, key)
-        with Stopped() as stopped, panel_process(arguments["telemetry"], quiet=self.quiet) as panel:
+        with panel_process(arguments["telemetry"], quiet=self.quiet) as panel, Stopped() as stopped:
             slave = start_slave(self, scene, stopped, arguments)
             handed_over(key)
             watch = SideWatch("slave", slave, stopped, flight, insecure=self.insecure)

@@ -117,31 +117,32 @@ class Falsify:
         against = " and ".join(found.scene.safety.controllers) or "nobody"
         return (
             f"The worst release against {against} that `haptether falsify {self.scene} --seed {self.seed}` found in"
-            f" {found.tried} tries, made simple.\nIt throws the device at {found.speed:.4f} m/s;"
-            f" {found.bound.text()}."
+            f" {found.tried} tries, made simple.\nIt throws the device at {found.speed:.4f} {unit_of(found)};"
+            f" {found.bound.text(unit_of(found))}."
         )
 
     def _report(self, console: "Console", found: "Falsified", out: Path) -> None:
         from haptether.cli.shared.output import write_report
         from haptether.cli.shared.table import Column, Rows
 
-        release = found.release
+        release, unit = found.release, unit_of(found)
+        force = "N m" if unit == "rad/s" else "N"
         table = Rows(self.scene, Column(" + ".join(found.scene.safety.controllers) or "nobody", numbers=True))
         table.add("releases tried", str(found.tried))
-        table.add("largest speed seen [m/s]", f"{found.worst:.4f}")
-        table.add("of the simple release [m/s]", f"{found.speed:.4f}")
+        table.add(f"largest speed seen [{unit}]", f"{found.worst:.4f}")
+        table.add(f"of the simple release [{unit}]", f"{found.speed:.4f}")
         if found.bound.speed is not None and found.margin is not None:
-            table.add("bound [m/s]", f"{found.bound.speed:.4f}")
-            table.add("margin [m/s]", f"{found.margin:.4f}")
+            table.add(f"bound [{unit}]", f"{found.bound.speed:.4f}")
+            table.add(f"margin [{unit}]", f"{found.margin:.4f}")
             table.add("seen / bound", f"{found.worst / found.bound.speed:.3f}")
-        table.add("held [N]", f"{release.held_n:.3g}")
+        table.add(f"held [{force}]", f"{release.held_n:.3g}")
         table.add("grip gives way in [ms]", f"{release.decay_s * 1e3:.3g}")
         table.add("steps of the push", str(len(release.level_n)))
         console.print(table)
         for after_s, level_n in zip(release.after_s, release.level_n, strict=True):
-            console.print(f"  {after_s * 1e3:8.2f} ms after the release  {level_n:+.3g} N")
+            console.print(f"  {after_s * 1e3:8.2f} ms after the release  {level_n:+.3g} {force}")
         if found.bound.speed is None:
-            console.print(found.bound.text())
+            console.print(found.bound.text(unit))
         else:
             console.print(f"assumed: {'; '.join(found.bound.assumptions)}")
         console.print(f"scene: {out}")
@@ -161,3 +162,8 @@ class Falsify:
                 "file": str(out),
             },
         )
+
+
+def unit_of(found: "Falsified") -> str:
+    """Of a speed of the scene's device."""
+    return "rad/s" if found.scene.master.kind == "joints" else "m/s"

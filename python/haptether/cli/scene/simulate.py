@@ -211,14 +211,14 @@ def spinner(text: str) -> Iterator[Callable[[str], None]]:
     """Says on standard error that something goes on, after two seconds. Yields what changes the text."""
     import threading
 
-    from haptether.cli.shared.screen import Screen
+    from haptether.cli.shared.screen import Screen, plain
 
     status = Screen(stderr=True).status(text)
     timer = threading.Timer(SPINNER_AFTER_S, status.start)
     timer.daemon = True
     timer.start()
     try:
-        yield status.update
+        yield lambda text: status.update(plain(text))
     finally:
         timer.cancel()
         timer.join()

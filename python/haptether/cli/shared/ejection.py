@@ -1,6 +1,5 @@
 """The bound on ejection speed, as commands say it."""
 
-import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -21,8 +20,11 @@ def bound_line(scene: "Scene", bound: "EjectionBound") -> str:
     return line if bound.speed is None else f"{line} ({'; '.join(bound.assumptions)})"
 
 
-def announce_bound(scene: "Scene") -> None:
-    """Says on standard error how fast the device can become after a release, where a controller watches."""
-    bound = scene_bound(scene)
-    if bound is not None:
-        print(bound_line(scene, bound), file=sys.stderr, flush=True)
+def announcement(scene: "Scene") -> str | None:
+    """How fast the device can become after a release, where a controller watches; computed before a loop begins."""
+    try:
+        bound = scene_bound(scene)
+    except (ValueError, ArithmeticError) as error:
+        # What is only said must not keep a side from running.
+        return f"no bound on the speed after a release: {error}"
+    return None if bound is None else bound_line(scene, bound)
