@@ -2,6 +2,7 @@
 
 import io
 import math
+import re
 from typing import Any
 
 import pytest
@@ -205,3 +206,19 @@ def test_loss_is_the_share_of_the_last_second(
         state.take(structs.replace(sample(time_s), link=link))
     assert state.loss() == (None if loss is None else pytest.approx(loss))
     assert ("frames lost [%]" in shown(state)) == (loss is not None)
+
+
+@pytest.mark.parametrize("height", [None, 60, 14])
+def test_a_panel_of_few_lines_has_no_room_and_no_events(height: int | None) -> None:
+    state = SideState(hello(scene={"safety": SAFETY}))
+    state.take(TelemetryChange(time_ns=10**8, signal="state", from_="aligning", to="engaged"))
+    for time_s in (0.1, 0.2):
+        state.take(sample(time_s, round_trip_s=[0.001, 0.001, 0.001], state="engaged"))
+    screen = io.StringIO()
+    Console(width=60, file=screen, color_system=None).print(panel(state, 60, height))
+    text = screen.getvalue()
+    assert "round trip [ms]" in text
+    assert max(map(len, text.splitlines())) <= 60
+    is_short = height == 14
+    assert (re.search(r"│ {50,}│", text) is None) == is_short
+    assert ("0.100  engaged" in text) != is_short

@@ -1,8 +1,9 @@
 """A live side as text of a terminal."""
 
+import io
 from collections.abc import Iterable
 
-from rich.console import Group, RenderableType
+from rich.console import Console, Group, RenderableType
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
@@ -50,18 +51,27 @@ AXES = 3
 """Of a vector on one line; of more, the norm."""
 
 
-def panel(state: SideState, width: int = 80) -> RenderableType:
-    """All that is known of a side, in `width` columns."""
+def panel(state: SideState, width: int = 80, height: int | None = None) -> RenderableType:
+    """All that is known of a side, in `width` columns; in fewer lines than that needs without room and events."""
+    whole = _panel(state, width, is_short=False)
+    if height is None:
+        return whole
+    lines = Console(width=width, file=io.StringIO()).render_lines(whole)
+    return whole if len(lines) < height else _panel(state, width, is_short=True)
+
+
+def _panel(state: SideState, width: int, *, is_short: bool) -> Panel:
+    room = [] if is_short else [Text("")]
     parts: list[RenderableType] = [_headline(state)]
     if state.cause is not None:
         parts += _cause(state)
     parts.append(_values(state))
     observers = state.observers()
     if observers:
-        parts += [Text(""), _observers(observers, held=state.is_held())]
-    parts += [Text(""), _loop(state)]
-    if state.events:
-        parts += [Text(""), *_events(state)]
+        parts += [*room, _observers(observers, held=state.is_held())]
+    parts += [*room, _loop(state)]
+    if state.events and not is_short:
+        parts += [*room, *_events(state)]
     title = f"{state.side}, Haptether {state.hello.version}".rstrip()
     return Panel(Group(*parts), title=Text(title), title_align="left", border_style=_style(state), width=width)
 

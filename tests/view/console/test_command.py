@@ -34,7 +34,11 @@ PATH = Path("side")
         (Console(scene="remote_push", set=("slave.device=ur",)), "slave.device = ur: the console starts models only"),
     ],
 )
-def test_what_cannot_be_is_refused(console: Console, said: str) -> None:
+def test_what_cannot_be_is_refused(
+    console: Console, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Where no side of another test runs.
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     with pytest.raises(ValueError, match=re.escape(said)):
         console.run()
 

@@ -39,7 +39,8 @@ class PanelProcess:
 
     def __init__(self, telemetry: Path) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "haptether.cli.live.panel_process", str(telemetry)],
+            # The folder that the side was started in is no place for modules.
+            [sys.executable, "-P", "-m", "haptether.cli.live.panel_process", str(telemetry)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
         )
@@ -148,7 +149,7 @@ def draw(telemetry: Path) -> None:
                     break
                 if state.ticks and (now_s := time.monotonic()) >= next_s:
                     next_s = now_s + 1.0 / REFRESH_HZ
-                    live.update(panel(state, min(80, screen.width)), refresh=True)
+                    live.update(panel(state, min(80, screen.width), screen.height), refresh=True)
         # A driver that blocks sends no samples: it is waited for anew.
         if state.has_ended:
             said.ended.wait()

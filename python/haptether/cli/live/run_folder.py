@@ -5,6 +5,7 @@ import os
 import socket
 import stat
 import tempfile
+import time
 from pathlib import Path
 
 from haptether.private_file import refuse_link
@@ -13,19 +14,24 @@ MAX_PATH = 107
 """Bytes of the path of a Unix socket; Linux, `struct sockaddr_un`."""
 
 
+STALE_S = 60.0
+"""Until a socket at which nobody listens was left behind, and not just made by a process that is not seen from here."""
+
+
 def run_folder() -> Path | None:
     """`$XDG_RUNTIME_DIR/haptether`, or a folder of this user among temporary files; none where neither can be private.
 
     Whoever may write there could take a socket's place, so it must be this user's, and nobody else's to enter.
     """
     base = os.environ.get("XDG_RUNTIME_DIR")
-    folder = Path(base) / "haptether" if base else Path(tempfile.gettempdir()) / f"haptether-{os.getuid()}"
-    with contextlib.suppress(OSError, ValueError):
-        refuse_link(folder)
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-        if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077:
-            return folder
+    others = Path(tempfile.gettempdir()) / f"haptether-{os.getuid()}"
+    for folder in (Path(base) / "haptether", others) if base else (others,):
+        with contextlib.suppress(OSError, ValueError):
+            refuse_link(folder)
+            folder.mkdir(mode=0o700, exist_ok=True)
+            found = folder.lstat()
+            if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077:
+                return folder
     return None
 
 
@@ -46,13 +52,19 @@ def running_sides() -> list[Path]:
                 probe.settimeout(0.5)
                 probe.connect(str(path))
         except ConnectionRefusedError:
-            if not _lives(path):
+            if not _lives(path) and _age_s(path) > STALE_S:
                 path.unlink(missing_ok=True)
         except OSError:
             continue
         else:
             found.append(path)
     return found
+
+
+def _age_s(path: Path) -> float:
+    with contextlib.suppress(OSError):
+        return time.time() - path.lstat().st_mtime
+    return 0.0
 
 
 def _lives(path: Path) -> bool:

@@ -28,6 +28,22 @@ def only_side() -> Path:
     raise ValueError(message)
 
 
+def sides_here() -> tuple[Path, ...]:
+    """The sockets of the sides that run here, at most one master and one slave.
+
+    Raises:
+        ValueError: None runs, or two of a kind.
+    """
+    from haptether.cli.live.run_folder import running_sides
+
+    sides = running_sides()
+    names = [path.name.partition("-")[0] for path in sides]
+    if len(set(names)) != len(names):
+        message = f"{len(sides)} sides run here: --connect must name those of one pair: {', '.join(map(str, sides))}"
+        raise ValueError(message)
+    return tuple(sides)
+
+
 def connected(path: Path) -> "TelemetryReader":
     """Reads the telemetry of a side, for which it waits up to 10 s.
 

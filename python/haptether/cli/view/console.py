@@ -39,7 +39,7 @@ class Console:
     """
 
     connect: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(metavar="PATH")] = ()
-    """What --telemetry of a running side names; may be given twice."""
+    """What --telemetry of a running side names; may be given twice. Without it and --scene those that run here."""
     control: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(metavar="PATH")] = ()
     """What --control of a running side names; without it the page only shows. May be given twice."""
     flight: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(metavar="PATH")] = ()
@@ -60,8 +60,13 @@ class Console:
             RuntimeError: A side of the scene did not start, or the extra is not installed.
         """
         from haptether.cli.shared.stop import Stopped
+        from haptether.cli.view.connecting import sides_here
 
-        if (self.scene is None) == (not self.connect):
+        connect = self.connect
+        if self.scene is None and not connect and not (connect := sides_here()):
+            message = "--connect, --scene: give one of the two, or start a side: none of this user runs here"
+            raise ValueError(message)
+        if self.scene is not None and connect:
             message = "--connect, --scene: give one of the two"
             raise ValueError(message)
         if self.scene is not None and (self.control or self.flight):
@@ -70,7 +75,7 @@ class Console:
         if self.scene is None and self.set:
             message = f"set = {self.set[0]}: changes a scene: --scene must name one"
             raise ValueError(message)
-        most = max(map(len, (self.connect, self.control, self.flight)))
+        most = max(map(len, (connect, self.control, self.flight)))
         if most > 2:
             message = f"--connect, --control, --flight: {most} sides, must be at most 2"
             raise ValueError(message)
@@ -86,7 +91,7 @@ class Console:
             raise RuntimeError(message) from None
         with Stopped() as stopped, contextlib.ExitStack() as stack:
             if self.scene is None:
-                self._serve(self.connect, self.control, self.flight, stopped)
+                self._serve(connect, self.control, self.flight, stopped)
             else:
                 folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="haptether-console-")))
                 self._start(folder, stack, stopped)

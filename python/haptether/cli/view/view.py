@@ -2,7 +2,7 @@
 
 import re
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -54,7 +54,8 @@ class View:
     what: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[RUN [RUN]|SCENE]")] = ()
     """Name of a shipped scene, path of a TOML file, or of a recording, or of one of each side."""
     connect: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(metavar="PATH")] = ()
-    """Show a run that goes on: the socket that --telemetry of master or slave names; once for each side. Pictures,
+    """Show a run that goes on: the socket that --telemetry of master or slave names; once for each side. Without it and
+    a RUN those that run here. Pictures,
     films and pages are made when the run has come to --at-s and --until-s."""
     scene: Annotated[str | None, tyro.conf.arg(metavar="SCENE")] = None
     """The scene of a recording, where it does not say its own."""
@@ -108,6 +109,11 @@ class View:
         from haptether.view.film import require_film
         from haptether.view.picture.gl import require_gl
 
+        if not self.what and not self.connect:
+            from haptether.cli.view.connecting import sides_here
+
+            if sides := sides_here():
+                return replace(self, connect=sides).run()
         self._check_what()
         size = size_of(self.size)
         if len(self.title) > (most := 1 + bool(self.compare)):
@@ -117,10 +123,7 @@ class View:
         files = {"screenshot": self.screenshot, "movie": self.movie, "html": self.html, "json": self.json}
         check_distinct(**files)
         check_target(*files.values())
-        for path, ending in ((self.screenshot, ".png"), (self.html, ".html")):
-            if path is not None and path.suffix != ending:
-                message = f"{path}: must end in {ending}"
-                raise ValueError(message)
+        self._check_endings()
         if self.movie is not None:
             require_film(self.movie)
         if self.screenshot is not None or self.movie is not None or not self._writes:
@@ -147,6 +150,12 @@ class View:
     @property
     def _writes(self) -> bool:
         return any(path is not None for path in (self.screenshot, self.movie, self.html))
+
+    def _check_endings(self) -> None:
+        for path, ending in ((self.screenshot, ".png"), (self.html, ".html")):
+            if path is not None and path.suffix != ending:
+                message = f"{path}: must end in {ending}"
+                raise ValueError(message)
 
     def _check_numbers(self) -> None:
         if not 1.0 <= self.fps <= 60.0:

@@ -77,7 +77,7 @@ class Watch:
                 state.take(message)
                 if (now_s := time.monotonic()) >= next_s:
                     next_s = now_s + 1.0 / REFRESH_HZ
-                    live.update(panel(state), refresh=True)
+                    live.update(panel(state, height=screen.height), refresh=True)
                 if self._is_over(state):
                     break
             live.update(panel(state), refresh=True)
