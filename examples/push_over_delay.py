@@ -56,8 +56,6 @@ def thrown_at(controller: Controller, delay_s: float) -> float:
         safety=SafetyTable(
             controllers=() if controller == "none" else (controller,),
             hsc_force_threshold_n=1.0,
-            hold_off_s=0.1,
-            release_ramp_s=0.2,
         ),
         record=RecordTable(),
     )

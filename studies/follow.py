@@ -98,8 +98,6 @@ lever_m = {lever}
 controllers = {controllers}
 velocity_threshold = 1.0     # rad/s
 hsc_force_threshold_n = 0.1  # N m
-hold_off_s = 0.1
-release_ramp_s = 0.2
 """
 
 

@@ -41,6 +41,7 @@ def settings_of(scene: Scene) -> EjectionSettings:
         release_ramp_s=safety["release_ramp_s"],
         damping=safety["damping"],
         probe_force_n=safety["probe_force_n"],
+        release_tries=safety["release_tries"],
         travel_m=None if stops is None else hypot(*(high - low for low, high in stops)),
         outside=_outside(spec),
     )

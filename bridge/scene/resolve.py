@@ -68,6 +68,11 @@ DEFAULT_MAX_FORCE_N = 7.9
 DEFAULT_DAMPING = 5.0
 """mu of the paper, in N s/m."""
 DEFAULT_PC_DAMPING = 10.0
+PROBED_SPEED = 0.12
+"""The default probe over mu, in m/s, of joints in rad/s: with the damping of a probe, 1.25 mu, a free device stays below 0.096."""
+FRICTION_ROOM = 2.0
+"""Of c, what a probe must exceed by its threshold: `FRICTION_ROOM` of `safety/src/controller/probe.rs`."""
+TRIES_BY_PROBE, TRIES_BY_TIME = 5, 2
 DEFAULT_EXTRAPOLATION_S = 0.015
 MIN_FADE_IN_S = 0.2
 MAX_LINEAR_AXES = 3
@@ -314,14 +319,23 @@ def _safety(scene: Scene, master: Spec) -> SafetyTable:
     table = scene.safety
     limit = max_damping(master["mass_kg"], scene.run.period_s)
     max_force_n = master["max_force_n"] or DEFAULT_MAX_FORCE_N
+    table = _filled(table, damping=min(DEFAULT_DAMPING, limit), pc_max_damping=min(DEFAULT_PC_DAMPING, limit))
     return replace(
-        _filled(table, damping=min(DEFAULT_DAMPING, limit), pc_max_damping=min(DEFAULT_PC_DAMPING, limit)),
+        _released(table, max(master["coulomb"])),
         estimator=_estimator(table.estimator, master["encoder_quantum"] or DEFAULT_QUANTUM_M),
         limiter=_filled(table.limiter, max_force_n=max_force_n),
         ladder=None if scene.slave is None else _ladder(table.ladder or LadderTable(), table.limiter),
         rotation=table.rotation or RotationSafetyTable() if side_kind(scene.master) == "pose" else None,
         gripper=table.gripper or TriggerSafetyTable() if scene.master.gripper else None,
     )
+
+
+def _released(table: SafetyTable, coulomb: float) -> SafetyTable:
+    """Who gets the force back after a trip: a hand that answers a probe, where friction c does not hide one."""
+    probe_force_n = PROBED_SPEED * (table.damping or 0.0)
+    hidden = probe_force_n * table.probe_threshold < FRICTION_ROOM * coulomb
+    table = _filled(table, probe_force_n=0.0 if hidden else probe_force_n)
+    return _filled(table, release_tries=TRIES_BY_PROBE if table.probe_force_n else TRIES_BY_TIME)
 
 
 def _estimator(table: EstimatorTable, quantum_m: float) -> EstimatorTable:

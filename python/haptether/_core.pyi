@@ -602,6 +602,8 @@ class SafetySettings:
         probe_force_n: A in N of the probe that a hand must answer before an intervention fades, at least 2 c / r_th; 0
             lets it fade by time alone.
         probe_threshold: r_th, the share of the probe that a hand holds against at least, above 0 and below 1.
+        release_tries: How often the force may come back, or a probe act, without the force being back for 1 s, before
+            it is withheld; 0 is no end.
 
     Raises:
         ValueError: No such controller or `vfc_form`.
@@ -630,6 +632,7 @@ class SafetySettings:
         release_ramp_s: float = 0.0,
         probe_force_n: float = 0.0,
         probe_threshold: float = 0.2,
+        release_tries: int = 0,
     ) -> SafetySettings: ...
     def __eq__(self, other: object, /) -> bool: ...
 

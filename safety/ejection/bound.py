@@ -15,6 +15,8 @@ MAX_LATE_S = 0.02
 """A tick that is later is a tick that is left out: the loop drops the force."""
 BOUNDED = ("hsc", "wsc")
 """Controllers for which there is a bound."""
+PROBED_DAMPING = 1.25
+"""Damping in mu while a probe acts, of `safety/src/controller/probe.rs`."""
 
 
 class EjectionSettings(Struct, frozen=True, kw_only=True):
@@ -60,6 +62,8 @@ class EjectionSettings(Struct, frozen=True, kw_only=True):
     """mu in N s/m."""
     probe_force_n: float = 0.0
     """A in N of the probe for a hand; 0 without."""
+    release_tries: int = 0
+    """After how many tries the force is withheld; 0 is no end. The bound holds for any."""
     travel_m: float | None = None
     """X in m: the way from one mechanical stop to the other; none without stops."""
 
@@ -268,8 +272,8 @@ class _Model:
         return (self.force * self.lag_s + friction) / self.mass + late + self.velocity_noise
 
     def probed(self) -> float:
-        """What a probe may drive a free device to, in m/s: `A / mu + e + a (dT + J)`, damped by the estimate of V."""
-        settings, speed = self.settings, self.settings.probe_force_n / self.settings.damping
+        """What a probe may drive a free device to, in m/s: `A / 1.25 mu + e + a (dT + J)`, damped by the estimate of V."""
+        settings, speed = self.settings, self.settings.probe_force_n / (PROBED_DAMPING * self.settings.damping)
         late_s = settings.period_s + self.late_s
         return speed + self.lag(speed) + (settings.probe_force_n + self.drives * speed) / self.mass * late_s
 

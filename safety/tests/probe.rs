@@ -8,10 +8,12 @@ use haptether_safety::{
 };
 
 const PERIOD_S: f64 = 1e-3;
-const QUANTUM_M: f64 = 2.3e-5;
 const SUBSTEPS: u32 = 4;
 const RELEASED_AT: u32 = 400;
+/// What the resolved default of a scene is at this damping: a free device stays below 0.1 m/s.
 const PROBE_N: f64 = 0.6;
+/// The first throw is over by then.
+const CAUGHT_MS: u32 = 150;
 const DAMPING: f64 = 5.0;
 const WSC: Tripped = Tripped::of(ControllerKind::Wsc);
 
@@ -71,9 +73,9 @@ struct Held {
 struct Outcome {
     /// From the first trip to the end of the intervention, if it ended, in s.
     back_after_s: Option<f64>,
-    /// Largest speed in m/s after the first 50 ms of the intervention.
+    /// Largest speed in m/s from 150 ms after the first trip on.
     later_speed: f64,
-    /// From where the device was 50 ms after the trip, in m.
+    /// From where the device was then, in m.
     displacement: f64,
     /// What gravity that is left over does to a free device in that time, in m.
     drift: f64,
@@ -83,8 +85,16 @@ struct Outcome {
 /// A push of `N` axes on a hand that lets go, or is surprised and comes back at once.
 fn trial<const N: usize>(class: Class, seed: u64, ticks: u32) -> Outcome {
     let mut draws = Draws(seed);
-    let model = DeviceModel::<N>::phantom_desktop();
-    let mass_kg = 0.157 / (1.0 + draws.within(-0.2, 0.2));
+    // Of more than three axes each has a mass of its own, as joints do.
+    let share = |axis: usize| if N > 3 { 1.0 - 0.1 * axis as f64 } else { 1.0 };
+    let model = DeviceModel::<N>::new(
+        Axes::from_fn(|axis, _| 0.157 * share(axis)),
+        Axes::repeat(-0.005),
+        Axes::repeat(0.038),
+    )
+    .unwrap();
+    let mass_error = draws.within(-0.2, 0.2);
+    let mass_kg = Axes::<N>::from_fn(|axis, _| 0.157 * share(axis) / (1.0 + mass_error));
     let coulomb = 0.038 * draws.within(0.5, 2.0);
     let push_n = draws.within(2.0, 7.9);
     let along = Axes::<N>::from_fn(|_, _| draws.within(-1.0, 1.0)).normalize();
@@ -96,15 +106,17 @@ fn trial<const N: usize>(class: Class, seed: u64, ticks: u32) -> Outcome {
     let push_n = held.as_ref().map_or(push_n, |hand| push_n.min((0.03 * hand.stiffness).sqrt()));
     let drift = Axes::<N>::from_fn(|_, _| draws.within(-1.0, 1.0)).normalize();
     let (tremor, tremor_hz) = (draws.within(2e-5, 2e-4), draws.within(8.0, 12.0));
+    let quantum_m = 10.0_f64.powf(draws.within(-6.0, -4.0));
     let mut layer = SafetyLayer::<N>::new(&LayerSettings {
         device: model,
         period_s: PERIOD_S,
-        estimator: EstimatorKind::default(),
+        estimator: EstimatorKind::default().with_quantum(quantum_m),
         safety: SafetySettings {
             controllers: [ControllerKind::Wsc].into(),
             hold_off_s: 0.1,
             release_ramp_s: 0.2,
             probe_force_n: PROBE_N,
+            release_tries: 5,
             ..SafetySettings::default()
         },
         limiter: LimiterSettings { ramp_in_s: 0.3, ..LimiterSettings::default() },
@@ -116,7 +128,7 @@ fn trial<const N: usize>(class: Class, seed: u64, ticks: u32) -> Outcome {
     let (mut origin, mut displacement, mut caught) = (Axes::<N>::zeros(), 0.0_f64, false);
     for tick in 0..RELEASED_AT + ticks {
         let time_s = f64::from(tick) * PERIOD_S;
-        let sample = x.map(|at| (at / QUANTUM_M).round() * QUANTUM_M);
+        let sample = x.map(|at| (at / quantum_m).round() * quantum_m);
         let step = layer.tick(&sample, None, &(along * push_n));
         let intervention = step.intervention;
         match tripped_at {
@@ -124,8 +136,8 @@ fn trial<const N: usize>(class: Class, seed: u64, ticks: u32) -> Outcome {
             Some(at) if !intervention.tripped.any() => {
                 back_at.get_or_insert(f64::from(tick - at) * PERIOD_S);
             }
-            Some(at) if tick == at + 50 => origin = x,
-            Some(at) if tick > at + 50 => {
+            Some(at) if tick == at + CAUGHT_MS => origin = x,
+            Some(at) if tick > at + CAUGHT_MS => {
                 later_speed = later_speed.max(v.norm());
                 displacement = displacement.max((x - origin).norm());
             }
@@ -157,15 +169,11 @@ fn trial<const N: usize>(class: Class, seed: u64, ticks: u32) -> Outcome {
                 let normal = (3000.0 * depth + 5.0 * v.dot(&along)).max(0.0);
                 force -= along * normal;
             }
-            let total_kg = mass_kg + if holds { hand_kg } else { 0.0 };
-            let speed = v.norm();
-            v += force * (dt / total_kg);
-            let slowed = (v.norm() - coulomb / total_kg * dt).max(0.0);
-            v = if speed > 0.0 || slowed > 0.0 {
-                v.try_normalize(0.0).map_or_else(Axes::zeros, |direction| direction * slowed)
-            } else {
-                v
-            };
+            let total_kg = mass_kg.add_scalar(if holds { hand_kg } else { 0.0 });
+            v += force.component_div(&total_kg) * dt;
+            let direction = v.try_normalize(0.0).unwrap_or_else(Axes::zeros);
+            let drag = direction.component_div(&total_kg) * (coulomb * dt);
+            v = if drag.norm() < v.norm() { v - drag } else { Axes::zeros() };
             x += v * dt;
         }
     }
@@ -210,8 +218,7 @@ fn nobody_is_thrown_again<const N: usize>(class: Class) {
         interval(again, trials()).1
     );
     assert_eq!(again, 0, "{class:?}: force without a hand");
-    // What is left 50 ms after the trip, and the probe, of a model that is wrong.
-    assert!(fastest < 0.14 && furthest < 0.02, "{class:?}: {fastest} m/s, {furthest} m");
+    assert!(fastest < 0.1 && furthest < 0.02, "{class:?}: {fastest} m/s, {furthest} m");
 }
 
 #[test]
@@ -220,12 +227,14 @@ fn without_a_hand_nothing_comes_back() {
     nobody_is_thrown_again::<3>(Class::Free);
     nobody_is_thrown_again::<1>(Class::Stop);
     nobody_is_thrown_again::<3>(Class::Stop);
+    nobody_is_thrown_again::<6>(Class::Free);
 }
 
 #[test]
 fn a_hand_has_its_force_again() {
     for (class, within_ms, share) in [
-        (Class::Light, 600, 0.99),
+        (Class::Light, 600, 0.98),
+        (Class::Light, 1700, 0.99),
         (Class::Firm, 600, 0.99),
         (Class::Moving, 600, 0.9),
         (Class::Moving, 2500, 0.95),

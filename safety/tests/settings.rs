@@ -39,6 +39,7 @@ fn table() -> Value {
         "release_ramp_s": 0.1,
         "probe_force_n": 0.5,
         "probe_threshold": 0.2,
+        "release_tries": 0,
         "estimator": {"kind": "adaptive-window", "noise_bound_m": 1e-4, "max_window": 16, "fit": "best"},
         "limiter": {"max_force_n": 3.0, "max_slew_n_per_s": 1e3, "max_power_w": 20.0, "ramp_in_s": 0.2},
     })

@@ -284,11 +284,11 @@ def test_a_probe_may_be_what_is_fastest() -> None:
     without = ejection_bound(scene).speed
     settings = scene.ejection_settings()
     assert without is not None
-    for force_n, expected in ((0.6, without), (3.0, 3.0 / settings.damping)):
+    for force_n, expected in ((0.6, without), (3.0, 3.0 / (1.25 * settings.damping))):
         probed = override_scene(scene, [f"safety.probe_force_n={force_n}", "safety.hold_off_s=0.1"])
         speed, seen = ejection_bound(probed).speed, simulate(probed).metrics.max_ejection_velocity
         assert speed is not None
         assert seen is not None
-        # V is measured there: beside A / mu there is the tick in which it is decided, and friction.
+        # V is measured there: beside A / 1.25 mu there is the tick in which it is decided, and friction.
         assert expected <= speed <= expected + 3.0 / settings.mass_kg[0] * 2e-3
         assert seen <= speed

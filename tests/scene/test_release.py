@@ -7,23 +7,23 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from haptether.bridge import Run, Scene, SceneError, simulate
+from haptether.bridge import Run, Scene, SceneError, scene_json, simulate
 
 RELEASE_S, DURATION_S = 1.0, 8.0
 PUSH_N = 3.0
 
 
-def released(*, remote: bool, operator: dict[str, Any], **safety: float) -> Run:
+def released(*, remote: bool, operator: dict[str, Any], device: str = "phantom-desktop", **safety: float) -> Run:
     """A push that lasts, and a hand that lets go of it at 1 s."""
     release = {"at_s": RELEASE_S, "decay_s": 0.02, "kind": "gain"}
     tables: dict[str, Any] = {
         "schema": 1,
         "run": {"duration_s": DURATION_S},
-        "master": {"device": "phantom-desktop"},
+        "master": {"device": device},
         "operator": {"stiffness": 600.0, "damping": 20.0, "release": release, **operator},
         "environment": {"pushers": [{"shape": "ramp", "at_s": 0.1, "rise_s": 0.6, "force_n": PUSH_N}]},
         "safety": {
-            "controllers": ["wsc"], "hold_off_s": 0.1, "release_ramp_s": 0.2, "probe_force_n": 0.6, **safety,
+            "controllers": ["wsc"], **safety,
         },
         "record": {},
     }  # fmt: skip
@@ -76,3 +76,72 @@ def test_a_hand_that_takes_hold_again_has_its_force(*, remote: bool) -> None:
 def test_a_probe_that_decides_nothing_is_refused(safety: dict[str, float], said: str) -> None:
     with pytest.raises((SceneError, msgspec.ValidationError), match=said):
         released(remote=False, operator={}, **safety)
+
+
+def table(master: dict[str, Any], **safety: Any) -> dict[str, Any]:  # noqa: ANN401  # any setting
+    """What `[safety]` is once it is resolved."""
+    scene = {"schema": 1, "master": master, "safety": {"controllers": ["wsc"], **safety}}
+    resolved: dict[str, Any] = msgspec.json.decode(scene_json(msgspec.convert(scene, Scene)))["safety"]
+    return resolved
+
+
+@pytest.mark.parametrize(
+    ("master", "safety", "force_n", "tries"),
+    [
+        ({"device": "phantom-desktop"}, {}, 0.6, 5),
+        # 0.12 m/s mu: 2 c / r_th must be less.
+        ({"device": "phantom-desktop"}, {"damping": 3.0}, 0.0, 2),
+        ({"device": "phantom-desktop"}, {"damping": 3.5, "probe_threshold": 0.25}, 0.42, 5),
+        ({"device": "phantom-desktop"}, {"probe_force_n": 0.0}, 0.0, 2),
+        ({"device": "phantom-desktop"}, {"probe_force_n": 0.8, "release_tries": 0}, 0.8, 0),
+        ({"device": "phantom-desktop"}, {"damping": 0.0}, 0.0, 2),
+        ({"device": "touch"}, {}, 0.0, 2),
+        ({"mass_kg": 0.2, "coulomb": 0.06}, {}, 0.6, 5),
+        ({"mass_kg": 0.2, "coulomb": 0.061}, {}, 0.0, 2),
+        ({"device": "dynamixel-leader", "kind": "joints"}, {}, 0.0, 2),
+        ({"mass_kg": 0.02, "coulomb": 0.01, "kind": "joints"}, {}, 0.48, 5),
+    ],
+)
+def test_by_default_a_hand_is_asked_for_unless_friction_hides_it(
+    master: dict[str, Any], safety: dict[str, float], force_n: float, tries: int
+) -> None:
+    resolved = table(master, **safety)
+    assert resolved["probe_force_n"] == pytest.approx(force_n, abs=1e-12)
+    assert (resolved["hold_off_s"], resolved["release_ramp_s"], resolved["release_tries"]) == (0.1, 0.2, tries)
+
+
+@pytest.mark.parametrize("clutch", [None, "once"], ids=["local", "once"])
+@pytest.mark.parametrize("tries", [1, 2, 3])
+def test_where_friction_hides_a_hand_the_force_comes_back_so_many_times(tries: int, clutch: str | None) -> None:
+    run = released(
+        remote=clutch is not None,
+        operator={"clutch": clutch} if clutch else {},
+        device="phantom-omni",
+        release_tries=tries,
+    )
+    trips = [event.time_s for event in run.events if event.kind == "trip"]
+    # The first, and one as often as the force came back, within hold-off and ramp.
+    assert len(trips) == 1 + tries
+    assert trips[-1] - trips[0] < tries * 0.5
+    assert np.abs(force_after(run, trips[-1] + 0.5)).max() < 1e-2
+    holds = [event.detail for event in run.events if event.kind == "hold" and event.detail.startswith("master")]
+    assert holds == (["master: no hand was felt on the device after a push"] if clutch else [])
+
+
+def test_a_hand_that_is_there_keeps_its_force_however_often_it_trips() -> None:
+    # Trips that lie further apart than a second are no tries of one intervention.
+    tables = {
+        "schema": 1,
+        "run": {"duration_s": 9.0},
+        "master": {"device": "phantom-omni"},
+        "operator": {
+            "stiffness": 300.0, "damping": 8.0,
+            "legs": [{"duration_s": 0.1, "end": side} for at in range(4) for side in (0.1, 0.1, *[0.1] * 8, 0.0, *[0.0] * 9)],
+        },
+        "environment": {"pushers": [{"force_n": 1.0}]},
+        "safety": {"controllers": ["wsc"]},
+        "record": {},
+    }  # fmt: skip
+    run = simulate(msgspec.convert(tables, Scene))
+    assert len([event for event in run.events if event.kind == "trip"]) > 4
+    assert force_after(run, 8.8).max() > 0.5

@@ -366,14 +366,22 @@ class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """w in ticks, of WSC."""
     pc_max_damping: NonNegative | None = None
     """Bound in N s/m on the damping of PC, at most m / (5 dT); by default 10, or that bound if it is less."""
-    hold_off_s: Hold = 0.0
-    """Least duration of an intervention in s, 0 to 60."""
-    release_ramp_s: Hold = 0.0
-    """Time in s over which an intervention fades out, 0 to 60."""
-    probe_force_n: NonNegative = 0.0
-    """A in N of the probe that a hand must answer before an intervention fades; 0 lets it fade by time alone."""
+    hold_off_s: Hold = 0.1
+    """Least duration of an intervention in s, 0 to 60; as printed 0."""
+    release_ramp_s: Hold = 0.2
+    """Time in s over which an intervention fades out, 0 to 60; as printed 0."""
+    probe_force_n: NonNegative | None = None
+    """A in N of the probe that a hand must answer before an intervention fades; 0 lets it fade by time alone.
+
+    By default mu times 0.12 m/s, which moves a free device by less than 0.1 m/s, or 0 where friction would hide it.
+    """
     probe_threshold: Annotated[float, Meta(gt=0.0, lt=1.0)] = 0.2
     """r_th: the share of the probe that a hand holds against, at least."""
+    release_tries: Annotated[int, Meta(ge=0, le=1000)] | None = None
+    """How often the force may come back, or a probe act, without the force being back for 1 s, before it is withheld.
+
+    0 is no end. By default 5 with a probe, 2 without.
+    """
     limiter: LimiterTable = LimiterTable()
     """Bounds on the device force."""
     ladder: LadderTable | None = None

@@ -27,7 +27,8 @@ impl PySafetySettings {
     #[pyo3(signature = (controllers=Vec::new(), *, damping=5.0, velocity_threshold=0.6,
         vfc_force_threshold_n=1.0, vfc_form="product", grasp_threshold=1.5, grasp_floor_n=1e-3,
         hsc_force_threshold_n=0.1, energy_threshold_j=-0.03, energy_ratio=0.5, window=100,
-        pc_max_damping=10.0, hold_off_s=0.0, release_ramp_s=0.0, probe_force_n=0.0, probe_threshold=0.2))]
+        pc_max_damping=10.0, hold_off_s=0.0, release_ramp_s=0.0, probe_force_n=0.0, probe_threshold=0.2,
+        release_tries=0))]
     fn new(
         controllers: Vec<String>,
         damping: f64,
@@ -45,6 +46,7 @@ impl PySafetySettings {
         release_ramp_s: f64,
         probe_force_n: f64,
         probe_threshold: f64,
+        release_tries: u32,
     ) -> PyResult<Self> {
         let settings = SafetySettings {
             controllers: controllers.iter().map(|name| named(name)).collect::<PyResult<_>>()?,
@@ -63,6 +65,7 @@ impl PySafetySettings {
             release_ramp_s,
             probe_force_n,
             probe_threshold,
+            release_tries,
         };
         Ok(Self { inner: settings })
     }

@@ -51,6 +51,9 @@ pub struct SafetySettings {
     pub probe_force_n: f64,
     /// `r_th`: share of the probe that a hand holds against, at least.
     pub probe_threshold: f64,
+    /// How often the force may come back, or a probe act, without the force being back for 1 s, before it is withheld;
+    /// 0 is no end.
+    pub release_tries: u32,
 }
 
 impl SafetySettings {
@@ -108,6 +111,7 @@ impl Default for SafetySettings {
             release_ramp_s: 0.0,
             probe_force_n: 0.0,
             probe_threshold: 0.2,
+            release_tries: 0,
         }
     }
 }
@@ -118,7 +122,8 @@ impl Default for SafetySettings {
 /// the release ramp: `F_c = g (-F_v - mu V)` with `g = 1 - s²`, s from 0 to 1. A new trip sets g to 1 at once. PC adds
 /// its own force in the share 1 - g that the intervention leaves.
 ///
-/// With a probe ([`SafetySettings::probe_force_n`]) it fades only once a hand was felt; until then g = 1.
+/// With a probe ([`SafetySettings::probe_force_n`]) it fades only once a hand was felt; until then g = 1. With a number of tries
+/// ([`SafetySettings::release_tries`]) g stays 1 after so many.
 ///
 /// Source: paper Eq. 2, 12, 13, 14.
 #[derive(Clone, Debug, PartialEq)]
@@ -233,7 +238,8 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     ) -> Option<S::SimdBool> {
         let probe = self.probe.as_mut()?;
         let may_end = self.on_for.simd_ge(self.hold_off_ticks);
-        Some(probe.step(seen, |lane| Intervening {
+        let any = (is_unsafe | self.on_for.simd_gt(S::splat(0.0))).any();
+        Some(probe.step(seen, any, |lane| Intervening {
             is_on: self.on_for.extract(lane) > 0.0,
             may_end: may_end.bitmask() >> lane & 1 == 1,
             is_unsafe: is_unsafe.bitmask() >> lane & 1 == 1,
@@ -685,6 +691,73 @@ mod tests {
                 assert_eq!(*force < 0.0, velocity > 0.0);
                 assert_eq!(*force == 0.0, velocity == 0.0);
             }
+        }
+    }
+
+    /// VFC trips at once, and a hand that drives the device at 0.2 m/s with 4 N is there.
+    fn tripped_and_driven(settings: &SafetySettings) -> (SafetyController<1>, Observation<1>) {
+        let mut controller = controller(settings);
+        let answer = controller.step(&seen(1.0, 2.0)).unwrap();
+        assert!(answer.tripped.any());
+        (controller, Observation { grasp_force: Axes::<1>::new(4.0), ..seen(0.2, 2.0) })
+    }
+
+    fn probing() -> SafetySettings {
+        SafetySettings { probe_force_n: 0.6, release_tries: 3, ..watching(1) }
+    }
+
+    #[test]
+    fn a_tick_that_was_missed_decides_nothing() {
+        let fades = SafetySettings { release_ramp_s: 0.05, ..probing() };
+        let (mut controller, driven) = tripped_and_driven(&fades);
+        for _ in 0..5000 {
+            controller.carry(&driven);
+        }
+        // Nothing was decided: neither that a hand is there, for then the ramp would be over, nor that none is.
+        assert!(controller.step(&driven).unwrap().tripped.any());
+        let mut ticks = 0;
+        while controller.step(&driven).unwrap().tripped.any() {
+            ticks += 1;
+            assert!(ticks < 100, "a hand that drives is felt");
+        }
+        let (mut controller, driven) = tripped_and_driven(&SafetySettings { probe_force_n: 0.0, ..probing() });
+        controller.carry(&driven);
+        assert!(!controller.step(&driven).unwrap().tripped.any(), "without a probe time decides");
+    }
+
+    #[test]
+    fn a_hand_that_was_felt_elsewhere_is_there() {
+        let (mut controller, _) = tripped_and_driven(&probing());
+        let still = seen(0.0, 2.0);
+        for _ in 0..20 {
+            assert!(controller.step(&still).unwrap().tripped.any());
+        }
+        controller.accept(Some(true));
+        assert!(!controller.step(&still).unwrap().tripped.any());
+    }
+
+    /// `release_tries`: so often the force comes back, or a probe acts, and then never.
+    #[test]
+    fn after_all_tries_the_force_is_withheld() {
+        for (force_n, tries) in [(0.0, 1), (0.0, 4), (0.6, 1), (0.6, 3)] {
+            let mut controller =
+                controller(&SafetySettings { probe_force_n: force_n, release_tries: tries, ..probing() });
+            let (mut came_back, mut probed, mut withheld) = (0, 0, false);
+            let (mut was_on, mut was_probed) = (false, false);
+            for tick in 0..8000 {
+                // Whenever the force is there it throws the device; else it rests.
+                let answer = controller.step(&seen(if was_on { 0.0 } else { 1.0 }, 2.0)).unwrap();
+                let is_on = answer.tripped.any();
+                let pushes = is_on && (answer.safety_force[0] + 2.0).abs() > 0.1 && was_on;
+                came_back += u32::from(was_on && !is_on);
+                probed += u32::from(pushes && !was_probed);
+                assert!(!withheld || (is_on && !pushes && answer.withheld), "{force_n} {tries} {tick}");
+                (was_on, was_probed, withheld) = (is_on, pushes, answer.withheld);
+            }
+            assert!(withheld);
+            // Each probe has two halves.
+            let expected = if force_n > 0.0 { (0, 2 * tries) } else { (tries, 0) };
+            assert_eq!((came_back, probed), expected, "{force_n}");
         }
     }
 

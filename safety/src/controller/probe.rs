@@ -17,6 +17,9 @@ const EDGE_S: f64 = 0.01;
 const JUDGED_FROM_S: f64 = 0.03;
 /// Until when it counts in the half that brings the device back, in s: before it can be at a stop again that it leaned on.
 const BACK_S: f64 = 0.08;
+/// Damping in shares of mu that acts beside mu while the device is probed: what a free one can reach is slower by as much,
+/// and what a hand adds is not.
+const PROBED_DAMPING: f64 = 0.25;
 /// How long a hand must drive the device without a break, in s.
 const DRIVEN_S: f64 = 0.06;
 /// How long the device must be still before a probe, in s.
@@ -25,14 +28,12 @@ const STILL_S: f64 = 0.05;
 const STILL_SHARE: f64 = 0.2;
 /// From one try to the next, in s; so long after an intervention the next has all its tries.
 const INTERVAL_S: f64 = 1.0;
-/// Tries before the force is withheld for good.
-const TRIES: u32 = 5;
 /// What a model of Coulomb friction may be wrong by, in shares of it, with room for what else is wrong.
 pub const FRICTION_ROOM: f64 = 2.0;
 
 /// Whether a hand holds the device, asked while an intervention keeps `F_v` away and damps.
 ///
-/// **Still hands are probed.** Once the device is still, `F_p = +-A d` is added, a trapezoid of 100 ms for each sign, first
+/// **Still hands are probed.** Once the device is still, `F_p = +-A d - 0.25 mu V` is added, A a trapezoid of 100 ms for each sign, first
 /// with d against the push that tripped (a stylus that was thrown against its stop moves away from it, so the stop cannot
 /// pass for a hand), then back. In each half, from 30 ms on and in the second to 80 ms, `r = mean |F_h . d| / A` is what a hand adds. A
 /// free device has r = 0 but for errors of the model, `|eps| + (|c - c^| + gravity + 3 sigma_F) / A`; a hand adds its mass,
@@ -42,8 +43,10 @@ pub const FRICTION_ROOM: f64 = 2.0;
 /// `F_h . V / |V| > r_th A + mu |V| / 2` for 60 ms without a break: a stop gives no energy for so long, and of a free device
 /// `F_h` is at most `|eps| mu |V|` beside what `r_th A` covers.
 ///
-/// Nothing fades without a yes. Tries are 1 s apart; after five without the force being back for 1 s it is withheld until the
-/// authority has been at zero, which is what a hold of the ladder leads to, or a [`reset`](Self::reset). The probe moves a free device by less than `A / mu` in speed and `A HALF_S / mu` in way.
+/// Nothing fades without a yes. Tries are 1 s apart. Without a probe (A = 0) each intervention may fade once its least duration
+/// is over, and that is a try. After `release_tries` without the force being back for 1 s it is withheld until the
+/// authority has been at zero, which is what a hold of the ladder leads to, or a [`reset`](Self::reset). The probe moves a
+/// free device by less than `A / 1.25 mu` in speed and `A HALF_S / 1.25 mu` in way.
 ///
 /// Source: derived here; the trials of `benches/release.py` have its error rates.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,6 +55,8 @@ pub(super) struct GraspProbe<const N: usize> {
     /// `r_th`.
     threshold: f64,
     damping: f64,
+    /// Tries before the force is withheld; none is no end of them.
+    limit: Option<u32>,
     period_s: f64,
     phase: Phase,
     /// Ticks in this phase.
@@ -112,16 +117,19 @@ impl<const N: usize> GraspProbe<N> {
             1.0 - f64::EPSILON,
             allowed,
         )?;
-        if settings.probe_force_n == 0.0 {
+        let limit = (settings.release_tries > 0).then_some(settings.release_tries);
+        let probes = settings.probe_force_n != 0.0;
+        if !probes && limit.is_none() {
             return Ok(None);
         }
-        let least = FRICTION_ROOM * device.largest_coulomb() / threshold;
+        let least = if probes { FRICTION_ROOM * device.largest_coulomb() / threshold } else { 0.0 };
         let allowed = "0, or at least 2 c / r_th: a weaker probe cannot tell a hand from friction";
         let force_n = in_range("probe_force_n", "A", settings.probe_force_n, least, f64::MAX, allowed)?;
         Ok(Some(Self {
-            force_n: positive("probe_force_n", "A", force_n)?,
+            force_n,
             threshold,
-            damping: positive("damping", "mu", settings.damping)?,
+            damping: if probes { positive("damping", "mu", settings.damping)? } else { settings.damping },
+            limit,
             period_s,
             phase: Phase::Idle,
             ticks: 0,
@@ -167,7 +175,7 @@ impl<const N: usize> GraspProbe<N> {
             }
             Phase::Settling if authority < 1.0 => self.ticks = 0,
             Phase::Settling if may_end && !is_unsafe => {
-                if self.is_driven() {
+                if self.force_n == 0.0 || self.is_driven() {
                     self.attempt(Phase::Felt);
                 } else if self.lasts(self.still_for, STILL_S) {
                     self.attempt(Phase::Probing);
@@ -178,7 +186,7 @@ impl<const N: usize> GraspProbe<N> {
             }
             Phase::Probing if authority < 1.0 => {
                 // Cut off, so it was no try.
-                self.tries -= 1;
+                self.tries = self.tries.saturating_sub(1);
                 self.enter(Phase::Settling);
             }
             Phase::Probing => return self.probe(seen),
@@ -201,6 +209,11 @@ impl<const N: usize> GraspProbe<N> {
     /// Whether the force may come back, or never went.
     pub(super) fn is_felt(&self) -> bool {
         matches!(self.phase, Phase::Idle | Phase::Felt)
+    }
+
+    /// Whether a tick without an intervention would change nothing that counts.
+    fn is_at_rest(&self) -> bool {
+        self.phase == Phase::Idle && self.tries == 0
     }
 
     /// Whether it is given up.
@@ -233,11 +246,11 @@ impl<const N: usize> GraspProbe<N> {
 
     /// Goes on to `phase` with a try less, or gives up.
     fn attempt(&mut self, phase: Phase) {
-        if self.tries == TRIES {
+        if self.limit == Some(self.tries) {
             self.enter(Phase::Withheld);
             return;
         }
-        self.tries += 1;
+        self.tries = self.tries.saturating_add(1);
         self.resisted_n = 0.0;
         self.enter(phase);
     }
@@ -273,12 +286,13 @@ impl<const N: usize> GraspProbe<N> {
             self.resisted_n = 0.0;
         }
         if self.lasts(self.ticks, 2.0 * HALF_S) {
-            self.enter(if self.tries == TRIES { Phase::Withheld } else { Phase::Waiting });
+            self.enter(if self.limit == Some(self.tries) { Phase::Withheld } else { Phase::Waiting });
             return Axes::zeros();
         }
         let time_s = f64::from(self.ticks) * self.period_s - if first_half { 0.0 } else { HALF_S };
         let share = (time_s.min(HALF_S - time_s) / EDGE_S).clamp(0.0, 1.0);
-        self.direction * (if first_half { self.force_n } else { -self.force_n } * share)
+        let damped = seen.velocity * (PROBED_DAMPING * self.damping);
+        self.direction * (if first_half { self.force_n } else { -self.force_n } * share) - damped
     }
 }
 
@@ -288,13 +302,15 @@ impl<const N: usize> GraspProbe<N> {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct GraspProbes<const N: usize, S> {
     lanes: Box<[GraspProbe<N>]>,
+    /// Nothing goes on in any lane, and each has all its tries.
+    at_rest: bool,
     /// `F_p` in N of this tick.
     pub(super) force: Axes<N, S>,
 }
 
 impl<const N: usize> GraspProbes<N, f64> {
     pub(super) fn one(probe: GraspProbe<N>) -> Self {
-        Self { lanes: Box::new([probe]), force: Axes::zeros() }
+        Self { lanes: Box::new([probe]), at_rest: true, force: Axes::zeros() }
     }
 }
 
@@ -306,11 +322,25 @@ impl<const N: usize, S: Real> GraspProbes<N, S> {
         for (lane, one) in of.iter().enumerate() {
             force.replace(lane, one.force);
         }
-        (lanes.len() == S::LANES).then_some(Self { lanes, force })
+        let at_rest = of.iter().all(|one| one.at_rest);
+        (lanes.len() == S::LANES).then_some(Self { lanes, at_rest, force })
     }
 
-    /// Where the force may come back after this tick.
+    /// Where the force may come back after this tick; `any` is whether an intervention is on, or begins, in any lane.
+    #[inline(always)]
     pub(super) fn step(
+        &mut self,
+        seen: &Observation<N, S>,
+        any: bool,
+        intervening: impl FnMut(usize) -> Intervening,
+    ) -> S::SimdBool {
+        if self.at_rest && !any {
+            return S::splat(0.0).simd_eq(S::splat(0.0));
+        }
+        self.step_each(seen, intervening)
+    }
+
+    fn step_each(
         &mut self,
         seen: &Observation<N, S>,
         mut intervening: impl FnMut(usize) -> Intervening,
@@ -324,6 +354,7 @@ impl<const N: usize, S: Real> GraspProbes<N, S> {
             };
             self.force.replace(lane, probe.step(&seen, intervening(lane)));
         }
+        self.at_rest = self.lanes.iter().all(GraspProbe::is_at_rest);
         self.mask(GraspProbe::is_felt)
     }
 
@@ -352,6 +383,6 @@ impl<const N: usize, S: Real> GraspProbes<N, S> {
 
     pub(super) fn reset(&mut self) {
         self.lanes.iter_mut().for_each(GraspProbe::reset);
-        self.force = Axes::zeros();
+        (self.at_rest, self.force) = (true, Axes::zeros());
     }
 }

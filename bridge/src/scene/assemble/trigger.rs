@@ -57,6 +57,7 @@ pub(crate) fn trigger_feedback<const N: usize>(
         pc_max_damping: watched.pc_max_damping.unwrap_or(scaled.pc_max_damping.min(most)),
         // A finger that has left its trigger is no stylus that flies: its force comes back by time.
         probe_force_n: 0.0,
+        release_tries: 0,
         ..scaled
     };
     let quantum = (own.encoder_quantum > 0.0).then_some(own.encoder_quantum);

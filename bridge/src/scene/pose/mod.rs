@@ -103,11 +103,16 @@ pub(super) fn master_rotation<const N: usize>(
         pc_max_damping: own.pc_max_damping.unwrap_or(at_lever.pc_max_damping.min(most)),
         ..at_lever
     };
-    // A probe that friction of the handle hides decides nothing; that of the force then decides for both. Where each
-    // decides for itself it stays, and is refused.
-    let decides = !own.shares_trips
-        || safety.probe_force_n * safety.probe_threshold >= FRICTION_ROOM * parameters.coulomb;
-    let safety = SafetySettings { probe_force_n: if decides { safety.probe_force_n } else { 0.0 }, ..safety };
+    // A probe that friction of the handle hides decides nothing. That of the force then decides for both; where each decides
+    // for itself the torque comes back by time, a number of times, and without such a number it is refused.
+    let hidden = safety.probe_force_n * safety.probe_threshold < FRICTION_ROOM * parameters.coulomb;
+    let safety = match (hidden, own.shares_trips, safety.release_tries) {
+        (true, true, _) if safety.probe_force_n > 0.0 => {
+            SafetySettings { probe_force_n: 0.0, release_tries: 0, ..safety }
+        }
+        (true, false, 1..) => SafetySettings { probe_force_n: 0.0, ..safety },
+        _ => safety,
+    };
     let bounds = limiter(&scene.safety).at_lever(own.lever_m);
     let max_torque_n_m = own.max_torque_n_m.or(parameters.max_torque_n_m).unwrap_or(bounds.max_force_n);
     let limiter = LimiterSettings {

@@ -118,16 +118,15 @@ def start_master(
             clutch=clutch,
         )
     spec = scene_json(scene)
+    said = list(announcement(scene))
     if scene.master.driver is None:
-        bound = announcement(scene)
         master = stopped.attached(LiveMaster(spec, **arguments))
-        _say(bound)
+        _say(said)
         return master
-    bound = announcement(scene)
     # The loop first: without a time of its own the start counts from here, and a driver may take its time to be loaded.
     loop = stopped.attached(MasterLoop(spec, clutch=clutch, **arguments))
     device = load_master(scene.master.driver, scene.master.options)
-    _say(bound)
+    _say(said)
     _announce(f"[master] driver = {scene.master.driver}", device)
     run = MasterRun(device, loop, period_s=scene.run.period_s)
     if command.clutch == "auto":
@@ -209,8 +208,8 @@ def _within(scene: "Scene", device: "SlaveDevice") -> "Scene":
     return override_scene(scene, slower) if slower else scene
 
 
-def _say(line: str | None) -> None:
-    if line is not None:
+def _say(lines: Iterable[str]) -> None:
+    for line in lines:
         print(line, file=sys.stderr, flush=True)
 
 
@@ -272,9 +271,6 @@ STOPS_M = (-0.08, 0.08)
 """Mechanical stops of a PHANTOM Desktop, whose workspace is 0.16 m wide."""
 HSC_FORCE_THRESHOLD_N = 1.0
 """F_t of HSC in N on an encoder of 0.023 mm: below it, quantisation decides what S_h is."""
-HOLD_OFF_S = 0.1
-RELEASE_RAMP_S = 0.2
-"""An intervention lasts at least 0.1 s and hands the force back over 0.2 s, not as a step."""
 PUSH_RISE_S = 0.5
 RANGES: dict[str, Callable[[float], bool]] = {
     "finite": lambda _: True,
@@ -359,7 +355,5 @@ def baseline_scene(
         safety=SafetyTable(
             controllers=() if controller == "none" else (controller,),
             hsc_force_threshold_n=HSC_FORCE_THRESHOLD_N,
-            hold_off_s=HOLD_OFF_S,
-            release_ramp_s=RELEASE_RAMP_S,
         ),
     )

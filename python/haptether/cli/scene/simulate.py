@@ -114,13 +114,15 @@ class Simulate(PictureOptions):
         Raises:
             RuntimeError: It diverged.
         """
-        from haptether.cli.shared.ejection import bound_line, scene_bound
+        from haptether.cli.shared.ejection import bound_line, release_line, scene_bound
         from haptether.cli.shared.output import write_report
 
         self._print(console, run)
         bound = None if scene is None else scene_bound(scene)
         if scene is not None and bound is not None:
             console.print(bound_line(scene, bound))
+            if (line := release_line(scene)) is not None:
+                console.print(line)
         report = {
             "scene": run.scene,
             "seed": run.seed,

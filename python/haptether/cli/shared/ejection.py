@@ -1,5 +1,6 @@
-"""The bound on ejection speed, as commands say it."""
+"""The bound on ejection speed, and who gets the force back after a trip, as commands say it."""
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -20,11 +21,30 @@ def bound_line(scene: "Scene", bound: "EjectionBound") -> str:
     return line if bound.speed is None else f"{line} ({'; '.join(bound.assumptions)})"
 
 
-def announcement(scene: "Scene") -> str | None:
-    """How fast the device can become after a release, where a controller watches; computed before a loop begins."""
+def release_line(scene: "Scene") -> str | None:
+    """That no hand is asked for after a trip, where friction hides the probe that a scene has by default."""
+    settings = scene.ejection_settings()
+    asked = scene.safety.probe_force_n is not None or settings.probe_force_n > 0.0 or settings.damping == 0.0
+    if asked or not settings.controllers:
+        return None
+    unit = "N m" if scene.master.kind == "joints" else "N"
+    line = (
+        f"friction of {max(settings.coulomb):g} {unit} hides a probe for a hand: "
+        "after a trip the force comes back by time"
+    )
+    tries = settings.release_tries
+    return f"{line}, {tries} times at most, and then a person must act" if tries else line
+
+
+def announcement(scene: "Scene") -> Iterator[str]:
+    """What is said before a loop begins: how fast the device can become after a release, and who gets the force back."""
     try:
         bound = scene_bound(scene)
     except (ValueError, ArithmeticError) as error:
         # What is only said must not keep a side from running.
-        return f"no bound on the speed after a release: {error}"
-    return None if bound is None else bound_line(scene, bound)
+        yield f"no bound on the speed after a release: {error}"
+        return
+    if bound is not None:
+        yield bound_line(scene, bound)
+    if (line := release_line(scene)) is not None:
+        yield line
