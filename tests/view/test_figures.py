@@ -196,7 +196,7 @@ def paper(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[int, Figur
             kept.setdefault(path.stem, {})[columns] = figure
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("haptether.studies.paper_figures.write_figure", keep)
+            patch.setattr("haptether.studies.paper.figures.write_figure", keep)
             draw_paper(report, tmp_path_factory.mktemp("paper"), "pdf", columns)
     return kept
 

@@ -6,24 +6,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from haptether.safety import (
-    HandGraspObserver,
-    SafetyObserver,
-    SafetySettings,
-    WindowedSafetyObserver,
-)
+from haptether.safety import SafetySettings
 from haptether.studies.operator import Operator
-from haptether.studies.paper import (
+from haptether.studies.paper.claims import (
     ACTIVE_RELEASE_S,
     ACTIVE_THRESHOLD_J,
     DEPTH,
     MAX_FORCE_N,
     PERIOD_S,
+    RAISED_FORCE_THRESHOLD_N,
     STIFFNESS,
+    WATCHED,
     Bench,
-    PaperReport,
-    PaperRow,
+    as_printed,
 )
+from haptether.studies.paper.conditions import Conditions
+from haptether.studies.paper.report import PaperReport, PaperRow
 from haptether.view.style.colours import PAPER, SIGNALS, THRESHOLD, controller_look
 from haptether.view.style.figure import Columns, PictureFormat, letter, new_figure, styled, write_figure
 from haptether.view.style.legend import legend_above, legend_below
@@ -49,7 +47,7 @@ def draw_paper(report: PaperReport, folder: Path, form: PictureFormat = "png", c
         ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
         OSError: The folder cannot be written.
     """
-    bench = Bench(report.operator, report.device["encoder_quantum"])
+    bench = Bench(Conditions(operator=report.operator, encoder_quantum=report.device["encoder_quantum"]))
     folder.mkdir(parents=True, exist_ok=True)
     drawn = {
         "fig04_ejection": _ejection,
@@ -144,19 +142,18 @@ def _known(value: float | None) -> float:
 
 
 def _observers(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
-    trace = bench.press()
-    signals = (trace.velocity, trace.rendered_force, bench.grasp_force(trace))
+    trace = bench.press(WATCHED)
     time = _time(bench.operator, len(trace))
     shown = (time > -0.02) & (time < 0.07)
     figure, (left, right) = _figure(columns, 2, f"Fig. 6: observers after the release, D = {DEPTH} m")
-    left.plot(time[shown], SafetyObserver(bench.model).run(*signals)[shown], color=SIGNALS["of the hand"], label="SO")
-    left.plot(time[shown], WindowedSafetyObserver(bench.model).run(*signals)[shown], label="WSO, w = 100",
+    left.plot(time[shown], trace.energy_j[shown], color=SIGNALS["of the hand"], label="SO")
+    left.plot(time[shown], trace.windowed_energy_j[shown], label="WSO, w = 100",
               **controller_look("wsc"))  # fmt: skip
     left.axhline(-0.03, color=THRESHOLD, lw=0.8, ls="--", label="delta")
     seen = _value(report, "Fig. 6a", "time_to_see_release", controller="wso").paper
     left.plot([_known(seen)], [-0.03], **READ, label="paper: WSO sees it")
     left.set(xlabel="time since release [s]", ylabel="energy [J]")
-    right.semilogy(time[shown], HandGraspObserver().run(*signals)[shown], label="HGO", **controller_look("hsc"))
+    right.semilogy(time[shown], trace.grasp[shown], label="HGO", **controller_look("hsc"))
     right.axhline(1.5, color=THRESHOLD, lw=0.8, ls="--", label="zeta")
     seen = _value(report, "Fig. 6b", "time_to_see_release", controller="hgo").paper
     right.plot([_known(seen)], [1.5], **READ, label="paper: HGO sees it")
@@ -166,10 +163,10 @@ def _observers(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
 
 CONTROLLERS: dict[str, tuple[str, SafetySettings | None]] = {
     "no controller": ("none", None),
-    "VFC, as printed": ("vfc", SafetySettings(["vfc"])),
-    "VFC, both": ("vfc", SafetySettings(["vfc"], vfc_form="both")),
-    "HSC": ("hsc", SafetySettings(["hsc"])),
-    "WSC": ("wsc", SafetySettings(["wsc"])),
+    "VFC, as printed": ("vfc", as_printed("vfc")),
+    "VFC, both": ("vfc", as_printed("vfc", vfc_form="both")),
+    "HSC": ("hsc", as_printed("hsc")),
+    "WSC": ("wsc", as_printed("wsc")),
 }
 
 
@@ -232,10 +229,10 @@ def _active(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
     figure, (left, middle, right) = _figure(columns, 3, "Fig. 12 to 15: force sin(5 t) N, gripped until 1.35 s")
     settings = {
         "none": None,
-        "wsc": SafetySettings(["wsc"], energy_threshold_j=ACTIVE_THRESHOLD_J),
-        "hsc": SafetySettings(["hsc"]),
+        "wsc": as_printed("wsc", energy_threshold_j=ACTIVE_THRESHOLD_J),
+        "hsc": as_printed("hsc", hsc_force_threshold_n=RAISED_FORCE_THRESHOLD_N),
     }
-    names = {"none": "no controller", "wsc": "WSC", "hsc": "HSC"}
+    names = {"none": "no controller", "wsc": "WSC", "hsc": f"HSC, F_t = {RAISED_FORCE_THRESHOLD_N} N"}
     for controller, of_run in settings.items():
         trace = bench.active(1.0, of_run, ACTIVE_RELEASE_S)
         shown = slice(1200, 1800)
@@ -245,18 +242,16 @@ def _active(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
     left.set(xlabel="time [s]", ylabel="velocity [m/s]")
     # Of one controller's observer: its colour, darker with the amplitude.
     for amplitude, shade, dashes in ((1.0, 0.4, ":"), (3.0, 0.7, "--"), (5.0, 1.0, "-")):
-        trace = bench.active(amplitude, None, None)
-        signals = (trace.velocity, trace.rendered_force, bench.grasp_force(trace))
-        energy = WindowedSafetyObserver(bench.model).run(*signals)
-        middle.plot(trace.time_s, energy, label=f"{amplitude:g} N", color=controller_look("wsc")["color"],
-                    alpha=shade, ls=dashes)  # fmt: skip
+        trace = bench.active(amplitude, WATCHED, None)
+        middle.plot(trace.time_s, trace.windowed_energy_j, label=f"{amplitude:g} N",
+                    color=controller_look("wsc")["color"], alpha=shade, ls=dashes)  # fmt: skip
     middle.axhline(ACTIVE_THRESHOLD_J, color=THRESHOLD, lw=0.8, ls="--", label="delta")
     middle.set(xlabel="time [s]", ylabel="energy of WSO, gripped [J]")
     quantity = "max_ejection_velocity"
     rows = [
         _value(report, "Fig. 12", quantity),
         _value(report, "Fig. 14b", quantity),
-        _value(report, "Fig. 15b", quantity),
+        _value(report, "Fig. 15b", quantity, force_threshold_n=RAISED_FORCE_THRESHOLD_N),
     ]
     # The paper has the uncontrolled one at 0.17 s after the release only.
     free = _value(report, "Fig. 12", "speed_at_0.17_s")
