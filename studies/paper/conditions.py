@@ -143,6 +143,7 @@ FACTORS: dict[str, Factor] = {
   50 ms". A gain of the hand scales its stiffness and its damping.
 - Estimator, and force that acts late: neither is in the paper. Up to 3 ticks is our choice.
 - Friction: the paper's c is another paper's; 0.06 N is the vendor's bound on the backdrive friction.
+- F_t of HSC: the paper has "e.g. < 0.1 N". Time in which a MEV is looked for: the paper's curves end somewhere.
 - Mass: 0.157 kg was fitted to Fig. 5, of which it is no explanation; its section 5 has the vendor's 0.045 kg beside it.
   So it may explain Fig. 12 alone, where no wall pushes.
 """
@@ -155,11 +156,16 @@ RELEASES: tuple[Change, ...] = (
 )
 """How a hand lets go, in the grid: a release of the gain does not ask for the margin of the grip."""
 
-GRID: tuple[Change, ...] = tuple(
-    {**release, "release_s": ms * 1e-3, "estimator": estimator}
-    for release, ms, estimator in product(RELEASES, (10, 30, 50, 70, 85, 100), ("exact", "kalman"))
+GRID: tuple[Change, ...] = (
+    *(
+        {**release, "release_s": ms * 1e-3, "estimator": estimator}
+        for release, ms, estimator in product(RELEASES, (10, 30, 50, 70, 85, 100), ("exact", "kalman"))
+    ),
+    {"device_delay": 1, "mev_within_s": 0.12},
+    {"device_delay": 2, "mev_within_s": 0.12},
+    {"device_delay": 3, "mev_within_s": 0.12},
 )
-"""Runs with several factors at once."""
+"""Runs with several factors at once: those of the release, and those that make a first throw larger than a second."""
 
 
 READINGS = ("mev_within_s", "clock")
@@ -171,6 +177,11 @@ def single_changes() -> Iterator[Change]:
     for factor in FACTORS.values():
         for value in factor.values:
             yield {factor.name: value}
+
+
+def design() -> list[Change]:
+    """All runs of the sensitivity, but for how each is read."""
+    return [*single_changes(), *GRID]
 
 
 def changed(conditions: Conditions, change: Change) -> Conditions:
@@ -186,14 +197,13 @@ def change_text(change: Change) -> str:
 
 
 MET_BY: dict[str, Change] = {
-    "Fig. 6": {"release_kind": "gain", "release_s": 0.07, "estimator": "exact"},
-    "Fig. 8 vfc-both": {"grip_margin": 1.5, "release_s": 0.085, "estimator": "kalman"},
+    "Fig. 6": {"release_kind": "gain", "release_s": 0.07},
+    "Fig. 8 vfc-both": {"release_s": 0.085, "estimator": "kalman"},
     "Fig. 9": {"grip_margin": 2.0, "release_s": 0.1, "estimator": "kalman"},
     "Fig. 10": {"mev_within_s": 0.12},
-    "Fig. 11 hsc": {"grip_margin": 1.5, "release_s": 0.1, "estimator": "kalman"},
-    "Fig. 11 wsc": {"grip_margin": 1.25, "release_s": 0.07, "estimator": "exact", "mev_within_s": 0.12},
-    "Table 1 w=100": {"mev_within_s": 0.12},
-    "Table 1 w=1000": {"hold_s": 0.1},
+    "Fig. 11 hsc": {"release_s": 0.1, "estimator": "kalman"},
+    "Fig. 11 wsc": {"grip_margin": 1.25, "release_s": 0.07, "mev_within_s": 0.12},
+    "Table 1": {"device_delay": 1, "mev_within_s": 0.12},
     "Fig. 12": {"mass_kg": 0.055},
 }
 """Runs of the design that meet all numbers of an experiment at once, some of which ours does not meet as declared: the

@@ -21,7 +21,7 @@ from haptether.studies.paper.claims import (
     as_printed,
 )
 from haptether.studies.paper.conditions import Conditions
-from haptether.studies.paper.report import PaperReport, PaperRow
+from haptether.studies.paper.report import AGREES, PaperReport, PaperRow
 from haptether.view.style.colours import PAPER, SIGNALS, THRESHOLD, controller_look
 from haptether.view.style.figure import Columns, PictureFormat, letter, new_figure, styled, write_figure
 from haptether.view.style.legend import legend_above, legend_below
@@ -35,7 +35,7 @@ READ: dict[str, Any] = {"color": PAPER, "ls": "none", "marker": "x", "ms": 5.0, 
 
 
 def draw_paper(report: PaperReport, folder: Path, form: PictureFormat = "png", columns: Columns = 2) -> list[Path]:
-    """Draws the figures of a report into `folder` and returns their paths.
+    """Draws the figures of a report into `folder`, with its sensitivity if it has that, and returns their paths.
 
     Args:
         report: With its rows.
@@ -57,6 +57,8 @@ def draw_paper(report: PaperReport, folder: Path, form: PictureFormat = "png", c
         "table1_window": _window,
         "fig12_to_15_active_force": _active,
     }
+    if report.joint_fits:
+        drawn["sensitivity"] = _sensitivity
     paths = []
     for name, draw in drawn.items():
         paths.append(folder / f"{name}.{form}")
@@ -260,3 +262,64 @@ def _active(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
     colours = [controller_look(name)["color"] for name in ("none", "wsc", "hsc")]
     _bars(right, ["none,\nat 0.17 s", "WSC", "HSC\n(paper: <)"], ours, papers, colours)
     return _finish(figure, (left, middle, right), columns)
+
+
+NARROWEST, WIDEST = 0.02, 20.0
+"""Of ours over the paper's number, as far as it is drawn."""
+
+
+def _sensitivity(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
+    """Ours over the paper's number of each row that has one, as declared and over all factors."""
+    del bench
+    rows = [
+        row
+        for row in report.rows
+        if row.paper and row.sensitivity is not None and not row.says_nothing and "Eq." not in row.source
+    ]
+    figure = new_figure(columns, 0.15 * len(rows) + 1.1, "What moves ours over the paper's number")
+    panel = figure.subplots()
+    panel.axvspan(1.0 - AGREES, 1.0 + AGREES, color=THRESHOLD, alpha=0.25, lw=0.0, label="within 10 %")
+    panel.axvline(1.0, color=PAPER, lw=0.8)
+    for place, row in enumerate(rows):
+        assert row.sensitivity is not None
+        by = row.sensitivity.by_factor.get(row.sensitivity.most_by or "")
+        whole = (row.sensitivity.least, row.sensitivity.greatest)
+        spans = {"all factors": whole, "the one that moves it most": by}
+        for (label, span), width in zip(spans.items(), (1.0, 3.5), strict=True):
+            if span is not None:
+                ends = [_ratio(row, value) for value in span]
+                panel.plot(ends, [place, place], color=SIGNALS["of the hand"], lw=width, solid_capstyle="butt",
+                           label=None if place else label)  # fmt: skip
+        panel.plot([_ratio(row, row.ours)], [place], color=SIGNALS["hand"], marker="o", ms=3.5, ls="none",
+                   zorder=5.0, label=None if place else "as declared")  # fmt: skip
+    panel.set(xscale="log", xlim=(NARROWEST, WIDEST), ylim=(len(rows) - 0.4, -0.6), xlabel="ours / paper")
+    panel.set_yticks(range(len(rows)), [_row_title(row) for row in rows])
+    panel.grid(visible=False, axis="y")
+    legend_below(figure, panel.get_legend_handles_labels()[0])
+    return figure
+
+
+def _ratio(row: PaperRow, value: float | None) -> float:
+    """Ours over the paper's number, within what is drawn: a time before the release is at the left edge."""
+    return float(np.clip(_known(value) / _known(row.paper), NARROWEST, WIDEST))
+
+
+def _row_title(row: PaperRow) -> str:
+    quantity = {
+        "max_ejection_velocity": "MEV",
+        "time_to_see_release": "sees release",
+        "median_grasp_ratio_gripped": "median S_h",
+        "least_energy_gripped": "least energy",
+        "vfc_over_controller": "MEV of VFC / its",
+        "time_from_0.2_to_1.2_m_per_s": "to 1.2 m/s",
+        "time_to_0.1_m_outside": "to 0.1 m",
+        "speed_at_0.17_s": "V at 0.17 s",
+        "speed_at_trip": "V at trip",
+    }.get(row.quantity, row.quantity.replace("_", " "))
+    of = [] if row.controller in (None, "none") else [row.controller.upper() if row.controller else ""]
+    of += [f"w = {row.window}"] if row.window and row.source == "Table 1" else []
+    of += [f"K = {row.stiffness:g}"] if row.source == "Fig. 5a" else []
+    of += [f"{row.amplitude_n:g} N"] if row.source in {"Fig. 14c", "Fig. 15a", "Fig. 15c"} else []
+    of += [f"F_t = {row.force_threshold_n:g}"] if row.force_threshold_n else []
+    bound = "" if row.relation == "=" else f" (paper: {row.relation})"
+    return f"{row.source} {quantity}{', ' if of else ''}{', '.join(of)}{bound}"

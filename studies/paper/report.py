@@ -97,6 +97,15 @@ class PaperRow(msgspec.Struct, frozen=True, kw_only=True):
         return value == self.paper if difference is None else abs(difference) <= AGREES
 
     @property
+    def paper_inside(self) -> bool | None:
+        """Whether the paper's number lies within the range of ours; none without both."""
+        if self.paper is None or (of := self.sensitivity) is None or of.least is None or of.greatest is None:
+            return None
+        if self.relation == "=":
+            return of.least <= self.paper <= of.greatest
+        return self.meets(of.least if self.relation == "<" else of.greatest)
+
+    @property
     def verdict(self) -> str:
         """What the row says of the two, nothing where the paper has no number.
 
@@ -149,6 +158,8 @@ class PaperReport(msgspec.Struct, frozen=True, kw_only=True):
 
     def as_json(self) -> bytes:
         """The report as JSON, each row with its verdict."""
-        rows = [{**msgspec.to_builtins(row), "verdict": row.verdict} for row in self.rows]
+        rows = [
+            {**msgspec.to_builtins(row), "paper_inside": row.paper_inside, "verdict": row.verdict} for row in self.rows
+        ]
         report = {"operator": self.operator, "device": self.device, "joint_fits": self.joint_fits, "rows": rows}
         return msgspec.json.format(msgspec.json.encode(report), indent=2)

@@ -11,15 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 import msgspec
 
 from haptether.studies.paper.claims import Bench, claims
-from haptether.studies.paper.conditions import (
-    FACTORS,
-    GRID,
-    READINGS,
-    Conditions,
-    change_text,
-    changed,
-    single_changes,
-)
+from haptether.studies.paper.conditions import FACTORS, READINGS, Conditions, change_text, changed, design
 from haptether.studies.paper.report import Change, Explanation, JointFit, PaperReport, PaperRow, Sensitivity
 
 
@@ -31,36 +23,36 @@ class Run(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def paper_sensitivity(
-    report: PaperReport, *, progress: Callable[[int, int], None] = lambda _done, _of: None
+    report: PaperReport,
+    *,
+    changes: Sequence[Change] | None = None,
+    progress: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> PaperReport:
     """The report with the range of each row over the factors, what explains it, and the run that fits most rows.
 
     Args:
         report: As `reproduce_paper` gives it.
+        changes: The runs, each as values of factors; by default all of `docs/paper.md`.
         progress: Told how many of how many conditions are done.
 
     Raises:
+        KeyError: No such factor.
         ValueError: A parameter that no operator or device has, with its bound.
     """
     declared = Conditions(operator=report.operator, encoder_quantum=report.device["encoder_quantum"])
     base = Bench(declared)
     runs = [Run(change={}, rows=list(claims(base)))]
-    changes = [*single_changes(), *GRID]
+    changes = design() if changes is None else changes
     for done, change in enumerate(changes):
         progress(done, len(changes))
-        if changed(declared, change) == declared:
-            runs.append(Run(change=change, rows=runs[0].rows))
-        elif set(change) <= set(READINGS):
-            runs.append(Run(change=change, rows=list(claims(base.read_as(change)))))
-        else:
-            bench = Bench(changed(declared, change))
-            runs.append(Run(change=change, rows=list(claims(bench))))
-            if len(change) > 1:
-                runs += [
-                    Run(change=change | reading, rows=list(claims(bench.read_as(reading))))
-                    for name in READINGS
-                    for reading in readings(declared, name)
-                ]
+        if different(declared, change):
+            is_reading = set(change) <= set(READINGS)
+            bench = base.read_as(change) if is_reading else Bench(changed(declared, change))
+            ways: list[Change] = [{}, *readings()] if len(change) > 1 else [{}]
+            runs += [
+                Run(change=different(declared, change | reading), rows=list(claims(bench.read_as(reading))))
+                for reading in ways
+            ]
     progress(len(changes), len(changes))
     rows = [
         msgspec.structs.replace(row, sensitivity=row_sensitivity(row, [(run.change, run.rows[place]) for run in runs]))
@@ -69,10 +61,15 @@ def paper_sensitivity(
     return msgspec.structs.replace(report, rows=rows, joint_fits=joint_fits(report.rows, runs))
 
 
-def readings(declared: Conditions, name: str) -> Iterator[Change]:
-    """Each value of a factor that changes no run, but the declared one."""
-    for value in FACTORS[name].values:
-        if changed(declared, {name: value}) != declared:
+def different(declared: Conditions, change: Change) -> Change:
+    """What of a change is not as declared."""
+    return {name: value for name, value in change.items() if changed(declared, {name: value}) != declared}
+
+
+def readings() -> Iterator[Change]:
+    """Each value of each factor that changes no run."""
+    for name in READINGS:
+        for value in FACTORS[name].values:
             yield {name: value}
 
 
@@ -89,8 +86,8 @@ def row_sensitivity(declared: PaperRow, runs: Sequence[tuple[Change, PaperRow]])
     values = [value for _, value in counts]
     by_factor = {}
     for name in FACTORS:
-        alone = [value for change, value in counts if list(change) == [name]]
-        if alone:
+        alone = [value for change, value in counts if not change or list(change) == [name]]
+        if len(alone) > 1:
             by_factor[name] = (min(alone), max(alone))
     extents = {name: greatest - least for name, (least, greatest) in by_factor.items()}
     most = max(extents, key=lambda name: extents[name], default=None)

@@ -89,7 +89,9 @@ class Paper(PictureOptions):
         ranges = bool(report.joint_fits)
         numbers = (Column(label, numbers=True) for label in ("paper", "ours"))
         extents: list[Column | str] = (
-            [Column("least", numbers=True), Column("greatest", numbers=True), "moved most by"] if ranges else []
+            [Column("least", numbers=True), Column("greatest", numbers=True), "inside", "moved most by"]
+            if ranges
+            else []
         )
         table = Rows("source", "quantity", "of", *numbers, *extents, "verdict", keys=3, gap=1)
         reasons: dict[str, int] = {}
@@ -122,9 +124,11 @@ class Paper(PictureOptions):
         console.print(
             f"\nK = {STIFFNESS:g} N/m and D = {DEPTH:g} m unless said; w in ticks of 1 ms; a and F_t in N. MEV: the "
             "largest ejection velocity. Rows without a verdict: the paper plots a curve and prints no number."
-            + ("" if ranges else " --sensitivity: what explains those that differ.")
+            + (" inside: the paper's number is within the range." if ranges else RANGES_HINT)
         )
 
+
+RANGES_HINT = " --sensitivity: what explains those that differ."
 
 QUANTITIES = {
     "time_from_0.2_to_1.2_m_per_s": "to 1.2 m/s [s]",
@@ -170,11 +174,13 @@ def _conditions(row: "PaperRow") -> str:
     return " ".join(part for part in [*named, *changed] if part)
 
 
-def _range(row: "PaperRow") -> tuple[str, str, str]:
-    """Least and greatest of a row, and what moves it most."""
+def _range(row: "PaperRow") -> tuple[str, str, str, str]:
+    """Least and greatest of a row, whether the paper's number is between them, and what moves the row most."""
     if (of := row.sensitivity) is None or of.least is None or of.greatest is None:
-        return "", "", ""
-    return f"{of.least:.3g}", f"{of.greatest:.3g}", FACTOR_TITLES.get(of.most_by or "", of.most_by or "nothing")
+        return "", "", "", ""
+    inside = {True: "yes", False: "no", None: ""}[row.paper_inside]
+    most = FACTOR_TITLES.get(of.most_by or "", of.most_by or "nothing")
+    return f"{of.least:.3g}", f"{of.greatest:.3g}", inside, most
 
 
 def _verdict(row: "PaperRow", reasons: dict[str, int]) -> str:
