@@ -98,8 +98,10 @@ class PaperRow(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def paper_inside(self) -> bool | None:
-        """Whether the paper's number lies within the range of ours; none without both."""
+        """Whether the paper's number lies within the range of ours; none without both, and where nothing moves ours."""
         if self.paper is None or (of := self.sensitivity) is None or of.least is None or of.greatest is None:
+            return None
+        if of.most_by is None:
             return None
         if self.relation == "=":
             return of.least <= self.paper <= of.greatest

@@ -89,7 +89,7 @@ class Paper(PictureOptions):
         ranges = bool(report.joint_fits)
         numbers = (Column(label, numbers=True) for label in ("paper", "ours"))
         extents: list[Column | str] = (
-            [Column("least", numbers=True), Column("greatest", numbers=True), "inside", "moved most by"]
+            [Column("least", numbers=True), Column("greatest", numbers=True), "moved most by", "inside"]
             if ranges
             else []
         )
@@ -175,12 +175,12 @@ def _conditions(row: "PaperRow") -> str:
 
 
 def _range(row: "PaperRow") -> tuple[str, str, str, str]:
-    """Least and greatest of a row, whether the paper's number is between them, and what moves the row most."""
+    """Least and greatest of a row, what moves it most, and whether the paper's number is between them."""
     if (of := row.sensitivity) is None or of.least is None or of.greatest is None:
         return "", "", "", ""
     inside = {True: "yes", False: "no", None: ""}[row.paper_inside]
     most = FACTOR_TITLES.get(of.most_by or "", of.most_by or "nothing")
-    return f"{of.least:.3g}", f"{of.greatest:.3g}", inside, most
+    return f"{of.least:.3g}", f"{of.greatest:.3g}", most, inside
 
 
 def _verdict(row: "PaperRow", reasons: dict[str, int]) -> str:
