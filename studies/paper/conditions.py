@@ -18,17 +18,17 @@ Clock = Literal["begin", "motion", "end"]
 
 CLOCKS: tuple[Clock, ...] = ("begin", "motion", "end")
 
-ESTIMATORS: dict[str, EstimatorKind | None] = {
-    "kalman": None,
-    "dual-kalman": EstimatorKind.dual_kalman(
-        velocity_jerk_density=1000.0, jerk_density=10.0, quantum_m=DESKTOP_QUANTUM
+ESTIMATORS: dict[str, Callable[[float], EstimatorKind]] = {
+    "kalman": lambda quantum: EstimatorKind.kalman(jerk_density=10.0, quantum_m=quantum),
+    "dual-kalman": lambda quantum: EstimatorKind.dual_kalman(
+        velocity_jerk_density=1000.0, jerk_density=10.0, quantum_m=quantum
     ),
-    "savitzky-golay": EstimatorKind.savitzky_golay(),
-    "low-pass": EstimatorKind.low_pass(cutoff_hz=30.0),
-    "adaptive-window": EstimatorKind.adaptive_window(noise_bound_m=DESKTOP_QUANTUM),
-    "backward-difference": EstimatorKind.backward_difference(),
+    "savitzky-golay": lambda _: EstimatorKind.savitzky_golay(degree=2, window=15),
+    "low-pass": lambda _: EstimatorKind.low_pass(cutoff_hz=30.0),
+    "adaptive-window": lambda quantum: EstimatorKind.adaptive_window(noise_bound_m=quantum),
+    "backward-difference": lambda _: EstimatorKind.backward_difference(),
 }
-"""Estimators behind an encoder; none is the default, for that encoder. As docs/ejection_bound.md compares them."""
+"""Estimators behind an encoder of a quantum in m, as docs/ejection_bound.md compares them; no default moves them."""
 
 
 class Conditions(msgspec.Struct, frozen=True, kw_only=True):

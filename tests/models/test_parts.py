@@ -270,7 +270,7 @@ def test_what_falls_at_a_release(kind: Literal["strength", "gain"]) -> None:
     after = slice(401, None)
     assert np.all(abs(trace.hand_force - expected)[after] <= 1e-9)
     assert 0.0 < abs(trace.hand_force[540]) < 7.8
-    with pytest.raises(ValueError, match="release_kind \"both\""):
+    with pytest.raises(ValueError, match='release_kind "both"'):
         Hand(stiffness=1.0, damping=1.0, strength_n=1.0, start=0.0, release_kind="both")  # type: ignore[arg-type]
 
 

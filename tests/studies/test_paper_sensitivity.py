@@ -17,6 +17,7 @@ from haptether.studies.paper.claims import (
     active_force_rows,
     closed_form_rows,
     controller_rows,
+    ejection_rows,
     first_time,
     held_trip,
     observer_rows,
@@ -135,9 +136,31 @@ def test_hsc_says_something_of_the_active_force_only_where_it_waits(force_thresh
     assert mev.verdict == ("says nothing: tripped before the release" if early else "holds")
     assert trip.ours is not None
     assert (trip.ours < ACTIVE_RELEASE_S) == early
+    assert mev.ours is not None
+    if force_threshold_n == 0.1:
+        assert f"it trips {trip.ours * 1e3:.0f} ms after the force begins" in PAGE
+    if not early:
+        assert f"trips {(trip.ours - ACTIVE_RELEASE_S) * 1e3:.0f} ms after the hand\nbegins to let go" in PAGE
+        assert f"MEV {mev.ours:.2g} m/s" in PAGE
     watched = bench.active(1.0, WATCHED, None)
     above = np.flatnonzero(watched.grasp[:200] > 1.5)
     assert watched.rendered_force[above[-1]] == pytest.approx(0.27, abs=0.005)
+
+
+def test_what_the_page_says_of_what_is_not_explained() -> None:
+    sudden = list(ejection_rows(Bench(changed(Conditions(), {"release_s": 0.0}))))
+    slow = list(ejection_rows(Bench(changed(Conditions(), {"release_kind": "gain", "release_s": 0.1}))))
+    assert sudden[0].source == "Fig. 4a"
+    assert f"{sudden[0].ours:.3g} s at the least, of a sudden release" in PAGE
+    assert [each.source for each in slow[1:3]] == ["Fig. 4b", "Fig. 5a"]
+    assert f"in 100 ms takes {slow[1].ours:.3g} s, and throws at {slow[2].ours:.2g} m/s" in PAGE
+    pressed = Bench().press(Bench().law("vfc", velocity_threshold=0.14))
+    # Before the hand lets go the stylus moves against the force, or settles far below V_t F_t = 0.14 W.
+    held = slice(0, Bench().release_tick)
+    assert (pressed.velocity * pressed.rendered_force)[held].max() < 0.014
+    # V_t F_t = 0.6 W, over the 7.8 N of the paper's depth.
+    assert "V F = 0.6 W, 0.08 m/s at 7.8 N" in PAGE
+    assert pytest.approx(0.08, abs=0.005) == 0.6 / 7.8
 
 
 def row(**of: object) -> PaperRow:
@@ -228,6 +251,9 @@ def test_the_whole_design() -> None:
         len(re.findall(r"^- \*\*", PAGE.partition("## What is not explained")[2].partition("\n## ")[0], re.MULTILINE))
         == 4
     )
+    product = next(each for each in report.rows if (each.quantity, each.controller) == ("speed_at_trip", "vfc"))
+    assert product.sensitivity is not None
+    assert f"at most {product.sensitivity.greatest:.2g} m/s over all factors" in PAGE
     for each in report.rows:
         assert each.sensitivity is not None
         for explained in each.sensitivity.explanations:
