@@ -16,8 +16,16 @@ if TYPE_CHECKING:
     from haptether.studies.follow import FOLLOW_CONTROLLERS, FollowResult, FollowScene, draw_follow, run_follow
     from haptether.studies.link_summary import LinkSummary, LinkVerdict, judge_link, summarise_link
     from haptether.studies.operator import Operator
-    from haptether.studies.paper import PaperReport, PaperRow, reproduce_paper
-    from haptether.studies.paper_figures import draw_paper
+    from haptether.studies.paper import (
+        Explanation,
+        JointFit,
+        PaperReport,
+        PaperRow,
+        Sensitivity,
+        paper_sensitivity,
+        reproduce_paper,
+    )
+    from haptether.studies.paper.figures import draw_paper
     from haptether.studies.pick import PickResult, PickScene, draw_pick, run_pick
     from haptether.studies.processes import Interrupted
     from haptether.studies.raven import RavenReport, RavenRow, measure_attack, raven_suite
@@ -30,11 +38,13 @@ __all__ = [
     "RAVEN_ATTACKS",
     "ContactLoop",
     "DemoScene",
+    "Explanation",
     "Falsified",
     "FollowResult",
     "FollowScene",
     "Follower",
     "Interrupted",
+    "JointFit",
     "LinkSummary",
     "LinkVerdict",
     "Operator",
@@ -48,6 +58,7 @@ __all__ = [
     "RavenRow",
     "Release",
     "ReleaseBounds",
+    "Sensitivity",
     "draw_demo",
     "draw_follow",
     "draw_paper",
@@ -57,6 +68,7 @@ __all__ = [
     "largest_delay_s",
     "measure_attack",
     "measure_push",
+    "paper_sensitivity",
     "raven_suite",
     "reproduce_paper",
     "run_demo",
@@ -97,11 +109,15 @@ if not TYPE_CHECKING:  # else any name would do
             ),
             "operator": ("Operator",),
             "paper": (
+                "Explanation",
+                "JointFit",
                 "PaperReport",
                 "PaperRow",
+                "Sensitivity",
+                "paper_sensitivity",
                 "reproduce_paper",
             ),
-            "paper_figures": ("draw_paper",),
+            "paper.figures": ("draw_paper",),
             "pick": (
                 "PickResult",
                 "PickScene",

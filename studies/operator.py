@@ -1,5 +1,7 @@
 """The one declared operator behind every row of `haptether paper`."""
 
+from typing import Literal
+
 import msgspec
 
 from haptether.master import Hand
@@ -40,6 +42,8 @@ class Operator(msgspec.Struct, frozen=True, kw_only=True):
     """Grip strength over the load that it holds."""
     release_s: float = 0.05
     """Time in s in which the grip strength falls to zero."""
+    release_kind: Literal["strength", "gain"] = "strength"
+    """What falls: the grip strength, or the whole impedance of the hand."""
 
     @property
     def release_at_s(self) -> float:
@@ -67,6 +71,7 @@ class Operator(msgspec.Struct, frozen=True, kw_only=True):
                 (self.creep_s, target(1.0), "linear"),
             ],
             release=(self.release_at_s, self.release_s),
+            release_kind=self.release_kind,
         )
 
     def gripping(self, load_n: float, release_at_s: float | None) -> Hand:
@@ -78,4 +83,5 @@ class Operator(msgspec.Struct, frozen=True, kw_only=True):
             strength_n=self.grip_margin * load_n,
             start=0.0,
             release=release,
+            release_kind=self.release_kind,
         )

@@ -1089,11 +1089,13 @@ class Hand:
         start: Where the path begins, in m.
         legs: The path, leg by leg: duration in s (above 0), position at its end in m, "linear" or
             "minimum-jerk". The hand rests after the last.
-        release: When the hand begins to let go, in s, and in which time in s (0 or more) the strength
-            falls to zero; never without it.
+        release: When the hand begins to let go, in s, and in which time in s (0 or more) what falls is zero;
+            never without it.
+        release_kind: What falls: "strength", so that nothing moves until it has fallen to the load, or "gain",
+            the whole impedance.
 
     Raises:
-        ValueError: A parameter outside its range or no such shape.
+        ValueError: A parameter outside its range, no such shape or kind.
 
     Source: Hogan 1989 (impedance); Johansson and Westling 1984 (grip); Flash and Hogan 1985 (path).
     """
@@ -1109,6 +1111,7 @@ class Hand:
         start: float,
         legs: Sequence[tuple[float, float, Literal["linear", "minimum-jerk"]]] = ...,
         release: tuple[float, float] | None = None,
+        release_kind: Literal["strength", "gain"] = "strength",
     ) -> Hand: ...
     def __eq__(self, other: object, /) -> bool: ...
     @staticmethod
@@ -1688,6 +1691,7 @@ def run_local(
     limiter: LimiterSettings | None = None,
     period_s: float = 1e-3,
     start: tuple[float, float] | None = None,
+    device_delay: int = 0,
 ) -> LocalTrace:
     """The loop without a network: device and hand under a force rendered on the spot.
 
@@ -1703,6 +1707,7 @@ def run_local(
         limiter: Bounds; without them the defaults of `LimiterSettings`, without ramp-in.
         period_s: dT in s, a whole number of ns between 1e-6 and 1.
         start: Position in m and velocity in m/s; without it at rest where the hand's path begins.
+        device_delay: Ticks by which the force of the device acts late, at most 1000; no controller knows of it.
 
     Raises:
         ValueError: A parameter outside its range.

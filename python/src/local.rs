@@ -1,6 +1,6 @@
 //! Models of `haptether.master` and `haptether.slave`, and the loop without a network.
 
-use haptether_bridge::{DelayLine, LocalLoop, LocalTick, Watch};
+use haptether_bridge::{DelayLine, LocalLoop, LocalTick, MasterPlant, ModelPlant, Truth, Watch};
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, Release, ReleaseKind, SimulatedMaster};
 use haptether_safety::{
     Axes, DeviceModel, LayerSettings, LimiterSettings, SafetyLayer, controller::ControllerKind,
@@ -114,7 +114,8 @@ pub(crate) struct PyHand {
 #[pymethods]
 impl PyHand {
     #[new]
-    #[pyo3(signature = (*, stiffness, damping, strength_n, start, legs=Vec::new(), release=None))]
+    #[pyo3(signature = (*, stiffness, damping, strength_n, start, legs=Vec::new(), release=None,
+        release_kind="strength"))]
     fn new(
         stiffness: f64,
         damping: f64,
@@ -122,7 +123,16 @@ impl PyHand {
         start: f64,
         legs: Vec<(f64, f64, String)>,
         release: Option<(f64, f64)>,
+        release_kind: &str,
     ) -> PyResult<Self> {
+        let kind = match release_kind {
+            "strength" => ReleaseKind::Strength,
+            "gain" => ReleaseKind::Gain,
+            other => {
+                let text = format!("release_kind {other:?}: must be \"strength\" or \"gain\"");
+                return Err(PyValueError::new_err(text));
+            }
+        };
         let legs = legs
             .into_iter()
             .map(|(duration_s, end, shape)| {
@@ -141,11 +151,7 @@ impl PyHand {
             })
             .collect::<PyResult<Vec<_>>>()?;
         let path = Path::new(Axes::<1>::new(start), legs).map_err(refuse)?;
-        let release = release.map(|(at_s, duration_s)| Release {
-            at_s,
-            decay_s: duration_s,
-            kind: ReleaseKind::Strength,
-        });
+        let release = release.map(|(at_s, decay_s)| Release { at_s, decay_s, kind });
         Ok(Self { inner: Hand::new(stiffness, damping, strength_n, path, release).map_err(refuse)? })
     }
 
@@ -286,12 +292,42 @@ local_columns!(
     tripped
 );
 
+/// A device whose force acts late, which no controller knows.
+struct LateDevice {
+    device: SimulatedMaster<1>,
+    under_way: DelayLine<1>,
+}
+
+impl MasterPlant<1> for LateDevice {
+    fn read(&mut self, now_ns: u64) -> (Axes<1>, Option<Axes<1>>) {
+        MasterPlant::read(&mut self.device, now_ns)
+    }
+
+    fn write(&mut self, force: &Axes<1>) {
+        let force = self.under_way.pass(*force);
+        MasterPlant::write(&mut self.device, &force);
+    }
+}
+
+impl ModelPlant<1> for LateDevice {
+    fn state(&self) -> Truth<1> {
+        ModelPlant::state(&self.device)
+    }
+
+    fn wall_force(&self) -> Axes<1> {
+        ModelPlant::wall_force(&self.device)
+    }
+}
+
+/// Longest delay of a force, in ticks.
+const MAX_DELAY: usize = 1000;
+
 /// Most ticks of one run: 1e8 would be 10 GB of records.
 const MAX_TICKS: usize = 20_000_000;
 
 #[pyfunction]
 #[pyo3(signature = (device, hand, rendered, *, ticks, settings=None, estimator=None, limiter=None,
-    period_s=1e-3, start=None))]
+    period_s=1e-3, start=None, device_delay=0))]
 fn run_local(
     py: Python<'_>,
     device: &PyHapticDevice,
@@ -303,6 +339,7 @@ fn run_local(
     limiter: Option<&PyLimiterSettings>,
     period_s: f64,
     start: Option<(f64, f64)>,
+    device_delay: usize,
 ) -> PyResult<LocalTrace> {
     let rendered = if let Ok(wall) = rendered.cast::<PyWall>() {
         let wall = wall.get().inner;
@@ -327,6 +364,11 @@ fn run_local(
     if ticks > MAX_TICKS {
         return Err(PyValueError::new_err(format!("ticks = {ticks}: must be at most {MAX_TICKS}")));
     }
+    if device_delay > MAX_DELAY {
+        return Err(PyValueError::new_err(format!(
+            "device_delay = {device_delay}: must be at most {MAX_DELAY} ticks"
+        )));
+    }
     let mut master = SimulatedMaster::new(device.inner, hand.inner.clone(), 0).map_err(refuse)?;
     if let Some((position, velocity)) = start {
         master.place(Axes::<1>::new(position), Axes::<1>::new(velocity)).map_err(refuse)?;
@@ -350,6 +392,7 @@ fn run_local(
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked above
     let period_ns = period_ns.round() as u64;
     let watch = Watch::Estimated(Box::new(SafetyLayer::new(&layer).map_err(refuse)?));
+    let master = LateDevice { device: master, under_way: DelayLine::new(device_delay) };
     let mut looped = LocalLoop::new(master, rendered, DelayLine::new(0), watch, period_ns);
     let records = py.detach(|| (0..ticks).map(|_| LocalRecord::new(&looped.step())).collect());
     Ok(LocalTrace { records, period_s })

@@ -121,7 +121,7 @@ def test_paper_prints_json_alone_on_standard_output() -> None:
     ended = run("paper", "--json", "-")
     assert ended.returncode == 0
     report = json.loads(ended.stdout)
-    assert set(report) == {"operator", "device", "rows"}
+    assert set(report) == {"operator", "device", "joint_fits", "rows"}
     assert {"source", "quantity", "controller", "window", "paper", "ours", "unit"} <= set(report["rows"][0])
     assert "Table 1" in ended.stderr
 

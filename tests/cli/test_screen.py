@@ -180,6 +180,23 @@ def test_the_paper_has_a_line_a_row_and_its_reasons_below(
     assert len(set(numbers)) > 5
 
 
+def test_the_sensitivity_of_the_paper_fits_and_says_what_explains(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    changes: list[dict[str, float | str]] = [{"release_s": 0.085}, {"release_kind": "gain", "release_s": 0.07}]
+    monkeypatch.setattr("haptether.studies.paper.sensitivity.design", lambda: changes)
+    assert main(["paper", "--sensitivity", "--json", "-"]) == 0
+    captured = capsys.readouterr()
+    report = json.loads(captured.out)
+    fits(captured.err)
+    assert "moved most by" in captured.err
+    assert re.search(r"Fig\. 6b .* explained \(\d+\)", captured.err)
+    assert re.search(r"^Fig\. 6 +3 +0 +3 +release of the gain, release time 70 ms", captured.err, re.MULTILINE)
+    assert len(report["joint_fits"]) > 5
+    assert sum(row["verdict"].startswith("explained by") for row in report["rows"]) > 3
+
+
 def run_of(name: str) -> Run:
     metrics = Metrics(max_ejection_velocity=1.2345e-12, peak_device_force=-1.2345e-12, ticks=10**9)
     return Run(scene=name, seed=2**64 - 1, version="0", signals=Signals({}), events=(), metrics=metrics)

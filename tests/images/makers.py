@@ -50,6 +50,9 @@ MAKERS: Mapping[str, Maker] = {
     "paper_ejection.png": from_folder("fig04_ejection.png", "-m", "haptether", "paper", "--plot"),
     "paper_mev.png": from_folder("fig05_mev.png", "-m", "haptether", "paper", "--plot"),
     "paper_observers.png": from_folder("fig06_observers.png", "-m", "haptether", "paper", "--plot"),
+    "paper_sensitivity.png": from_folder(
+        "sensitivity.png", "-m", "haptether", "paper", "--sensitivity", "--plot"
+    ),
     "paper_window.png": from_folder("table1_window.png", "-m", "haptether", "paper", "--plot"),
     "report.png": photograph_report,
     "run_remote_push.png": haptether("simulate", "remote_push", "--plot"),

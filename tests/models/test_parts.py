@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -232,6 +232,46 @@ def test_a_sinusoid_moves_a_free_device_as_its_integral_says() -> None:
     # Half a tick late against the continuous integral.
     exact = amplitude / (rate * MASS) * (1 - np.cos(rate * (trace.time_s - DT / 2)))
     assert np.all(abs(trace.velocity - exact)[1:] <= amplitude / MASS * DT**2 * rate)
+
+
+@pytest.mark.parametrize("delay", [1, 3, 40])
+def test_a_force_that_acts_late_moves_a_free_device_so_much_later(delay: int) -> None:
+    late, prompt = (
+        run_local(
+            HapticDevice(mass_kg=MASS, coulomb=0.0),
+            Hand.absent(),
+            Sinusoid(amplitude_n=1.0, rate=5.0),
+            ticks=300,
+            limiter=OPEN,
+            device_delay=ticks,
+        )
+        for ticks in (delay, 0)
+    )
+    assert np.all(late.velocity[:delay] == 0.0)
+    # The same sums; time enters the model's steps, and rounds.
+    assert np.all(abs(late.velocity[delay:] - prompt.velocity[:-delay]) <= 1e-14)
+    assert np.array_equal(late.device_force, prompt.device_force), "what is commanded, not what acts"
+    with pytest.raises(ValueError, match="device_delay = 1001: must be at most 1000"):
+        run_local(HapticDevice(mass_kg=MASS), Hand.absent(), Wall(stiffness=0.0), ticks=1, device_delay=1001)
+
+
+@pytest.mark.parametrize("kind", ["strength", "gain"])
+def test_what_falls_at_a_release(kind: Literal["strength", "gain"]) -> None:
+    """F_h = K_h (target - x) - B_h V: its bound falls, or it itself (Hogan 1989; master/src/hand.rs)."""
+    stiffness, damping, strength, target, begin, decay = 300.0, 5.0, 11.7, -0.065, 0.5, 0.08
+    held = Hand(
+        stiffness=stiffness, damping=damping, strength_n=strength, start=0.0, legs=[(0.4, target, "minimum-jerk")],
+        release=(begin, decay), release_kind=kind,
+    )  # fmt: skip
+    trace = run_local(HapticDevice(mass_kg=MASS), held, Wall(stiffness=STIFFNESS), ticks=700)
+    grip = np.clip(1.0 - (trace.time_s - begin) / decay, 0.0, 1.0)
+    wish = stiffness * (target - trace.position) - damping * trace.velocity
+    expected = grip * wish if kind == "gain" else np.clip(wish, -grip * strength, grip * strength)
+    after = slice(401, None)
+    assert np.all(abs(trace.hand_force - expected)[after] <= 1e-9)
+    assert 0.0 < abs(trace.hand_force[540]) < 7.8
+    with pytest.raises(ValueError, match='release_kind "both"'):
+        Hand(stiffness=1.0, damping=1.0, strength_n=1.0, start=0.0, release_kind="both")  # type: ignore[arg-type]
 
 
 def test_friction_stops_the_device_for_good() -> None:

@@ -14,7 +14,7 @@ from tests.view.figures import check, event_names
 
 import haptether
 from haptether.bridge import Event, Metrics, Run, Signals
-from haptether.studies import DemoScene, draw_paper, reproduce_paper
+from haptether.studies import DemoScene, draw_paper, paper_sensitivity, reproduce_paper
 from haptether.studies.demo import draw_demo
 from haptether.studies.remote_push import PushResult
 from haptether.view.figures.intervals import mean_and_half, student_quantile
@@ -188,7 +188,7 @@ def test_no_label_of_a_link_falls_off_or_overlaps(
 def paper(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[int, Figure]]:
     """Each figure of the paper, in both widths, by the name of its file."""
     kept: dict[str, dict[int, Figure]] = {}
-    report = reproduce_paper()
+    report = paper_sensitivity(reproduce_paper(), changes=[{"release_s": 0.1}, {"estimator": "kalman"}])
     widths: tuple[Columns, ...] = (1, 2)
     for columns in widths:
 
@@ -196,13 +196,13 @@ def paper(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[int, Figur
             kept.setdefault(path.stem, {})[columns] = figure
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("haptether.studies.paper_figures.write_figure", keep)
+            patch.setattr("haptether.studies.paper.figures.write_figure", keep)
             draw_paper(report, tmp_path_factory.mktemp("paper"), "pdf", columns)
     return kept
 
 
 def test_no_label_of_the_paper_falls_off_or_overlaps(paper: dict[str, dict[int, Figure]]) -> None:
-    assert len(paper) == 6
+    assert len(paper) == 7
     for figures in paper.values():
         for figure in figures.values():
             check(figure)

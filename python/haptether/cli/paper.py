@@ -28,7 +28,13 @@ class Paper(PictureOptions):
     haptether paper --json - | jq '.rows[] | select(.source == "Table 1")'
 
     haptether paper --plot out/paper --encoder-quantum 2.3e-5
+
+    haptether paper --sensitivity --json paper.json
     """
+
+    sensitivity: bool = False
+    """Also vary what the paper does not tell, one factor at a time and several at once (under a minute): the range of
+    each row, what moves it most, and what explains the paper's number."""
 
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Also write the operator and all rows as JSON; - for standard output."""
@@ -38,16 +44,24 @@ class Paper(PictureOptions):
     """Resolution of the device in m; 0 measures position and velocity exactly, a PHANTOM Desktop has 2.3e-5."""
 
     def run(self) -> int:
-        """Runs the experiments (under a second) and prints them."""
+        """Runs the experiments (about a second) and prints them."""
         from haptether.cli.shared.output import check_target, make_folder, require_matplotlib, write_json
         from haptether.cli.shared.screen import screen
-        from haptether.studies import draw_paper, reproduce_paper
+        from haptether.studies import draw_paper, paper_sensitivity, reproduce_paper
 
         check_target(self.json)
         if self.plot is not None:
             require_matplotlib()
             make_folder(self.plot)
         report = reproduce_paper(encoder_quantum=self.encoder_quantum)
+        if self.sensitivity:
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+            from haptether.cli.shared.screen import Screen
+
+            with Progress(BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=Screen(stderr=True)) as bar:
+                task = bar.add_task("")
+                report = paper_sensitivity(report, progress=lambda done, of: bar.update(task, completed=done, total=of))
         console = screen(self.json)
         self._print(console, report)
         if self.json is not None:
@@ -66,11 +80,20 @@ class Paper(PictureOptions):
 
         console.print("One operator for all rows (haptether.studies.Operator):", style="bold")
         values = to_builtins(report.operator) | report.device
-        console.print(Padding(", ".join(f"{key} = {value:g}" for key, value in values.items()), (0, 0, 0, 2)))
+        text = ", ".join(
+            f"{key} = {value if isinstance(value, str) else f'{value:g}'}" for key, value in values.items()
+        )
+        console.print(Padding(text, (0, 0, 0, 2)))
         console.print(Padding("The force limits of the device stay on: 7.9 N, 1000 N/s when loading, 20 W.",
                               (0, 0, 1, 2)))  # fmt: skip
+        ranges = bool(report.joint_fits)
         numbers = (Column(label, numbers=True) for label in ("paper", "ours"))
-        table = Rows("source", "quantity", "of", *numbers, "verdict", keys=3, gap=1)
+        extents: list[Column | str] = (
+            [Column("least", numbers=True), Column("greatest", numbers=True), "moved most by", "inside"]
+            if ranges
+            else []
+        )
+        table = Rows("source", "quantity", "of", *numbers, *extents, "verdict", keys=3, gap=1)
         reasons: dict[str, int] = {}
         for row in report.rows:
             sign = "" if row.relation == "=" else f"{row.relation} "
@@ -80,6 +103,7 @@ class Paper(PictureOptions):
                 _conditions(row),
                 "" if row.paper is None else f"{sign}{row.paper:.3g}",
                 "not seen" if row.ours is None else f"{row.ours:.3g}",
+                *(_range(row) if ranges else ()),
                 Text(_verdict(row, reasons), style=_colour(row.verdict)),
             )
         console.print(table)
@@ -91,11 +115,20 @@ class Paper(PictureOptions):
             listed.add(f"{number:>{width - 2}})", text)
         if reasons:
             console.print(listed)
+        if ranges:
+            console.print("\nNumbers of one experiment that one run meets at once:", style="bold")
+            fits = Rows("experiment", *(Column(label, numbers=True) for label in ("numbers", "declared", "met")), "by")
+            for fit in report.joint_fits:
+                fits.add(fit.experiment, f"{fit.rows}", f"{fit.declared}", f"{fit.met}", fit.text)
+            console.print(fits)
         console.print(
-            f"\nK = {STIFFNESS:g} N/m and D = {DEPTH:g} m unless said; w in ticks of 1 ms; a in N. MEV: the largest "
-            "ejection velocity. Rows without a verdict: the paper plots a curve and prints no number."
+            f"\nK = {STIFFNESS:g} N/m and D = {DEPTH:g} m unless said; w in ticks of 1 ms; a and F_t in N. MEV: the "
+            "largest ejection velocity. Rows without a verdict: the paper plots a curve and prints no number."
+            + (" inside: the paper's number is within the range." if ranges else RANGES_HINT)
         )
 
+
+RANGES_HINT = " --sensitivity: what explains those that differ."
 
 QUANTITIES = {
     "time_from_0.2_to_1.2_m_per_s": "to 1.2 m/s [s]",
@@ -113,9 +146,26 @@ QUANTITIES = {
 }
 """What the table calls each quantity, with its unit; --json has the long names."""
 
+FACTOR_TITLES = {
+    "release_s": "release time",
+    "release_kind": "release kind",
+    "grip_margin": "grip margin",
+    "hand_gain": "hand gain",
+    "hold_s": "hold",
+    "estimator": "estimator",
+    "coulomb": "friction",
+    "device_delay": "late force",
+    "first_s": "press time",
+    "hsc_force_threshold_n": "F_t of HSC",
+    "mev_within_s": "time of MEV",
+    "clock": "clock",
+    "mass_kg": "mass",
+}
+"""What the table calls each factor; --json has the long names."""
+
 
 def _conditions(row: "PaperRow") -> str:
-    numbers = {"w": row.window, "K": row.stiffness, "D": row.depth, "a": row.amplitude_n}
+    numbers = {"w": row.window, "K": row.stiffness, "D": row.depth, "a": row.amplitude_n, "F_t": row.force_threshold_n}
     common = {"K": STIFFNESS, "D": DEPTH}
     changed = [f"{key}={value:.3g}" if key == "D" else f"{key}={value:g}"
                for key, value in numbers.items() if value is not None and value != common.get(key)]  # fmt: skip
@@ -124,15 +174,33 @@ def _conditions(row: "PaperRow") -> str:
     return " ".join(part for part in [*named, *changed] if part)
 
 
+def _range(row: "PaperRow") -> tuple[str, str, str, str]:
+    """Least and greatest of a row, what moves it most, and whether the paper's number is between them."""
+    if (of := row.sensitivity) is None or of.least is None or of.greatest is None:
+        return "", "", "", ""
+    inside = {True: "yes", False: "no", None: ""}[row.paper_inside]
+    most = FACTOR_TITLES.get(of.most_by or "", of.most_by or "nothing")
+    return f"{of.least:.3g}", f"{of.greatest:.3g}", most, inside
+
+
 def _verdict(row: "PaperRow", reasons: dict[str, int]) -> str:
     """The verdict in a word or two, with the number of its reason, which is added to `reasons`."""
-    verdict = row.verdict.replace("differs: bound not kept", "not kept").replace("differs: not seen", "not seen")
-    verdict = verdict.replace(": ", " ")
-    if not row.verdict.startswith("differs") or not row.note:
-        return verdict
-    number = reasons.setdefault(f"{row.source}, {row.controller}: {row.note}", len(reasons) + 1)
-    return f"{verdict} ({number})"
+    head, _, rest = row.verdict.partition(": ")
+    if head in {"agrees", "holds", ""}:
+        return row.verdict.replace(": ", " ")
+    short = {"bound not kept": "not kept", "not seen": "not seen"}.get(rest, f"{head} {rest}")
+    why = [row.note] if row.note else []
+    if (of := row.sensitivity) is not None and not row.says_nothing:
+        short = head.partition(" by ")[0]
+        why = [f"{each.text}: {each.ours:.3g}" for each in of.explanations[:3]] or [rest, *why]
+    elif row.says_nothing:
+        short = head
+        why = [rest, *why]
+    if not why:
+        return short
+    number = reasons.setdefault(f"{row.source}, {row.controller}: {'; '.join(why)}", len(reasons) + 1)
+    return f"{short} ({number})"
 
 
 def _colour(verdict: str) -> str:
-    return "yellow" if verdict.startswith("differs") else "green"
+    return "green" if verdict.startswith(("agrees", "holds", "explained")) else "yellow"

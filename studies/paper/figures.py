@@ -6,24 +6,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from haptether.safety import (
-    HandGraspObserver,
-    SafetyObserver,
-    SafetySettings,
-    WindowedSafetyObserver,
-)
+from haptether.safety import SafetySettings
 from haptether.studies.operator import Operator
-from haptether.studies.paper import (
+from haptether.studies.paper.claims import (
     ACTIVE_RELEASE_S,
     ACTIVE_THRESHOLD_J,
     DEPTH,
     MAX_FORCE_N,
     PERIOD_S,
+    RAISED_FORCE_THRESHOLD_N,
     STIFFNESS,
+    WATCHED,
     Bench,
-    PaperReport,
-    PaperRow,
+    as_printed,
 )
+from haptether.studies.paper.conditions import Conditions
+from haptether.studies.paper.report import AGREES, PaperReport, PaperRow
 from haptether.view.style.colours import PAPER, SIGNALS, THRESHOLD, controller_look
 from haptether.view.style.figure import Columns, PictureFormat, letter, new_figure, styled, write_figure
 from haptether.view.style.legend import legend_above, legend_below
@@ -37,7 +35,7 @@ READ: dict[str, Any] = {"color": PAPER, "ls": "none", "marker": "x", "ms": 5.0, 
 
 
 def draw_paper(report: PaperReport, folder: Path, form: PictureFormat = "png", columns: Columns = 2) -> list[Path]:
-    """Draws the figures of a report into `folder` and returns their paths.
+    """Draws the figures of a report into `folder`, with its sensitivity if it has that, and returns their paths.
 
     Args:
         report: With its rows.
@@ -49,7 +47,7 @@ def draw_paper(report: PaperReport, folder: Path, form: PictureFormat = "png", c
         ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
         OSError: The folder cannot be written.
     """
-    bench = Bench(report.operator, report.device["encoder_quantum"])
+    bench = Bench(Conditions(operator=report.operator, encoder_quantum=report.device["encoder_quantum"]))
     folder.mkdir(parents=True, exist_ok=True)
     drawn = {
         "fig04_ejection": _ejection,
@@ -59,6 +57,8 @@ def draw_paper(report: PaperReport, folder: Path, form: PictureFormat = "png", c
         "table1_window": _window,
         "fig12_to_15_active_force": _active,
     }
+    if report.joint_fits:
+        drawn["sensitivity"] = _sensitivity
     paths = []
     for name, draw in drawn.items():
         paths.append(folder / f"{name}.{form}")
@@ -144,19 +144,18 @@ def _known(value: float | None) -> float:
 
 
 def _observers(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
-    trace = bench.press()
-    signals = (trace.velocity, trace.rendered_force, bench.grasp_force(trace))
+    trace = bench.press(WATCHED)
     time = _time(bench.operator, len(trace))
     shown = (time > -0.02) & (time < 0.07)
     figure, (left, right) = _figure(columns, 2, f"Fig. 6: observers after the release, D = {DEPTH} m")
-    left.plot(time[shown], SafetyObserver(bench.model).run(*signals)[shown], color=SIGNALS["of the hand"], label="SO")
-    left.plot(time[shown], WindowedSafetyObserver(bench.model).run(*signals)[shown], label="WSO, w = 100",
+    left.plot(time[shown], trace.energy_j[shown], color=SIGNALS["of the hand"], label="SO")
+    left.plot(time[shown], trace.windowed_energy_j[shown], label="WSO, w = 100",
               **controller_look("wsc"))  # fmt: skip
     left.axhline(-0.03, color=THRESHOLD, lw=0.8, ls="--", label="delta")
     seen = _value(report, "Fig. 6a", "time_to_see_release", controller="wso").paper
     left.plot([_known(seen)], [-0.03], **READ, label="paper: WSO sees it")
     left.set(xlabel="time since release [s]", ylabel="energy [J]")
-    right.semilogy(time[shown], HandGraspObserver().run(*signals)[shown], label="HGO", **controller_look("hsc"))
+    right.semilogy(time[shown], trace.grasp[shown], label="HGO", **controller_look("hsc"))
     right.axhline(1.5, color=THRESHOLD, lw=0.8, ls="--", label="zeta")
     seen = _value(report, "Fig. 6b", "time_to_see_release", controller="hgo").paper
     right.plot([_known(seen)], [1.5], **READ, label="paper: HGO sees it")
@@ -166,10 +165,10 @@ def _observers(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
 
 CONTROLLERS: dict[str, tuple[str, SafetySettings | None]] = {
     "no controller": ("none", None),
-    "VFC, as printed": ("vfc", SafetySettings(["vfc"])),
-    "VFC, both": ("vfc", SafetySettings(["vfc"], vfc_form="both")),
-    "HSC": ("hsc", SafetySettings(["hsc"])),
-    "WSC": ("wsc", SafetySettings(["wsc"])),
+    "VFC, as printed": ("vfc", as_printed("vfc")),
+    "VFC, both": ("vfc", as_printed("vfc", vfc_form="both")),
+    "HSC": ("hsc", as_printed("hsc")),
+    "WSC": ("wsc", as_printed("wsc")),
 }
 
 
@@ -232,10 +231,10 @@ def _active(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
     figure, (left, middle, right) = _figure(columns, 3, "Fig. 12 to 15: force sin(5 t) N, gripped until 1.35 s")
     settings = {
         "none": None,
-        "wsc": SafetySettings(["wsc"], energy_threshold_j=ACTIVE_THRESHOLD_J),
-        "hsc": SafetySettings(["hsc"]),
+        "wsc": as_printed("wsc", energy_threshold_j=ACTIVE_THRESHOLD_J),
+        "hsc": as_printed("hsc", hsc_force_threshold_n=RAISED_FORCE_THRESHOLD_N),
     }
-    names = {"none": "no controller", "wsc": "WSC", "hsc": "HSC"}
+    names = {"none": "no controller", "wsc": "WSC", "hsc": f"HSC, F_t = {RAISED_FORCE_THRESHOLD_N} N"}
     for controller, of_run in settings.items():
         trace = bench.active(1.0, of_run, ACTIVE_RELEASE_S)
         shown = slice(1200, 1800)
@@ -245,18 +244,16 @@ def _active(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
     left.set(xlabel="time [s]", ylabel="velocity [m/s]")
     # Of one controller's observer: its colour, darker with the amplitude.
     for amplitude, shade, dashes in ((1.0, 0.4, ":"), (3.0, 0.7, "--"), (5.0, 1.0, "-")):
-        trace = bench.active(amplitude, None, None)
-        signals = (trace.velocity, trace.rendered_force, bench.grasp_force(trace))
-        energy = WindowedSafetyObserver(bench.model).run(*signals)
-        middle.plot(trace.time_s, energy, label=f"{amplitude:g} N", color=controller_look("wsc")["color"],
-                    alpha=shade, ls=dashes)  # fmt: skip
+        trace = bench.active(amplitude, WATCHED, None)
+        middle.plot(trace.time_s, trace.windowed_energy_j, label=f"{amplitude:g} N",
+                    color=controller_look("wsc")["color"], alpha=shade, ls=dashes)  # fmt: skip
     middle.axhline(ACTIVE_THRESHOLD_J, color=THRESHOLD, lw=0.8, ls="--", label="delta")
     middle.set(xlabel="time [s]", ylabel="energy of WSO, gripped [J]")
     quantity = "max_ejection_velocity"
     rows = [
         _value(report, "Fig. 12", quantity),
         _value(report, "Fig. 14b", quantity),
-        _value(report, "Fig. 15b", quantity),
+        _value(report, "Fig. 15b", quantity, force_threshold_n=RAISED_FORCE_THRESHOLD_N),
     ]
     # The paper has the uncontrolled one at 0.17 s after the release only.
     free = _value(report, "Fig. 12", "speed_at_0.17_s")
@@ -265,3 +262,64 @@ def _active(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
     colours = [controller_look(name)["color"] for name in ("none", "wsc", "hsc")]
     _bars(right, ["none,\nat 0.17 s", "WSC", "HSC\n(paper: <)"], ours, papers, colours)
     return _finish(figure, (left, middle, right), columns)
+
+
+NARROWEST, WIDEST = 0.02, 20.0
+"""Of ours over the paper's number, as far as it is drawn."""
+
+
+def _sensitivity(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
+    """Ours over the paper's number of each row that has one, as declared and over all factors."""
+    del bench
+    rows = [
+        row
+        for row in report.rows
+        if row.paper and row.sensitivity is not None and not row.says_nothing and "Eq." not in row.source
+    ]
+    figure = new_figure(columns, 0.15 * len(rows) + 1.1, "What moves ours over the paper's number")
+    panel = figure.subplots()
+    panel.axvspan(1.0 - AGREES, 1.0 + AGREES, color=THRESHOLD, alpha=0.25, lw=0.0, label="within 10 %")
+    panel.axvline(1.0, color=PAPER, lw=0.8)
+    for place, row in enumerate(rows):
+        assert row.sensitivity is not None
+        by = row.sensitivity.by_factor.get(row.sensitivity.most_by or "")
+        whole = (row.sensitivity.least, row.sensitivity.greatest)
+        spans = {"all factors": whole, "the one that moves it most": by}
+        for (label, span), width in zip(spans.items(), (1.0, 3.5), strict=True):
+            if span is not None:
+                ends = [_ratio(row, value) for value in span]
+                panel.plot(ends, [place, place], color=SIGNALS["of the hand"], lw=width, solid_capstyle="butt",
+                           label=None if place else label)  # fmt: skip
+        panel.plot([_ratio(row, row.ours)], [place], color=SIGNALS["hand"], marker="o", ms=3.5, ls="none",
+                   zorder=5.0, label=None if place else "as declared")  # fmt: skip
+    panel.set(xscale="log", xlim=(NARROWEST, WIDEST), ylim=(len(rows) - 0.4, -0.6), xlabel="ours / paper")
+    panel.set_yticks(range(len(rows)), [_row_title(row) for row in rows])
+    panel.grid(visible=False, axis="y")
+    legend_below(figure, panel.get_legend_handles_labels()[0])
+    return figure
+
+
+def _ratio(row: PaperRow, value: float | None) -> float:
+    """Ours over the paper's number, within what is drawn: a time before the release is at the left edge."""
+    return float(np.clip(_known(value) / _known(row.paper), NARROWEST, WIDEST))
+
+
+def _row_title(row: PaperRow) -> str:
+    quantity = {
+        "max_ejection_velocity": "MEV",
+        "time_to_see_release": "sees release",
+        "median_grasp_ratio_gripped": "median S_h",
+        "least_energy_gripped": "least energy",
+        "vfc_over_controller": "MEV of VFC / its",
+        "time_from_0.2_to_1.2_m_per_s": "to 1.2 m/s",
+        "time_to_0.1_m_outside": "to 0.1 m",
+        "speed_at_0.17_s": "V at 0.17 s",
+        "speed_at_trip": "V at trip",
+    }.get(row.quantity, row.quantity.replace("_", " "))
+    of = [] if row.controller in (None, "none") else [row.controller.upper() if row.controller else ""]
+    of += [f"w = {row.window}"] if row.window and row.source == "Table 1" else []
+    of += [f"K = {row.stiffness:g}"] if row.source == "Fig. 5a" else []
+    of += [f"{row.amplitude_n:g} N"] if row.source in {"Fig. 14c", "Fig. 15a", "Fig. 15c"} else []
+    of += [f"F_t = {row.force_threshold_n:g}"] if row.force_threshold_n else []
+    bound = "" if row.relation == "=" else f" (paper: {row.relation})"
+    return f"{row.source} {quantity}{', ' if of else ''}{', '.join(of)}{bound}"

@@ -1,0 +1,167 @@
+"""What `haptether paper` says: one claim of the paper a row, beside ours, and what moves ours."""
+
+from typing import Literal
+
+import msgspec
+
+from haptether.studies.operator import Operator
+
+AGREES = 0.1
+"""Share of the paper's number within which ours agrees with it: what a figure in print can be read to, twice."""
+
+Change = dict[str, float | str]
+"""Values of factors that are not the declared ones, by the factor's name."""
+
+
+class Explanation(msgspec.Struct, frozen=True, kw_only=True):
+    """A run that meets the paper's number: what was changed for it, in words too, and what it gave."""
+
+    change: Change
+    text: str
+    ours: float
+
+
+class Sensitivity(msgspec.Struct, frozen=True, kw_only=True):
+    """How ours of one row moves over what the paper does not tell.
+
+    `least` and `greatest` are over all runs of the design. `by_factor` has both of each factor alone, the others as
+    declared; `most_by` names the one of the largest range, null where none moves the row. `explanations` are the runs
+    that meet the paper's number, one a factor, the nearest first; of several factors at once only where no factor
+    alone does. They are empty where ours agrees as declared. `nearest` is the run nearest to the paper's number. A run
+    in which a controller tripped before the hand let go says nothing of what follows and is not counted.
+    """
+
+    least: float | None
+    greatest: float | None
+    by_factor: dict[str, tuple[float, float]]
+    most_by: str | None
+    explanations: list[Explanation]
+    nearest: Explanation | None
+
+    @property
+    def verdict(self) -> str:
+        """Of a row that does not agree as declared."""
+        if self.explanations:
+            first = self.explanations[0]
+            return f"explained by {first.text}: {first.ours:.3g}"
+        if self.nearest is None:
+            return "not explained"
+        joint = " at " if self.nearest.change else ", "
+        return f"not explained: nearest {self.nearest.ours:.3g}{joint}{self.nearest.text}"
+
+
+class PaperRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One claim.
+
+    `relation` says how the paper's number is meant: "=" as a value, "<" and ">" as a bound. Conditions of the
+    row (`controller`, `window`, `stiffness`, `depth`, `amplitude_n`, `force_threshold_n`) are null where they do not
+    apply or are the default, and `paper` is null where the paper plots a curve without printing a number.
+    `says_nothing` is the reason why ours, although computed, is no answer to the claim; `sensitivity` is null until
+    `paper_sensitivity` has it.
+    """
+
+    source: str
+    quantity: str
+    controller: str | None = None
+    window: int | None = None
+    stiffness: float | None = None
+    depth: float | None = None
+    amplitude_n: float | None = None
+    force_threshold_n: float | None = None
+    paper: float | None
+    relation: Literal["=", "<", ">"] = "="
+    ours: float | None
+    unit: str
+    note: str = ""
+    says_nothing: str = ""
+    sensitivity: Sensitivity | None = None
+
+    @property
+    def difference(self) -> float | None:
+        """Ours over the paper's, less one; none where there is nothing to compare."""
+        return self.difference_of(self.ours)
+
+    def difference_of(self, value: float | None) -> float | None:
+        """As `difference`, of another value than ours."""
+        if self.paper is None or value is None or self.paper == 0.0:
+            return None
+        return value / self.paper - 1.0
+
+    def meets(self, value: float | None) -> bool:
+        """Whether a value is what the paper says: within 10 % of its number, or within its bound."""
+        if self.paper is None or value is None:
+            return False
+        if self.relation != "=":
+            return value < self.paper if self.relation == "<" else value > self.paper
+        difference = self.difference_of(value)
+        return value == self.paper if difference is None else abs(difference) <= AGREES
+
+    @property
+    def paper_inside(self) -> bool | None:
+        """Whether the paper's number lies within the range of ours; none without both, and where nothing moves ours."""
+        if self.paper is None or (of := self.sensitivity) is None or of.least is None or of.greatest is None:
+            return None
+        if of.most_by is None:
+            return None
+        if self.relation == "=":
+            return of.least <= self.paper <= of.greatest
+        return self.meets(of.least if self.relation == "<" else of.greatest)
+
+    @property
+    def verdict(self) -> str:
+        """What the row says of the two, nothing where the paper has no number.
+
+        - "agrees: +3%", "holds" (a bound);
+        - "says nothing: tripped before the release";
+        - "differs: +11%", "differs: bound not kept", "differs: not seen", as long as the sensitivity is not known;
+        - "explained by release time 80 ms: 0.0466", "not explained: nearest 0.62 at release time 100 ms".
+        """
+        if self.paper is None:
+            return ""
+        if self.says_nothing:
+            return f"says nothing: {self.says_nothing}"
+        if self.meets(self.ours):
+            return "holds" if self.relation != "=" or self.difference is None else f"agrees: {self.difference:+.0%}"
+        return self._deviation() if self.sensitivity is None else self.sensitivity.verdict
+
+    def _deviation(self) -> str:
+        if self.ours is None:
+            return "differs: not seen"
+        if self.relation != "=":
+            return "differs: bound not kept"
+        return "differs" if self.difference is None else f"differs: {self.difference:+.0%}"
+
+
+class JointFit(msgspec.Struct, frozen=True, kw_only=True):
+    """The one run of the design that meets most numbers of an experiment at once.
+
+    Of the `rows` numbers of `experiment` ("all", a figure, of Fig. 8 with the controller, or Table 1) `declared` are
+    met as declared, `met` with `change`.
+    """
+
+    experiment: str
+    change: Change
+    text: str
+    met: int
+    declared: int
+    rows: int
+
+
+class PaperReport(msgspec.Struct, frozen=True, kw_only=True):
+    """The operator that serves all rows, the device, and the rows.
+
+    `joint_fits` are those of `paper_sensitivity`, of all rows first.
+    """
+
+    operator: Operator
+    device: dict[str, float]
+    rows: list[PaperRow]
+    joint_fits: list[JointFit] = []
+
+    def as_json(self) -> bytes:
+        """The report as JSON, each row with its verdict."""
+        rows = [
+            {**msgspec.to_builtins(row), "paper_inside": row.paper_inside, "verdict": row.verdict} for row in self.rows
+        ]
+        report = {"operator": self.operator, "device": self.device, "joint_fits": self.joint_fits, "rows": rows}
+        return msgspec.json.format(msgspec.json.encode(report), indent=2)
