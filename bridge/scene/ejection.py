@@ -38,6 +38,7 @@ def settings_of(scene: Scene) -> EjectionSettings:
         grasp_threshold=safety["grasp_threshold"],
         grasp_floor_n=safety["grasp_floor_n"],
         hsc_force_threshold_n=safety["hsc_force_threshold_n"],
+        hsc_velocity_threshold=safety["hsc_velocity_threshold"],
         release_ramp_s=safety["release_ramp_s"],
         damping=safety["damping"],
         probe_force_n=safety["probe_force_n"],

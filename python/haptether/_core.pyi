@@ -593,6 +593,7 @@ class SafetySettings:
         grasp_threshold: zeta, above 1 (Eq. 8).
         grasp_floor_n: alpha in N, above 0 (Eq. 5).
         hsc_force_threshold_n: F_t in N, 0 or more (Eq. 14).
+        hsc_velocity_threshold: V_s in m/s, 0 or more: HSC trips only while `V·F_v / |F_v| > V_s`; 0 is Eq. 14 as printed.
         energy_threshold_j: delta in J, below 0, by default -0.03 (Eq. 10).
         energy_ratio: eta, above 0 and at most 1 (Eq. 9).
         window: w in ticks, 1 to 3600000 (Eq. 11).
@@ -622,6 +623,7 @@ class SafetySettings:
         grasp_threshold: float = 1.5,
         grasp_floor_n: float = 1e-3,
         hsc_force_threshold_n: float = 0.1,
+        hsc_velocity_threshold: float = 0.0,
         energy_threshold_j: float = ...,
         energy_ratio: float = 0.5,
         window: int = 100,

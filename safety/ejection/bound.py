@@ -54,6 +54,8 @@ class EjectionSettings(Struct, frozen=True, kw_only=True):
     """alpha in N, of HSC."""
     hsc_force_threshold_n: float = 0.1
     """F_t in N, of HSC."""
+    hsc_velocity_threshold: float = 0.0
+    """V_s in m/s, of HSC; 0 is as printed."""
     release_ramp_s: float = 0.0
     """Time in s over which an intervention fades out."""
     damping: float = 5.0
@@ -402,7 +404,7 @@ class _Model:
         def next_speed(speed: float) -> float:
             push, limit = self._unseen(speed)
             a_tick = self.acceleration(speed) * (settings.period_s + self.late_s)
-            gained = settings.hand_speed + np.concatenate(([0.0], np.cumsum(push) * settings.period_s / self.mass))
+            gained = self._gained(push, speed)
 
             def over_travel(force: Array) -> Array:
                 # From each tick on, the largest of the forces to come works over the whole travel.
@@ -419,6 +421,25 @@ class _Model:
             return ControllerBound(controller="hsc", speed=None, reason=reason)
         terms = replace(self._terms(speed), unseen_force_n=float(min(each[-1] for each in self._unseen(speed))))
         return ControllerBound(controller="hsc", speed=speed, reason=None, terms=terms)
+
+    def _gained(self, push: Array, speed: float) -> Array:
+        """Largest speed in m/s at each tick after the release, by the impulses of what HSC lets pass: V_H of Eq. 12.
+
+        A tick that does not trip has a push of at most `push`, or a V^ of at most V_s: V is then below V_s + e, and the
+        whole cap may act over the tick (Eq. 15).
+        """
+        settings = self.settings
+        slowest = settings.hsc_velocity_threshold
+        if slowest == 0.0:
+            added = np.cumsum(push) * settings.period_s / self.mass
+            return settings.hand_speed + np.concatenate(([0.0], added))
+        passes = slowest + self.lag(speed)
+        a_tick = self.acceleration(speed) * (settings.period_s + self.late_s)
+        gained = [settings.hand_speed]
+        for each in push:
+            gained.append(max(gained[-1] + each * settings.period_s / self.mass, min(gained[-1], passes) + a_tick))
+        # V may be below V_s + e at any later tick as well.
+        return np.maximum(np.array(gained), passes + a_tick)
 
     def _unseen(self, speed: float) -> tuple[Array, Array]:
         """Largest push in N at each tick after the release that HSC does not trip at, the last for ever (Eq. 12, 13).

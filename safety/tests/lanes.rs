@@ -122,6 +122,8 @@ fn safety((on, both, window): Shared, numbers: &Numbers) -> SafetySettings {
         grasp_threshold,
         grasp_floor_n,
         hsc_force_threshold_n: hsc_force,
+        // Some lanes without.
+        hsc_velocity_threshold: (velocity_threshold - 1.0).max(0.0),
         energy_threshold_j,
         energy_ratio,
         window,
@@ -255,9 +257,17 @@ fn controllers_agree<const N: usize, L: Real>(
         VelocityForceController::<N>::new(observer)
     };
     let hsc = |of: &Numbers| {
-        let SafetySettings { grasp_floor_n, grasp_threshold, hsc_force_threshold_n, .. } = settings(of);
+        let SafetySettings {
+            grasp_floor_n,
+            grasp_threshold,
+            hsc_force_threshold_n,
+            hsc_velocity_threshold,
+            ..
+        } = settings(of);
         let observer = HandGraspObserver::new(grasp_floor_n).unwrap();
-        HandGraspController::<N>::new(observer, grasp_threshold, hsc_force_threshold_n).unwrap()
+        HandGraspController::<N>::new(observer, grasp_threshold, hsc_force_threshold_n)
+            .and_then(|hsc| hsc.with_velocity_threshold(hsc_velocity_threshold))
+            .unwrap()
     };
     let wsc = |of: &Numbers| {
         let SafetySettings { energy_ratio, window, energy_threshold_j, .. } = settings(of);

@@ -35,6 +35,8 @@ pub struct SafetySettings {
     pub grasp_floor_n: f64,
     /// `F_t` in N, of Eq. 14.
     pub hsc_force_threshold_n: f64,
+    /// `V_s` in m/s: speed along `F_v` up to which HSC lets a push pass; 0 is Eq. 14 as printed.
+    pub hsc_velocity_threshold: f64,
     /// delta in J, of Eq. 10.
     pub energy_threshold_j: f64,
     /// eta, of Eq. 9.
@@ -64,6 +66,7 @@ impl SafetySettings {
             vfc_force_threshold_n: self.vfc_force_threshold_n * lever_m,
             grasp_floor_n: self.grasp_floor_n * lever_m,
             hsc_force_threshold_n: self.hsc_force_threshold_n * lever_m,
+            hsc_velocity_threshold: self.hsc_velocity_threshold / lever_m,
             pc_max_damping: self.pc_max_damping * lever_m * lever_m,
             probe_force_n: self.probe_force_n * lever_m,
             ..self
@@ -80,6 +83,7 @@ impl SafetySettings {
             vfc_force_threshold_n: self.vfc_force_threshold_n * force,
             grasp_floor_n: self.grasp_floor_n * force,
             hsc_force_threshold_n: self.hsc_force_threshold_n * force,
+            hsc_velocity_threshold: self.hsc_velocity_threshold * way,
             energy_threshold_j: self.energy_threshold_j * force * way,
             pc_max_damping: self.pc_max_damping * force / way,
             probe_force_n: self.probe_force_n * force,
@@ -100,6 +104,7 @@ impl Default for SafetySettings {
             grasp_threshold: 1.5,
             grasp_floor_n: 1e-3,
             hsc_force_threshold_n: 0.1,
+            hsc_velocity_threshold: 0.0,
             energy_threshold_j: -0.03,
             energy_ratio: 0.5,
             window: 100,
@@ -490,6 +495,7 @@ mod tests {
         let settings = SafetySettings {
             controllers: ControllerKind::ALL.into(),
             energy_threshold_j: -1e-3,
+            hsc_velocity_threshold: 0.25,
             window: 20,
             hold_off_s: 0.01,
             release_ramp_s: 0.02,
