@@ -33,6 +33,7 @@ def settings_of(scene: Scene) -> EjectionSettings:
         max_slew_n_per_s=limiter["max_slew_n_per_s"],
         force_quantum_n=master["force_quantum_n"],
         energy_threshold_j=safety["energy_threshold_j"],
+        wsc_force_threshold_n=safety["wsc_force_threshold_n"],
         energy_ratio=safety["energy_ratio"],
         window=safety["window"],
         grasp_threshold=safety["grasp_threshold"],

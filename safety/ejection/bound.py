@@ -44,6 +44,8 @@ class EjectionSettings(Struct, frozen=True, kw_only=True):
     """Resolution of the force in N; 0 is exact."""
     energy_threshold_j: float = -0.03
     """delta in J, of WSC."""
+    wsc_force_threshold_n: float = 0.0
+    """F_w in N, of WSC; 0 is as printed."""
     energy_ratio: float = 0.5
     """eta, of WSC."""
     window: int = 100
@@ -219,6 +221,8 @@ def _assumptions(settings: EjectionSettings) -> tuple[str, ...]:
     )
     late = "no tick is late" if settings.late_s == 0.0 else f"a tick is late by at most {settings.late_s * 1e3:g} ms"
     steady = "of hsc alone: from the release on the push neither grows nor turns"
+    line = "of wsc alone: the push stays on one line"
+    line_counts = "wsc" in settings.controllers and settings.wsc_force_threshold_n > 0.0 and len(settings.mass_kg) > 1
     mass = f"the mass is known to {settings.mass_error * 100:g} %" if settings.mass_error else "the mass is as told"
     measured = ["V is measured without lag or noise"] if settings.estimator is None else []
     return (
@@ -228,6 +232,7 @@ def _assumptions(settings: EjectionSettings) -> tuple[str, ...]:
         "no mechanical stop is met",
         *measured,
         *([steady] if "hsc" in settings.controllers else []),
+        *([line] if line_counts else []),
     )
 
 
@@ -367,7 +372,19 @@ class _Model:
             passes[-1] = threshold[-1] + self.lag(speed)
             return float(max(settings.hand_speed, passes.max())) + a * (settings.period_s + self.late_s)
 
-        speed = _least_fixed_point(next_speed, settings.hand_speed)
+        unseen_n = settings.wsc_force_threshold_n
+        if unseen_n > 0.0 and settings.travel_m is None:
+            reason = "wsc does not see a push of less than F_w, and without mechanical stops nothing ends it"
+            return ControllerBound(controller="wsc", speed=None, reason=reason)
+
+        def pushed_on(speed: float) -> float:
+            """With a push of F_w over the travel, which is not seen (Eq. 16)."""
+            if unseen_n == 0.0:
+                return next_speed(speed)
+            work = 2.0 * (unseen_n + self.drives * speed) * (settings.travel_m or 0.0) / self.mass
+            return sqrt(next_speed(speed) ** 2 + work)
+
+        speed = _least_fixed_point(pushed_on, settings.hand_speed)
         if speed is None:
             reason = "friction, noise or errors of the model look like a hand that feeds any speed"
             return ControllerBound(controller="wsc", speed=None, reason=reason)

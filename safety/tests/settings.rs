@@ -33,6 +33,7 @@ fn table() -> Value {
         "hsc_force_threshold_n": 0.1,
         "hsc_velocity_threshold": 0.05,
         "energy_threshold_j": -0.03,
+        "wsc_force_threshold_n": 0.3,
         "energy_ratio": 0.5,
         "window": 100,
         "pc_max_damping": 10.0,
@@ -53,6 +54,7 @@ fn a_table_becomes_settings() {
         vfc_form: VelocityForceForm::Both,
         release_ramp_s: 0.1,
         hsc_velocity_threshold: 0.05,
+        wsc_force_threshold_n: 0.3,
         probe_force_n: 0.5,
         ..SafetySettings::default()
     };

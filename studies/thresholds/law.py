@@ -24,10 +24,10 @@ class ThresholdLaw(Struct, frozen=True, kw_only=True):
     """The value of the paper or the default, where it is among them."""
 
 
-ENERGIES_J = (-0.005, -0.01, -0.02, -0.03, -0.05, -0.08, -0.12)
+ENERGIES_J = (-0.005, -0.01, -0.02, -0.03, -0.05, -0.08)
 FORCES_N = (0.1, 0.3, 0.5, 1.0, 1.5, 2.0, 3.0)
-GRASPS = (1.2, 1.5, 2.0, 3.0, 5.0)
-SPEEDS = (0.1, 0.2, 0.3, 0.45, 0.6, 0.9)
+GRASPS = (1.2, 1.5, 2.0, 3.0)
+SPEEDS = (0.1, 0.2, 0.3, 0.45, 0.6)
 
 THRESHOLD_LAWS: tuple[ThresholdLaw, ...] = (
     ThresholdLaw(
@@ -35,12 +35,16 @@ THRESHOLD_LAWS: tuple[ThresholdLaw, ...] = (
         values=ENERGIES_J, default=-0.03,
     ),
     ThresholdLaw(
-        name="WSC, w 50", controller="wsc", source="ours", threshold="energy_threshold_j", unit="J",
-        values=ENERGIES_J, fixed={"window": 50}, default=-0.03,
+        name="WSC, w 25", controller="wsc", source="ours", threshold="energy_threshold_j", unit="J",
+        values=ENERGIES_J, fixed={"window": 25},
     ),
     ThresholdLaw(
-        name="WSC, w 25", controller="wsc", source="ours", threshold="energy_threshold_j", unit="J",
-        values=ENERGIES_J, fixed={"window": 25}, default=-0.03,
+        name="WSC, w 25, F_w 0.1", controller="wsc", source="ours", threshold="energy_threshold_j", unit="J",
+        values=ENERGIES_J, fixed={"window": 25, "wsc_force_threshold_n": 0.1},
+    ),
+    ThresholdLaw(
+        name="WSC, w 10, F_w 0.1", controller="wsc", source="ours", threshold="energy_threshold_j", unit="J",
+        values=ENERGIES_J, fixed={"window": 10, "wsc_force_threshold_n": 0.1},
     ),
     ThresholdLaw(
         name="HSC over F_t", controller="hsc", source="paper", threshold="hsc_force_threshold_n", unit="N",
@@ -55,16 +59,16 @@ THRESHOLD_LAWS: tuple[ThresholdLaw, ...] = (
         values=FORCES_N, fixed={"hsc_velocity_threshold": 0.05},
     ),
     ThresholdLaw(
-        name="HSC, V_s 0.1", controller="hsc", source="ours", threshold="hsc_force_threshold_n", unit="N",
-        values=FORCES_N, fixed={"hsc_velocity_threshold": 0.1},
-    ),
-    ThresholdLaw(
         name="VFC, as printed", controller="vfc", source="paper", threshold="velocity_threshold", unit="m/s",
         values=SPEEDS, default=0.6,
     ),
     ThresholdLaw(
-        name="VFC, both", controller="vfc", source="ours", threshold="velocity_threshold", unit="m/s",
+        name="VFC, both", controller="vfc", source="paper", threshold="velocity_threshold", unit="m/s",
         values=SPEEDS, fixed={"vfc_form": "both"}, default=0.6,
+    ),
+    ThresholdLaw(
+        name="VFC, both, F_t 0.3", controller="vfc", source="ours", threshold="velocity_threshold", unit="m/s",
+        values=SPEEDS, fixed={"vfc_form": "both", "vfc_force_threshold_n": 0.3},
     ),
 )  # fmt: skip
 """What is compared by default."""

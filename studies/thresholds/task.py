@@ -9,6 +9,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from haptether.bridge import (
+    LegTable,
     LinksTable,
     OperatorTable,
     RecordTable,
@@ -47,6 +48,8 @@ JITTER_OF_DELAY = 0.1
 """Standard deviation of a delay over itself, of a scene whose link has jitter."""
 HELD_SHARE = 0.5
 """Share of the largest force of a task above which a hand is let go."""
+STROKES = 3
+"""Out of contact, in again and out again: a hand that withdraws before a late force is what trips falsely."""
 STIFFER = 1.25
 """Stiffness of a hand over what it feels, at least: below 1 the loop with delay rings whoever watches."""
 
@@ -60,6 +63,8 @@ class HandBounds(Struct, frozen=True, kw_only=True):
     """B in N s/m."""
     pace: tuple[float, float] = (0.75, 1.4)
     """Duration of each stroke over that of the scene; 1 where a gripper has a course of its own."""
+    withdrawal_s: tuple[float, float] = (0.3, 1.2)
+    """Duration in s of a stroke back to the start, and of the next one in."""
     tremor_m: tuple[float, float] = (2e-5, 2e-4)
     """Amplitude of the tremor in m."""
     tremor_hz: tuple[float, float] = (8.0, 12.0)
@@ -76,16 +81,28 @@ class Task:
             raise ValueError(message)
         self.name, self.round_trip_s, self.base = name, round_trip_s, scene
         self.operator: OperatorTable = scene.operator
+        self.strokes = 0
         self.held = self._late(self._held())
         self.engaged_s = 0.0
 
     def _held(self) -> Scene:
         """It with a hand that never lets go, an intervention that ends, and nothing recorded."""
-        operator = replace(self.operator, release=None, grip_strength_n=None, tremor=TremorTable())
+        operator = replace(self.operator, release=None, grip_strength_n=None, tremor=TremorTable(), legs=self._legs())
         if operator.rotation is not None:
             operator = replace(operator, rotation=replace(operator.rotation, release=None))
         safety = replace(self.base.safety, hold_off_s=0.1, release_ramp_s=0.2)
-        return replace(self.base, operator=operator, safety=safety, record=None, security=None)
+        run = replace(self.base.run, duration_s=round(self.base.run.duration_s + self.strokes, 3))
+        return replace(self.base, operator=operator, safety=safety, run=run, record=None, security=None)
+
+    def _legs(self) -> tuple[LegTable, ...]:
+        """The path of the scene, and where it only goes in, back out and in and out again."""
+        legs = self.operator.legs
+        self.strokes = 0
+        if not legs or self.operator.trigger or legs[-1].end == self.operator.start:
+            return legs
+        self.strokes = STROKES
+        ends = (self.operator.start, legs[-1].end)
+        return legs + tuple(LegTable(duration_s=1.0, end=ends[place % 2]) for place in range(STROKES))
 
     def _late(self, scene: Scene) -> Scene:
         """It with forces that come back after the round trip."""
@@ -140,12 +157,16 @@ class Task:
         if not self.operator.trigger:
             for place, leg in enumerate(self.operator.legs):
                 rows[f"operator.legs.{place}.duration_s"] = leg.duration_s * pace
+        withdrawal_s = _log_uniform(rng, bounds.withdrawal_s, count)
+        for stroke in range(self.strokes):
+            rows[f"operator.legs.{len(self.operator.legs) + stroke}.duration_s"] = withdrawal_s
         return rows
 
     def lasting(self, bounds: HandBounds) -> Scene:
         """The held task, as long as its slowest hand needs."""
         slowest = 1.0 if self.operator.trigger or not self.operator.legs else bounds.pace[1]
-        duration_s = round(self.base.run.duration_s * slowest + 2.0 * self.round_trip_s, 3)
+        longest_s = self.base.run.duration_s * slowest + self.strokes * bounds.withdrawal_s[1]
+        duration_s = round(longest_s + 2.0 * self.round_trip_s, 3)
         return replace(self.held, run=replace(self.held.run, duration_s=duration_s))
 
     def release_times(self, count: int) -> tuple[float, ...]:
