@@ -3,7 +3,7 @@
 from haptether.studies.thresholds.figure import draw_trade_off
 from haptether.studies.thresholds.law import THRESHOLD_LAWS, ThresholdLaw
 from haptether.studies.thresholds.task import THRESHOLD_TASKS, HandBounds
-from haptether.studies.thresholds.trade_off import TradeOff, TradeOffRow, measure_thresholds
+from haptether.studies.thresholds.trade_off import TradeOff, TradeOffPoint, TradeOffRow, measure_thresholds
 
 __all__ = [
     "THRESHOLD_LAWS",
@@ -11,6 +11,7 @@ __all__ = [
     "HandBounds",
     "ThresholdLaw",
     "TradeOff",
+    "TradeOffPoint",
     "TradeOffRow",
     "draw_trade_off",
     "measure_thresholds",

@@ -59,8 +59,8 @@ def _panel(panel: "Axes", found: TradeOff, laws: list[ThresholdLaw], trips: list
             colour = "#999999"
         for line, round_trip_s in zip(LINES, trips, strict=False):
             points = [found.over(law.name, value, round_trip_s=round_trip_s) for value in law.values]
-            rates = [point.per_hour()[0] for point in points]
-            missed = [100.0 * point.missed_share()[0] for point in points]
+            rates = [point.per_hour for point in points]
+            missed = [100.0 * point.missed_share for point in points]
             (drawn,) = panel.plot(rates, missed, line, color=colour, marker=".", ms=3.0,
                                   label=f"{law.name}, {round_trip_s * 1e3:g} ms")  # fmt: skip
             handles.append(drawn)

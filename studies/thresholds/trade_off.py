@@ -1,13 +1,11 @@
 """The trade-off of a threshold: how often it trips while a hand holds, and how often it misses one that lets go."""
 
-import json
 from collections.abc import Callable, Iterable, Sequence
-from math import sqrt
-from pathlib import Path
+from math import exp, lgamma, log, sqrt
 
 import numpy as np
 import numpy.typing as npt
-from msgspec import Struct, to_builtins
+from msgspec import Struct
 
 from haptether.bridge import Scene, sweep
 from haptether.studies.thresholds.law import THRESHOLD_LAWS, ThresholdLaw
@@ -47,6 +45,21 @@ class TradeOffRow(Struct, frozen=True, kw_only=True):
     """Median of the largest speed in m/s after these releases; none without any."""
 
 
+class TradeOffPoint(Struct, frozen=True, kw_only=True):
+    """One law with one threshold at one round trip, over all tasks, with 95 % intervals."""
+
+    law: str
+    threshold: float
+    round_trip_s: float
+    false_trips_per_h: float
+    false_trips_per_h_interval: tuple[float, float]
+    """Exact, of a Poisson count (Garwood 1936)."""
+    missed_share: float | None
+    """None where there was nothing to miss."""
+    missed_share_interval: tuple[float, float] | None
+    """Of Wilson 1927."""
+
+
 class TradeOff(Struct, frozen=True, kw_only=True):
     """Rows of all laws, thresholds, tasks and round trips."""
 
@@ -78,9 +91,27 @@ class TradeOff(Struct, frozen=True, kw_only=True):
             missed=sum(row.missed for row in rows),
         )
 
-    def save(self, path: Path) -> None:
-        """Writes all as JSON."""
-        path.write_text(json.dumps(to_builtins(self), indent=1) + "\n", encoding="utf-8")
+    def points(self) -> tuple[TradeOffPoint, ...]:
+        """Each law and threshold at each round trip, over all tasks."""
+        points = []
+        for law in self.laws:
+            for threshold in law.values:
+                for round_trip_s in self.round_trips_s:
+                    counts = self.over(law.name, threshold, round_trip_s=round_trip_s)
+                    low, high = poisson_interval(counts.false_trips)
+                    has_any = counts.releases > 0
+                    points.append(
+                        TradeOffPoint(
+                            law=law.name,
+                            threshold=threshold,
+                            round_trip_s=round_trip_s,
+                            false_trips_per_h=counts.per_hour,
+                            false_trips_per_h_interval=(low / counts.hours, high / counts.hours),
+                            missed_share=counts.missed_share if has_any else None,
+                            missed_share_interval=wilson_interval(counts.missed, counts.releases) if has_any else None,
+                        )
+                    )
+        return tuple(points)
 
 
 class Counts(Struct, frozen=True, kw_only=True):
@@ -91,40 +122,44 @@ class Counts(Struct, frozen=True, kw_only=True):
     releases: int
     missed: int
 
-    def per_hour(self) -> tuple[float, float, float]:
-        """False trips per hour, and the 95 % interval of that."""
-        low, high = poisson_interval(self.false_trips)
-        hours = self.hours or float("nan")
-        return self.false_trips / hours, low / hours, high / hours
+    @property
+    def per_hour(self) -> float:
+        """False trips per hour; NaN where nobody held."""
+        return self.false_trips / (self.hours or float("nan"))
 
-    def missed_share(self) -> tuple[float, float, float]:
-        """Share of releases that were missed, and the 95 % interval of that."""
-        return wilson_interval(self.missed, self.releases)
+    @property
+    def missed_share(self) -> float:
+        """Share of releases that were missed; NaN without any."""
+        return self.missed / self.releases if self.releases else float("nan")
 
 
 def poisson_interval(count: int) -> tuple[float, float]:
-    """95 % interval of the mean of a Poisson count, by Byar's approximation.
+    """Exact 95 % interval of the mean of a Poisson count: at either end 2.5 % lie beyond the count.
 
-    `n (1 - 1/(9 n) - z / (3 sqrt n))³` and the same of n + 1 with + z.
-
-    Source: Breslow and Day 1987, Eq. 2.13.
+    Source: Garwood 1936.
     """
-    low = 0.0 if count == 0 else count * (1.0 - 1.0 / (9.0 * count) - Z95 / (3.0 * sqrt(count))) ** 3
-    more = count + 1
-    return low, more * (1.0 - 1.0 / (9.0 * more) + Z95 / (3.0 * sqrt(more))) ** 3
+
+    def mean_where(most: int, share: float) -> float:
+        """The mean at which so large a share of counts is at most `most`."""
+        low, high = 0.0, most + 20.0 + 10.0 * sqrt(most + 1.0)
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            below = sum(exp(n * log(middle) - middle - lgamma(n + 1.0)) for n in range(most + 1))
+            low, high = (middle, high) if below > share else (low, middle)
+        return 0.5 * (low + high)
+
+    return 0.0 if count == 0 else mean_where(count - 1, 0.975), mean_where(count, 0.025)
 
 
-def wilson_interval(count: int, of: int) -> tuple[float, float, float]:
-    """A share and its 95 % interval; NaN of nothing.
+def wilson_interval(count: int, of: int) -> tuple[float, float]:
+    """95 % interval of a share of at least one.
 
     Source: Wilson 1927.
     """
-    if of == 0:
-        return (float("nan"),) * 3
     share, z2 = count / of, Z95**2 / of
     middle = (share + 0.5 * z2) / (1.0 + z2)
     half = Z95 * sqrt(share * (1.0 - share) / of + 0.25 * z2 / of) / (1.0 + z2)
-    return share, max(0.0, middle - half), min(1.0, middle + half)
+    return max(0.0, middle - half), min(1.0, middle + half)
 
 
 def measure_thresholds(

@@ -47,7 +47,7 @@ class Thresholds(PictureOptions):
     threads: int | None = None
     """Threads to run in; as many as there are processors if not given."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Write a row for each law, threshold, task and round trip as JSON; - for standard output."""
+    """Write rates with 95 % intervals, and counts of each task, as JSON; - for standard output."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
     """Draw missed releases over false trips as .png, .pdf or .svg."""
 
@@ -84,7 +84,9 @@ class Thresholds(PictureOptions):
             )
         console = screen(self.json)
         self._print(console, found)
-        write_report(self.json, found)
+        if self.json is not None:
+            points = {"laws": found.laws, "points": found.points(), "rows": found.rows}
+            write_report(self.json, {"seed": found.seed, "hands": found.hands, "tasks": found.tasks, **points})
         if picture is not None:
             write_figure(draw_trade_off(found, self.columns), picture)
             console.print(f"picture: {picture}")
@@ -101,9 +103,8 @@ class Thresholds(PictureOptions):
                 cells = []
                 for round_trip_s in trips:
                     counts = found.over(law.name, value, round_trip_s=round_trip_s)
-                    share = counts.missed_share()[0]
-                    missed = "-" if counts.releases == 0 else f"{100.0 * share:.0f} %"
-                    cells.append(f"{counts.per_hour()[0]:.0f} {missed}")
+                    missed = "-" if counts.releases == 0 else f"{100.0 * counts.missed_share:.0f} %"
+                    cells.append(f"{counts.per_hour:.0f} {missed}")
                 mark = "*" if value == law.default else ""
                 table.add(law.name, f"{mark}{value:g} {law.unit}", *cells)
         console.print(table)
