@@ -456,7 +456,8 @@ class _Model:
         for each in push:
             gained.append(max(gained[-1] + each * settings.period_s / self.mass, min(gained[-1], passes) + a_tick))
         # V may be below V_s + e at any later tick as well.
-        return np.maximum(np.array(gained), passes + a_tick)
+        reached: Array = np.maximum(np.array(gained), passes + a_tick)
+        return reached
 
     def _unseen(self, speed: float) -> tuple[Array, Array]:
         """Largest push in N at each tick after the release that HSC does not trip at, the last for ever (Eq. 12, 13).

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from haptether.studies.thresholds.law import ThresholdLaw
 from haptether.studies.thresholds.trade_off import TradeOff
-from haptether.view.style.colours import CONTROLLERS, PAPER
+from haptether.view.style.colours import CONTROLLERS, PAPER, THRESHOLD
 from haptether.view.style.figure import Columns, letter, new_figure, styled
 from haptether.view.style.legend import legend_below
 
@@ -44,6 +44,9 @@ def draw_trade_off(found: TradeOff, columns: Columns = 2) -> "Figure":
             panel.set_title(controller.upper())
             panel.set_xlabel("false trips per hour held")
             panel.set_ylabel("releases missed [%]")
+        for line, place in zip(LINES, shown, strict=False):
+            label = f"round trip {trips[place] * 1e3:g} ms"
+            handles += panels[0].plot([], [], line, color=THRESHOLD, label=label)
         legend_below(figure, handles)
         letter(panels)
     return figure
@@ -61,14 +64,15 @@ def _panel(panel: "Axes", found: TradeOff, laws: list[ThresholdLaw], trips: list
             points = [found.over(law.name, value, round_trip_s=round_trip_s) for value in law.values]
             rates = [point.per_hour for point in points]
             missed = [100.0 * point.missed_share for point in points]
-            (drawn,) = panel.plot(rates, missed, line, color=colour, marker=".", ms=3.0,
-                                  label=f"{law.name}, {round_trip_s * 1e3:g} ms")  # fmt: skip
-            handles.append(drawn)
+            (drawn,) = panel.plot(rates, missed, line, color=colour, marker=".", ms=4.0, clip_on=False,
+                                  label=law.name)  # fmt: skip
+            if line == LINES[0]:
+                handles.append(drawn)
             if law.default in law.values:
                 place = law.values.index(law.default)
                 panel.plot(rates[place], missed[place], "o", color=colour, mfc="none", ms=6.0)
     panel.set_xscale("symlog", linthresh=1.0 / max(1e-9, _hours(found, laws)))
-    panel.set_xlim(left=0.0)
+    panel.set_xlim(left=0.0, right=3e3)
     panel.set_ylim(-3.0, 103.0)
     return handles
 
