@@ -593,7 +593,9 @@ class SafetySettings:
         grasp_threshold: zeta, above 1 (Eq. 8).
         grasp_floor_n: alpha in N, above 0 (Eq. 5).
         hsc_force_threshold_n: F_t in N, 0 or more (Eq. 14).
+        hsc_velocity_threshold: V_s in m/s, 0 or more: HSC trips only while `V·F_v / |F_v| > V_s`; 0 is Eq. 14 as printed.
         energy_threshold_j: delta in J, below 0, by default -0.03 (Eq. 10).
+        wsc_force_threshold_n: F_w in N, 0 or more: WSC trips only while `F_v·V / |V| > F_w`; 0 is Eq. 13 as printed.
         energy_ratio: eta, above 0 and at most 1 (Eq. 9).
         window: w in ticks, 1 to 3600000 (Eq. 11).
         pc_max_damping: Bound in N s/m on the damping of Eq. 12, between 0 and m / (5 dT).
@@ -624,7 +626,9 @@ class SafetySettings:
         grasp_threshold: float = 1.5,
         grasp_floor_n: float = 1e-3,
         hsc_force_threshold_n: float = 0.1,
+        hsc_velocity_threshold: float = 0.0,
         energy_threshold_j: float = ...,
+        wsc_force_threshold_n: float = 0.0,
         energy_ratio: float = 0.5,
         window: int = 100,
         pc_max_damping: float = 10.0,

@@ -46,6 +46,8 @@ class EjectionSettings(Struct, frozen=True, kw_only=True):
     """Resolution of the force in N; 0 is exact."""
     energy_threshold_j: float = -0.03
     """delta in J, of WSC."""
+    wsc_force_threshold_n: float = 0.0
+    """F_w in N, of WSC; 0 is as printed."""
     energy_ratio: float = 0.5
     """eta, of WSC."""
     window: int = 100
@@ -56,6 +58,8 @@ class EjectionSettings(Struct, frozen=True, kw_only=True):
     """alpha in N, of HSC."""
     hsc_force_threshold_n: float = 0.1
     """F_t in N, of HSC."""
+    hsc_velocity_threshold: float = 0.0
+    """V_s in m/s, of HSC; 0 is as printed."""
     release_ramp_s: float = 0.0
     """Time in s over which an intervention fades out."""
     damping: float = 5.0
@@ -221,6 +225,8 @@ def _assumptions(settings: EjectionSettings) -> tuple[str, ...]:
     )
     late = "no tick is late" if settings.late_s == 0.0 else f"a tick is late by at most {settings.late_s * 1e3:g} ms"
     steady = "of hsc alone: from the release on the push neither grows nor turns"
+    line = "of wsc alone: the push stays on one line"
+    line_counts = "wsc" in settings.controllers and settings.wsc_force_threshold_n > 0.0 and len(settings.mass_kg) > 1
     mass = f"the mass is known to {settings.mass_error * 100:g} %" if settings.mass_error else "the mass is as told"
     measured = ["V is measured without lag or noise"] if settings.estimator is None else []
     return (
@@ -230,6 +236,7 @@ def _assumptions(settings: EjectionSettings) -> tuple[str, ...]:
         "no mechanical stop is met",
         *measured,
         *([steady] if "hsc" in settings.controllers else []),
+        *([line] if line_counts else []),
     )
 
 
@@ -369,7 +376,19 @@ class _Model:
             passes[-1] = threshold[-1] + self.lag(speed)
             return float(max(settings.hand_speed, passes.max())) + a * (settings.period_s + self.late_s)
 
-        speed = _least_fixed_point(next_speed, settings.hand_speed)
+        unseen_n = settings.wsc_force_threshold_n
+        if unseen_n > 0.0 and settings.travel_m is None:
+            reason = "wsc does not see a push of less than F_w, and without mechanical stops nothing ends it"
+            return ControllerBound(controller="wsc", speed=None, reason=reason)
+
+        def pushed_on(speed: float) -> float:
+            """With a push of F_w over the travel, which is not seen (Eq. 16)."""
+            if unseen_n == 0.0:
+                return next_speed(speed)
+            work = 2.0 * (unseen_n + self.drives * speed) * (settings.travel_m or 0.0) / self.mass
+            return sqrt(next_speed(speed) ** 2 + work)
+
+        speed = _least_fixed_point(pushed_on, settings.hand_speed)
         if speed is None:
             reason = "friction, noise or errors of the model look like a hand that feeds any speed"
             return ControllerBound(controller="wsc", speed=None, reason=reason)
@@ -406,7 +425,7 @@ class _Model:
         def next_speed(speed: float) -> float:
             push, limit = self._unseen(speed)
             a_tick = self.acceleration(speed) * (settings.period_s + self.late_s)
-            gained = settings.hand_speed + np.concatenate(([0.0], np.cumsum(push) * settings.period_s / self.mass))
+            gained = self._gained(push, speed)
 
             def over_travel(force: Array) -> Array:
                 # From each tick on, the largest of the forces to come works over the whole travel.
@@ -423,6 +442,26 @@ class _Model:
             return ControllerBound(controller="hsc", speed=None, reason=reason)
         terms = replace(self._terms(speed), unseen_force_n=float(min(each[-1] for each in self._unseen(speed))))
         return ControllerBound(controller="hsc", speed=speed, reason=None, terms=terms)
+
+    def _gained(self, push: Array, speed: float) -> Array:
+        """Largest speed in m/s at each tick after the release, by the impulses of what HSC lets pass: V_H of Eq. 12.
+
+        A tick that does not trip has a push of at most `push`, or a V^ of at most V_s: V is then below V_s + e, and the
+        whole cap may act over the tick (Eq. 15).
+        """
+        settings = self.settings
+        slowest = settings.hsc_velocity_threshold
+        if slowest == 0.0:
+            added = np.cumsum(push) * settings.period_s / self.mass
+            return settings.hand_speed + np.concatenate(([0.0], added))
+        passes = slowest + self.lag(speed)
+        a_tick = self.acceleration(speed) * (settings.period_s + self.late_s)
+        gained = [settings.hand_speed]
+        for each in push:
+            gained.append(max(gained[-1] + each * settings.period_s / self.mass, min(gained[-1], passes) + a_tick))
+        # V may be below V_s + e at any later tick as well.
+        reached: Array = np.maximum(np.array(gained), passes + a_tick)
+        return reached
 
     def _unseen(self, speed: float) -> tuple[Array, Array]:
         """Largest push in N at each tick after the release that HSC does not trip at, the last for ever (Eq. 12, 13).

@@ -122,7 +122,11 @@ fn safety((on, both, window): Shared, numbers: &Numbers) -> SafetySettings {
         grasp_threshold,
         grasp_floor_n,
         hsc_force_threshold_n: hsc_force,
+        // Some lanes without.
+        hsc_velocity_threshold: (velocity_threshold - 0.6).max(0.0),
         energy_threshold_j,
+        // Some lanes without.
+        wsc_force_threshold_n: (vfc_force_threshold_n - 1.0).max(0.0),
         energy_ratio,
         window,
         pc_max_damping,
@@ -256,14 +260,25 @@ fn controllers_agree<const N: usize, L: Real>(
         VelocityForceController::<N>::new(observer)
     };
     let hsc = |of: &Numbers| {
-        let SafetySettings { grasp_floor_n, grasp_threshold, hsc_force_threshold_n, .. } = settings(of);
+        let SafetySettings {
+            grasp_floor_n,
+            grasp_threshold,
+            hsc_force_threshold_n,
+            hsc_velocity_threshold,
+            ..
+        } = settings(of);
         let observer = HandGraspObserver::new(grasp_floor_n).unwrap();
-        HandGraspController::<N>::new(observer, grasp_threshold, hsc_force_threshold_n).unwrap()
+        HandGraspController::<N>::new(observer, grasp_threshold, hsc_force_threshold_n)
+            .and_then(|hsc| hsc.with_velocity_threshold(hsc_velocity_threshold))
+            .unwrap()
     };
     let wsc = |of: &Numbers| {
-        let SafetySettings { energy_ratio, window, energy_threshold_j, .. } = settings(of);
+        let SafetySettings { energy_ratio, window, energy_threshold_j, wsc_force_threshold_n, .. } =
+            settings(of);
         let observer = WindowedSafetyObserver::<N>::new(device(of), PERIOD_S, energy_ratio, window).unwrap();
-        WindowedSafetyController::new(observer, energy_threshold_j).unwrap()
+        WindowedSafetyController::new(observer, energy_threshold_j)
+            .and_then(|wsc| wsc.with_force_threshold(wsc_force_threshold_n))
+            .unwrap()
     };
     let pc = |of: &Numbers| {
         let SafetySettings { energy_ratio, pc_max_damping, .. } = settings(of);

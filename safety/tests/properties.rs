@@ -77,6 +77,9 @@ fn controllers() -> impl Strategy<Value = SafetySettings> {
         window: 20,
         hold_off_s: hold,
         release_ramp_s: ramp,
+        // Some without.
+        hsc_velocity_threshold: 10.0 * (hold - 0.01).max(0.0),
+        wsc_force_threshold_n: 50.0 * (ramp - 0.01).max(0.0),
         ..SafetySettings::default()
     })
 }
@@ -125,11 +128,14 @@ fn is_close<const N: usize>(
     step: &Intervention<N>,
     settings: &SafetySettings,
 ) -> bool {
+    let along = seen.velocity.dot(&seen.rendered_force);
     [
         (step.observed[ControllerKind::Vfc], 1.0),
         (step.observed[ControllerKind::Hsc], settings.grasp_threshold),
         (step.observed[ControllerKind::Wsc], settings.energy_threshold_j),
         (seen.rendered_force.norm(), settings.hsc_force_threshold_n),
+        (along / seen.rendered_force.norm(), settings.hsc_velocity_threshold),
+        (along / seen.velocity.norm(), settings.wsc_force_threshold_n),
     ]
     .iter()
     .any(|(value, threshold)| (value - threshold).abs() < 1e-9)
@@ -217,7 +223,9 @@ proptest! {
             vfc_force_threshold_n: settings.vfc_force_threshold_n * s,
             grasp_floor_n: settings.grasp_floor_n * s,
             hsc_force_threshold_n: settings.hsc_force_threshold_n * s,
+            hsc_velocity_threshold: settings.hsc_velocity_threshold * s,
             energy_threshold_j: settings.energy_threshold_j * s * s,
+            wsc_force_threshold_n: settings.wsc_force_threshold_n * s,
             ..settings
         };
         let scaled_kind = match KINDS[kind] {

@@ -31,7 +31,9 @@ fn table() -> Value {
         "grasp_threshold": 1.5,
         "grasp_floor_n": 1e-3,
         "hsc_force_threshold_n": 0.1,
+        "hsc_velocity_threshold": 0.05,
         "energy_threshold_j": -0.03,
+        "wsc_force_threshold_n": 0.3,
         "energy_ratio": 0.5,
         "window": 100,
         "pc_max_damping": 10.0,
@@ -52,6 +54,8 @@ fn a_table_becomes_settings() {
         controllers: [ControllerKind::Hsc, ControllerKind::Pc].into(),
         vfc_form: VelocityForceForm::Both,
         release_ramp_s: 0.1,
+        hsc_velocity_threshold: 0.05,
+        wsc_force_threshold_n: 0.3,
         probe_force_n: 0.5,
         ..SafetySettings::default()
     };

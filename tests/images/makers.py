@@ -59,6 +59,10 @@ MAKERS: Mapping[str, Maker] = {
     "sweep_delay.png": haptether(
         "sweep", "remote_push", "--vary", "link.forward.delay_s=0.01:0.1:10", "--vary", "run.seed=1,2,3,4,5", "--plot"
     ),
+    "thresholds.png": haptether(
+        "thresholds", "free_motion", "paper_wall", "active_force", "moving_wall", "sliding_mass", "remote_push",
+        "--round-trip-s", "0", "0.1", "0.3", "--hands", "6", "--plot",
+    ),
     "view_push.gif": haptether(
         "view", "remote_push", "--compare", "safety.controllers=[]", "--title", "with WSC",
         "--title", "without a controller", "--from-s", "2.5", "--until-s", "3.1", "--speed", "0.2", "--fps", "12",

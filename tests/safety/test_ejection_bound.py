@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 import ejection_bound as bench
-from haptether.bridge import Scene, load_scene, override_scene, simulate
+from haptether.bridge import Scene, load_scene, override_scene, simulate, sweep
 from haptether.safety import EjectionSettings, EstimatorKind, ejection_bound
 from haptether.safety.ejection.kernel import best_push, exact, kernel
 
@@ -130,6 +131,74 @@ def test_hsc_has_the_closed_form_of_a_push_that_is_never_seen() -> None:
     )
     expected = sqrt((2 * a * 1e-3) ** 2 + 2 * 1.0 * travel_m / 0.157)
     assert ejection_bound(settings).speed == pytest.approx(expected, rel=1e-6)
+
+
+def test_hsc_with_a_velocity_threshold_begins_above_it() -> None:
+    """V measured, no lag: below V_s the cap acts for a tick, then in the tick of the trip, then F_t over the travel."""
+    a, travel_m, slowest = 7.9 / 0.157, 0.16, 0.2
+    settings = EjectionSettings(
+        controllers=("hsc",), mass_kg=(0.157,), estimator=None, travel_m=travel_m, hsc_force_threshold_n=1.0
+    )
+    gated = replace(settings, hsc_velocity_threshold=slowest)
+    expected = sqrt((slowest + 2 * a * 1e-3) ** 2 + 2 * 1.0 * travel_m / 0.157)
+    assert ejection_bound(gated).speed == pytest.approx(expected, rel=1e-6)
+    printed = ejection_bound(settings).speed
+    barely = ejection_bound(replace(settings, hsc_velocity_threshold=1e-9)).speed
+    assert printed is not None
+    assert barely is not None
+    assert printed <= barely <= printed + a * 1e-3
+
+
+@pytest.mark.parametrize("slowest", [0.02, 0.1, 0.3])
+@pytest.mark.parametrize("measured", [True, False])
+def test_no_random_release_exceeds_the_bound_of_hsc_with_a_velocity_threshold(slowest: float, measured: bool) -> None:
+    """450 releases of A8, each device with stops."""
+    worst = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        drawn = bench.random_scene(rng, ("hsc",), measured=measured)
+        scene = override_scene(drawn, [f"safety.hsc_velocity_threshold={slowest}"])
+        bound, printed = ejection_bound(scene).speed, ejection_bound(drawn).speed
+        assert bound is not None
+        assert printed is not None
+        assert bound >= printed
+        seen = sweep(scene, samples=bench.random_pushes(rng, scene, 25), threads=1)
+        worst.append(float(np.max(seen["max_ejection_velocity"])) / bound)
+    assert max(worst) <= 1.0
+    # They are no random walk far below it.
+    assert max(worst) > 0.4
+
+
+def test_wsc_with_a_force_threshold_lets_that_work_over_the_travel() -> None:
+    """V measured: as printed, and `2 F_w X / m` beside it."""
+    printed, travel_m = speed_of(estimator=None), 0.16
+    gated = speed_of(estimator=None, wsc_force_threshold_n=0.3, travel_m=travel_m)
+    assert gated == pytest.approx(sqrt(printed**2 + 2 * 0.3 * travel_m / 0.157), rel=1e-6)
+    without_stops = EjectionSettings(**{**IDEAL, "wsc_force_threshold_n": 0.3})
+    assert ejection_bound(without_stops).speed is None
+    assert "without mechanical stops" in (ejection_bound(without_stops).reason or "")
+    three = EjectionSettings(**{**IDEAL, "wsc_force_threshold_n": 0.3, "travel_m": 0.16, "mass_kg": (0.157,) * 3})
+    assert any("one line" in text for text in ejection_bound(three).assumptions)
+
+
+@pytest.mark.parametrize("unseen_n", [0.1, 0.5])
+@pytest.mark.parametrize("measured", [True, False])
+def test_no_random_release_exceeds_the_bound_of_wsc_with_a_force_threshold(unseen_n: float, measured: bool) -> None:
+    """400 releases against any push within the cap, each device with stops."""
+    worst = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        drawn = override_scene(bench.random_scene(rng, ("wsc",), measured=measured), ["master.stops=[-0.02,0.14]"])
+        scene = override_scene(drawn, [f"safety.wsc_force_threshold_n={unseen_n}"])
+        bound, printed = ejection_bound(scene).speed, ejection_bound(drawn).speed
+        assert bound is not None
+        assert printed is not None
+        assert bound > printed
+        seen = sweep(scene, samples=bench.random_pushes(rng, scene, 25), threads=1)
+        worst.append(float(np.max(seen["max_ejection_velocity"])) / bound)
+    assert max(worst) <= 1.0
+    # They are no random walk far below it.
+    assert max(worst) > 0.4
 
 
 def test_axes_that_are_alike_have_the_bound_of_one() -> None:

@@ -42,6 +42,8 @@ SAFETY: Raw = {
     "grasp_threshold": 1.5,
     "grasp_floor_n": 1e-3,
     "hsc_force_threshold_n": 0.1,
+    "hsc_velocity_threshold": 0.05,
+    "wsc_force_threshold_n": 0.1,
     "energy_threshold_j": -0.01,
     "energy_ratio": 0.5,
     "window": 10,

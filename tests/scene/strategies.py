@@ -252,6 +252,8 @@ def safeties(draw: st.DrawFn, period_s: float, has_arm: bool) -> Raw:
         "grasp_threshold": real(1.01, 5.0),
         "grasp_floor_n": real(1e-4, 1.0),
         "hsc_force_threshold_n": real(0.0, 2.0),
+        "hsc_velocity_threshold": real(0.0, 0.5),
+        "wsc_force_threshold_n": real(0.0, 1.0),
         "energy_threshold_j": real(-0.1, -1e-4),
         "energy_ratio": real(0.01, 1.0),
         "window": st.integers(1, 400),

@@ -358,8 +358,12 @@ class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """alpha in N, of HSC."""
     hsc_force_threshold_n: NonNegative = 0.1
     """F_t in N, of HSC."""
+    hsc_velocity_threshold: NonNegative = 0.0
+    """V_s in m/s, of HSC: a push trips only while the device moves along it faster than that; 0 is as printed."""
     energy_threshold_j: Annotated[float, Meta(ge=-LARGEST, lt=0.0)] = -0.03
     """delta in J, below 0, of WSC."""
+    wsc_force_threshold_n: NonNegative = 0.0
+    """F_w in N, of WSC: a motion trips only while the push along it exceeds that; 0 is as printed."""
     energy_ratio: Ratio = 0.5
     """eta, above 0 and at most 1."""
     window: Annotated[int, Meta(ge=1, le=3_600_000)] = 100

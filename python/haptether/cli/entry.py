@@ -34,6 +34,7 @@ COMMANDS = CommandTable(
         "simulate": "scene.simulate:Simulate",
         "sweep": "scene.sweep:Sweep",
         "falsify": "scene.falsify:Falsify",
+        "thresholds": "scene.thresholds:Thresholds",
         "console": "view.console:Console",
         "view": "view.view:View",
         "master": "live.master:Master",

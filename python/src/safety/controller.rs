@@ -26,9 +26,9 @@ impl PySafetySettings {
     #[new]
     #[pyo3(signature = (controllers=Vec::new(), *, damping=5.0, velocity_threshold=0.6,
         vfc_force_threshold_n=1.0, vfc_form="product", grasp_threshold=1.5, grasp_floor_n=1e-3,
-        hsc_force_threshold_n=0.1, energy_threshold_j=-0.03, energy_ratio=0.5, window=100,
-        pc_max_damping=10.0, hold_off_s=0.0, release_ramp_s=0.0, probe_force_n=0.0, probe_threshold=0.2,
-        release_tries=0))]
+        hsc_force_threshold_n=0.1, hsc_velocity_threshold=0.0, energy_threshold_j=-0.03, wsc_force_threshold_n=0.0,
+        energy_ratio=0.5, window=100, pc_max_damping=10.0, hold_off_s=0.0, release_ramp_s=0.0, probe_force_n=0.0,
+        probe_threshold=0.2, release_tries=0))]
     fn new(
         controllers: Vec<String>,
         damping: f64,
@@ -38,7 +38,9 @@ impl PySafetySettings {
         grasp_threshold: f64,
         grasp_floor_n: f64,
         hsc_force_threshold_n: f64,
+        hsc_velocity_threshold: f64,
         energy_threshold_j: f64,
+        wsc_force_threshold_n: f64,
         energy_ratio: f64,
         window: usize,
         pc_max_damping: f64,
@@ -57,7 +59,9 @@ impl PySafetySettings {
             grasp_threshold,
             grasp_floor_n,
             hsc_force_threshold_n,
+            hsc_velocity_threshold,
             energy_threshold_j,
+            wsc_force_threshold_n,
             energy_ratio,
             window,
             pc_max_damping,

@@ -35,8 +35,12 @@ pub struct SafetySettings {
     pub grasp_floor_n: f64,
     /// `F_t` in N, of Eq. 14.
     pub hsc_force_threshold_n: f64,
+    /// `V_s` in m/s: speed along `F_v` up to which HSC lets a push pass; 0 is Eq. 14 as printed.
+    pub hsc_velocity_threshold: f64,
     /// delta in J, of Eq. 10.
     pub energy_threshold_j: f64,
+    /// `F_w` in N: push along the motion up to which WSC lets a motion pass; 0 is Eq. 13 as printed.
+    pub wsc_force_threshold_n: f64,
     /// eta, of Eq. 9.
     pub energy_ratio: f64,
     /// w in ticks, of Eq. 11.
@@ -67,6 +71,8 @@ impl SafetySettings {
             vfc_force_threshold_n: self.vfc_force_threshold_n * lever_m,
             grasp_floor_n: self.grasp_floor_n * lever_m,
             hsc_force_threshold_n: self.hsc_force_threshold_n * lever_m,
+            hsc_velocity_threshold: self.hsc_velocity_threshold / lever_m,
+            wsc_force_threshold_n: self.wsc_force_threshold_n * lever_m,
             pc_max_damping: self.pc_max_damping * lever_m * lever_m,
             probe_force_n: self.probe_force_n * lever_m,
             ..self
@@ -83,6 +89,8 @@ impl SafetySettings {
             vfc_force_threshold_n: self.vfc_force_threshold_n * force,
             grasp_floor_n: self.grasp_floor_n * force,
             hsc_force_threshold_n: self.hsc_force_threshold_n * force,
+            hsc_velocity_threshold: self.hsc_velocity_threshold * way,
+            wsc_force_threshold_n: self.wsc_force_threshold_n * force,
             energy_threshold_j: self.energy_threshold_j * force * way,
             pc_max_damping: self.pc_max_damping * force / way,
             probe_force_n: self.probe_force_n * force,
@@ -103,7 +111,9 @@ impl Default for SafetySettings {
             grasp_threshold: 1.5,
             grasp_floor_n: 1e-3,
             hsc_force_threshold_n: 0.1,
+            hsc_velocity_threshold: 0.0,
             energy_threshold_j: -0.03,
+            wsc_force_threshold_n: 0.0,
             energy_ratio: 0.5,
             window: 100,
             pc_max_damping: 10.0,
@@ -496,6 +506,8 @@ mod tests {
         let settings = SafetySettings {
             controllers: ControllerKind::ALL.into(),
             energy_threshold_j: -1e-3,
+            hsc_velocity_threshold: 0.25,
+            wsc_force_threshold_n: 0.5,
             window: 20,
             hold_off_s: 0.01,
             release_ramp_s: 0.02,

@@ -8,14 +8,20 @@ use crate::{
     parameter::{in_range, non_negative},
 };
 
-/// HSC: unsafe while `S_h > zeta` and `|F_v| > F_t`.
+/// HSC: unsafe while `S_h > zeta` and `|F_v| > F_t`, and with a velocity threshold `V·F_v / |F_v| > V_s`.
 ///
-/// Source: paper Eq. 14 with the criterion of Eq. 8.
+/// A push ejects a device only by doing work on it. While a hand takes up a load it moves into the push, or yields slowly,
+/// and the force of the device's inertia is a part of `F_v` that no hand holds: `S_h` is above zeta, and nothing is
+/// thrown. `V_s` lets that pass; a device that was let go passes `V_s` after `m V_s / |F_v|`.
+///
+/// Source: paper Eq. 14 with the criterion of Eq. 8; `V_s`, `docs/thresholds.md`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HandGraspController<const N: usize, S = f64> {
     observer: HandGraspObserver<S>,
     grasp_threshold: S,
     force_threshold_n: S,
+    /// `V_s`; 0 without.
+    velocity_threshold: S,
 }
 
 impl<const N: usize> HandGraspController<N> {
@@ -36,7 +42,14 @@ impl<const N: usize> HandGraspController<N> {
                 "finite and above 1",
             )?,
             force_threshold_n: non_negative("force_threshold_n", "F_t", force_threshold_n)?,
+            velocity_threshold: 0.0,
         })
+    }
+
+    /// The same with a velocity threshold `V_s` in m/s (>= 0); 0 is Eq. 14 as printed.
+    pub fn with_velocity_threshold(self, velocity_threshold: f64) -> Result<Self, ParameterError> {
+        let velocity_threshold = non_negative("velocity_threshold", "V_s", velocity_threshold)?;
+        Ok(Self { velocity_threshold, ..self })
     }
 }
 
@@ -56,7 +69,9 @@ impl<const N: usize, S: Real> Controller<N, S> for HandGraspController<N, S> {
     ) -> Result<Self::One, ParameterError> {
         let observer = HandGraspObserver::new(settings.grasp_floor_n)?;
         HandGraspController::new(observer, settings.grasp_threshold, settings.hsc_force_threshold_n)
-            .map_err(|error| error.of_field("force_threshold_n", "hsc_force_threshold_n"))
+            .map_err(|error| error.of_field("force_threshold_n", "hsc_force_threshold_n"))?
+            .with_velocity_threshold(settings.hsc_velocity_threshold)
+            .map_err(|error| error.of_field("velocity_threshold", "hsc_velocity_threshold"))
     }
 
     fn gather(of: &[Self::One]) -> Option<Self> {
@@ -64,6 +79,7 @@ impl<const N: usize, S: Real> Controller<N, S> for HandGraspController<N, S> {
             observer: part(of, |one| one.observer, HandGraspObserver::gather)?,
             grasp_threshold: pack(of, |one| one.grasp_threshold)?,
             force_threshold_n: pack(of, |one| one.force_threshold_n)?,
+            velocity_threshold: pack(of, |one| one.velocity_threshold)?,
         })
     }
 
@@ -71,9 +87,13 @@ impl<const N: usize, S: Real> Controller<N, S> for HandGraspController<N, S> {
     fn step(&mut self, seen: &Observation<N, S>) -> Verdict<N, S> {
         let observed = self.observer.observe(seen);
         // F_t is there because S_h means little of small forces, so it must hold for the force that S_h is made of.
-        let pushing = norm(&seen.rendered_force).simd_gt(self.force_threshold_n)
+        let force = norm(&seen.rendered_force);
+        let pushing = force.simd_gt(self.force_threshold_n)
             & norm(&seen.aligned_rendered_force).simd_gt(self.force_threshold_n);
-        Verdict::without_force(observed, pushing & observed.simd_gt(self.grasp_threshold))
+        // Not "is above": what cannot be compared is no reason to let a push pass.
+        let yields = !seen.velocity.dot(&seen.rendered_force).simd_le(self.velocity_threshold * force);
+        let moves = yields | self.velocity_threshold.simd_eq(S::splat(0.0));
+        Verdict::without_force(observed, pushing & observed.simd_gt(self.grasp_threshold) & moves)
     }
 
     /// zeta, of Eq. 8.
@@ -99,5 +119,37 @@ mod tests {
             assert_eq!(controller.step(&seen).is_unsafe, trips, "{rendered} {grasp}");
         }
         assert!(HandGraspController::<1>::new(observer, 1.0, 1.0).is_err());
+    }
+
+    /// The speed along the push counts, whichever way it points and whatever moves across it.
+    #[test]
+    fn with_a_velocity_threshold_the_device_must_move_along_the_push() {
+        let observer = HandGraspObserver::new(1e-3).unwrap();
+        let printed = HandGraspController::<2>::new(observer, 1.5, 1.0).unwrap();
+        let push = Axes::<2>::new(-3.0, 4.0);
+        let (along, across) = (push / 5.0, Axes::<2>::new(0.8, 0.6));
+        for (threshold, speed, sideways, trips) in [
+            (0.0, 0.0, 0.0, true),
+            (0.0, -1.0, 0.0, true),
+            (0.05, 0.0, 0.0, false),
+            (0.05, 0.049, 0.0, false),
+            (0.05, 0.051, 0.0, true),
+            (0.05, -1.0, 0.0, false),
+            (0.05, 0.0, 1.0, false),
+            (0.05, 0.051, -1.0, true),
+            (0.05, f64::NAN, 0.0, true),
+        ] {
+            let mut controller = printed.with_velocity_threshold(threshold).unwrap();
+            for turn in [1.0, -1.0] {
+                let velocity = (along * speed + across * sideways) * turn;
+                let seen = Observation::exact(velocity, push * turn, Axes::<2>::zeros());
+                assert_eq!(controller.step(&seen).is_unsafe, trips, "{threshold} {speed} {sideways}");
+                let held = Observation::exact(velocity, push * turn, -push * turn);
+                assert!(!controller.step(&held).is_unsafe, "a hand holds");
+            }
+        }
+        for wrong in [-0.1, f64::NAN, f64::INFINITY] {
+            assert!(printed.with_velocity_threshold(wrong).is_err());
+        }
     }
 }

@@ -3,18 +3,23 @@
 use crate::{
     About, DeviceModel, Observation, ParameterError, Real,
     controller::{Controller, Observed, SafetySettings, Verdict},
-    lanes::{pack, part},
+    lanes::{norm, pack, part},
     observer::WindowedSafetyObserver,
-    parameter::{in_range, whole},
+    parameter::{in_range, non_negative, whole},
 };
 
-/// WSC: unsafe while `E_wso < delta`, with delta negative.
+/// WSC: unsafe while `E_wso < delta`, with delta negative, and with a force threshold `F_v·V / |V| > F_w`.
 ///
-/// Source: paper Eq. 13.
+/// `E_wso` falls below delta also where a hand is quick in free motion or meets a wall, and no push is there that could throw
+/// anything: `F_w` lets that pass.
+///
+/// Source: paper Eq. 13; `F_w`, `docs/thresholds.md`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WindowedSafetyController<const N: usize, S = f64> {
     observer: WindowedSafetyObserver<N, S>,
     energy_threshold_j: S,
+    /// `F_w`; 0 without.
+    force_threshold_n: S,
 }
 
 impl<const N: usize> WindowedSafetyController<N> {
@@ -28,7 +33,13 @@ impl<const N: usize> WindowedSafetyController<N> {
             -f64::MIN_POSITIVE,
             "finite and below 0",
         )?;
-        Ok(Self { observer, energy_threshold_j })
+        Ok(Self { observer, energy_threshold_j, force_threshold_n: 0.0 })
+    }
+
+    /// The same with a force threshold `F_w` in N (>= 0); 0 is Eq. 13 as printed.
+    pub fn with_force_threshold(self, force_threshold_n: f64) -> Result<Self, ParameterError> {
+        let force_threshold_n = non_negative("force_threshold_n", "F_w", force_threshold_n)?;
+        Ok(Self { force_threshold_n, ..self })
     }
 }
 
@@ -48,12 +59,15 @@ impl<const N: usize, S: Real> Controller<N, S> for WindowedSafetyController<N, S
         settings: &SafetySettings,
         is_used: bool,
     ) -> Result<Self::One, ParameterError> {
-        let SafetySettings { window, energy_ratio, energy_threshold_j, .. } = *settings;
+        let SafetySettings { window, energy_ratio, energy_threshold_j, wsc_force_threshold_n, .. } =
+            *settings;
         whole("window", "w", window, 1, WindowedSafetyObserver::<N>::MAX_WINDOW, "1 to 3600000 ticks")?;
         // A window that nobody reads is not reserved.
         let window = if is_used { window } else { 1 };
         let observer = WindowedSafetyObserver::new(*device, period_s, energy_ratio, window)?;
-        WindowedSafetyController::new(observer, energy_threshold_j)
+        WindowedSafetyController::new(observer, energy_threshold_j)?
+            .with_force_threshold(wsc_force_threshold_n)
+            .map_err(|error| error.of_field("force_threshold_n", "wsc_force_threshold_n"))
     }
 
     /// If their observers can be gathered.
@@ -61,13 +75,18 @@ impl<const N: usize, S: Real> Controller<N, S> for WindowedSafetyController<N, S
         Some(Self {
             observer: part(of, |one| one.observer.clone(), WindowedSafetyObserver::gather)?,
             energy_threshold_j: pack(of, |one| one.energy_threshold_j)?,
+            force_threshold_n: pack(of, |one| one.force_threshold_n)?,
         })
     }
 
     #[inline(always)]
     fn step(&mut self, seen: &Observation<N, S>) -> Verdict<N, S> {
         let observed = self.observer.step(seen);
-        Verdict::without_force(observed, observed.simd_lt(self.energy_threshold_j))
+        // Not "is above": what cannot be compared is no reason to let a push pass.
+        let along = seen.rendered_force.dot(&seen.velocity);
+        let pushed = !along.simd_le(self.force_threshold_n * norm(&seen.velocity));
+        let pushed = pushed | self.force_threshold_n.simd_eq(S::splat(0.0));
+        Verdict::without_force(observed, observed.simd_lt(self.energy_threshold_j) & pushed)
     }
 
     /// delta, of Eq. 10.
@@ -105,5 +124,36 @@ mod tests {
         assert_ne!(controller, build());
         controller.reset();
         assert_eq!(controller, build());
+    }
+
+    /// The force along the motion counts, whichever way it points and whatever pushes across it.
+    #[test]
+    fn with_a_force_threshold_a_push_must_drive_the_device() {
+        let device = DeviceModel::uniform(0.157, 0.0, 0.0).unwrap();
+        let observer = WindowedSafetyObserver::<2>::new(device, 1e-3, 0.5, 100).unwrap();
+        let printed = WindowedSafetyController::new(observer, -0.03).unwrap();
+        let (along, across) = (Axes::<2>::new(-0.6, 0.8), Axes::<2>::new(0.8, 0.6));
+        for (threshold, speed, push, sideways, trips) in [
+            (0.0, 0.5, 0.0, 0.0, true),
+            (0.0, 0.5, -7.0, 0.0, true),
+            (0.3, 0.5, 0.0, 0.0, false),
+            (0.3, 0.5, 0.29, 0.0, false),
+            (0.3, 0.5, 0.31, 0.0, true),
+            (0.3, 0.5, -7.0, 0.0, false),
+            (0.3, 0.5, 0.0, 7.0, false),
+            (0.3, 0.5, 0.31, -7.0, true),
+            (0.3, 0.4, 7.0, 0.0, false),
+            (0.3, 0.5, f64::NAN, 0.0, true),
+        ] {
+            for turn in [1.0, -1.0] {
+                let mut controller = printed.clone().with_force_threshold(threshold).unwrap();
+                let force = (along * push + across * sideways) * turn;
+                let seen = Observation::exact(along * speed * turn, force, Axes::<2>::zeros());
+                assert_eq!(controller.step(&seen).is_unsafe, trips, "{threshold} {speed} {push} {sideways}");
+            }
+        }
+        for wrong in [-0.1, f64::NAN, f64::INFINITY] {
+            assert!(printed.clone().with_force_threshold(wrong).is_err());
+        }
     }
 }

@@ -1,0 +1,115 @@
+"""`haptether thresholds`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from haptether.cli.shared.picture import PictureOptions
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from haptether.studies import TradeOff
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thresholds(PictureOptions):
+    """Sweep the thresholds of safety controllers: false trips per hour against missed releases, over round trips.
+
+    Bundled scenes are the tasks, many random hands do them: held throughout, where each intervention is a false trip,
+    and let go under force, where a release is missed if the device is faster than 0.5 m/s within 0.3 s, of those
+    releases that exceed it where nobody watches. The paper's laws beside ours, each with a hold-off of 0.1 s and a
+    release ramp of 0.2 s. The same seed finds the same. What it found, and how to choose: docs/thresholds.md.
+
+    Examples:
+
+    haptether thresholds remote_push --controller hsc --hands 4
+
+    haptether thresholds --hands 16 --json thresholds.json --plot thresholds.png
+    """
+
+    task: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SCENE ...]")] = ()
+    """Names of bundled scenes; by default all in which a hand works."""
+    controller: Annotated[str | None, tyro.conf.arg(metavar="NAME,...")] = None
+    """Whose thresholds, separated by commas; by default wsc, hsc and vfc."""
+    round_trip_s: tuple[float, ...] = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3)
+    """Round trips in s."""
+    hands: int = 8
+    """How many hands do each task, 1 or more."""
+    releases: int = 4
+    """At how many times hands let go, 1 or more; each hand lets go once."""
+    seed: int = 1
+    """Of hands and links, 0 or more."""
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
+    """Change a field of all scenes first; may be given often."""
+    threads: int | None = None
+    """Threads to run in; as many as there are processors if not given."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write rates with 95 % intervals, and counts of each task, as JSON; - for standard output."""
+    plot: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
+    """Draw missed releases over false trips as .png, .pdf or .svg."""
+
+    def run(self) -> int:
+        """Runs all tasks and prints, for each law, its thresholds over round trips."""
+        from haptether.cli.scene.simulate import spinner
+        from haptether.cli.shared.output import check_target, write_report
+        from haptether.cli.shared.picture import picture_file
+        from haptether.cli.shared.screen import screen
+        from haptether.studies import THRESHOLD_LAWS, THRESHOLD_TASKS, draw_trade_off, measure_thresholds
+        from haptether.view.style.figure import write_figure
+
+        check_target(self.json)
+        if self.seed < 0:
+            message = f"seed = {self.seed}: must be 0 or more"
+            raise ValueError(message)
+        known = sorted({law.controller for law in THRESHOLD_LAWS})
+        names = known if self.controller is None else self.controller.split(",")
+        if unknown := [name for name in names if name not in known]:
+            message = f"--controller {self.controller}: {unknown[0]!r} is none of {', '.join(known)}"
+            raise ValueError(message)
+        picture = None if self.plot is None else picture_file(self.plot, self.format)
+        with spinner("thresholds") as say:
+            found = measure_thresholds(
+                tasks=self.task or THRESHOLD_TASKS,
+                laws=[law for law in THRESHOLD_LAWS if law.controller in names],
+                round_trips_s=self.round_trip_s,
+                hands=self.hands,
+                releases=self.releases,
+                seed=self.seed,
+                overrides=self.set,
+                threads=self.threads,
+                progress=say,
+            )
+        console = screen(self.json)
+        self._print(console, found)
+        if self.json is not None:
+            points = {"laws": found.laws, "points": found.points(), "rows": found.rows}
+            write_report(self.json, {"seed": found.seed, "hands": found.hands, "tasks": found.tasks, **points})
+        if picture is not None:
+            write_figure(draw_trade_off(found, self.columns), picture)
+            console.print(f"picture: {picture}")
+        return 0
+
+    def _print(self, console: "Console", found: "TradeOff") -> None:
+        from haptether.cli.shared.table import Column, Rows
+
+        trips = found.round_trips_s
+        columns = [Column(f"{round_trip_s * 1e3:g} ms", numbers=True) for round_trip_s in trips]
+        table = Rows("law", Column("threshold", numbers=True), *columns, keys=2, gap=1)
+        for law in found.laws:
+            for value in law.values:
+                cells = []
+                for round_trip_s in trips:
+                    counts = found.over(law.name, value, round_trip_s=round_trip_s)
+                    missed = "-" if counts.releases == 0 else f"{100.0 * counts.missed_share:.0f} %"
+                    cells.append(f"{counts.per_hour:.0f} {missed}")
+                mark = "*" if value == law.default else ""
+                table.add(law.name, f"{mark}{value:g} {law.unit}", *cells)
+        console.print(table)
+        first = found.over(found.laws[0].name, found.laws[0].values[0], round_trip_s=trips[0])
+        console.print(
+            f"\nOf each round trip: false trips per hour, and the share of {first.releases} releases that was missed"
+            f" ({first.hours * 3600.0:.0f} s held). * is the default."
+        )

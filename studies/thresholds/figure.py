@@ -1,0 +1,82 @@
+"""The figure of a trade-off: missed releases over false trips per hour, a panel for each controller."""
+
+from typing import TYPE_CHECKING, Any
+
+from haptether.studies.thresholds.law import ThresholdLaw
+from haptether.studies.thresholds.trade_off import TradeOff
+from haptether.view.style.colours import CONTROLLERS, PAPER, THRESHOLD
+from haptether.view.style.figure import Columns, letter, new_figure, styled
+from haptether.view.style.legend import legend_below
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SHOWN_ROUND_TRIPS = 3
+"""At most: the first, the middle one and the last; all are in the JSON."""
+LINES = ("-", "--", ":")
+OURS = ("#0072b2", "#56b4e9", "#cc79a7")
+"""Of the first law of ours of a controller, and of others."""
+
+
+def draw_trade_off(found: TradeOff, columns: Columns = 2) -> "Figure":
+    """Draws each law as a line over its thresholds, all tasks together; a ring is the threshold that is its default.
+
+    Raises:
+        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
+    """
+    controllers = [name for name in CONTROLLERS if any(law.controller == name for law in found.laws)]
+    trips = found.round_trips_s
+    shown = sorted({0, len(trips) // 2, len(trips) - 1})[:SHOWN_ROUND_TRIPS]
+    with styled():
+        title = (
+            f"{len(found.tasks)} tasks, {found.hands} hands each; missed: faster than {found.missed_speed:g} m/s within"
+            " 0.3 s of a release"
+        )
+        height = 3.0 if columns == 2 else 2.2 * len(controllers) + 0.8
+        figure = new_figure(columns, height, title)
+        shape = (1, len(controllers)) if columns == 2 else (len(controllers), 1)
+        panels = figure.subplots(*shape, squeeze=False).ravel().tolist()
+        handles: list[Any] = []
+        for panel, controller in zip(panels, controllers, strict=True):
+            laws = [law for law in found.laws if law.controller == controller]
+            handles += _panel(panel, found, laws, [trips[place] for place in shown])
+            panel.set_title(controller.upper())
+            panel.set_xlabel("false trips per hour held")
+            panel.set_ylabel("releases missed [%]")
+        for line, place in zip(LINES, shown, strict=False):
+            label = f"round trip {trips[place] * 1e3:g} ms"
+            handles += panels[0].plot([], [], line, color=THRESHOLD, label=label)
+        legend_below(figure, handles)
+        letter(panels)
+    return figure
+
+
+def _panel(panel: "Axes", found: TradeOff, laws: list[ThresholdLaw], trips: list[float]) -> list[Any]:
+    handles, ours = [], 0
+    for law in laws:
+        colour = PAPER
+        if law.source != "paper":
+            colour, ours = OURS[ours % len(OURS)], ours + 1
+        elif any(each.source == "paper" for each in laws[: laws.index(law)]):
+            colour = "#999999"
+        for line, round_trip_s in zip(LINES, trips, strict=False):
+            points = [found.over(law.name, value, round_trip_s=round_trip_s) for value in law.values]
+            rates = [point.per_hour for point in points]
+            missed = [100.0 * point.missed_share for point in points]
+            (drawn,) = panel.plot(rates, missed, line, color=colour, marker=".", ms=4.0, clip_on=False,
+                                  label=law.name)  # fmt: skip
+            if line == LINES[0]:
+                handles.append(drawn)
+            if law.default in law.values:
+                place = law.values.index(law.default)
+                panel.plot(rates[place], missed[place], "o", color=colour, mfc="none", ms=6.0)
+    panel.set_xscale("symlog", linthresh=1.0 / max(1e-9, _hours(found, laws)))
+    panel.set_xlim(left=0.0, right=3e3)
+    panel.set_ylim(-3.0, 103.0)
+    return handles
+
+
+def _hours(found: TradeOff, laws: list[ThresholdLaw]) -> float:
+    """Of one point of a line, in h."""
+    return found.over(laws[0].name, laws[0].values[0], round_trip_s=found.round_trips_s[0]).hours

@@ -1,0 +1,74 @@
+"""The laws whose thresholds are compared: a controller, what is fixed of it, and the threshold that is swept."""
+
+from msgspec import Struct
+
+
+class ThresholdLaw(Struct, frozen=True, kw_only=True):
+    """A controller whose threshold is swept."""
+
+    name: str
+    """What the table calls it."""
+    controller: str
+    """Who watches."""
+    source: str
+    """Whose it is: "paper" or "ours"."""
+    threshold: str
+    """What is swept: a field of `[safety]`."""
+    unit: str
+    """Of that."""
+    values: tuple[float, ...]
+    """Its values, the most sensitive first."""
+    fixed: dict[str, float | str] = {}
+    """Other fields of `[safety]`."""
+    default: float | None = None
+    """The value of the paper or the default, where it is among them."""
+
+
+ENERGIES_J = (-0.005, -0.01, -0.02, -0.03, -0.05, -0.08)
+FORCES_N = (0.1, 0.3, 0.5, 1.0, 1.5, 2.0, 3.0)
+GRASPS = (1.2, 1.5, 2.0, 3.0)
+SPEEDS = (0.1, 0.2, 0.3, 0.45, 0.6)
+
+THRESHOLD_LAWS: tuple[ThresholdLaw, ...] = (
+    ThresholdLaw(
+        name="WSC, w 100", controller="wsc", source="paper", threshold="energy_threshold_j", unit="J",
+        values=ENERGIES_J, default=-0.03,
+    ),
+    ThresholdLaw(
+        name="WSC, w 25", controller="wsc", source="ours", threshold="energy_threshold_j", unit="J",
+        values=ENERGIES_J, fixed={"window": 25},
+    ),
+    ThresholdLaw(
+        name="WSC, w 25, F_w 0.1", controller="wsc", source="ours", threshold="energy_threshold_j", unit="J",
+        values=ENERGIES_J, fixed={"window": 25, "wsc_force_threshold_n": 0.1},
+    ),
+    ThresholdLaw(
+        name="WSC, w 10, F_w 0.1", controller="wsc", source="ours", threshold="energy_threshold_j", unit="J",
+        values=ENERGIES_J, fixed={"window": 10, "wsc_force_threshold_n": 0.1},
+    ),
+    ThresholdLaw(
+        name="HSC over F_t", controller="hsc", source="paper", threshold="hsc_force_threshold_n", unit="N",
+        values=FORCES_N, default=0.1,
+    ),
+    ThresholdLaw(
+        name="HSC over zeta", controller="hsc", source="paper", threshold="grasp_threshold", unit="1",
+        values=GRASPS, fixed={"hsc_force_threshold_n": 1.0}, default=1.5,
+    ),
+    ThresholdLaw(
+        name="HSC, V_s 0.05", controller="hsc", source="ours", threshold="hsc_force_threshold_n", unit="N",
+        values=FORCES_N, fixed={"hsc_velocity_threshold": 0.05},
+    ),
+    ThresholdLaw(
+        name="VFC, as printed", controller="vfc", source="paper", threshold="velocity_threshold", unit="m/s",
+        values=SPEEDS, default=0.6,
+    ),
+    ThresholdLaw(
+        name="VFC, both", controller="vfc", source="paper", threshold="velocity_threshold", unit="m/s",
+        values=SPEEDS, fixed={"vfc_form": "both"}, default=0.6,
+    ),
+    ThresholdLaw(
+        name="VFC, both, F_t 0.3", controller="vfc", source="ours", threshold="velocity_threshold", unit="m/s",
+        values=SPEEDS, fixed={"vfc_form": "both", "vfc_force_threshold_n": 0.3},
+    ),
+)  # fmt: skip
+"""What is compared by default."""

@@ -1,0 +1,131 @@
+"""Thresholds: intervals against exact sums, what hands and releases are, counts of tasks, the command."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from haptether.bridge import load_scene, save_scene
+from haptether.cli.entry import main
+from haptether.studies import THRESHOLD_LAWS, THRESHOLD_TASKS, HandBounds, ThresholdLaw, TradeOff, measure_thresholds
+from haptether.studies.thresholds.task import STIFFER, Task
+from haptether.studies.thresholds.trade_off import poisson_interval, wilson_interval
+
+pytestmark = pytest.mark.slow
+
+WSC = ThresholdLaw(
+    name="WSC", controller="wsc", source="paper", threshold="energy_threshold_j", unit="J", values=(-1e-4, -0.03, -9.0)
+)
+
+
+@pytest.mark.parametrize(
+    ("count", "low", "high"),
+    [(0, 0.0, 3.689), (1, 0.0253, 5.572), (5, 1.623, 11.668), (10, 4.795, 18.390), (100, 81.364, 121.627)],
+)
+def test_an_interval_of_a_count_is_the_published_one(count: int, low: float, high: float) -> None:
+    """Garwood 1936, to the digits of the table."""
+    assert poisson_interval(count) == pytest.approx((low, high), abs=6e-4)
+
+
+def test_an_interval_of_a_share_has_its_closed_forms() -> None:
+    z2 = 1.959964**2
+    assert wilson_interval(0, 10) == pytest.approx((0.0, z2 / (10 + z2)))
+    assert wilson_interval(10, 10) == pytest.approx((10 / (10 + z2), 1.0))
+
+
+@pytest.mark.parametrize("name", THRESHOLD_TASKS)
+def test_hands_are_the_same_at_every_round_trip_and_stiffer_than_what_they_feel(name: str) -> None:
+    near, far = Task(name, 0.0), Task(name, 0.3)
+    bounds = HandBounds()
+    hands, again = near.hands(50, 7, bounds), far.hands(50, 7, bounds)
+    for path, values in hands.items():
+        np.testing.assert_array_equal(values, again[path])
+    stiffness = hands["operator.stiffness"]
+    assert stiffness.min() >= STIFFER * near.felt_stiffness()
+    assert stiffness.max() <= bounds.stiffness[1]
+    assert np.ptp(hands["operator.damping"]) > 5.0
+    assert (near.hands(50, 8, bounds)["operator.stiffness"] != stiffness).all()
+
+
+@pytest.fixture(scope="module")
+def wall() -> TradeOff:
+    return measure_thresholds(
+        tasks=("paper_wall", "free_motion"), laws=(WSC,), round_trips_s=(0.0, 0.1), hands=4, releases=2, threads=1
+    )
+
+
+def test_the_most_sensitive_threshold_trips_most_and_the_dullest_misses_all(wall: TradeOff) -> None:
+    for round_trip_s in wall.round_trips_s:
+        counts = [wall.over("WSC", value, round_trip_s=round_trip_s) for value in WSC.values]
+        trips, missed = [of.false_trips for of in counts], [of.missed for of in counts]
+        assert trips[0] > trips[1] >= trips[2] == 0
+        # 9 J are never stored here: it is as if nobody watched.
+        assert missed[0] <= missed[1] < missed[2] == counts[2].releases > 0
+    # In the air nothing is felt, so nothing can be let go.
+    assert wall.over("WSC", -0.03, task="free_motion").releases == 0
+    held = wall.over("WSC", -0.03, task="free_motion", round_trip_s=0.0).hours * 3600.0
+    bounds = HandBounds()
+    # The scene at its slowest, then out, in and out again.
+    assert held == pytest.approx(4 * (2.5 * bounds.pace[1] + 3 * bounds.withdrawal_s[1]), rel=1e-3)
+
+
+def test_threads_change_nothing(wall: TradeOff) -> None:
+    again = measure_thresholds(
+        tasks=wall.tasks, laws=(WSC,), round_trips_s=wall.round_trips_s, hands=4, releases=2, threads=2
+    )
+    assert again.rows == wall.rows
+
+
+def test_a_velocity_threshold_spares_hands_that_take_up_a_load_and_catches_those_that_let_go() -> None:
+    laws = [
+        ThresholdLaw(name=name, controller="hsc", source=name, threshold="hsc_force_threshold_n", unit="N",
+                     values=(0.1,), fixed={"hsc_velocity_threshold": slowest})
+        for name, slowest in (("printed", 0.0), ("ours", 0.05))
+    ]  # fmt: skip
+    found = measure_thresholds(
+        tasks=("sliding_mass", "active_force"), laws=laws, round_trips_s=(0.0,), hands=6, releases=3, threads=1
+    )
+    printed, ours = (found.over(law.name, 0.1) for law in laws)
+    assert printed.releases > 0
+    assert ours.missed == printed.missed == 0
+    assert ours.false_trips < 0.5 * printed.false_trips
+
+
+def test_the_command_has_a_row_for_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target, picture = tmp_path / "found.json", tmp_path / "found.png"
+    arguments = ["--controller", "vfc", "--round-trip-s", "0.0", "--hands", "2", "--releases", "1", "--threads", "1"]
+    assert main(["thresholds", "active_force", *arguments, "--json", str(target), "--plot", str(picture)]) == 0
+    laws = [law for law in THRESHOLD_LAWS if law.controller == "vfc"]
+    found = json.loads(target.read_text())
+    rows, points = found["rows"], found["points"]
+    assert len(points) == len(rows)
+    low, high = points[0]["false_trips_per_h_interval"]
+    assert low <= points[0]["false_trips_per_h"] <= high
+    assert [(row["law"], row["threshold"]) for row in rows] == [(law.name, at) for law in laws for at in law.values]
+    assert {row["task"] for row in rows} == {"active_force"}
+    shown = capsys.readouterr().out
+    assert "VFC, as printed" in shown
+    assert picture.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (["--hands", "0"], "hands = 0: must be 1 or more"),
+        (["--seed", "-1"], "seed = -1: must be 0 or more"),
+        (["--controller", "pc"], "'pc' is none of hsc, vfc, wsc"),
+        (["--plot", "picture"], "must end in .png"),
+    ],
+)
+def test_what_cannot_be_is_refused(arguments: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["thresholds", "paper_wall", *arguments]) == 2
+    assert problem in capsys.readouterr().err
+
+
+def test_a_scene_without_a_hand_is_no_task(tmp_path: Path) -> None:
+    nobody = replace(load_scene("paper_wall"), operator=None)
+    save_scene(nobody, tmp_path / "nobody.toml")
+    with pytest.raises(ValueError, match="nobody holds its device"):
+        Task(str(tmp_path / "nobody.toml"), 0.0)
