@@ -68,6 +68,8 @@ DEFAULT_MAX_FORCE_N = 7.9
 DEFAULT_DAMPING = 5.0
 """mu of the paper, in N s/m."""
 DEFAULT_PC_DAMPING = 10.0
+DEFAULT_HSC_SPEED = 0.05
+"""V_s in m/s, of HSC: docs/thresholds.md has what it does. None is known for joints."""
 PROBED_SPEED = 0.12
 """The default probe over mu, in m/s, of joints in rad/s: with the damping of a probe, 1.25 mu, a free device stays below 0.096."""
 FRICTION_ROOM = 2.0
@@ -321,7 +323,10 @@ def _safety(scene: Scene, master: Spec) -> SafetyTable:
     max_force_n = master["max_force_n"] or DEFAULT_MAX_FORCE_N
     table = _filled(table, damping=min(DEFAULT_DAMPING, limit), pc_max_damping=min(DEFAULT_PC_DAMPING, limit))
     return replace(
-        _released(table, max(master["coulomb"])),
+        _filled(
+            _released(table, max(master["coulomb"])),
+            hsc_velocity_threshold=0.0 if side_kind(scene.master) == "joints" else DEFAULT_HSC_SPEED,
+        ),
         estimator=_estimator(table.estimator, master["encoder_quantum"] or DEFAULT_QUANTUM_M),
         limiter=_filled(table.limiter, max_force_n=max_force_n),
         ladder=None if scene.slave is None else _ladder(table.ladder or LadderTable(), table.limiter),

@@ -48,11 +48,11 @@ THRESHOLD_LAWS: tuple[ThresholdLaw, ...] = (
     ),
     ThresholdLaw(
         name="HSC over F_t", controller="hsc", source="paper", threshold="hsc_force_threshold_n", unit="N",
-        values=FORCES_N, default=0.1,
+        values=FORCES_N, fixed={"hsc_velocity_threshold": 0.0}, default=0.1,
     ),
     ThresholdLaw(
         name="HSC over zeta", controller="hsc", source="paper", threshold="grasp_threshold", unit="1",
-        values=GRASPS, fixed={"hsc_force_threshold_n": 1.0}, default=1.5,
+        values=GRASPS, fixed={"hsc_force_threshold_n": 1.0, "hsc_velocity_threshold": 0.0}, default=1.5,
     ),
     ThresholdLaw(
         name="HSC, V_s 0.05", controller="hsc", source="ours", threshold="hsc_force_threshold_n", unit="N",

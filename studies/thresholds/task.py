@@ -86,11 +86,11 @@ class Task:
         self.engaged_s = 0.0
 
     def _held(self) -> Scene:
-        """It with a hand that never lets go, an intervention that ends, and nothing recorded."""
+        """It with a hand that never lets go, an intervention that time ends, and nothing recorded."""
         operator = replace(self.operator, release=None, grip_strength_n=None, tremor=TremorTable(), legs=self._legs())
         if operator.rotation is not None:
             operator = replace(operator, rotation=replace(operator.rotation, release=None))
-        safety = replace(self.base.safety, hold_off_s=0.1, release_ramp_s=0.2)
+        safety = replace(self.base.safety, hold_off_s=0.1, release_ramp_s=0.2, probe_force_n=0.0, release_tries=0)
         run = replace(self.base.run, duration_s=round(self.base.run.duration_s + self.strokes, 3))
         return replace(self.base, operator=operator, safety=safety, run=run, record=None, security=None)
 

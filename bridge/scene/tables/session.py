@@ -358,7 +358,7 @@ class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """alpha in N, of HSC."""
     hsc_force_threshold_n: NonNegative = 0.1
     """F_t in N, of HSC."""
-    hsc_velocity_threshold: NonNegative = 0.0
+    hsc_velocity_threshold: NonNegative | None = None
     """V_s in m/s, of HSC: a push trips only while the device moves along it faster than that; 0 is as printed."""
     energy_threshold_j: Annotated[float, Meta(ge=-LARGEST, lt=0.0)] = -0.03
     """delta in J, below 0, of WSC."""

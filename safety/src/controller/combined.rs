@@ -732,7 +732,8 @@ mod tests {
             ticks += 1;
             assert!(ticks < 100, "a hand that drives is felt");
         }
-        let (mut controller, driven) = tripped_and_driven(&SafetySettings { probe_force_n: 0.0, ..probing() });
+        let (mut controller, driven) =
+            tripped_and_driven(&SafetySettings { probe_force_n: 0.0, ..probing() });
         controller.carry(&driven);
         assert!(!controller.step(&driven).unwrap().tripped.any(), "without a probe time decides");
     }
