@@ -544,18 +544,39 @@ class _Model:
 
 
 def _least_fixed_point(of: Callable[[float], float], start: float) -> float | None:
-    """The least speed that is its own bound, from below; none where there is no such speed."""
-    speed = start
-    for _ in range(MOST_ITERATIONS):
+    """The least speed that is its own bound, from below; none where there is no such speed.
+
+    Any speed that `of`, which grows with it, does not raise is a bound: by induction over the ticks none exceeds it. So
+    where iteration is slow the end is guessed from its rate, and halved in to.
+    """
+    speed, last_step = start, 0.0
+    for iteration in range(MOST_ITERATIONS):
         following = of(speed)
         if not isfinite(following) or following > FASTEST:
             return None
-        if following <= speed * (1.0 + TOLERANCE):
+        step = following - speed
+        if step <= speed * TOLERANCE:
             return following * (1.0 + TOLERANCE)
-        speed = following
+        if iteration >= PLAIN_ITERATIONS and 0.0 < step < last_step:
+            guess = following + 1.01 * step * step / (last_step - step)
+            if guess <= FASTEST and of(guess) <= guess:
+                return _halved(of, following, guess)
+        speed, last_step = following, step
     return None
 
 
+def _halved(of: Callable[[float], float], low: float, high: float) -> float:
+    """The least speed between that `of` does not raise, of which `high` is one."""
+    while high - low > TOLERANCE * high:
+        middle = 0.5 * (low + high)
+        if of(middle) <= middle:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+PLAIN_ITERATIONS = 10
 WORTH = 0.05
 """Share of the largest weight below which a force of the past is left out of the worst push."""
 GRID = 33

@@ -14,6 +14,8 @@ LEAST_TICKS = 256
 MOST_TICKS = 1 << 17
 NEGLIGIBLE = 1e-10
 """Share of a kernel that may lie beyond its end."""
+DIRECT = 2048
+"""Longest kernel that is convolved term by term."""
 MOST_TURNS = 64
 """Ages of which the largest change of V^ since is computed; beyond them it is bounded by the cap."""
 MOST_TAIL_TICKS = 256
@@ -127,7 +129,7 @@ class Kernel:
         # At the worst of each tick for itself: the force that pushes on, and the one that has turned round and grows.
         forward = np.concatenate(([0.0], np.cumsum(answer)))[:-1]
         grown = np.minimum(1.0, growth * np.arange(1, len(answer) + 1))
-        backward = np.concatenate(([0.0], np.convolve(answer, grown)[: len(answer)]))[:-1]
+        backward = np.concatenate(([0.0], _convolved(answer, grown)[: len(answer)]))[:-1]
         each = np.abs(tail) * np.where(tail > 0.0, backward, forward)
         worst, free = float(each.sum()), float((np.abs(tail) * forward).sum())
         left = np.cumsum(each[::-1])[::-1]
@@ -151,7 +153,7 @@ class Kernel:
         """What wrong readings meet (Eq. 9c)."""
         size = len(self.lag_s)
         answer = np.concatenate((np.zeros(size - 1), self.velocity, np.full(size, self.period_s)))
-        met = np.correlate(answer, self.acceleration_noise, "valid")
+        met = _convolved(answer, self.acceleration_noise[::-1])[size - 1 : len(answer)]
         sizes = np.abs(self.acceleration_noise)
         return Readings(
             period_s=self.period_s,
@@ -161,6 +163,15 @@ class Kernel:
             parts=np.abs(np.cumsum(self.acceleration_noise)),
             sizes=np.cumsum(sizes),
         )
+
+
+def _convolved(one: Array, other: Array) -> Array:
+    """The convolution of two kernels, of long ones by their spectra."""
+    if min(len(one), len(other)) <= DIRECT:
+        return np.convolve(one, other)
+    size = len(one) + len(other) - 1
+    spectrum = np.fft.rfft(one, size) * np.fft.rfft(other, size)
+    return np.fft.irfft(spectrum, size)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

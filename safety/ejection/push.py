@@ -10,8 +10,8 @@ Array: TypeAlias = npt.NDArray[np.float64]
 
 MOST_LEVELS = 256
 """Steps in which a force grows to its cap; a slower growth is taken for this one."""
-MOST_AGES = 1024
-"""Over a longer memory the time that a force takes to turn round counts little: it is taken for free."""
+MOST_WEIGHTS = 1 << 16
+"""Of more weights, in all rows, the force may turn round at once: over so long a memory that counts little."""
 LEVEL_OF_LIMIT = 0.04
 """Largest distance of levels where the force has a limit of its own at each age."""
 FEW_AGES = 64
@@ -72,7 +72,7 @@ def best_push(weights: Array, growth: float, *, from_zero: bool = False, highest
     """
     free = np.abs(weights) if highest is None else np.maximum(weights * highest, -weights)
     sizes = np.cumsum(free, axis=-1)
-    if growth >= 1.0 or weights.shape[-1] > MOST_AGES:
+    if growth >= 1.0 or weights.size > MOST_WEIGHTS:
         # Only a reversal of more than the cap is limited then; free is more.
         return np.asarray(sizes)
     levels = _Levels.of(growth, 1.0 if highest is None else LEVEL_OF_LIMIT)
@@ -102,7 +102,7 @@ def worst_push(weights: Array, growth: float) -> Array:
     levels = _Levels.of(growth)
     values: list[Array] = []
     newer: Array | float = 0.0
-    for weight in weights[:MOST_AGES]:
+    for weight in weights[: MOST_WEIGHTS // LIFTS]:
         values.append(weight * levels.force + newer)
         newer = levels.best_newer(values[-1])
     oldest = int(np.argmax([value.max() for value in values]))
@@ -140,7 +140,7 @@ def best_rising_push(weights: Array, growth: float) -> Rising:
     Source: `docs/ejection_bound.md`, Eq. 6; weak duality (Boyd and Vandenberghe 2004, section 5.2.2).
     """
     most, lift = float(best_push(weights, growth).max()), np.zeros(len(weights))
-    if not (weights < 0.0).any() or len(weights) > MOST_AGES:
+    if not (weights < 0.0).any() or LIFTS * len(weights) > MOST_WEIGHTS:
         return Rising(most=most, lift=lift)
     negative = weights < -1e-3 * np.abs(weights).max()
     # A lift that ends within a part that is negative, or just behind it.

@@ -1,6 +1,7 @@
 """The bound on ejection speed against closed forms, published numbers, every force on a grid, simulated releases."""
 
 import itertools
+from collections.abc import Callable
 from math import sqrt
 from typing import Any
 
@@ -14,8 +15,8 @@ from scipy.optimize import linprog
 import ejection_bound as bench
 from haptether.bridge import Scene, load_scene, override_scene, simulate
 from haptether.safety import EjectionSettings, EstimatorKind, ejection_bound, rising_push
-from haptether.safety.ejection.bound import GRID
-from haptether.safety.ejection.kernel import exact, kernel
+from haptether.safety.ejection.bound import GRID, _least_fixed_point
+from haptether.safety.ejection.kernel import _convolved, exact, kernel
 from haptether.safety.ejection.push import LEVEL_OF_LIMIT, best_push, best_rising_push, worst_push
 
 Array = npt.NDArray[np.float64]
@@ -177,7 +178,7 @@ def test_terms_hold_for_random_forces(name: str, slew: float) -> None:
     turned, _ = known.turned_speeds(growth)
     way, _ = known.tail_way(growth, window)
     highest = np.zeros(3)
-    for trial in range(300):
+    for trial in range(100):
         force, pushed = np.zeros(ticks), 1.0
         wanted = np.repeat(rng.choice([-1.0, 1.0, 0.0], ticks), rng.integers(1, 25, ticks))[:ticks]
         for tick in range(ticks):
@@ -230,6 +231,42 @@ def test_the_papers_device_has_the_published_bound() -> None:
     # 0.86 was published without regard to where V has been before.
     assert speed_of() == pytest.approx(0.437 + 0.0503 * 7.785, rel=0.001)
     assert speed_of(estimator=None) == pytest.approx(0.437 + 0.0503, rel=0.001)
+
+
+@pytest.mark.parametrize(
+    ("of", "expected"),
+    [
+        (lambda v: 0.5 + 0.0 * v, 0.5),
+        (lambda v: 0.3 + 0.5 * v, 0.6),
+        (lambda v: 0.01 + 0.99 * v, 1.0),
+        (lambda v: sqrt(0.1 + 0.9 * v * v), 1.0),
+        (lambda v: 0.1 + 1.1 * v, None),
+        (lambda v: 0.1 + v, None),
+    ],
+)
+def test_the_least_speed_that_is_its_own_bound_is_found_soon(
+    of: Callable[[float], float], expected: float | None
+) -> None:
+    asked = []
+
+    def counted(speed: float) -> float:
+        asked.append(speed)
+        return of(speed)
+
+    found = _least_fixed_point(counted, 0.0)
+    if expected is None:
+        assert found is None
+    else:
+        assert found is not None
+        assert found == pytest.approx(expected, rel=1e-6)
+        assert of(found) <= found
+        assert len(asked) < 100
+
+
+def test_long_kernels_are_convolved_as_short_ones_are() -> None:
+    rng = np.random.default_rng(1)
+    one, other = rng.normal(size=5000), rng.normal(size=3000)
+    np.testing.assert_allclose(_convolved(one, other), np.convolve(one, other), atol=1e-10)
 
 
 def test_friction_of_the_tick_in_which_v_turns_counts() -> None:
