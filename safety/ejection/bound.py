@@ -448,7 +448,8 @@ class _Model:
         if power is None:
             power = max(self.force, settings.damping * settings.hand_speed) * settings.hand_speed
             power *= 1.0 + settings.mass_error
-        late = 2.0 * self.kernel.gain * self.force * self.late_s
+        # The force that is held for longer differs from the next by its growth beyond zero, at most.
+        late = (1.0 + min(self.growth, 1.0)) * self.kernel.gain * self.force * self.late_s
         energy = self.tail_energy(speed) + self.phantom_energy(speed) + late * (speed + self.lag(speed))
         # Ticks since the release: as long as energy from before is in the window.
         left_s = settings.period_s * np.arange(settings.window, -1, -1)

@@ -331,6 +331,16 @@ def test_hsc_has_the_closed_form_of_a_push_that_is_never_seen() -> None:
     assert ejection_bound(settings).speed == pytest.approx(expected, rel=1e-6)
 
 
+def test_a_late_tick_counts_with_the_force_that_it_holds() -> None:
+    """V measured: `(1 + s) F J V` beside delta, 2 F J V without a limit on growth; and twice J beside dT."""
+    late_s, a = 1e-3, 7.9 / 0.157
+    for slew, forces in ((1e9, 2.0), (1000.0, 1.0 + 1.0 / 7.9)):
+        found = speed_of(estimator=None, late_s=late_s, max_slew_n_per_s=slew)
+        # V^ is at most a J above V.
+        energy = 0.03 + forces * 7.9 * late_s * (found + a * late_s)
+        assert found == pytest.approx(sqrt(energy / 0.157) + a * (1e-3 + 2 * late_s), rel=1e-6)
+
+
 def test_axes_that_are_alike_have_the_bound_of_one() -> None:
     """The bound is of norms; only noise, an error on each axis, is larger by the root of their number."""
     assert speed_of(mass_kg=(0.157,) * 3) == pytest.approx(speed_of(), rel=1e-9)
