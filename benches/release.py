@@ -10,9 +10,9 @@ laws end an intervention: as the paper prints it (the force is back as soon as n
 - trips each second; the RMS of the device force above 30 Hz (all below is taken away from its spectrum) after those
   0.3 s, so without the one step down at the first trip, which no law is without.
 
-Ends with status 1 if by default a stylus goes further than 20 mm, is thrown twice, is faster than 0.1 m/s later, rattles
-more than a tenth as much as printed, or is thrown by more than 5 % faster and faster than the probe itself moves a
-device; of an omni, if it is thrown more than three times.
+Ends with status 1 if by default a stylus goes further than 20 mm, is thrown twice, is faster than 0.1 m/s later,
+rattles more than a tenth as much as printed, or is thrown by more than 5 % faster and faster than the probe itself
+moves a device; of an omni, if it is thrown more than three times.
 """
 
 import sys

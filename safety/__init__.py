@@ -31,6 +31,7 @@ from haptether.safety.ejection.bound import (
     EjectionSettings,
     EjectionTerms,
     ejection_bound,
+    rising_push,
 )
 
 ControllerName: TypeAlias = Literal["vfc", "hsc", "wsc", "pc"]
@@ -64,4 +65,5 @@ __all__ = [
     "WindowedSafetyObserver",
     "ejection_bound",
     "fault_message",
+    "rising_push",
 ]

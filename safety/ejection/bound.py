@@ -9,7 +9,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from haptether._core import EstimatorKind
-from haptether.safety.ejection.kernel import Array, Kernel, exact, kernel
+from haptether.safety.ejection.kernel import Kernel, exact, kernel
+from haptether.safety.ejection.push import Array, best_push, worst_push
 
 MAX_LATE_S = 0.02
 """A tick that is later is a tick that is left out: the loop drops the force."""
@@ -60,6 +61,12 @@ class EjectionSettings(Struct, frozen=True, kw_only=True):
     """F_t in N, of HSC."""
     hsc_velocity_threshold: float = 0.0
     """V_s in m/s, of HSC; 0 is as printed."""
+    velocity_threshold: float = 0.6
+    """V_t in m/s, of VFC."""
+    vfc_force_threshold_n: float = 1.0
+    """F_t in N, of VFC."""
+    vfc_form: Literal["product", "both"] = "product"
+    """Which reading of VFC's threshold."""
     release_ramp_s: float = 0.0
     """Time in s over which an intervention fades out."""
     damping: float = 5.0
@@ -189,6 +196,8 @@ def ejection_bound(
     bounds = tuple(
         model.of_wsc() if name == "wsc" else model.of_hsc() for name in BOUNDED if name in settings.controllers
     )
+    if (of_both := model.of_wsc_and_vfc()) is not None:
+        bounds = (*bounds, of_both)
     if settings.probe_force_n > 0.0:
         bounds = tuple(
             bound if bound.speed is None else replace(bound, speed=max(bound.speed, model.probed())) for bound in bounds
@@ -201,6 +210,31 @@ def ejection_bound(
     return EjectionBound(
         speed=speed, reason=None, controller=least.controller, of=bounds, assumptions=_assumptions(settings)
     )
+
+
+def rising_push(of: EjectionSettings | HasEjectionSettings) -> tuple[float, ...]:
+    """The force at each tick, oldest first, after which V is farthest ahead of V^: in shares of the cap, -1 to 1.
+
+    The argument of the maximum of Eq. 6. It is empty where V is measured, or the estimator has no kernel.
+
+    Args:
+        of: A scene, or settings.
+
+    Source: `docs/ejection_bound.md`, Eq. 6.
+    """
+    settings = of if isinstance(of, EjectionSettings) else of.ejection_settings()
+    if settings.estimator is None or not isfinite(settings.max_force_n):
+        return ()
+    try:
+        known = kernel(settings.estimator, settings.period_s)
+    except ValueError:
+        return ()
+    growth = (settings.max_slew_n_per_s * settings.period_s + settings.force_quantum_n) / settings.max_force_n
+    weights = np.append(settings.period_s, known.lag_s)
+    push = worst_push(weights + known.rising_speed(growth).lift, growth)
+    # Forces of long ago that do not matter are left out.
+    counted = np.flatnonzero(np.abs(weights[: len(push)]) > WORTH * np.abs(weights).max())
+    return tuple(map(float, push[: counted[-1] + 1][::-1]))
 
 
 def _check(settings: EjectionSettings) -> None:
@@ -263,6 +297,11 @@ class _Model:
         step_n = settings.max_slew_n_per_s * settings.period_s + settings.force_quantum_n
         self.growth = step_n / self.force
         self.lag_s = known.growing_lag_s(self.growth)
+        self.rising = known.rising_speed(self.growth)
+        self.rising_norm_s = float(np.abs(np.append(settings.period_s, known.lag_s) + self.rising.lift).sum())
+        self.turned, self.turned_freely = known.turned_speeds(self.growth)
+        self.tail_way, self.free_tail_way = known.tail_way(self.growth, settings.window)
+        self.readings = known.readings(self.growth)
         self.reading_m = 0.5 * settings.quantum_m * sqrt(axes)
         self.velocity_noise = float(np.abs(known.velocity_noise).sum()) * self.reading_m
         self.acceleration_noise = float(np.abs(known.acceleration_noise).sum()) * self.reading_m
@@ -278,8 +317,25 @@ class _Model:
         late = self.acceleration(speed) * self.late_s
         return (self.force * self.lag_s + friction) / self.mass + late + self.velocity_noise
 
+    def rise(self, speed: float) -> float:
+        """How far the greatest speed may be from the estimate of the tick before, in m/s (Eq. 6)."""
+        late = self.acceleration(speed) * self.late_s
+        friction = self.coulomb + self.viscous * speed
+
+        def most(push_s: float, norm_s: float, lift_s: float) -> float:
+            return (self.force * push_s + friction * norm_s) / self.mass + late * (
+                2.0 + lift_s / self.settings.period_s
+            )
+
+        free = most(self.lag_s + self.settings.period_s, self.kernel.lag_norm_s + self.settings.period_s, 0.0)
+        if self.settings.wsc_force_threshold_n > 0.0:
+            # V may have been greater before: a push of F_w is not seen.
+            return free + self.velocity_noise
+        lifted = most(self.rising.most, self.rising_norm_s, float(self.rising.lift[0]))
+        return min(free, lifted) + self.velocity_noise
+
     def probed(self) -> float:
-        """What a probe may drive a free device to, in m/s: `A / 1.25 mu + e + a (dT + J)`, damped by the estimate of V."""
+        """What a probe may drive a free device to, in m/s: `A / 1.25 mu + e + a (dT + J)`, damped on V^."""
         settings, speed = self.settings, self.settings.probe_force_n / (PROBED_DAMPING * self.settings.damping)
         late_s = settings.period_s + self.late_s
         return speed + self.lag(speed) + (settings.probe_force_n + self.drives * speed) / self.mass * late_s
@@ -297,24 +353,16 @@ class _Model:
         """
         known, settings = self.kernel, self.settings
         window_s, mass = settings.window * settings.period_s, self.heaviest
-        a, e = self.acceleration(speed), self.lag(speed)
-        fastest = speed + e
-        # Friction that A has from j ticks ago has another direction than V^ only if V has changed by as much since.
-        since = e + a * settings.period_s * (np.arange(len(known.acceleration)) + 1.0)
-        turned = np.maximum(self.kernel_of_friction, 0.0) * np.minimum(fastest, since)
-        friction = 2.0 * self.coulomb * float(turned.sum())
+        fastest = speed + self.lag(speed)
+        friction = 2.0 * self.coulomb * self._turned(speed)
         if not self.is_modelled:
             friction = (1.0 + known.gain) * self.coulomb * fastest
         viscous = self._viscous(speed) * fastest
         wrong = (self._wrong_mass(speed) + self.wrong_force) * fastest
         steady = (self.coulomb + self.viscous * speed) / self.mass
-        noise = (
-            self.reading_m
-            * mass
-            * known.noise_power(
-                ticks=settings.window, growth=self.growth, force=self.force / self.mass, steady=steady, speed=fastest
-            )
-        )
+        force = self.force / self.mass
+        noise = self.readings.power(ticks=settings.window, force=force, steady=steady, speed=fastest)
+        noise *= self.reading_m * mass
         both = mass * self.acceleration_noise * self.velocity_noise * window_s
         return (friction + viscous + wrong) * window_s + noise + both
 
@@ -328,58 +376,115 @@ class _Model:
         """What a wrong mass leaves in F_h^, in N."""
         return self.settings.mass_error * self.kernel.gain * (self.force + self.coulomb + self.viscous * speed)
 
-    def tail_energy(self) -> float:
-        """Energy in J of the hand that A still shows after it has gone (Eq. 9).
+    def _turned(self, speed: float) -> float:
+        """`max sum_j g_j |V^|` over the ages j at which V had another direction than V^ has now, in m/s (Eq. 9b)."""
+        share = np.maximum(self.kernel_of_friction, 0.0)
+        steady = (self.coulomb + self.viscous * speed) / self.mass
+        since = self.acceleration(speed) * self.turned + steady * self.turned_freely + self.velocity_noise
+        since = np.minimum(since, speed + self.lag(speed))
+        if len(self.settings.mass_kg) > 1:
+            # There directions may differ by less than a half turn.
+            return float((share * since).sum())
+        # |V^| is at most the least `since` of those ages.
+        order = np.argsort(since)[::-1]
+        return float((since[order] * np.cumsum(share[order])).max())
+
+    def tail_energy(self, speed: float) -> float:
+        """Energy in J of the hand that A still shows after it has gone (Eq. 9a).
 
         It held against the push, so a motion with the push takes energy out, and one against it, whose force has to
         grow from zero, puts some in.
         """
-        known, settings = self.kernel, self.settings
-        tail = known.tail[:-1]
-        answer = np.abs(known.velocity)
-        # In units of the cap: the force that pushes on, and the one that has turned round and grows.
-        forward = np.cumsum(answer)
-        grown = np.minimum(1.0, self.growth * np.arange(1, len(answer) + 1))
-        backward = np.convolve(answer, grown)[: len(answer)]
-        # V^ at tick k has seen the ticks up to k.
-        before = np.zeros(1)
-        forward, backward = np.concatenate((before, forward))[:-1], np.concatenate((before, backward))[:-1]
-        seen = np.where(tail > 0.0, backward, forward) * self.force / self.mass + self.velocity_noise
-        seen += settings.hand_speed
-        return float(self.held * (1.0 + settings.mass_error) * settings.period_s * (np.abs(tail) * seen).sum())
+        settings = self.settings
+        friction = (self.coulomb + self.viscous * speed) / self.mass
+        drives = self.drives * speed / self.mass
+        # Stiction may have held as well: the force then begins so far beyond zero.
+        way = (self.force * self.tail_way) / self.mass + (2.0 * friction + drives) * self.free_tail_way
+        moved = (settings.hand_speed + self.velocity_noise) * self.kernel.tail_s
+        return self.held * (1.0 + settings.mass_error) * (way + moved)
 
     def of_wsc(self) -> ControllerBound:
-        """WSC, Eq. 7 to 11."""
+        """WSC, Eq. 7 to 11, and 16."""
+        if self.settings.wsc_force_threshold_n > 0.0 and self.settings.travel_m is None:
+            reason = "wsc does not see a push of less than F_w, and without mechanical stops nothing ends it"
+            return ControllerBound(controller="wsc", speed=None, reason=reason)
+        return self._of_energy("wsc", lambda threshold, speed: threshold + self.rise(speed))
+
+    def of_wsc_and_vfc(self) -> ControllerBound | None:
+        """WSC and VFC together, Eq. 15; none where that is what WSC alone gives."""
+        settings = self.settings
+        watched = {"wsc", "vfc"} <= set(settings.controllers) and settings.wsc_force_threshold_n == 0.0
+        if not watched or settings.vfc_form != "product" or len(settings.mass_kg) > 1 or settings.late_s > 0.0:
+            return None
+        alone = self.of_wsc()
+        if alone.speed is None or alone.terms is None or alone.terms.threshold_speed is None:
+            return None
+        # V^ at a tick, and the greatest speed after it: V^ was at most so much lower some ticks ago, and F_v with it.
+        estimated = float(self._allowed(alone.speed)[1].max()) * np.sqrt(np.linspace(0.0, 1.0, GRID))
+        most, norm_s = self._limited_rises(estimated[:-1], alone.speed)
+
+        def passes(threshold: Array, speed: float) -> Array:
+            steady = (self.coulomb + self.viscous * speed) / self.mass
+            reached = estimated[1:] + self.acceleration(speed) * most + steady * norm_s + self.velocity_noise
+            highest = np.append(np.maximum.accumulate(reached), threshold.max() + self.rise(speed))
+            limited: Array = highest[np.searchsorted(estimated[1:], threshold)]
+            return np.minimum(limited, threshold + self.rise(speed))
+
+        return self._of_energy("wsc and vfc", passes)
+
+    def _limited_rises(self, estimated: Array, speed: float) -> tuple[Array, Array]:
+        """`max sum w f` in s after each V^ in m/s, where `F_v V^ <= V_t F_t` at each tick before (Eq. 15).
+
+        And what friction counts with, in s.
+        """
         settings, known = self.settings, self.kernel
-        window_s = settings.window * settings.period_s
+        since, freely = known.rises_since(self.growth)
+        steady = (self.coulomb + self.viscous * speed) / self.mass
+        lower = self.acceleration(speed) * since + steady * freely + 2.0 * self.velocity_noise
+        lower[0] = 0.0
+        before = np.maximum(estimated[:, None] - lower, 0.0)
+        power = settings.velocity_threshold * settings.vfc_force_threshold_n
+        with np.errstate(divide="ignore"):
+            limit = np.maximum(power / before, settings.probe_force_n) / self.force
+        weights = np.append(settings.period_s, known.lag_s)
+        highest = np.ones((len(estimated), len(weights)))
+        ages = min(len(weights), len(since))
+        highest[:, :ages] = np.minimum(limit[:, :ages], 1.0)
+        most, norm_s = np.full(len(estimated), np.inf), np.zeros(len(estimated))
+        for share in (0.0, 0.5, 1.0, 1.5):
+            lifted = weights + share * self.rising.lift
+            found = best_push(np.broadcast_to(lifted, highest.shape), self.growth, highest=highest).max(axis=-1)
+            norm_s = np.where(found < most, np.abs(lifted).sum(), norm_s)
+            most = np.minimum(most, found)
+        return most, norm_s
+
+    def _allowed(self, speed: float) -> tuple[float, Array]:
+        """The energy W in J that no hand has put in, below that speed, and v_th at each tick since (Eq. 9, 10)."""
+        settings = self.settings
         power = settings.hand_power_w
         if power is None:
             power = max(self.force, settings.damping * settings.hand_speed) * settings.hand_speed
             power *= 1.0 + settings.mass_error
+        # The force that is held for longer differs from the next by its growth beyond zero, at most.
+        late = (1.0 + min(self.growth, 1.0)) * self.kernel.gain * self.force * self.late_s
+        energy = self.tail_energy(speed) + self.phantom_energy(speed) + late * (speed + self.lag(speed))
         # Ticks since the release: as long as energy from before is in the window.
-        time_s = settings.period_s * np.arange(settings.window + 1)
-        tail = self.tail_energy()
+        left_s = settings.period_s * np.arange(settings.window, -1, -1)
+        whole = abs(settings.energy_threshold_j) + energy + left_s * power
+        return energy, np.sqrt(2.0 * settings.energy_ratio * whole / self.known_mass)
 
-        def allowed(speed: float) -> tuple[float, Array]:
-            """The energy that does not depend on the time since the release, and v_th at each tick (Eq. 9, 10)."""
-            fastest = speed + self.lag(speed)
-            late = 2.0 * known.gain * self.force * self.late_s
-            energy = tail + self.phantom_energy(speed) + late * fastest
-            whole = abs(settings.energy_threshold_j) + energy + (window_s - time_s) * power
-            return energy, np.sqrt(2.0 * settings.energy_ratio * whole / self.known_mass)
+    def _of_energy(self, name: str, passes: Callable[[Array, float], Array]) -> ControllerBound:
+        """The bound of whoever lets V^ pass up to v_th; `passes` has the greatest speed in m/s after each v_th."""
+        settings = self.settings
 
         def next_speed(speed: float) -> float:
-            _, threshold = allowed(speed)
-            a = self.acceleration(speed)
-            passes = np.minimum(settings.hand_speed + a * (time_s + self.late_s), threshold + self.lag(speed))
+            reached = passes(self._allowed(speed)[1], speed)
+            late_s = self.late_s + settings.period_s * np.arange(1, settings.window + 2) + self.late_s
+            sooner = np.minimum(settings.hand_speed + self.acceleration(speed) * late_s, reached)
             # After the window has passed nothing depends on the time any more.
-            passes[-1] = threshold[-1] + self.lag(speed)
-            return float(max(settings.hand_speed, passes.max())) + a * (settings.period_s + self.late_s)
+            return float(max(settings.hand_speed, sooner.max(), reached[-1]))
 
         unseen_n = settings.wsc_force_threshold_n
-        if unseen_n > 0.0 and settings.travel_m is None:
-            reason = "wsc does not see a push of less than F_w, and without mechanical stops nothing ends it"
-            return ControllerBound(controller="wsc", speed=None, reason=reason)
 
         def pushed_on(speed: float) -> float:
             """With a push of F_w over the travel, which is not seen (Eq. 16)."""
@@ -391,23 +496,22 @@ class _Model:
         speed = _least_fixed_point(pushed_on, settings.hand_speed)
         if speed is None:
             reason = "friction, noise or errors of the model look like a hand that feeds any speed"
-            return ControllerBound(controller="wsc", speed=None, reason=reason)
-        energy, threshold = allowed(speed)
-        terms = self._terms(speed)
-        terms = replace(terms, threshold_speed=float(threshold[-1]), phantom_energy_j=energy)
-        return ControllerBound(controller="wsc", speed=speed, reason=None, terms=terms)
+            return ControllerBound(controller=name, speed=None, reason=reason)
+        energy, threshold = self._allowed(speed)
+        terms = replace(self._terms(speed), threshold_speed=float(threshold[-1]), phantom_energy_j=energy)
+        return ControllerBound(controller=name, speed=speed, reason=None, terms=terms)
 
     def _terms(self, speed: float) -> EjectionTerms:
         a = self.acceleration(speed)
         tick = a * (self.settings.period_s + self.late_s)
         return EjectionTerms(
-            lag_s=self.lag_s,
+            lag_s=self.rising.most - self.settings.period_s,
             lag_norm_s=self.kernel.lag_norm_s,
             acceleration=a,
-            lag_speed=self.lag(speed),
+            lag_speed=self.rise(speed) - tick,
             tick_speed=tick,
             phantom_force_n=self.phantom_force(speed),
-            floor=self.lag_s * a + tick,
+            floor=self.rise(speed) - self.velocity_noise,
         )
 
     def of_hsc(self) -> ControllerBound:
@@ -447,7 +551,7 @@ class _Model:
         """Largest speed in m/s at each tick after the release, by the impulses of what HSC lets pass: V_H of Eq. 12.
 
         A tick that does not trip has a push of at most `push`, or a V^ of at most V_s: V is then below V_s + e, and the
-        whole cap may act over the tick (Eq. 15).
+        whole cap may act over the tick (Eq. 13a).
         """
         settings = self.settings
         slowest = settings.hsc_velocity_threshold
@@ -487,18 +591,43 @@ class _Model:
 
 
 def _least_fixed_point(of: Callable[[float], float], start: float) -> float | None:
-    """The least speed that is its own bound, from below; none where there is no such speed."""
-    speed = start
-    for _ in range(MOST_ITERATIONS):
+    """The least speed that is its own bound, from below; none where there is no such speed.
+
+    Any speed that `of`, which grows with it, does not raise is a bound: by induction over the ticks none exceeds it. So
+    where iteration is slow the end is guessed from its rate, and halved in to.
+    """
+    speed, last_step = start, 0.0
+    for iteration in range(MOST_ITERATIONS):
         following = of(speed)
         if not isfinite(following) or following > FASTEST:
             return None
-        if following <= speed * (1.0 + TOLERANCE):
+        step = following - speed
+        if step <= speed * TOLERANCE:
             return following * (1.0 + TOLERANCE)
-        speed = following
+        if iteration >= PLAIN_ITERATIONS and 0.0 < step < last_step:
+            guess = following + 1.01 * step * step / (last_step - step)
+            if guess <= FASTEST and of(guess) <= guess:
+                return _halved(of, following, guess)
+        speed, last_step = following, step
     return None
 
 
+def _halved(of: Callable[[float], float], low: float, high: float) -> float:
+    """The least speed between that `of` does not raise, of which `high` is one."""
+    while high - low > TOLERANCE * high:
+        middle = 0.5 * (low + high)
+        if of(middle) <= middle:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+PLAIN_ITERATIONS = 10
+WORTH = 0.05
+"""Share of the largest weight below which a force of the past is left out of the worst push."""
+GRID = 33
+"""Speeds V^ at which the forces that VFC lets pass are computed."""
 MOST_ITERATIONS = 1000
 TOLERANCE = 1e-9
 FASTEST = 1e3

@@ -2,14 +2,11 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from haptether._core import Estimator, EstimatorKind
-
-Array: TypeAlias = npt.NDArray[np.float64]
+from haptether.safety.ejection.push import Array, Rising, best_push, best_rising_push
 
 REST_TICKS = 130
 """At rest before the impulse: longer than any window (128)."""
@@ -17,8 +14,12 @@ LEAST_TICKS = 256
 MOST_TICKS = 1 << 17
 NEGLIGIBLE = 1e-10
 """Share of a kernel that may lie beyond its end."""
-MOST_LEVELS = 256
-"""Steps in which a force grows to its cap; a slower growth is taken for this one."""
+DIRECT = 2048
+"""Longest kernel that is convolved term by term."""
+MOST_TURNS = 64
+"""Ages of which the largest change of V^ since is computed; beyond them it is bounded by the cap."""
+MOST_TAIL_TICKS = 256
+"""Ticks for which the hand may show in A, if its energy is to be that of one push and not of the worst at each tick."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +82,115 @@ class Kernel:
         """
         return float(best_push(self.lag_s, growth).max())
 
-    def noise_power(self, *, ticks: int, growth: float, force: float, steady: float, speed: float) -> float:
+    def rising_speed(self, growth: float) -> Rising:
+        """Largest `V - V^` in s one tick later, V nowhere above that before, for a force as in `growing_lag_s`.
+
+        `max dT f[-1] + sum_j lag_s[j] f[j]`, with dT of the tick in which the speed is reached.
+
+        Source: `docs/ejection_bound.md`, Eq. 6.
+        """
+        return best_rising_push(np.concatenate(([self.period_s], self.lag_s)), growth)
+
+    def turned_speeds(self, growth: float) -> tuple[Array, Array]:
+        """`max V^[n] - V` in s, V that of the tick that ends at n-j, for each age j; and for a force of any growth.
+
+        Source: `docs/ejection_bound.md`, Eq. 9b.
+        """
+        size = len(self.acceleration)
+        # Where it is not computed it is what the cap gives in j + 1 ticks, and the lag.
+        passed_s = self.period_s * np.arange(1, size + 1, dtype=np.float64)
+        since, free = self.growing_lag_s(growth) + passed_s, self.lag_norm_s + passed_s
+        # V at both ends of the tick: j and j + 1 ticks ago.
+        ends = np.arange(min(size, MOST_TURNS) + 1)
+        change = np.where(np.arange(size) < ends[:, None], self.period_s, 0.0) - self.lag_s
+        for bound, found in ((since, best_push(change, growth).max(axis=-1)), (free, np.abs(change).sum(axis=-1))):
+            bound[ends[:-1]] = np.minimum(bound[ends[:-1]], np.maximum(found[:-1], found[1:]))
+        return since, free
+
+    def rises_since(self, growth: float) -> tuple[Array, Array]:
+        """`max V^[n] - V^[n-j]` in s for each age j up to `MOST_TURNS`, and the same for a force of any growth.
+
+        Source: `docs/ejection_bound.md`, Eq. 15.
+        """
+        velocity = np.append(self.velocity, np.full(MOST_TURNS, self.period_s))
+        older = np.arange(len(velocity)) - np.arange(MOST_TURNS)[:, None]
+        change = velocity - np.where(older < 0, 0.0, velocity[older])
+        return best_push(change, growth).max(axis=-1), np.abs(change).sum(axis=-1)
+
+    def tail_way(self, growth: float, window: int) -> tuple[float, float]:
+        """Largest `-dT sum_k tail[k] V^[k]` in s² over ticks that a window can hold, and the same for any growth.
+
+        V^ is that of a force of at most 1 since the release, which follows on one that is not negative.
+
+        Source: `docs/ejection_bound.md`, Eq. 9a.
+        """
+        tail = self.tail[:-1]
+        answer = np.abs(self.velocity)
+        # At the worst of each tick for itself: the force that pushes on, and the one that has turned round and grows.
+        forward = np.concatenate(([0.0], np.cumsum(answer)))[:-1]
+        grown = np.minimum(1.0, growth * np.arange(1, len(answer) + 1))
+        backward = np.concatenate(([0.0], _convolved(answer, grown)[: len(answer)]))[:-1]
+        each = np.abs(tail) * np.where(tail > 0.0, backward, forward)
+        worst, free = float(each.sum()), float((np.abs(tail) * forward).sum())
+        left = np.cumsum(each[::-1])[::-1]
+        ticks = int((left > 1e-6 * worst).sum())
+        if 0 < ticks <= min(MOST_TAIL_TICKS, len(tail)):
+            # What a force at tick i adds to the sum from the release to tick k.
+            lasting = np.tril(np.ones((ticks, ticks)))
+            pushed = np.zeros((ticks, ticks))
+            for i in range(ticks - 1):
+                pushed[i + 1 :, i] = -tail[i + 1 : ticks] * self.velocity[: ticks - 1 - i]
+            until = lasting @ pushed
+            # A window that ends at k, or begins after k and ends a window later.
+            begins = np.minimum(np.arange(ticks) + window, ticks - 1)
+            windows = np.concatenate((until[: min(ticks, window)], until[begins] - until))
+            rest = float(left[ticks]) if ticks < len(left) else 0.0
+            worst = min(worst, max(0.0, float(best_push(windows[:, ::-1], growth, from_zero=True)[:, -1].max())) + rest)
+            free = min(free, float(np.abs(windows).sum(axis=-1).max()) + rest)
+        return self.period_s * worst, self.period_s * free
+
+    def readings(self, growth: float) -> "Readings":
+        """What wrong readings meet (Eq. 9c)."""
+        size = len(self.lag_s)
+        answer = np.concatenate((np.zeros(size - 1), self.velocity, np.full(size, self.period_s)))
+        met = _convolved(answer, self.acceleration_noise[::-1])[size - 1 : len(answer)]
+        sizes = np.abs(self.acceleration_noise)
+        return Readings(
+            period_s=self.period_s,
+            bend=float(best_push(met, growth).max()),
+            free_bend=float(np.abs(met).sum()),
+            change=float(np.abs(np.diff(self.velocity, prepend=0.0)).sum()),
+            parts=np.abs(np.cumsum(self.acceleration_noise)),
+            sizes=np.cumsum(sizes),
+        )
+
+
+def _convolved(one: Array, other: Array) -> Array:
+    """The convolution of two kernels, of long ones by their spectra."""
+    if min(len(one), len(other)) <= DIRECT:
+        return np.convolve(one, other)
+    size = len(one) + len(other) - 1
+    spectrum = np.fft.rfft(one, size) * np.fft.rfft(other, size)
+    return np.fft.irfft(spectrum, size)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Readings:
+    """What an estimator makes of wrong readings: in A, and so in an energy."""
+
+    period_s: float
+    """dT in s."""
+    bend: float
+    """Largest answer of A to readings, of V^ under a unit force of limited growth."""
+    free_bend: float
+    """The same of any growth."""
+    change: float
+    """Largest change of V^ in a tick under a unit force."""
+    parts: Array
+    """What A has seen of a reading after so many ticks, shape `(n,)`, and at most, `sizes`."""
+    sizes: Array
+
+    def power(self, *, ticks: int, force: float, steady: float, speed: float) -> float:
         """Largest `dT sum A_noise V^` in m²/s² over a window, for readings that are each off by at most 1 m.
 
         A sees no steady velocity, so that noise of A and a velocity that changes slowly do not add up to an energy:
@@ -89,28 +198,23 @@ class Kernel:
 
         Args:
             ticks: w.
-            growth: Largest growth of the force a tick, in units of its cap.
-            force: Acceleration in m/s² that the cap gives, under that growth.
+            force: Acceleration in m/s² that the cap gives, under the limit on growth.
             steady: What friction adds to it, of any growth.
             speed: Largest |V^| in m/s.
 
-        Source: `docs/ejection_bound.md`, Eq. 9.
+        Source: `docs/ejection_bound.md`, Eq. 9c.
         """
-        reading, size = self.acceleration_noise, len(self.lag_s)
-        if not reading.any():
+        if not self.sizes[-1]:
             return 0.0
-        answer = np.concatenate((np.zeros(size - 1), self.velocity, np.full(size, self.period_s)))
-        met = np.correlate(answer, reading, "valid")
-        inside = force * float(best_push(met, growth).max()) + steady * float(np.abs(met).sum())
-        change = (force + steady) * float(np.abs(np.diff(self.velocity, prepend=0.0)).sum())
-        parts, sizes = np.cumsum(reading), np.cumsum(np.abs(reading))
-        left = np.maximum(sizes[-1] - sizes, 0.0)
+        inside = force * self.bend + steady * self.free_bend
+        change = (force + steady) * self.change
+        left = np.maximum(self.sizes[-1] - self.sizes, 0.0)
         # The newest readings: what of their answer has come by now.
-        come = np.concatenate(([0.0], np.cumsum(sizes)[:-1]))
-        newest = np.minimum(speed * np.abs(parts) + change * come, inside + speed * left)
+        come = np.concatenate(([0.0], np.cumsum(self.sizes)[:-1]))
+        newest = np.minimum(speed * self.parts + change * come, inside + speed * left)
         # Readings before the window: what of their answer is still to come.
         coming = np.concatenate((np.cumsum(left[::-1])[::-1][1:], [0.0]))
-        before = np.minimum(speed * np.abs(parts) + change * coming, speed * left)
+        before = np.minimum(speed * self.parts + change * coming, speed * left)
         return self.period_s * float(ticks * inside + np.maximum(newest - inside, 0.0).sum() + before.sum())
 
 
@@ -181,35 +285,3 @@ def _measured(of: EstimatorKind, period_s: float, ticks: int) -> Kernel:
         velocity_noise=velocity_noise[REST_TICKS:],
         acceleration_noise=acceleration_noise[REST_TICKS:],
     )
-
-
-def best_push(weights: Array, growth: float) -> Array:
-    """`max sum_(j<=k) w[j] f[j]` for each k, over |f| <= 1 whose size grows by at most `growth` a tick: f[0] is newest.
-
-    `min(0, f[j]) - growth <= f[j-1] <= max(0, f[j]) + growth`. For given signs these are differences, so an optimum has
-    all |f| at `i growth` or `1 - i growth`: dynamic programming over those levels is exact.
-
-    Source: Bellman 1957; Hoffman and Kruskal 1956 (integral vertices).
-    """
-    if growth >= 1.0:
-        # Only a reversal of more than the cap is limited then; free is more.
-        return np.cumsum(np.abs(weights))
-    growth = max(growth, 1.0 / MOST_LEVELS)
-    steps = growth * np.arange(int(1.0 / growth) + 1)
-    half = np.unique(np.concatenate((steps, 1.0 - steps, [0.0, 1.0])).round(12))
-    levels = np.concatenate((-half[:0:-1], half))
-    zero = len(half) - 1
-    # The highest place that the next force may have after one of size half[i], counted from that of zero.
-    reach = np.searchsorted(half, half + growth * (1.0 + 1e-6), side="right") - 1
-    least = reach[0]
-    best = np.zeros(len(weights))
-    value = np.zeros(len(levels))
-    newer = np.zeros(len(levels))
-    for age, weight in enumerate(weights):
-        if age:
-            rising = np.maximum.accumulate(value[zero - least :])[least:]
-            falling = np.maximum.accumulate(value[zero + least :: -1])[least:]
-            newer = np.concatenate((falling[reach][:0:-1], rising[reach]))
-        value = weight * levels + newer
-        best[age] = value.max()
-    return best

@@ -33,6 +33,8 @@ AFTER_S = 0.1
 """How long a run goes on after the last step of the push."""
 TRAVEL_S = 0.5
 """The same where nobody watches energy: a small push that is never seen works over the whole travel."""
+FINENESS = 3
+"""Power of the numbers that times come from: most of their range is for short ones."""
 JITTER_OF_DELAY = 0.3
 STRONGEST = 10.0
 """Grip strength over the force that is held, where the hand lets go at once."""
@@ -45,8 +47,10 @@ class ReleaseBounds(Struct, frozen=True, kw_only=True):
     """Steps of the push after the release."""
     shortest_s: float = 5e-4
     """Least time in s from one step to the next."""
-    longest_s: float = 0.03
+    longest_s: float = 0.1
     """Longest time in s from one step to the next, and to the first from when the hand has gone."""
+    span_s: float = 0.24
+    """Longest time in s from when the hand has gone to the last step."""
     decay_s: float = 0.05
     """Longest time in s in which the grip gives way."""
     delay_s: float = 0.2
@@ -63,6 +67,7 @@ class ReleaseBounds(Struct, frozen=True, kw_only=True):
             ("steps", 1, 40),
             ("shortest_s", 1e-5, 1.0),
             ("longest_s", self.shortest_s, 1.0),
+            ("span_s", self.shortest_s * self.steps, 10.0),
             ("decay_s", 0.0, 1.0),
             ("delay_s", 0.0, 2.0),
             ("jitter_s", 0.0, 0.5),
@@ -87,6 +92,8 @@ class Release(Struct, frozen=True, kw_only=True):
     """When the push steps, in s after the release; not before the hand has gone."""
     level_n: tuple[float, ...]
     """What it becomes, in N."""
+    direction: tuple[float, ...] = (1.0,)
+    """Of hold and push: a unit vector, one number an axis."""
     delay_s: tuple[float, float] = (0.0, 0.0)
     """Delay in s of either direction of the link."""
     jitter_s: float = 0.0
@@ -116,17 +123,19 @@ class Releases:
         self.after_s = AFTER_S if "wsc" in settings.controllers else TRAVEL_S
         self.mass_kg = max(settings.mass_kg)
         self.axes = len(settings.mass_kg)
-        self.axis = int(np.argmin(settings.mass_kg))
+        self.lightest = int(np.argmin(settings.mass_kg))
         self.has_link = scene.slave is not None and scene.link is not None
         window_s = settings.window * settings.period_s if "wsc" in settings.controllers else 0.0
-        settled_s = RESTS_AFTER_S if scene.slave is None else ENGAGED_AFTER_S + 2.0 * bounds.delay_s * self.has_link
+        # An arm is engaged some time after the run has begun, and times count from then on.
+        self.engaged_s = 0.0 if scene.slave is None else ENGAGED_AFTER_S + 2.0 * bounds.delay_s * self.has_link
+        settled_s = self.engaged_s or RESTS_AFTER_S
         # What the window of WSC holds is then of a hand at rest.
         self.at_s = round(settled_s + window_s, 3)
 
     @property
     def size(self) -> int:
         """How many numbers describe a release."""
-        return 3 + 2 * self.bounds.steps + 4 * self.has_link
+        return 3 + 2 * self.bounds.steps + (self.axes - 1) + 4 * self.has_link
 
     def of(self, numbers: Sequence[float] | Array) -> Release:
         """The release of numbers between 0 and 1."""
@@ -136,9 +145,14 @@ class Releases:
         gaps, levels = x[3 : 3 + steps], x[3 + steps : 3 + 2 * steps]
         decay_s = bounds.decay_s * float(x[1])
         # While a hand is still there, a push that changes would have it move, and so put energy in.
-        first = decay_s + bounds.longest_s * gaps[0]
-        later = bounds.shortest_s + (bounds.longest_s - bounds.shortest_s) * gaps[1:] ** 2
-        after = np.cumsum(np.concatenate(([first], later)))
+        first = bounds.longest_s * gaps[0] ** FINENESS
+        later = bounds.shortest_s + (bounds.longest_s - bounds.shortest_s) * gaps[1:] ** FINENESS
+        gone = np.cumsum(np.concatenate(([first], later)))
+        if gone[-1] > bounds.span_s:
+            # Each comes sooner by the same share, and none sooner than the shortest after the one before.
+            least = bounds.shortest_s * np.arange(steps)
+            gone = least + (gone - least) * (bounds.span_s - least[-1]) / (gone[-1] - least[-1])
+        after = decay_s + gone
         level = held * np.cumprod(levels) if bounds.push == "steady" else self.cap_n * (2.0 * levels - 1.0)
         delay_s, jitter_s, loss = (0.0, 0.0), 0.0, 0.0
         if self.has_link:
@@ -153,10 +167,46 @@ class Releases:
             margin=1.05 + (STRONGEST - 1.05) * float(x[2]) ** 2,
             after_s=tuple(map(float, after)),
             level_n=tuple(map(float, level)),
+            direction=self._direction(x[3 + 2 * steps : 2 + 2 * steps + self.axes]),
             delay_s=delay_s,
             jitter_s=jitter_s,
             loss=loss,
         )
+
+    def numbers(self, release: Release, *, fill: float = 0.5) -> Array:
+        """Those of a release with any number of steps, of which there may be too many.
+
+        `fill` stands where it says nothing of a step, and for direction and link.
+        """
+        bounds, steps = self.bounds, self.bounds.steps
+        x = np.full(self.size, fill)
+        x[0] = (release.held_n / self.cap_n - 0.05) / 0.95
+        x[1] = release.decay_s / bounds.decay_s if bounds.decay_s else 0.0
+        x[2] = sqrt(max(release.margin - 1.05, 0.0) / (STRONGEST - 1.05))
+        after = np.array(release.after_s[:steps])
+        gaps = np.diff(after, prepend=release.decay_s)
+        gaps[1:] -= bounds.shortest_s
+        ranges = np.full(len(after), bounds.longest_s - bounds.shortest_s)
+        ranges[:1] = bounds.longest_s
+        x[3 : 3 + len(after)] = np.clip(gaps / ranges, 0.0, 1.0) ** (1.0 / FINENESS)
+        level = np.array(release.level_n[:steps])
+        if bounds.push == "steady":
+            before = np.concatenate(([release.held_n], level))[:-1]
+            shares = np.divide(level, before, out=np.zeros(len(level)), where=before > 0.0)
+        else:
+            shares = (level / self.cap_n + 1.0) / 2.0
+        x[3 + steps : 3 + steps + len(level)] = shares
+        clipped: Array = np.clip(x, 0.0, 1.0)
+        return clipped
+
+    def _direction(self, numbers: Array) -> tuple[float, ...]:
+        """The unit vector of numbers between 0 and 1, at 0.5 each that of the lightest axis (slopes against it)."""
+        along = np.zeros(self.axes)
+        others = [axis for axis in range(self.axes) if axis != self.lightest]
+        along[self.lightest] = 1.0
+        along[others] = np.tan(np.pi / 2.0 * 0.99 * (2.0 * numbers - 1.0))
+        along /= np.linalg.norm(along)
+        return tuple(map(float, along))
 
     def samples(self, releases: Sequence[Release]) -> dict[str, Array]:
         """Releases as rows of a sweep of `scene_of` any of them with all steps."""
@@ -164,16 +214,19 @@ class Releases:
         return {path: np.array([row[path] for row in rows]) for path in rows[0]}
 
     def _row(self, release: Release) -> dict[str, float]:
-        pushes = self._pushes(release)
-        force = "force_n" if self.axes == 1 else f"force_n.{self.axis}"
         row = {
             "operator.grip_strength_n": release.margin * release.held_n,
             "operator.release.decay_s": release.decay_s,
-            f"environment.pushers.0.{force}": release.held_n,
         }
-        for place, (at_s, step_n) in enumerate(pushes, 1):
-            row[f"environment.pushers.{place}.at_s"] = at_s
-            row[f"environment.pushers.{place}.{force}"] = step_n
+        pushes = [(None, release.held_n), *self._pushes(release)]
+        for place, (at_s, step_n) in enumerate(pushes):
+            if at_s is not None:
+                row[f"environment.pushers.{place}.at_s"] = at_s
+            force = self._along(step_n, release)
+            if isinstance(force, float):
+                row[f"environment.pushers.{place}.force_n"] = force
+            else:
+                row |= {f"environment.pushers.{place}.force_n.{axis}": each for axis, each in enumerate(force)}
         if self.has_link:
             for direction, delay_s in zip(("forward", "backward"), release.delay_s, strict=True):
                 row[f"link.{direction}.delay_s"] = delay_s
@@ -195,8 +248,8 @@ class Releases:
         pushes = [(0.0, release.held_n)]
         pushes += [(at, step) for at, step in self._pushes(release) if whole or step != 0.0]
         bounds = self.bounds
-        latest_s = bounds.decay_s + bounds.steps * bounds.longest_s if whole else max(release.after_s, default=0.0)
-        lasts_s = self.at_s + latest_s + self.after_s
+        latest_s = bounds.decay_s + bounds.span_s if whole else max(release.after_s, default=0.0)
+        lasts_s = self.engaged_s + self.at_s + latest_s + self.after_s
         link = base.link
         if self.has_link:
             forward, backward = (
@@ -218,7 +271,7 @@ class Releases:
             ),
             slave=base.slave and replace(base.slave, position=None, device="simulated", options={}),
             environment=EnvironmentTable(
-                pushers=tuple(PusherTable(at_s=at_s, force_n=self._along(force_n)) for at_s, force_n in pushes)
+                pushers=tuple(PusherTable(at_s=at_s, force_n=self._along(force_n, release)) for at_s, force_n in pushes)
             ),
             link=link,
             coupling=base.coupling,
@@ -226,8 +279,8 @@ class Releases:
             safety=base.safety,
         )
 
-    def _along(self, force_n: float) -> "float | tuple[float, ...]":
-        """A force along the lightest axis."""
+    def _along(self, force_n: float, release: Release) -> "float | tuple[float, ...]":
+        """A force in the direction of a release."""
         if self.axes == 1:
             return force_n
-        return tuple(force_n if axis == self.axis else 0.0 for axis in range(self.axes))
+        return tuple(round(force_n * along, 9) for along in release.direction)

@@ -13,7 +13,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from haptether.bridge import Scene, override_scene, simulate, sweep
-from haptether.safety import EjectionBound, ejection_bound
+from haptether.safety import EjectionBound, ejection_bound, rising_push
 from haptether.studies.falsifier.release import STRONGEST, Release, ReleaseBounds, Releases
 
 Array = npt.NDArray[np.float64]
@@ -22,6 +22,8 @@ POPULATION = 48
 """Releases of a generation: lanes of the batch engine are full."""
 SPREAD = 0.3
 """Of the first generation, of the range of each number."""
+NEAR = 0.1
+"""The same where a search begins at a release that is known to be bad."""
 STALLED = 30
 """Generations without a better release, after which the search starts anew elsewhere."""
 KEPT = 0.98
@@ -138,8 +140,10 @@ class _Search:
     def __init__(self, releases: Releases, threads: int | None, progress: Callable[[int, float], None] | None) -> None:
         self.releases, self.threads, self.progress = releases, threads, progress
         self.best: Release | None = None
+        self.numbers: Array = np.zeros(releases.size)
         self.speed = 0.0
         self.tried = 0
+        self.rising = () if releases.bounds.push == "steady" else rising_push(releases.scene)
 
     def speeds(self, tried: list[Release]) -> Array:
         """The speed that each leads to, in m/s; 0 where nothing was measured."""
@@ -162,7 +166,7 @@ class _Search:
         cma: Any = importlib.import_module("cma")
         rng = np.random.default_rng(seed)
         while self.best is None or not is_over():
-            start = self._start(rng)
+            start, spread = self._start(rng)
             options = {
                 "bounds": [0.0, 1.0],
                 "popsize": POPULATION,
@@ -171,24 +175,74 @@ class _Search:
                 "verb_log": 0,
                 "verb_disp": 0,
             }
-            strategy = cma.CMAEvolutionStrategy(start, SPREAD, options)
+            strategy = cma.CMAEvolutionStrategy(start, spread, options)
             best, since = 0.0, 0
             while (self.best is None or not is_over()) and since < STALLED and not strategy.stop():
                 numbers = strategy.ask()
+                before = self.speed
                 speeds = self.speeds([self.releases.of(each) for each in numbers])
+                if self.speed > before:
+                    self.numbers = np.asarray(numbers[int(np.argmax(speeds))])
                 strategy.tell(numbers, (-speeds).tolist())
                 since = 0 if speeds.max() > best * 1.001 else since + 1
                 best = max(best, float(speeds.max()))
 
-    def _start(self, rng: np.random.Generator) -> Array:
-        """Where a search begins: a sudden release at the cap, and a push at random or to and fro."""
+    def _start(self, rng: np.random.Generator) -> tuple[Array, float]:
+        """Where a search begins, and how far around: at random, to and fro, as the bound counts, or near the best."""
+        kind = rng.integers(4)
+        if kind == 0 and self.best is not None:
+            return self._near_the_best(rng), NEAR
+        if kind == 1 and len(self.rising):
+            return self._rising(rng), NEAR
         start = rng.uniform(0.1, 0.9, self.releases.size)
         start[:3] = (0.9, 0.1, 0.9)
         steps = self.releases.bounds.steps
-        if rng.random() < 0.5:
-            start[3 : 3 + steps] = rng.uniform(0.1, 0.6)
+        if kind == 2:
+            start[3 : 3 + steps] = rng.uniform(0.1, 0.5)
             start[3 + steps : 3 + 2 * steps] = np.where((np.arange(steps) + rng.integers(2)) % 2 == 0, 0.1, 0.9)
-        return start
+        return start, SPREAD
+
+    def _near_the_best(self, rng: np.random.Generator) -> Array:
+        """The best release so far, with a step in between that may become one."""
+        assert self.best is not None
+        release = self.best
+        steps = self.releases.bounds.steps
+        ends = (release.decay_s, *release.after_s)
+        place = int(rng.integers(steps))
+        level = (release.held_n, *release.level_n)[place]
+        after = rng.uniform(ends[place], ends[place + 1]) if place + 1 < len(ends) else ends[-1]
+        added = replace(
+            release,
+            after_s=(*release.after_s[:place], float(after), *release.after_s[place:])[:steps],
+            level_n=(*release.level_n[:place], level, *release.level_n[place:])[:steps],
+        )
+        numbers = self.releases.numbers(added)
+        beyond = 3 + 2 * steps
+        # Direction and link as they were.
+        numbers[beyond:] = self.numbers[beyond:]
+        return numbers
+
+    def _rising(self, rng: np.random.Generator) -> Array:
+        """A push that brings the device near its threshold, then the one after which V is farthest ahead of V^."""
+        releases = self.releases
+        cap_n, period_s = releases.cap_n, releases.scene.run.period_s
+        slow_n, lasts_s = cap_n * rng.uniform(-0.1, 1.0) ** 3, rng.uniform(0.0, 0.1) ** 2 * 10.0
+        times, levels = [0.0], [slow_n]
+        for tick, (old, new) in enumerate(itertools.pairwise((0.0, *self.rising))):
+            # What still grows is asked for at once.
+            if np.sign(new) != np.sign(old):
+                times.append(lasts_s + tick * period_s)
+                levels.append(cap_n * float(np.sign(new)))
+        room = releases.bounds.steps
+        times, levels = times[:1] + times[1:][1 - room :], levels[:1] + levels[1:][1 - room :]
+        release = Release(
+            held_n=cap_n * rng.uniform(0.1, 1.0),
+            decay_s=0.0,
+            margin=STRONGEST,
+            after_s=tuple(times),
+            level_n=tuple(levels),
+        )
+        return releases.numbers(release)
 
     def simplified(self, speed: float) -> Release:
         """The simplest release that keeps most of a speed: one part less, rounder numbers, as long as that goes."""

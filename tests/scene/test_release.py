@@ -140,7 +140,7 @@ def test_a_hand_that_is_there_keeps_its_force_however_often_it_trips() -> None:
         "master": {"device": "phantom-omni"},
         "operator": {
             "stiffness": 300.0, "damping": 8.0,
-            "legs": [{"duration_s": 0.1, "end": side} for at in range(4) for side in (0.1, 0.1, *[0.1] * 8, 0.0, *[0.0] * 9)],
+            "legs": [{"duration_s": 0.1, "end": side} for _ in range(4) for side in [0.1] * 10 + [0.0] * 10],
         },
         "environment": {"pushers": [{"force_n": 1.0}]},
         "safety": {"controllers": ["wsc"]},

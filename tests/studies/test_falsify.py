@@ -9,7 +9,7 @@ import pytest
 from haptether.bridge import Scene, SceneError, load_scene, simulate
 from haptether.cli import main
 from haptether.safety import ejection_bound
-from haptether.studies import Falsified, ReleaseBounds, falsify
+from haptether.studies import Falsified, Release, ReleaseBounds, falsify
 from haptether.studies.falsifier.release import Releases
 
 TRIES = 192
@@ -67,6 +67,9 @@ def test_releases_keep_their_bounds(name: str, push: str) -> None:
         assert np.abs(levels).max() <= releases.cap_n * (1 + 1e-12)
         assert release.after_s[0] >= release.decay_s
         assert (np.diff(release.after_s) >= bounds.shortest_s - 1e-12).all()
+        assert release.after_s[-1] <= release.decay_s + bounds.span_s + 1e-12
+        assert len(release.direction) == releases.axes
+        assert np.linalg.norm(release.direction) == pytest.approx(1.0, abs=1e-12)
         assert 0.0 <= release.decay_s <= 0.02
         assert max(release.delay_s) <= (0.1 if scene.link else 0.0)
         if push == "steady":
@@ -78,6 +81,53 @@ def test_releases_keep_their_bounds(name: str, push: str) -> None:
         sent = [pusher.at_s for pusher in written.environment.pushers[1:]]
         assert all(at_s + release.delay_s[1] >= releases.at_s - 1e-9 for at_s in sent)
         assert written.ejection_settings() == scene.ejection_settings()
+
+
+@pytest.mark.parametrize("push", ["any", "steady"])
+def test_the_numbers_of_a_release_give_it_again(wall: Scene, push: str) -> None:
+    """To rounding, where its steps fit into the span; so that a search can begin at a release that is known."""
+    bounds = ReleaseBounds(push="steady" if push == "steady" else "any", steps=4, longest_s=0.05)
+    releases = Releases(wall, bounds)
+    rng = np.random.default_rng(2)
+    for numbers in rng.uniform(0.05, 0.95, (50, releases.size)):
+        release = releases.of(numbers)
+        again = releases.of(releases.numbers(release))
+        found = (again.held_n, again.decay_s, again.margin, *again.after_s, *again.level_n)
+        wanted = (release.held_n, release.decay_s, release.margin, *release.after_s, *release.level_n)
+        assert found == pytest.approx(wanted, abs=1e-9)
+
+
+def test_on_several_axes_the_push_has_the_direction_of_the_release() -> None:
+    """What is written and what is swept are one force; numbers in the middle are the lightest axis."""
+    releases = Releases(load_scene("three_axis_box", ("master.mass_kg=[0.2,0.1,0.3]",)), ReleaseBounds(steps=2))
+    middle = releases.of(np.full(releases.size, 0.5))
+    assert middle.direction == (0.0, 1.0, 0.0)
+    aslant = releases.of(np.linspace(0.2, 0.8, releases.size))
+    written = releases.scene_of(aslant).environment
+    assert written is not None
+    row = releases.samples([aslant])
+    for place, pusher in enumerate(written.pushers):
+        force = np.asarray(pusher.force_n)
+        swept = [row[f"environment.pushers.{place}.force_n.{axis}"][0] for axis in range(3)]
+        assert force.tolist() == swept
+        assert np.abs(np.cross(force, aslant.direction)).max() < 1e-8
+
+
+def test_a_run_with_an_arm_lasts_until_the_hand_has_let_go() -> None:
+    """Times count from engagement, which takes a while; however soon the push steps."""
+    releases = Releases(load_scene("three_axis_box", ("safety.controllers=[wsc]",)), ReleaseBounds(steps=1))
+    release = Release(
+        held_n=7.9,
+        decay_s=0.0,
+        margin=10.0,
+        after_s=(0.004,),
+        level_n=(-7.9,),
+        direction=(1.0, 0.0, 0.0),
+        delay_s=(0.2, 0.2),
+    )
+    metrics = simulate(releases.scene_of(release)).metrics
+    assert metrics.outcome == "complete"
+    assert metrics.max_ejection_velocity is not None
 
 
 def test_ctrl_c_keeps_the_worst_so_far(wall: Scene) -> None:

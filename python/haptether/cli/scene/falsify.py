@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 class Falsify:
     """Search for the release after which a scene's device becomes fastest, and hold it to the bound on that speed.
 
-    Device, loop, link, arm and safety are the scene's. Searched for, within bounds: what the hand holds, how firmly
-    and how suddenly it lets go, the steps in which the push goes on, and delay, jitter and loss of a link. The worst is
-    made simple and written as a scene of its own. The same seed and number of tries find the same; a search by time
-    tries as many as the machine is quick. Ctrl-C ends the search and keeps the worst so far, status 130. Exit status 1
-    says that the bound was exceeded.
+    Device, loop, link, arm and safety are the scene's. Searched for, within bounds: what the hand holds, how firmly and
+    how suddenly it lets go, the steps in which the push goes on, of several axes its direction, and delay, jitter and
+    loss of a link. The worst is made simple and written as a scene of its own. The same seed and number of tries find
+    the same; a search by time tries as many as the machine is quick. Ctrl-C ends the search and keeps the worst so far,
+    status 130. Exit status 1 says that the bound was exceeded.
 
     Needs cma, of the extra `analysis`. How the bound is derived, and what holds under it: docs/ejection_bound.md.
 

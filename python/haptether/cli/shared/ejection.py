@@ -37,7 +37,7 @@ def release_line(scene: "Scene") -> str | None:
 
 
 def announcement(scene: "Scene") -> Iterator[str]:
-    """What is said before a loop begins: how fast the device can become after a release, and who gets the force back."""
+    """What is said before a loop begins: the greatest speed after a release, and who gets the force back."""
     try:
         bound = scene_bound(scene)
     except (ValueError, ArithmeticError) as error:
