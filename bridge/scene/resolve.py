@@ -71,7 +71,7 @@ DEFAULT_PC_DAMPING = 10.0
 DEFAULT_HSC_SPEED = 0.05
 """V_s in m/s, of HSC: docs/thresholds.md has what it does. None is known for joints."""
 PROBED_SPEED = 0.12
-"""The default probe over mu in m/s, of joints in rad/s: with the damping of a probe, 1.25 mu, at most 0.096 is reached."""
+"""The default probe over mu in m/s, of joints in rad/s: damped by 1.25 mu, it reaches at most 0.096."""
 FRICTION_ROOM = 2.0
 """Of c, what a probe must exceed by its threshold: `FRICTION_ROOM` of `safety/src/controller/probe.rs`."""
 TRIES_BY_PROBE, TRIES_BY_TIME = 5, 2

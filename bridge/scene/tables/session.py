@@ -342,7 +342,7 @@ class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """Any of "vfc" (Eq. 2), "hsc" (Eq. 14), "wsc" (Eq. 13), "pc" (Eq. 12); by default nobody."""
     signals: Literal["estimated", "true"] = "estimated"
     """What the observers get: what the estimator makes of measured positions, as live, or the model's own."""
-    estimator: EstimatorTable = Kalman()
+    estimator: EstimatorTable = DualKalman()
     """How V and A are had from the position."""
     damping: NonNegative | None = None
     """mu in N s/m, at most m / (5 dT); by default 5, or that bound if it is less."""
