@@ -87,6 +87,9 @@ def random_scene(rng: np.random.Generator, controllers: tuple[str, ...], *, meas
         "hsc_force_threshold_n": rng.uniform(0.1, 2.0),
         "hold_off_s": float(rng.choice([0.0, 0.1])),
         "release_ramp_s": float(rng.choice([0.0, 0.2])),
+        "probe_force_n": 0.0,
+        "release_tries": 0,
+        "hsc_velocity_threshold": 0.0,
         "limiter": {"ramp_in_s": 0.0, "max_slew_n_per_s": float(rng.choice([500.0, 1000.0, 4000.0, 1e6]))},
     }
     push = {"shape": "step", "force_n": 0.0}
