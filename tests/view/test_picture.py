@@ -58,14 +58,15 @@ def test_an_arrow_is_seen_only_while_there_is_a_force() -> None:
     with Picture([described], size=SMALL) as picture:
         view = picture.columns[0].views["robot"]
         counts = {}
-        for time_s in (0.3, 2.5):
+        # Before contact, and where the arrow is out of the wall again.
+        for time_s in (0.3, 3.5):
             image = picture.image(time_s)[view.top : view.top + view.height, view.left : view.left + view.width]
             counts[float(run.signals["environment_force"][round(1000 * time_s)])] = near(
                 image, colours.ENVIRONMENT_FORCE, 0.1
             )
     (none, of_none), (some, of_some) = sorted(counts.items())
     assert none == 0.0
-    assert some > 5.0
+    assert some > 1.0
     assert of_none == 0
     assert of_some > 40
 
