@@ -47,6 +47,7 @@ from haptether.bridge.scene.tables.slave import (
 )
 from haptether.master import DEVICE_PRESETS
 from haptether.netsim import LinkError, LinkSettings, link_spec, with_files
+from haptether.safety import SafetySettings
 
 Spec: TypeAlias = dict[str, Any]
 """One table as the Rust side reads it (`bridge/src/scene/spec.rs`)."""
@@ -72,8 +73,6 @@ DEFAULT_HSC_SPEED = 0.05
 """V_s in m/s, of HSC: docs/thresholds.md has what it does. None is known for joints."""
 PROBED_SPEED = 0.12
 """The default probe over mu in m/s, of joints in rad/s: damped by 1.25 mu, it reaches at most 0.096."""
-FRICTION_ROOM = 2.0
-"""Of c, what a probe must exceed by its threshold: `FRICTION_ROOM` of `safety/src/controller/probe.rs`."""
 TRIES_BY_PROBE, TRIES_BY_TIME = 5, 2
 DEFAULT_EXTRAPOLATION_S = 0.015
 MIN_FADE_IN_S = 0.2
@@ -338,7 +337,7 @@ def _safety(scene: Scene, master: Spec) -> SafetyTable:
 def _released(table: SafetyTable, coulomb: float) -> SafetyTable:
     """Who gets the force back after a trip: a hand that answers a probe, where friction c does not hide one."""
     probe_force_n = PROBED_SPEED * (table.damping or 0.0)
-    hidden = probe_force_n * table.probe_threshold < FRICTION_ROOM * coulomb
+    hidden = probe_force_n * table.probe_threshold < SafetySettings.FRICTION_ROOM * coulomb
     table = _filled(table, probe_force_n=0.0 if hidden else probe_force_n)
     return _filled(table, release_tries=TRIES_BY_PROBE if table.probe_force_n else TRIES_BY_TIME)
 

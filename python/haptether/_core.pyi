@@ -584,6 +584,10 @@ class SafetySettings:
 
     The defaults are the paper's. Numbers are held against their ranges where a controller is built.
 
+    Attributes:
+        FRICTION_ROOM: Of c, what `probe_force_n` times `probe_threshold` must reach.
+        PROBED_DAMPING: Of mu, what damps while a probe acts.
+
     Args:
         controllers: Any of "vfc" (Eq. 2), "hsc" (Eq. 14), "wsc" (Eq. 13), "pc" (Eq. 12).
         damping: mu in N s/m, between 0 and m / (5 dT).
@@ -614,6 +618,9 @@ class SafetySettings:
     """
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    FRICTION_ROOM: ClassVar[float]
+    PROBED_DAMPING: ClassVar[float]
 
     def __new__(
         cls,

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from haptether._core import EstimatorKind
+from haptether._core import EstimatorKind, SafetySettings
 from haptether.safety.ejection.kernel import Kernel, exact, kernel
 from haptether.safety.ejection.push import Array, best_push, worst_push
 
@@ -16,8 +16,6 @@ MAX_LATE_S = 0.02
 """A tick that is later is a tick that is left out: the loop drops the force."""
 BOUNDED = ("hsc", "wsc")
 """Controllers for which there is a bound."""
-PROBED_DAMPING = 1.25
-"""Damping in mu while a probe acts, of `safety/src/controller/probe.rs`."""
 
 
 class EjectionSettings(Struct, frozen=True, kw_only=True):
@@ -103,7 +101,7 @@ class EjectionTerms(Struct, frozen=True, kw_only=True):
     """What a bound is made of, Eq. numbers of `docs/ejection_bound.md`."""
 
     lag_s: float
-    """Lambda in s: of the estimate of V under the growth limit (Eq. 6); without that limit L_v."""
+    """Lambda - dT in s: lag of the estimate of V under the growth limit, where V is at its greatest (Eq. 6a)."""
     lag_norm_s: float
     """L_v in s."""
     acceleration: float
@@ -111,7 +109,7 @@ class EjectionTerms(Struct, frozen=True, kw_only=True):
     threshold_speed: float | None = None
     """v_th in m/s: speed that the observer lets pass (Eq. 10), of WSC."""
     lag_speed: float = 0.0
-    """e in m/s: how much faster than its estimate the device may be (Eq. 5)."""
+    """r - a (dT + J) in m/s: how much faster than its estimate the device may be (Eq. 6a)."""
     tick_speed: float = 0.0
     """a (dT + J) in m/s: what the tick adds in which the controller decides."""
     phantom_force_n: float = 0.0
@@ -121,14 +119,14 @@ class EjectionTerms(Struct, frozen=True, kw_only=True):
     unseen_force_n: float | None = None
     """F_e in N: the push that HSC never sees (Eq. 13)."""
     floor: float = 0.0
-    """Lambda a + a (dT + J) in m/s: no threshold guarantees less."""
+    """r without noise in m/s: no threshold guarantees less (Eq. 6a)."""
 
 
 class ControllerBound(Struct, frozen=True, kw_only=True):
     """The bound of one controller."""
 
     controller: str
-    """Its name."""
+    """Its name, or those of two that have a bound together: "wsc and vfc"."""
     speed: float | None
     """In m/s; none where there is none."""
     reason: str | None
@@ -167,7 +165,8 @@ def ejection_bound(
 ) -> EjectionBound:
     """Largest speed in m/s of a device after a hand has let it go, whatever force it is then told to render.
 
-    `|V| <= max(V0, v_th + e) + a (dT + J)` for WSC, `V² <= V_H² + 2 F_e X / m` for HSC, the lesser for both.
+    `|V| <= max(V0, v_th + r)` for WSC, `V² <= V_H² + 2 F_e X / m` for HSC, the least of all who watch; WSC and VFC
+    together have one of their own.
 
     Args:
         of: A scene, or settings.
@@ -178,7 +177,7 @@ def ejection_bound(
     Raises:
         ValueError: A number outside its range.
 
-    Source: `docs/ejection_bound.md`, Eq. 7 to 14, on paper Eq. 5, 11, 13 and 14.
+    Source: `docs/ejection_bound.md`, Eq. 6a to 16, on paper Eq. 1, 5, 11, 13 and 14.
     """
     settings = of if isinstance(of, EjectionSettings) else of.ejection_settings()
     changes = {"hand_speed": hand_speed, "late_s": late_s, "mass_error": mass_error}
@@ -215,12 +214,12 @@ def ejection_bound(
 def rising_push(of: EjectionSettings | HasEjectionSettings) -> tuple[float, ...]:
     """The force at each tick, oldest first, after which V is farthest ahead of V^: in shares of the cap, -1 to 1.
 
-    The argument of the maximum of Eq. 6. It is empty where V is measured, or the estimator has no kernel.
+    The argument of the maximum of Eq. 6a. It is empty where V is measured, or the estimator has no kernel.
 
     Args:
         of: A scene, or settings.
 
-    Source: `docs/ejection_bound.md`, Eq. 6.
+    Source: `docs/ejection_bound.md`, Eq. 6a.
     """
     settings = of if isinstance(of, EjectionSettings) else of.ejection_settings()
     if settings.estimator is None or not isfinite(settings.max_force_n):
@@ -284,6 +283,8 @@ class _Model:
         self.mass = self.known_mass / (1.0 + settings.mass_error)
         self.heaviest = max(settings.mass_kg)
         self.force = settings.max_force_n + 0.5 * settings.force_quantum_n
+        # The device exerts what is asked of it to half a quantum.
+        self.rounded = 0.5 * settings.force_quantum_n
         self.held = self.force if settings.held_force_n is None else min(settings.held_force_n, self.force)
         self.viscous = max(abs(one) for one in settings.viscous)
         self.drives = max(0.0, -min(settings.viscous))
@@ -318,7 +319,7 @@ class _Model:
         return (self.force * self.lag_s + friction) / self.mass + late + self.velocity_noise
 
     def rise(self, speed: float) -> float:
-        """How far the greatest speed may be from the estimate of the tick before, in m/s (Eq. 6)."""
+        """How far the greatest speed may be from the estimate of the tick before, in m/s (r of Eq. 6a)."""
         late = self.acceleration(speed) * self.late_s
         friction = self.coulomb + self.viscous * speed
 
@@ -336,9 +337,10 @@ class _Model:
 
     def probed(self) -> float:
         """What a probe may drive a free device to, in m/s: `A / 1.25 mu + e + a (dT + J)`, damped on V^."""
-        settings, speed = self.settings, self.settings.probe_force_n / (PROBED_DAMPING * self.settings.damping)
+        settings, force = self.settings, self.settings.probe_force_n + self.rounded
+        speed = force / (SafetySettings.PROBED_DAMPING * settings.damping)
         late_s = settings.period_s + self.late_s
-        return speed + self.lag(speed) + (settings.probe_force_n + self.drives * speed) / self.mass * late_s
+        return speed + self.lag(speed) + (force + self.drives * speed) / self.mass * late_s
 
     def phantom_force(self, speed: float) -> float:
         """What a hand that is long gone seems to exert, rho in N: `|F_h^|` below that speed (Eq. 8)."""
@@ -445,7 +447,7 @@ class _Model:
         before = np.maximum(estimated[:, None] - lower, 0.0)
         power = settings.velocity_threshold * settings.vfc_force_threshold_n
         with np.errstate(divide="ignore"):
-            limit = np.maximum(power / before, settings.probe_force_n) / self.force
+            limit = (np.maximum(power / before, settings.probe_force_n) + self.rounded) / self.force
         weights = np.append(settings.period_s, known.lag_s)
         highest = np.ones((len(estimated), len(weights)))
         ages = min(len(weights), len(since))
@@ -490,7 +492,7 @@ class _Model:
             """With a push of F_w over the travel, which is not seen (Eq. 16)."""
             if unseen_n == 0.0:
                 return next_speed(speed)
-            work = 2.0 * (unseen_n + self.drives * speed) * (settings.travel_m or 0.0) / self.mass
+            work = 2.0 * (unseen_n + self.rounded + self.drives * speed) * (settings.travel_m or 0.0) / self.mass
             return sqrt(next_speed(speed) ** 2 + work)
 
         speed = _least_fixed_point(pushed_on, settings.hand_speed)
@@ -521,6 +523,9 @@ class _Model:
             reason = "hsc does not see a push of less than F_t, and without mechanical stops nothing ends it"
             return ControllerBound(controller="hsc", speed=None, reason=reason)
         travel_m = settings.travel_m
+        if settings.probe_force_n > 0.0 and settings.release_ramp_s == 0.0:
+            reason = "hsc does not look at the tick in which the force comes back as a step: give a release_ramp_s"
+            return ControllerBound(controller="hsc", speed=None, reason=reason)
 
         # A push that falls leaves the kernel's negative part behind: an impulse, once, however it falls (Eq. 13).
         dip = np.maximum(-self.kernel.acceleration, 0.0)
@@ -587,7 +592,7 @@ class _Model:
             # An intervention that fades lets through so much more at its last tick than at the one before.
             more = 2.0 * self.force * settings.period_s / settings.release_ramp_s
             push, limit = push + more, limit + more
-        return np.minimum(push, self.force), np.minimum(limit, self.force)
+        return np.minimum(push + self.rounded, self.force), np.minimum(limit + self.rounded, self.force)
 
 
 def _least_fixed_point(of: Callable[[float], float], start: float) -> float | None:

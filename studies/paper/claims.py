@@ -50,7 +50,9 @@ MOVES = 1e-3
 
 def as_printed(*controllers: ControllerName, **thresholds: Any) -> SafetySettings:  # noqa: ANN401
     """The paper's law: what trips cancels the force, and the force is back as soon as nothing trips."""
-    return SafetySettings(controllers, hold_off_s=0.0, release_ramp_s=0.0, probe_force_n=0.0, **thresholds)
+    law = {"hold_off_s": 0.0, "release_ramp_s": 0.0, "probe_force_n": 0.0, "release_tries": 0}
+    gates = {"hsc_velocity_threshold": 0.0, "wsc_force_threshold_n": 0.0}
+    return SafetySettings(controllers, **{**law, **gates, **thresholds})
 
 
 WATCHED = as_printed(

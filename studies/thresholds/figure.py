@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from haptether.studies.thresholds.law import ThresholdLaw
 from haptether.studies.thresholds.trade_off import TradeOff
-from haptether.view.style.colours import CONTROLLERS, PAPER, THRESHOLD
+from haptether.view.style.colours import AXES, CONTROLLERS, HELD, PAPER, THRESHOLD
 from haptether.view.style.figure import Columns, letter, new_figure, styled
 from haptether.view.style.legend import legend_below
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 SHOWN_ROUND_TRIPS = 3
 """At most: the first, the middle one and the last; all are in the JSON."""
 LINES = ("-", "--", ":")
-OURS = ("#0072b2", "#56b4e9", "#cc79a7")
+OURS = (AXES[0], AXES[5], AXES[3])
 """Of the first law of ours of a controller, and of others."""
 
 
@@ -59,7 +59,7 @@ def _panel(panel: "Axes", found: TradeOff, laws: list[ThresholdLaw], trips: list
         if law.source != "paper":
             colour, ours = OURS[ours % len(OURS)], ours + 1
         elif any(each.source == "paper" for each in laws[: laws.index(law)]):
-            colour = "#999999"
+            colour = HELD
         for line, round_trip_s in zip(LINES, trips, strict=False):
             points = [found.over(law.name, value, round_trip_s=round_trip_s) for value in law.values]
             rates = [point.per_hour for point in points]

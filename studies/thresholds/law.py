@@ -21,7 +21,7 @@ class ThresholdLaw(Struct, frozen=True, kw_only=True):
     fixed: dict[str, float | str] = {}
     """Other fields of `[safety]`."""
     default: float | None = None
-    """The value of the paper or the default, where it is among them."""
+    """The value of the paper, or of ours that of a scene by default, where it is among them."""
 
 
 ENERGIES_J = (-0.005, -0.01, -0.02, -0.03, -0.05, -0.08)
@@ -56,7 +56,7 @@ THRESHOLD_LAWS: tuple[ThresholdLaw, ...] = (
     ),
     ThresholdLaw(
         name="HSC, V_s 0.05", controller="hsc", source="ours", threshold="hsc_force_threshold_n", unit="N",
-        values=FORCES_N, fixed={"hsc_velocity_threshold": 0.05},
+        values=FORCES_N, fixed={"hsc_velocity_threshold": 0.05}, default=0.1,
     ),
     ThresholdLaw(
         name="VFC, as printed", controller="vfc", source="paper", threshold="velocity_threshold", unit="m/s",

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Struct
 
-from haptether.bridge import Scene, sweep
+from haptether.bridge import RotationSafetyTable, Scene, sweep
 from haptether.studies.thresholds.law import THRESHOLD_LAWS, ThresholdLaw
 from haptether.studies.thresholds.task import THRESHOLD_TASKS, HandBounds, Task
 
@@ -15,8 +15,6 @@ Array = npt.NDArray[np.float64]
 
 MISSED_SPEED = 0.5
 """Speed in m/s above which a release is missed: WSC and HSC of the paper leave 0.36 and 0.3 m/s, no controller 1.3."""
-MISSED_RATE = MISSED_SPEED / 0.05
-"""The same of a handle in rad/s, at the lever of `[safety.rotation]`."""
 WITHIN_S = 0.3
 """Time in s after the grip is gone within which that counts."""
 Z95 = 1.959964
@@ -186,7 +184,7 @@ def measure_thresholds(
         laws: Whose thresholds are swept.
         round_trips_s: In s: both delays of a link together, or by how much a force without an arm is late.
         hands: How many hold each task, at each round trip.
-        releases: Times at which each task is let go; the hands share them.
+        releases: Times at which each task is let go, at most as many as hands; the hands share them.
         seed: Of hands and links.
         bounds: What hands may be; by default `HandBounds()`.
         overrides: Fields of each scene to change first, `table.key=value`.
@@ -226,8 +224,8 @@ class _Runs:
     def __init__(self, task: Task, hands: dict[str, Array], releases: int, threads: int | None) -> None:
         self.task, self.threads = task, threads
         self.hands, self.count = hands, len(hands["run.seed"])
-        times = task.release_times(releases)
         # Each hand lets go once, at one of the times.
+        times = task.release_times(min(releases, self.count))
         self.groups = [
             (task.let_go(at_s, WITHIN_S), np.arange(self.count) % len(times) == place)
             for place, at_s in enumerate(times)
@@ -256,7 +254,10 @@ class _Runs:
         speed = np.nan_to_num(np.asarray(found["max_ejection_velocity"], dtype=np.float64))
         fast = speed > MISSED_SPEED
         if "max_ejection_rate" in found.columns:
-            fast |= np.nan_to_num(np.asarray(found["max_ejection_rate"], dtype=np.float64)) > MISSED_RATE
+            # Of a handle at its lever.
+            lever_m = (scene.safety.rotation or RotationSafetyTable()).lever_m
+            rate = np.nan_to_num(np.asarray(found["max_ejection_rate"], dtype=np.float64))
+            fast |= rate * lever_m > MISSED_SPEED
         return fast.reshape(shape), speed.reshape(shape)
 
     def rows(self, laws: Sequence[ThresholdLaw], lasting: Scene) -> list[TradeOffRow]:

@@ -410,6 +410,48 @@ def test_a_late_tick_counts_with_the_force_that_it_holds() -> None:
         assert found == pytest.approx(sqrt(energy / 0.157) + a * (1e-3 + 2 * late_s), rel=1e-6)
 
 
+def test_a_force_that_comes_back_as_a_step_is_watched_by_hsc() -> None:
+    """By time, without hold-off or ramp and with tries: Eq. 14 stands as printed."""
+    push = {"shape": "step", "force_n": 7.9}
+    scene = override_scene(
+        load_scene("paper_wall"),
+        (
+            "run.duration_s=1.2", "operator.legs=[]", "operator.start=0", "operator.grip_strength_n=50",
+            "operator.stiffness=3000", "operator.damping=40", "operator.release={at_s=0.7,decay_s=0.0}",
+            "environment.objects=[]", f"environment.pushers={_toml([push])}", "safety.controllers=[hsc]",
+            "safety.hsc_force_threshold_n=0.3", "safety.hsc_velocity_threshold=0.05", "safety.release_tries=1000",
+            "master.stops=[-0.001,0.159]",
+            "safety.limiter.max_slew_n_per_s=1e6", "master.encoder_quantum=2.3e-5", "record={every=1}",
+        ),
+    )  # fmt: skip
+    bound, seen = ejection_bound(scene).speed, simulate(scene).metrics.max_ejection_velocity
+    assert bound is not None
+    assert seen is not None
+    assert 0.2 < seen <= bound
+    stepped = override_scene(scene, ["safety.probe_force_n=0.6"])
+    assert "release_ramp_s" in (ejection_bound(stepped).reason or "")
+
+
+def test_a_device_that_rounds_its_force_up_works_with_half_a_quantum_more() -> None:
+    """A push below F_w that the device rounds to 0.19 N, after WSC has let pass what it may."""
+    pushes = [{"shape": "step", "force_n": 7.9}, {"shape": "step", "at_s": 0.7085, "force_n": 0.0999 - 7.9}]
+    scene = override_scene(
+        load_scene("paper_wall"),
+        (
+            "run.duration_s=1.4", "operator.legs=[]", "operator.start=0", "operator.grip_strength_n=50",
+            "operator.stiffness=3000", "operator.damping=40", "operator.release={at_s=0.7,decay_s=0.0}",
+            "environment.objects=[]", f"environment.pushers={_toml(pushes)}", "safety.controllers=[wsc]",
+            "safety.wsc_force_threshold_n=0.1", "master.stops=[-0.001,0.159]", "master.coulomb=0", "master.viscous=0",
+            "master.force_quantum_n=0.19", "safety.limiter.max_slew_n_per_s=1e6",
+        ),
+    )  # fmt: skip
+    bound, seen = ejection_bound(scene).speed, simulate(scene).metrics.max_ejection_velocity
+    assert bound is not None
+    assert seen is not None
+    # The 0.095 N that are not asked for do work over 0.16 m: 0.7 m/s would be the bound without them.
+    assert 0.71 < seen <= bound
+
+
 def test_axes_that_are_alike_have_the_bound_of_one() -> None:
     """The bound is of norms; only noise, an error on each axis, is larger by the root of their number."""
     assert speed_of(mass_kg=(0.157,) * 3) == pytest.approx(speed_of(), rel=1e-9)

@@ -301,8 +301,7 @@ def test_the_shipped_trigger_feels_what_is_held_and_is_thrown_as_the_closed_form
 @pytest.mark.parametrize("controller", ["vfc", "hsc", "wsc", "pc"])
 def test_with_a_controller_the_shipped_trigger_is_slower(controller: str) -> None:
     run = simulate("felt_trigger", overrides=[f"safety.gripper.controllers=[{controller}]"])
-    # HSC has tripped at the first touch, and an intervention lasts.
-    assert (0.01 if controller == "hsc" else 0.1) < -run.signals["trigger_velocity"].min() < 0.5 * CLOSED_FORM
+    assert 0.1 < -run.signals["trigger_velocity"].min() < 0.5 * CLOSED_FORM
     assert run.signals["trigger_tripped"].any()
     trips = [(event.time_s, event.detail) for event in run.events if event.kind == "trip"]
     tripped_s = run.signals["time_s"][run.signals["trigger_tripped"] != 0]

@@ -52,7 +52,7 @@ def test_without_a_hand_there_is_one_trip_and_no_force_after_it(clutch: str | No
     assert np.abs(force_after(run, 6.5 if clutch == "once" else DURATION_S - 0.1)).max() < 1e-2
     holds = [event for event in run.events if event.kind == "hold" and event.detail.startswith("master")]
     if clutch:
-        assert holds[0].detail == "master: no hand was felt on the device after a push"
+        assert holds[0].detail == "master: force withheld after a trip: no hand felt, or tripped again"
         # The fifth probe of a second each.
         assert 4.0 < holds[0].time_s - RELEASE_S < 5.0
 
@@ -129,7 +129,7 @@ def test_where_friction_hides_a_hand_the_force_comes_back_so_many_times(tries: i
     assert trips[-1] - trips[0] < tries * 0.5
     assert np.abs(force_after(run, trips[-1] + 0.5)).max() < 1e-2
     holds = [event.detail for event in run.events if event.kind == "hold" and event.detail.startswith("master")]
-    assert holds == (["master: no hand was felt on the device after a push"] if clutch else [])
+    assert holds == (["master: force withheld after a trip: no hand felt, or tripped again"] if clutch else [])
 
 
 def test_a_hand_that_is_there_keeps_its_force_however_often_it_trips() -> None:
@@ -149,3 +149,45 @@ def test_a_hand_that_is_there_keeps_its_force_however_often_it_trips() -> None:
     run = simulate(msgspec.convert(tables, Scene))
     assert len([event for event in run.events if event.kind == "trip"]) == 4
     assert force_after(run, 8.8).max() > 0.5
+
+
+@pytest.mark.parametrize("shares", [True, False])
+def test_a_torque_that_friction_hides_comes_back_to_nobody_for_ever(*, shares: bool) -> None:
+    # Nobody watches the force, so its probe decides nothing; a torque of 0.1 N m lasts.
+    run = simulate(
+        "torque_release",
+        overrides=[
+            "safety.rotation.controllers=[wsc]", "master.rotation.coulomb=4e-3", "run.duration_s=6",
+            "operator.clutch=once", "environment.torques.0.duration_s=8", f"safety.rotation.shares_trips={str(shares).lower()}", "record={}",
+        ],
+    )  # fmt: skip
+    assert run.signals is not None
+    assert "trip" in {event.kind for event in run.events}
+    holds = [event.detail for event in run.events if event.kind == "hold" and event.detail.startswith("master")]
+    assert holds == ["master: force withheld after a trip: no hand felt, or tripped again"]
+    late = np.asarray(run.signals["time_s"]) > 5.0
+    assert np.abs(np.asarray(run.signals["device_torque"])[late]).max() < 1e-2
+
+
+@pytest.mark.parametrize(
+    ("master", "rotation", "least", "most"),
+    [
+        # 0.096 m/s at a lever of 0.05 m, less friction and what a tenth of a second leaves.
+        ({"inertia_kg_m2": 4e-4}, {}, 1.4, 1.92),
+        # mu at most I / 5 dT, and a probe as much weaker.
+        ({"inertia_kg_m2": 2e-5}, {}, 1.4, 1.92),
+        ({"inertia_kg_m2": 4e-4}, {"damping": 6e-3}, 0.9, 1.92),
+    ],
+)
+def test_a_probe_of_a_torque_turns_a_free_handle_as_slowly_whatever_its_damping(
+    master: dict[str, float], rotation: dict[str, float], least: float, most: float
+) -> None:
+    overrides = ["safety.rotation.controllers=[wsc]", "safety.rotation.shares_trips=false", "record={}"]
+    overrides += ["run.duration_s=3", "environment.torques.0.duration_s=8", "master.rotation.coulomb=0"]
+    overrides += [f"master.rotation.{name}={value}" for name, value in master.items()]
+    overrides += [f"safety.rotation.{name}={value}" for name, value in rotation.items()]
+    run = simulate("torque_release", overrides=overrides)
+    assert run.signals is not None
+    trip_s = next(event.time_s for event in run.events if event.kind == "trip")
+    rate = np.linalg.norm(np.asarray(run.signals["angular_velocity"]), axis=-1)
+    assert least < rate[np.asarray(run.signals["time_s"]) > trip_s + 0.3].max() < most

@@ -58,7 +58,7 @@ SHOWN: list[Shown] = [
     ("gripper", [], (0.0560, 0.0565), (0.0, 0.0), None, 0),
     # What turns in these is held in test_pose.py. The middle of the handle stays where it is.
     ("torque_release", [], (0.0, 0.0), (0.0, 0.0), None, 0),
-    ("torque_release", ["safety.controllers=[hsc]"], (0.0, 0.05), (0.0, 0.6), (0.005, 0.02), 0),
+    ("torque_release", ["safety.controllers=[hsc]"], (0.025, 0.035), (0.5, 0.6), (0.005, 0.02), 0),
     # 0.1 m in 2.2 s and 0.06 m in 0.8 s: 1.875 L / T = 0.085 and 0.141 m/s, less what the hand trails.
     ("ur_pick", [], (0.130, 0.141), (0.0, 0.0), None, 0),
     ("alignment", [], (0.0, 0.0), (0.0, 0.0), None, 0),

@@ -199,7 +199,7 @@ impl Ladder {
         self.gain = 0.0;
     }
 
-    /// No hand has answered the probe after a trip: a person must say that there is one.
+    /// The force is withheld after a trip, for there is no sign of a hand: a person must say that there is one.
     pub fn withhold(&mut self, now_ns: u64) {
         self.apply(now_ns, Reason::HandGone);
     }

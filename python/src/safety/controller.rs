@@ -2,7 +2,10 @@
 
 use haptether_safety::{
     Axes, Fault,
-    controller::{ControllerKind, Intervention, PerController, SafetyController, SafetySettings},
+    controller::{
+        ControllerKind, FRICTION_ROOM, Intervention, PROBED_DAMPING, PerController, SafetyController,
+        SafetySettings,
+    },
 };
 use pyo3::{exceptions::PyValueError, prelude::*};
 
@@ -23,6 +26,11 @@ pub(crate) struct PySafetySettings {
 
 #[pymethods]
 impl PySafetySettings {
+    #[classattr]
+    const FRICTION_ROOM: f64 = FRICTION_ROOM;
+    #[classattr]
+    const PROBED_DAMPING: f64 = PROBED_DAMPING;
+
     #[new]
     #[pyo3(signature = (controllers=Vec::new(), *, damping=5.0, velocity_threshold=0.6,
         vfc_force_threshold_n=1.0, vfc_form="product", grasp_threshold=1.5, grasp_floor_n=1e-3,

@@ -316,7 +316,8 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     fn felt_share(&self) -> S {
         let nothing = S::splat(0.0);
         let is_on = self.on_for.simd_gt(nothing);
-        let fades = if self.probe.is_some() { is_on } else { is_on & self.ramp_ticks.simd_gt(nothing) };
+        let fades = self.ramp_ticks.simd_gt(nothing);
+        let fades = is_on & self.probe.as_ref().map_or(fades, |probe| fades | probe.asks());
         self.let_through.select(fades, S::splat(1.0))
     }
 
@@ -402,7 +403,7 @@ pub struct Intervention<const N: usize> {
     pub safety_force: Axes<N>,
     /// Who tripped.
     pub tripped: Tripped,
-    /// No hand has answered the probe in all tries: there is no force until a reset.
+    /// All tries are over without the force being back: there is none until the authority was at zero, or a reset.
     pub withheld: bool,
     /// `S_vf`, `S_h`, `E_wso` and `E_so` in J; NaN where the controller is not built.
     pub observed: PerController<f64>,
@@ -432,7 +433,7 @@ pub struct Response<const N: usize, S: Real = f64> {
     /// Where no controller does now, but the minimum time on or the release ramp has not ended, or the intervention is
     /// that of another device of the same hand.
     pub held: S::SimdBool,
-    /// Where no hand has answered the probe in all tries: there is no force until a reset.
+    /// Where all tries are over without the force being back: there is none until the authority was at zero, or a reset.
     pub withheld: S::SimdBool,
     /// The observers' values; NaN where the controller is not built.
     pub observed: PerController<S>,

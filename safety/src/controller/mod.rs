@@ -14,7 +14,7 @@ mod windowed;
 
 pub use combined::{Intervention, Response, SafetyController, SafetySettings};
 pub(crate) use combined::{Judged, UNDECIDED};
-pub use probe::FRICTION_ROOM;
+pub use probe::{FRICTION_ROOM, PROBED_DAMPING};
 pub use registry::{Controllers, PerController, Tripped};
 
 use crate::{

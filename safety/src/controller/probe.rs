@@ -17,14 +17,13 @@ const EDGE_S: f64 = 0.01;
 const JUDGED_FROM_S: f64 = 0.03;
 /// Until when it counts in the half that brings the device back, in s: before it can be at a stop again that it leaned on.
 const BACK_S: f64 = 0.08;
-/// Damping in shares of mu that acts beside mu while the device is probed: what a free one can reach is slower by as much,
-/// and what a hand adds is not.
-const PROBED_DAMPING: f64 = 0.25;
+/// Damping in mu while the device is probed: what a free one can reach is slower by as much, and what a hand adds is not.
+pub const PROBED_DAMPING: f64 = 1.25;
 /// How long a hand must drive the device without a break, in s.
 const DRIVEN_S: f64 = 0.06;
 /// How long the device must be still before a probe, in s.
 const STILL_S: f64 = 0.05;
-/// Below so much of the speed that the probe itself could reach, `A / mu`, the device is still.
+/// Below so much of `A / mu` the device is still.
 const STILL_SHARE: f64 = 0.2;
 /// From one try to the next, in s; so long after an intervention the next has all its tries.
 const INTERVAL_S: f64 = 1.0;
@@ -291,7 +290,7 @@ impl<const N: usize> GraspProbe<N> {
         }
         let time_s = f64::from(self.ticks) * self.period_s - if first_half { 0.0 } else { HALF_S };
         let share = (time_s.min(HALF_S - time_s) / EDGE_S).clamp(0.0, 1.0);
-        let damped = seen.velocity * (PROBED_DAMPING * self.damping);
+        let damped = seen.velocity * ((PROBED_DAMPING - 1.0) * self.damping);
         self.direction * (if first_half { self.force_n } else { -self.force_n } * share) - damped
     }
 }
@@ -302,6 +301,8 @@ impl<const N: usize> GraspProbe<N> {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct GraspProbes<const N: usize, S> {
     lanes: Box<[GraspProbe<N>]>,
+    /// A in N.
+    strength_n: S,
     /// Nothing goes on in any lane, and each has all its tries.
     at_rest: bool,
     /// `F_p` in N of this tick.
@@ -310,7 +311,7 @@ pub(super) struct GraspProbes<const N: usize, S> {
 
 impl<const N: usize> GraspProbes<N, f64> {
     pub(super) fn one(probe: GraspProbe<N>) -> Self {
-        Self { lanes: Box::new([probe]), at_rest: true, force: Axes::zeros() }
+        Self { strength_n: probe.force_n, lanes: Box::new([probe]), at_rest: true, force: Axes::zeros() }
     }
 }
 
@@ -318,12 +319,13 @@ impl<const N: usize, S: Real> GraspProbes<N, S> {
     /// As many as there are lanes; else None.
     pub(super) fn gather(of: &[GraspProbes<N, f64>]) -> Option<Self> {
         let lanes: Box<[_]> = of.iter().flat_map(|one| one.lanes.iter().cloned()).collect();
-        let mut force = Axes::<N, S>::zeros();
+        let (mut force, mut strength_n) = (Axes::<N, S>::zeros(), S::splat(0.0));
         for (lane, one) in of.iter().enumerate() {
             force.replace(lane, one.force);
+            strength_n.replace(lane, one.strength_n);
         }
         let at_rest = of.iter().all(|one| one.at_rest);
-        (lanes.len() == S::LANES).then_some(Self { lanes, at_rest, force })
+        (lanes.len() == S::LANES).then_some(Self { lanes, strength_n, at_rest, force })
     }
 
     /// Where the force may come back after this tick; `any` is whether an intervention is on, or begins, in any lane.
@@ -366,6 +368,12 @@ impl<const N: usize, S: Real> GraspProbes<N, S> {
                 probe.accept();
             }
         }
+    }
+
+    /// Where a hand is asked for, and not only tries are counted.
+    #[inline(always)]
+    pub(super) fn asks(&self) -> S::SimdBool {
+        self.strength_n.simd_gt(S::splat(0.0))
     }
 
     /// Where no hand was felt in all tries.

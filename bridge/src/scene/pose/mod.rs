@@ -7,7 +7,7 @@ use std::any::Any;
 use haptether_master::{RotationHand, RotationParameters, SimulatedRotation};
 use haptether_safety::{
     LimiterSettings, RotationModel,
-    controller::{FRICTION_ROOM, SafetySettings},
+    controller::{ControllerKind, FRICTION_ROOM, SafetySettings},
 };
 use haptether_slave::{PushKind, PusherSettings, SeriesSettings, SimulatedTool, ToolWorldSettings};
 
@@ -91,9 +91,12 @@ pub(super) fn master_rotation<const N: usize>(
     let at_lever = scene.safety.settings.at_lever(own.lever_m);
     // What a sampled device stands, by its lightest axis.
     let most = parameters.inertia_kg_m2.min() / (5.0 * scene.run.period_s);
+    let damping = own.damping.unwrap_or(at_lever.damping.min(most));
+    // As much weaker as the damping that acts against it, so that it moves the handle at the lever as the force does.
+    let weaker = if at_lever.damping > 0.0 { damping / at_lever.damping } else { 1.0 };
     let safety = SafetySettings {
         controllers: own.controllers.unwrap_or(at_lever.controllers),
-        damping: own.damping.unwrap_or(at_lever.damping.min(most)),
+        damping,
         velocity_threshold: own.velocity_threshold.unwrap_or(at_lever.velocity_threshold),
         vfc_force_threshold_n: own.vfc_torque_threshold_n_m.unwrap_or(at_lever.vfc_force_threshold_n),
         grasp_threshold: own.grasp_threshold.unwrap_or(at_lever.grasp_threshold),
@@ -101,17 +104,24 @@ pub(super) fn master_rotation<const N: usize>(
         hsc_force_threshold_n: own.hsc_torque_threshold_n_m.unwrap_or(at_lever.hsc_force_threshold_n),
         energy_threshold_j: own.energy_threshold_j.unwrap_or(at_lever.energy_threshold_j),
         pc_max_damping: own.pc_max_damping.unwrap_or(at_lever.pc_max_damping.min(most)),
+        probe_force_n: at_lever.probe_force_n * weaker,
         ..at_lever
     };
-    // A probe that friction of the handle hides decides nothing. That of the force then decides for both; where each decides
-    // for itself the torque comes back by time, a number of times, and without such a number it is refused.
-    let hidden = safety.probe_force_n * safety.probe_threshold < FRICTION_ROOM * parameters.coulomb;
-    let safety = match (hidden, own.shares_trips, safety.release_tries) {
-        (true, true, _) if safety.probe_force_n > 0.0 => {
-            SafetySettings { probe_force_n: 0.0, release_tries: 0, ..safety }
-        }
-        (true, false, 1..) => SafetySettings { probe_force_n: 0.0, ..safety },
-        _ => safety,
+    // A probe that friction of the handle hides decides nothing. Where trips are shared and the force has a probe, that decides
+    // for both; else the torque comes back by time, a number of times, and without such a number it is refused.
+    let of_force = &scene.safety.settings;
+    let force_asks = of_force.probe_force_n > 0.0
+        && ControllerKind::cancelling().any(|kind| of_force.controllers.contains(kind));
+    let decides = safety.probe_force_n > 0.0
+        && safety.probe_force_n * safety.probe_threshold >= FRICTION_ROOM * parameters.coulomb;
+    let safety = if decides {
+        safety
+    } else if own.shares_trips && force_asks {
+        SafetySettings { probe_force_n: 0.0, release_tries: 0, ..safety }
+    } else if safety.release_tries > 0 {
+        SafetySettings { probe_force_n: 0.0, ..safety }
+    } else {
+        safety
     };
     let bounds = limiter(&scene.safety).at_lever(own.lever_m);
     let max_torque_n_m = own.max_torque_n_m.or(parameters.max_torque_n_m).unwrap_or(bounds.max_force_n);

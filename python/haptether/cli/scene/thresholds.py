@@ -111,5 +111,5 @@ class Thresholds(PictureOptions):
         first = found.over(found.laws[0].name, found.laws[0].values[0], round_trip_s=trips[0])
         console.print(
             f"\nOf each round trip: false trips per hour, and the share of {first.releases} releases that was missed"
-            f" ({first.hours * 3600.0:.0f} s held). * is the default."
+            f" ({first.hours * 3600.0:.0f} s held). * is the paper's value, or the default."
         )

@@ -7,6 +7,9 @@ if TYPE_CHECKING:
     from haptether.bridge import Scene
     from haptether.safety import EjectionBound
 
+CANCELLING = frozenset({"vfc", "hsc", "wsc"})
+"""Controllers whose intervention takes the force away."""
+
 
 def scene_bound(scene: "Scene") -> "EjectionBound | None":
     """The bound of a scene; none where no controller watches."""
@@ -22,18 +25,23 @@ def bound_line(scene: "Scene", bound: "EjectionBound") -> str:
 
 
 def release_line(scene: "Scene") -> str | None:
-    """That no hand is asked for after a trip, where friction hides the probe that a scene has by default."""
+    """That no hand is asked for after a trip, where a scene has no probe by default."""
     settings = scene.ejection_settings()
-    asked = scene.safety.probe_force_n is not None or settings.probe_force_n > 0.0 or settings.damping == 0.0
-    if asked or not settings.controllers:
+    if not CANCELLING.intersection(settings.controllers):
+        return None
+    if scene.safety.probe_force_n is not None or settings.probe_force_n > 0.0:
         return None
     unit = "N m" if scene.master.kind == "joints" else "N"
-    line = (
-        f"friction of {max(settings.coulomb):g} {unit} hides a probe for a hand: "
-        "after a trip the force comes back by time"
+    why = (
+        f"friction of {max(settings.coulomb):g} {unit} hides a probe for a hand"
+        if settings.damping > 0.0
+        else "without damping there is no probe for a hand"
     )
-    tries = settings.release_tries
-    return f"{line}, {tries} times at most, and then a person must act" if tries else line
+    line = f"{why}: after a trip the force comes back by time"
+    if not settings.release_tries:
+        return line
+    end = "it stays away" if scene.slave is None else "a person must press the clutch"
+    return f"{line}, {settings.release_tries} times at most, and then {end}"
 
 
 def announcement(scene: "Scene") -> Iterator[str]:
