@@ -158,7 +158,8 @@ def test_a_torque_that_friction_hides_comes_back_to_nobody_for_ever(*, shares: b
         "torque_release",
         overrides=[
             "safety.rotation.controllers=[wsc]", "master.rotation.coulomb=4e-3", "run.duration_s=6",
-            "operator.clutch=once", "environment.torques.0.duration_s=8", f"safety.rotation.shares_trips={str(shares).lower()}", "record={}",
+            "operator.clutch=once", "environment.torques.0.duration_s=8", "record={}",
+            f"safety.rotation.shares_trips={str(shares).lower()}",
         ],
     )  # fmt: skip
     assert run.signals is not None
