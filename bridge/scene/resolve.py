@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import cache
-from math import cos, hypot, sin, sqrt
+from math import cos, hypot, inf, sin, sqrt
 from pathlib import Path as FilePath
 from typing import Any, Literal, TypeAlias, TypeVar
 
@@ -73,7 +73,7 @@ DEFAULT_HSC_SPEED = 0.05
 """V_s in m/s, of HSC: docs/thresholds.md has what it does. None is known for joints."""
 PROBED_SPEED = 0.12
 """The default probe over mu in m/s, of joints in rad/s: damped by 1.25 mu, it reaches at most 0.096."""
-TRIES_BY_PROBE, TRIES_BY_TIME = 5, 2
+RELEASE_TRIES = 5
 DEFAULT_EXTRAPOLATION_S = 0.015
 MIN_FADE_IN_S = 0.2
 MAX_LINEAR_AXES = 3
@@ -320,10 +320,14 @@ def _safety(scene: Scene, master: Spec) -> SafetyTable:
     table = scene.safety
     limit = max_damping(master["mass_kg"], scene.run.period_s)
     max_force_n = master["max_force_n"] or DEFAULT_MAX_FORCE_N
+    cap_n = (table.limiter.max_force_n or max_force_n) if table.limiter.enabled else inf
+    if table.probe_force_n is not None and table.probe_force_n > cap_n:
+        allowed = f"at most what the limiter lets the device exert, {cap_n:g}"
+        raise wrong(("safety", "probe_force_n"), table.probe_force_n, allowed)
     table = _filled(table, damping=min(DEFAULT_DAMPING, limit), pc_max_damping=min(DEFAULT_PC_DAMPING, limit))
     return replace(
         _filled(
-            _released(table, max(master["coulomb"])),
+            _released(table, max(master["coulomb"]), cap_n),
             hsc_velocity_threshold=0.0 if side_kind(scene.master) == "joints" else DEFAULT_HSC_SPEED,
         ),
         estimator=_estimator(table.estimator, master["encoder_quantum"] or DEFAULT_QUANTUM_M),
@@ -334,12 +338,12 @@ def _safety(scene: Scene, master: Spec) -> SafetyTable:
     )
 
 
-def _released(table: SafetyTable, coulomb: float) -> SafetyTable:
-    """Who gets the force back after a trip: a hand that answers a probe, where friction c does not hide one."""
+def _released(table: SafetyTable, coulomb: float, max_force_n: float) -> SafetyTable:
+    """Who gets the force back after a trip: a hand that answers a probe, or moves a device whose c hides one."""
     probe_force_n = PROBED_SPEED * (table.damping or 0.0)
     hidden = probe_force_n * table.probe_threshold < SafetySettings.FRICTION_ROOM * coulomb
-    table = _filled(table, probe_force_n=0.0 if hidden else probe_force_n)
-    return _filled(table, release_tries=TRIES_BY_PROBE if table.probe_force_n else TRIES_BY_TIME)
+    hidden = hidden or probe_force_n > max_force_n
+    return _filled(table, probe_force_n=0.0 if hidden else probe_force_n, release_tries=RELEASE_TRIES)
 
 
 def _estimator(table: EstimatorTable, quantum_m: float) -> EstimatorTable:

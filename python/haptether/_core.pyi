@@ -608,8 +608,8 @@ class SafetySettings:
         probe_force_n: A in N of the probe that a hand must answer before an intervention fades, at least 2 c / r_th; 0
             lets it fade by time alone.
         probe_threshold: r_th, the share of the probe that a hand holds against at least, above 0 and below 1.
-        release_tries: How often the force may come back, or a probe act, without the force being back for 1 s, before
-            it is withheld; 0 is no end.
+        release_tries: After so many tries, of a second each, without the force being back for 1 s it is withheld; 0 is
+            no end, and without a probe asks for no hand.
 
     Raises:
         ValueError: No such controller or `vfc_form`.

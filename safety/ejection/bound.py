@@ -523,7 +523,8 @@ class _Model:
             reason = "hsc does not see a push of less than F_t, and without mechanical stops nothing ends it"
             return ControllerBound(controller="hsc", speed=None, reason=reason)
         travel_m = settings.travel_m
-        if settings.probe_force_n > 0.0 and settings.release_ramp_s == 0.0:
+        asks = settings.probe_force_n > 0.0 or settings.release_tries > 0
+        if asks and settings.release_ramp_s == 0.0:
             reason = "hsc does not look at the tick in which the force comes back as a step: give a release_ramp_s"
             return ControllerBound(controller="hsc", speed=None, reason=reason)
 

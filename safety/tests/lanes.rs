@@ -135,7 +135,7 @@ fn safety((on, both, window): Shared, numbers: &Numbers) -> SafetySettings {
         release_ramp_s: (ramp - 0.01).max(0.0),
         probe_force_n: if window % 2 == 0 { 0.0 } else { 2.0 * energy_ratio + 1.0 },
         probe_threshold: 0.25,
-        release_tries: if window % 3 == 0 { 0 } else { 1 + (10.0 * energy_ratio) as u32 },
+        release_tries: if window % 3 == 0 { 0 } else { 1 + 3 * u32::from(energy_ratio > 0.5) },
     }
 }
 

@@ -73,7 +73,7 @@ def falsify(
         scene: What is attacked.
         controllers: Who watches; by default the scene's.
         bounds: Of hand, push and link; by default `ReleaseBounds()`.
-        seconds: How long it searches.
+        seconds: How long it searches, and for at most as long again makes simple what it found.
         tries: Releases after which it ends, also before; then the same seed finds the same.
         seed: Of the search, 1 or more.
         threads: Of the runs; by default as many as there are processors.
@@ -115,7 +115,7 @@ def falsify(
         raise RuntimeError(message)
     release, found = search.best, search.speed
     try:
-        release = search.simplified(found)
+        release = search.simplified(found, time.perf_counter() + seconds)
     except KeyboardInterrupt:
         interrupted = True
     said = f"Worst release found against {' + '.join(scene.safety.controllers) or 'nobody'}"
@@ -244,8 +244,13 @@ class _Search:
         )
         return releases.numbers(release)
 
-    def simplified(self, speed: float) -> Release:
-        """The simplest release that keeps most of a speed: one part less, rounder numbers, as long as that goes."""
+    def simplified(self, speed: float, until_s: float) -> Release:
+        """The simplest release that keeps most of a speed: one part less, rounder numbers, as long as that goes.
+
+        Args:
+            speed: In m/s.
+            until_s: When it ends with what it has, by `time.perf_counter`.
+        """
         assert self.best is not None
         release, least = self.best, KEPT * speed
         while True:
@@ -254,7 +259,7 @@ class _Search:
                 for each in _simpler(release, self.releases.cap_n)
                 if _parts(each) < _parts(release) and each.decay_s <= min(each.after_s, default=0.0)
             ]
-            if not simpler:
+            if not simpler or time.perf_counter() >= until_s:
                 return _without_idle_steps(release)
             kept = [each for each, seen in zip(simpler, self.speeds(simpler), strict=True) if seen >= least]
             if not kept:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from math import exp, log
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -75,7 +76,7 @@ class Task:
     """A scene as a task, at one round trip."""
 
     def __init__(self, name: str, round_trip_s: float, overrides: Iterable[str] = ()) -> None:
-        scene = load_scene(name, (*SOFTENED.get(name, ()), *overrides))
+        scene = load_scene(name, (*SOFTENED.get(Path(name).stem, ()), *overrides))
         if scene.operator is None:
             message = f"{name}: nobody holds its device"
             raise ValueError(message)
@@ -144,7 +145,7 @@ class Task:
 
     def hands(self, count: int, seed: int, bounds: HandBounds) -> dict[str, Array]:
         """Hands as rows of a sweep: the same for the same seed, whatever the round trip."""
-        rng = np.random.default_rng([seed, *self.name.encode()])
+        rng = np.random.default_rng([seed, *Path(self.name).stem.encode()])
         softest = max(bounds.stiffness[0], STIFFER * self.felt_stiffness())
         pace = _log_uniform(rng, bounds.pace, count)
         rows = {
@@ -175,7 +176,13 @@ class Task:
         run = simulate(recorded)
         force = run.signals["device_force"]
         size = np.abs(force) if force.ndim == 1 else np.linalg.norm(force, axis=-1)
-        self.engaged_s = min((event.time_s for event in run.events if event.kind == "engaged"), default=0.0)
+        engaged_s = [event.time_s for event in run.events if event.kind == "engaged"]
+        if self.base.slave is not None and not engaged_s:
+            message = (
+                f"{self.name}: at a round trip of {self.round_trip_s:g} s the two do not engage, so nothing is held"
+            )
+            raise ValueError(message)
+        self.engaged_s = min(engaged_s, default=0.0)
         time_s = run.signals["time_s"] - self.engaged_s
         pressed = time_s[(size >= HELD_SHARE * size.max()) & (size > 0.0) & (time_s > 0.0)]
         if pressed.size == 0:

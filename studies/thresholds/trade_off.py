@@ -15,6 +15,15 @@ Array = npt.NDArray[np.float64]
 
 MISSED_SPEED = 0.5
 """Speed in m/s above which a release is missed: WSC and HSC of the paper leave 0.36 and 0.3 m/s, no controller 1.3."""
+FIXED = frozenset(
+    f"safety.{name}"
+    for name in (
+        "controllers", "hold_off_s", "release_ramp_s", "probe_force_n", "release_tries", "hsc_velocity_threshold",
+        "wsc_force_threshold_n", "window", "vfc_form", "vfc_force_threshold_n",
+        *(law.threshold for law in THRESHOLD_LAWS),
+    )
+)  # fmt: skip
+"""What a law or a task sets, whatever the scene says."""
 WITHIN_S = 0.3
 """Time in s after the grip is gone within which that counts."""
 Z95 = 1.959964
@@ -198,6 +207,14 @@ def measure_thresholds(
     for name, value in (("hands", hands), ("releases", releases)):
         if value < 1:
             message = f"{name} = {value}: must be 1 or more"
+            raise ValueError(message)
+    for name, several in (("tasks", tasks), ("round_trips_s", round_trips_s)):
+        if not several or len(set(several)) < len(several):
+            message = f"{name} = {list(several)}: must be one or more, each once"
+            raise ValueError(message)
+    for override in overrides:
+        if (key := override.partition("=")[0].strip()) in FIXED:
+            message = f"{override}: {key} is the same for every law here, or the law's own"
             raise ValueError(message)
     bounds, overrides = bounds or HandBounds(), tuple(overrides)
     rows: list[TradeOffRow] = []

@@ -410,8 +410,8 @@ def test_a_late_tick_counts_with_the_force_that_it_holds() -> None:
         assert found == pytest.approx(sqrt(energy / 0.157) + a * (1e-3 + 2 * late_s), rel=1e-6)
 
 
-def test_a_force_that_comes_back_as_a_step_is_watched_by_hsc() -> None:
-    """By time, without hold-off or ramp and with tries: Eq. 14 stands as printed."""
+def test_hsc_has_no_bound_where_the_force_comes_back_as_a_step() -> None:
+    """It compares a hand with the share that it has felt, and looks at the step a tick later."""
     push = {"shape": "step", "force_n": 7.9}
     scene = override_scene(
         load_scene("paper_wall"),
@@ -419,7 +419,7 @@ def test_a_force_that_comes_back_as_a_step_is_watched_by_hsc() -> None:
             "run.duration_s=1.2", "operator.legs=[]", "operator.start=0", "operator.grip_strength_n=50",
             "operator.stiffness=3000", "operator.damping=40", "operator.release={at_s=0.7,decay_s=0.0}",
             "environment.objects=[]", f"environment.pushers={_toml([push])}", "safety.controllers=[hsc]",
-            "safety.hsc_force_threshold_n=0.3", "safety.hsc_velocity_threshold=0.05", "safety.release_tries=1000",
+            "safety.hsc_force_threshold_n=0.3", "safety.hsc_velocity_threshold=0.05",
             "master.stops=[-0.001,0.159]",
             "safety.limiter.max_slew_n_per_s=1e6", "master.encoder_quantum=2.3e-5", "record={every=1}",
         ),
@@ -428,8 +428,13 @@ def test_a_force_that_comes_back_as_a_step_is_watched_by_hsc() -> None:
     assert bound is not None
     assert seen is not None
     assert 0.2 < seen <= bound
-    stepped = override_scene(scene, ["safety.probe_force_n=0.6"])
-    assert "release_ramp_s" in (ejection_bound(stepped).reason or "")
+    for asked in ("safety.probe_force_n=0.6", "safety.release_tries=5"):
+        assert "release_ramp_s" in (ejection_bound(override_scene(scene, [asked])).reason or "")
+        ramped = override_scene(scene, [asked, "safety.release_ramp_s=0.2"])
+        bound, seen = ejection_bound(ramped).speed, simulate(ramped).metrics.max_ejection_velocity
+        assert bound is not None
+        assert seen is not None
+        assert 0.2 < seen <= bound
 
 
 def test_a_device_that_rounds_its_force_up_works_with_half_a_quantum_more() -> None:

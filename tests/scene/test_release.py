@@ -52,7 +52,7 @@ def test_without_a_hand_there_is_one_trip_and_no_force_after_it(clutch: str | No
     assert np.abs(force_after(run, 6.5 if clutch == "once" else DURATION_S - 0.1)).max() < 1e-2
     holds = [event for event in run.events if event.kind == "hold" and event.detail.startswith("master")]
     if clutch:
-        assert holds[0].detail == "master: force withheld after a trip: no hand felt, or tripped again"
+        assert holds[0].detail == "master: no hand was felt on the device after a push"
         # The fifth probe of a second each.
         assert 4.0 < holds[0].time_s - RELEASE_S < 5.0
 
@@ -92,15 +92,15 @@ def table(master: dict[str, Any], **safety: Any) -> dict[str, Any]:  # noqa: ANN
     [
         ({"device": "phantom-desktop"}, {}, 0.6, 5),
         # 0.12 m/s mu: 2 c / r_th must be less.
-        ({"device": "phantom-desktop"}, {"damping": 3.0}, 0.0, 2),
+        ({"device": "phantom-desktop"}, {"damping": 3.0}, 0.0, 5),
         ({"device": "phantom-desktop"}, {"damping": 3.5, "probe_threshold": 0.25}, 0.42, 5),
-        ({"device": "phantom-desktop"}, {"probe_force_n": 0.0}, 0.0, 2),
+        ({"device": "phantom-desktop"}, {"probe_force_n": 0.0}, 0.0, 5),
         ({"device": "phantom-desktop"}, {"probe_force_n": 0.8, "release_tries": 0}, 0.8, 0),
-        ({"device": "phantom-desktop"}, {"damping": 0.0}, 0.0, 2),
-        ({"device": "touch"}, {}, 0.0, 2),
+        ({"device": "phantom-desktop"}, {"damping": 0.0}, 0.0, 5),
+        ({"device": "touch"}, {}, 0.0, 5),
         ({"mass_kg": 0.2, "coulomb": 0.06}, {}, 0.6, 5),
-        ({"mass_kg": 0.2, "coulomb": 0.061}, {}, 0.0, 2),
-        ({"device": "dynamixel-leader", "kind": "joints"}, {}, 0.0, 2),
+        ({"mass_kg": 0.2, "coulomb": 0.061}, {}, 0.0, 5),
+        ({"device": "dynamixel-leader", "kind": "joints"}, {}, 0.0, 5),
         ({"mass_kg": 0.02, "coulomb": 0.01, "kind": "joints"}, {}, 0.48, 5),
     ],
 )
@@ -113,8 +113,8 @@ def test_by_default_a_hand_is_asked_for_unless_friction_hides_it(
 
 
 @pytest.mark.parametrize("clutch", [None, "once"], ids=["local", "once"])
-@pytest.mark.parametrize("tries", [1, 2, 3])
-def test_where_friction_hides_a_hand_the_force_comes_back_so_many_times(tries: int, clutch: str | None) -> None:
+@pytest.mark.parametrize("tries", [1, 3])
+def test_where_friction_hides_a_hand_nothing_comes_back_to_nobody(tries: int, clutch: str | None) -> None:
     run = released(
         remote=clutch is not None,
         operator={"clutch": clutch} if clutch else {},
@@ -124,12 +124,37 @@ def test_where_friction_hides_a_hand_the_force_comes_back_so_many_times(tries: i
     assert run.signals is not None
     unsafe = (np.asarray(run.signals["tripped"]).astype(int) & ~HELD) != 0
     trips = np.asarray(run.signals["time_s"])[1:][unsafe[1:] & ~unsafe[:-1]]
-    # The first, and one as often as the force came back, within hold-off and ramp.
-    assert len(trips) == 1 + tries
-    assert trips[-1] - trips[0] < tries * 0.5
-    assert np.abs(force_after(run, trips[-1] + 0.5)).max() < 1e-2
-    holds = [event.detail for event in run.events if event.kind == "hold" and event.detail.startswith("master")]
-    assert holds == (["master: force withheld after a trip: no hand felt, or tripped again"] if clutch else [])
+    assert trips.max() - trips[0] < 0.1
+    assert np.abs(force_after(run, trips[0] + 0.5)).max() < 1e-2
+    holds = [event for event in run.events if event.kind == "hold" and event.detail.startswith("master")]
+    assert [event.detail for event in holds] == (
+        ["master: no hand was felt on the device after a push"] if clutch else []
+    )
+    # The hold-off, and a second a try.
+    assert all(tries < hold.time_s - trips[0] < tries + 1.3 for hold in holds)
+
+
+def test_where_friction_hides_a_hand_one_that_moves_has_its_force_again() -> None:
+    legs = [{"duration_s": 0.4, "end": side} for side in (0.0, 0.0, 0.0, 0.03, -0.03, 0.03, -0.03, 0.03, 0.0)]
+    run = released(
+        remote=True,
+        operator={"clutch": "once", "regrasp": {"reaction_s": 0.2, "rise_s": 0.05}, "legs": legs},
+        device="phantom-omni",
+    )
+    assert not [event for event in run.events if event.kind == "hold"]
+    assert force_after(run, 4.0).min() > 0.9 * PUSH_N
+
+
+def test_a_press_of_the_clutch_is_a_hand_where_friction_hides_it() -> None:
+    # Nobody moves; a person presses again, and a hand that rests has its force.
+    run = released(
+        remote=True,
+        operator={"clutch": "auto", "regrasp": {"reaction_s": 0.2, "rise_s": 0.05}},
+        device="phantom-omni",
+        release_tries=1,
+    )
+    assert "master: no hand was felt on the device after a push" in {event.detail for event in run.events}
+    assert force_after(run, 7.0).min() > 0.9 * PUSH_N
 
 
 def test_a_hand_that_is_there_keeps_its_force_however_often_it_trips() -> None:
@@ -165,7 +190,7 @@ def test_a_torque_that_friction_hides_comes_back_to_nobody_for_ever(*, shares: b
     assert run.signals is not None
     assert "trip" in {event.kind for event in run.events}
     holds = [event.detail for event in run.events if event.kind == "hold" and event.detail.startswith("master")]
-    assert holds == ["master: force withheld after a trip: no hand felt, or tripped again"]
+    assert holds == ["master: no hand was felt on the device after a push"]
     late = np.asarray(run.signals["time_s"]) > 5.0
     assert np.abs(np.asarray(run.signals["device_torque"])[late]).max() < 1e-2
 

@@ -333,7 +333,7 @@ class TriggerSafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[safety]`: who watches the hand. The defaults are the paper's.
+    """`[safety]`: who watches the hand. Thresholds are the paper's by default; V_s, estimator and release law are ours.
 
     Source: paper section 4 (thresholds).
     """
@@ -359,7 +359,10 @@ class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     hsc_force_threshold_n: NonNegative = 0.1
     """F_t in N, of HSC."""
     hsc_velocity_threshold: NonNegative | None = None
-    """V_s in m/s, of HSC: a push trips only while the device moves along it faster than that; 0 is as printed."""
+    """V_s in m/s, of HSC: a push trips only while the device moves along it faster than that; 0 is as printed.
+
+    By default 0.05, of joints 0.
+    """
     energy_threshold_j: Annotated[float, Meta(ge=-LARGEST, lt=0.0)] = -0.03
     """delta in J, below 0, of WSC."""
     wsc_force_threshold_n: NonNegative = 0.0
@@ -375,16 +378,16 @@ class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     release_ramp_s: Hold = 0.2
     """Time in s over which an intervention fades out, 0 to 60; as printed 0."""
     probe_force_n: NonNegative | None = None
-    """A in N of the probe that a hand must answer before an intervention fades; 0 lets it fade by time alone.
+    """A in N of the probe that a hand must answer before an intervention fades; 0 only listens for one that moves.
 
     By default mu times 0.12 m/s, which moves a free device by less than 0.1 m/s, or 0 where friction would hide it.
     """
     probe_threshold: Annotated[float, Meta(gt=0.0, lt=1.0)] = 0.2
     """r_th: the share of the probe that a hand holds against, at least."""
     release_tries: Annotated[int, Meta(ge=0, le=1000)] | None = None
-    """How often the force may come back, or a probe act, without the force being back for 1 s, before it is withheld.
+    """After so many tries, of a second each, without the force being back for 1 s it is withheld: by default 5.
 
-    0 is no end. By default 5 with a probe, 2 without.
+    0 is no end; without a probe it then fades by time alone, and no hand is asked for.
     """
     limiter: LimiterTable = LimiterTable()
     """Bounds on the device force."""

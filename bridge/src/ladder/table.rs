@@ -124,7 +124,7 @@ pub enum Reason {
     TurnRefused,
     /// While the slave turned to the master, the two ceased to hear one another, or the master to wait for it.
     TurnCut,
-    /// After a trip no hand has answered the probe, or the force that came back by time tripped again, in all tries.
+    /// After a trip no hand has answered a probe or moved the device, in all tries.
     HandGone,
 }
 
@@ -191,7 +191,7 @@ impl Reason {
             PeerDisengaged => "peer is disengaged",
             TurnRefused => "arm is turned too far from the master",
             TurnCut => "arm's turn to the master was cut off",
-            HandGone => "force withheld after a trip: no hand felt, or tripped again",
+            HandGone => "no hand was felt on the device after a push",
         }
     }
 }

@@ -51,12 +51,12 @@ pub struct SafetySettings {
     pub hold_off_s: f64,
     /// Time in s over which an intervention fades out; 0 returns the rendered force as a step.
     pub release_ramp_s: f64,
-    /// A in N of the probe that a hand must answer before an intervention fades; 0 lets it fade by time alone.
+    /// A in N of the probe that a hand must answer before an intervention fades; 0 only listens for one that moves.
     pub probe_force_n: f64,
     /// `r_th`: share of the probe that a hand holds against, at least.
     pub probe_threshold: f64,
-    /// How often the force may come back, or a probe act, without the force being back for 1 s, before it is withheld;
-    /// 0 is no end.
+    /// After so many tries without the force being back for 1 s it is withheld; 0 is no end, and without a probe asks for no
+    /// hand.
     pub release_tries: u32,
 }
 
@@ -132,8 +132,8 @@ impl Default for SafetySettings {
 /// the release ramp: `F_c = g (-F_v - mu V)` with `g = 1 - s²`, s from 0 to 1. A new trip sets g to 1 at once. PC adds
 /// its own force in the share 1 - g that the intervention leaves.
 ///
-/// With a probe ([`SafetySettings::probe_force_n`]) it fades only once a hand was felt; until then g = 1. With a number of tries
-/// ([`SafetySettings::release_tries`]) g stays 1 after so many.
+/// With a probe ([`SafetySettings::probe_force_n`]) or a number of tries ([`SafetySettings::release_tries`]) it fades only once a
+/// hand was felt; until then, and after so many tries, g = 1.
 ///
 /// Source: paper Eq. 2, 12, 13, 14.
 #[derive(Clone, Debug, PartialEq)]
@@ -316,8 +316,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     fn felt_share(&self) -> S {
         let nothing = S::splat(0.0);
         let is_on = self.on_for.simd_gt(nothing);
-        let fades = self.ramp_ticks.simd_gt(nothing);
-        let fades = is_on & self.probe.as_ref().map_or(fades, |probe| fades | probe.asks());
+        let fades = if self.probe.is_some() { is_on } else { is_on & self.ramp_ticks.simd_gt(nothing) };
         self.let_through.select(fades, S::splat(1.0))
     }
 
@@ -736,7 +735,7 @@ mod tests {
         let (mut controller, driven) =
             tripped_and_driven(&SafetySettings { probe_force_n: 0.0, ..probing() });
         controller.carry(&driven);
-        assert!(!controller.step(&driven).unwrap().tripped.any(), "without a probe time decides");
+        assert!(controller.step(&driven).unwrap().tripped.any(), "nor without a probe");
     }
 
     #[test]
@@ -750,7 +749,7 @@ mod tests {
         assert!(!controller.step(&still).unwrap().tripped.any());
     }
 
-    /// `release_tries`: so often the force comes back, or a probe acts, and then never.
+    /// `release_tries`: so often a probe acts, or a second is listened to, and then the force is withheld.
     #[test]
     fn after_all_tries_the_force_is_withheld() {
         for (force_n, tries) in [(0.0, 1), (0.0, 4), (0.6, 1), (0.6, 3)] {
@@ -770,8 +769,8 @@ mod tests {
             }
             assert!(withheld);
             // Each probe has two halves.
-            let expected = if force_n > 0.0 { (0, 2 * tries) } else { (tries, 0) };
-            assert_eq!((came_back, probed), expected, "{force_n}");
+            let expected = if force_n > 0.0 { 2 * tries } else { 0 };
+            assert_eq!((came_back, probed), (0, expected), "{force_n}");
         }
     }
 

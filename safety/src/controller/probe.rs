@@ -40,19 +40,22 @@ pub const FRICTION_ROOM: f64 = 2.0;
 ///
 /// **Moving hands are listened to.** With `F_v` away and damping on, a free device slows down. A hand drives it where
 /// `F_h . V / |V| > r_th A + mu |V| / 2` for 60 ms without a break: a stop gives no energy for so long, and of a free device
-/// `F_h` is at most `|eps| mu |V|` beside what `r_th A` covers.
+/// `F_h` is at most `|eps| mu |V|` beside what `r_th A` covers. Without a probe (A = 0) c stands for `r_th A`: a free device shows
+/// `c^ - c + |eps| (mu |V| + c)` at most, a hand `c^ + mu |V|`.
 ///
-/// Nothing fades without a yes. Tries are 1 s apart. Without a probe (A = 0) each intervention may fade once its least duration
-/// is over, and that is a try. After `release_tries` without the force being back for 1 s it is withheld until the
+/// Nothing fades without a yes. Tries are 1 s apart. After `release_tries` without the force being back for 1 s it is withheld until the
 /// authority has been at zero, which is what a hold of the ladder leads to, or a [`reset`](Self::reset). The probe moves a
 /// free device by less than `A / 1.25 mu` in speed and `A HALF_S / 1.25 mu` in way.
 ///
 /// Source: derived here; the trials of `benches/release.py` have its error rates.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct GraspProbe<const N: usize> {
+    /// A; 0 only listens.
     force_n: f64,
     /// `r_th`.
     threshold: f64,
+    /// What a free device that slows down shows along its motion at most, beside what goes with its speed.
+    free_n: f64,
     damping: f64,
     /// Tries before the force is withheld; none is no end of them.
     limit: Option<u32>,
@@ -127,6 +130,8 @@ impl<const N: usize> GraspProbe<N> {
         Ok(Some(Self {
             force_n,
             threshold,
+            // Friction that is not there looks like a hand of c.
+            free_n: if probes { threshold * force_n } else { device.largest_coulomb() },
             damping: if probes { positive("damping", "mu", settings.damping)? } else { settings.damping },
             limit,
             period_s,
@@ -170,13 +175,14 @@ impl<const N: usize> GraspProbe<N> {
             // Without a peer it is for a person to begin anew, and then all tries are there again.
             Phase::Withheld if authority <= 0.0 => {
                 self.tries = 0;
-                self.enter(Phase::Settling);
+                // Who cannot be probed has said by the press that there is a hand.
+                self.enter(if self.probes() { Phase::Settling } else { Phase::Felt });
             }
             Phase::Settling if authority < 1.0 => self.ticks = 0,
             Phase::Settling if may_end && !is_unsafe => {
-                if self.force_n == 0.0 || self.is_driven() {
+                if self.is_driven() {
                     self.attempt(Phase::Felt);
-                } else if self.lasts(self.still_for, STILL_S) {
+                } else if self.probes() && self.lasts(self.still_for, STILL_S) {
                     self.attempt(Phase::Probing);
                 } else if self.lasts(self.ticks, INTERVAL_S) {
                     // What never rests and is not driven: nobody can say that there is a hand.
@@ -260,12 +266,20 @@ impl<const N: usize> GraspProbe<N> {
         let count = |ticks: u32, goes_on: bool| if goes_on { ticks.saturating_add(1) } else { 0 };
         self.still_for = count(self.still_for, speed < STILL_SHARE * self.force_n / self.damping);
         let along_n = seen.grasp_force.dot(&seen.velocity);
-        let free_n = self.threshold * self.force_n + self.damping * speed / 2.0;
-        self.driven_for = count(self.driven_for, self.phase != Phase::Probing && along_n > free_n * speed);
+        let free_n = self.free_n + self.damping * speed / 2.0;
+        // At rest `c sign V` of an estimate that dies out is as large as what is asked for.
+        let moves = self.probes() || speed * self.damping > STILL_SHARE * self.free_n;
+        let is_driven = self.phase != Phase::Probing && moves && along_n > free_n * speed;
+        self.driven_for = count(self.driven_for, is_driven);
     }
 
+    /// Without damping a free device does not slow down, and nothing tells it from one that is driven.
     fn is_driven(&self) -> bool {
-        self.lasts(self.driven_for, DRIVEN_S)
+        self.damping > 0.0 && self.lasts(self.driven_for, DRIVEN_S)
+    }
+
+    fn probes(&self) -> bool {
+        self.force_n > 0.0
     }
 
     fn probe(&mut self, seen: &Observation<N>) -> Axes<N> {
@@ -301,8 +315,6 @@ impl<const N: usize> GraspProbe<N> {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct GraspProbes<const N: usize, S> {
     lanes: Box<[GraspProbe<N>]>,
-    /// A in N.
-    strength_n: S,
     /// Nothing goes on in any lane, and each has all its tries.
     at_rest: bool,
     /// `F_p` in N of this tick.
@@ -311,7 +323,7 @@ pub(super) struct GraspProbes<const N: usize, S> {
 
 impl<const N: usize> GraspProbes<N, f64> {
     pub(super) fn one(probe: GraspProbe<N>) -> Self {
-        Self { strength_n: probe.force_n, lanes: Box::new([probe]), at_rest: true, force: Axes::zeros() }
+        Self { lanes: Box::new([probe]), at_rest: true, force: Axes::zeros() }
     }
 }
 
@@ -319,13 +331,12 @@ impl<const N: usize, S: Real> GraspProbes<N, S> {
     /// As many as there are lanes; else None.
     pub(super) fn gather(of: &[GraspProbes<N, f64>]) -> Option<Self> {
         let lanes: Box<[_]> = of.iter().flat_map(|one| one.lanes.iter().cloned()).collect();
-        let (mut force, mut strength_n) = (Axes::<N, S>::zeros(), S::splat(0.0));
+        let mut force = Axes::<N, S>::zeros();
         for (lane, one) in of.iter().enumerate() {
             force.replace(lane, one.force);
-            strength_n.replace(lane, one.strength_n);
         }
         let at_rest = of.iter().all(|one| one.at_rest);
-        (lanes.len() == S::LANES).then_some(Self { lanes, strength_n, at_rest, force })
+        (lanes.len() == S::LANES).then_some(Self { lanes, at_rest, force })
     }
 
     /// Where the force may come back after this tick; `any` is whether an intervention is on, or begins, in any lane.
@@ -368,12 +379,6 @@ impl<const N: usize, S: Real> GraspProbes<N, S> {
                 probe.accept();
             }
         }
-    }
-
-    /// Where a hand is asked for, and not only tries are counted.
-    #[inline(always)]
-    pub(super) fn asks(&self) -> S::SimdBool {
-        self.strength_n.simd_gt(S::splat(0.0))
     }
 
     /// Where no hand was felt in all tries.

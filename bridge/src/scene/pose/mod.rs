@@ -108,7 +108,7 @@ pub(super) fn master_rotation<const N: usize>(
         ..at_lever
     };
     // A probe that friction of the handle hides decides nothing. Where trips are shared and the force has a probe, that decides
-    // for both; else the torque comes back by time, a number of times, and without such a number it is refused.
+    // for both; else it is listened for a hand that turns the handle, and without a number of tries the probe is refused.
     let of_force = &scene.safety.settings;
     let force_asks = of_force.probe_force_n > 0.0
         && ControllerKind::cancelling().any(|kind| of_force.controllers.contains(kind));

@@ -37,11 +37,11 @@ def release_line(scene: "Scene") -> str | None:
         if settings.damping > 0.0
         else "without damping there is no probe for a hand"
     )
-    line = f"{why}: after a trip the force comes back by time"
     if not settings.release_tries:
-        return line
-    end = "it stays away" if scene.slave is None else "a person must press the clutch"
-    return f"{line}, {settings.release_tries} times at most, and then {end}"
+        return f"{why}: after a trip the force comes back by time"
+    if settings.damping == 0.0:
+        return f"{why}: after a trip the force stays away until a person presses the clutch"
+    return f"{why}: after a trip the force comes back to one that moves the device"
 
 
 def announcement(scene: "Scene") -> Iterator[str]:
