@@ -412,7 +412,7 @@ def test_a_late_tick_counts_with_the_force_that_it_holds() -> None:
 
 def test_hsc_has_no_bound_where_the_force_comes_back_as_a_step() -> None:
     """It compares a hand with the share that it has felt, and looks at the step a tick later."""
-    push = {"shape": "step", "force_n": 7.9}
+    push = {"shape": "ramp", "force_n": 7.9, "rise_s": 0.5}
     scene = override_scene(
         load_scene("paper_wall"),
         (
