@@ -75,7 +75,7 @@ def test_a_hand_that_takes_hold_again_has_its_force(*, remote: bool) -> None:
         ({"probe_threshold": 1.0}, "probe_threshold"),
     ],
 )
-def test_a_probe_that_decides_nothing_is_refused(safety: dict[str, float], said: str) -> None:
+def test_a_probe_that_decides_nothing_is_refused(safety: dict[str, Any], said: str) -> None:
     with pytest.raises((SceneError, msgspec.ValidationError), match=said):
         released(remote=False, operator={}, **safety)
 
