@@ -251,8 +251,8 @@ fn without_a_hand_nothing_comes_back() {
         nobody_is_thrown_again::<3>(device, Class::Free);
         nobody_is_thrown_again::<1>(device, Class::Stop);
         nobody_is_thrown_again::<3>(device, Class::Stop);
-        nobody_is_thrown_again::<6>(device, Class::Free);
     }
+    nobody_is_thrown_again::<6>(DESKTOP, Class::Free);
 }
 
 #[test]
