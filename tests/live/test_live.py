@@ -235,20 +235,20 @@ def test_a_second_master_is_refused_while_the_first_lives(key: Path, children: l
     slave = Child("slave", "--key", str(key), "--listen", "127.0.0.1:0")
     children.append(slave)
     first_json, second_json = tmp_path / "first.json", tmp_path / "second.json"
-    first = Child(
-        "master", "--key", str(key), "--peer", slave.address(), "--duration-s", "2.5", "--json", str(first_json)
-    )
+    first = Child("master", "--key", str(key), "--peer", slave.address(), "--json", str(first_json))
     children.append(first)
     first.engaged()
     second = Child(
-        "master", "--key", str(key), "--peer", slave.address(), "--patience-s", "0.8", "--json", str(second_json)
-    )
+        "master", "--key", str(key), "--peer", slave.address(), "--patience-s", "0.8", "--duration-s", "2.5",
+        "--json", str(second_json),
+    )  # fmt: skip
     children.append(second)
     said = second.end()
     assert second.process.returncode == 1
     assert "refused: another master has the lease of this slave" in said
+    assert first.process.poll() is None, "the first was to outlive the second"
+    first.process.send_signal(signal.SIGINT)
     first.end()
-    assert first.process.returncode == 0
     assert json.loads(first_json.read_text())["final_state"] in {"engaged", "stale"}
     assert json.loads(second_json.read_text())["engaged_s"] is None
 

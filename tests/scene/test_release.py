@@ -7,7 +7,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from haptether.bridge import Run, Scene, SceneError, scene_json, simulate
+from haptether.bridge import Run, Scene, SceneError, load_scene, scene_json, simulate
+from haptether.cli.shared.ejection import release_line
 
 RELEASE_S, DURATION_S = 1.0, 8.0
 HELD = 16
@@ -71,6 +72,7 @@ def test_a_hand_that_takes_hold_again_has_its_force(*, remote: bool) -> None:
     [
         ({"probe_force_n": 0.3}, "probe_force_n"),
         ({"probe_force_n": -1.0}, "probe_force_n"),
+        ({"probe_force_n": 8.0}, "at most what the limiter lets the device exert, 7.9"),
         ({"probe_threshold": 0.0}, "probe_threshold"),
         ({"probe_threshold": 1.0}, "probe_threshold"),
     ],
@@ -100,6 +102,10 @@ def table(master: dict[str, Any], **safety: Any) -> dict[str, Any]:  # noqa: ANN
         ({"device": "touch"}, {}, 0.0, 5),
         ({"mass_kg": 0.2, "coulomb": 0.06}, {}, 0.6, 5),
         ({"mass_kg": 0.2, "coulomb": 0.061}, {}, 0.0, 5),
+        # A device that exerts less than the probe takes.
+        ({"mass_kg": 0.2, "max_force_n": 0.6}, {}, 0.6, 5),
+        ({"mass_kg": 0.2, "max_force_n": 0.59}, {}, 0.0, 5),
+        ({"mass_kg": 0.2}, {"limiter": {"max_force_n": 0.5}}, 0.0, 5),
         ({"device": "dynamixel-leader", "kind": "joints"}, {}, 0.0, 5),
         ({"mass_kg": 0.02, "coulomb": 0.01, "kind": "joints"}, {}, 0.48, 5),
     ],
@@ -110,6 +116,31 @@ def test_by_default_a_hand_is_asked_for_unless_friction_hides_it(
     resolved = table(master, **safety)
     assert resolved["probe_force_n"] == pytest.approx(force_n, abs=1e-12)
     assert (resolved["hold_off_s"], resolved["release_ramp_s"], resolved["release_tries"]) == (0.1, 0.2, tries)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        ([], None),
+        (
+            ["master.device=touch"],
+            "a cap of 3.3 N leave no room to probe for a hand: after a trip the force comes back to",
+        ),
+        (["master.device=touch", "safety.release_tries=0"], "comes back by time"),
+        (["master.device=touch", "safety.probe_force_n=0"], None),
+        (["master.device=touch", "safety.controllers=[pc]"], None),
+        (["safety.damping=0"], "no probe for a hand: after a trip the force stays away until a person presses"),
+        (["safety.limiter.max_force_n=0.5"], "a cap of 0.5 N leave no room to probe for a hand"),
+    ],
+)
+def test_a_command_says_where_no_hand_is_probed_for(overrides: list[str], said: str | None) -> None:
+    line = release_line(load_scene("remote_push", overrides))
+    assert line == said if said is None else said in (line or "")
+
+
+def test_without_an_arm_nobody_can_press() -> None:
+    line = release_line(load_scene("free_motion", ["safety.damping=0"]))
+    assert line == "without damping there is no probe for a hand: after a trip the force stays away"
 
 
 @pytest.mark.parametrize("clutch", [None, "once"], ids=["local", "once"])

@@ -11,6 +11,7 @@ from haptether.cli import main
 from haptether.safety import ejection_bound
 from haptether.studies import Falsified, Release, ReleaseBounds, falsify
 from haptether.studies.falsifier.release import Releases
+from haptether.studies.falsifier.search import _Search
 
 TRIES = 192
 FEW = ReleaseBounds(steps=3, longest_s=0.02)
@@ -52,6 +53,19 @@ def test_what_is_left_is_simple(found: Falsified) -> None:
     environment = found.scene.environment
     assert environment is not None
     assert len(environment.pushers) == 1 + len(found.release.level_n)
+
+
+def test_what_has_no_time_left_is_not_made_simple(wall: Scene) -> None:
+    releases = Releases(wall, FEW)
+    search = _Search(releases, 1, None)
+    rng = np.random.default_rng(1)
+    search.speeds([releases.of(rng.uniform(0.1, 0.9, releases.size)) for _ in range(8)])
+    tried, best = search.tried, search.best
+    assert best is not None
+    assert search.simplified(search.speed, -np.inf).held_n == best.held_n
+    assert search.tried == tried
+    search.simplified(search.speed, np.inf)
+    assert search.tried > tried
 
 
 @pytest.mark.parametrize("name", ["paper_wall", "remote_push", "three_axis_box"])

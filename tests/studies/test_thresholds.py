@@ -117,11 +117,28 @@ def test_the_command_has_a_row_for_each(tmp_path: Path, capsys: pytest.CaptureFi
         (["--seed", "-1"], "seed = -1: must be 0 or more"),
         (["--controller", "pc"], "'pc' is none of hsc, vfc, wsc"),
         (["--plot", "picture"], "must end in .png"),
+        (["--round-trip-s"], "round_trips_s = []: must be one or more, each once"),
+        (["--round-trip-s", "0", "0.1", "0"], "round_trips_s = [0.0, 0.1, 0.0]: must be one or more, each once"),
+        (["--set", "safety.probe_force_n=0.6"], "safety.probe_force_n is the same for every law here, or the law"),
+        (["--set", "safety.energy_threshold_j=-0.1"], "safety.energy_threshold_j is the same for every law here"),
     ],
 )
 def test_what_cannot_be_is_refused(arguments: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["thresholds", "paper_wall", *arguments]) == 2
     assert problem in capsys.readouterr().err
+
+
+def test_what_never_engages_is_no_measurement() -> None:
+    task = Task("remote_push", 30.0)
+    with pytest.raises(ValueError, match="at a round trip of 30 s the two do not engage"):
+        task.release_times(1)
+
+
+def test_a_scene_by_its_path_has_the_hands_of_its_name(tmp_path: Path) -> None:
+    save_scene(load_scene("paper_wall"), tmp_path / "paper_wall.toml")
+    by_name, by_path = Task("paper_wall", 0.0), Task(str(tmp_path / "paper_wall.toml"), 0.0)
+    for path, values in by_name.hands(3, 1, HandBounds()).items():
+        np.testing.assert_array_equal(values, by_path.hands(3, 1, HandBounds())[path])
 
 
 def test_a_scene_without_a_hand_is_no_task(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import functools
 import os
+import subprocess
 import threading
 import time
 from collections.abc import Callable
@@ -51,7 +52,7 @@ def anew_after_stalls(test: Callable[P, None]) -> Callable[P, None]:
             with Stalls() as stalls:
                 try:
                     test(*arguments, **named)
-                except AssertionError:
+                except (AssertionError, subprocess.TimeoutExpired):
                     if left == 0 or stalls.worst_s < STALL_S:
                         raise
                 else:

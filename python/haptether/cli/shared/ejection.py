@@ -32,16 +32,17 @@ def release_line(scene: "Scene") -> str | None:
     if scene.safety.probe_force_n is not None or settings.probe_force_n > 0.0:
         return None
     unit = "N m" if scene.master.kind == "joints" else "N"
-    why = (
-        f"friction of {max(settings.coulomb):g} {unit} hides a probe for a hand"
-        if settings.damping > 0.0
-        else "without damping there is no probe for a hand"
-    )
+    if settings.damping == 0.0:
+        why = "without damping there is no probe for a hand"
+    else:
+        friction, cap = max(settings.coulomb), settings.max_force_n
+        why = f"friction of {friction:g} {unit} and a cap of {cap:g} {unit} leave no room to probe for a hand"
     if not settings.release_tries:
         return f"{why}: after a trip the force comes back by time"
-    if settings.damping == 0.0:
-        return f"{why}: after a trip the force stays away until a person presses the clutch"
-    return f"{why}: after a trip the force comes back to one that moves the device"
+    if settings.damping > 0.0:
+        return f"{why}: after a trip the force comes back to one that moves the device"
+    until = "" if scene.slave is None else " until a person presses the clutch"
+    return f"{why}: after a trip the force stays away{until}"
 
 
 def announcement(scene: "Scene") -> Iterator[str]:

@@ -1,0 +1,324 @@
+//! Who trips, how an intervention lasts and fades, and who gets the force back.
+
+use super::*;
+use simba::simd::{AutoBoolx4, AutoF64x4};
+
+const PERIOD_S: f64 = 1e-3;
+
+fn controller(settings: &SafetySettings) -> SafetyController<1> {
+    let device = DeviceModel::uniform(0.157, 0.0, 0.0).unwrap();
+    SafetyController::new(&device, PERIOD_S, settings).unwrap()
+}
+
+fn seen(velocity: f64, rendered: f64) -> Observation<1> {
+    Observation::exact(Axes::<1>::new(velocity), Axes::<1>::new(rendered), Axes::<1>::zeros())
+}
+
+/// VFC, HSC and WSC, of which some watch.
+fn watching(places: u8) -> SafetySettings {
+    SafetySettings {
+        controllers: (0..3)
+            .filter(|place| places >> place & 1 == 1)
+            .map(|at| ControllerKind::ALL[at])
+            .collect(),
+        energy_threshold_j: -1e-6,
+        ..SafetySettings::default()
+    }
+}
+
+/// A device of forces F f, ways x l and so of the mass m f / l, in the same times: the same trips, and forces `F_c f`. By
+/// powers of two, so that it is exact.
+#[test]
+fn a_device_that_is_scaled_trips_as_the_one_that_it_is_like() {
+    let (force, way) = (0.5, 0.25);
+    let settings = SafetySettings {
+        controllers: ControllerKind::ALL.into(),
+        energy_threshold_j: -1e-3,
+        hsc_velocity_threshold: 0.25,
+        wsc_force_threshold_n: 0.5,
+        window: 20,
+        hold_off_s: 0.01,
+        release_ramp_s: 0.02,
+        ..SafetySettings::default()
+    };
+    let build = |mass_kg: f64, settings: &SafetySettings| {
+        let device = DeviceModel::<1>::uniform(mass_kg, 0.0, 0.0).unwrap();
+        SafetyController::new(&device, PERIOD_S, settings).unwrap()
+    };
+    let mut hand = build(0.157, &settings);
+    let mut scaled = build(0.157 * force / way, &settings.at_scale(force, way));
+    let mut tripped = 0;
+    for tick in 0..2000 {
+        let t = f64::from(tick) * PERIOD_S;
+        let [velocity, rendered, grasp] = [(7.0 * t).sin(), 3.0 * (11.0 * t).cos(), 2.0 * (3.0 * t).sin()];
+        let of = |force: f64, way: f64| {
+            let [rendered, grasp] = [rendered, grasp].map(|n| Axes::<1>::new(n * force));
+            Observation::exact(Axes::<1>::new(velocity * way), rendered, grasp)
+        };
+        let answer = hand.step(&of(1.0, 1.0)).unwrap();
+        let like = scaled.step(&of(force, way)).unwrap();
+        assert_eq!(like.tripped, answer.tripped, "{tick}");
+        assert_eq!(like.safety_force, answer.safety_force * force, "{tick}");
+        tripped |= answer.tripped.bits();
+    }
+    assert_eq!(tripped & 0xF, 0xF, "each has tripped");
+}
+
+#[test]
+fn whoever_trips_and_however_many_one_law_answers() {
+    for places in 0..8_u8 {
+        let mut controller = controller(&watching(places));
+        let mut last = Intervention::none();
+        for tick in 0..50_u8 {
+            last = controller.step(&seen(0.7 + f64::from(tick) * 0.01, 2.0)).unwrap();
+        }
+        assert_eq!(last.tripped.bits(), places, "all that watch trip");
+        let velocity = 0.7 + 49.0 * 0.01;
+        let expected = if places == 0 { 0.0 } else { -2.0 - 5.0 * velocity };
+        assert!((last.safety_force[0] - expected).abs() < 1e-12, "{places}: {last:?}");
+        assert_eq!(controller.kinds(), watching(places).controllers);
+        assert_eq!(controller.needs_grasp_force(), places & 6 != 0);
+        for (value, bit) in last.observed.0.into_iter().zip([1, 2, 4, 8]) {
+            assert_eq!(value.is_nan(), places & bit == 0);
+        }
+    }
+}
+
+#[test]
+fn damping_needs_authority_and_cancelling_none() {
+    for authority in [0.0, 0.25, 1.0] {
+        let mut controller = controller(&watching(1));
+        let step = controller.step_with_authority(&seen(1.0, 2.0), authority).unwrap();
+        assert_eq!(step.safety_force[0], -2.0 - 5.0 * authority);
+        assert_eq!(step.tripped, Tripped::of(ControllerKind::Vfc));
+    }
+}
+
+#[test]
+fn an_intervention_is_forgotten_by_a_reset() {
+    let settings = SafetySettings { hold_off_s: 0.1, release_ramp_s: 0.1, ..watching(1) };
+    let mut controller = controller(&settings);
+    controller.step(&seen(1.0, 2.0)).unwrap();
+    assert_eq!(controller.step(&seen(0.0, 2.0)).unwrap().tripped, Tripped::HELD);
+    controller.reset();
+    assert_eq!(controller, self::controller(&settings));
+    assert_eq!(controller.step(&seen(0.0, 2.0)).unwrap().tripped, Tripped::NONE);
+}
+
+/// While the force comes back a hand is held against the share of it that it can have felt.
+#[test]
+fn a_hand_that_holds_what_comes_back_ends_the_intervention() {
+    let settings = SafetySettings { release_ramp_s: 0.05, ..watching(2) };
+    for (holds, stays) in [(true, false), (false, true)] {
+        let mut controller = controller(&settings);
+        controller.step(&seen(0.0, 2.0)).unwrap();
+        let (mut on, mut last_share) = (0, 0.0);
+        for _ in 0..500 {
+            let grasp = if holds { -2.0 * last_share } else { 0.0 };
+            let felt = Observation { grasp_force: Axes::<1>::new(grasp), ..seen(0.0, 2.0) };
+            let step = controller.step(&felt).unwrap();
+            last_share = 1.0 + step.safety_force[0] / 2.0;
+            on += u32::from(step.tripped.any());
+        }
+        assert_eq!(on == 500, stays, "{on}");
+    }
+}
+
+/// PC acts in the share that an intervention leaves.
+#[test]
+fn passivity_control_has_what_an_intervention_leaves() {
+    let pc = SafetySettings { controllers: [ControllerKind::Pc].into(), ..SafetySettings::default() };
+    let (mut alone, mut both) = (
+        controller(&pc),
+        controller(&SafetySettings { controllers: [ControllerKind::Vfc, ControllerKind::Pc].into(), ..pc }),
+    );
+    let push = |tick: u8| seen(if tick == 20 { 1.0 } else { 0.1 }, 2.0);
+    for tick in 0..40 {
+        let (one, two) = (alone.step(&push(tick)).unwrap(), both.step(&push(tick)).unwrap());
+        if tick == 20 {
+            assert_eq!(two.tripped, Tripped::of(ControllerKind::Vfc), "not beside it");
+            assert!((two.safety_force[0] - (-2.0 - 5.0)).abs() < 1e-12);
+        } else if tick < 20 {
+            assert_eq!((one.safety_force, one.tripped), (two.safety_force, two.tripped));
+            assert_eq!(one.tripped == Tripped::of(ControllerKind::Pc), one.safety_force[0] != 0.0);
+        }
+    }
+    assert!(alone.step(&push(1)).unwrap().tripped.contains(Tripped::of(ControllerKind::Pc)), "it acts here");
+    let half = alone.clone().step_with_authority(&push(1), 0.5).unwrap().safety_force[0];
+    assert_eq!(half, alone.step(&push(1)).unwrap().safety_force[0] * 0.5);
+}
+
+/// As long as the hold-off, the first tick counted, then `g = 1 - s²` over the ramp, then nothing.
+#[test]
+fn an_intervention_lasts_its_hold_off_and_fades_by_its_law() {
+    for (hold_off, ramp) in [(1_u32, 3_u32), (4, 1), (5, 4), (3, 0)] {
+        let settings = SafetySettings {
+            hold_off_s: f64::from(hold_off) * PERIOD_S,
+            release_ramp_s: f64::from(ramp) * PERIOD_S,
+            ..watching(1)
+        };
+        let mut controller = controller(&settings);
+        let force = |gain: f64, velocity: f64| gain * (-2.0 - 5.0 * velocity);
+        // Longer and longer unsafe: the hold-off counts from the first tick.
+        for unsafe_ticks in [1, hold_off.max(2) - 1, hold_off, hold_off + 2] {
+            for tick in 0..unsafe_ticks {
+                let step = controller.step(&seen(1.0, 2.0)).unwrap();
+                assert_eq!(step.safety_force[0], force(1.0, 1.0), "{tick}");
+            }
+            let held = hold_off.saturating_sub(unsafe_ticks);
+            for tick in 1..=held + ramp + 3 {
+                let step = controller.step(&seen(0.1, 2.0)).unwrap();
+                let s = f64::from(tick.saturating_sub(held)) / f64::from(ramp + 1);
+                let gain = if s < 1.0 { 1.0 - s * s } else { 0.0 };
+                let apart = (step.safety_force[0] - force(gain, 0.1)).abs();
+                assert!(apart < 1e-14, "{hold_off} {ramp} {unsafe_ticks} {tick}: {step:?}");
+                let tripped = if gain > 0.0 { Tripped::HELD } else { Tripped::NONE };
+                assert_eq!(step.tripped, tripped);
+            }
+        }
+    }
+}
+
+/// Beside an intervention that fades, the force of Eq. 12 counts in the share `1 - g`.
+#[test]
+fn passivity_control_comes_back_as_an_intervention_fades() {
+    let pc = SafetySettings { controllers: [ControllerKind::Pc].into(), ..SafetySettings::default() };
+    let vfc = SafetySettings { hold_off_s: 5e-3, release_ramp_s: 0.02, ..watching(1) };
+    let settings =
+        [pc, vfc, SafetySettings { controllers: [ControllerKind::Vfc, ControllerKind::Pc].into(), ..vfc }];
+    let mut of = settings.map(|settings| controller(&settings));
+    let mut partly = 0;
+    for tick in 0..60 {
+        let seen = seen(if tick == 20 { 1.0 } else { 0.1 }, 2.0);
+        let [alone, intervention, both] = of.each_mut().map(|one| one.respond(&seen, 0.5));
+        let gain = -intervention.safety_force[0] / (2.0 + 0.5 * 5.0 * seen.velocity[0]);
+        let expected = intervention.safety_force[0] + (1.0 - gain) * alone.safety_force[0];
+        assert!((both.safety_force[0] - expected).abs() < 1e-14, "{tick}: {both:?} {expected}");
+        assert_eq!(
+            both.tripped[ControllerKind::Pc],
+            alone.tripped[ControllerKind::Pc] && gain < 1.0,
+            "{tick}"
+        );
+        assert_eq!(both.acts, gain > 0.0 || both.tripped[ControllerKind::Pc], "{tick}");
+        assert_eq!(both.observed[ControllerKind::Pc], alone.observed[ControllerKind::Pc]);
+        partly += u32::from(both.tripped[ControllerKind::Pc] && gain > 0.0);
+    }
+    assert!(partly >= 19, "the ramp: {partly}");
+}
+
+#[test]
+fn passivity_control_acts_on_any_axis() {
+    let device = DeviceModel::uniform(0.157, 0.0, 0.0).unwrap();
+    let settings = SafetySettings { controllers: [ControllerKind::Pc].into(), ..SafetySettings::default() };
+    for velocity in [[0.5, 0.0], [0.0, -0.5], [0.5, 0.5], [0.0, 0.0]] {
+        let mut controller = SafetyController::<2>::new(&device, PERIOD_S, &settings).unwrap();
+        let seen = Observation::exact(Axes::<2>::from(velocity), Axes::zeros(), Axes::zeros());
+        let response = controller.respond(&seen, 1.0);
+        let moves = velocity != [0.0; 2];
+        assert_eq!((response.tripped[ControllerKind::Pc], response.acts), (moves, moves), "{velocity:?}");
+        for (force, velocity) in response.safety_force.iter().zip(velocity) {
+            assert_eq!(*force < 0.0, velocity > 0.0);
+            assert_eq!(*force == 0.0, velocity == 0.0);
+        }
+    }
+}
+
+/// VFC trips at once, and a hand that drives the device at 0.2 m/s with 4 N is there.
+fn tripped_and_driven(settings: &SafetySettings) -> (SafetyController<1>, Observation<1>) {
+    let mut controller = controller(settings);
+    let answer = controller.step(&seen(1.0, 2.0)).unwrap();
+    assert!(answer.tripped.any());
+    (controller, Observation { grasp_force: Axes::<1>::new(4.0), ..seen(0.2, 2.0) })
+}
+
+fn probing() -> SafetySettings {
+    SafetySettings { probe_force_n: 0.6, release_tries: 3, ..watching(1) }
+}
+
+#[test]
+fn a_tick_that_was_missed_decides_nothing() {
+    let fades = SafetySettings { release_ramp_s: 0.05, ..probing() };
+    let (mut controller, driven) = tripped_and_driven(&fades);
+    for _ in 0..5000 {
+        controller.carry(&driven);
+    }
+    // Nothing was decided: neither that a hand is there, for then the ramp would be over, nor that none is.
+    assert!(controller.step(&driven).unwrap().tripped.any());
+    let mut ticks = 0;
+    while controller.step(&driven).unwrap().tripped.any() {
+        ticks += 1;
+        assert!(ticks < 100, "a hand that drives is felt");
+    }
+    let (mut controller, driven) = tripped_and_driven(&SafetySettings { probe_force_n: 0.0, ..probing() });
+    controller.carry(&driven);
+    assert!(controller.step(&driven).unwrap().tripped.any(), "nor without a probe");
+}
+
+#[test]
+fn a_hand_that_was_felt_elsewhere_is_there() {
+    let (mut controller, _) = tripped_and_driven(&probing());
+    let still = seen(0.0, 2.0);
+    for _ in 0..20 {
+        assert!(controller.step(&still).unwrap().tripped.any());
+    }
+    controller.accept(Some(true));
+    assert!(!controller.step(&still).unwrap().tripped.any());
+}
+
+/// `release_tries`: so often a probe acts, or a second is listened to, and then the force is withheld.
+#[test]
+fn after_all_tries_the_force_is_withheld() {
+    for (force_n, tries) in [(0.0, 1), (0.0, 4), (0.6, 1), (0.6, 3)] {
+        let mut controller =
+            controller(&SafetySettings { probe_force_n: force_n, release_tries: tries, ..probing() });
+        let (mut came_back, mut probed, mut withheld) = (0, 0, false);
+        let (mut was_on, mut was_probed) = (false, false);
+        for tick in 0..8000 {
+            // Whenever the force is there it throws the device; else it rests.
+            let answer = controller.step(&seen(if was_on { 0.0 } else { 1.0 }, 2.0)).unwrap();
+            let is_on = answer.tripped.any();
+            let pushes = is_on && (answer.safety_force[0] + 2.0).abs() > 0.1 && was_on;
+            came_back += u32::from(was_on && !is_on);
+            probed += u32::from(pushes && !was_probed);
+            assert!(!withheld || (is_on && !pushes && answer.withheld), "{force_n} {tries} {tick}");
+            (was_on, was_probed, withheld) = (is_on, pushes, answer.withheld);
+        }
+        assert!(withheld);
+        // Each probe has two halves.
+        let expected = if force_n > 0.0 { 2 * tries } else { 0 };
+        assert_eq!((came_back, probed), (0, expected), "{force_n}");
+    }
+}
+
+#[test]
+fn each_lane_has_its_own_answer() {
+    for lane in 0..4 {
+        let only = |place: usize| {
+            let mut mask = AutoBoolx4::splat(false);
+            mask.replace((lane + place) % 4, true);
+            mask
+        };
+        let number = |from: f64| AutoF64x4::new(from, from + 1.0, from + 2.0, from + 3.0);
+        let response = Response::<1, AutoF64x4> {
+            safety_force: Axes::<1, AutoF64x4>::new(number(1.0)),
+            acts: only(0),
+            tripped: PerController([0, 1, 2, 3].map(only)),
+            held: only(0),
+            withheld: only(1),
+            observed: PerController([10.0, 20.0, 30.0, 40.0].map(number)),
+        };
+        let own = response.lane(lane);
+        assert_eq!(own.tripped, Tripped::from_bits(1 | 16));
+        for (place, one) in [
+            (1, Tripped::of(ControllerKind::Hsc)),
+            (2, Tripped::of(ControllerKind::Wsc)),
+            (3, Tripped::of(ControllerKind::Pc)),
+        ] {
+            let other = response.lane((lane + place) % 4);
+            assert_eq!((other.tripped, other.withheld), (one, place == 1));
+        }
+        let place = lane as f64;
+        assert_eq!(own.safety_force[0], 1.0 + place);
+        assert_eq!(own.observed.0, [10.0, 20.0, 30.0, 40.0].map(|from| from + place));
+    }
+}
