@@ -48,6 +48,7 @@ def settings_of(scene: Scene) -> EjectionSettings:
         probe_force_n=safety["probe_force_n"],
         release_tries=safety["release_tries"],
         travel_m=None if stops is None else hypot(*(high - low for low, high in stops)),
+        turns=scene.master.kind == "pose",
         outside=_outside(spec),
     )
 

@@ -86,6 +86,8 @@ class EjectionSettings(Struct, frozen=True, kw_only=True):
     """J in s: how much longer a force is held at a late tick, at most 0.02; one such tick within a window."""
     mass_error: float = 0.0
     """Largest relative error of `mass_kg`, at least 0 and below 1."""
+    turns: bool = False
+    """Whether the device turns as well: rotation has no bound."""
     outside: str | None = None
     """Why what is described is outside the assumptions, and has no bound; none where it has."""
 
@@ -175,11 +177,12 @@ def ejection_bound(
         mass_error: Largest relative error of the mass that the safety layer knows, 0 to 1.
 
     Raises:
+        TypeError: What is neither a scene nor settings.
         ValueError: A number outside its range.
 
     Source: `docs/ejection_bound.md`, Eq. 6a to 16, on paper Eq. 1, 5, 11, 13 and 14.
     """
-    settings = of if isinstance(of, EjectionSettings) else of.ejection_settings()
+    settings = _settings(of)
     changes = {"hand_speed": hand_speed, "late_s": late_s, "mass_error": mass_error}
     settings = replace(settings, **{name: value for name, value in changes.items() if value is not None})
     _check(settings)
@@ -219,9 +222,12 @@ def rising_push(of: EjectionSettings | HasEjectionSettings) -> tuple[float, ...]
     Args:
         of: A scene, or settings.
 
+    Raises:
+        TypeError: What is neither.
+
     Source: `docs/ejection_bound.md`, Eq. 6a.
     """
-    settings = of if isinstance(of, EjectionSettings) else of.ejection_settings()
+    settings = _settings(of)
     if settings.estimator is None or not isfinite(settings.max_force_n):
         return ()
     try:
@@ -234,6 +240,15 @@ def rising_push(of: EjectionSettings | HasEjectionSettings) -> tuple[float, ...]
     # Forces of long ago that do not matter are left out.
     counted = np.flatnonzero(np.abs(weights[: len(push)]) > WORTH * np.abs(weights).max())
     return tuple(map(float, push[: counted[-1] + 1][::-1]))
+
+
+def _settings(of: EjectionSettings | HasEjectionSettings) -> EjectionSettings:
+    if isinstance(of, EjectionSettings):
+        return of
+    if not hasattr(of, "ejection_settings"):
+        message = f"{of!r}: must be a scene, as `load_scene` gives it, or EjectionSettings"
+        raise TypeError(message)
+    return of.ejection_settings()
 
 
 def _check(settings: EjectionSettings) -> None:
@@ -267,6 +282,7 @@ def _assumptions(settings: EjectionSettings) -> tuple[str, ...]:
         mass,
         late,
         "no mechanical stop is met",
+        *(["of the point: rotation has no bound"] if settings.turns else []),
         *measured,
         *([steady] if "hsc" in settings.controllers else []),
         *([line] if line_counts else []),

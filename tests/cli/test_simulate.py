@@ -340,7 +340,13 @@ def test_the_bound_on_ejection_is_said_where_a_controller_watches(
     arguments = ["simulate", "remote_push", *(each for setting in settings for each in ("--set", setting))]
     assert main([*arguments, "--json", str(written)]) == 0
     printed = capsys.readouterr().out
-    bound = json.loads(written.read_text())["ejection_bound"]
+    report = json.loads(written.read_text())
+    bound, release = report["ejection_bound"], report["release_law"]
+    if said is None:
+        assert release is None
+    else:
+        assert (release["release_tries"], release["hold_off_s"], release["remark"]) == (5, 0.1, None)
+        assert release["probe_force"] == pytest.approx(0.12 * 5.0)
     if said is None:
         assert bound is None
         assert "after a release" not in printed.replace("time to trip after the release", "")

@@ -541,6 +541,17 @@ def test_what_is_printed_is_rounded_up() -> None:
     assert bound.speed <= printed < bound.speed + 0.0101
 
 
+def test_of_a_device_that_turns_only_the_point_has_a_bound() -> None:
+    for name, turns in (("remote_push", False), ("valve", True)):
+        said = "of the point: rotation has no bound" in ejection_bound(load_scene(name)).assumptions
+        assert said == turns, name
+
+
+def test_what_is_no_scene_is_refused() -> None:
+    with pytest.raises(TypeError, match=r"'remote_push': must be a scene, as `load_scene` gives it"):
+        ejection_bound("remote_push")  # type: ignore[arg-type]  # the mistake
+
+
 @pytest.mark.parametrize("changes", [{"hand_speed": -0.1}, {"late_s": 0.021}, {"mass_error": 1.0}])
 def test_numbers_outside_their_range_are_refused(changes: dict[str, float]) -> None:
     (name, value) = next(iter(changes.items()))

@@ -48,7 +48,7 @@ class Simulate(PictureOptions):
     ] = ()
     """Change a field; may be given often. Values are TOML, bare words are strings."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Write scene, seed, version, events, metrics and the bound on ejection speed as JSON; - for standard output."""
+    """Write events, metrics, the bound on ejection speed and who gets the force back as JSON; - for standard output."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="DIR|PICTURE")] = None
     """Draw positions, forces, what turns and trips, into this folder or as this .png, .pdf or .svg."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.npz")] = None
@@ -114,7 +114,7 @@ class Simulate(PictureOptions):
         Raises:
             RuntimeError: It diverged.
         """
-        from haptether.cli.shared.ejection import bound_line, release_line, scene_bound
+        from haptether.cli.shared.ejection import bound_line, release_law, release_line, scene_bound
         from haptether.cli.shared.output import write_report
 
         self._print(console, run)
@@ -130,6 +130,7 @@ class Simulate(PictureOptions):
             "events": run.events,
             "metrics": run.metrics,
             "ejection_bound": bound,
+            "release_law": None if scene is None else release_law(scene),
         }
         write_report(self.json, report)
         if self.out is not None:

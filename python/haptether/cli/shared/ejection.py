@@ -45,6 +45,20 @@ def release_line(scene: "Scene") -> str | None:
     return f"{why}: after a trip the force stays away{until}"
 
 
+def release_law(scene: "Scene") -> dict[str, object] | None:
+    """Who gets the force back after a trip, for machines; none where no controller takes it away."""
+    settings = scene.ejection_settings()
+    if not CANCELLING.intersection(settings.controllers):
+        return None
+    return {
+        "probe_force": settings.probe_force_n,
+        "release_tries": settings.release_tries,
+        "hold_off_s": scene.safety.hold_off_s,
+        "release_ramp_s": settings.release_ramp_s,
+        "remark": release_line(scene),
+    }
+
+
 def announcement(scene: "Scene") -> Iterator[str]:
     """What is said before a loop begins: the greatest speed after a release, and who gets the force back."""
     try:
