@@ -1,15 +1,15 @@
 """The trade-off of a threshold: how often it trips while a hand holds, and how often it misses one that lets go."""
 
 from collections.abc import Callable, Iterable, Sequence
-from math import exp, lgamma, log, sqrt
 
 import numpy as np
 import numpy.typing as npt
 from msgspec import Struct
 
-from haptether.bridge import RotationSafetyTable, Scene, sweep
+from haptether.bridge import Scene, sweep
+from haptether.studies.intervals import poisson_interval, wilson_interval
+from haptether.studies.task import THRESHOLD_TASKS, HandBounds, Task, ejection_speeds
 from haptether.studies.thresholds.law import THRESHOLD_LAWS, ThresholdLaw
-from haptether.studies.thresholds.task import THRESHOLD_TASKS, HandBounds, Task
 
 Array = npt.NDArray[np.float64]
 
@@ -26,7 +26,6 @@ FIXED = frozenset(
 """What a law or a task sets, whatever the scene says."""
 WITHIN_S = 0.3
 """Time in s after the grip is gone within which that counts."""
-Z95 = 1.959964
 
 
 class TradeOffRow(Struct, frozen=True, kw_only=True):
@@ -140,35 +139,6 @@ class Counts(Struct, frozen=True, kw_only=True):
         return self.missed / self.releases if self.releases else float("nan")
 
 
-def poisson_interval(count: int) -> tuple[float, float]:
-    """Exact 95 % interval of the mean of a Poisson count: at either end 2.5 % lie beyond the count.
-
-    Source: Garwood 1936.
-    """
-
-    def mean_where(most: int, share: float) -> float:
-        """The mean at which so large a share of counts is at most `most`."""
-        low, high = 0.0, most + 20.0 + 10.0 * sqrt(most + 1.0)
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            below = sum(exp(n * log(middle) - middle - lgamma(n + 1.0)) for n in range(most + 1))
-            low, high = (middle, high) if below > share else (low, middle)
-        return 0.5 * (low + high)
-
-    return 0.0 if count == 0 else mean_where(count - 1, 0.975), mean_where(count, 0.025)
-
-
-def wilson_interval(count: int, of: int) -> tuple[float, float]:
-    """95 % interval of a share of at least one.
-
-    Source: Wilson 1927.
-    """
-    share, z2 = count / of, Z95**2 / of
-    middle = (share + 0.5 * z2) / (1.0 + z2)
-    half = Z95 * sqrt(share * (1.0 - share) / of + 0.25 * z2 / of) / (1.0 + z2)
-    return max(0.0, middle - half), min(1.0, middle + half)
-
-
 def measure_thresholds(
     *,
     tasks: Sequence[str] = THRESHOLD_TASKS,
@@ -269,13 +239,7 @@ class _Runs:
             samples, shape = self._over(law, chosen), (len(law.values), -1)
         found = sweep(watched, samples=samples, threads=self.threads)
         speed = np.nan_to_num(np.asarray(found["max_ejection_velocity"], dtype=np.float64))
-        fast = speed > MISSED_SPEED
-        if "max_ejection_rate" in found.columns:
-            # Of a handle at its lever.
-            lever_m = (scene.safety.rotation or RotationSafetyTable()).lever_m
-            rate = np.nan_to_num(np.asarray(found["max_ejection_rate"], dtype=np.float64))
-            fast |= rate * lever_m > MISSED_SPEED
-        return fast.reshape(shape), speed.reshape(shape)
+        return (ejection_speeds(scene, found) > MISSED_SPEED).reshape(shape), speed.reshape(shape)
 
     def rows(self, laws: Sequence[ThresholdLaw], lasting: Scene) -> list[TradeOffRow]:
         """Of all laws and thresholds; `lasting` is the task that is held throughout."""

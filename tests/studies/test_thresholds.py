@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from scipy.stats import binom
 
 from haptether.bridge import load_scene, save_scene
 from haptether.cli.entry import main
 from haptether.studies import THRESHOLD_LAWS, THRESHOLD_TASKS, HandBounds, ThresholdLaw, TradeOff, measure_thresholds
-from haptether.studies.thresholds.task import STIFFER, Task
-from haptether.studies.thresholds.trade_off import poisson_interval, wilson_interval
+from haptether.studies.intervals import median_interval, poisson_interval, wilson_interval
+from haptether.studies.task import STIFFER, Task
 
 pytestmark = pytest.mark.slow
 
@@ -33,6 +34,16 @@ def test_an_interval_of_a_share_has_its_closed_forms() -> None:
     z2 = 1.959964**2
     assert wilson_interval(0, 10) == pytest.approx((0.0, z2 / (10 + z2)))
     assert wilson_interval(10, 10) == pytest.approx((10 / (10 + z2), 1.0))
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 6, 8, 9, 10, 12, 20, 101])
+def test_the_interval_of_a_median_is_the_narrowest_that_holds_it_at_95_percent(count: int) -> None:
+    low, high = median_interval([float(value) for value in range(count, 0, -1)])
+    rank = int(low)
+    assert high == count + 1 - rank
+    beyond = 2.0 * binom.cdf(np.array([rank - 1, rank]), count, 0.5)
+    assert beyond[1] > 0.05
+    assert beyond[0] <= 0.05 or rank == 1
 
 
 @pytest.mark.parametrize("name", THRESHOLD_TASKS)

@@ -35,6 +35,7 @@ COMMANDS = CommandTable(
         "sweep": "scene.sweep:Sweep",
         "falsify": "scene.falsify:Falsify",
         "thresholds": "scene.thresholds:Thresholds",
+        "evaluate": "scene.evaluate:Evaluate",
         "console": "view.console:Console",
         "view": "view.view:View",
         "master": "live.master:Master",

@@ -15,7 +15,9 @@ from haptether.bridge import (
     OperatorTable,
     RecordTable,
     ReleaseTable,
+    RotationSafetyTable,
     Scene,
+    Sweep,
     TremorTable,
     load_scene,
     override_scene,
@@ -72,26 +74,70 @@ class HandBounds(Struct, frozen=True, kw_only=True):
     """Its frequency in Hz (Elble and Koller 1990)."""
 
 
-class Task:
-    """A scene as a task, at one round trip."""
+class Network(Struct, frozen=True, kw_only=True):
+    """What a network does beside its mean delay, the same both ways."""
 
-    def __init__(self, name: str, round_trip_s: float, overrides: Iterable[str] = ()) -> None:
+    name: str
+    jitter: float = 0.0
+    """Standard deviation of a delay over itself, of a gamma law that forgets itself within 0.1 s."""
+    loss: float = 0.0
+    """Share of packets that are lost."""
+    mean_burst: float = 1.0
+    """Mean number of packets that are lost together."""
+
+    def link(self, delay_s: float) -> LinkSettings:
+        """One direction of it."""
+        settings = LinkSettings(delay_s=delay_s)
+        if self.jitter > 0.0 and delay_s > 0.0:
+            settings = replace(settings, jitter_s=self.jitter * delay_s, distribution="gamma")
+        if self.loss > 0.0:
+            settings = replace(settings, loss=self.loss, mean_burst=self.mean_burst)
+        return settings
+
+
+class NotEngagedError(ValueError):
+    """Master and slave of a task never engage."""
+
+
+class Task:
+    """A scene as a task, at one round trip.
+
+    Args:
+        name: Of a bundled scene, or the path of one.
+        round_trip_s: Both delays of a link together, or by how much a force without an arm is late.
+        overrides: Fields of the scene to change first.
+        network: What the link does; by default what the scene's does, with a jitter of a tenth of its delay.
+        by_time: Whether an intervention ends by time, so that each is an event, instead of as the scene says.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        round_trip_s: float,
+        overrides: Iterable[str] = (),
+        *,
+        network: Network | None = None,
+        by_time: bool = True,
+    ) -> None:
         scene = load_scene(name, (*SOFTENED.get(Path(name).stem, ()), *overrides))
         if scene.operator is None:
             message = f"{name}: nobody holds its device"
             raise ValueError(message)
         self.name, self.round_trip_s, self.base = name, round_trip_s, scene
         self.operator: OperatorTable = scene.operator
+        self.network, self.by_time = network, by_time
         self.strokes = 0
         self.held = self._late(self._held())
         self.engaged_s = 0.0
 
     def _held(self) -> Scene:
-        """It with a hand that never lets go, an intervention that time ends, and nothing recorded."""
+        """It with a hand that never lets go, and nothing recorded."""
         operator = replace(self.operator, release=None, grip_strength_n=None, tremor=TremorTable(), legs=self._legs())
         if operator.rotation is not None:
             operator = replace(operator, rotation=replace(operator.rotation, release=None))
-        safety = replace(self.base.safety, hold_off_s=0.1, release_ramp_s=0.2, probe_force_n=0.0, release_tries=0)
+        safety = self.base.safety
+        if self.by_time:
+            safety = replace(safety, hold_off_s=0.1, release_ramp_s=0.2, probe_force_n=0.0, release_tries=0)
         run = replace(self.base.run, duration_s=round(self.base.run.duration_s + self.strokes, 3))
         return replace(self.base, operator=operator, safety=safety, run=run, record=None, security=None)
 
@@ -108,6 +154,9 @@ class Task:
     def _late(self, scene: Scene) -> Scene:
         """It with forces that come back after the round trip."""
         delay_s = 0.5 * self.round_trip_s
+        if scene.slave is not None and self.network is not None:
+            link = self.network.link(delay_s)
+            return replace(scene, link=LinksTable(forward=link, backward=link))
         if scene.slave is not None:
 
             def direction(link: LinkSettings | None) -> LinkSettings:
@@ -123,9 +172,9 @@ class Task:
         ticks = round(self.round_trip_s / scene.run.period_s)
         return replace(scene, environment=replace(scene.environment, delay_ticks=ticks))
 
-    def watched(self, scene: Scene, controller: str | None, fixed: dict[str, float | str]) -> Scene:
-        """A scene with a controller, or with none."""
-        names = controller or ""
+    def watched(self, scene: Scene, controllers: str | None, fixed: dict[str, float | str]) -> Scene:
+        """A scene with controllers, separated by commas, or with none."""
+        names = controllers or ""
         changes = [f"safety.{key}={value}" for key, value in fixed.items()]
         return override_scene(scene, [f"safety.controllers=[{names}]", *changes])
 
@@ -181,7 +230,7 @@ class Task:
             message = (
                 f"{self.name}: at a round trip of {self.round_trip_s:g} s the two do not engage, so nothing is held"
             )
-            raise ValueError(message)
+            raise NotEngagedError(message)
         self.engaged_s = min(engaged_s, default=0.0)
         time_s = run.signals["time_s"] - self.engaged_s
         pressed = time_s[(size >= HELD_SHARE * size.max()) & (size > 0.0) & (time_s > 0.0)]
@@ -200,6 +249,16 @@ class Task:
             operator = replace(operator, rotation=replace(operator.rotation, release=turned))
         lasts_s = self.engaged_s + at_s + DECAY_S + after_s
         return replace(self.held, operator=operator, run=replace(self.held.run, duration_s=round(lasts_s, 3)))
+
+
+def ejection_speeds(scene: Scene, found: Sweep) -> Array:
+    """Largest speed in m/s after each release of a sweep: of the device, or of a handle that turns at its lever."""
+    speed = np.nan_to_num(np.asarray(found["max_ejection_velocity"], dtype=np.float64))
+    if "max_ejection_rate" in found.columns:
+        lever_m = (scene.safety.rotation or RotationSafetyTable()).lever_m
+        rate = np.nan_to_num(np.asarray(found["max_ejection_rate"], dtype=np.float64))
+        speed = np.maximum(speed, rate * lever_m)
+    return speed
 
 
 def _log_uniform(rng: np.random.Generator, bounds: tuple[float, float], count: int) -> Array:

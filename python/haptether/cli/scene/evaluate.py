@@ -1,0 +1,185 @@
+"""`haptether evaluate`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from haptether.studies import Evaluation
+
+ROUND_TRIPS_S = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5)
+QUICK_ROUND_TRIPS_S = (0.0, 0.1, 0.3)
+QUICK_CONTROLLERS = ("none", "hsc", "wsc", "hsc+wsc")
+HANDS, RELEASES = 8, 4
+QUICK_HANDS, QUICK_RELEASES = 2, 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluate:
+    """Say how safe a set-up is under delay: controllers over round trips and networks, in tasks done by many hands.
+
+    Hands hold throughout, where each intervention is a false trip, and let go under force, where a device faster than
+    the limit has been thrown. Device, arm, coupling, thresholds and release law are the scene's. It prints up to which
+    round trip each set of controllers is safe, and writes a page with numbers and their intervals, what was assumed,
+    and the worst release as a scene of its own. The same seed finds the same.
+
+    Examples:
+
+    haptether evaluate remote_push --quick
+
+    haptether evaluate remote_push --controller none hsc hsc+wsc --round-trip-s 0 0.05 0.1 --out evaluation
+
+    haptether evaluate all --quick --json - --set safety.window=10
+    """
+
+    scene: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE ...|all")]
+    """Names of bundled scenes or paths of TOML files, or all bundled ones in which a hand works."""
+    quick: bool = False
+    """Few hands, round trips and networks: a first look, in less than a minute."""
+    controller: tuple[str, ...] | None = None
+    """Sets of controllers, the names of each joined by +; none for nobody."""
+    round_trip_s: tuple[float, ...] | None = None
+    """Round trips in s."""
+    network: tuple[str, ...] | None = None
+    """Of steady, jitter and loss: what the network does beside its delay."""
+    hands: int | None = None
+    """How many hands do each task, 1 or more."""
+    releases: int | None = None
+    """At how many times hands let go, 1 or more; each hand lets go once."""
+    speed: float = 0.5
+    """Speed in m/s above which a release has thrown the device."""
+    false_trips_per_h: float = 60.0
+    """False trips per hour held above which a controller is in the way."""
+    seed: int = 1
+    """Of hands and networks, 0 or more."""
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
+    """Change a field of all scenes first; may be given often."""
+    threads: int | None = None
+    """Threads to run in; as many as there are processors if not given."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Write evaluation.html, evaluation.md and worst.toml into this folder."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write all cells as JSON; - for standard output."""
+
+    def run(self) -> int:
+        """Runs all tasks; 0."""
+        import shlex
+
+        from haptether.bridge import save_scene
+        from haptether.cli.scene.simulate import spinner
+        from haptether.cli.shared.output import check_target, make_folder, require_matplotlib, write_report
+        from haptether.cli.shared.screen import screen
+        from haptether.private_file import write_private
+        from haptether.studies import (
+            EVALUATED_CONTROLLERS,
+            EVALUATED_NETWORKS,
+            THRESHOLD_TASKS,
+            EvaluationLimits,
+            evaluate,
+            evaluation_html,
+            evaluation_markdown,
+        )
+
+        check_target(self.json)
+        if self.seed < 0:
+            message = f"seed = {self.seed}: must be 0 or more"
+            raise ValueError(message)
+        for name, value in (("speed", self.speed), ("false-trips-per-h", self.false_trips_per_h)):
+            if not 0.0 <= value < float("inf"):
+                message = f"{name} = {value}: must be a number of at least 0"
+                raise ValueError(message)
+        known = {network.name: network for network in EVALUATED_NETWORKS}
+        chosen = self.network or (("steady", "loss") if self.quick else tuple(known))
+        if unknown := [name for name in chosen if name not in known]:
+            message = f"--network {unknown[0]}: must be of {', '.join(known)}"
+            raise ValueError(message)
+        if self.out is not None:
+            require_matplotlib()
+            make_folder(self.out)
+        quick = self.quick
+        with spinner("evaluate") as say:
+            found = evaluate(
+                THRESHOLD_TASKS if self.scene == ("all",) else self.scene,
+                controllers=self.controller or (QUICK_CONTROLLERS if quick else EVALUATED_CONTROLLERS),
+                round_trips_s=self.round_trip_s or (QUICK_ROUND_TRIPS_S if quick else ROUND_TRIPS_S),
+                networks=[known[name] for name in chosen],
+                hands=self.hands if self.hands is not None else QUICK_HANDS if quick else HANDS,
+                releases=self.releases if self.releases is not None else QUICK_RELEASES if quick else RELEASES,
+                seed=self.seed,
+                limits=EvaluationLimits(speed=self.speed, false_trips_per_h=self.false_trips_per_h),
+                overrides=self.set,
+                threads=self.threads,
+                progress=say,
+            )
+        console = screen(self.json)
+        self._print(console, found)
+        if self.out is not None:
+            worst = next((release for release in found.worst if release.controllers != "none"), None)
+            named = None
+            if worst is not None:
+                named = "worst.toml"
+                save_scene(
+                    worst.scene,
+                    self.out / named,
+                    f"{worst.task}, {worst.controllers}, {worst.round_trip_s:g} s, network {worst.network}:"
+                    f" {worst.speed:.4f} m/s after the release.",
+                )
+            command = shlex.join(("haptether", "evaluate", *self.scene, *self._options()))
+            for suffix, text in (
+                ("html", evaluation_html(found, command=command, worst=named)),
+                ("md", evaluation_markdown(found, command=command, worst=named)),
+            ):
+                path = self.out / f"evaluation.{suffix}"
+                write_private(path, text.encode())
+                console.print(f"page: {path}")
+            if named is not None:
+                console.print(f"worst release under a controller: {self.out / named}")
+        if self.json is not None:
+            worst_rows = [
+                {name: getattr(release, name) for name in ("controllers", "task", "round_trip_s", "network", "speed")}
+                for release in found.worst
+            ]
+            safe = {controllers: found.safe_up_to_s(controllers) for controllers in found.controllers}
+            fields = ("tasks", "networks", "limits", "hands", "releases", "seed", "version", "cells")
+            report = {name: getattr(found, name) for name in fields}
+            write_report(self.json, {**report, "safe_up_to_s": safe, "worst": worst_rows})
+        return 0
+
+    def _options(self) -> list[str]:
+        """What was given beside the scenes, as it may be given again."""
+        given: list[str] = ["--quick"] if self.quick else []
+        for option, values in (
+            ("controller", self.controller), ("round-trip-s", self.round_trip_s), ("network", self.network)
+        ):  # fmt: skip
+            if values is not None:
+                given += [f"--{option}", *(f"{value:g}" if isinstance(value, float) else value for value in values)]
+        for option, value, default in (
+            ("hands", self.hands, None), ("releases", self.releases, None), ("speed", self.speed, 0.5),
+            ("false-trips-per-h", self.false_trips_per_h, 60.0), ("seed", self.seed, 1),
+        ):  # fmt: skip
+            if value != default:
+                given += [f"--{option}", f"{value:g}"]
+        for change in self.set:
+            given += ["--set", change]
+        return given
+
+    def _print(self, console: "Console", found: "Evaluation") -> None:
+        from haptether.cli.shared.table import Column, Rows
+        from haptether.studies.evaluation.page import statements, verdict_rows
+
+        head, rows = verdict_rows(found)
+        table = Rows(head[0], *(Column(name, numbers=True) for name in head[1:]), gap=1)
+        for row in rows:
+            table.add(*row)
+        console.print(table)
+        console.print("")
+        for statement in statements(found):
+            console.print(f"- {statement}")
+        console.print(
+            f"\nsafe: no release above {found.limits.speed:g} m/s, coupled throughout, at most"
+            f" {found.limits.false_trips_per_h:g} false trips per hour held; {found.hands} hands, all networks together"
+        )

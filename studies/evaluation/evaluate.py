@@ -1,0 +1,306 @@
+"""Runs tasks with many hands, held and let go, for each set of controllers at each round trip of each network."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib.metadata import version
+from math import inf
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Struct
+from msgspec.structs import replace
+
+from haptether.bridge import RecordTable, Run, Scene, Sweep, override_scene, simulate, sweep
+from haptether.studies.evaluation.result import (
+    EVALUATED_CONTROLLERS,
+    EVALUATED_NETWORKS,
+    Evaluation,
+    EvaluationCell,
+    EvaluationLimits,
+    WorstRelease,
+)
+from haptether.studies.intervals import median_interval
+from haptether.studies.task import HandBounds, Network, NotEngagedError, Task, ejection_speeds
+from haptether.view.style.colours import CONTROLLERS
+
+Array = npt.NDArray[np.float64]
+
+WITHIN_S = 0.5
+"""Time in s after the grip is gone within which the device is watched."""
+PRESSED_SHARE = 0.1
+"""Share of the largest force above which a hand counts as pressing, for the transmitted impedance."""
+MIN_PRESSED_TICKS = 100
+MOST_UNEXPLAINED = 0.2
+"""Share of the variance of the force that K x + B V may leave."""
+FIXED = frozenset({"safety.controllers", "link.forward", "link.backward", "run.duration_s"})
+"""What the evaluation sets."""
+
+
+def evaluate(
+    tasks: Sequence[str],
+    *,
+    controllers: Sequence[str] = EVALUATED_CONTROLLERS,
+    round_trips_s: Sequence[float] = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5),
+    networks: Sequence[Network] = EVALUATED_NETWORKS,
+    hands: int = 8,
+    releases: int = 4,
+    seed: int = 1,
+    limits: EvaluationLimits | None = None,
+    bounds: HandBounds | None = None,
+    overrides: Iterable[str] = (),
+    threads: int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Evaluation:
+    """How safe each set of controllers is at each round trip, through each network, in each task.
+
+    Held throughout, each intervention that begins is a false trip. Let go under force, over 50 ms, a release throws if
+    the device exceeds the limit within 0.5 s after. All sets of controllers have the same hands, releases and draws of
+    the network. Device, arm, coupling, estimator, limits and release law are those of the scene.
+
+    Args:
+        tasks: Names of bundled scenes, or paths of scenes, in which a hand works.
+        controllers: Sets of controllers, their names joined by "+"; "none" for nobody.
+        round_trips_s: In s: both delays of a link together, or by how much a force without an arm is late.
+        networks: What the network does beside its delay; a scene without an arm meets the first one only.
+        hands: How many hold each task.
+        releases: Times at which each task is let go, at most as many as hands; the hands share them.
+        seed: Of hands and networks.
+        limits: What is called safe.
+        bounds: What hands may be; by default `HandBounds()`.
+        overrides: Fields of each scene to change first, `table.key=value`.
+        threads: Of the runs; by default as many as there are processors.
+        progress: Called with what is run.
+
+    Raises:
+        ValueError: No hand, no task, a controller that there is not, or a scene without a hand.
+        SceneError: A scene that cannot be built.
+    """
+    _check(tasks, controllers, round_trips_s, networks, {"hands": hands, "releases": releases})
+    overrides, bounds, limits = tuple(overrides), bounds or HandBounds(), limits or EvaluationLimits()
+    for override in overrides:
+        key = override.partition("=")[0].strip()
+        if any(key == fixed or key.startswith(f"{fixed}.") for fixed in FIXED):
+            message = f"{override}: {key} is what an evaluation varies"
+            raise ValueError(message)
+    cells: list[EvaluationCell] = []
+    worst: dict[str, WorstRelease] = {}
+    for name in tasks:
+        for round_trip_s in round_trips_s:
+            for place, network in enumerate(networks):
+                if network.link(0.5 * round_trip_s) in [one.link(0.5 * round_trip_s) for one in networks[:place]]:
+                    continue  # jitter of no delay
+                if progress is not None:
+                    progress(f"{name}, {round_trip_s * 1e3:g} ms, {network.name}")
+                task = Task(name, round_trip_s, overrides, network=network, by_time=False)
+                rows = task.hands(hands, seed, bounds)
+                runs = _Runs(task, task.lasting(bounds), rows, releases, limits=limits, threads=threads)
+                for names in controllers:
+                    cell, release = runs.cell(names)
+                    cells.append(cell)
+                    if release is not None and release.speed > (worst[names].speed if names in worst else -inf):
+                        worst[names] = release
+                if task.base.slave is None:
+                    break
+    return Evaluation(
+        cells=tuple(cells),
+        tasks=tuple(tasks),
+        controllers=tuple(controllers),
+        round_trips_s=tuple(round_trips_s),
+        networks=tuple(networks),
+        limits=limits,
+        hands=hands,
+        releases=releases,
+        seed=seed,
+        version=version("haptether"),
+        worst=tuple(sorted(worst.values(), key=lambda release: -release.speed)),
+    )
+
+
+def _check(
+    tasks: Sequence[str],
+    controllers: Sequence[str],
+    round_trips_s: Sequence[float],
+    networks: Sequence[Network],
+    counts: Mapping[str, int],
+) -> None:
+    for name, value in counts.items():
+        if value < 1:
+            message = f"{name} = {value}: must be 1 or more"
+            raise ValueError(message)
+    names = [network.name for network in networks]
+    several: dict[str, Sequence[object]] = {
+        "tasks": tasks, "controllers": controllers, "round_trips_s": round_trips_s, "networks": names
+    }  # fmt: skip
+    for name, values in several.items():
+        if not values or len(set(values)) < len(values):
+            message = f"{name} = {list(values)}: must be one or more, each once"
+            raise ValueError(message)
+    for names_of_set in controllers:
+        parts = names_of_set.split("+")
+        if unknown := [part for part in parts if part not in CONTROLLERS or (part == "none" and len(parts) > 1)]:
+            message = f"controllers = {names_of_set!r}: {unknown[0]!r} is none of {', '.join(CONTROLLERS)}"
+            raise ValueError(message)
+    if wrong := [value for value in round_trips_s if not 0.0 <= value <= 10.0]:
+        message = f"round_trips_s: {wrong[0]}: must be between 0 and 10 s"
+        raise ValueError(message)
+
+
+class _Group(Struct, frozen=True):
+    """Hands that let go at one time."""
+
+    scene: Scene
+    chosen: "npt.NDArray[np.int_]"
+    """Which hands."""
+    unwatched: Array
+    """Largest speed in m/s after each of them where nobody watches."""
+
+
+class _Runs:
+    """One task at one round trip, through one network."""
+
+    def __init__(
+        self,
+        task: Task,
+        lasting: Scene,
+        hands: dict[str, Array],
+        releases: int,
+        *,
+        limits: EvaluationLimits,
+        threads: int | None,
+    ) -> None:
+        self.task, self.hands, self.limits, self.threads = task, hands, limits, threads
+        self.lasting = lasting
+        count = len(hands["run.seed"])
+        try:
+            times = task.release_times(min(releases, count))
+        except NotEngagedError:
+            times = ()
+        self.groups = []
+        for place, at_s in enumerate(times):
+            chosen = np.flatnonzero(np.arange(count) % len(times) == place)
+            if chosen.size:
+                scene = task.let_go(at_s, WITHIN_S)
+                found = self._sweep(scene, None, chosen)
+                self.groups.append(_Group(scene, chosen, ejection_speeds(scene, found)))
+
+    def _sweep(self, scene: Scene, controllers: str | None, chosen: "npt.NDArray[np.int_] | None" = None) -> Sweep:
+        rows = self.hands if chosen is None else {path: values[chosen] for path, values in self.hands.items()}
+        return sweep(self.task.watched(scene, controllers, {}), samples=rows, threads=self.threads)
+
+    def cell(self, names: str) -> tuple[EvaluationCell, WorstRelease | None]:
+        """What one set of controllers does, and the worst release."""
+        controllers = None if names == "none" else names.replace("+", ",")
+        held = self._sweep(self.lasting, controllers)
+        outcomes = Counter(held["outcome"].tolist())
+        ticks = np.nan_to_num(np.asarray(held["ticks"], dtype=np.float64))
+        engaged = bool(len(held)) and not outcomes.get("never-engaged")
+        hours = float(ticks.sum()) * self.lasting.run.period_s / 3600.0 if engaged else 0.0
+        speeds, unwatched, detected, worst = self._let_go(names, controllers)
+        limit = self.limits.speed
+        dangerous = (speeds > limit) | (unwatched > limit)
+        trips = detected[dangerous & np.isfinite(detected)]
+        stiffness, damping = self._transmitted(controllers) if engaged else (None, None)
+
+        def over(name: str, of: Callable[[Array], np.floating]) -> float | None:
+            values = np.asarray(held[name], dtype=np.float64) if name in held.columns else np.empty(0)
+            values = values[np.isfinite(values)]
+            return float(of(values)) if engaged and values.size else None
+
+        least_j = over("passivity_min_j", np.min)
+        cell = EvaluationCell(
+            task=self.task.name,
+            controllers=names,
+            round_trip_s=self.task.round_trip_s,
+            network=self._network().name,
+            held=dict(outcomes),
+            hours=hours,
+            false_trips=None if (count := over("false_trips", np.sum)) is None else int(count),
+            intervention_share=None
+            if (under_s := over("intervention_s", np.sum)) is None
+            else under_s / (hours * 3600.0),
+            releases=len(speeds),
+            dangerous=int(dangerous.sum()),
+            thrown=int((speeds > limit).sum()),
+            speed=float(np.median(speeds[dangerous])) if dangerous.any() else None,
+            speed_interval=median_interval(speeds[dangerous].tolist()) if dangerous.any() else None,
+            max_speed=float(speeds.max()) if speeds.size else None,
+            detection_s=float(np.median(trips)) if trips.size else None,
+            undetected=int((dangerous & ~np.isfinite(detected)).sum()),
+            peak_force_n=over("peak_device_force", np.max),
+            energy_j=None if least_j is None else max(0.0, -least_j),
+            position_rmse_m=over("position_rmse_m", np.median),
+            force_rmse_n=over("force_rmse_n", np.median),
+            stiffness=stiffness,
+            damping=damping,
+        )
+        return cell, worst
+
+    def _network(self) -> Network:
+        assert self.task.network is not None
+        return self.task.network
+
+    def _let_go(self, names: str, controllers: str | None) -> tuple[Array, Array, Array, WorstRelease | None]:
+        """Of all releases: the largest speed, that where nobody watches, when a controller tripped; and the worst."""
+        speeds, unwatched, detected = np.empty(0), np.empty(0), np.empty(0)
+        worst: tuple[float, Scene, int] | None = None
+        for group in self.groups:
+            found = self._sweep(group.scene, controllers, group.chosen)
+            speed = ejection_speeds(group.scene, found)
+            speeds, unwatched = np.append(speeds, speed), np.append(unwatched, group.unwatched)
+            trip = np.asarray(found["time_to_trip_s"], dtype=np.float64)
+            detected = np.append(detected, trip if controllers else np.full(len(speed), np.nan))
+            most = int(speed.argmax())
+            if worst is None or speed[most] > worst[0]:
+                worst = (float(speed[most]), group.scene, int(group.chosen[most]))
+        if worst is None:
+            return speeds, unwatched, detected, None
+        release = WorstRelease(
+            controllers=names,
+            task=self.task.name,
+            round_trip_s=self.task.round_trip_s,
+            network=self._network().name,
+            speed=worst[0],
+            scene=self._alone(worst[1], controllers, worst[2]),
+        )
+        return speeds, unwatched, detected, release
+
+    def _alone(self, scene: Scene, controllers: str | None, hand: int) -> Scene:
+        """One hand of the sweep as a scene of its own."""
+        values = {path: float(column[hand]) for path, column in self.hands.items()}
+        fields = [f"{path}={int(value) if path == 'run.seed' else value!r}" for path, value in values.items()]
+        return override_scene(self.task.watched(scene, controllers, {}), fields)
+
+    def _transmitted(self, controllers: str | None) -> tuple[float | None, float | None]:
+        """Stiffness in N/m and damping in N s/m that the hand of the scene feels while it presses."""
+        scene = self.task.watched(self.task.held, controllers, {})
+        return transmitted_impedance(simulate(replace(scene, record=RecordTable())))
+
+
+def transmitted_impedance(run: Run) -> tuple[float | None, float | None]:
+    """K in N/m and B in N s/m of `-F_device = K x + B V + F_0` while a hand presses, along the mean force.
+
+    Least squares over the ticks in which the force is above a tenth of its largest; none where too few are, or where
+    less than 80 % of the variance of the force are explained.
+
+    Args:
+        run: With `position`, `velocity` and `device_force` recorded at each tick.
+    """
+    named = (np.asarray(run.signals[name]) for name in ("position", "velocity", "device_force"))
+    x, v, force = (values.reshape(len(values), -1) for values in named)
+    size = np.linalg.norm(force, axis=1)
+    pressed = (size > PRESSED_SHARE * size.max()) & (size > 0.0) if len(size) else np.empty(0, dtype=bool)
+    if int(pressed.sum()) < MIN_PRESSED_TICKS:
+        return None, None
+    mean = force[pressed].mean(axis=0)
+    if not (norm := float(np.linalg.norm(mean))):
+        return None, None
+    along = [values[pressed] @ (mean / norm) for values in (x, v, force)]
+    columns = np.column_stack([along[0], along[1], np.ones(int(pressed.sum()))])
+    scale = np.abs(columns).max(axis=0)
+    if not scale.all():
+        return None, None
+    found, _, rank, _ = np.linalg.lstsq(columns / scale, -along[2], rcond=1e-9)
+    left = float(np.var(along[2] + columns / scale @ found))
+    if rank < columns.shape[1] or left > MOST_UNEXPLAINED * float(np.var(along[2])):
+        return None, None
+    return float(found[0] / scale[0]), float(found[1] / scale[1])

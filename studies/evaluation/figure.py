@@ -1,0 +1,137 @@
+"""The figure of an evaluation: verdicts as a map, and what they come from over the round trip."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from haptether.studies.evaluation.result import Evaluation, Verdict, totals
+from haptether.view.style.colours import THRESHOLD, controller_look, controller_title
+from haptether.view.style.figure import Columns, letter, new_figure, styled
+from haptether.view.style.legend import legend_below
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+VERDICT_COLOURS: dict[Verdict, str] = {
+    "safe": "#a8dcc8",
+    "trips": "#f6dfa4",
+    "uncoupled": "#c9d6e4",
+    "not-engaged": "#dddddd",
+    "thrown": "#f2b48c",
+    "diverged": "#d98fb8",
+}
+"""Pale, for numbers stand on them; each has its word as well."""
+MIN_RATE_PER_H = 100.0
+VERDICT_WORDS: dict[Verdict, str] = {
+    "safe": "safe",
+    "trips": "false trips",
+    "uncoupled": "uncoupled",
+    "not-engaged": "not engaged",
+    "thrown": "thrown",
+    "diverged": "diverged",
+}
+
+
+def draw_evaluation(found: Evaluation, columns: Columns = 2) -> "Figure":
+    """Draws verdicts over controllers and round trips, and speeds, throws and false trips over the round trip.
+
+    All tasks and networks together: the worst verdict, the largest speed, and counts with 95 % intervals.
+
+    Raises:
+        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
+    """
+    with styled():
+        several = f"{len(found.tasks)} tasks" if len(found.tasks) > 1 else found.tasks[0]
+        title = f"{several}, {len(found.networks)} networks, {found.hands} hands each"
+        figure = new_figure(columns, 5.2 if columns == 2 else 9.5, title)
+        shape = (2, 2) if columns == 2 else (4, 1)
+        panels = figure.subplots(*shape, squeeze=False).ravel().tolist()
+        _verdicts(panels[0], found)
+        _speeds(panels[1], found)
+        _thrown(panels[2], found)
+        _false_trips(panels[3], found)
+        for panel in panels[1:]:
+            panel.set_xlabel("round trip [ms]")
+        legend_below(figure, panels[1].get_legend_handles_labels()[0])
+        letter(panels)
+    return figure
+
+
+def _verdicts(panel: "Axes", found: Evaluation) -> None:
+    from matplotlib.patches import Rectangle
+
+    panel.grid(visible=False)
+    for row, controllers in enumerate(found.controllers):
+        for column, round_trip_s in enumerate(found.round_trips_s):
+            verdict = found.verdict(found.of(controllers=controllers, round_trip_s=round_trip_s))
+            panel.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, fc=VERDICT_COLOURS[verdict], ec="white"))
+            panel.text(column, row, VERDICT_WORDS[verdict].replace(" ", "\n"), ha="center", va="center", fontsize=5.0)
+    panel.set_xlim(-0.5, len(found.round_trips_s) - 0.5)
+    panel.set_ylim(len(found.controllers) - 0.5, -0.5)
+    panel.set_xticks(range(len(found.round_trips_s)), [f"{trip_s * 1e3:g}" for trip_s in found.round_trips_s])
+    panel.set_yticks(range(len(found.controllers)), [controller_title(name) for name in found.controllers])
+    panel.tick_params(length=0.0)
+    panel.set_xlabel("round trip [ms]")
+
+
+def _over_trips(found: Evaluation) -> "list[float]":
+    return [round_trip_s * 1e3 for round_trip_s in found.round_trips_s]
+
+
+def _speeds(panel: "Axes", found: Evaluation) -> None:
+    for controllers in found.controllers:
+        most = [totals(found.of(controllers=controllers, round_trip_s=trip)).max_speed for trip in found.round_trips_s]
+        speeds = [np.nan if speed is None else speed for speed in most]
+        panel.plot(_over_trips(found), speeds, marker=".", label=controller_title(controllers),
+                   **controller_look(controllers))  # fmt: skip
+    panel.axhline(found.limits.speed, color=THRESHOLD, lw=0.8, ls=":")
+    panel.set_yscale("log")
+    panel.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    panel.set_ylabel("largest speed after a release [m/s]")
+
+
+def _thrown(panel: "Axes", found: Evaluation) -> None:
+    for number, controllers in enumerate(found.controllers):
+        shares = [
+            totals(found.of(controllers=controllers, round_trip_s=trip)).thrown_share for trip in found.round_trips_s
+        ]
+        _with_intervals(panel, found, number, [share and tuple(100.0 * part for part in share) for share in shares])
+    panel.set_ylim(-3.0, 103.0)
+    panel.set_ylabel(f"releases above {found.limits.speed:g} m/s [%]")
+
+
+def _false_trips(panel: "Axes", found: Evaluation) -> None:
+    for number, controllers in enumerate(found.controllers):
+        rates = [
+            totals(found.of(controllers=controllers, round_trip_s=trip)).false_trips_per_h
+            for trip in found.round_trips_s
+        ]
+        _with_intervals(panel, found, number, rates)
+    panel.axhline(found.limits.false_trips_per_h, color=THRESHOLD, lw=0.8, ls=":")
+    # As far as rates are those of single trips it is linear.
+    panel.set_yscale("symlog", linthresh=MIN_RATE_PER_H)
+    panel.set_ylim(bottom=0.0)
+    panel.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    panel.set_ylabel("false trips per hour held")
+
+
+def _with_intervals(
+    panel: "Axes",
+    found: Evaluation,
+    number: int,
+    values: "Sequence[tuple[float, ...] | None]",
+) -> None:
+    """Points with their 95 % intervals, a little beside each other, joined by a line."""
+    known = [(trip, value) for trip, value in zip(_over_trips(found), values, strict=True) if value is not None]
+    if not known:
+        return
+    width = max(_over_trips(found)) - min(_over_trips(found)) or 1.0
+    at = [trip + width * 0.006 * (number - 0.5 * (len(found.controllers) - 1)) for trip, _ in known]
+    middle, low, high = (np.array([value[part] for _, value in known]) for part in range(3))
+    look = controller_look(found.controllers[number])
+    panel.errorbar(at, middle, [np.maximum(middle - low, 0.0), np.maximum(high - middle, 0.0)], fmt=".",
+                   color=look["color"], elinewidth=0.6, capsize=1.2)  # fmt: skip
+    panel.plot(at, middle, **look)

@@ -1,0 +1,323 @@
+"""An evaluation as one page, in HTML with its figure inside or in Markdown: verdicts, numbers, what was assumed."""
+
+import io
+from collections.abc import Iterator, Sequence
+from html import escape
+from typing import TypeAlias
+
+from msgspec import Struct
+
+from haptether.studies.evaluation.figure import VERDICT_COLOURS, VERDICT_WORDS, draw_evaluation
+from haptether.studies.evaluation.result import Evaluation, EvaluationCell, Verdict, totals
+from haptether.view.style.colours import controller_title
+
+Cell: TypeAlias = "str | tuple[str, Verdict]"
+
+
+class Table(Struct, frozen=True):
+    """A table; a cell may have a verdict, which colours it."""
+
+    head: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+
+class Section(Struct, frozen=True):
+    """A heading, what is said below it, and a table."""
+
+    title: str
+    text: str = ""
+    """A paragraph."""
+    items: tuple[str, ...] = ()
+    table: Table | None = None
+
+
+def sections(found: Evaluation, worst: str | None) -> Iterator[Section]:
+    """What the page says, part by part."""
+    limits = found.limits
+    yield Section(
+        "Which set-up is safe up to which round trip",
+        f"Safe: in every task and network no release leaves the device faster than {limits.speed:g} m/s, the two stay"
+        f" coupled, and all together have at most {limits.false_trips_per_h:g} false trips per hour held. A cell says"
+        " the worst that happened there, and the largest speed after a release.",
+        items=statements(found),
+        table=_verdict_table(found, None),
+    )
+    if len(found.tasks) > 1:
+        for task in found.tasks:
+            yield Section(task, table=_verdict_table(found, task))
+    yield Section(
+        "Numbers",
+        "All networks together. Dangerous: releases above the limit, here or where nobody watches; thrown: those above"
+        " it here, with the 95 % interval of their share (Wilson 1927). False trips per hour held with the exact 95 %"
+        " interval of a Poisson count. Speed: median of the largest after dangerous releases, of the worst network,"
+        " with its distribution-free 95 % interval. Detection: median from where the grip begins to loosen. Energy:"
+        " largest that a hand that held was given over what it had put in.",
+        table=_numbers(found),
+    )
+    yield Section(
+        "Transparency while hands hold",
+        "Of the network that is worst: errors of position and force of the arm against the device (RMS); of the first"
+        " network: what one hand that presses feels as K x + B V, by least squares; a dash where that does not fit.",
+        table=_transparency(found),
+    )
+    yield Section("Worst releases", _worst_text(worst), table=_worst(found))
+    yield Section("What was assumed", items=tuple(_assumptions(found)))
+
+
+def statements(found: Evaluation) -> tuple[str, ...]:
+    """Of each set of controllers, up to which round trip it is safe."""
+    return tuple(_statement(found, controllers) for controllers in found.controllers)
+
+
+def verdict_rows(found: Evaluation) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
+    """Head and rows of the table of verdicts, all tasks together, as text."""
+    table = _verdict_table(found, None)
+    return table.head, tuple(tuple(_text(cell) for cell in row) for row in table.rows)
+
+
+def evaluation_markdown(found: Evaluation, *, command: str = "", worst: str | None = None) -> str:
+    """The page as Markdown.
+
+    Args:
+        found: What is shown.
+        command: That made it.
+        worst: Name of the file that has the worst release.
+    """
+    parts = [f"# {_title(found)}", _made_by(found, command)]
+    for section in sections(found, worst):
+        parts += [f"## {section.title}", section.text]
+        if section.items:
+            parts.append("\n".join(f"- {item}" for item in section.items))
+        if section.table is not None:
+            parts.append(_markdown_table(section.table))
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def evaluation_html(found: Evaluation, *, command: str = "", worst: str | None = None) -> str:
+    """The page as one HTML file that loads nothing.
+
+    Raises:
+        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
+    """
+    drawn = io.StringIO()
+    draw_evaluation(found).savefig(drawn, format="svg", metadata={"Date": None})
+    picture = drawn.getvalue()
+    picture = picture[picture.index("<svg") :]
+    body = [f"<h1>{escape(_title(found))}</h1>", f"<p class=made>{escape(_made_by(found, command))}</p>"]
+    for place, section in enumerate(sections(found, worst)):
+        body.append(f"<h2>{escape(section.title)}</h2>")
+        if section.text:
+            body.append(f"<p>{escape(section.text)}</p>")
+        if section.items:
+            body.append("<ul>" + "".join(f"<li>{escape(item)}</li>" for item in section.items) + "</ul>")
+        if section.table is not None:
+            body.append(_html_table(section.table))
+        if place == 0:
+            body.append(f"<figure>{picture}</figure>")
+    colours = "".join(f".{verdict}{{background:{colour}}}" for verdict, colour in VERDICT_COLOURS.items())
+    return (
+        "<!doctype html>\n<html lang=en><head><meta charset=utf-8>"
+        "<meta name=viewport content='width=device-width, initial-scale=1'>"
+        f"<title>{escape(_title(found))}</title><style>{STYLE}{colours}</style></head>\n<body>\n"
+        + "\n".join(body)
+        + "\n</body></html>\n"
+    )
+
+
+STYLE = (
+    "body{font:15px/1.5 system-ui,sans-serif;color:#1c2733;background:#fff}"
+    "body{max-width:70em;margin:2em auto;padding:0 1em}"
+    "h1{font-size:1.5em}h2{font-size:1.15em;margin:2em 0 .5em}.made{color:#5b6875}"
+    "div.wide{overflow-x:auto}table{border-collapse:collapse;font-size:.85em}"
+    "th,td{padding:.3em .6em;border:1px solid #d5dae0;text-align:right;white-space:nowrap}"
+    "th{background:#f3f5f7}th:first-child,td:first-child{text-align:left}"
+    "figure{margin:1.5em 0}svg{width:100%;height:auto}"
+)
+
+
+def _title(found: Evaluation) -> str:
+    return f"Safety under delay: {', '.join(found.tasks)}"
+
+
+def _made_by(found: Evaluation, command: str) -> str:
+    by = f"{command}; " if command else ""
+    return f"{by}Haptether {found.version}, seed {found.seed}, {found.hands} hands, {found.releases} times of release."
+
+
+def _statement(found: Evaluation, controllers: str) -> str:
+    """Up to which round trip a set of controllers is safe, and what ends that."""
+    safe_s = found.safe_up_to_s(controllers)
+    name = controller_title(controllers)
+    until = "safe at none of these round trips" if safe_s is None else f"safe up to {safe_s * 1e3:g} ms"
+    beyond = [trip_s for trip_s in sorted(found.round_trips_s) if safe_s is None or trip_s > safe_s]
+    counted = totals([cell for cell in found.of(controllers=controllers) if cell.round_trip_s not in beyond])
+    evidence = ""
+    if safe_s is not None and (share := counted.thrown_share) is not None:
+        evidence = (
+            f"; {counted.thrown} of {counted.dangerous} dangerous releases threw, at most {100.0 * share[2]:.0f} % with"
+            " 95 % confidence"
+        )
+    if not beyond:
+        return f"{name}: {until}, the largest that was tried{evidence}."
+    cells = found.of(controllers=controllers, round_trip_s=beyond[0])
+    verdict = found.verdict(cells)
+    worst = [cell for cell in cells if cell.verdict(found.limits) == verdict]
+    where = ", ".join(sorted({f"{cell.task} ({cell.network})" for cell in worst})[:3])
+    return f"{name}: {until}{evidence}. At {beyond[0] * 1e3:g} ms: {VERDICT_WORDS[verdict]}, in {where}."
+
+
+def _verdict_table(found: Evaluation, task: str | None) -> Table:
+    rows = []
+    for controllers in found.controllers:
+        cells: list[Cell] = [controller_title(controllers)]
+        for round_trip_s in found.round_trips_s:
+            of = found.of(task=task, controllers=controllers, round_trip_s=round_trip_s)
+            verdict, speed = found.verdict(of), totals(of).max_speed
+            said = VERDICT_WORDS[verdict] + ("" if speed is None else f", {speed:.2f} m/s")
+            cells.append((said, verdict))
+        rows.append(tuple(cells))
+    return Table(("controllers", *(f"{trip_s * 1e3:g} ms" for trip_s in found.round_trips_s)), tuple(rows))
+
+
+def _numbers(found: Evaluation) -> Table:
+    head = (
+        "controllers", "round trip", "held", "false trips/h", "under intervention", "dangerous", "thrown",
+        "speed [m/s]", "detection [ms]", "undetected", "peak force [N]", "energy [J]",
+    )  # fmt: skip
+    rows = []
+    for controllers in found.controllers:
+        for round_trip_s in found.round_trips_s:
+            cells = found.of(controllers=controllers, round_trip_s=round_trip_s)
+            counted = totals(cells)
+            rate, share = counted.false_trips_per_h, counted.thrown_share
+            slowest = max((cell for cell in cells if cell.speed is not None), key=_speed, default=None)
+            rows.append(
+                (
+                    controller_title(controllers),
+                    f"{round_trip_s * 1e3:g} ms",
+                    f"{counted.hours * 3600.0:.0f} s",
+                    "-" if rate is None else f"{rate[0]:.0f} ({rate[1]:.0f} to {rate[2]:.0f})",
+                    _percent(_mean(cells, "intervention_share")),
+                    f"{counted.dangerous} of {sum(cell.releases for cell in cells)}",
+                    "-" if share is None else f"{counted.thrown} ({100.0 * share[1]:.0f} to {100.0 * share[2]:.0f} %)",
+                    "-" if slowest is None else _with_interval(slowest),
+                    _number(_most(cells, "detection_s"), 1e3, ".0f"),
+                    str(sum(cell.undetected for cell in cells)),
+                    _number(_most(cells, "peak_force_n"), 1.0, ".2f"),
+                    _number(_most(cells, "energy_j"), 1.0, ".3f"),
+                )
+            )
+    return Table(head, tuple(rows))
+
+
+def _transparency(found: Evaluation) -> Table:
+    head = ("task", "controllers", "round trip", "position [mm]", "force [N]", "K [N/m]", "B [N s/m]")
+    rows = []
+    for task in found.tasks:
+        for controllers in found.controllers:
+            for round_trip_s in found.round_trips_s:
+                cells = found.of(task=task, controllers=controllers, round_trip_s=round_trip_s)
+                first = cells[0] if cells else None
+                rows.append(
+                    (
+                        task,
+                        controller_title(controllers),
+                        f"{round_trip_s * 1e3:g} ms",
+                        _number(_most(cells, "position_rmse_m"), 1e3, ".2f"),
+                        _number(_most(cells, "force_rmse_n"), 1.0, ".2f"),
+                        _number(None if first is None else first.stiffness, 1.0, ".0f"),
+                        _number(None if first is None else first.damping, 1.0, ".1f"),
+                    )
+                )
+    return Table(head, tuple(rows))
+
+
+def _worst_text(worst: str | None) -> str:
+    kept = f" {worst} has the fastest under a controller as a scene: haptether simulate {worst}." if worst else ""
+    return f"The release after which the device was fastest, of each set of controllers.{kept}"
+
+
+def _worst(found: Evaluation) -> Table:
+    head = ("controllers", "speed [m/s]", "task", "round trip", "network")
+    rows = tuple(
+        (
+            controller_title(release.controllers),
+            f"{release.speed:.3f}",
+            release.task,
+            f"{release.round_trip_s * 1e3:g} ms",
+            release.network,
+        )
+        for release in found.worst
+    )
+    return Table(head, rows)
+
+
+def _assumptions(found: Evaluation) -> Iterator[str]:
+    yield (
+        "Hands are impedances with a path and a tremor, drawn at random; people were not measured. Strokes are made to"
+        " be hard, so rates compare set-ups, and do not say what a day's work has."
+    )
+    yield "A hand lets go under more than half of the task's largest force, its grip gives way within 50 ms."
+    yield "Device, arm, coupling, estimator, limits and release law are those of the scenes."
+    for network in found.networks:
+        parts = ["delay alone"] if not network.jitter and not network.loss else []
+        if network.jitter:
+            parts.append(f"jitter of {100.0 * network.jitter:g} % of the delay (gamma, 0.1 s)")
+        if network.loss:
+            parts.append(f"{100.0 * network.loss:g} % lost, {network.mean_burst:g} at once in the mean")
+        yield f"Network {network.name}: {', '.join(parts)}, each direction half of the round trip."
+    yield "A scene without an arm has no network: what it renders is late by the round trip."
+
+
+def _speed(cell: EvaluationCell) -> float:
+    return cell.speed or 0.0
+
+
+def _with_interval(cell: EvaluationCell) -> str:
+    low, high = cell.speed_interval or (0.0, 0.0)
+    return f"{_speed(cell):.2f} ({low:.2f} to {high:.2f})"
+
+
+def _known(cells: Sequence[EvaluationCell], name: str) -> list[float]:
+    return [value for cell in cells if (value := getattr(cell, name)) is not None]
+
+
+def _most(cells: Sequence[EvaluationCell], name: str) -> float | None:
+    return max(_known(cells, name), default=None)
+
+
+def _mean(cells: Sequence[EvaluationCell], name: str) -> float | None:
+    known = _known(cells, name)
+    return sum(known) / len(known) if known else None
+
+
+def _number(value: float | None, scale: float, form: str) -> str:
+    return "-" if value is None else f"{value * scale:{form}}"
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{100.0 * value:.1f} %"
+
+
+def _text(cell: Cell) -> str:
+    return cell if isinstance(cell, str) else cell[0]
+
+
+def _markdown_table(table: Table) -> str:
+    lines = [f"| {' | '.join(table.head)} |", f"|---{'|---:' * (len(table.head) - 1)}|"]
+    lines += [f"| {' | '.join(_text(cell).replace('|', '/') for cell in row)} |" for row in table.rows]
+    return "\n".join(lines)
+
+
+def _html_table(table: Table) -> str:
+    head = "".join(f"<th>{escape(name)}</th>" for name in table.head)
+    rows = "".join(
+        "<tr>"
+        + "".join(
+            f"<td>{escape(cell)}</td>" if isinstance(cell, str) else f"<td class={cell[1]}>{escape(cell[0])}</td>"
+            for cell in row
+        )
+        + "</tr>"
+        for row in table.rows
+    )
+    return f"<div class=wide><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>"

@@ -1,0 +1,227 @@
+"""Evaluation: what verdicts say of cells, what is measured against closed forms, worst release, page, command."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from haptether.bridge import RecordTable, load_scene, simulate
+from haptether.cli.entry import main
+from haptether.netsim import LinkSettings
+from haptether.studies import (
+    EVALUATED_NETWORKS,
+    Evaluation,
+    EvaluationCell,
+    EvaluationLimits,
+    Network,
+    evaluate,
+    evaluation_html,
+    evaluation_markdown,
+)
+from haptether.studies.evaluation.evaluate import transmitted_impedance
+
+pytestmark = pytest.mark.slow
+
+CELL: dict[str, Any] = {
+    "task": "push", "controllers": "wsc", "round_trip_s": 0.0, "network": "steady", "held": {"complete": 8},
+    "hours": 0.1, "false_trips": 0, "intervention_share": 0.0, "releases": 8, "dangerous": 4, "thrown": 0,
+    "speed": 0.3, "speed_interval": (0.2, 0.4), "max_speed": 0.4, "detection_s": 0.03, "undetected": 0,
+    "peak_force_n": 3.0, "energy_j": 0.1, "position_rmse_m": 1e-3, "force_rmse_n": 0.1, "stiffness": None,
+    "damping": None,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def found() -> Evaluation:
+    return evaluate(
+        ["paper_wall", "remote_push"], controllers=("none", "hsc"), round_trips_s=(0.0, 0.1), hands=2, releases=2,
+        networks=EVALUATED_NETWORKS[::2], threads=1,
+    )  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------------------------- verdicts
+
+
+@pytest.mark.parametrize(
+    ("changes", "verdict"),
+    [
+        ({}, "safe"),
+        ({"held": {"complete": 4, "settled": 4}}, "safe"),
+        ({"false_trips": 6}, "safe"),
+        ({"false_trips": 7}, "trips"),
+        ({"held": {"complete": 7, "hold": 1}, "false_trips": 7}, "uncoupled"),
+        ({"held": {"complete": 7, "stop": 1}, "thrown": 1}, "thrown"),
+        ({"held": {"complete": 7, "diverged": 1}, "thrown": 1}, "diverged"),
+        ({"held": {"never-engaged": 8}, "false_trips": None, "hours": 0.0, "releases": 0}, "not-engaged"),
+    ],
+)
+def test_a_cell_says_the_worst_that_happened(changes: dict[str, Any], verdict: str) -> None:
+    assert EvaluationCell(**{**CELL, **changes}).verdict(EvaluationLimits()) == verdict
+
+
+def evaluation(*cells: dict[str, Any]) -> Evaluation:
+    made = tuple(EvaluationCell(**{**CELL, **changes}) for changes in cells)
+    return Evaluation(
+        cells=made, tasks=tuple({cell.task: None for cell in made}), controllers=("wsc",),
+        round_trips_s=tuple(sorted({cell.round_trip_s for cell in made})), networks=EVALUATED_NETWORKS,
+        limits=EvaluationLimits(), hands=8, releases=4, seed=1, version="0", worst=(),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("unsafe_s", "safe_s"), [((), 0.3), ((0.3,), 0.1), ((0.1,), 0.0), ((0.0,), None), ((0.1, 0.3), 0.0)]
+)
+def test_safe_up_to_is_before_the_first_round_trip_that_is_not(unsafe_s: tuple[float, ...], safe_s: float) -> None:
+    cells = [{"round_trip_s": trip_s, "thrown": int(trip_s in unsafe_s)} for trip_s in (0.0, 0.1, 0.3)]
+    assert evaluation(*cells).safe_up_to_s("wsc") == safe_s
+
+
+def test_false_trips_of_all_tasks_and_networks_count_together() -> None:
+    """One trip in a short cell is many an hour, and few among all."""
+    quiet = [{"task": str(place)} for place in range(9)]
+    assert evaluation({"false_trips": 7}, *quiet).safe_up_to_s("wsc") == 0.0
+    assert evaluation({"false_trips": 61}, *quiet).safe_up_to_s("wsc") is None
+    # A task that is asked for by itself has its own rate.
+    assert evaluation({"false_trips": 7}, *quiet).safe_up_to_s("wsc", "push") is None
+
+
+# ------------------------------------------------------------------------------------------------------- measured
+
+
+@pytest.mark.parametrize(("stiffness", "damping", "axes"), [(200.0, 5.0, 1), (1000.0, -20.0, 1), (300.0, 8.0, 3)])
+def test_transmitted_impedance_is_that_of_a_spring_and_a_damper(stiffness: float, damping: float, axes: int) -> None:
+    run = simulate(load_scene("paper_wall", ["record.every=1", "run.duration_s=1.0"]))
+    t = np.arange(1000) * 1e-3
+    depth = 0.01 + 0.005 * np.sin(7.0 * t) + 0.002 * np.sin(31.0 * t)
+    speed = 0.035 * np.cos(7.0 * t) + 0.062 * np.cos(31.0 * t)
+    direction = np.array([[1.0], [0.6, 0.0, 0.8]][axes == 3])
+    force = -(stiffness * depth + damping * speed)
+    signals = {"position": depth, "velocity": speed, "device_force": force}
+    arrays = {name: values if axes == 1 else values[:, None] * direction for name, values in signals.items()}
+    found = transmitted_impedance(replace(run, signals=type(run.signals)(arrays)))
+    assert found == pytest.approx((stiffness, damping), rel=1e-9)
+    nothing = {name: 0.0 * values for name, values in arrays.items()}
+    assert transmitted_impedance(replace(run, signals=type(run.signals)(nothing))) == (None, None)
+
+
+def test_a_late_wall_is_felt_as_one_that_pushes_along(found: Evaluation) -> None:
+    """`K x(t - T) = K x - K T V` to first order: of 200 N/m a damping of -20 N s/m at 0.1 s."""
+    at_once, late = (found.of(task="paper_wall", controllers="none", round_trip_s=trip)[0] for trip in (0.0, 0.1))
+    assert (at_once.stiffness, at_once.damping) == pytest.approx((200.0, 0.0), abs=0.5)
+    assert late.stiffness == pytest.approx(200.0, rel=0.1)
+    assert late.damping == pytest.approx(-20.0, rel=0.1)
+
+
+def test_nobody_who_watches_throws_and_a_controller_does_not(found: Evaluation) -> None:
+    for round_trip_s in found.round_trips_s:
+        alone = found.of(controllers="none", round_trip_s=round_trip_s)
+        watched = found.of(controllers="hsc", round_trip_s=round_trip_s)
+        assert sum(cell.thrown for cell in alone) == sum(cell.dangerous for cell in alone) > 0
+        assert all(cell.undetected == cell.dangerous and cell.false_trips == 0 for cell in alone)
+        assert [cell.dangerous for cell in watched] == [cell.dangerous for cell in alone]
+        assert sum(cell.thrown for cell in watched) == 0
+        assert all(cell.detection_s is not None and 0.0 <= cell.detection_s < 0.1 for cell in watched if cell.dangerous)
+    # A wall has no network, and no arm whose errors could be measured.
+    assert {cell.network for cell in found.of(task="paper_wall")} == {"steady"}
+    assert {cell.network for cell in found.of(task="remote_push")} == {"steady", "loss"}
+    assert all((cell.position_rmse_m is None) == (cell.task == "paper_wall") for cell in found.cells)
+
+
+def test_threads_change_nothing(found: Evaluation) -> None:
+    again = evaluate(
+        found.tasks, controllers=found.controllers, round_trips_s=found.round_trips_s, hands=2, releases=2,
+        networks=found.networks, threads=2,
+    )  # fmt: skip
+    assert again.cells == found.cells
+
+
+def test_the_worst_release_has_its_speed_as_a_scene_of_its_own(found: Evaluation) -> None:
+    assert [release.controllers for release in found.worst] == ["none", "hsc"]
+    for release in found.worst:
+        assert simulate(release.scene).metrics.max_ejection_velocity == release.speed
+        assert release.speed == max(
+            cell.max_speed for cell in found.of(controllers=release.controllers) if cell.max_speed is not None
+        )
+
+
+def test_what_never_engages_has_no_numbers() -> None:
+    found = evaluate(
+        ["remote_push"], controllers=("wsc",), round_trips_s=(0.0, 10.0), hands=1, releases=1,
+        networks=EVALUATED_NETWORKS[:1], threads=1,
+    )  # fmt: skip
+    near, far = found.cells
+    assert near.verdict(found.limits) != "not-engaged"
+    assert far.verdict(found.limits) == "not-engaged"
+    assert (far.false_trips, far.peak_force_n, far.energy_j, far.max_speed, far.releases) == (None,) * 4 + (0,)
+    assert "not engaged" in evaluation_markdown(found)
+
+
+def test_a_network_without_delay_has_no_jitter() -> None:
+    network = Network(name="jitter", jitter=0.1)
+    assert network.link(0.0) == LinkSettings(delay_s=0.0)
+    assert network.link(0.1) == LinkSettings(delay_s=0.1, jitter_s=0.1 * 0.1, distribution="gamma")
+    found = evaluate(
+        ["remote_push"], controllers=("none",), round_trips_s=(0.0,), hands=1, releases=1,
+        networks=EVALUATED_NETWORKS[:2], threads=1,
+    )  # fmt: skip
+    assert [cell.network for cell in found.cells] == ["steady"]
+
+
+# -------------------------------------------------------------------------------------------------- page and command
+
+
+def test_the_page_loads_nothing_and_says_each_verdict(found: Evaluation) -> None:
+    page, text = (make(found, command="haptether evaluate <b>", worst="worst.toml") for make in (
+        evaluation_html, evaluation_markdown
+    ))  # fmt: skip
+    assert "haptether evaluate &lt;b&gt;" in page
+    assert "<svg" in page
+    assert not re.findall(r"(?:src|href)=['\"]?(?!#)[a-z/]", page.replace("xlink:href", "href"))
+    for controllers in ("no controller", "HSC"):
+        assert page.count(f"<td>{controllers}</td>") == text.count(f"| {controllers} |") > 3
+    widths = [len(line.split("|")) for line in text.splitlines() if line.startswith("|")]
+    tables = [table for table in text.split("\n\n") if table.startswith("|")]
+    assert len(tables) == 1 + len(found.tasks) + 3
+    assert sum(len(table.splitlines()) for table in tables) == len(widths)
+    assert all(len({len(line.split("|")) for line in table.splitlines()}) == 1 for table in tables)
+
+
+def test_the_command_writes_page_scene_and_cells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, target = tmp_path / "out", tmp_path / "cells.json"
+    arguments = ["--quick", "--controller", "none", "hsc", "--round-trip-s", "0.05", "--hands", "1", "--threads", "1"]
+    assert main(["evaluate", "remote_push", *arguments, "--out", str(out), "--json", str(target)]) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["evaluation.html", "evaluation.md", "worst.toml"]
+    report = json.loads(target.read_text())
+    assert [cell["controllers"] for cell in report["cells"]] == ["none", "hsc"] * 2
+    assert report["safe_up_to_s"] == {"none": None, "hsc": 0.05}
+    worst = next(release for release in report["worst"] if release["controllers"] == "hsc")
+    run = simulate(replace(load_scene(str(out / "worst.toml")), record=RecordTable()))
+    assert run.metrics.max_ejection_velocity == pytest.approx(worst["speed"], rel=1e-12)
+    shown = capsys.readouterr().out
+    assert "HSC: safe up to 50 ms, the largest that was tried" in " ".join(shown.split())
+    assert "haptether evaluate remote_push --quick --controller none hsc" in (out / "evaluation.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (["--hands", "0"], "hands = 0: must be 1 or more"),
+        (["--releases", "0"], "releases = 0: must be 1 or more"),
+        (["--seed", "-1"], "seed = -1: must be 0 or more"),
+        (["--speed", "nan"], "speed = nan: must be a number of at least 0"),
+        (["--controller", "wsc+abc"], "'abc' is none of none, vfc, hsc, wsc, pc"),
+        (["--controller", "none+wsc"], "'none' is none of"),
+        (["--controller", "wsc", "wsc"], "must be one or more, each once"),
+        (["--round-trip-s", "-0.1"], "round_trips_s: -0.1: must be between 0 and 10 s"),
+        (["--network", "bad"], "--network bad: must be of steady, jitter, loss"),
+        (["--set", "safety.controllers=[wsc]"], "safety.controllers is what an evaluation varies"),
+        (["--set", "link.forward.delay_s=0.1"], "link.forward.delay_s is what an evaluation varies"),
+    ],
+)
+def test_what_cannot_be_is_refused(arguments: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evaluate", "paper_wall", *arguments]) == 2
+    assert problem in " ".join(capsys.readouterr().err.split())
