@@ -40,6 +40,7 @@ ESTIMATORS = (
     {"kind": "savitzky-golay"},
     {"kind": "low-pass", "cutoff_hz": 60.0},
     {"kind": "backward-difference"},
+    {"kind": "dual-kalman"},
 )
 
 
@@ -90,6 +91,8 @@ def random_scene(rng: np.random.Generator, controllers: tuple[str, ...], *, meas
         "probe_force_n": 0.0,
         "release_tries": 0,
         "hsc_velocity_threshold": 0.0,
+        "velocity_threshold": rng.uniform(0.2, 1.0),
+        "vfc_force_threshold_n": rng.uniform(0.3, 3.0),
         "limiter": {"ramp_in_s": 0.0, "max_slew_n_per_s": float(rng.choice([500.0, 1000.0, 4000.0, 1e6]))},
     }
     push = {"shape": "step", "force_n": 0.0}

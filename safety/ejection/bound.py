@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from haptether._core import EstimatorKind, SafetySettings
 from haptether.safety.ejection.kernel import Kernel, exact, kernel
-from haptether.safety.ejection.push import Array, best_push, worst_push
+from haptether.safety.ejection.push import Array, best_push, best_rising_push, worst_push
 
 MAX_LATE_S = 0.02
 """A tick that is later is a tick that is left out: the loop drops the force."""
@@ -469,8 +469,11 @@ class _Model:
         ages = min(len(weights), len(since))
         highest[:, :ages] = np.minimum(limit[:, :ages], 1.0)
         most, norm_s = np.full(len(estimated), np.inf), np.zeros(len(estimated))
-        for share in (0.0, 0.5, 1.0, 1.5):
-            lifted = weights + share * self.rising.lift
+        lifts = [share * self.rising.lift for share in (0.0, 0.5, 1.0, 1.5)]
+        # Where the force is limited another lift is the best: that of the greatest V^ is tried for all.
+        of_greatest = best_rising_push(weights, self.growth, highest=highest[-1]).lift
+        for lift in (*lifts, *(share * of_greatest for share in (0.5, 0.75, 1.0))):
+            lifted = weights + lift
             found = best_push(np.broadcast_to(lifted, highest.shape), self.growth, highest=highest).max(axis=-1)
             norm_s = np.where(found < most, np.abs(lifted).sum(), norm_s)
             most = np.minimum(most, found)

@@ -130,16 +130,21 @@ class Rising:
     """mu: what was added to w, at least 0 and not growing with age."""
 
 
-def best_rising_push(weights: Array, growth: float) -> Rising:
+def best_rising_push(weights: Array, growth: float, *, highest: Array | None = None) -> Rising:
     """A bound on `max sum w[j] f[j]` over forces as in `best_push` whose sums `f[0] + ... + f[j]` are all at least 0.
 
     Any mu that is at least 0 and does not grow with age may be added to w: `sum mu f` is a sum of those sums, in shares
     that are at least 0 (summation by parts). The least that `best_push` of `w + mu` becomes is the bound; tried are mu
     that are even up to one age and 0 from there on.
 
+    Args:
+        weights: w, shape `(n,)`.
+        growth: Largest growth a tick, in units of the cap.
+        highest: Largest force at each age, 0 to 1, shape as `weights`.
+
     Source: `docs/ejection_bound.md`, Eq. 6; weak duality (Boyd and Vandenberghe 2004, section 5.2.2).
     """
-    most, lift = float(best_push(weights, growth).max()), np.zeros(len(weights))
+    most, lift = float(best_push(weights, growth, highest=highest).max()), np.zeros(len(weights))
     if not (weights < 0.0).any() or LIFTS * len(weights) > MOST_WEIGHTS:
         return Rising(most=most, lift=lift)
     negative = weights < -1e-3 * np.abs(weights).max()
@@ -153,7 +158,8 @@ def best_rising_push(weights: Array, growth: float) -> Rising:
         for _ in range(ROUNDS):
             heights = np.linspace(low, high, LIFTS)
             lifts = heights[:, None] * (ages <= end)
-            found = best_push(weights + lifts, growth).max(axis=-1)
+            below = None if highest is None else np.broadcast_to(highest, lifts.shape)
+            found = best_push(weights + lifts, growth, highest=below).max(axis=-1)
             place = int(np.argmin(found))
             if found[place] < most:
                 most, lift = float(found[place]), lifts[place]

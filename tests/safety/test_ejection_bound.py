@@ -158,6 +158,46 @@ def test_no_push_that_rises_is_better_than_the_bound_on_it(weights: list[float],
     assert float(np.dot(weights[:rises], newest_first[:rises])) <= bound.most + 1e-12
 
 
+@given(
+    st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(0.05, 1.0)), min_size=2, max_size=30),
+    st.sampled_from([0.05, 0.3]),
+    st.randoms(),
+)
+def test_no_push_that_rises_below_its_limits_is_better_than_the_bound_on_it(
+    ages: list[tuple[float, float]], growth: float, random: Any  # noqa: ANN401
+) -> None:  # fmt: skip
+    weights, highest = np.array(ages).T
+    bound = best_rising_push(weights, growth, highest=highest)
+    assert bound.most <= best_push(weights, growth, highest=highest).max() + 1e-12
+    assert (np.diff(bound.lift) <= 0.0).all()
+    assert (bound.lift >= 0.0).all()
+    push = [random.uniform(-1.0, highest[-1])]
+    for limit in highest[-2::-1]:
+        low, high = min(0.0, push[-1]) - growth, min(max(0.0, push[-1]) + growth, limit)
+        push.append(max(-1.0, random.choice([random.uniform(low, high), low, high])))
+    newest_first = np.array(push[::-1])
+    sums = np.cumsum(newest_first)
+    rises = int(np.argmax(sums < 0.0)) if (sums < 0.0).any() else len(sums)
+    assert float(np.dot(weights[:rises], newest_first[:rises])) <= bound.most + 1e-12
+
+
+def test_where_the_force_is_limited_a_lift_of_its_own_lowers_the_bound() -> None:
+    """Forth at the limit, back at the whole cap: V would have been greater before than it is at the end.
+
+    Without growth limit the optimum is that of a linear programme: `max w f` over `-1 <= f <= h`, no sum below 0.
+    """
+    weights = np.array([1.0, 0.8, 0.4, 0.0, -0.3, -0.4, -0.3, -0.1, 0.0, 0.0])
+    highest = np.array([0.15] * 4 + [1.0] * 6)
+    found = best_rising_push(weights, 0.99, highest=highest)
+    sums = -np.tri(len(weights))
+    best = linprog(-weights, A_ub=sums, b_ub=np.zeros(len(weights)), bounds=[(-1.0, high) for high in highest])
+    assert found.lift.any()
+    # Limits are counted up to the next level.
+    slack = 2.0 * LEVEL_OF_LIMIT * np.abs(weights + found.lift).sum()
+    assert -best.fun <= found.most <= -best.fun + slack
+    assert found.most < 0.75 * best_push(weights, 0.99, highest=highest).max()
+
+
 @given(st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=6), st.sampled_from([0.25, 0.5]))
 def test_a_push_from_zero_has_to_grow(weights: list[float], growth: float) -> None:
     """The best of all on its levels whose oldest force is at least `-growth`."""
