@@ -38,7 +38,7 @@ VERDICT_WORDS: dict[Verdict, str] = {
 def draw_evaluation(found: Evaluation, columns: Columns = 2) -> "Figure":
     """Draws verdicts over controllers and round trips, and speeds, throws and false trips over the round trip.
 
-    All tasks and networks together: the worst verdict, the largest speed, and counts with 95 % intervals.
+    All tasks together: the worst verdict, the largest speed, and counts of the worst network with 95 % intervals.
 
     Raises:
         ImportError: matplotlib is not there; it comes with `haptether[analysis]`.

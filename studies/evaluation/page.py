@@ -14,6 +14,10 @@ from haptether.view.style.colours import controller_title
 Cell: TypeAlias = "str | tuple[str, Verdict]"
 
 
+MOST_NAMED = 3
+"""Tasks that a statement names."""
+
+
 class Table(Struct, frozen=True):
     """A table; a cell may have a verdict, which colours it."""
 
@@ -47,11 +51,11 @@ def sections(found: Evaluation, worst: str | None) -> Iterator[Section]:
             yield Section(task, table=_verdict_table(found, task))
     yield Section(
         "Numbers",
-        "All networks together. Dangerous: releases above the limit, here or where nobody watches; thrown: those above"
-        " it here, with the 95 % interval of their share (Wilson 1927). False trips per hour held with the exact 95 %"
-        " interval of a Poisson count. Speed: median of the largest after dangerous releases, of the worst network,"
-        " with its distribution-free 95 % interval. Detection: median from where the grip begins to loosen. Energy:"
-        " largest that a hand that held was given over what it had put in.",
+        "All tasks together, of each its worst network. Dangerous: releases above the limit, here or where nobody watches;"
+        " thrown: those above it here, with the 95 % interval of their share (Wilson 1927). False trips per hour held with"
+        " the exact 95 % interval of a Poisson count. Speed: median of the largest after dangerous releases, of the worst"
+        " network, with its distribution-free 95 % interval. Detection: median from where the grip begins to loosen."
+        " Energy: largest that a hand that held was given over what it had put in.",
         table=_numbers(found),
     )
     yield Section(
@@ -146,24 +150,28 @@ def _made_by(found: Evaluation, command: str) -> str:
 
 def _statement(found: Evaluation, controllers: str) -> str:
     """Up to which round trip a set of controllers is safe, and what ends that."""
-    safe_s = found.safe_up_to_s(controllers)
-    name = controller_title(controllers)
-    until = "safe at none of these round trips" if safe_s is None else f"safe up to {safe_s * 1e3:g} ms"
+    safe_s, unthrown_s = found.safe_up_to_s(controllers), found.unthrown_up_to_s(controllers)
+    parts = [_up_to("safe", safe_s)]
+    if unthrown_s != safe_s:
+        parts.append(_up_to("throws nobody", unthrown_s))
+    if unthrown_s is not None:
+        counted = totals(found.of(controllers=controllers, round_trip_s=unthrown_s))
+        if (share := counted.thrown_share) is not None:
+            parts[-1] += (
+                f" (0 of {counted.dangerous} dangerous releases; at most {_percent(share[2])} with 95 % confidence)"
+            )
+    said = f"{controller_title(controllers)}: {', '.join(parts)}."
     beyond = [trip_s for trip_s in sorted(found.round_trips_s) if safe_s is None or trip_s > safe_s]
-    counted = totals([cell for cell in found.of(controllers=controllers) if cell.round_trip_s not in beyond])
-    evidence = ""
-    if safe_s is not None and (share := counted.thrown_share) is not None:
-        evidence = (
-            f"; {counted.thrown} of {counted.dangerous} dangerous releases threw, at most {100.0 * share[2]:.0f} % with"
-            " 95 % confidence"
-        )
     if not beyond:
-        return f"{name}: {until}, the largest that was tried{evidence}."
-    cells = found.of(controllers=controllers, round_trip_s=beyond[0])
+        return f"{said} No longer one was tried."
+    cells = list(found.of(controllers=controllers, round_trip_s=beyond[0]))
     verdict = found.verdict(cells)
-    worst = [cell for cell in cells if cell.verdict(found.limits) == verdict]
-    where = ", ".join(sorted({f"{cell.task} ({cell.network})" for cell in worst})[:3])
-    return f"{name}: {until}{evidence}. At {beyond[0] * 1e3:g} ms: {VERDICT_WORDS[verdict]}, in {where}."
+    where = {f"{cell.task} ({cell.network})": None for cell in cells if cell.verdict(found.limits) == verdict}
+    return f"{said} At {beyond[0] * 1e3:g} ms: {VERDICT_WORDS[verdict]}, in {', '.join(list(where)[:MOST_NAMED])}."
+
+
+def _up_to(what: str, round_trip_s: float | None) -> str:
+    return f"{what} at none of these round trips" if round_trip_s is None else f"{what} up to {round_trip_s * 1e3:g} ms"
 
 
 def _verdict_table(found: Evaluation, task: str | None) -> Table:
@@ -198,11 +206,11 @@ def _numbers(found: Evaluation) -> Table:
                     f"{counted.hours * 3600.0:.0f} s",
                     "-" if rate is None else f"{rate[0]:.0f} ({rate[1]:.0f} to {rate[2]:.0f})",
                     _percent(_mean(cells, "intervention_share")),
-                    f"{counted.dangerous} of {sum(cell.releases for cell in cells)}",
+                    f"{counted.dangerous} of {counted.releases}",
                     "-" if share is None else f"{counted.thrown} ({100.0 * share[1]:.0f} to {100.0 * share[2]:.0f} %)",
                     "-" if slowest is None else _with_interval(slowest),
                     _number(_most(cells, "detection_s"), 1e3, ".0f"),
-                    str(sum(cell.undetected for cell in cells)),
+                    str(max((cell.undetected for cell in cells), default=0)),
                     _number(_most(cells, "peak_force_n"), 1.0, ".2f"),
                     _number(_most(cells, "energy_j"), 1.0, ".3f"),
                 )
@@ -296,7 +304,7 @@ def _number(value: float | None, scale: float, form: str) -> str:
 
 
 def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{100.0 * value:.1f} %"
+    return "-" if value is None else f"{100.0 * value:.3g} %"
 
 
 def _text(cell: Cell) -> str:

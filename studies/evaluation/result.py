@@ -12,6 +12,8 @@ from haptether.studies.task import Network
 Verdict: TypeAlias = Literal["not-engaged", "diverged", "thrown", "uncoupled", "trips", "safe"]
 VERDICTS: tuple[Verdict, ...] = ("diverged", "thrown", "not-engaged", "uncoupled", "trips", "safe")
 """The worst first."""
+UNSAFE: frozenset[Verdict] = frozenset({"diverged", "thrown", "not-engaged"})
+IN_THE_WAY: frozenset[Verdict] = frozenset({"uncoupled", "trips"})
 
 EVALUATED_CONTROLLERS = ("none", "vfc", "hsc", "wsc", "hsc+wsc", "vfc+hsc+wsc")
 """Sets of controllers that are compared by default."""
@@ -102,6 +104,7 @@ class Totals(Struct, frozen=True, kw_only=True):
 
     hours: float
     false_trips: int
+    releases: int
     dangerous: int
     thrown: int
     max_speed: float | None
@@ -164,7 +167,7 @@ class Evaluation(Struct, frozen=True, kw_only=True):
         )
 
     def verdict(self, cells: Iterable[EvaluationCell]) -> Verdict:
-        """The worst of several; false trips are counted together, for a single cell has few."""
+        """The worst of several; false trips of all tasks are counted together, for a single cell has few."""
         cells = tuple(cells)
         found = {cell.verdict(self.limits) for cell in cells}
         worst: Verdict = next((verdict for verdict in VERDICTS if verdict in found), "safe")
@@ -175,21 +178,36 @@ class Evaluation(Struct, frozen=True, kw_only=True):
 
     def safe_up_to_s(self, controllers: str, task: str | None = None) -> float | None:
         """Largest round trip in s up to which each one that was tried is safe; none if already the least is not."""
-        safe = None
+        return self._up_to_s(controllers, task, UNSAFE | IN_THE_WAY)
+
+    def unthrown_up_to_s(self, controllers: str, task: str | None = None) -> float | None:
+        """The same of what throws or diverges alone: a controller that trips falsely is in the way, and safe."""
+        return self._up_to_s(controllers, task, UNSAFE)
+
+    def _up_to_s(self, controllers: str, task: str | None, ending: frozenset[Verdict]) -> float | None:
+        reached = None
         for round_trip_s in sorted(self.round_trips_s):
-            if self.verdict(self.of(task=task, controllers=controllers, round_trip_s=round_trip_s)) != "safe":
+            cells = self.of(task=task, controllers=controllers, round_trip_s=round_trip_s)
+            if self.verdict(cells) in ending:
                 break
-            safe = round_trip_s
-        return safe
+            reached = round_trip_s
+        return reached
 
 
 def totals(cells: Sequence[EvaluationCell]) -> Totals:
-    """Counts of several cells together."""
+    """Counts of several cells at one round trip: of each task those of its worst network.
+
+    The same hands meet every network, so that counts over networks would say more than they know.
+    """
+    tasks = {cell.task: [each for each in cells if each.task == cell.task] for cell in cells}
+    tripping = [max(of, key=lambda cell: cell.false_trips_per_h or 0.0) for of in tasks.values()]
+    throwing = [max(of, key=lambda cell: (cell.thrown, -cell.dangerous)) for of in tasks.values()]
     speeds = [cell.max_speed for cell in cells if cell.max_speed is not None]
     return Totals(
-        hours=sum(cell.hours for cell in cells),
-        false_trips=sum(cell.false_trips or 0 for cell in cells),
-        dangerous=sum(cell.dangerous for cell in cells),
-        thrown=sum(cell.thrown for cell in cells),
+        hours=sum(cell.hours for cell in tripping),
+        false_trips=sum(cell.false_trips or 0 for cell in tripping),
+        releases=sum(cell.releases for cell in throwing),
+        dangerous=sum(cell.dangerous for cell in throwing),
+        thrown=sum(cell.thrown for cell in throwing),
         max_speed=max(speeds, default=None),
     )

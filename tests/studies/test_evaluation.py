@@ -23,6 +23,7 @@ from haptether.studies import (
     evaluation_markdown,
 )
 from haptether.studies.evaluation.evaluate import transmitted_impedance
+from haptether.studies.evaluation.result import totals
 
 pytestmark = pytest.mark.slow
 
@@ -78,6 +79,22 @@ def evaluation(*cells: dict[str, Any]) -> Evaluation:
 def test_safe_up_to_is_before_the_first_round_trip_that_is_not(unsafe_s: tuple[float, ...], safe_s: float) -> None:
     cells = [{"round_trip_s": trip_s, "thrown": int(trip_s in unsafe_s)} for trip_s in (0.0, 0.1, 0.3)]
     assert evaluation(*cells).safe_up_to_s("wsc") == safe_s
+
+
+def test_the_same_hands_in_several_networks_are_no_more_hands() -> None:
+    networks = [{"network": name, "false_trips": trips, "thrown": thrown} for name, trips, thrown in (
+        ("steady", 0, 0), ("jitter", 5, 0), ("loss", 2, 1)
+    )]  # fmt: skip
+    other = {"task": "other", "false_trips": 1, "dangerous": 3}
+    counted = totals([EvaluationCell(**{**CELL, **changes}) for changes in (*networks, other)])
+    assert (counted.hours, counted.false_trips) == (0.2, 6)
+    assert (counted.releases, counted.dangerous, counted.thrown) == (16, 7, 1)
+
+
+def test_who_trips_falsely_throws_nobody() -> None:
+    cells = [{"round_trip_s": 0.0, "false_trips": 99}, {"round_trip_s": 0.1}, {"round_trip_s": 0.2, "thrown": 1}]
+    found = evaluation(*cells)
+    assert (found.safe_up_to_s("wsc"), found.unthrown_up_to_s("wsc")) == (None, 0.1)
 
 
 def test_false_trips_of_all_tasks_and_networks_count_together() -> None:
@@ -202,7 +219,9 @@ def test_the_command_writes_page_scene_and_cells(tmp_path: Path, capsys: pytest.
     run = simulate(replace(load_scene(str(out / "worst.toml")), record=RecordTable()))
     assert run.metrics.max_ejection_velocity == pytest.approx(worst["speed"], rel=1e-12)
     shown = capsys.readouterr().out
-    assert "HSC: safe up to 50 ms, the largest that was tried" in " ".join(shown.split())
+    shown = " ".join(shown.split())
+    assert "HSC: safe up to 50 ms (0 of 1 dangerous releases; at most 79.3 % with 95 % confidence). No longer" in shown
+    assert "no controller: safe at none of these round trips. At 50 ms: thrown, in remote_push" in shown
     assert "haptether evaluate remote_push --quick --controller none hsc" in (out / "evaluation.md").read_text()
 
 
