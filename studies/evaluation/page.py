@@ -51,11 +51,11 @@ def sections(found: Evaluation, worst: str | None) -> Iterator[Section]:
             yield Section(task, table=_verdict_table(found, task))
     yield Section(
         "Numbers",
-        "All tasks together, of each its worst network. Dangerous: releases above the limit, here or where nobody watches;"
-        " thrown: those above it here, with the 95 % interval of their share (Wilson 1927). False trips per hour held with"
-        " the exact 95 % interval of a Poisson count. Speed: median of the largest after dangerous releases, of the worst"
-        " network, with its distribution-free 95 % interval. Detection: median from where the grip begins to loosen."
-        " Energy: largest that a hand that held was given over what it had put in.",
+        "All tasks together, of each its worst network. Dangerous: releases above the limit, here or where nobody"
+        " watches; thrown: those above it here, with the 95 % interval of their share (Wilson 1927). False trips per"
+        " hour held with the exact 95 % interval of a Poisson count. Speed: median of the largest after dangerous"
+        " releases, of the worst network, with its distribution-free 95 % interval. Detection: median from where the"
+        " grip begins to loosen. Energy: largest that a hand that held was given over what it had put in.",
         table=_numbers(found),
     )
     yield Section(
