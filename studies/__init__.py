@@ -5,12 +5,23 @@ from typing import TYPE_CHECKING
 from haptether.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from haptether.studies.delay_margin import ContactLoop, Follower, largest_delay_s
     from haptether.studies.demo import (
         DEMO_CONTROLLERS,
         DemoScene,
         draw_demo,
         run_demo,
+    )
+    from haptether.studies.design import (
+        ContactLoop,
+        DesignCheck,
+        Finding,
+        Follower,
+        check_scene,
+        largest_delay_s,
+        largest_wall_stiffness,
+        scene_loops,
+        scene_times,
+        stable_delays,
     )
     from haptether.studies.evaluation import (
         EVALUATED_CONTROLLERS,
@@ -67,11 +78,13 @@ __all__ = [
     "THRESHOLD_TASKS",
     "ContactLoop",
     "DemoScene",
+    "DesignCheck",
     "Evaluation",
     "EvaluationCell",
     "EvaluationLimits",
     "Explanation",
     "Falsified",
+    "Finding",
     "FollowResult",
     "FollowScene",
     "Follower",
@@ -99,6 +112,7 @@ __all__ = [
     "TradeOffRow",
     "Verdict",
     "WorstRelease",
+    "check_scene",
     "draw_demo",
     "draw_evaluation",
     "draw_follow",
@@ -111,6 +125,7 @@ __all__ = [
     "falsify",
     "judge_link",
     "largest_delay_s",
+    "largest_wall_stiffness",
     "measure_attack",
     "measure_push",
     "measure_thresholds",
@@ -121,6 +136,9 @@ __all__ = [
     "run_follow",
     "run_pick",
     "save_master_trace",
+    "scene_loops",
+    "scene_times",
+    "stable_delays",
     "summarise_link",
 ]
 
@@ -128,16 +146,23 @@ if not TYPE_CHECKING:  # else any name would do
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "delay_margin": (
-                "ContactLoop",
-                "Follower",
-                "largest_delay_s",
-            ),
             "demo": (
                 "DEMO_CONTROLLERS",
                 "DemoScene",
                 "draw_demo",
                 "run_demo",
+            ),
+            "design": (
+                "ContactLoop",
+                "DesignCheck",
+                "Finding",
+                "Follower",
+                "check_scene",
+                "largest_delay_s",
+                "largest_wall_stiffness",
+                "scene_loops",
+                "scene_times",
+                "stable_delays",
             ),
             "evaluation": (
                 "EVALUATED_CONTROLLERS",

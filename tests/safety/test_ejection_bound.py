@@ -192,6 +192,7 @@ def test_where_the_force_is_limited_a_lift_of_its_own_lowers_the_bound() -> None
     sums = -np.tri(len(weights))
     best = linprog(-weights, A_ub=sums, b_ub=np.zeros(len(weights)), bounds=[(-1.0, high) for high in highest])
     assert found.lift.any()
+    assert best.fun is not None
     # Limits are counted up to the next level.
     slack = 2.0 * LEVEL_OF_LIMIT * np.abs(weights + found.lift).sum()
     assert -best.fun <= found.most <= -best.fun + slack

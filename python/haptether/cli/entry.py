@@ -36,6 +36,7 @@ COMMANDS = CommandTable(
         "falsify": "scene.falsify:Falsify",
         "thresholds": "scene.thresholds:Thresholds",
         "evaluate": "scene.evaluate:Evaluate",
+        "check": "scene.check:Check",
         "console": "view.console:Console",
         "view": "view.view:View",
         "master": "live.master:Master",

@@ -9,10 +9,17 @@ import pytest
 from tests.scene.two_sides import two_sides
 
 from haptether.bridge import Scene, load_scene, override_scene, simulate
-from haptether.cli.live.check_link import scene_loops, scene_times
 from haptether.cli.live.sides import START_M, baseline_scene
 from haptether.netsim import LinkSettings
-from haptether.studies import ContactLoop, Follower, LinkSummary, judge_link, largest_delay_s
+from haptether.studies import (
+    ContactLoop,
+    Follower,
+    LinkSummary,
+    judge_link,
+    largest_delay_s,
+    scene_loops,
+    scene_times,
+)
 
 DELAYS_S = (1e-3, 10e-3, 20e-3, 50e-3, 100e-3, 200e-3, 500e-3)
 # Critical stiffness of m x'' + b x' + K x(t - T) = 0 in N/m, four digits.

@@ -1,0 +1,58 @@
+"""`haptether check`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """Hold a scene against what its loop, observers, limits and link bear by design, before anything moves.
+
+    Delay margin of contact and the intervals beyond it, stiffness of rendered walls, how fast a device may become once
+    it is let go and what of that no threshold lowers, thresholds against limits and against the hand's own motion,
+    losses against the ladder: each with this scene's numbers and what would mend it. Linear where it says stable. Exit
+    status 1 says that something is bad. What each line computes: docs/check.md.
+
+    Examples:
+
+    haptether check remote_push
+
+    haptether check my/scene.toml --set link.forward.delay_s=0.2 --json -
+
+    haptether check pick_and_place --speed 0.3
+    """
+
+    scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
+    """Name of a shipped scene, or path of a TOML file."""
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
+    """Change a field first; may be given often."""
+    speed: float = 0.5
+    """Speed in m/s above which a device that was let go has been thrown."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write all findings as JSON; - for standard output."""
+
+    def run(self) -> int:
+        """Prints the findings; 0, or 1 if one is bad."""
+        from haptether.bridge import load_scene
+        from haptether.cli.shared.output import check_target, write_report
+        from haptether.cli.shared.screen import screen
+        from haptether.studies import check_scene
+
+        check_target(self.json)
+        found = check_scene(load_scene(self.scene, self.set), speed=self.speed)
+        console = screen(self.json)
+        console.print(f"{self.scene}, by design:")
+        for finding in found.findings:
+            console.print_item(f"{WORDS[finding.state]}{finding.name}: {finding.text}")
+            if finding.remedy is not None:
+                console.print_item(f"    mend: {finding.remedy}")
+        bad, warnings = len(found.of("bad")), len(found.of("warning"))
+        console.print(f"{bad} bad, {warnings} with little room" if bad or warnings else "nothing bad, room everywhere")
+        write_report(self.json, {"scene": self.scene, "findings": found.findings})
+        return 1 if bad else 0
+
+
+WORDS = {"bad": "BAD  ", "warning": "warn ", "good": "good ", "note": "note "}

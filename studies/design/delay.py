@@ -1,0 +1,134 @@
+"""How much delay a position-force coupling bears."""
+
+from typing import TypeAlias
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+Array: TypeAlias = npt.NDArray[np.float64]
+
+
+class Follower(msgspec.Struct, frozen=True, kw_only=True):
+    """An arm that follows: `M x'' = K_s (x_set - x) + B_s (rho x_set' - x') + F_e`."""
+
+    mass_kg: float
+    damping: float
+    """B_s in N s/m."""
+    stiffness: float
+    """K_s in N/m."""
+    follows_velocity: bool = False
+    """rho = 1, else 0: whether the velocity of the set position is part of the command."""
+
+
+class ContactLoop(msgspec.Struct, frozen=True, kw_only=True):
+    """A hand and a device that press a remote environment through a position-force coupling.
+
+    `m x'' + b x' + k x = -lambda_f (K_e y + B_e y')(t - T)`, where y is what the slave makes of `lambda_p x` and T the
+    sum of both delays: that itself without a `follower`, else the position of an arm on K_e and B_e.
+    """
+
+    mass_kg: float
+    """m, of device and hand."""
+    damping: float
+    """b in N s/m, of device and hand."""
+    hand_stiffness: float = 0.0
+    """k in N/m: 0 where the hand only follows."""
+    environment_stiffness: float
+    """K_e in N/m."""
+    environment_damping: float = 0.0
+    """B_e in N s/m."""
+    force_scale: float = 1.0
+    """lambda_f."""
+    position_scale: float = 1.0
+    """lambda_p."""
+    follower: Follower | None = None
+
+
+def largest_delay_s(loop: ContactLoop) -> float:
+    """Smallest sum of both delays in s at which contact begins to oscillate: infinite if at none, 0 if it does anyway.
+
+    The delay margin `min (pi + arg L(jw)) / w` over all w with `|L(jw)| = 1`, of
+    `L(s) = lambda_f lambda_p (K_e + B_e s) G(s) / (m s² + b s + k)`.
+
+    Linear: Coulomb friction is left out, and so are limiter and safety controllers.
+
+    Source: without a follower and a hand, `w tan(w T) = b/m` and `K = b w / sin(w T)`, the delayed spring; Hulin,
+    Albu-Schäffer and Hirzinger 2014 have its sampled form.
+    """
+    top, bottom = _polynomials(loop)
+    if top.size == 0:
+        return float("inf")
+    if np.roots(np.polyadd(bottom, top)).real.max() >= 0.0:
+        return 0.0
+    frequencies, phases, _ = _crossings(top, bottom)
+    return float((phases / frequencies).min()) if frequencies.size else float("inf")
+
+
+def stable_delays(loop: ContactLoop, up_to_s: float) -> tuple[tuple[float, float], ...]:
+    """Intervals of the sum of both delays in s, from 0 to `up_to_s`, in which contact does not oscillate.
+
+    Roots of `bottom + top e^(-sT)` enter and leave the right half plane in pairs, at the delays `(phase + 2 pi n) / w`
+    of all w with `|top| = |bottom|`; they enter where `|bottom|² - |top|²` grows with w. Linear, as `largest_delay_s`.
+
+    Raises:
+        ValueError: A negative or infinite end.
+
+    Source: Walton and Marshall 1987, "Direct method for TDS stability analysis".
+    """
+    if not 0.0 <= up_to_s < float("inf"):
+        message = f"up_to_s = {up_to_s}: must be a number of at least 0"
+        raise ValueError(message)
+    top, bottom = _polynomials(loop)
+    if top.size == 0:
+        return ((0.0, up_to_s),) if np.roots(bottom).real.max() < 0.0 else ()
+    unstable = int((np.roots(np.polyadd(bottom, top)).real >= 0.0).sum())
+    changes: list[tuple[float, int]] = []
+    for frequency, phase, enters in zip(*_crossings(top, bottom), strict=True):
+        delays = np.arange(phase / frequency, up_to_s, 2.0 * np.pi / frequency)
+        changes += [(float(delay), 2 if enters else -2) for delay in delays]
+    found: list[tuple[float, float]] = []
+    begun = 0.0 if unstable == 0 else None
+    for delay, change in sorted(changes):
+        unstable += change
+        if unstable == 0 and begun is None:
+            begun = delay
+        elif unstable > 0 and begun is not None:
+            found.append((begun, delay))
+            begun = None
+    if begun is not None:
+        found.append((begun, up_to_s))
+    return tuple(found)
+
+
+def _polynomials(loop: ContactLoop) -> tuple[Array, Array]:
+    """Of the characteristic equation `bottom(s) + top(s) e^(-sT) = 0`; no `top` where nothing is touched."""
+    gain = loop.force_scale * loop.position_scale
+    contact = [loop.environment_damping, loop.environment_stiffness]
+    top = np.trim_zeros(gain * np.array(contact), "f")
+    bottom = np.array([loop.mass_kg, loop.damping, loop.hand_stiffness])
+    if (arm := loop.follower) is not None:
+        command = [arm.damping, arm.stiffness] if arm.follows_velocity else [arm.stiffness]
+        top = np.polymul(top, command).astype(np.float64)
+        bottom = np.polymul(bottom, np.polyadd([arm.mass_kg, arm.damping, arm.stiffness], contact))
+    return top, bottom
+
+
+def _crossings(top: Array, bottom: Array) -> tuple[Array, Array, "npt.NDArray[np.bool_]"]:
+    """Each w in rad/s with `|top| = |bottom|`, `w T` in rad of its first delay, and whether roots enter there."""
+    # |top|² = |bottom|² is a polynomial in w².
+    excess = np.polysub(_squared(bottom), _squared(top))
+    crossings = np.roots(excess)
+    squared = crossings[(np.abs(crossings.imag) < 1e-9 * np.abs(crossings)) & (crossings.real > 0.0)].real
+    frequencies = np.sqrt(squared)
+    at = 1j * frequencies
+    phases = np.angle(-np.polyval(top, at) / np.polyval(bottom, at)) % (2.0 * np.pi)
+    return frequencies, phases, np.polyval(np.polyder(excess), squared) > 0.0
+
+
+def _squared(polynomial: Array) -> Array:
+    """`|p(jw)|²` as a polynomial in w²."""
+    mirrored = polynomial * (-1.0) ** np.arange(polynomial.size)[::-1]
+    even = np.polymul(polynomial, mirrored)[::-1][::2]
+    # s² = -w².
+    return (even * (-1.0) ** np.arange(even.size))[::-1]
