@@ -4,7 +4,6 @@ import csv
 import importlib
 import importlib.util
 import io
-import itertools
 import math
 import os
 import re
@@ -29,6 +28,8 @@ from haptether.private_file import private_file, refuse_link
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Leaf: TypeAlias = "float | int | str | bool | None"
+Values: TypeAlias = "Sequence[Any] | Array"
+"""Of one parameter: numbers, or whatever else a field takes."""
 
 # Numbers on which neither a check nor a default of another number depends: each value is checked once, by itself.
 # All others are checked together, row by row.
@@ -125,22 +126,26 @@ class Sweep:
 
 def sweep(
     scene: Scene | str | PathLike[str],
-    grid: Mapping[str, Sequence[float] | Array] | None = None,
-    samples: Mapping[str, Sequence[float] | Array] | None = None,
+    grid: Mapping[str, Values] | None = None,
+    samples: Mapping[str, Values] | None = None,
     *,
+    ties: Mapping[str, str] | None = None,
     overrides: Iterable[str] = (),
     threads: int | None = None,
     lanes: bool = True,
     progress: Callable[[int], None] | None = None,
 ) -> Sweep:
-    """Runs a scene for many values of some of its numbers. The same arguments yield the same bytes.
+    """Runs a scene for many values of some of its fields. The same arguments yield the same bytes.
 
-    A row that cannot be built is refused, with its reason, and the others are run.
+    A row that cannot be built is refused, with its reason, and the others are run. Of a field that is no number the
+    rows of each value are run one after the other; all of them have the same seeds, unless `run.seed` varies.
 
     Args:
         scene: A `Scene`, the name of one that comes with Haptether, or the path of a TOML file.
-        grid: Values by dotted path ("safety.window"): every combination is run, the last path varies fastest.
+        grid: Values by dotted path ("safety.window"): every combination is run, the last path varies fastest. Values
+            are numbers, or whatever else the field takes: strings, booleans, lists, tables.
         samples: Values by dotted path, all of one length: row i takes the value i of each.
+        ties: Paths that take, in each row, the value of a path that varies.
         overrides: Fields to change for all rows, `table.key=value` each.
         threads: How many threads; by default as many as there are processors.
         lanes: Whether rows may be advanced side by side in one thread; the numbers are the same.
@@ -148,15 +153,89 @@ def sweep(
 
     Raises:
         SceneError: A scene that cannot be built, a path that it does not have, or no row that can be built.
-        ValueError: Neither or both of `grid` and `samples`, or samples of different lengths.
+        ValueError: Neither or both of `grid` and `samples`, samples of different lengths, a tie to what does not vary.
     """
     _, base = named_scene(scene, overrides)
-    varied = _varied(grid, samples)
+    varied = _tied(_varied(grid, samples), ties or {})
     if threads is None:
         threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if threads < 1:
         message = f"threads = {threads}: must be 1 or more"
         raise ValueError(message)
+    categories = {path: column for path, column in varied.items() if column.dtype == object}
+    if not categories:
+        return Sweep({**varied, **_metrics(base, varied, threads, lanes, progress)})
+    numbers = {path: column for path, column in varied.items() if path not in categories}
+    labels = {path: np.array([label(value) for value in column.tolist()]) for path, column in categories.items()}
+    found = _by_category(base, numbers, categories, labels, (threads, lanes, progress))
+    return Sweep({**varied, **labels, **found})
+
+
+def _by_category(
+    base: Checked,
+    numbers: Mapping[str, Array],
+    categories: Mapping[str, npt.NDArray[Any]],
+    labels: Mapping[str, npt.NDArray[np.str_]],
+    how: tuple[int, bool, Callable[[int], None] | None],
+) -> dict[str, npt.NDArray[Any]]:
+    """The metrics of all rows, one combination of categories after the other."""
+    raw = cast("dict[str, Raw]", msgspec.to_builtins(base.scene))
+    kinds = list(zip(*labels.values(), strict=True))
+    rows, done = len(kinds), 0
+    threads, lanes, progress = how
+    parts: list[tuple[npt.NDArray[np.intp], dict[str, npt.NDArray[Any]]]] = []
+    first_problem: str | None = None
+    for kind in dict.fromkeys(kinds):
+        chosen = np.array([row for row in range(rows) if kinds[row] == kind])
+        own = {path: column[chosen] for path, column in numbers.items()}
+        # Where no number varies all rows of a combination are alike, and the seed has to be given.
+        own = own or {"run.seed": np.full(len(chosen), float(base.scene.run.seed))}
+        try:
+            changed: Raw = raw
+            for path, column in categories.items():
+                changed = with_value(cast("dict[str, Raw]", changed), path_of(path), column[chosen[0]])
+            scene = typed_scene(changed)
+            of_these = _metrics(Checked(scene, checked_spec(scene)), own, threads, lanes, _shifted(progress, done))
+        except SceneError as error:
+            first_problem = (
+                first_problem or f"{', '.join(f'{p} = {k}' for p, k in zip(labels, kind, strict=True))}: {error}"
+            )
+            texts = {"outcome": "refused", "reason": str(error)}
+            of_these = {name: np.full(len(chosen), text) for name, text in texts.items()}
+        parts.append((chosen, of_these))
+        done += len(chosen)
+    if all((of_these["outcome"] == "refused").all() for _, of_these in parts):
+        raise SceneError(first_problem or "no row can be built")
+    return _joined(parts, rows)
+
+
+def _shifted(progress: Callable[[int], None] | None, done: int) -> Callable[[int], None] | None:
+    return None if progress is None else lambda now: progress(done + now)
+
+
+def _joined(
+    parts: Sequence[tuple["npt.NDArray[np.intp]", Mapping[str, npt.NDArray[Any]]]], rows: int
+) -> dict[str, npt.NDArray[Any]]:
+    """Columns of all rows from those of some of them; what a part does not have is not measured."""
+    whole: dict[str, npt.NDArray[Any]] = {}
+    for name in dict.fromkeys(name for _, of_these in parts for name in of_these):
+        columns = [(chosen, of_these[name]) for chosen, of_these in parts if name in of_these]
+        kind = np.result_type(*(column for _, column in columns))
+        column = np.full(rows, np.nan if kind.kind == "f" else "" if kind.kind == "U" else 0, kind)
+        for chosen, of_these in columns:
+            column[chosen] = of_these
+        whole[name] = column
+    return whole
+
+
+def _metrics(
+    base: Checked,
+    varied: Mapping[str, Array],
+    threads: int,
+    lanes: bool,
+    progress: Callable[[int], None] | None,
+) -> dict[str, npt.NDArray[Any]]:
+    """What is measured of rows of numbers."""
     columns, refused = sweep_columns(base, varied)
     rows = len(next(iter(varied.values())))
     built = np.array([row for row in range(rows) if row not in refused]) if refused else slice(None)
@@ -166,7 +245,18 @@ def sweep(
     if "outcome" in of_rows and (of_rows["outcome"] == "refused").all():
         message = f"row 0: {of_rows['reason'][0]}"
         raise SceneError(message)
-    return Sweep({**varied, **of_rows})
+    return of_rows
+
+
+def label(value: object) -> str:
+    """What a column says of a value that is no number: lists joined by "+", an empty one "none", tables as JSON."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list | tuple):
+        return "+".join(map(label, value)) or "none"
+    if isinstance(value, Mapping):
+        return msgspec.json.encode(value).decode()
+    return str(value)
 
 
 def _of_rows(
@@ -188,15 +278,27 @@ MAX_ROWS = 2_000_000
 """Scenarios of a grid: more would not fit into memory."""
 
 
+def _tied(varied: Mapping[str, npt.NDArray[Any]], ties: Mapping[str, str]) -> dict[str, npt.NDArray[Any]]:
+    """What varies, and what takes the values of that."""
+    whole = dict(varied)
+    for path, leading in ties.items():
+        if path in varied or leading not in varied:
+            problem = "varies by itself" if path in varied else f"{leading} does not vary"
+            message = f"{path} is tied to {leading}: {problem}"
+            raise ValueError(message)
+        whole[path] = varied[leading]
+    return whole
+
+
 def _varied(
-    grid: Mapping[str, Sequence[float] | Array] | None,
-    samples: Mapping[str, Sequence[float] | Array] | None,
-) -> dict[str, Array]:
-    """The value of each parameter in each row."""
+    grid: Mapping[str, Values] | None,
+    samples: Mapping[str, Values] | None,
+) -> dict[str, npt.NDArray[Any]]:
+    """The value of each parameter in each row: numbers, or objects where not all are."""
     if (grid is None) == (samples is None):
         message = "give grid or samples: exactly one of the two"
         raise ValueError(message)
-    given = {path: _numbers(path, values) for path, values in (grid or samples or {}).items()}
+    given = {path: _values(path, values) for path, values in (grid or samples or {}).items()}
     if not given:
         message = "nothing to vary: give at least one path with values"
         raise ValueError(message)
@@ -205,8 +307,8 @@ def _varied(
         if total > MAX_ROWS:
             message = f"a grid of {total} scenarios: must be at most {MAX_ROWS}"
             raise ValueError(message)
-        rows = np.array(list(itertools.product(*given.values())), dtype=np.float64)
-        return {path: np.ascontiguousarray(rows[:, column]) for column, path in enumerate(given)}
+        places = np.indices([len(values) for values in given.values()]).reshape(len(given), -1)
+        return {path: values[place] for (path, values), place in zip(given.items(), places, strict=True)}
     lengths = {path: len(values) for path, values in given.items()}
     if len(set(lengths.values())) > 1:
         seen = ", ".join(f"{path} has {length}" for path, length in lengths.items())
@@ -215,11 +317,13 @@ def _varied(
     return given
 
 
-def _numbers(path: str, values: Sequence[float] | Array) -> Array:
+def _values(path: str, values: Values) -> npt.NDArray[Any]:
+    if isinstance(values, str) or any(isinstance(value, bool | str | list | tuple | Mapping) for value in values):
+        return _categories(path, values)
     try:
         numbers = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
-        message = f"{path}: a sweep varies numbers; run it once per choice of anything else"
+        message = f"{path}: values that are neither numbers, strings, booleans, lists nor tables"
         raise SceneError(message) from None
     if numbers.ndim != 1 or numbers.size == 0:
         message = f"{path}: values of shape {numbers.shape}: must be a list of at least one number"
@@ -228,6 +332,16 @@ def _numbers(path: str, values: Sequence[float] | Array) -> Array:
         message = f"{path} = {numbers[~np.isfinite(numbers)][0]}: must be a finite number"
         raise SceneError(message)
     return numbers
+
+
+def _categories(path: str, values: Values) -> npt.NDArray[Any]:
+    if isinstance(values, str):
+        message = f"{path} = {values!r}: must be a list of values"
+        raise SceneError(message)
+    column = np.empty(len(values), dtype=object)
+    for row, value in enumerate(values):
+        column[row] = list(value) if isinstance(value, tuple) else value
+    return column
 
 
 # --------------------------------------------------------------------------------------------------- columns

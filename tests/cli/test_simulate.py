@@ -226,9 +226,17 @@ def test_a_sweep_is_shown_and_kept(
         ("a.b=1", ("a.b", [1.0])),
         ("a.b=1,-2,3e-1", ("a.b", [1.0, -2.0, 0.3])),
         ("a.b=0:1:3", ("a.b", [0.0, 0.5, 1.0])),
+        ("safety.controllers=none,[hsc],[hsc, wsc]", ("safety.controllers", [[], ["hsc"], ["hsc", "wsc"]])),
+        ("safety.vfc_form=product,both", ("safety.vfc_form", ["product", "both"])),
+        (
+            "safety.estimator={kind=kalman,jerk_density=3}",
+            ("safety.estimator", [{"kind": "kalman", "jerk_density": 3}]),
+        ),
+        ("master.measures_velocity=true,false", ("master.measures_velocity", [True, False])),
+        ("master.device='a,b',touch", ("master.device", ["a,b", "touch"])),
     ],
 )
-def test_what_varies_has_two_forms(text: str, expected: tuple[str, list[float]]) -> None:
+def test_what_varies_has_two_forms(text: str, expected: tuple[str, list[Any]]) -> None:
     assert values_of(text) == expected
 
 
@@ -238,7 +246,6 @@ def test_what_varies_has_two_forms(text: str, expected: tuple[str, list[float]])
         "a",
         "a=",
         "=1",
-        "a=x",
         "a=0:1",
         "a=0:1:0",
         "a=0:1:x",
@@ -253,6 +260,37 @@ def test_what_varies_has_two_forms(text: str, expected: tuple[str, list[float]])
 def test_what_varies_in_no_form_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="must be path=a:b:n with n of at least 1, or path=v1,v2"):
         values_of(text)
+
+
+def test_a_choice_of_no_field_or_no_value_is_refused() -> None:
+    with pytest.raises(ValueError, match="a"):
+        values_of("a=x")
+    with pytest.raises(ValueError, match="must be a value in TOML"):
+        values_of("safety.controllers=[hsc")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        ([], "nothing to vary"),
+        (["--samples", "0"], "samples = 0: must be 1 or more"),
+        (["--vary", "safety.window=1,2", "--draw", "operator.stiffness=uniform:1:2"], "--draw: give --samples"),
+        (["--samples", "2", "--draw", "operator.stiffness=uniform:2:1"], "must be path=uniform:a:b with a < b"),
+        (["--samples", "2", "--draw", "operator.stiffness=loguniform:0:1"], "path=loguniform:a:b with 0 < a < b"),
+        (["--samples", "2", "--draw", "operator.stiffness=normal:1:0"], "a deviation above 0"),
+        (["--samples", "2", "--draw", "operator.stiffness=cauchy:1:2"], "must be path=uniform:a:b"),
+        (["--samples", "2", "--vary", "safety.window=50", "--draw", "safety.window=uniform:1:2"], "varies by itself"),
+        (["--samples", "2", "--seed", "-1"], "seed = -1: must be 0 or more"),
+        (["--vary", "safety.window=50", "--tie", "link.backward.delay_s"], "0 paths of that name vary"),
+        (["--vary", "safety.window=50", "--tie", "safety.window=safety.window"], "varies by itself"),
+        (["--vary", "safety.window=50", "--tie", "link.backward.delay_s=link.forward.delay_s"], "does not vary"),
+    ],
+)
+def test_a_study_that_cannot_be_is_refused(
+    arguments: list[str], problem: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["sweep", "remote_push", *arguments]) == 2
+    assert problem in " ".join(capsys.readouterr().err.split())
 
 
 def test_a_run_loads_no_library_that_it_does_not_need() -> None:
@@ -317,10 +355,10 @@ def test_the_examples_in_the_help_work(
     (tmp_path / "my" / "scene.toml").write_text('schema = 1\nmaster = { device = "touch" }\nrecord = {}\n')
     lines = [line for command in (Simulate, Sweep) for line in (inspect.getdoc(command) or "").splitlines()]
     examples = [shlex.split(line)[1:] for line in lines if line.startswith("haptether ")]
-    assert len(examples) == 8
+    assert len(examples) == 10
     for example in examples:
         assert main(example) == 0, example
-    assert len(given) == 7
+    assert len(given) == 10
 
 
 @pytest.mark.usefixtures("given")

@@ -1,4 +1,4 @@
-"""The figure of a sweep: lines with their confidence over one varied number, maps over two."""
+"""The figure of a sweep: lines with their confidence over one varied field, one for each choice, maps over two."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.view.figures.intervals import mean_and_half
-from haptether.view.style.colours import SIGNALS
+from haptether.view.style.colours import AXES, SIGNALS, controller_look
 from haptether.view.style.figure import Columns, figure_of, letter, new_figure, plain_ticks, styled
 from haptether.view.style.legend import legend_above
 
@@ -42,7 +42,7 @@ MOST_AXES = 2
 def draw_sweep(
     scene: str, columns: Mapping[str, npt.NDArray[Any]], varied: Sequence[str], width: Columns = 2
 ) -> "Figure":
-    """Draws each metric over one varied number as a line, over two as a map.
+    """Draws each metric over one varied number as a line, over two as a map; of a choice, a line for each.
 
     Where `run.seed` varies, too, a line is the mean of the seeds with its 95 % confidence band, and a map the mean.
 
@@ -57,6 +57,9 @@ def draw_sweep(
         ValueError: More than two varied beside the seed, or nothing was measured.
     """
     over = check_varied(varied)
+    if sum(columns[name].dtype.kind == "U" for name in over) > 1:
+        message = f"{', '.join(over)}: a picture has one choice, over at most one number; use --out for all"
+        raise ValueError(message)
     metrics = [name for name in METRICS if name in columns and np.isfinite(columns[name].astype(float)).any()][:MOST]
     if not metrics:
         message = f"{scene}: nothing to draw: no metric was measured in any row"
@@ -75,7 +78,9 @@ def draw_sweep(
             panel.remove()
         for panel, metric in zip(panels, metrics, strict=False):
             values = columns[metric].astype(float)
-            if len(over) == 1:
+            if any(columns[name].dtype.kind == "U" for name in over):
+                _draw_choices(panel, metric, over, columns, METRICS[metric])
+            elif len(over) == 1:
                 room_in = figure.get_figwidth() / across - 0.9
                 _draw_line(panel, over[0], columns[over[0]], values, METRICS[metric], width_in=room_in)
             else:
@@ -121,6 +126,39 @@ def _draw_line(panel: "Axes", name: str, at: Array, values: Array, label: str, *
         panel.set_ylim(0.5 * (low + high - least), 0.5 * (low + high + least))
     plain_ticks(panel, 5)
     legend_above(panel, width_in=width_in)
+
+
+def _draw_choices(
+    panel: "Axes",
+    metric: str,
+    over: Sequence[str],
+    columns: Mapping[str, npt.NDArray[Any]],
+    label: str,
+) -> None:
+    """Of each choice a line over the number that varies, or a point; means with 95 % where a place has several runs."""
+    choice = next(name for name in over if columns[name].dtype.kind == "U")
+    names = list(dict.fromkeys(columns[choice].tolist()))
+    number = next((name for name in over if name != choice), None)
+    values = columns[metric].astype(float)
+    for place, name in enumerate(names):
+        rows = columns[choice] == name
+        at = np.full(int(rows.sum()), float(place)) if number is None else columns[number][rows].astype(float)
+        places = np.unique(at)
+        of_places = [mean_and_half(values[rows][at == each]) for each in places]
+        means, halves = np.array([mean for mean, _ in of_places]), np.array([half for _, half in of_places])
+        look = controller_look(name) if choice == "safety.controllers" else {"color": AXES[place % len(AXES)]}
+        panel.errorbar(places, means, np.nan_to_num(halves), fmt="o", ms=2.5, elinewidth=0.6, capsize=1.2,
+                       color=look["color"])  # fmt: skip
+        panel.plot(places, means, label=name, **look)
+    panel.set_ylabel(label)
+    panel.margins(y=0.08)
+    plain_ticks(panel, 5)
+    if number is None:
+        panel.set_xticks(range(len(names)), names, rotation=20 if len(names) > 3 else 0)
+        panel.set_xlabel(choice)
+    else:
+        panel.set_xlabel(number)
+        legend_above(panel, width_in=figure_of(panel).get_figwidth() / 2 - 0.9)
 
 
 def _draw_map(panel: "Axes", names: list[str], at: list[Array], values: Array, label: str) -> None:
