@@ -41,7 +41,7 @@ class Sweep(PictureOptions):
 
     haptether sweep remote_push --vary link.forward.delay_s=0:0.1:11 --vary run.seed=1,2,3,4,5 --plot delay.pdf
 
-    haptether sweep remote_push --vary safety.controllers=none,[hsc] --samples 20 --draw operator.stiffness=normal:300:40
+    haptether sweep remote_push --vary safety.controllers=none,[hsc] --samples 9 --draw operator.damping=normal:9:1
 
     haptether sweep remote_push --vary link.forward.delay_s=0.02:0.2:10 --tie link.backward.delay_s --plot delay.png
 
