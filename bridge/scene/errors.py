@@ -4,6 +4,7 @@ import difflib
 import math
 import re
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from typing import TypeAlias, cast
 
 from msgspec import ValidationError, inspect
@@ -106,6 +107,7 @@ def _inside(kinds: Iterable[inspect.Type], step: str | int) -> Iterator[inspect.
 _ROOT = inspect.type_info(Scene)
 
 
+@lru_cache(maxsize=256)
 def types_at(path: Path) -> tuple[inspect.Type, ...]:
     """The types that may stand at a path; none where the schema has no such path."""
     kinds: tuple[inspect.Type, ...] = (_ROOT,)

@@ -3,9 +3,11 @@
 import re
 import tomllib
 from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from os import PathLike
 from pathlib import Path as FilePath
-from typing import NamedTuple, cast
+from typing import cast
 
 import msgspec
 from msgspec import inspect
@@ -43,13 +45,14 @@ def scene_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
 
 
-class Checked(NamedTuple):
+@dataclass(frozen=True)
+class Checked:
     """A scene that can be built, and what the Rust side reads of it."""
 
     scene: Scene
     spec: Spec
 
-    @property
+    @cached_property
     def json(self) -> bytes:
         """The same scene yields the same bytes."""
         return msgspec.json.encode(self.spec)
@@ -188,8 +191,35 @@ def scene_json(scene: Scene) -> bytes:
     return checked_scene(scene).json
 
 
+_KEPT: dict[bytes, Checked] = {}
+_MOST_KEPT = 8
+_LONGEST_KEPT = 1 << 16
+"""Bytes of a scene that is kept: not one of long recordings."""
+
+
 def checked_scene(scene: Scene, overrides: Iterable[str] = ()) -> Checked:
-    """As `override_scene`, with what the Rust side reads of it."""
+    """As `override_scene`, with what the Rust side reads of it.
+
+    The last few are kept: the checks take longer than a short run.
+    """
+    overrides = tuple(overrides)
+    try:
+        # In MessagePack numbers that are not finite differ from what is absent.
+        key = b"" if overrides else msgspec.msgpack.encode(scene)
+    except (OverflowError, TypeError, ValueError, RecursionError):
+        key = b""  # the checks say what is wrong
+    if (kept := _KEPT.get(key)) is not None:
+        return kept
+    found = _checked_anew(scene, overrides)
+    # A scene that names files changes with them.
+    if 0 < len(key) < _LONGEST_KEPT and msgspec.msgpack.encode(found.scene) == key:
+        while len(_KEPT) >= _MOST_KEPT:
+            _KEPT.pop(next(iter(_KEPT)), None)
+        _KEPT[key] = found
+    return found
+
+
+def _checked_anew(scene: Scene, overrides: Iterable[str]) -> Checked:
     # A struct that was built in Python has not been held against its ranges yet.
     raw = cast("dict[str, Raw]", msgspec.to_builtins(scene))
     for override in overrides:
@@ -214,6 +244,7 @@ def overridden(raw: dict[str, Raw], override: str) -> dict[str, Raw]:
     return cast("dict[str, Raw]", with_value(raw, path, toml_value(text.strip(), path)))
 
 
+@lru_cache(maxsize=256)
 def path_of(text: str) -> Path:
     """`operator.legs.0.end` as a path of the schema; `-` may stand for `_`.
 

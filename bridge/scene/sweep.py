@@ -8,6 +8,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from os import PathLike
 from pathlib import Path as FilePath
 from types import MappingProxyType
@@ -240,8 +241,8 @@ def _metrics(
     rows = len(next(iter(varied.values())))
     built = np.array([row for row in range(rows) if row not in refused]) if refused else slice(None)
     columns = [(path, np.ascontiguousarray(column[built])) for path, column in columns]
-    metrics = _core.sweep_scenes(base.json, columns, threads, lanes, progress)
-    of_rows = {name: _of_rows(name, np.asarray(column), built, rows, refused) for name, column in metrics.items()}
+    measured = _core.sweep_scenes(base.json, columns, threads, lanes, progress)
+    of_rows = {name: _of_rows(name, np.asarray(column), built, rows, refused) for name, column in measured.items()}
     if "outcome" in of_rows and (of_rows["outcome"] == "refused").all():
         message = f"row 0: {of_rows['reason'][0]}"
         raise SceneError(message)
@@ -356,8 +357,7 @@ def sweep_columns(base: Checked, varied: Mapping[str, Array]) -> tuple[list[tupl
     Raises:
         SceneError: A path that the scene does not have, or no row that can be built.
     """
-    expected = dict(_leaves(base.spec))
-    raw = cast("dict[str, Raw]", msgspec.to_builtins(base.scene))
+    expected = _leaves_of(base.json)
     columns: dict[str, Array] = {}
     together: dict[Path, Array] = {}
     refused: dict[int, str] = {}
@@ -370,6 +370,7 @@ def sweep_columns(base: Checked, varied: Mapping[str, Array]) -> tuple[list[tupl
         else:
             together[path] = values
     if together:
+        raw = cast("dict[str, Raw]", msgspec.to_builtins(base.scene))
         joint, wrong_rows = _joint_columns(raw, expected, together)
         columns |= joint
         refused = wrong_rows | refused
@@ -402,7 +403,7 @@ def _out_of_range(path: Path, values: Array) -> dict[int, str]:
 
 
 def _joint_columns(
-    raw: dict[str, Raw], expected: dict[str, Leaf], varied: Mapping[Path, Array]
+    raw: dict[str, Raw], expected: Mapping[str, Leaf], varied: Mapping[Path, Array]
 ) -> tuple[dict[str, Array], dict[int, str]]:
     """Columns of parameters that are checked together, once per combination of their values; what is wrong by row."""
     rows = np.column_stack(list(varied.values()))
@@ -443,6 +444,12 @@ def _as_typed(value: float) -> float | int:
     return value
 
 
+@lru_cache(maxsize=8)
+def _leaves_of(json: bytes) -> Mapping[str, Leaf]:
+    """The leaves of a specification as JSON."""
+    return MappingProxyType(dict(_leaves(msgspec.json.decode(json))))
+
+
 def _leaves(spec: object, path: str = "") -> Iterator[tuple[str, Leaf]]:
     if isinstance(spec, dict):
         for key, value in spec.items():
@@ -470,7 +477,8 @@ def _number(path: str, leaf: Leaf) -> float:
 def _of_parameter(path: Path, leaves: Mapping[str, Leaf]) -> list[str]:
     """The numbers of the specification that a path means: itself, or one for every axis."""
     text = ".".join(map(str, path))
-    found = [leaf for leaf in leaves if leaf == text or re.fullmatch(rf"{re.escape(text)}\.\d+", leaf)]
+    axis = f"{text}."
+    found = [leaf for leaf in leaves if leaf == text or (leaf.startswith(axis) and leaf[len(axis) :].isdecimal())]
     if not found:
         message = f"{place(path)}: the scene has no such part; add it before varying it"
         raise SceneError(message)

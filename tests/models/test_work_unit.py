@@ -1,6 +1,8 @@
 """The reference work unit: any implementation reproduces it, so ours must, however it is run."""
 
+import importlib
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -33,3 +35,20 @@ def test_a_hundred_depths(threads: int, lanes: bool) -> None:
 def test_the_rust_bench_has_the_same_scene() -> None:
     stored = json.loads((ROOT / "bridge" / "benches" / "work_unit.json").read_text())
     assert stored == json.loads(scene_json(load_scene(SCENE)))
+
+
+@pytest.mark.parametrize("scenarios", [1, 100])
+@pytest.mark.parametrize("width", [8, 16])
+def test_the_bare_kernel_is_the_same_work(
+    width: int, scenarios: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "benches"))
+    batch = importlib.import_module("batch")
+    monkeypatch.delitem(sys.modules, "batch")
+    kernel = batch.bare_kernel(width, tmp_path)
+    if kernel is None:
+        pytest.skip("no C++ compiler")
+    peaks, on = kernel(batch.depths(scenarios))
+    expected_peaks, expected_on = batch.EXPECTED[scenarios]
+    assert peaks == pytest.approx(expected_peaks, abs=1e-9 * max(1.0, expected_peaks))
+    assert on == expected_on
