@@ -538,6 +538,8 @@ REQUIRED = {
     "export": ["master.mcap"],
     "sweep": ["remote_push"],
     "falsify": ["remote_push"],
+    "check": ["remote_push"],
+    "evaluate": ["remote_push"],
 }
 NUMBERS = [(name, option) for name, command in COMMANDS.items() for option in numbers_of(command)]
 
