@@ -3,10 +3,10 @@
 use crate::{Axes, DeviceParameters, Hand, path::DEGREE};
 
 /// Terms of the series that a map is computed from, once for many ticks: far more than what it needs.
-const TERMS: usize = 24;
+const TERMS: usize = 32;
 
-/// Largest rate times dT, as of every series of this crate.
-const REACH: f64 = 0.5;
+/// Largest rate times dT: the first term left out is below `2^32 / 32! = 2e-26` of the first.
+const REACH: f64 = 2.0;
 
 /// What a tick of `dT` does to a device under a linear law, with nothing but numbers in which rounding is all that is
 /// left out.

@@ -27,7 +27,7 @@ struct Drawn {
 
 fn drawn() -> impl Strategy<Value = Drawn> {
     let device = (
-        prop::array::uniform3(0.05..1.0f64),
+        prop::array::uniform3(0.012..1.0f64),
         any::<bool>(),
         -0.01..2.0f64,
         prop::option::of(0.01..0.3f64),
