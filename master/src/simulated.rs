@@ -231,6 +231,7 @@ impl<const N: usize> SimulatedMaster<N> {
 
     /// Moves over a tick of `duration` in one step, if bounds on the motion say that no event falls into it and all
     /// laws are linear; else leaves everything as it is. A bound too many costs time, none costs accuracy.
+    #[allow(clippy::too_many_lines)] // one law after the other, each with its bound
     #[inline]
     fn propagates(&mut self, duration: f64, past_ns: u64) -> bool {
         #[cfg(test)]
@@ -488,12 +489,13 @@ impl<const N: usize> SimulatedMaster<N> {
                 _ => wish,
             };
             (regime, setting_off) = self.regime(grip, &hand);
-            if self.device.rubs_along_motion() && regime.stuck == [false; N] {
-                if let Some(direction) = self.straight_line(&law, grip, &hand, wanted) {
-                    regime.rub = Rub::Constant(direction * self.device.coulomb[0]);
-                    regime.straight = Some(direction);
-                    setting_off = false;
-                }
+            if self.device.rubs_along_motion()
+                && regime.stuck == [false; N]
+                && let Some(direction) = self.straight_line(&law, grip, &hand, wanted)
+            {
+                regime.rub = Rub::Constant(direction * self.device.coulomb[0]);
+                regime.straight = Some(direction);
+                setting_off = false;
             }
             stretch = law.follow(&regime, self.position, self.velocity);
             if stretch.reach < STIFF_SHARE * wanted {
