@@ -210,8 +210,19 @@ impl<const N: usize> FrameLink<N> {
     /// In the clear anybody may write any sequence. One that no sender can reach is refused while the run lives; after
     /// the lease's silence it begins a run anew. So no frame takes the link from its peer for longer than that.
     pub fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<bool, RejectReason> {
+        let decoded = Frame::decode(datagram, self.role.peer(), self.layout);
+        self.take(time, decoded)
+    }
+
+    /// The same of a frame whose bytes nobody has looked at, without them: [`Frame::received`].
+    pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame<N>) -> Result<bool, RejectReason> {
+        let received = frame.received(self.role.peer(), self.layout);
+        self.take(time, received)
+    }
+
+    fn take(&mut self, time: LinkTime, frame: Result<Frame<N>, WireError>) -> Result<bool, RejectReason> {
         let LinkTime { tick_ns: now_ns, by_ns } = time;
-        let frame = self.decoded(datagram).inspect_err(|_| self.statistics.refused += 1)?;
+        let frame = frame.inspect_err(|_| self.statistics.refused += 1)?;
         let begins = match &self.newest {
             Some(newest) if newest.frame.run_id == frame.run_id && newest.is_near(frame.sequence, by_ns) => {
                 self.path.arrived(frame.sequence, frame.sent_ns, by_ns);
@@ -255,10 +266,6 @@ impl<const N: usize> FrameLink<N> {
             self.statistics.min_round_trip_ns = if min == 0 { round_trip } else { min.min(round_trip) };
         }
         Ok(begins)
-    }
-
-    fn decoded(&self, datagram: &[u8]) -> Result<Frame<N>, WireError> {
-        Frame::decode(datagram, self.role.peer(), self.layout)
     }
 
     /// What its frames carry, those sent and those received.
@@ -309,9 +316,15 @@ impl<const N: usize> FrameLink<N> {
         &mut self,
         time: LinkTime,
         status: Status,
-        PortState { position, velocity, force, energy, rotation, gripper, buttons }: PortState<N>,
+        port: PortState<N>,
         buffer: &'a mut [u8; MAX_FRAME],
     ) -> &'a [u8] {
+        self.next_frame(time, status, &port).encode(buffer)
+    }
+
+    /// The next frame, not written.
+    pub fn next_frame(&mut self, time: LinkTime, status: Status, port: &PortState<N>) -> Frame<N> {
+        let PortState { position, velocity, force, energy, rotation, gripper, buttons } = *port;
         let sent_ns = time.by_ns;
         let echo = self.newest.as_ref().map(|newest| Echo {
             run_id: newest.frame.run_id,
@@ -345,7 +358,7 @@ impl<const N: usize> FrameLink<N> {
         self.path.sent(self.next_sequence, sent_ns);
         self.next_sequence += 1;
         self.statistics.sent += 1;
-        frame.encode(buffer)
+        frame
     }
 
     /// Whether the newest frame says that the peer hears this very run, not one before it or another's.

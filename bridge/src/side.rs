@@ -19,7 +19,7 @@ use crate::{
         SlaveTurn,
     },
     session::{MAX_DATAGRAM, Session},
-    wire::MAX_FRAME,
+    wire::{Frame, MAX_FRAME},
 };
 
 /// One side of N axes: `receive` what has arrived, `tick`, `send`. Times are on the endpoint's own clock where not
@@ -36,12 +36,22 @@ pub trait Side<const N: usize> {
         self.exchange_mut().receive(time, datagram)
     }
 
+    /// The same of a frame whose bytes nobody has looked at, without them.
+    fn receive_frame(&mut self, time: LinkTime, frame: &Frame<N>) -> Result<(), RejectReason> {
+        self.exchange_mut().receive_frame(time, frame)
+    }
+
     /// Reads the plant, decides, writes the plant.
     fn tick(&mut self, time: TickTime) -> Self::Record;
 
     /// Writes the frame of this tick.
     fn send<'a>(&mut self, time: LinkTime, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
         self.exchange_mut().send(time, buffer)
+    }
+
+    /// The frame of this tick, not written.
+    fn next_frame(&mut self, time: LinkTime) -> Frame<N> {
+        self.exchange_mut().next_frame(time)
     }
 
     /// Carries out a command of the operator at this side. Returns whether it changed anything: a release where the

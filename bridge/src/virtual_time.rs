@@ -15,7 +15,7 @@ use crate::{
         SessionSettings,
     },
     side::{Side, sealed_frame},
-    wire::Role,
+    wire::{Frame, MAX_FRAME, Role},
 };
 
 /// How a run in virtual time goes.
@@ -35,6 +35,9 @@ pub struct VirtualSettings {
     pub seed: u64,
     /// Whether frames travel in a secure session. Without one they are the datagrams, and there is no handshake.
     pub secure: bool,
+    /// Whether every frame travels as its bytes. Without that one whose bytes nobody changes travels as it is, which
+    /// changes no result and takes less time.
+    pub encoded: bool,
     /// What the master's clock shows; without one, true time.
     pub master_clock: Option<EndpointClock>,
     /// What the slave's clock shows.
@@ -80,34 +83,122 @@ pub struct LoopCounts {
 
 type Datagram = ([u8; MAX_DATAGRAM], usize);
 
+/// What travels, and where it is kept meanwhile: a queue then moves no more than this.
+#[derive(Clone, Copy, Debug)]
+enum Sent {
+    /// A frame whose bytes nobody looks at.
+    Frame(usize),
+    Bytes(usize),
+}
+
+/// Places for what is in flight, each used again once it is free.
+struct Places<T> {
+    kept: Vec<T>,
+    free: Vec<usize>,
+}
+
+impl<T> Places<T> {
+    const fn new() -> Self {
+        Self { kept: Vec::new(), free: Vec::new() }
+    }
+
+    fn keep(&mut self, one: T) -> usize {
+        match self.free.pop() {
+            Some(place) => {
+                self.kept[place] = one;
+                place
+            }
+            None => {
+                self.kept.push(one);
+                self.kept.len() - 1
+            }
+        }
+    }
+}
+
 /// The network in one direction.
-struct OneWay {
+struct OneWay<const N: usize> {
     link: Link,
-    in_flight: InFlight<Datagram>,
+    in_flight: InFlight<Sent>,
+    frames: Places<Frame<N>>,
+    datagrams: Places<Datagram>,
     index: u64,
     direction: Direction,
 }
 
-impl OneWay {
+impl<const N: usize> OneWay<N> {
     fn new(direction: Direction, seed: u64, settings: &LinkSettings) -> Result<Self, LinkSettingsError> {
         let link = Link::new(direction, seed, settings)?;
-        Ok(Self { link, in_flight: InFlight::growing(MAX_IN_FLIGHT), index: 0, direction })
+        let in_flight = InFlight::growing(MAX_IN_FLIGHT);
+        Ok(Self { link, in_flight, frames: Places::new(), datagrams: Places::new(), index: 0, direction })
     }
 
     /// Takes a datagram; `back` leads to its sender.
     fn carry(&mut self, now_ns: u64, datagram: &[u8], back: &mut Self) {
-        let size = datagram.len();
+        self.judged(now_ns, datagram.len(), back, |to, at_ns, damage| {
+            to.push_bytes(at_ns, &damaged(datagram, damage));
+        });
+    }
+
+    /// The same of a frame that is its datagram: it has bytes only where somebody changes them.
+    fn carry_frame(&mut self, now_ns: u64, frame: &Frame<N>, back: &mut Self) {
+        self.judged(now_ns, frame.layout().length(N), back, |to, at_ns, damage| {
+            if damage.is_none() {
+                to.push_frame(at_ns, frame);
+            } else {
+                to.push_bytes(at_ns, &damaged(frame.encode(&mut [0; MAX_FRAME]), damage));
+            }
+        });
+    }
+
+    /// Hands over each arrival of a datagram of `size` bytes.
+    fn judged(
+        &mut self,
+        now_ns: u64,
+        size: usize,
+        back: &mut Self,
+        push: impl Fn(&mut Arrivals<'_, N>, u64, &Damage),
+    ) {
         let packet = Packet { direction: self.direction, sent_ns: now_ns, size, index: self.index };
         self.index += 1;
-        let Judgement { verdict, damage, extras } = self.link.judge(&packet);
-        // A full queue drops, as the network would, and counts it.
+        let Self { link, in_flight, frames, datagrams, .. } = self;
+        let Judgement { verdict, damage, extras } = link.judge(&packet);
+        let mut forward = Arrivals { in_flight, frames, datagrams };
         if let Verdict::Deliver { at_ns } = verdict {
-            let _ = self.in_flight.push(at_ns, damaged(datagram, &damage));
+            push(&mut forward, at_ns, &damage);
         }
         for extra in extras {
-            let to =
-                if extra.cause == ExtraCause::Mirror { &mut back.in_flight } else { &mut self.in_flight };
-            let _ = to.push(extra.at_ns, damaged(datagram, &extra.damage));
+            if extra.cause == ExtraCause::Mirror {
+                let Self { in_flight, frames, datagrams, .. } = &mut *back;
+                push(&mut Arrivals { in_flight, frames, datagrams }, extra.at_ns, &extra.damage);
+            } else {
+                push(&mut forward, extra.at_ns, &extra.damage);
+            }
+        }
+    }
+}
+
+/// Where a direction keeps what is on its way.
+struct Arrivals<'a, const N: usize> {
+    in_flight: &'a mut InFlight<Sent>,
+    frames: &'a mut Places<Frame<N>>,
+    datagrams: &'a mut Places<Datagram>,
+}
+
+impl<const N: usize> Arrivals<'_, N> {
+    // A full queue drops, as the network would, and counts it.
+
+    fn push_frame(&mut self, at_ns: u64, frame: &Frame<N>) {
+        let place = self.frames.keep(*frame);
+        if self.in_flight.push(at_ns, Sent::Frame(place)).is_err() {
+            self.frames.free.push(place);
+        }
+    }
+
+    fn push_bytes(&mut self, at_ns: u64, datagram: &Datagram) {
+        let place = self.datagrams.keep(*datagram);
+        if self.in_flight.push(at_ns, Sent::Bytes(place)).is_err() {
+            self.datagrams.free.push(place);
         }
     }
 }
@@ -119,6 +210,8 @@ struct Loop<'a, S, const N: usize> {
     entropy: SeededEntropy,
     pace: Pace,
     counts: LoopCounts,
+    /// Whether frames have bytes from the start: those of a secure session, or of a run that asks for it.
+    encodes: bool,
 }
 
 impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
@@ -128,6 +221,7 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
         role: Role,
         peer_period_ns: u64,
         seed: Option<u64>,
+        encoded: bool,
         pace: Pace,
     ) -> Result<Self, EndError> {
         let settings = SessionSettings::of_frames(role, side.exchange().link().layout(), N, peer_period_ns);
@@ -139,27 +233,32 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
         } else {
             SessionEnd::insecure(settings)?
         };
-        Ok(Self { side, end, entropy, pace, counts: LoopCounts::default() })
+        let encodes = encoded || seed.is_some();
+        Ok(Self { side, end, entropy, pace, counts: LoopCounts::default(), encodes })
     }
 
     /// The tick that is due: it takes what `inward` delivers and sends `outward`.
-    fn step(&mut self, inward: &mut OneWay, outward: &mut OneWay) -> S::Record {
+    fn step(&mut self, inward: &mut OneWay<N>, outward: &mut OneWay<N>) -> S::Record {
         let (now_ns, wake) = (self.pace.true_ns, self.pace.wake());
         let clock_ns = wake.deadline_ns;
         if wake.is_stalled() {
-            while inward.in_flight.pop_due(now_ns).is_some() {}
+            while let Some((_, sent)) = inward.in_flight.pop_due(now_ns) {
+                match sent {
+                    Sent::Frame(place) => inward.frames.free.push(place),
+                    Sent::Bytes(place) => inward.datagrams.free.push(place),
+                }
+            }
             self.side.exchange_mut().stalled(clock_ns);
         }
         let time = LinkTime::late(clock_ns, self.pace.late_ns(&wake));
-        while let Some((_, (mut bytes, length))) = inward.in_flight.pop_due(now_ns) {
-            match self.end.receive(clock_ns, &mut bytes[..length], &mut self.entropy) {
-                // A refusal is counted by the link.
-                Ok(Received::Payload { payload, .. }) => {
-                    let _ = self.side.receive(time, payload);
+        while let Some((_, sent)) = inward.in_flight.pop_due(now_ns) {
+            match sent {
+                Sent::Frame(place) => {
+                    // A refusal is counted by the link.
+                    let _ = self.side.receive_frame(time, &inward.frames.kept[place]);
+                    inward.frames.free.push(place);
                 }
-                Ok(Received::Reply(answer)) => outward.carry(now_ns, &answer, inward),
-                // A rejection is counted by the session.
-                Ok(Received::Nothing) | Err(_) => {}
+                Sent::Bytes(place) => self.open(time, place, inward, outward),
             }
         }
         let record = self.side.tick(TickTime {
@@ -169,19 +268,39 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
             missed: wake.missed,
             ..TickTime::default()
         });
-        // Seeded randomness does not fail.
-        if let Some(hello) = self.end.poll(clock_ns, &mut self.entropy).ok().flatten() {
-            outward.carry(now_ns, &hello, inward);
-        }
-        let mut buffer = [0; MAX_DATAGRAM];
-        if let Some(datagram) = sealed_frame(&mut self.end.session, time, self.side, &mut buffer) {
-            outward.carry(now_ns, datagram, inward);
+        if self.encodes {
+            // Seeded randomness does not fail.
+            if let Some(hello) = self.end.poll(clock_ns, &mut self.entropy).ok().flatten() {
+                outward.carry(now_ns, &hello, inward);
+            }
+            let mut buffer = [0; MAX_DATAGRAM];
+            if let Some(datagram) = sealed_frame(&mut self.end.session, time, self.side, &mut buffer) {
+                outward.carry(now_ns, datagram, inward);
+            }
+        } else {
+            // A session without security is open at any time, and seals nothing.
+            outward.carry_frame(now_ns, &self.side.next_frame(time), inward);
         }
         self.pace.wait_after(&wake);
         self.counts.ticks += 1;
         self.counts.skipped += wake.missed;
         self.counts.clock_ns = clock_ns;
         record
+    }
+
+    /// Takes a datagram of bytes.
+    fn open(&mut self, time: LinkTime, place: usize, inward: &mut OneWay<N>, outward: &mut OneWay<N>) {
+        let (mut bytes, length) = inward.datagrams.kept[place];
+        inward.datagrams.free.push(place);
+        match self.end.receive(time.tick_ns, &mut bytes[..length], &mut self.entropy) {
+            // A refusal is counted by the link.
+            Ok(Received::Payload { payload, .. }) => {
+                let _ = self.side.receive(time, payload);
+            }
+            Ok(Received::Reply(answer)) => outward.carry(self.pace.true_ns, &answer, inward),
+            // A rejection is counted by the session.
+            Ok(Received::Nothing) | Err(_) => {}
+        }
     }
 
     fn counts(&self) -> LoopCounts {
@@ -228,8 +347,9 @@ pub fn run_virtual<M: Side<N>, S: Side<N>, const N: usize>(
     let paces =
         [Pace::new(settings.master_clock, periods_ns[0]), Pace::new(settings.slave_clock, periods_ns[1])];
     let key = settings.secure.then_some(settings.seed);
-    let mut master = Loop::new(master, Role::Master, periods_ns[1], key, paces[0])?;
-    let mut slave = Loop::new(slave, Role::Slave, periods_ns[0], key, paces[1])?;
+    let encoded = settings.encoded;
+    let mut master = Loop::new(master, Role::Master, periods_ns[1], key, encoded, paces[0])?;
+    let mut slave = Loop::new(slave, Role::Slave, periods_ns[0], key, encoded, paces[1])?;
     while master.pace.true_ns < end_ns || slave.pace.true_ns < end_ns {
         let event = if master.pace.true_ns <= slave.pace.true_ns {
             Event::Master(master.step(&mut backward, &mut forward))

@@ -397,11 +397,38 @@ impl<const N: usize> Frame<N> {
         FrameLayout { kind: *kind, has_gripper: gripper.is_some(), has_buttons: buttons.is_some() }
     }
 
+    fn flags(&self) -> u16 {
+        let gripper = self.gripper.unwrap_or_default();
+        (if self.echo.is_some() { ECHO_VALID } else { 0 })
+            | if self.hears_peer { HEARS_PEER } else { 0 }
+            | if self.clutch { CLUTCH } else { 0 }
+            | if self.ending { ENDING } else { 0 }
+            | if gripper.position.is_some() { GRIPPER_KNOWN } else { 0 }
+            | if gripper.holds_object { HOLDS_OBJECT } else { 0 }
+            | if gripper.follows { FOLLOWS } else { 0 }
+    }
+
+    /// Quaternion, angular velocity and torque as they stand in a frame; of kind `pose` alone.
+    fn rotation_numbers(&self) -> Option<[f64; ROTATION]> {
+        (self.kind == SideKind::Pose).then(|| {
+            let RotationState { orientation, angular_velocity, torque } = self.rotation.unwrap_or_default();
+            let mut numbers = [0.0; ROTATION];
+            numbers[..4].copy_from_slice(&canonical(&orientation));
+            numbers[4..7].copy_from_slice(angular_velocity.as_slice());
+            numbers[7..].copy_from_slice(torque.as_slice());
+            numbers
+        })
+    }
+
+    /// Position, velocity and force as they stand in a frame; of a side with gripper or trigger alone.
+    fn gripper_numbers(&self) -> Option<[f64; 3]> {
+        self.gripper.map(|state| [state.position.unwrap_or(0.0), state.velocity, state.force_n])
+    }
+
     /// Writes the frame and returns the bytes written.
     pub fn encode<'a>(&self, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
         let echo = self.echo.unwrap_or(NO_ECHO);
         let length = self.layout().length(N);
-        let gripper = self.gripper.unwrap_or_default();
         #[allow(clippy::cast_possible_truncation)] // at most 7 axes
         let header = Header {
             magic: MAGIC,
@@ -409,15 +436,7 @@ impl<const N: usize> Frame<N> {
             role: self.role.byte(),
             axes: N as u8 | self.kind.code() << 4,
             state: self.state,
-            flags: U16::new(
-                if self.echo.is_some() { ECHO_VALID } else { 0 }
-                    | if self.hears_peer { HEARS_PEER } else { 0 }
-                    | if self.clutch { CLUTCH } else { 0 }
-                    | if self.ending { ENDING } else { 0 }
-                    | if gripper.position.is_some() { GRIPPER_KNOWN } else { 0 }
-                    | if gripper.holds_object { HOLDS_OBJECT } else { 0 }
-                    | if gripper.follows { FOLLOWS } else { 0 },
-            ),
+            flags: U16::new(self.flags()),
             run_id: U64::new(self.run_id),
             sequence: U64::new(self.sequence),
             echo_sequence: U64::new(echo.sequence),
@@ -428,8 +447,6 @@ impl<const N: usize> Frame<N> {
         };
         buffer[..HEADER].copy_from_slice(header.as_bytes());
         let energies = [self.energy.in_j, self.energy.out_j];
-        let jaws = [gripper.position.unwrap_or(0.0), gripper.velocity, gripper.force_n];
-        let jaws = if self.gripper.is_some() { &jaws[..] } else { &[] };
         let mut slots = buffer[HEADER..].chunks_exact_mut(8);
         let mut put = |values: &[f64]| {
             for (value, slot) in values.iter().zip(&mut slots) {
@@ -439,14 +456,13 @@ impl<const N: usize> Frame<N> {
         for part in [&self.position, &self.velocity, &self.force] {
             put(part.as_slice());
         }
-        if self.kind == SideKind::Pose {
-            let RotationState { orientation, angular_velocity, torque } = self.rotation.unwrap_or_default();
-            put(&canonical(&orientation));
-            put(angular_velocity.as_slice());
-            put(torque.as_slice());
+        if let Some(numbers) = self.rotation_numbers() {
+            put(&numbers);
         }
         put(&energies);
-        put(jaws);
+        if let Some(jaws) = self.gripper_numbers() {
+            put(&jaws);
+        }
         let end = length - CHECKSUM;
         let TextPiece { number, index, bytes } = self.text;
         let cause = &mut buffer[end - CAUSE..end];
@@ -483,14 +499,7 @@ impl<const N: usize> Frame<N> {
             held_ns: header.echo_held_ns.get(),
         };
         let is_valid = flags & ECHO_VALID != 0;
-        let of_gripper = match (has_gripper, from) {
-            (true, Role::Slave) => GRIPPER_KNOWN | HOLDS_OBJECT | FOLLOWS,
-            (true, Role::Master) => GRIPPER_KNOWN | HOLDS_OBJECT,
-            (false, _) => 0,
-        };
-        if flags & !(ECHO_VALID | HEARS_PEER | CLUTCH | ENDING | of_gripper) != 0
-            || !(is_valid || echo == NO_ECHO)
-        {
+        if !(is_valid || echo == NO_ECHO) {
             return Err(WireError::Flags(flags));
         }
         let (numbers, cause) = body.split_at(body.len() - CAUSE);
@@ -501,28 +510,18 @@ impl<const N: usize> Frame<N> {
                 f64::from_le_bytes(value)
             })
         };
-        let axes = |index: usize, signal: Signal| checked_axes(sequence, signal, numbers(N * index));
+        let axes = |index: usize| Axes::from_iterator(numbers(N * index));
         let is_pose = kind == SideKind::Pose;
         let mut rest = numbers(3 * N + if is_pose { ROTATION } else { 0 });
         let energy =
             PortEnergy { in_j: rest.next().unwrap_or(f64::NAN), out_j: rest.next().unwrap_or(f64::NAN) };
-        if !energy.is_possible() {
-            return Err(WireError::Energy { sequence, energy });
-        }
         let gripper = has_gripper.then(|| std::array::from_fn(|_| rest.next().unwrap_or(f64::NAN)));
-        let gripper = gripper.map(|numbers| decoded_gripper(sequence, flags, numbers)).transpose()?;
-        let rotation = is_pose.then(|| decoded_rotation(sequence, from, numbers(3 * N))).transpose()?;
+        let mut turn = numbers(3 * N);
+        let rotation = is_pose.then(|| std::array::from_fn(|_| turn.next().unwrap_or(f64::NAN)));
         let word = body[..body.len() - CAUSE].last_chunk().map_or(0, |bytes| u32::from_le_bytes(*bytes));
-        let buttons = has_buttons.then_some(word);
-        if let (Role::Slave, Some(buttons @ 1..)) = (from, buttons) {
-            return Err(WireError::Buttons { sequence, buttons });
-        }
         let mut text = TextPiece { number: cause[2], index: cause[3], bytes: [0; PIECE] };
         text.bytes.copy_from_slice(&cause[4..]);
-        if !text.is_canonical() {
-            return Err(WireError::Text { sequence, number: text.number, index: text.index });
-        }
-        Ok(Self {
+        Self {
             role: from,
             kind,
             state: header.state,
@@ -532,24 +531,79 @@ impl<const N: usize> Frame<N> {
             sequence,
             sent_ns: header.sent_ns.get(),
             echo: is_valid.then_some(echo),
-            position: axes(0, Signal::Position)?,
-            velocity: axes(1, Signal::Velocity)?,
-            force: axes(
-                2,
-                match from {
-                    Role::Master => Signal::RenderedForce,
-                    Role::Slave => Signal::EnvironmentForce,
-                },
-            )?,
-            rotation,
+            position: axes(0),
+            velocity: axes(1),
+            force: axes(2),
+            rotation: None,
             energy,
-            gripper,
-            buttons,
+            gripper: None,
+            buttons: has_buttons.then_some(word),
             ending: flags & ENDING != 0,
             reason: cause[0],
             fault: cause[1],
             text,
-        })
+        }
+        .admitted(flags, gripper, rotation)
+    }
+
+    /// What [`decode`](Self::decode) makes of what [`encode`](Self::encode) makes of the frame, to the bit and with the
+    /// same refusals, without the bytes: of a network that looks at none.
+    pub fn received(&self, from: Role, layout: FrameLayout) -> Result<Self, WireError> {
+        let own = self.layout();
+        if own.length(N) != layout.length(N) {
+            return Err(WireError::Length { seen: own.length(N), allowed: layout.length(N) });
+        }
+        if self.role != from {
+            return Err(WireError::Role(self.role.byte()));
+        }
+        if own.kind != layout.kind {
+            return Err(WireError::Kind { seen: own.kind.code(), allowed: layout.kind });
+        }
+        if own != layout {
+            // Of the same length with other parts: its bytes are read as what they are not.
+            return Self::decode(self.encode(&mut [0; MAX_FRAME]), from, layout);
+        }
+        self.admitted(self.flags(), self.gripper_numbers(), self.rotation_numbers())
+    }
+
+    /// The frame with gripper and rotation as their numbers say, if all its numbers can be.
+    fn admitted(
+        mut self,
+        flags: u16,
+        gripper: Option<[f64; 3]>,
+        rotation: Option<[f64; ROTATION]>,
+    ) -> Result<Self, WireError> {
+        let (sequence, from) = (self.sequence, self.role);
+        let of_gripper = match (gripper.is_some(), from) {
+            (true, Role::Slave) => GRIPPER_KNOWN | HOLDS_OBJECT | FOLLOWS,
+            (true, Role::Master) => GRIPPER_KNOWN | HOLDS_OBJECT,
+            (false, _) => 0,
+        };
+        if flags & !(ECHO_VALID | HEARS_PEER | CLUTCH | ENDING | of_gripper) != 0 {
+            return Err(WireError::Flags(flags));
+        }
+        if !self.energy.is_possible() {
+            return Err(WireError::Energy { sequence, energy: self.energy });
+        }
+        self.gripper = gripper.map(|numbers| decoded_gripper(sequence, flags, numbers)).transpose()?;
+        self.rotation =
+            rotation.map(|numbers| decoded_rotation(sequence, from, numbers.into_iter())).transpose()?;
+        if let (Role::Slave, Some(buttons @ 1..)) = (from, self.buttons) {
+            return Err(WireError::Buttons { sequence, buttons });
+        }
+        if !self.text.is_canonical() {
+            return Err(WireError::Text { sequence, number: self.text.number, index: self.text.index });
+        }
+        let force = match from {
+            Role::Master => Signal::RenderedForce,
+            Role::Slave => Signal::EnvironmentForce,
+        };
+        for (signal, value) in
+            [(Signal::Position, &self.position), (Signal::Velocity, &self.velocity), (force, &self.force)]
+        {
+            signal.check(value).map_err(|fault| WireError::Value(sequence, fault))?;
+        }
+        Ok(self)
     }
 }
 

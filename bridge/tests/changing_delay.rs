@@ -67,6 +67,7 @@ fn run_over(
         backward,
         seed,
         secure: false,
+        encoded: false,
         master_clock: None,
         slave_clock: None,
     };

@@ -380,6 +380,7 @@ fn a_force_that_cannot_be_measured_stops_both_sides() {
             backward: link,
             seed: 7,
             secure: true,
+            encoded: false,
             master_clock: None,
             slave_clock: None,
         };

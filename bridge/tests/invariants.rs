@@ -190,6 +190,7 @@ where
         backward,
         seed: drawn.seed,
         secure: drawn.secure,
+        encoded: false,
         master_clock,
         slave_clock,
     };

@@ -529,6 +529,7 @@ fn the_round_trip_does_not_show_a_clock_that_is_wrong() {
             backward: link.clone(),
             seed: 0,
             secure: false,
+            encoded: false,
             master_clock: None,
             slave_clock: Some(EndpointClock::new(&clock).unwrap()),
         };

@@ -6,6 +6,9 @@ mod hand;
 mod live;
 mod path;
 mod polynomial;
+mod propagator;
+#[cfg(test)]
+mod propagator_tests;
 mod rotation;
 mod simulated;
 #[cfg(test)]

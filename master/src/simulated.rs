@@ -4,6 +4,7 @@ use crate::{
     Axes, ContinuousWall, DeviceParameters, Friction, Hand, ModelError,
     device::{exerted, quantised},
     polynomial::{Series, TERMS, first_negative, product},
+    propagator::{Outlook, Propagator},
     require,
     stretch::{Grip, Law, Regime, Rub, Stretch},
 };
@@ -48,6 +49,10 @@ const SETTING_OFF: f64 = 1e-6;
 /// shorter stretches.
 const TURNS_AT_ONCE: f64 = 1e-6;
 
+/// Speed in m/s across the motion below which it is a straight line for friction along it, whatever the speed: even
+/// where the device turns, friction then errs by no more than some of these.
+const STRAIGHT: f64 = 1e-15;
+
 /// When the device last touched a continuous wall and last left one, in s since the clock's zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Touch {
@@ -84,6 +89,15 @@ pub struct SimulatedMaster<const N: usize> {
     /// Which walls push, a bit for each.
     pushing: u64,
     touch: Touch,
+    /// The hand from now on.
+    outlook: Outlook<N>,
+    propagator: Propagator<N>,
+    /// Length of the last tick in ns: a map is computed for the second of the same length.
+    last_ns: u64,
+    #[cfg(test)]
+    pub(crate) propagated: u64,
+    #[cfg(test)]
+    pub(crate) follows_series_only: bool,
 }
 
 impl<const N: usize> SimulatedMaster<N> {
@@ -95,6 +109,13 @@ impl<const N: usize> SimulatedMaster<N> {
         device.check()?;
         let position = hand.target_at(0.0);
         Ok(Self {
+            outlook: Outlook::new(&hand, 0.0),
+            propagator: Propagator::none(),
+            last_ns: 0,
+            #[cfg(test)]
+            propagated: 0,
+            #[cfg(test)]
+            follows_series_only: false,
             device,
             hand,
             walls: Vec::new(),
@@ -142,11 +163,16 @@ impl<const N: usize> SimulatedMaster<N> {
     pub fn read(&mut self, now_ns: u64) -> MasterSample<N> {
         if now_ns > self.now_ns {
             let past_ns = now_ns - self.now_ns;
-            self.advance(past_ns as f64 * 1e-9);
+            let duration = past_ns as f64 * 1e-9;
+            if !self.propagates(duration, past_ns) {
+                self.advance(duration);
+            }
+            self.last_ns = past_ns;
             if !self.waits {
                 self.hand_ns += past_ns;
                 self.time = self.hand_ns as f64 / 1e9;
             }
+            self.outlook.advance(&self.hand, self.time);
             self.now_ns = now_ns;
         }
         self.measured()
@@ -180,7 +206,12 @@ impl<const N: usize> SimulatedMaster<N> {
 
     /// True force of the hand on the device in N.
     pub fn hand_force(&self) -> Axes<N> {
-        self.hand.force(self.time, &self.position, &self.velocity)
+        let [gain, strength] = self.outlook.grip.map(|line| line[0]);
+        let wish = ((self.outlook.target - self.position) * self.hand.stiffness()
+            - self.velocity * self.hand.damping())
+            * gain;
+        let norm = wish.norm();
+        if norm <= strength { wish } else { wish * (strength / norm) }
     }
 
     /// Force in N that the motors exert since the last write.
@@ -196,6 +227,200 @@ impl<const N: usize> SimulatedMaster<N> {
     /// Contacts with continuous walls.
     pub fn touch(&self) -> &Touch {
         &self.touch
+    }
+
+    /// Moves over a tick of `duration` in one step, if bounds on the motion say that no event falls into it and all
+    /// laws are linear; else leaves everything as it is. A bound too many costs time, none costs accuracy.
+    #[allow(clippy::too_many_lines)] // one law after the other, each with its bound
+    #[inline]
+    fn propagates(&mut self, duration: f64, past_ns: u64) -> bool {
+        #[cfg(test)]
+        if self.follows_series_only {
+            return false;
+        }
+        let outlook = &self.outlook;
+        let [gain, strength] = outlook.grip;
+        if gain[1] != 0.0
+            || strength[1] != 0.0
+            || self.pushing != 0
+            || past_ns != self.last_ns
+            || duration > outlook.until - outlook.time
+        {
+            return false;
+        }
+        let (x, v) = (self.position, self.velocity);
+        let mut wish = ((outlook.target - x) * self.hand.stiffness() - v * self.hand.damping()) * gain[0];
+        let has_let_go = strength[0] == 0.0;
+        let impedance = if has_let_go {
+            if self.hand.stiffness() + self.hand.damping() != 0.0 && wish == Axes::<N>::zeros() {
+                return false;
+            }
+            wish = Axes::zeros();
+            [0.0; 2]
+        } else {
+            [gain[0] * self.hand.stiffness(), gain[0] * self.hand.damping()]
+        };
+        if !self.propagator.is_of(duration, impedance) {
+            self.propagator = Propagator::new(&self.device, &self.hand, impedance, duration);
+        }
+        let map = &self.propagator;
+        if !map.reaches {
+            return false;
+        }
+        let trembles = !self.waits && map.shakes[1] > 0.0;
+        let moves = !self.waits && outlook.moves;
+        let shakes = if trembles {
+            outlook.wave[0].abs() * map.shakes[0] + outlook.wave[1].abs() * map.shakes[1]
+        } else {
+            0.0
+        };
+        // Most by which the target moves along each axis, in m.
+        let mut shift = Axes::<N>::repeat(shakes);
+        if moves {
+            let mut power = 1.0;
+            for term in &outlook.path[1..] {
+                power *= duration;
+                shift += term.abs() * power;
+            }
+        }
+        let push = self.held_force + wish;
+        let mut stuck = [false; N];
+        let mut friction = Axes::<N>::zeros();
+        let rubs_along = self.device.rubs_along_motion();
+        let mut straight = 0.0;
+        if rubs_along {
+            let coulomb = self.device.coulomb[0];
+            let speed = v.norm();
+            if speed == 0.0 {
+                if push.norm() + impedance[0] * shift.norm() * (1.0 + 1e-12) > coulomb * (1.0 - 1e-12) {
+                    return false;
+                }
+                stuck = [true; N];
+            } else {
+                if speed < STOPPED || !map.is_isotropic {
+                    return false;
+                }
+                straight = speed;
+                friction = v * (coulomb / speed);
+            }
+        }
+        let inverse_mass = Axes::<N>::from_fn(|axis, _| map.axes[axis].inverse_mass);
+        if !rubs_along {
+            for axis in 0..N {
+                let coulomb = self.device.coulomb[axis];
+                if coulomb == 0.0 {
+                    continue;
+                }
+                if v[axis] != 0.0 {
+                    friction[axis] = coulomb * v[axis].signum();
+                } else if push[axis].abs() + impedance[0] * shift[axis] * (1.0 + 1e-12)
+                    <= coulomb * (1.0 - 1e-12)
+                {
+                    stuck[axis] = true;
+                } else {
+                    return false;
+                }
+            }
+        }
+        let acceleration =
+            (push - friction - self.device.viscous.component_mul(&v)).component_mul(&inverse_mass);
+        if straight > 0.0 && !self.goes_straight(&acceleration, straight, shakes, duration) {
+            return false;
+        }
+        let (lower, upper) = &self.device.stops;
+        let (mut moved, mut gained) = (Axes::<N>::zeros(), Axes::<N>::zeros());
+        let (mut most_moved, mut most_gained) = (Axes::<N>::zeros(), Axes::<N>::zeros());
+        for axis in 0..N {
+            if stuck[axis] {
+                if x[axis] <= lower[axis] || x[axis] >= upper[axis] {
+                    return false;
+                }
+                continue;
+            }
+            let (map, a, v, x) = (&map.axes[axis], acceleration[axis], v[axis], x[axis]);
+            let mut e = [0, 1].map(|which| map.to_acceleration[which] * a + map.to_speed[which] * v);
+            if moves {
+                for (answer, term) in map.to_path.iter().zip(&outlook.path[1..]) {
+                    e[0] += answer[0] * term[axis];
+                    e[1] += answer[1] * term[axis];
+                }
+            }
+            if trembles {
+                for (answer, wave) in map.to_tremor.iter().zip(outlook.wave) {
+                    e[0] += answer[0] * wave;
+                    e[1] += answer[1] * wave;
+                }
+            }
+            // Bounds over the tick: on the change of V, then on those of x and of the acceleration.
+            let target = map.pull * shift[axis];
+            let faster = map.most * (a.abs() + map.pull * duration * v.abs() + target);
+            let farther = duration * (v.abs() + faster) * (1.0 + 1e-12);
+            if friction[axis] != 0.0 && !rubs_along && v.abs() <= faster {
+                let bends = map.damping.abs() * faster + map.pull * farther + target;
+                let is_monotone = a.abs() * (1.0 - 1e-12) > bends;
+                if !is_monotone || (v + e[1]) * v.signum() <= 1e-12 * faster {
+                    return false;
+                }
+            }
+            if !(x - farther > lower[axis] && x + farther < upper[axis]) {
+                return false;
+            }
+            (moved[axis], gained[axis]) = (v * duration + e[0], e[1]);
+            (most_moved[axis], most_gained[axis]) = (farther, faster);
+        }
+        if !has_let_go && strength[0].is_finite() {
+            let change = impedance[0] * (shift + most_moved).norm() + impedance[1] * most_gained.norm();
+            if (wish.norm() + change) * (1.0 + 1e-12) >= strength[0] {
+                return false;
+            }
+        }
+        for wall in &self.walls {
+            let room = -wall.depth(&x) - 1e-15 * (1.0 + wall.surface.abs());
+            if wall.is_two_sided || most_moved.norm() * (1.0 + 1e-12) >= room {
+                return false;
+            }
+        }
+        add(&mut self.position, &mut self.lost[0], &moved);
+        add(&mut self.velocity, &mut self.lost[1], &gained);
+        for (axis, is_stuck) in stuck.into_iter().enumerate() {
+            if is_stuck {
+                self.halt(axis);
+            }
+        }
+        #[cfg(test)]
+        {
+            self.propagated += 1;
+        }
+        true
+    }
+
+    /// Whether friction along the motion keeps its direction over a tick, so far that rounding hides the rest.
+    ///
+    /// Across the motion the speed grows to at most P; friction turns by `P / |V|`, which moves V by `c dT P / (m |V|)`.
+    fn goes_straight(&self, acceleration: &Axes<N>, speed: f64, shakes: f64, duration: f64) -> bool {
+        let (map, one) = (&self.propagator, &self.propagator.axes[0]);
+        let direction = self.velocity / speed;
+        let aside = |along: &Axes<N>| (along - direction * direction.dot(along)).norm();
+        let (mut moved, mut moved_aside) = (0.0, 0.0);
+        if shakes > 0.0 {
+            let all = Axes::<N>::repeat(1.0);
+            moved += shakes * (N as f64).sqrt();
+            moved_aside += shakes * aside(&all);
+        }
+        if !self.waits && self.outlook.moves {
+            let mut power = 1.0;
+            for term in &self.outlook.path[1..] {
+                power *= duration;
+                moved += term.norm() * power;
+                moved_aside += aside(term) * power;
+            }
+        }
+        debug_assert!(map.is_isotropic);
+        let faster = one.most * (acceleration.norm() + one.pull * (duration * speed + moved)) * (1.0 + 1e-12);
+        let least = speed - faster;
+        let across = one.most * (aside(acceleration) + one.pull * moved_aside);
+        let slip = self.device.coulomb[0] * one.inverse_mass * duration * across;
+        least > STOPPED && slip <= f64::EPSILON / 16.0 * least
     }
 
     fn advance(&mut self, duration: f64) {
@@ -264,6 +489,14 @@ impl<const N: usize> SimulatedMaster<N> {
                 _ => wish,
             };
             (regime, setting_off) = self.regime(grip, &hand);
+            if self.device.rubs_along_motion()
+                && regime.stuck == [false; N]
+                && let Some(direction) = self.straight_line(&law, grip, &hand, wanted)
+            {
+                regime.rub = Rub::Constant(direction * self.device.coulomb[0]);
+                regime.straight = Some(direction);
+                setting_off = false;
+            }
             stretch = law.follow(&regime, self.position, self.velocity);
             if stretch.reach < STIFF_SHARE * wanted {
                 stretch = law.relaxed(&regime, self.position, self.velocity, wanted).unwrap_or(stretch);
@@ -312,6 +545,36 @@ impl<const N: usize> SimulatedMaster<N> {
         (duration, event.is_none() && duration == stretch.reach)
     }
 
+    /// The direction of a device that rubs along its motion, if it moves on a straight line for `wanted` s or sets off
+    /// on one: its friction is then constant until it stops.
+    fn straight_line(&self, law: &Law<N>, grip: Grip, hand: &Axes<N>, wanted: f64) -> Option<Axes<N>> {
+        let same = |values: &Axes<N>| values.iter().all(|value| *value == values[0]);
+        let holds_on = grip == Grip::Holds && law.gain[1] == 0.0;
+        let has_let_go = grip == Grip::Slips && law.strength == [0.0; 2];
+        if self.pushing != 0
+            || !(holds_on || has_let_go)
+            || !same(&self.device.mass_kg)
+            || !same(&self.device.viscous)
+        {
+            return None;
+        }
+        let push = self.held_force + hand;
+        let speed = self.velocity.norm();
+        let direction = if speed >= STOPPED { self.velocity / speed } else { push / push.norm() };
+        let aside = |along: &Axes<N>| (along - direction * direction.dot(along)).norm();
+        let (mut across, mut power) = (aside(&push), 1.0);
+        if holds_on {
+            for term in &law.target[1..] {
+                power *= wanted;
+                across += law.gain[0] * self.hand.stiffness() * aside(term) * power;
+            }
+        }
+        // A series reaches so far that no speed grows to more than twice what its force alone would lead to.
+        let grown = 2.0 * wanted * across / self.device.mass_kg[0];
+        (aside(&self.velocity) + grown <= STRAIGHT && self.velocity.dot(&direction) >= 0.0)
+            .then_some(direction)
+    }
+
     fn halt(&mut self, axis: usize) {
         (self.velocity[axis], self.lost[1][axis]) = (0.0, 0.0);
     }
@@ -319,8 +582,13 @@ impl<const N: usize> SimulatedMaster<N> {
     /// Which laws act, given the hand's force; and whether a device under friction along its motion sets off now.
     fn regime(&self, grip: Grip, hand: &Axes<N>) -> (Regime<N>, bool) {
         let push = self.held_force + hand + self.pushing_force();
-        let mut regime =
-            Regime { grip, rub: Rub::Constant(Axes::zeros()), stuck: [false; N], pushing: self.pushing };
+        let mut regime = Regime {
+            grip,
+            rub: Rub::Constant(Axes::zeros()),
+            stuck: [false; N],
+            pushing: self.pushing,
+            straight: None,
+        };
         let (lower, upper) = self.device.stops;
         for axis in 0..N {
             let (x, f) = (self.position[axis], push[axis]);
@@ -461,6 +729,12 @@ impl<const N: usize> SimulatedMaster<N> {
                 consider(EventKind::Stop(axis), &ahead);
             }
         }
+        if let Some(direction) = regime.straight {
+            let along = std::array::from_fn(|n| {
+                stretch.position.get(n + 1).map_or(0.0, |x| (n + 1) as f64 * direction.dot(x))
+            });
+            consider(EventKind::Rests, &along);
+        }
         if self.device.rubs_along_motion() && regime.stuck == [true; N] {
             let mut margin = squared_norm(&stretch.push).map(|term| -term);
             margin[0] += self.device.coulomb[0] * self.device.coulomb[0];
@@ -494,6 +768,7 @@ impl<const N: usize> SimulatedMaster<N> {
         match kind {
             EventKind::SetsOff => {}
             EventKind::Turns(axis) => self.halt(axis),
+            EventKind::Rests => (0..N).for_each(|axis| self.halt(axis)),
             EventKind::Stop(axis) => {
                 let (lower, upper) = (self.device.stops.0[axis], self.device.stops.1[axis]);
                 let is_lower = self.position[axis] - lower < upper - self.position[axis];
@@ -567,6 +842,8 @@ enum EventKind {
     SetsOff,
     /// The velocity of an axis passes zero.
     Turns(usize),
+    /// A device that rubs along its straight motion comes to rest.
+    Rests,
     /// An axis meets a stop.
     Stop(usize),
     /// A wall begins to push.

@@ -33,6 +33,8 @@ pub(crate) struct Regime<const N: usize> {
     pub(crate) stuck: [bool; N],
     /// Walls that push, a bit for each.
     pub(crate) pushing: u64,
+    /// The direction of a device that rubs along its motion and moves on a straight line.
+    pub(crate) straight: Option<Axes<N>>,
 }
 
 /// What acts over a stretch.
@@ -438,8 +440,13 @@ mod tests {
             gain: [1.0, 0.0],
             strength: [0.0; 2],
         };
-        let regime =
-            Regime { grip: Grip::Holds, rub: Rub::Constant(Axes::zeros()), stuck: [false], pushing: 0 };
+        let regime = Regime {
+            grip: Grip::Holds,
+            rub: Rub::Constant(Axes::zeros()),
+            stuck: [false],
+            pushing: 0,
+            straight: None,
+        };
         law.follow(&regime, Axes::<1>::new(x), Axes::<1>::new(v))
     }
 
@@ -487,7 +494,13 @@ mod tests {
             gain: [1.0, 0.0],
             strength: [0.0; 2],
         };
-        let regime = Regime { grip: Grip::Holds, rub: Rub::AlongMotion(0.5), stuck: [false; 3], pushing: 0 };
+        let regime = Regime {
+            grip: Grip::Holds,
+            rub: Rub::AlongMotion(0.5),
+            stuck: [false; 3],
+            pushing: 0,
+            straight: None,
+        };
         let velocity = Axes::<3>::new(0.4, 0.1, -0.2);
         let stretch = law.follow(&regime, Axes::zeros(), velocity);
         let end = stretch.reach;

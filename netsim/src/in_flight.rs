@@ -1,7 +1,7 @@
 //! Packets in flight, in the order in which they arrive.
 
 use std::cmp::Ordering;
-use std::collections::BinaryHeap;
+use std::collections::{BinaryHeap, VecDeque};
 
 use crate::verdict::DropCause;
 
@@ -13,11 +13,15 @@ const FIRST_CAPACITY: usize = 256;
 
 /// A bounded queue ordered by (due time, order of entry), so that packets due together leave in order of entry.
 ///
-/// Unless it is one that grows, memory is reserved once; pushing and popping allocate nothing. Payloads move within the
-/// heap, so a large one should be a handle.
+/// Most packets are due after all before them and wait in a line; those that overtake wait in a heap. Unless it is one
+/// that grows, memory is reserved once; pushing and popping allocate nothing. Payloads move within the heap, so a large
+/// one should be a handle.
 #[derive(Debug)]
 pub struct InFlight<T> {
-    packets: BinaryHeap<Entry<T>>,
+    /// In the order of their due times and of entry, both.
+    in_turn: VecDeque<Entry<T>>,
+    /// Due before one that came earlier.
+    overtaking: BinaryHeap<Entry<T>>,
     capacity: usize,
     next_order: u64,
     overflowed: u64,
@@ -26,46 +30,77 @@ pub struct InFlight<T> {
 impl<T> InFlight<T> {
     /// An empty queue for at most `capacity` packets.
     pub fn with_capacity(capacity: usize) -> Self {
-        Self { packets: BinaryHeap::with_capacity(capacity), capacity, next_order: 0, overflowed: 0 }
+        Self::reserving(capacity, capacity)
     }
 
     /// An empty queue for at most `capacity` packets, which takes memory only as they come.
     pub fn growing(capacity: usize) -> Self {
-        Self { capacity, ..Self::with_capacity(capacity.min(FIRST_CAPACITY)) }
+        Self::reserving(capacity, capacity.min(FIRST_CAPACITY))
+    }
+
+    fn reserving(capacity: usize, reserved: usize) -> Self {
+        Self {
+            in_turn: VecDeque::with_capacity(reserved),
+            overtaking: BinaryHeap::with_capacity(reserved),
+            capacity,
+            next_order: 0,
+            overflowed: 0,
+        }
     }
 
     /// Takes a packet that arrives at `due_ns`, or drops it with [`DropCause::InFlight`].
+    #[inline]
     pub fn push(&mut self, due_ns: u64, payload: T) -> Result<(), DropCause> {
-        if self.packets.len() >= self.capacity {
+        if self.len() >= self.capacity {
             self.overflowed += 1;
             return Err(DropCause::InFlight);
         }
-        self.packets.push(Entry { due_ns, order: self.next_order, payload });
+        let entry = Entry { due_ns, order: self.next_order, payload };
         self.next_order += 1;
+        if self.in_turn.back().is_none_or(|last| last.due_ns <= due_ns) {
+            self.in_turn.push_back(entry);
+        } else {
+            self.overtaking.push(entry);
+        }
         Ok(())
     }
 
+    /// Whether the next packet to arrive is one that overtakes.
+    fn first_overtakes(&self) -> bool {
+        match (self.in_turn.front(), self.overtaking.peek()) {
+            (Some(in_turn), Some(overtaking)) => overtaking > in_turn,
+            (in_turn, _) => in_turn.is_none(),
+        }
+    }
+
     /// When the next packet arrives.
+    #[inline]
     pub fn next_due(&self) -> Option<u64> {
-        self.packets.peek().map(|next| next.due_ns)
+        let in_turn = self.in_turn.front().map(|next| next.due_ns);
+        match self.overtaking.peek() {
+            None => in_turn,
+            Some(next) => Some(in_turn.map_or(next.due_ns, |due_ns| due_ns.min(next.due_ns))),
+        }
     }
 
     /// The next packet that has arrived by `now_ns`, with its due time.
+    #[inline]
     pub fn pop_due(&mut self, now_ns: u64) -> Option<(u64, T)> {
         if self.next_due()? > now_ns {
             return None;
         }
-        self.packets.pop().map(|next| (next.due_ns, next.payload))
+        let next = if self.first_overtakes() { self.overtaking.pop() } else { self.in_turn.pop_front() };
+        next.map(|next| (next.due_ns, next.payload))
     }
 
     /// Packets in flight.
     pub fn len(&self) -> usize {
-        self.packets.len()
+        self.in_turn.len() + self.overtaking.len()
     }
 
     /// Whether nothing is in flight.
     pub fn is_empty(&self) -> bool {
-        self.packets.is_empty()
+        self.in_turn.is_empty() && self.overtaking.is_empty()
     }
 
     /// Packets dropped because the queue was full.

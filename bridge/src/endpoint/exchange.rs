@@ -55,6 +55,8 @@ pub struct Exchange<const N: usize> {
     period_ns: u64,
     inputs: LadderInputs,
     pub(super) flight: Box<FlightRecorder>,
+    /// Whether somebody may read it.
+    keeps_flight: bool,
     /// Ticks at which a bound acted on the remote command.
     pub(super) limited_ticks: u64,
     pub(super) events: TickEvents,
@@ -97,6 +99,7 @@ impl<const N: usize> Exchange<N> {
             period_ns,
             inputs: LadderInputs::new(role),
             flight: Box::new(FlightRecorder::new(role.name())),
+            keeps_flight: true,
             limited_ticks: 0,
             events: TickEvents::default(),
             fault: 0,
@@ -148,7 +151,21 @@ impl<const N: usize> Exchange<N> {
     pub fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<(), RejectReason> {
         let is_known = self.link.newest().is_some();
         let begins = self.link.receive(time, datagram)?;
-        let Some(&frame) = self.link.newest() else { return Ok(()) };
+        self.took(time, is_known, begins);
+        Ok(())
+    }
+
+    /// The same of a frame whose bytes nobody has looked at, without them.
+    pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame<N>) -> Result<(), RejectReason> {
+        let is_known = self.link.newest().is_some();
+        let begins = self.link.receive_frame(time, frame)?;
+        self.took(time, is_known, begins);
+        Ok(())
+    }
+
+    /// The link has taken a frame; `is_known`: not its first, `begins`: the first of a run.
+    fn took(&mut self, time: LinkTime, is_known: bool, begins: bool) {
+        let Some(frame) = self.link.newest() else { return };
         let (sequence, sent_ns) = (frame.sequence, frame.sent_ns);
         if begins {
             (self.heard, self.peer_held) = (HeardText::default(), 0);
@@ -178,7 +195,6 @@ impl<const N: usize> Exchange<N> {
                 self.first_interval_ns = Some(interval_ns);
             }
         }
-        Ok(())
     }
 
     /// Steps the ladder; `clutch` is the master's button. Returns the state and the silence of the peer in ns.
@@ -228,8 +244,12 @@ impl<const N: usize> Exchange<N> {
         &mut self,
         now_ns: u64,
         values: [&Axes<N>; 3],
-        observed: [Observed; LAYERS.len()],
+        observed: &[Observed; LAYERS.len()],
     ) {
+        self.events = TickEvents::default();
+        if !self.keeps_flight {
+            return;
+        }
         let entry = FlightEntry {
             time_ns: now_ns,
             state: self.ladder.state(),
@@ -241,9 +261,13 @@ impl<const N: usize> Exchange<N> {
             values: FlightValues::new(values),
         };
         let diagnosis = self.diagnosis(now_ns);
-        self.flight.observe(now_ns, &observed);
+        self.flight.observe(now_ns, observed);
         self.flight.take(entry, self.ladder.history(), diagnosis.as_ref());
-        self.events = TickEvents::default();
+    }
+
+    /// Keeps nothing in the flight recorder: of a run in virtual time that nobody records, for it decides nothing.
+    pub(crate) fn leave_out_flight(&mut self) {
+        self.keeps_flight = false;
     }
 
     /// Why the two sides are not coupled; none where nothing is wrong.
@@ -316,6 +340,11 @@ impl<const N: usize> Exchange<N> {
 
     /// Writes the frame of this tick.
     pub fn send<'a>(&mut self, time: LinkTime, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
+        self.next_frame(time).encode(buffer)
+    }
+
+    /// The frame of this tick, not written.
+    pub fn next_frame(&mut self, time: LinkTime) -> Frame<N> {
         // Who ends follows and leads no more, whatever its ladder says.
         let state = match self.ladder.state() {
             state if self.ending && !state.is_held() => LadderState::Disengaged,
@@ -332,7 +361,7 @@ impl<const N: usize> Exchange<N> {
             fault: self.fault,
             text: self.spoken.next_piece(),
         };
-        self.link.send(time, status, self.outgoing, buffer)
+        self.link.next_frame(time, status, &self.outgoing)
     }
 
     /// The loop was late by more than the ladder allows, until `now_ns`.

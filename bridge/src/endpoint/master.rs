@@ -190,7 +190,7 @@ impl<const N: usize> MasterEndpoint<N> {
             observed[TRIGGER] = Observed::of(&tick.intervention);
         }
         let values = [&reading.position, &safety.device_force, &safety.rendered_force];
-        self.exchange.end_tick(now_ns, values, observed);
+        self.exchange.end_tick(now_ns, values, &observed);
         MasterTick { input, safety, rotation, trigger, state: self.exchange.ladder.state(), age_ns }
     }
 

@@ -232,7 +232,7 @@ impl<const N: usize> SlaveEndpoint<N> {
         self.exchange.end_tick(
             now_ns,
             [position, &command, environment_force],
-            [Observed::NOTHING; LAYERS.len()],
+            &[Observed::NOTHING; LAYERS.len()],
         );
         SlaveTick {
             command: self.command,

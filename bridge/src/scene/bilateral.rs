@@ -41,20 +41,29 @@ use haptether_safety::{
 /// Sessions of the two sides: constants, for nobody listens in.
 const SESSIONS: (u64, u64) = (1, 2);
 
+/// What a run keeps, and how its frames travel; neither changes a result.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Keeping<'a> {
+    /// Where it is recorded.
+    pub(crate) files: Option<&'a RecordingFiles>,
+    /// Whether every frame travels as its bytes.
+    pub(crate) encoded: bool,
+}
+
 pub(crate) fn simulate<const N: usize>(
     scene: &SceneSpec<N>,
     stop: &AtomicBool,
-    files: Option<&RecordingFiles>,
+    kept: &Keeping<'_>,
 ) -> Result<SceneRun, SceneError> {
     check(scene)?;
     let slave = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, SESSIONS.1)?)
         .with_gripper(simulated_gripper(scene)?);
     match scene.run.integrator {
-        Integrator::Exact => run(scene, master(scene, waiting(exact_master(scene)?))?, slave, stop, files),
+        Integrator::Exact => run(scene, master(scene, waiting(exact_master(scene)?))?, slave, stop, kept),
         Integrator::Stepped(stepping) => {
             let mut plant = stepped_master::<N>(scene, stepping)?;
             plant.set_waiting(true);
-            run(scene, master(scene, plant)?, slave, stop, files)
+            run(scene, master(scene, plant)?, slave, stop, kept)
         }
     }
 }
@@ -63,7 +72,7 @@ pub(crate) fn simulate<const N: usize>(
 pub(crate) fn simulate_pose(
     scene: &SceneSpec<3>,
     stop: &AtomicBool,
-    files: Option<&RecordingFiles>,
+    kept: &Keeping<'_>,
 ) -> Result<SceneRun, SceneError> {
     check(scene)?;
     if scene.slave.is_none() {
@@ -79,13 +88,13 @@ pub(crate) fn simulate_pose(
     match scene.run.integrator {
         Integrator::Exact => {
             let plant = pose::turning_master(scene, waiting(exact_master(scene)?))?;
-            run(scene, master(scene, plant)?.turning(), slave, stop, files)
+            run(scene, master(scene, plant)?.turning(), slave, stop, kept)
         }
         Integrator::Stepped(stepping) => {
             let mut plant = stepped_master::<3>(scene, stepping)?;
             plant.set_waiting(true);
             let plant = pose::turning_master(scene, plant)?;
-            run(scene, master(scene, plant)?.turning(), slave, stop, files)
+            run(scene, master(scene, plant)?.turning(), slave, stop, kept)
         }
     }
 }
@@ -137,6 +146,7 @@ fn settings<const N: usize>(scene: &SceneSpec<N>) -> Result<VirtualSettings, Sce
         backward: links.and_then(|links| links.backward.clone()).unwrap_or_default(),
         seed: scene.run.seed,
         secure: scene.security.is_some_and(|security| security.secure),
+        encoded: false,
         master_clock: clock("master_clock", links.and_then(|links| links.master_clock))?,
         slave_clock: clock("slave_clock", links.and_then(|links| links.slave_clock))?,
     })
@@ -147,7 +157,7 @@ fn run<P, A, R, Q, const N: usize>(
     master: MasterSide<P, N, R>,
     slave: SlaveSide<A, N, Q>,
     stop: &AtomicBool,
-    files: Option<&RecordingFiles>,
+    kept: &Keeping<'_>,
 ) -> Result<SceneRun, SceneError>
 where
     P: MasterPlant<N>,
@@ -155,7 +165,8 @@ where
     R: MasterTurn,
     Q: SlaveTurn,
 {
-    let settings = settings(scene)?;
+    let settings = VirtualSettings { encoded: kept.encoded, ..settings(scene)? };
+    let files = kept.files;
     let (_, coupling) = coupled(scene)?;
     let commands = commands::<N>(coupling)?;
     let start = master.plant.truth().map_or(Axes::zeros(), |truth| truth.position);
@@ -204,6 +215,10 @@ where
         rotation,
         turn_release_s: turn_release_s(scene),
     };
+    if files.is_none() {
+        master.exchange_mut().leave_out_flight();
+        slave.exchange_mut().leave_out_flight();
+    }
     let mut refused = Ok(());
     let security = if settings.secure { SecurityMark::Secure } else { SecurityMark::Insecure };
     let is_felt = trigger_feedback(scene, coupled(scene)?.0)?.is_some();
@@ -369,7 +384,7 @@ fn refused(path: &Path, error: &io::Error) -> SceneError {
 }
 
 /// What is seen of both sides as they run.
-struct Watched<R, const N: usize> {
+struct Watched<const N: usize> {
     has_gripper: bool,
     judged: MeasureSettings,
     measures: Measures<N>,
@@ -386,7 +401,8 @@ struct Watched<R, const N: usize> {
     ended_by: Option<Reason>,
     /// When each side first was coupled, in ns since the start; `u64::MAX` if never.
     engaged_ns: [u64; 2],
-    newest: Option<MasterRecord<N, R>>,
+    /// Time in ns and true position in m of the master at its newest tick.
+    newest: Option<(u64, Axes<N>)>,
     far_force: Axes<N>,
     far_position: Axes<N>,
     /// Where master and slave were when both had engaged.
@@ -405,7 +421,7 @@ struct Watched<R, const N: usize> {
     turn_release_s: Option<f64>,
 }
 
-impl<R: MasterTurn, const N: usize> Watched<R, N> {
+impl<const N: usize> Watched<N> {
     /// Takes what the operator has changed by then; says whether anything was.
     fn change(&mut self, now_ns: u64) -> Result<bool, CouplingError> {
         let before = self.coupling.done();
@@ -465,7 +481,7 @@ impl<R: MasterTurn, const N: usize> Watched<R, N> {
         }
     }
 
-    fn near<P: MasterPlant<N>>(
+    fn near<P: MasterPlant<N>, R: MasterTurn>(
         &mut self,
         record: &MasterRecord<N, R>,
         side: &MasterSide<P, N, R>,
@@ -499,6 +515,21 @@ impl<R: MasterTurn, const N: usize> Watched<R, N> {
             self.squares[1] += difference.norm_squared();
             self.samples[1] += 1;
         }
+        if self.near.is_due() {
+            self.record_near(record, side, time_s);
+        }
+        self.newest = Some((record.time_ns, record.true_position));
+        if self.settled { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+
+    /// The signals of a tick of the master.
+    #[inline(never)]
+    fn record_near<P: MasterPlant<N>, R: MasterTurn>(
+        &mut self,
+        record: &MasterRecord<N, R>,
+        side: &MasterSide<P, N, R>,
+        time_s: f64,
+    ) {
         let age_s = if record.age_ns == u64::MAX { f64::NAN } else { record.age_ns as f64 * 1e-9 };
         let signals = [
             ("time_s", Sample::Scalar(time_s)),
@@ -520,14 +551,12 @@ impl<R: MasterTurn, const N: usize> Watched<R, N> {
             ("age_s", Sample::Scalar(age_s)),
         ];
         self.near.take(signals.into_iter().chain(observed).chain(state).chain(trigger));
-        if let Some(turn) = turn {
+        if let Some(turn) = record.rotation.rotation() {
             self.near.also(|add| turn.signals(add));
         }
         if side.felt().is_some() {
             self.near.also(|add| side.finger_signals(add));
         }
-        self.newest = Some(*record);
-        if self.settled { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
     fn far<Q: SlaveTurn>(&mut self, record: &SlaveRecord<N, Q>, arm: &impl ModelArm) -> ControlFlow<()> {
@@ -544,12 +573,25 @@ impl<R: MasterTurn, const N: usize> Watched<R, N> {
         if !self.states.iter().all(|state| state.is_coupled()) {
             // They engage anew from where both are then.
             self.anchor = None;
-        } else if let Some(newest) = &self.newest {
-            let [near, far] = self.anchor.get_or_insert([newest.true_position, record.position]);
-            let wanted = self.coupling.to_slave(&(newest.true_position - *near));
+        } else if let Some((_, position)) = &self.newest {
+            let [near, far] = self.anchor.get_or_insert([*position, record.position]);
+            let wanted = self.coupling.to_slave(&(position - *near));
             self.squares[0] += (record.position - *far - wanted).norm_squared();
             self.samples[0] += 1;
         }
+        let turn = record.rotation.rotation();
+        if let (Some(turn), Some(rotation)) = (turn, &mut self.rotation) {
+            rotation.far(turn);
+        }
+        if self.far.is_due() {
+            self.record_far(record, arm, time_s);
+        }
+        ControlFlow::Continue(())
+    }
+
+    /// The signals of a tick of the slave.
+    #[inline(never)]
+    fn record_far<Q: SlaveTurn>(&mut self, record: &SlaveRecord<N, Q>, arm: &impl ModelArm, time_s: f64) {
         let gripper = self.has_gripper.then_some([
             ("gripper", Sample::Scalar(record.gripper)),
             ("gripper_command", Sample::Scalar(record.gripper_command)),
@@ -568,15 +610,11 @@ impl<R: MasterTurn, const N: usize> Watched<R, N> {
             .chain(gripper.into_iter().flatten()),
         );
         if let Some(turn) = record.rotation.rotation() {
-            if let Some(rotation) = &mut self.rotation {
-                rotation.far(turn);
-            }
             self.far.also(|add| {
                 turn.signals(add);
                 arm.world(add);
             });
         }
-        ControlFlow::Continue(())
     }
 
     /// Why the two never engaged.
@@ -619,7 +657,7 @@ impl<R: MasterTurn, const N: usize> Watched<R, N> {
             outcome = outcome.never_engaged();
         }
         // A clock that is not right does not tick once in each period of true time.
-        let newest_ns = self.newest.map_or(0, |newest| newest.time_ns);
+        let newest_ns = self.newest.map_or(0, |(time_ns, _)| time_ns);
         let end_s = newest_ns as f64 / 1e9 + scene.run.period_s;
         self.log.schedule(scene, self.engaged_s.unwrap_or(f64::INFINITY), &outcome);
         if self.engaged_s.is_none() && self.diverged.is_none() {

@@ -15,6 +15,8 @@ mod timed;
 
 use std::sync::atomic::AtomicBool;
 
+use bilateral::Keeping;
+
 pub use assemble::{SceneError, scene_environment};
 pub use bilateral::RecordingFiles;
 pub use measures::{Divergence, DivergenceCause, Ending, Outcome};
@@ -48,9 +50,23 @@ pub fn simulate_recorded(
     stop: &AtomicBool,
     files: Option<&RecordingFiles>,
 ) -> Result<SceneRun, SceneError> {
+    simulate_keeping(scene, stop, &Keeping { files, encoded: false })
+}
+
+/// The same with every frame as its bytes between the two sides, encoded and decoded as on a live link: the result is
+/// that of [`simulate`], to the bit, and takes longer.
+///
+/// # Errors
+///
+/// As [`simulate`].
+pub fn simulate_encoded(scene: &[u8], stop: &AtomicBool) -> Result<SceneRun, SceneError> {
+    simulate_keeping(scene, stop, &Keeping { files: None, encoded: true })
+}
+
+fn simulate_keeping(scene: &[u8], stop: &AtomicBool, kept: &Keeping<'_>) -> Result<SceneRun, SceneError> {
     spec::of_axes!(
         scene_axes(scene)?,
-        N => run_recorded::<N>(&serde_json::from_slice(scene)?, stop, files),
+        N => run_keeping::<N>(&serde_json::from_slice(scene)?, stop, kept),
         axes => assemble::contradiction(format!("master.axes = {axes}: must be 1 to 7"))
     )
 }
@@ -62,22 +78,22 @@ pub fn simulate_recorded(
 /// A number or a combination that no part can have, or [`SceneError::Stopped`]; a diverging loop is no error but an
 /// outcome.
 pub fn run<const N: usize>(scene: &SceneSpec<N>, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
-    run_recorded(scene, stop, None)
+    run_keeping(scene, stop, &Keeping::default())
 }
 
-fn run_recorded<const N: usize>(
+fn run_keeping<const N: usize>(
     scene: &SceneSpec<N>,
     stop: &AtomicBool,
-    files: Option<&RecordingFiles>,
+    kept: &Keeping<'_>,
 ) -> Result<SceneRun, SceneError> {
     pose::check_kind(scene)?;
     if let Some(scene) = pose::as_pose(scene)? {
-        return bilateral::simulate_pose(scene, stop, files);
+        return bilateral::simulate_pose(scene, stop, kept);
     }
     if scene.slave.is_some() {
-        return bilateral::simulate(scene, stop, files);
+        return bilateral::simulate(scene, stop, kept);
     }
-    if files.is_some() {
+    if kept.files.is_some() {
         return assemble::contradiction("record: a scene without a [slave] has no two sides to record");
     }
     local::simulate(scene, stop)

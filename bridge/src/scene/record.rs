@@ -53,6 +53,18 @@ impl Recorder {
         Self { every, max_ticks, ticks: 0, signals: Vec::new() }
     }
 
+    /// Whether the next tick is one that is recorded; one that is not is counted here, and needs no
+    /// [`take`](Self::take).
+    #[inline]
+    pub(crate) fn is_due(&mut self) -> bool {
+        if self.every == 0 {
+            return false;
+        }
+        let is_due = self.ticks.is_multiple_of(self.every);
+        self.ticks += u64::from(!is_due);
+        is_due
+    }
+
     /// Takes a tick: the same signals in the same order each time.
     #[inline]
     pub(crate) fn take<'a, const N: usize>(

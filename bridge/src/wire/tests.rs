@@ -295,6 +295,50 @@ proptest! {
         prop_assert_eq!(decoded.rotation.unwrap().angular_velocity, part(2));
     }
 
+    /// Whatever stands in a frame, also what cannot be, in whatever session, and on the way back to its sender: without
+    /// bytes it is what it is through bytes.
+    #[test]
+    fn without_bytes_a_frame_is_what_it_is_through_bytes(
+        of_slave in any::<bool>(), comes_back in any::<bool>(), is_pose in any::<bool>(),
+        numbers in prop::array::uniform5(prop_oneof![
+            6 => -900.0..900.0f64, 1 => Just(-0.0), 1 => prop::num::f64::ANY,
+        ]),
+        echo in prop::option::of(prop_oneof![Just((0, 0, 0, 0)), any::<(u64, u64, u64, u64)>()]),
+        (hears_peer, clutch, ending, number, index, letter) in any::<(bool, bool, bool, u8, u8, u8)>(),
+        gripper in prop::option::of((
+            prop::option::of(-0.1..1.1f64), prop_oneof![Just(0.0), Just(-0.0), -101.0..=101.0f64], -1.0..=1.1e4f64,
+            any::<bool>(), any::<bool>(),
+        )),
+        (orientation, turned) in (orientation(), any::<bool>()),
+        buttons in prop::option::of(prop_oneof![Just(0), any::<u32>()]),
+        (energy, session) in (prop_oneof![3 => 0.0..1e9f64, 1 => prop::num::f64::ANY], prop::option::of(any::<(bool, bool)>())),
+    ) {
+        let part = |i: usize| Axes::<3>::new(numbers[i], numbers[i + 1], numbers[i + 2]);
+        let role = if of_slave { Role::Slave } else { Role::Master };
+        let frame = Frame {
+            role, kind: if is_pose { SideKind::Pose } else { SideKind::Linear }, hears_peer, clutch, ending,
+            echo: echo.map(|(run_id, sequence, sent_ns, held_ns)| Echo { run_id, sequence, sent_ns, held_ns }),
+            position: part(0), velocity: part(1), force: part(2),
+            rotation: (is_pose && turned)
+                .then(|| RotationState { orientation, angular_velocity: part(1), torque: part(0) }),
+            energy: PortEnergy { in_j: energy, out_j: numbers[4].abs() },
+            gripper: gripper.map(|(position, velocity, force_n, holds_object, follows)| GripperState {
+                position, velocity, force_n, holds_object, follows,
+            }),
+            buttons,
+            text: TextPiece { number: number & 1, index: index % 24, bytes: [letter & 65; PIECE] },
+            state: number, run_id: 7, sequence: u64::from(index), sent_ns: 3, reason: letter, fault: index,
+        };
+        let from = if comes_back { role.peer() } else { role };
+        let layout = session.map_or(frame.layout(), |(has_gripper, has_buttons)| FrameLayout {
+            has_gripper, has_buttons, ..frame.layout()
+        });
+        let through = Frame::<3>::decode(frame.encode(&mut [0; MAX_FRAME]), from, layout);
+        let without = frame.received(from, layout);
+        // As text, for numbers that are none differ from themselves.
+        prop_assert_eq!(format!("{without:?}"), format!("{through:?}"));
+    }
+
     #[test]
     fn noise_is_refused_without_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
         prop_assert!(Frame::<2>::decode(&bytes, Role::Master, LAYOUT).is_err());

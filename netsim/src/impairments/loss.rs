@@ -7,7 +7,7 @@ use super::{Impairment, LinkSettings, Streams};
 use crate::checks::{LinkSettingsError, probability, within};
 use crate::on_off::{MAX_MEAN_S, MIN_GAP_S, OnOff};
 use crate::packet::Packet;
-use crate::random::{Chance, Event, Stream};
+use crate::random::{Chance, Event, InTurn, Stream};
 use crate::rule::Rule;
 use crate::verdict::{DropCause, Verdict};
 
@@ -104,18 +104,21 @@ fn refuse_two_models(settings: &LinkSettings) -> Result<(), LinkSettingsError> {
 
 /// Bernoulli loss: each packet is lost with probability p, whatever happened to the others.
 #[derive(Clone, Copy, Debug)]
-struct Bernoulli(Event);
+struct Bernoulli {
+    chance: Chance,
+    draws: InTurn,
+}
 
 impl Bernoulli {
     /// With a probability that was checked.
     fn new(probability: f64, stream: Stream) -> Self {
-        Self(Event::new(probability, stream))
+        Self { chance: Chance::new(probability), draws: InTurn::new(stream) }
     }
 }
 
 impl Rule for Bernoulli {
     fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict {
-        Verdict::unless(self.0.occurs(packet.index), DropCause::Loss, at_ns)
+        Verdict::unless(self.chance.takes(self.draws.bits(packet.index)), DropCause::Loss, at_ns)
     }
 }
 
@@ -337,7 +340,7 @@ impl<const N: usize> Law<N> {
 struct MarkovChain<const N: usize> {
     stationary: Law<N>,
     rows: [Law<N>; N],
-    stream: Stream,
+    draws: InTurn,
     /// Index of the last packet and the state at it.
     last: Option<(u64, usize)>,
 }
@@ -345,7 +348,12 @@ struct MarkovChain<const N: usize> {
 impl<const N: usize> MarkovChain<N> {
     /// A chain by its stationary law, in which it starts, and its rows of transition probabilities.
     fn new(stationary: [f64; N], rows: [[f64; N]; N], stream: Stream) -> Self {
-        Self { stationary: Law::new(stationary), rows: rows.map(Law::new), stream, last: None }
+        Self {
+            stationary: Law::new(stationary),
+            rows: rows.map(Law::new),
+            draws: InTurn::new(stream),
+            last: None,
+        }
     }
 
     /// The state at a packet. Packets that a rule before dropped take a step each all the same, so that a rule before
@@ -353,9 +361,9 @@ impl<const N: usize> MarkovChain<N> {
     fn state(&mut self, index: u64) -> usize {
         let state = match self.last {
             Some((last, state)) if last <= index && index - last <= MAX_STEPS => {
-                (last + 1..=index).fold(state, |state, index| self.rows[state].pick(self.stream.bits(index)))
+                (last + 1..=index).fold(state, |state, index| self.rows[state].pick(self.draws.bits(index)))
             }
-            _ => self.stationary.pick(self.stream.bits(index)),
+            _ => self.stationary.pick(self.draws.bits(index)),
         };
         self.last = Some((index, state));
         state

@@ -3,6 +3,8 @@
 //! Within a cell the delay is linear. This moves mean and standard deviation by about 1e-5 of the latter, and the rest
 //! of the tails, 1e-16 on each side, is missing; so the delays are scaled and shifted to the moments of the law.
 
+use std::sync::LazyLock;
+
 use crate::impairments::law::{DelayLaw, Tails};
 
 const PER_UNIT: usize = 64;
@@ -10,6 +12,10 @@ pub(super) const WIDTH: f64 = 1.0 / PER_UNIT as f64;
 /// The cells reach from -8.25 to 8.25.
 pub(super) const COUNT: usize = 2 * 528;
 const FIRST: f64 = -8.25;
+
+/// Where the cells meet: the same of every law.
+static POINTS: LazyLock<Box<[Tails]>> =
+    LazyLock::new(|| (0..=COUNT).map(|k| Tails::of_normal(FIRST + k as f64 * WIDTH)).collect());
 
 #[derive(Debug)]
 pub(super) struct Cells {
@@ -21,7 +27,7 @@ pub(super) struct Cells {
 
 impl Cells {
     pub(super) fn of(law: &DelayLaw) -> Self {
-        let points: Vec<Tails> = (0..=COUNT).map(|k| Tails::of_normal(FIRST + k as f64 * WIDTH)).collect();
+        let points = &*POINTS;
         let mut mass: Box<[f64]> =
             points
                 .windows(2)
@@ -58,6 +64,15 @@ impl Cells {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the cells")]
         let cell = (place as usize).min(COUNT - 1);
         (cell, place - cell as f64)
+    }
+
+    /// Whether the delay goes linearly with the variate, as of a normal law of which nothing is cut off: it then is
+    /// correlated as the variate is.
+    pub(super) fn are_linear(&self) -> bool {
+        let span = self.delay_ns[COUNT] - self.delay_ns[0];
+        let step = span / COUNT as f64;
+        // Far above rounding of delays up to an hour, and far below what moves a correlation by 1e-4.
+        self.delay_ns.windows(2).all(|ends| (ends[1] - ends[0] - step).abs() <= 1e-6 * span)
     }
 
     /// Correlation that two standard normal variates must have for their delays to have that of `exp(-1)`: at least
@@ -139,6 +154,13 @@ mod tests {
         };
         // Its delay is the variate.
         assert!((rho(of(0.001, Distribution::Normal)) - (-1.0_f64).exp()).abs() < 1e-5);
+        let linear = |settings| Cells::of(&DelayLaw::new(&settings).unwrap()).are_linear();
+        assert!(linear(of(0.001, Distribution::Normal)) && linear(of(0.005, Distribution::Normal)));
+        assert!(
+            ![Distribution::Uniform, Distribution::Lognormal, Distribution::Gamma]
+                .into_iter()
+                .any(|distribution| linear(of(0.01, distribution)))
+        );
         // (6 / pi) asin(rho / 2) (Pearson 1907).
         let uniform = 2.0 * (std::f64::consts::PI / 6.0 * (-1.0_f64).exp()).sin();
         assert!((rho(of(0.001, Distribution::Uniform)) - uniform).abs() < 1e-4);

@@ -14,7 +14,7 @@ use crate::impairments::LinkSettings;
 use crate::impairments::Streams;
 use crate::impairments::law::{DelayLaw, gaussian};
 use crate::packet::Packet;
-use crate::random::{Stream, unit};
+use crate::random::{InTurn, Stream, unit};
 use crate::rule::Rule;
 use crate::verdict::Verdict;
 
@@ -46,7 +46,7 @@ pub(crate) fn build(
         let stream = streams.of(Impairment::Wander);
         return Ok(Some(Box::new(Wander::new(path, mean_ns, stream))));
     }
-    Ok(Some(Box::new(Independent { cells, mean_ns, stream: streams.of(Impairment::Jitter) })))
+    Ok(Some(Box::new(Independent { cells, mean_ns, draws: InTurn::new(streams.of(Impairment::Jitter)) })))
 }
 
 /// Refuses a mean delay that is less than the law reaches below it: delays would be cut off at zero, unseen.
@@ -81,12 +81,12 @@ fn whole(ns: f64) -> u64 {
 struct Independent {
     cells: Cells,
     mean_ns: u64,
-    stream: Stream,
+    draws: InTurn,
 }
 
 impl Rule for Independent {
     fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict {
-        let z = gaussian::quantile(self.stream.unit(packet.index));
+        let z = gaussian::quantile(unit(self.draws.bits(packet.index)));
         let delay_ns = whole(self.cells.delay_ns(z));
         Verdict::Deliver { at_ns: shifted(at_ns, delay_ns, self.mean_ns, packet.sent_ns) }
     }

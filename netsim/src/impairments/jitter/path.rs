@@ -52,8 +52,8 @@ impl Path {
     pub(super) fn new(cells: &Cells, tau_s: f64, sigma_s: f64, keep_order: bool) -> Self {
         let min_ns = if keep_order { MIN_TAU_SIGMAS * sigma_s * 1e9 } else { 0.0 };
         let wanted_ns = (tau_s * 1e9).max(min_ns).max(MIN_TAU_NS);
-        let rho = cells.correlation_for_one_e();
-        // Nearer than this the cells are not to the law.
+        // Nearer than this the cells are not to the law; what is linear is not further off, and need not be integrated.
+        let rho = if cells.are_linear() { 0.0 } else { cells.correlation_for_one_e() };
         let tau_ns = if rho < libm::exp(-1.0) + 1e-4 { wanted_ns } else { wanted_ns / -libm::log(rho) };
         // c^2 tau eps = 1, where eps is the time over which the velocity forgets itself. The slope of a normal delay
         // is then sigma / sqrt(tau eps): gentle where that is free, steep where tau is short.

@@ -1,0 +1,99 @@
+"""What a tick of a remote scene in virtual time costs: hand, network of delay, correlated jitter and loss, and arm.
+
+Each scene is run as it is, and with every frame encoded and decoded as on a live link: the peer of each row, which must
+give the same signals, events and counts (`bridge/examples/remote_tick.rs`). The time of a tick is that of a long run
+less that of a short one by the ticks between them, least of the repeats, on one thread; what a run takes before its
+first tick stands beside it.
+
+Required: at most 350 ns a tick on one axis, 1000 on three. Ends with status 1 where that does not hold, or where the
+two ways differ.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from _report import bench_options, table_file, write_json
+from haptether.bridge import load_scene, scene_json
+
+EXAMPLE = "example: python benches/remote_tick.py --repeats 20 --json -"
+ROOT = Path(__file__).resolve().parents[1]
+SHORT_S, LONG_S = 2.0, 12.0
+NETWORK = ["delay_s=0.05", "jitter_s=0.005", "loss=0.01"]
+NONE = ["delay_s=0.0", "jitter_s=0.0", "loss=0.0"]
+ROWS = {
+    "1 axis, delay, jitter, loss": ("remote_push", NETWORK, 350.0),
+    "1 axis, perfect link": ("remote_push", NONE, None),
+    "3 axes, delay, jitter, loss": ("three_axis_box", NETWORK, 1000.0),
+    "3 axes, perfect link": ("three_axis_box", NONE, None),
+}
+"""Scene, both directions of its link, and the most that a tick may take in ns."""
+
+
+def built() -> Path:
+    """The example that runs scenes."""
+    command = ["cargo", "build", "--quiet", "--release", "--locked", "-p", "haptether-bridge"]
+    subprocess.run([*command, "--example", "remote_tick"], check=True, cwd=ROOT)
+    return Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"), "release", "examples", "remote_tick")
+
+
+def written(folder: Path, name: str, link: list[str], duration_s: float) -> Path:
+    """A scene that lasts `duration_s`, without signals, as the example reads it."""
+    overrides = [f"link.{direction}.{one}" for direction in ("forward", "backward") for one in link]
+    scene = json.loads(scene_json(load_scene(name, [*overrides, f"run.duration_s={duration_s}"])))
+    scene["record"] = None
+    path = folder / f"{name}-{len(list(folder.iterdir()))}.json"
+    path.write_text(json.dumps(scene), encoding="utf-8")
+    return path
+
+
+def cost(short: dict[str, Any], long: dict[str, Any], key: str) -> tuple[float, float]:
+    """Time of a tick in ns, and of what comes before the first in us."""
+    (few, many), (little, much) = ([run["run"][2][0] for run in (short, long)], [run[key] for run in (short, long)])
+    per_tick = (many * much - few * little) / (many - few)
+    return per_tick, few * (little - per_tick) * 1e-3
+
+
+def main() -> int:
+    """Measures, prints the table, and says whether the requirement is met."""
+    options = bench_options(__doc__, EXAMPLE)
+    options.add_argument("--repeats", type=int, default=10, help="runs of each scene, 1 to 1000; default 10")
+    chosen = options.parse_args()
+    if not 1 <= chosen.repeats <= 1000:
+        options.error("--repeats must be 1 to 1000")
+    program = built()
+    rows = []
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        for name, (scene, link, most) in ROWS.items():
+            paths = [written(folder, scene, link, duration_s) for duration_s in (SHORT_S, LONG_S)]
+            command = [str(program), str(chosen.repeats), *map(str, paths)]
+            printed = subprocess.run(command, check=True, capture_output=True, text=True, timeout=600).stdout
+            short, long = map(json.loads, printed.splitlines())
+            ns, before_us = cost(short, long, "ns_per_tick")
+            encoded_ns, _ = cost(short, long, "encoded_ns_per_tick")
+            is_same = short["is_same"] and long["is_same"]
+            row = {"name": name, "ns": ns, "encoded_ns": encoded_ns, "before_us": before_us, "required_ns": most}
+            rows.append({**row, "is_same": is_same})
+    out = table_file(chosen.json)
+    print(f"{'':30}{'ns a tick':>10}{'required':>10}{'as bytes':>10}{'before the first [us]':>23}", file=out)
+    for row in rows:
+        required = "" if row["required_ns"] is None else f"{row['required_ns']:.0f}"
+        numbers = f"{row['ns']:10.0f}{required:>10}{row['encoded_ns']:10.0f}{row['before_us']:23.0f}"
+        print(f"{row['name']:30}{numbers}", file=out)
+    holds = {
+        "the required times": all(row["required_ns"] is None or row["ns"] <= row["required_ns"] for row in rows),
+        "both ways give the same": all(row["is_same"] for row in rows),
+    }
+    for what, seen in holds.items():
+        print(f"{what}: {'holds' if seen else 'DOES NOT HOLD'}", file=out)
+    write_json(chosen.json, {"rows": rows, "holds": holds})
+    return 0 if all(holds.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

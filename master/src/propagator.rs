@@ -1,0 +1,200 @@
+//! The motion over a whole tick without an event, as one linear map that is kept from tick to tick.
+
+use crate::{Axes, DeviceParameters, Hand, path::DEGREE};
+
+/// Terms of the series that a map is computed from, once for many ticks: far more than what it needs.
+const TERMS: usize = 32;
+
+/// Largest rate times dT: the first term left out is below `2^32 / 32! = 2e-26` of the first.
+const REACH: f64 = 2.0;
+
+/// What a tick of `dT` does to a device under a linear law, with nothing but numbers in which rounding is all that is
+/// left out.
+///
+/// From x and V with the acceleration a, `e = x(t) - x - V t` obeys `e'' = a - k V t + w(t) - c e' - k e` with
+/// `k = K/m`, `c = B/m` and `w` what the target adds: its polynomial, and `a sin` of a tremor. Each part of the right
+/// side has its own solution from rest, so `(e, e')` at dT is a sum of products.
+///
+/// Source: variation of constants, Hairer, Norsett and Wanner 1993, section I.11.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Propagator<const N: usize> {
+    duration: f64,
+    impedance: [f64; 2],
+    /// One of each axis.
+    pub(crate) axes: [AxisPropagator; N],
+    /// Whether mass and viscous friction are the same on each axis.
+    pub(crate) is_isotropic: bool,
+    /// Whether dT is short against all rates.
+    pub(crate) reaches: bool,
+    /// Most by which `sin` and `cos` of a tremor move its target within the tick, in m per unit of each.
+    pub(crate) shakes: [f64; 2],
+}
+
+/// The answers `(e, e')` in m and m/s of one axis to each part of the acceleration.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct AxisPropagator {
+    pub(crate) inverse_mass: f64,
+    /// Of the hand alone, `g K_h / m`.
+    pub(crate) pull: f64,
+    /// `B / m` of hand and device.
+    pub(crate) damping: f64,
+    /// To an acceleration of 1.
+    pub(crate) to_acceleration: [f64; 2],
+    /// To `-k t`, of a speed of 1.
+    pub(crate) to_speed: [f64; 2],
+    /// To each power of the path, from the first.
+    pub(crate) to_path: [[f64; 2]; DEGREE],
+    /// To the sine and the cosine of a tremor at the begin.
+    pub(crate) to_tremor: [[f64; 2]; 2],
+    /// Bound on `|V(t) - V|` in the tick for each unit of a bound on the right side without e.
+    pub(crate) most: f64,
+}
+
+impl<const N: usize> Propagator<N> {
+    /// A map of no time.
+    pub(crate) fn none() -> Self {
+        Self {
+            duration: 0.0,
+            impedance: [0.0; 2],
+            axes: [AxisPropagator::default(); N],
+            is_isotropic: false,
+            reaches: false,
+            shakes: [0.0; 2],
+        }
+    }
+
+    /// Whether this is the map of such a tick, under an impedance of K in N/m and B in N s/m.
+    #[inline]
+    pub(crate) fn is_of(&self, duration: f64, impedance: [f64; 2]) -> bool {
+        self.duration == duration && self.impedance == impedance
+    }
+
+    /// The map of a tick of `duration` in s.
+    #[cold]
+    pub(crate) fn new(
+        device: &DeviceParameters<N>,
+        hand: &Hand<N>,
+        impedance: [f64; 2],
+        duration: f64,
+    ) -> Self {
+        let (amplitude, rate) = hand
+            .tremor()
+            .map_or((0.0, 0.0), |tremor| (tremor.amplitude, std::f64::consts::TAU * tremor.frequency_hz));
+        let mut reaches = rate * duration <= REACH;
+        let axes = std::array::from_fn(|axis| {
+            let inverse_mass = device.mass_kg[axis].recip();
+            let pull = impedance[0] * inverse_mass;
+            let damping = (impedance[1] + device.viscous[axis]) * inverse_mass;
+            let magnitude = (impedance[1] + device.viscous[axis].abs()) * inverse_mass;
+            reaches &= magnitude.max(pull.sqrt()) * duration <= REACH;
+            let answer = |part: &dyn Fn(usize) -> f64| respond(part, pull, damping, duration);
+            let power = |exponent: usize, n: usize| if n == exponent { 1.0 } else { 0.0 };
+            // sin(p + r t) - sin p = sin p (cos r t - 1) + cos p sin r t.
+            let wave = |n: usize, is_odd: bool| {
+                if n == 0 || (n % 2 == 1) != is_odd {
+                    return 0.0;
+                }
+                let sign = if n / 2 % 2 == 1 { -1.0 } else { 1.0 };
+                (1..=n).fold(sign * pull * amplitude, |term, i| term * rate / i as f64)
+            };
+            AxisPropagator {
+                inverse_mass,
+                pull,
+                damping,
+                to_acceleration: answer(&|n| power(0, n)),
+                to_speed: answer(&|n| -pull * power(1, n)),
+                to_path: std::array::from_fn(|exponent| answer(&|n| pull * power(exponent + 1, n))),
+                to_tremor: [answer(&|n| wave(n, false)), answer(&|n| wave(n, true))],
+                // All signs the same: no term of the true series is larger.
+                most: respond(&|n| power(0, n), -pull, -magnitude, duration)[1] * (1.0 + 1e-12),
+            }
+        });
+        let same = |values: &Axes<N>| values.iter().all(|value| *value == values[0]);
+        let phase = rate * duration;
+        Self {
+            duration,
+            impedance,
+            axes,
+            is_isotropic: same(&device.mass_kg) && same(&device.viscous),
+            reaches,
+            shakes: [amplitude * 0.5 * phase * phase, amplitude * phase],
+        }
+    }
+}
+
+/// `(e, e')` at t of `e'' = f - c e' - k e` from rest, for f as its Taylor series.
+fn respond(f: &dyn Fn(usize) -> f64, k: f64, c: f64, t: f64) -> [f64; 2] {
+    let mut e = [0.0; TERMS];
+    for n in 0..TERMS - 2 {
+        e[n + 2] = (f(n) - c * (n + 1) as f64 * e[n + 1] - k * e[n]) / ((n + 1) * (n + 2)) as f64;
+    }
+    let (mut at, mut rate) = (0.0, 0.0);
+    for n in (1..TERMS).rev() {
+        at = at * t + e[n];
+        rate = rate * t + n as f64 * e[n];
+    }
+    [at * t, rate]
+}
+
+/// What the hand means to do from an instant on, computed once for the end of one tick and the begin of the next.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Outlook<const N: usize> {
+    /// The instant in s.
+    pub(crate) time: f64,
+    /// The path from there, in powers of the time.
+    pub(crate) path: [Axes<N>; DEGREE + 1],
+    /// Whether the path is more than a point.
+    pub(crate) moves: bool,
+    /// Sine and cosine of the tremor.
+    pub(crate) wave: [f64; 2],
+    /// Where the hand means to be, in m.
+    pub(crate) target: Axes<N>,
+    /// Gain, and grip strength in N, each as value and rate.
+    pub(crate) grip: [[f64; 2]; 2],
+    /// Until when path and grip stay as smooth, in s.
+    pub(crate) until: f64,
+}
+
+impl<const N: usize> Outlook<N> {
+    /// At time t in s.
+    pub(crate) fn new(hand: &Hand<N>, t: f64) -> Self {
+        let (gain, strength) = hand.grip_line(t);
+        let mut outlook = Self {
+            time: t,
+            path: hand.path().taylor(t),
+            moves: false,
+            wave: [0.0; 2],
+            target: Axes::zeros(),
+            grip: [gain, strength],
+            until: hand.next_kink(t).unwrap_or(f64::INFINITY),
+        };
+        outlook.moves = outlook.path[1..].iter().any(|term| *term != Axes::<N>::zeros());
+        outlook.shake(hand);
+        outlook
+    }
+
+    /// Moves on to time t in s.
+    #[inline]
+    pub(crate) fn advance(&mut self, hand: &Hand<N>, t: f64) {
+        if t == self.time {
+            return;
+        }
+        let is_constant = !self.moves && self.grip[0][1] == 0.0 && self.grip[1][1] == 0.0;
+        if is_constant && t >= self.time && t < self.until {
+            self.time = t;
+            self.shake(hand);
+        } else {
+            *self = Self::new(hand, t);
+        }
+    }
+
+    #[inline]
+    fn shake(&mut self, hand: &Hand<N>) {
+        self.target = self.path[0];
+        if let Some(tremor) = hand.tremor() {
+            let (sine, cosine) = (std::f64::consts::TAU * tremor.frequency_hz * self.time).sin_cos();
+            self.wave = [sine, cosine];
+            self.target.add_scalar_mut(tremor.amplitude * sine);
+        }
+    }
+}
