@@ -144,7 +144,7 @@ fn run(settings: [ClockOf; 2], links: [LinkSettings; 2], seed: u64) -> (Vec<Meas
         backward,
         seed,
         secure: false,
-        encoded: false,
+        encoded: true,
         master_clock: Some(clocks[0]),
         slave_clock: Some(clocks[1]),
     };

@@ -190,7 +190,7 @@ where
         backward,
         seed: drawn.seed,
         secure: drawn.secure,
-        encoded: false,
+        encoded: true,
         master_clock,
         slave_clock,
     };
