@@ -211,16 +211,16 @@ impl<const N: usize> FrameLink<N> {
     /// the lease's silence it begins a run anew. So no frame takes the link from its peer for longer than that.
     pub fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<bool, RejectReason> {
         let decoded = Frame::decode(datagram, self.role.peer(), self.layout);
-        self.take(time, decoded)
+        self.take(time, decoded.as_ref().map_err(|error| *error))
     }
 
     /// The same of a frame whose bytes nobody has looked at, without them: [`Frame::received`].
     pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame<N>) -> Result<bool, RejectReason> {
         let received = frame.received(self.role.peer(), self.layout);
-        self.take(time, received)
+        self.take(time, received.as_deref().map_err(|error| *error))
     }
 
-    fn take(&mut self, time: LinkTime, frame: Result<Frame<N>, WireError>) -> Result<bool, RejectReason> {
+    fn take(&mut self, time: LinkTime, frame: Result<&Frame<N>, WireError>) -> Result<bool, RejectReason> {
         let LinkTime { tick_ns: now_ns, by_ns } = time;
         let frame = frame.inspect_err(|_| self.statistics.refused += 1)?;
         let begins = match &self.newest {
@@ -255,7 +255,11 @@ impl<const N: usize> FrameLink<N> {
         };
         self.arrived += 1;
         self.statistics.fresh += 1;
-        self.newest = Some(Newest { frame, arrived_ns: now_ns, by_ns });
+        match &mut self.newest {
+            // In place: a frame is large.
+            Some(newest) => (newest.frame, newest.arrived_ns, newest.by_ns) = (*frame, now_ns, by_ns),
+            None => self.newest = Some(Newest { frame: *frame, arrived_ns: now_ns, by_ns }),
+        }
         self.count_missing();
         let echo = frame.echo.filter(|echo| echo.run_id == self.run_id);
         self.path.newest(frame.sent_ns, echo.as_ref(), now_ns, by_ns);

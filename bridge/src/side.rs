@@ -36,7 +36,8 @@ pub trait Side<const N: usize> {
         self.exchange_mut().receive(time, datagram)
     }
 
-    /// The same of a frame whose bytes nobody has looked at, without them.
+    /// The same of a frame whose bytes nobody has looked at, without them. A side that looks at datagrams in
+    /// [`receive`](Self::receive) is run with [`encoded`](crate::VirtualSettings::encoded) frames.
     fn receive_frame(&mut self, time: LinkTime, frame: &Frame<N>) -> Result<(), RejectReason> {
         self.exchange_mut().receive_frame(time, frame)
     }

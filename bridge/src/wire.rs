@@ -44,6 +44,8 @@
 //!
 //! Positions are absolute, never increments: a lost frame costs what it says and nothing else.
 
+use std::borrow::Cow;
+
 use haptether_safety::{Axes, Signal};
 use zerocopy::{
     FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned,
@@ -548,7 +550,7 @@ impl<const N: usize> Frame<N> {
 
     /// What [`decode`](Self::decode) makes of what [`encode`](Self::encode) makes of the frame, to the bit and with the
     /// same refusals, without the bytes: of a network that looks at none.
-    pub fn received(&self, from: Role, layout: FrameLayout) -> Result<Self, WireError> {
+    pub fn received(&self, from: Role, layout: FrameLayout) -> Result<Cow<'_, Self>, WireError> {
         let own = self.layout();
         if own.length(N) != layout.length(N) {
             return Err(WireError::Length { seen: own.length(N), allowed: layout.length(N) });
@@ -561,9 +563,15 @@ impl<const N: usize> Frame<N> {
         }
         if own != layout {
             // Of the same length with other parts: its bytes are read as what they are not.
-            return Self::decode(self.encode(&mut [0; MAX_FRAME]), from, layout);
+            return Self::decode(self.encode(&mut [0; MAX_FRAME]), from, layout).map(Cow::Owned);
         }
-        self.admitted(self.flags(), self.gripper_numbers(), self.rotation_numbers())
+        if self.gripper.is_none() && self.rotation.is_none() {
+            // Nothing else is read as other than what was written.
+            self.check_head(self.flags(), false)?;
+            self.check_body()?;
+            return Ok(Cow::Borrowed(self));
+        }
+        self.admitted(self.flags(), self.gripper_numbers(), self.rotation_numbers()).map(Cow::Owned)
     }
 
     /// The frame with gripper and rotation as their numbers say, if all its numbers can be.
@@ -574,7 +582,19 @@ impl<const N: usize> Frame<N> {
         rotation: Option<[f64; ROTATION]>,
     ) -> Result<Self, WireError> {
         let (sequence, from) = (self.sequence, self.role);
-        let of_gripper = match (gripper.is_some(), from) {
+        self.check_head(flags, gripper.is_some())?;
+        self.gripper = gripper.map(|numbers| decoded_gripper(sequence, flags, numbers)).transpose()?;
+        self.rotation =
+            rotation.map(|numbers| decoded_rotation(sequence, from, numbers.into_iter())).transpose()?;
+        self.check_body()?;
+        Ok(self)
+    }
+
+    /// What is checked before gripper and rotation are read.
+    #[inline]
+    fn check_head(&self, flags: u16, has_gripper: bool) -> Result<(), WireError> {
+        let (sequence, from) = (self.sequence, self.role);
+        let of_gripper = match (has_gripper, from) {
             (true, Role::Slave) => GRIPPER_KNOWN | HOLDS_OBJECT | FOLLOWS,
             (true, Role::Master) => GRIPPER_KNOWN | HOLDS_OBJECT,
             (false, _) => 0,
@@ -585,9 +605,13 @@ impl<const N: usize> Frame<N> {
         if !self.energy.is_possible() {
             return Err(WireError::Energy { sequence, energy: self.energy });
         }
-        self.gripper = gripper.map(|numbers| decoded_gripper(sequence, flags, numbers)).transpose()?;
-        self.rotation =
-            rotation.map(|numbers| decoded_rotation(sequence, from, numbers.into_iter())).transpose()?;
+        Ok(())
+    }
+
+    /// What is checked after that.
+    #[inline]
+    fn check_body(&self) -> Result<(), WireError> {
+        let (sequence, from) = (self.sequence, self.role);
         if let (Role::Slave, Some(buttons @ 1..)) = (from, self.buttons) {
             return Err(WireError::Buttons { sequence, buttons });
         }
@@ -603,7 +627,7 @@ impl<const N: usize> Frame<N> {
         {
             signal.check(value).map_err(|fault| WireError::Value(sequence, fault))?;
         }
-        Ok(self)
+        Ok(())
     }
 }
 

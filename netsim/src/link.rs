@@ -117,6 +117,7 @@ impl Link {
     }
 
     /// Decides what becomes of a packet of this link's direction.
+    #[inline]
     pub fn judge(&mut self, packet: &Packet) -> Judgement<'_> {
         debug_assert_eq!(packet.direction, self.rules.direction, "packet on the wrong link");
         let mut damage = Damage::NONE;

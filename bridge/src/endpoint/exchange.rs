@@ -270,6 +270,11 @@ impl<const N: usize> Exchange<N> {
         self.keeps_flight = false;
     }
 
+    /// Measures of the path to the peer only what decides: of a run in virtual time whose reports nobody reads.
+    pub(crate) fn leave_out_path_reports(&mut self) {
+        self.link.path.leave_out_reports();
+    }
+
     /// Why the two sides are not coupled; none where nothing is wrong.
     fn diagnosis(&self, now_ns: u64) -> Option<Diagnosis> {
         let (state, newest) = (self.ladder.state(), self.link.newest());

@@ -79,6 +79,7 @@ impl<const N: usize> Hand<N> {
     }
 
     /// One tick.
+    #[inline(always)] // what it returns is large, and mostly none
     pub(crate) fn tick(
         &mut self,
         reading: &MasterReading<N>,

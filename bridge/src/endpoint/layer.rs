@@ -113,6 +113,7 @@ impl<const N: usize> Layer<N> {
     }
 
     /// One tick: the force in N, the torque in N m that the remote side requests.
+    #[inline(always)] // what it returns is large, and mostly none
     pub(super) fn tick(
         &mut self,
         reading: &MasterReading<N>,

@@ -134,6 +134,7 @@ impl<const N: usize> MasterEndpoint<N> {
 
     /// One tick of what the device measures; `missed` ticks were left out since the last. `clutch` is whether the clutch
     /// is pressed.
+    #[inline(always)] // what it returns is large, and mostly none
     pub fn tick(
         &mut self,
         now_ns: u64,

@@ -299,8 +299,24 @@ impl Facts {
     }
 }
 
+/// Of each state, which reasons have a row: at most ticks none of them is the case.
+const LEAVING: [Facts; LadderState::ALL.len()] = {
+    let mut leaving = [Facts(0); LadderState::ALL.len()];
+    let mut index = 0;
+    while index < TABLE.len() {
+        let Row { from, reason, .. } = TABLE[index];
+        leaving[from as usize] = leaving[from as usize].with(reason, true);
+        index += 1;
+    }
+    leaving
+};
+
 /// Where `facts` lead from `state`, and which of them.
+#[inline]
 pub fn next(state: LadderState, facts: Facts) -> Option<Row> {
+    if LEAVING[state as usize].0 & facts.0 == 0 {
+        return None;
+    }
     TABLE.iter().find(|row| row.from == state && facts.has(row.reason)).copied()
 }
 

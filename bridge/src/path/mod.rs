@@ -32,6 +32,8 @@ pub struct PeerPath {
     meter: PathMeter,
     clock_faults: u64,
     last_fault: Option<ClockFault>,
+    /// Whether clock and counts are followed, which decide nothing.
+    reports: bool,
 }
 
 /// The path to the peer, for records and the summary of a run.
@@ -61,6 +63,7 @@ impl Default for PeerPath {
             meter: PathMeter::new(),
             clock_faults: 0,
             last_fault: None,
+            reports: true,
         }
     }
 }
@@ -71,8 +74,16 @@ impl PeerPath {
         self.age.sent(sequence, now_ns);
     }
 
+    /// Follows the age of frames alone, by which the ladder holds.
+    pub(crate) fn leave_out_reports(&mut self) {
+        self.reports = false;
+    }
+
     /// Counts a frame that arrived by `now_ns`, be it late or there before.
     pub fn arrived(&mut self, sequence: u64, sent_ns: u64, now_ns: u64) {
+        if !self.reports {
+            return;
+        }
         self.meter.arrived(sequence, sent_ns, now_ns);
     }
 
@@ -81,6 +92,13 @@ impl PeerPath {
     /// It is taken at `now_ns` and had arrived by `by_ns`, which is later where the loop woke late. When ours left we
     /// know ourselves; of the echo only the counter and the time held are used.
     pub fn newest(&mut self, sent_ns: u64, echo: Option<&Echo>, now_ns: u64, by_ns: u64) {
+        let aged = echo.map_or(Ok(()), |echo| self.age.received(by_ns, (echo.sequence, echo.held_ns)));
+        if let Some(age_ns) = self.age.max_ns(now_ns) {
+            self.baseline.take(now_ns, age_ns);
+        }
+        if !self.reports {
+            return;
+        }
         let exchanged = echo.and_then(|echo| Some((self.age.sent_at(echo.sequence)?, echo.held_ns)));
         let clocked = match exchanged {
             Some((own_sent_ns, held_ns)) => self
@@ -94,10 +112,6 @@ impl PeerPath {
                 .map(|_| ()),
             None => self.clock.check_arrival(sent_ns, by_ns),
         };
-        let aged = echo.map_or(Ok(()), |echo| self.age.received(by_ns, (echo.sequence, echo.held_ns)));
-        if let Some(age_ns) = self.age.max_ns(now_ns) {
-            self.baseline.take(now_ns, age_ns);
-        }
         if let Err(fault) = clocked.and(aged) {
             self.clock_faults += 1;
             self.last_fault = Some(fault);
@@ -144,6 +158,10 @@ impl PeerPath {
 
 /// What a rate of `ppb` makes of a duration, rounded up: for bounds.
 pub(crate) fn share_up(duration_ns: u64, ppb: u64) -> u64 {
+    if let Some(product) = duration_ns.checked_mul(ppb) {
+        // Of less than a day at any drift of a clock: no division of 128 bits.
+        return product.div_ceil(BILLION);
+    }
     let product = u128::from(duration_ns) * u128::from(ppb);
     u64::try_from(product.div_ceil(u128::from(BILLION))).unwrap_or(u64::MAX)
 }

@@ -41,13 +41,15 @@ use haptether_safety::{
 /// Sessions of the two sides: constants, for nobody listens in.
 const SESSIONS: (u64, u64) = (1, 2);
 
-/// What a run keeps, and how its frames travel; neither changes a result.
+/// What a run keeps, and how its frames travel; none of it changes an outcome.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Keeping<'a> {
     /// Where it is recorded.
     pub(crate) files: Option<&'a RecordingFiles>,
     /// Whether every frame travels as its bytes.
     pub(crate) encoded: bool,
+    /// Whether nothing but the outcome is asked for: reports then say nothing of the peer's clock and path.
+    pub(crate) outcome_only: bool,
 }
 
 pub(crate) fn simulate<const N: usize>(
@@ -218,6 +220,10 @@ where
     if files.is_none() {
         master.exchange_mut().leave_out_flight();
         slave.exchange_mut().leave_out_flight();
+    }
+    if kept.outcome_only {
+        master.exchange_mut().leave_out_path_reports();
+        slave.exchange_mut().leave_out_path_reports();
     }
     let mut refused = Ok(());
     let security = if settings.secure { SecurityMark::Secure } else { SecurityMark::Insecure };

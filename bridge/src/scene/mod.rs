@@ -50,7 +50,7 @@ pub fn simulate_recorded(
     stop: &AtomicBool,
     files: Option<&RecordingFiles>,
 ) -> Result<SceneRun, SceneError> {
-    simulate_keeping(scene, stop, &Keeping { files, encoded: false })
+    simulate_keeping(scene, stop, &Keeping { files, ..Keeping::default() })
 }
 
 /// The same with every frame as its bytes between the two sides, encoded and decoded as on a live link: the result is
@@ -60,7 +60,7 @@ pub fn simulate_recorded(
 ///
 /// As [`simulate`].
 pub fn simulate_encoded(scene: &[u8], stop: &AtomicBool) -> Result<SceneRun, SceneError> {
-    simulate_keeping(scene, stop, &Keeping { files: None, encoded: true })
+    simulate_keeping(scene, stop, &Keeping { encoded: true, ..Keeping::default() })
 }
 
 fn simulate_keeping(scene: &[u8], stop: &AtomicBool, kept: &Keeping<'_>) -> Result<SceneRun, SceneError> {
@@ -79,6 +79,14 @@ fn simulate_keeping(scene: &[u8], stop: &AtomicBool, kept: &Keeping<'_>) -> Resu
 /// outcome.
 pub fn run<const N: usize>(scene: &SceneSpec<N>, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
     run_keeping(scene, stop, &Keeping::default())
+}
+
+/// The same for its outcome alone, in less time.
+pub(crate) fn outcome<const N: usize>(
+    scene: &SceneSpec<N>,
+    stop: &AtomicBool,
+) -> Result<Outcome, SceneError> {
+    run_keeping(scene, stop, &Keeping { outcome_only: true, ..Keeping::default() }).map(|run| run.outcome)
 }
 
 fn run_keeping<const N: usize>(

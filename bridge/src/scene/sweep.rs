@@ -12,7 +12,7 @@ use super::{
     assemble::{SceneError, contradiction, is_continuous, is_formula, rendered_walls, stepped_master},
     local::{LocalRun, check_local, local_run},
     measures::Outcome,
-    run,
+    outcome,
     spec::{Integrator, SceneSpec, of_axes, scene_axes},
 };
 use crate::lanes::{LANES, Lanes};
@@ -211,8 +211,8 @@ fn run_block<const N: usize>(
     // Devices with more axes have no lanes.
     if N > 3 || !run_stepped(&specs, lanes, progress, &mut rows) {
         for (index, spec) in &specs {
-            rows[*index] = Some(match run(spec, stop) {
-                Ok(run) => Ok(run.outcome),
+            rows[*index] = Some(match outcome(spec, stop) {
+                Ok(outcome) => Ok(outcome),
                 Err(SceneError::Stopped) => return Err(SweepError::Stopped),
                 Err(error) => Err(Refused(error.to_string())),
             });

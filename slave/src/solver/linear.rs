@@ -20,6 +20,32 @@ struct Line {
     planes: Vec<LinePlane>,
     /// Sum of K in N/m, of B in N s/m and of K anchor in N of the springs.
     spring: [f64; 3],
+    kept: Kept,
+}
+
+/// The map of the last whole piece, and of which transition and time it is: that of nearly every tick.
+#[derive(Clone, Copy, Debug, Default)]
+struct Kept(Option<(Transition, f64, TransitionMap)>);
+
+impl PartialEq for Kept {
+    /// It follows from what it is asked for, and is no part of a state.
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl Kept {
+    #[inline]
+    fn over(&mut self, transition: Transition, t: f64) -> TransitionMap {
+        match self.0 {
+            Some((of, time, map)) if of == transition && time == t => map,
+            _ => {
+                let map = transition.over(t);
+                self.0 = Some((transition, t, map));
+                map
+            }
+        }
+    }
 }
 
 /// A plane across an axis: `F = max(0, K d + B d')` along its normal.
@@ -64,9 +90,25 @@ impl Course {
     }
 
     fn at(&self, t: f64) -> [f64; 2] {
+        self.by(&self.transition.over(t), t)
+    }
+
+    /// The state after t, by the map over t.
+    #[inline]
+    fn by(&self, map: &TransitionMap, t: f64) -> [f64; 2] {
         let [a0, a1, a2] = self.particular;
-        let [x, v] = self.transition.apply(t, self.beside);
+        let [x, v] = map.apply(self.beside);
         [x + a0 + t * (a1 + t * a2), v + a1 + 2.0 * a2 * t]
+    }
+
+    /// Bounds on `|x(s) - x(0)|` in m and `|x'(s)|` in m/s for s up to t: beside the particular solution
+    /// `y'' + c y' + k y = 0`, whose energy `y'² + k y²` does not grow, as long as c is not negative.
+    #[inline]
+    fn bounds(&self, t: f64) -> [f64; 2] {
+        let [_, a1, a2] = self.particular.map(f64::abs);
+        let [y, v] = self.beside;
+        let swing = (v * v + self.transition.k * y * y).sqrt();
+        [t * (swing + a1 + t * a2), swing + a1 + 2.0 * t * a2]
     }
 }
 
@@ -222,10 +264,13 @@ impl Line {
             let course = Course::new(k, damping / mass, input, state);
             let left = step - done;
             if self.planes.is_empty() {
-                return (course.at(left), true);
+                return (course.by(&self.kept.over(course.transition, left), left), true);
             }
             // A contact without damping lasts pi / sqrt(k): half a radian cannot hide one.
             let longest = left.min(0.5 / k.sqrt());
+            if longest >= left && damping >= 0.0 && self.stays(&course, state[0], left) {
+                return (course.by(&self.kept.over(course.transition, left), left), true);
+            }
             let taken = self.first_change(&course, longest).unwrap_or(longest);
             state = course.at(taken);
             if taken >= left {
@@ -234,6 +279,25 @@ impl Line {
             done += taken;
         }
         (state, false)
+    }
+
+    /// Whether bounds say that no contact changes within t in s of a course from x in m on.
+    #[inline]
+    fn stays(&self, course: &Course, x: f64, t: f64) -> bool {
+        let [farther, fastest] = course.bounds(t);
+        let [a0, ..] = course.particular;
+        self.planes.iter().all(|plane| {
+            let depth = plane.normal * (plane.surface - x);
+            // Far above what rounding makes of positions.
+            let farther = farther + 1e-12 * (x.abs() + a0.abs() + plane.surface.abs());
+            match plane.mode {
+                Mode::Apart => depth + farther < 0.0,
+                Mode::Touching => {
+                    plane.stiffness * (depth - farther) > plane.damping * fastest * (1.0 + 1e-12)
+                }
+                Mode::Leaving => false,
+            }
+        })
     }
 
     fn changed(&self, state: [f64; 2]) -> bool {
@@ -259,8 +323,26 @@ impl Line {
     }
 }
 
-/// `y'' + c y' + k y = 0`, solved in closed form.
+/// What [`Transition`] makes of a state over some time.
 #[derive(Clone, Copy, Debug)]
+pub(crate) struct TransitionMap {
+    k: f64,
+    from_y: f64,
+    from_v: f64,
+    sine: f64,
+}
+
+impl TransitionMap {
+    /// (y, y') after that time.
+    #[inline]
+    pub(crate) fn apply(&self, [y, v]: [f64; 2]) -> [f64; 2] {
+        let Self { k, from_y, from_v, sine } = *self;
+        [y * from_y + v * sine, v * from_v - k * y * sine]
+    }
+}
+
+/// `y'' + c y' + k y = 0`, solved in closed form.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Transition {
     k: f64,
     /// c / 2
@@ -277,7 +359,13 @@ impl Transition {
     }
 
     /// (y, y') after t in s.
-    pub(crate) fn apply(&self, t: f64, [y, v]: [f64; 2]) -> [f64; 2] {
+    #[cfg(test)]
+    pub(crate) fn apply(&self, t: f64, state: [f64; 2]) -> [f64; 2] {
+        self.over(t).apply(state)
+    }
+
+    /// The map over t in s.
+    pub(crate) fn over(&self, t: f64) -> TransitionMap {
         let Self { k, half, discriminant } = *self;
         let z = discriminant * t * t;
         if z > 1e-2 {
@@ -288,7 +376,7 @@ impl Transition {
             let sine = (e_slow - e_fast) / (2.0 * root);
             let from_y = (slow * e_fast - fast * e_slow) / (2.0 * root);
             let from_v = (slow * e_slow - fast * e_fast) / (2.0 * root);
-            return [y * from_y + v * sine, v * from_v - k * y * sine];
+            return TransitionMap { k, from_y, from_v, sine };
         }
         let decay = (-half * t).exp();
         let (cosine, sine) = if z < -1e-2 {
@@ -307,7 +395,7 @@ impl Transition {
             (cosine, sine * t)
         };
         let (cosine, sine) = (decay * cosine, decay * sine);
-        [y * (cosine + half * sine) + v * sine, v * (cosine - half * sine) - k * y * sine]
+        TransitionMap { k, from_y: cosine + half * sine, from_v: cosine - half * sine, sine }
     }
 }
 

@@ -5,10 +5,13 @@
 mod cells;
 mod path;
 
+use std::{cell::RefCell, sync::Arc};
+
 use cells::Cells;
 use path::{Path, Place, Traversal};
 
 use crate::checks::{LinkSettingsError, MAX_DELAY_S, nanoseconds, within};
+use crate::impairments::Distribution;
 use crate::impairments::Impairment;
 use crate::impairments::LinkSettings;
 use crate::impairments::Streams;
@@ -39,14 +42,56 @@ pub(crate) fn build(
         // Arrivals are whole ns, and a law that narrow has no quantiles that differ.
         return Ok(None);
     }
-    let cells = Cells::of(&law);
     let mean_ns = nanoseconds(settings.delay_s);
     if settings.keep_order || tau_s > 0.0 {
-        let path = Path::new(&cells, tau_s, settings.jitter_s, settings.keep_order);
+        let path = shared_path(settings, &law, tau_s);
         let stream = streams.of(Impairment::Wander);
         return Ok(Some(Box::new(Wander::new(path, mean_ns, stream))));
     }
+    let cells = Cells::of(&law);
     Ok(Some(Box::new(Independent { cells, mean_ns, draws: InTurn::new(streams.of(Impairment::Jitter)) })))
+}
+
+/// What a path follows from.
+#[derive(Clone, Debug, PartialEq)]
+struct PathSource {
+    delay_s: f64,
+    jitter_s: f64,
+    distribution: Distribution,
+    distribution_shape: Option<f64>,
+    tau_s: f64,
+    keep_order: bool,
+}
+
+/// Paths that a thread keeps for the next links: those of both directions, of the scenario before and of this one.
+const PATHS_KEPT: usize = 4;
+
+thread_local! {
+    static PATHS: RefCell<Vec<(PathSource, Arc<Path>)>> = const { RefCell::new(Vec::new()) };
+}
+
+/// The path of a law, which takes half a millisecond to compute: where this thread has just built a link of the same
+/// law, as in a sweep, it is that one's.
+fn shared_path(settings: &LinkSettings, law: &DelayLaw, tau_s: f64) -> Arc<Path> {
+    let source = PathSource {
+        delay_s: settings.delay_s,
+        jitter_s: settings.jitter_s,
+        distribution: settings.distribution.clone(),
+        distribution_shape: settings.distribution_shape,
+        tau_s,
+        keep_order: settings.keep_order,
+    };
+    PATHS.with_borrow_mut(|paths| {
+        if let Some((_, path)) = paths.iter().find(|(kept, _)| *kept == source) {
+            return Arc::clone(path);
+        }
+        let path = Arc::new(Path::new(&Cells::of(law), tau_s, settings.jitter_s, settings.keep_order));
+        if paths.len() == PATHS_KEPT {
+            paths.remove(0);
+        }
+        paths.push((source, Arc::clone(&path)));
+        path
+    })
 }
 
 /// Refuses a mean delay that is less than the law reaches below it: delays would be cut off at zero, unseen.
@@ -73,7 +118,10 @@ fn shifted(at_ns: u64, delay_ns: u64, mean_ns: u64, sent_ns: u64) -> u64 {
 
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "never negative; saturates")]
 fn whole(ns: f64) -> u64 {
-    ns.round() as u64
+    // As `round`, which is a call where the processor is not known to have an instruction for it: what is cut off is
+    // exact.
+    let below = ns as u64;
+    below.saturating_add(u64::from(ns - below as f64 >= 0.5))
 }
 
 /// A delay drawn for each packet by itself.
@@ -102,7 +150,7 @@ const BIN_TAUS: f64 = 16.0;
 /// about a thousand runs.
 #[derive(Debug)]
 struct Wander {
-    path: Path,
+    path: Arc<Path>,
     mean_ns: u64,
     runs: Stream,
     beginnings: Stream,
@@ -122,7 +170,7 @@ struct Run {
 }
 
 impl Wander {
-    fn new(path: Path, mean_ns: u64, stream: Stream) -> Self {
+    fn new(path: Arc<Path>, mean_ns: u64, stream: Stream) -> Self {
         let bin_ns = whole(BIN_TAUS * path.tau_ns);
         Self { path, mean_ns, runs: stream, beginnings: stream.nth(1), bin_ns, run: None, latest_ns: 0 }
     }
