@@ -103,15 +103,12 @@ impl<T> Places<T> {
     }
 
     fn keep(&mut self, one: T) -> usize {
-        match self.free.pop() {
-            Some(place) => {
-                self.kept[place] = one;
-                place
-            }
-            None => {
-                self.kept.push(one);
-                self.kept.len() - 1
-            }
+        if let Some(place) = self.free.pop() {
+            self.kept[place] = one;
+            place
+        } else {
+            self.kept.push(one);
+            self.kept.len() - 1
         }
     }
 }

@@ -326,7 +326,7 @@ proptest! {
                 position, velocity, force_n, holds_object, follows,
             }),
             buttons,
-            text: TextPiece { number: number & 1, index: index % 24, bytes: [letter & 65; PIECE] },
+            text: TextPiece { number: number & 1, index: index % 24, bytes: [letter & 0x41; PIECE] },
             state: number, run_id: 7, sequence: u64::from(index), sent_ns: 3, reason: letter, fault: index,
         };
         let from = if comes_back { role.peer() } else { role };

@@ -333,7 +333,7 @@ def with_overrides(arguments: Sequence[str]) -> list[str]:
     return list(arguments)
 
 
-SCENE_COMMANDS = {"simulate", "sweep", "view"}
+SCENE_COMMANDS = {"simulate", "sweep", "view", "check", "evaluate", "falsify", "thresholds"}
 DRIVER_COMMANDS = {"check-device", "identify"}
 TABLE_KEY = re.compile(r"--(.*\..*)", re.DOTALL)
 BACKWARD = re.compile(r"--backward\.(.*)", re.DOTALL)

@@ -404,6 +404,56 @@ mod tests {
     use super::*;
 
     use nalgebra::{Matrix2, Vector2};
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Where bounds say that no contact changes none does, at any instant of the course; and what a kept map makes of
+        /// a state is what the course says.
+        #[test]
+        fn a_contact_that_stays_by_its_bounds_stays(
+            (k, c, x, v) in (1.0..1e5_f64, 0.0..600.0_f64, -0.02..0.02_f64, -1.0..1.0_f64),
+            input in (-50.0..50.0_f64, -1e4..1e4_f64, -1e6..1e6_f64),
+            (surface, stiffness, damping) in (-0.02..0.02_f64, 100.0..1e5_f64, 0.0..200.0_f64),
+            is_above in any::<bool>(),
+            t in 1e-5..1e-3_f64,
+        ) {
+            let normal = if is_above { 1.0 } else { -1.0 };
+            let mut plane = LinePlane { surface, normal, stiffness, damping, mode: Mode::Apart };
+            plane.mode = plane.mode([x, v]);
+            let line = Line { planes: vec![plane], ..Line::default() };
+            let course = Course::new(k, c, [input.0, input.1, input.2], [x, v]);
+            let map = course.transition.over(t);
+            prop_assert_eq!(course.by(&map, t), course.at(t));
+            let [farther, fastest] = course.bounds(t);
+            for share in 0..=200 {
+                let at = f64::from(share) / 200.0 * t;
+                let [moved, speed] = course.at(at);
+                prop_assert!((moved - x).abs() <= farther + 1e-12, "{} {}", moved - x, farther);
+                prop_assert!(speed.abs() <= fastest * (1.0 + 1e-9) + 1e-9, "{} {}", speed, fastest);
+                prop_assert!(!line.stays(&course, x, t) || !line.changed([moved, speed]), "{share}");
+            }
+        }
+    }
+
+    /// The bounds are worth their while: of a tool that is clear of a wall, or rests on it, they say so.
+    #[test]
+    fn bounds_tell_of_a_tool_that_is_clear_and_of_one_that_rests() {
+        // 2 kg under 2000 N/m and critical damping, on a wall of 3000 N/m at 0 whose normal points up.
+        let (mass, arm, wall) = (2.0, 2000.0, 3000.0);
+        let damping = 2.0 * f64::sqrt(mass * arm);
+        for (x, set_point, touches) in [(0.01, 0.012, false), (-0.004, -0.01, true)] {
+            let mut plane =
+                LinePlane { surface: 0.0, normal: 1.0, stiffness: wall, damping: 0.0, mode: Mode::Apart };
+            plane.mode = plane.mode([x, 0.0]);
+            assert_eq!(plane.mode == Mode::Touching, touches);
+            let line = Line { planes: vec![plane], ..Line::default() };
+            let k = (arm + if touches { wall } else { 0.0 }) / mass;
+            let course = Course::new(k, damping / mass, [arm * set_point / mass, 0.0, 0.0], [x, 0.0]);
+            assert!(line.stays(&course, x, 1e-3));
+            // Nor do they say so of one that arrives.
+            assert!(!line.stays(&Course::new(k, damping / mass, [0.0; 3], [1e-4, -1.0]), 1e-4, 1e-3));
+        }
+    }
 
     #[test]
     fn it_is_the_matrix_exponential() {

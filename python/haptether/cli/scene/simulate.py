@@ -25,7 +25,7 @@ class Simulate(PictureOptions):
 
     SCENE is the name of a scene that comes with Haptether (--list) or the path of a TOML file. Any field can be
     changed, as --set table.key=value or as --table.key value. The same scene and seed give the same numbers. Exit
-    status 1 says that the loop diverged, 2 that the scene cannot be built.
+    status 1 says that the loop diverged or was never engaged, 2 that the scene cannot be built.
 
     Examples:
 
@@ -59,7 +59,7 @@ class Simulate(PictureOptions):
     """Say which scenes there are, and end."""
 
     def run(self) -> int:
-        """Runs the scene; 0, or 1 if it diverged."""
+        """Runs the scene; 0, or 1 if it diverged or the two sides never engaged."""
         from haptether.bridge import SceneError, load_scene, simulate
         from haptether.cli.shared.output import check_target, make_folder
         from haptether.cli.shared.picture import picture_in
@@ -112,7 +112,7 @@ class Simulate(PictureOptions):
             scene: What was run, whose bound is said too; none for a run whose hand has been recorded.
 
         Raises:
-            RuntimeError: It diverged.
+            RuntimeError: It diverged, or the two sides never engaged.
         """
         from haptether.cli.shared.ejection import bound_line, release_law, release_line, scene_bound
         from haptether.cli.shared.output import write_report
@@ -145,6 +145,10 @@ class Simulate(PictureOptions):
             last = next((event for event in run.events if event.kind == "diverged"), None)
             cause = f" at {last.time_s:g} s: {last.detail}" if last is not None else ""
             message = f"{run.scene} diverged{cause}"
+            raise RuntimeError(message)
+        if run.metrics.outcome == "never-engaged":
+            why = next((f": {event.detail}" for event in run.events if event.kind == "never-engaged"), "")
+            message = f"{run.scene} was never engaged, so that nothing was measured{why}"
             raise RuntimeError(message)
         return 0
 
