@@ -7,12 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from msgspec import Struct
+from msgspec import Struct, json
 
 from haptether.bridge import (
     LADDER_STATES,
     TRIP_BITS,
     HandError,
+    Recording,
     Run,
     Scene,
     held_ticks,
@@ -20,6 +21,7 @@ from haptether.bridge import (
     read_recording,
     recorded_scene,
     replay,
+    scene_json,
 )
 
 Array = npt.NDArray[np.float64]
@@ -43,6 +45,13 @@ LET_GO_S = 0.05
 """For how long in s nobody bears F_device where a hand let go: what a grip that fails takes (paper section 4.3)."""
 LET_GO_SPEED = 0.3
 """Speed in m/s along F_device that a device then has at least: below, it was not thrown."""
+UNANSWERED = 0.5
+"""Share of an intervention in which nobody bears the force, above which the hand was gone.
+
+Measured in `remote_push` and `sliding_mass` at 100 ms with the default release law: at most 0.32 where a hand holds,
+0.65 and more where it has let go.
+"""
+NOT_NORMAL = "a hand that lets go is no normal operation, give recordings in which it holds throughout"
 ENGAGED = LADDER_STATES.index("engaged")
 BLOCK_S = 60.0
 """Longest time in s of a recording that counts as one; hands of a shorter one are one hand's."""
@@ -88,8 +97,8 @@ class NormalOperation(Struct, frozen=True, kw_only=True):
     """Recordings, and parts of 60 s of longer ones: what can be taken as independent."""
     round_trip_s: float
     """Median of what was measured while coupled, in s; 0 where nothing was."""
-    interventions: dict[str, int]
-    """How often each controller tripped in the recordings."""
+    interventions: dict[str, tuple[str, ...]]
+    """Where each controller tripped in the recordings: file and time in s."""
     scores: dict[str, "Scores"]
     """By the field of `[safety]`."""
 
@@ -105,7 +114,7 @@ class Scores(NamedTuple):
 
 
 def read_normal_operation(
-    files: Sequence[str | os.PathLike[str]], *, fields: Iterable[str], overrides: Iterable[str] = ()
+    files: Sequence[str | os.PathLike[str] | Recording], *, fields: Iterable[str], overrides: Iterable[str] = ()
 ) -> NormalOperation:
     """Reads recordings of masters and has the safety observers see them again, with no controller that intervenes.
 
@@ -113,7 +122,7 @@ def read_normal_operation(
     `SETTLE_S` ago: then the hand felt another force.
 
     Args:
-        files: What `--record` of a master wrote.
+        files: What `--record` of a master wrote, or what `read_recording` read of it.
         fields: Thresholds that are wanted, of `TUNED_FIELDS`.
         overrides: Fields of `[safety]` to change first, `safety.key=value`.
 
@@ -126,12 +135,15 @@ def read_normal_operation(
     if not files:
         message = "no recording was given"
         raise ValueError(message)
-    if len({Path(file).resolve() for file in files}) < len(files):
-        message = f"{', '.join(map(str, files))}: a recording is there twice, and says no more for it"
-        raise ValueError(message)
+    seen: set[Path] = set()
+    for path in (Path(file).resolve() for file in files if not isinstance(file, Recording)):
+        if path in seen:
+            message = f"{path}: is there twice, and says no more for it"
+            raise ValueError(message)
+        seen.add(path)
     first: _Recorded | None = None
     parts: dict[str, list[Scores]] = {field: [] for field in fields}
-    interventions = dict.fromkeys(OBSERVERS, 0)
+    interventions: dict[str, list[str]] = {name: [] for name in OBSERVERS}
     round_trips: list[Array] = []
     ticks = blocks = offset = 0
     for file in files:
@@ -146,7 +158,7 @@ def read_normal_operation(
             kept = value > TUNED_FIELDS[field].least
             parts[field].append(Scores(value[kept], place[kept], blocks_of[kept].astype(np.int64) + blocks))
         for name, begins in one.begins.items():
-            interventions[name] += int(begins.sum())
+            interventions[name] += [f"{one.name} at {one.time_s[tick]:.3f} s" for tick in np.flatnonzero(begins)]
         round_trips.append(one.round_trips_s)
         ticks += int(one.counted.sum())
         blocks += int(blocks_of[-1]) + 1
@@ -154,13 +166,13 @@ def read_normal_operation(
         offset += len(one.counted) + 10**7
     assert first is not None
     return NormalOperation(
-        files=tuple(str(file) for file in files),
+        files=tuple(map(_name, files)),
         scene=first.scene,
         period_s=first.period_s,
         hours=ticks * first.period_s / 3600.0,
         blocks=blocks,
         round_trip_s=float(np.median(measured)) if (measured := np.concatenate(round_trips)).size else 0.0,
-        interventions=interventions,
+        interventions={name: tuple(places) for name, places in interventions.items()},
         scores={
             field: Scores(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
             for field, found in parts.items()
@@ -173,7 +185,7 @@ class _Recorded:
 
     def __init__(self, name: str, run: Run, scene: Scene, seen: dict[str, Array]) -> None:
         self.name, self.scene, self.seen = name, scene, seen
-        self.period_s = scene.run.period_s
+        self.period_s, self.time_s = scene.run.period_s, run.signals["time_s"]
         tripped = _trips(run)
         self.begins = {
             controller: _begins(tripped & bit != 0) for controller, bit in TRIP_BITS.items() if controller in OBSERVERS
@@ -225,10 +237,14 @@ class _Recorded:
         return np.where(self.begins[tuned.controller], np.inf, score)
 
 
-def _recorded(file: str | os.PathLike[str], overrides: tuple[str, ...]) -> _Recorded:
+def _name(file: str | os.PathLike[str] | Recording) -> str:
+    return file.side if isinstance(file, Recording) else str(file)
+
+
+def _recorded(file: str | os.PathLike[str] | Recording, overrides: tuple[str, ...]) -> _Recorded:
     """A recording, checked to be of normal operation."""
-    name = str(file)
-    recording = read_recording(file)
+    name = _name(file)
+    recording = file if isinstance(file, Recording) else read_recording(file)
     if recording.side != "master":
         message = f"{name}: of the {recording.side}, must be of the master: observers watch the hand"
         raise ValueError(message)
@@ -254,27 +270,30 @@ def _check_held(name: str, run: Run, recorded: dict[str, Any], device: dict[str,
     operator = run.settings.get("operator") or {}
     engaged_s = float(time_s[np.argmax(run.signals["state"] == ENGAGED)])
     if (release := operator.get("release")) is not None and engaged_s + release["at_s"] < time_s[-1]:
-        message = f"{name}: the modelled hand lets go at {engaged_s + release['at_s']:.3f} s"
-        raise ValueError(f"{message}: is no normal operation, give recordings in which a hand holds throughout")
+        message = f"{name}: at {engaged_s + release['at_s']:.3f} s the modelled hand lets go: {NOT_NORMAL}"
+        raise ValueError(message)
     position, force = recorded["position"], recorded["device_force"]
-    if any(values is None for values in (device["mass_kg"],)) or len(position) < 2:
-        return
     try:
         holds = held_ticks(position, force, device, period_s)
     except HandError as error:
         message = f"{name}: {error}"
         raise ValueError(message) from None
+    engaged = run.signals["state"] == ENGAGED
     along = (recorded["velocity"] * force).sum(axis=1) / np.maximum(_norm(force), 1e-9)
-    let_go = ~holds & (run.signals["state"] == ENGAGED)
-    for begin, end in _stretches(let_go):
-        if (end - begin) * period_s >= LET_GO_S and along[begin:end].max() > LET_GO_SPEED:
-            speed = along[begin:end].max()
-            message = (
-                f"{name}: a hand lets go at {time_s[begin]:.3f} s: until {time_s[end - 1]:.3f} s nobody bears the "
-                f"force, and the device reaches {speed:.2f} m/s: is no normal operation, give recordings in "
-                "which a hand holds throughout"
-            )
-            raise ValueError(message)
+    flights = [
+        (begin, f"nobody bears the force, and the device reaches {speed:.2f} m/s along it")
+        for begin, end in _stretches(~holds & engaged)
+        if (end - begin) * period_s >= LET_GO_S and (speed := along[begin:end].max()) > LET_GO_SPEED
+    ]
+    flights += [
+        (begin, f"an intervention of {(end - begin) * period_s:.2f} s begins that no hand answers")
+        for begin, end in _stretches((_trips(run) != 0) & engaged)
+        if np.mean(~holds[begin:end]) > UNANSWERED
+    ]
+    if flights:
+        begin, what = min(flights)
+        message = f"{name}: at {time_s[begin]:.3f} s {what}: {NOT_NORMAL}"
+        raise ValueError(message)
 
 
 def _check_alike(first: _Recorded, one: _Recorded) -> None:
@@ -296,8 +315,10 @@ def check_device(ours: Scene, theirs: Scene, names: str) -> None:
     Raises:
         ValueError: With what differs.
     """
+    # As resolved: a preset and its numbers are one device.
+    masters = [json.decode(scene_json(each))["master"] for each in (ours, theirs)]
     pairs = [("[run] period_s", ours.run.period_s, theirs.run.period_s)]
-    pairs += [(f"[master] {key}", *(getattr(each.master, key) for each in (ours, theirs))) for key in DEVICE]
+    pairs += [(f"[master] {key}", *(each.get(key) for each in masters)) for key in DEVICE]
     for key, one, other in pairs:
         if one != other:
             message = f"{names}: differ in {key}: {one} and {other}: must be of one device at one rate"
@@ -319,14 +340,14 @@ def _norm(vectors: Array) -> Array:
 
 
 def _begins(states: Bools) -> Bools:
-    return states & ~np.concatenate([[False], states[:-1]])
+    begins: Bools = states & ~np.concatenate([[False], states[:-1]])
+    return begins
 
 
 def _for_so_long_after(states: Bools, ticks: int) -> Bools:
     """Where a state is, or was at most so many ticks ago."""
-    last = np.maximum.accumulate(np.where(states, np.arange(len(states)), -ticks - 1))
-    since: Array = (np.arange(len(states)) - last).astype(np.float64)
-    within: Bools = since <= float(ticks)
+    last: npt.NDArray[np.int64] = np.maximum.accumulate(np.where(states, np.arange(len(states)), -ticks - 1))
+    within: Bools = np.arange(len(states)) <= last + ticks
     return within
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from haptether.bridge import Scene, load_scene
+from haptether.bridge import Recording, Scene, load_scene
 from haptether.studies.intervals import binomial_interval
 from haptether.studies.task import HandBounds, Task
 from haptether.studies.thresholds.law import ThresholdLaw
@@ -66,8 +66,9 @@ class TunedThreshold(Struct, frozen=True, kw_only=True):
     """Whether that is at most what was asked for."""
     needed_hours: float
     """How long hands must hold so that it can be, in h, if they hold as here."""
-    interventions: int
-    """Of this controller in the recordings: what came of them is cut off, and counts above every threshold."""
+    interventions: tuple[str, ...]
+    """Of this controller, file and time in s: how high its observer went then was not seen, so each counts as above
+    every threshold."""
     recorded: RocPoint
     """The threshold of the recordings, for comparison."""
     roc: tuple[RocPoint, ...]
@@ -124,7 +125,7 @@ class Tuning(Struct, frozen=True, kw_only=True):
 
 
 def tune(
-    files: Sequence[str | os.PathLike[str]],
+    files: Sequence[str | os.PathLike[str] | Recording],
     *,
     scene: Scene | str | os.PathLike[str] | None = None,
     fields: Sequence[str] | None = None,
@@ -145,7 +146,7 @@ def tune(
     them; each lets go within 50 ms, and counts if an unwatched device then exceeds 0.5 m/s within 0.3 s.
 
     Args:
-        files: Recordings of masters, of hands that hold.
+        files: Recordings of masters, of hands that hold: paths, or what `read_recording` read.
         scene: In which hands let go; by default that of the first recording.
         fields: Thresholds, of `TUNED_FIELDS`; by default of the controllers of the recordings, or of all.
         false_trips_per_h: Rate in 1/h of each controller, at most.
@@ -277,11 +278,12 @@ def _tuned(
     found = events.at_most(per_hour, confidence)
     recorded = float(getattr(seen.scene.safety, field))
     boundary = found or largest
+    tripped = seen.interventions[about.controller]
     if boundary is not None and math.isinf(boundary.value):
         message = (
-            f"{field}: {about.controller} tripped {seen.interventions[about.controller]} times in "
-            f"{seen.hours * 3600.0:.0f} s of the recordings, which is more often than {per_hour:g} times per hour with "
-            "confidence: how high its observer would have gone was not seen; record with duller thresholds"
+            f"{field}: {about.controller} tripped {len(tripped)} times in {seen.hours * 3600.0:.0f} s of the "
+            f"recordings, more than {per_hour:g} times per hour with confidence, and how high its observer would have "
+            f"gone was not seen: record with duller thresholds, or ask for less; first {tripped[0]}"
         )
         raise ValueError(message)
     orders = _orders(found)
@@ -308,7 +310,7 @@ def _tuned(
         most_per_h=most_per_h,
         reached=most_per_h <= per_hour,
         needed_hours=seen.hours * first / per_hour,
-        interventions=seen.interventions[about.controller],
+        interventions=tripped,
         recorded=points[recorded],
         roc=tuple(points.values()),
         peaks=tuple(about.sign * value for value in events.peaks(1000) if math.isfinite(value)),

@@ -150,15 +150,16 @@ def _remarks(each: "TunedThreshold", found: "Tuning") -> list[str]:
         remarks.append(f"{each.field}: nothing came near it: the recorded one is kept")
     if each.interventions:
         remarks.append(
-            f"{each.field}: {each.controller} intervened {each.interventions} times in the recordings: how high its"
-            " observer would have gone was not seen, each counts above every threshold"
+            f"{each.field}: {each.controller} intervened {len(each.interventions)} times, first in"
+            f" {each.interventions[0]}: how high its observer would have gone was not seen, each counts above every"
+            " threshold"
         )
     if each.point.missed:
         best = each.none_missed
         remarks.append(
             f"{each.field}: misses {each.point.missed} of {each.point.releases} releases; "
             + (
-                "so do all thresholds looked at, some of them"
+                "so does every threshold that was looked at"
                 if best is None
                 else f"{best.threshold:g} misses none, at {best.false_trips_per_h:.3g} false trips per hour"
             )
