@@ -75,7 +75,7 @@ class Exceedances:
 
     def boundary(self, order: int) -> Boundary | None:
         """The `order`-th largest event; none where there are fewer."""
-        ticks, high = len(self._value), min(256, len(self._value))
+        ticks, high = len(self._value), min(order, len(self._value))
         while high < ticks and len(self._events(high)) < order:
             high = min(2 * high, ticks)
         if len(self._events(high)) < order:

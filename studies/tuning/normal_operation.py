@@ -51,6 +51,8 @@ UNANSWERED = 0.5
 Measured in `remote_push` and `sliding_mass` at 100 ms with the default release law: at most 0.32 where a hand holds,
 0.65 and more where it has let go.
 """
+UNANSWERED_S = 0.5
+"""Least duration in s of such an intervention: where one ends by time, a hand that yields may not answer meanwhile."""
 NOT_NORMAL = "a hand that lets go is no normal operation, give recordings in which it holds throughout"
 ENGAGED = LADDER_STATES.index("engaged")
 BLOCK_S = 60.0
@@ -187,9 +189,9 @@ class _Recorded:
         self.name, self.scene, self.seen = name, scene, seen
         self.period_s, self.time_s = scene.run.period_s, run.signals["time_s"]
         tripped = _trips(run)
-        self.begins = {
-            controller: _begins(tripped & bit != 0) for controller, bit in TRIP_BITS.items() if controller in OBSERVERS
-        }
+        # Who trips while another intervenes begins nothing.
+        begins = _begins(tripped != 0)
+        self.begins = {name: begins & (tripped & TRIP_BITS[name] != 0) for name in OBSERVERS}
         engaged = run.signals["state"] == ENGAGED
         measured = run.signals["round_trip_s"][engaged] if "round_trip_s" in run.signals else np.zeros(0)
         self.round_trips_s: Array = measured[np.isfinite(measured)]
@@ -288,7 +290,7 @@ def _check_held(name: str, run: Run, recorded: dict[str, Any], device: dict[str,
     flights += [
         (begin, f"an intervention of {(end - begin) * period_s:.2f} s begins that no hand answers")
         for begin, end in _stretches((_trips(run) != 0) & engaged)
-        if np.mean(~holds[begin:end]) > UNANSWERED
+        if (end - begin) * period_s > UNANSWERED_S and np.mean(~holds[begin:end]) > UNANSWERED
     ]
     if flights:
         begin, what = min(flights)
