@@ -41,7 +41,7 @@ EXAMPLE = """example:
 """
 FIELDS = ("energy_threshold_j", "grasp_threshold", "velocity_threshold")
 SETTINGS = ("safety.window=10", "safety.wsc_force_threshold_n=0.1")
-"""WSC with the gate of docs/thresholds.md; the other fields are the scene's."""
+"""WSC with the window and the gate of docs/thresholds.md; the other fields are the scene's."""
 
 
 class Pair(NamedTuple):
@@ -68,13 +68,14 @@ def main() -> int:
     options.add_argument("--false-trips-per-h", type=float, default=300.0, help="rate asked for")
     options.add_argument("--confidence", type=float, default=0.95)
     options.add_argument("--round-trip-s", type=float, default=0.1)
+    options.add_argument("--set", nargs="*", default=SETTINGS, metavar="KEY=VALUE", help="fields of the scenes")
     options.add_argument("--seed", type=int, default=1)
     options.add_argument("--plot", metavar="DIR", help="draw predicted intervals and counts into this folder")
     given = options.parse_args()
     rows: list[dict[str, Any]] = []
     pairs: list[Pair] = []
     for name in given.task:
-        task = Task(name, given.round_trip_s, SETTINGS)
+        task = Task(name, given.round_trip_s, given.set)
         found, everyone = _pairs(task, given)
         pairs += found
         rows += [

@@ -27,7 +27,7 @@ class Boundary(Struct, frozen=True, kw_only=True):
     alone, each for `D = sum n_i^2 / sum n_i`: `T lambda / D ~ Gamma(k', 1)`.
 
     Source: Leadbetter 1976 (events of a stationary series); Smith and Weissman 1994 (clusters by a least separation);
-    Fay and Feuer 1997, Eq. 3 (gamma interval of weighted counts).
+    Fay and Feuer 1997 (gamma interval of a count whose variance is not its mean).
     """
 
     value: float

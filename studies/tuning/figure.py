@@ -68,8 +68,7 @@ def _roc(panel: "Axes", each: TunedThreshold) -> None:
     if not points:
         panel.text(0.5, 0.5, "no release to be missed", ha="center", va="center", transform=panel.transAxes)
         return
-    order = np.argsort(rates, kind="stable")
-    panel.errorbar(rates[order], 100.0 * missed[order], xerr=np.abs(beyond[order] - rates[order, None]).T,
+    panel.errorbar(rates, 100.0 * missed, xerr=np.abs(beyond - rates[:, None]).T,
                    color=colour, marker=".", ms=4.0, lw=0.8, elinewidth=0.4)  # fmt: skip
     panel.plot(each.point.false_trips_per_h, 100.0 * each.point.missed / each.point.releases, "o", color=PAPER,
                mfc="none", ms=7.0)  # fmt: skip

@@ -3,14 +3,16 @@
 import json
 import re
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from msgspec.structs import replace
 from scipy.stats import binomtest, gamma, nbinom
+from tests.images.tuning import record_hands
 
 from haptether.bridge import (
     Recording,
@@ -55,16 +57,17 @@ def test_the_exact_interval_of_a_share_is_that_of_scipy(count: int, of: int, con
 @pytest.mark.parametrize("order", [1.0, 3.5, 20.0])
 @pytest.mark.parametrize("ratio", [0.25, 1.0, 4.0])
 def test_counts_of_the_next_sample_are_negative_binomial(order: float, ratio: float) -> None:
-    low, high = nbinom.ppf([0.025, 0.975], order, 1.0 / (1.0 + ratio))
-    assert exceedance_interval(order, ratio) == (low, high)
+    both = [float(nbinom.ppf(share, order, 1.0 / (1.0 + ratio))) for share in (0.025, 0.975)]
+    assert list(exceedance_interval(order, ratio)) == both
 
 
 # --------------------------------------------------------------------------------------------- exceedances
 
 
-def series(values: Sequence[float], ticks: Sequence[int], blocks: Sequence[int] | None = None) -> Scores:
-    of_block = [0] * len(values) if blocks is None else blocks
-    return Scores(np.array(values, dtype=float), np.array(ticks), np.array(of_block))
+def series(values: npt.ArrayLike, ticks: npt.ArrayLike, blocks: npt.ArrayLike | None = None) -> Scores:
+    value: npt.NDArray[np.float64] = np.atleast_1d(np.array(values, dtype=np.float64))
+    of_block = np.zeros(value.size) if blocks is None else np.array(blocks)
+    return Scores(value, np.array(ticks, dtype=np.int64), of_block.astype(np.int64))
 
 
 def test_exceedances_closer_than_an_intervention_are_one_event() -> None:
@@ -168,15 +171,7 @@ def test_the_lowest_boundary_that_keeps_a_rate_is_found(per_hour: float) -> None
 @pytest.fixture(scope="module")
 def held(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Recordings of as many hands that hold, with nobody who watches."""
-    folder = tmp_path_factory.mktemp("held")
-    task = Task("remote_push", 0.1)
-    hands, lasting = task.hands(RECORDINGS, 7, HandBounds()), task.watched(task.lasting(HandBounds()), None, {})
-    files = []
-    for hand in range(RECORDINGS):
-        changes = [f"{path}={int(of[hand]) if path == 'run.seed' else of[hand]!s}" for path, of in hands.items()]
-        files.append(folder / f"{hand}.mcap")
-        simulate(override_scene(lasting, changes), record=(files[-1], folder / "slave.mcap"))
-    return files
+    return record_hands(tmp_path_factory.mktemp("held"), RECORDINGS, seed=7)
 
 
 @pytest.mark.parametrize("name", scene_names())
@@ -240,7 +235,8 @@ def test_hours_are_those_in_which_the_two_are_engaged_and_nobody_intervenes(held
     engaged = float((recording.signals["state"] == "engaged").sum()) * 1e-3
     free = read_normal_operation([recording], fields=FIELDS)
     assert free.hours * 3600.0 == pytest.approx(engaged)
-    assert (free.blocks, free.round_trip_s) == (1, pytest.approx(0.1, abs=0.005))
+    assert free.blocks == 1
+    assert free.round_trip_s == pytest.approx(0.1, abs=0.005)
     task = Task("remote_push", 0.1)
     simulate(task.watched(task.lasting(HandBounds()), "wsc", {}), record=(tmp_path / "m.mcap", tmp_path / "s.mcap"))
     watched = read_recording(tmp_path / "m.mcap")
