@@ -109,13 +109,18 @@ class Exceedances:
         return falling
 
     def at_most(self, per_hour: float, confidence: float) -> Boundary | None:
-        """The lowest boundary that is exceeded at most so often in 1/h, with a confidence; none where none is."""
+        """The lowest boundary that is exceeded at most so often in 1/h, with a confidence; none where none is.
+
+        Where all events that there are would be allowed, the largest one: how low one may go is not known then.
+        """
         low, high = 0, 1
         while self._holds(high, per_hour, confidence):
             low, high = high, 2 * high
         while high - low > 1:
             middle = (low + high) // 2
             low, high = (middle, high) if self._holds(middle, per_hour, confidence) else (low, middle)
+        if low and self.boundary(low + 1) is None:
+            low = 1
         return self.boundary(low) if low else None
 
     def _holds(self, order: int, per_hour: float, confidence: float) -> bool:

@@ -257,6 +257,9 @@ def _recorded(file: str | os.PathLike[str] | Recording, overrides: tuple[str, ..
     if not np.any(run.signals["state"] == ENGAGED):
         message = f"{name}: nobody was coupled: the two sides never engaged ({run.metrics.outcome})"
         raise ValueError(message)
+    if run.settings["master"]["kind"] == "joints":
+        message = f"{name}: of kind joints, must be linear or pose: it has no force and velocity of one point"
+        raise ValueError(message)
     changes = [f"safety.controllers=[{','.join(OBSERVERS)}]", *overrides]
     seen = replay(recording, overrides=[*changes, *(f"safety.{each}" for each in DULL)], hand="measured")
     scene = recorded_scene(recording.scene, overrides)

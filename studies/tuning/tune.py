@@ -178,6 +178,8 @@ def tune(
         chosen = tuple(FIELD_OF[name] for name in watching or FIELD_OF)
     trip_s = seen.round_trip_s if round_trip_s is None else round_trip_s
     runs, notes = _release_runs(seen, scene, (trip_s, hands, releases, seed), threads)
+    if seen.scene.master.rotation is not None:
+        notes.append("of kind pose: thresholds of [safety.rotation], for torques, are not tuned")
     tuned = []
     for field in chosen:
         say(f"{field}: releases")

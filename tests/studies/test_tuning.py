@@ -163,6 +163,10 @@ def test_the_lowest_boundary_that_keeps_a_rate_is_found(per_hour: float) -> None
     # chi2_(2 k)(0.95) / (2 T) of scipy.
     assert found.quantile_per_hour(0.95) == pytest.approx(gamma.ppf(0.95, found.order) / 3.0, rel=1e-9)
     assert events.at_most(0.99, 0.95) is None
+    # More than all of them are allowed: how low one may go was not seen.
+    largest = events.at_most(1e6, 0.95)
+    assert largest is not None
+    assert (largest.order, largest.value) == (1, events.peaks(1)[0])
 
 
 # ----------------------------------------------------------------------------------------------- recordings
@@ -302,6 +306,11 @@ def never_engaged(recording: Recording) -> list[Any]:
     return [replace(recording, signals=recording.signals | {"state": states})]
 
 
+def of_joints(recording: Recording) -> list[Any]:
+    (_, changed) = another("master", "kind", "joints")(recording)
+    return [changed]
+
+
 def another_rate(recording: Recording) -> list[Any]:
     return [recording, of_a_person(recording, period_s=0.002)]
 
@@ -321,6 +330,7 @@ def another(table: str, key: str, value: object) -> Callable[[Recording], list[A
         (lambda _: [], "no recording was given"),
         (other_side, "of the slave, must be of the master"),
         (never_engaged, "nobody was coupled: the two sides never engaged"),
+        (of_joints, "of kind joints, must be linear or pose"),
         (another_rate, r"differ in \[run\] period_s: 0.001 and 0.002: must be of one device at one rate"),
         (another("master", "mass_kg", [0.2]), r"differ in \[master\] mass_kg: \[0.157\] and \[0.2\]"),
         (another("safety", "window", 50), r"differ in \[safety\] window: 100 and 50: .*; --set safety.window="),
