@@ -37,7 +37,7 @@ from haptether.studies.tuning import (
 from haptether.view.style.figure import new_figure, styled, write_figure
 
 EXAMPLE = """example:
-  .venv/bin/python benches/tuned_thresholds.py --pairs 40 --recordings 12 --plot out
+  .venv/bin/python benches/tuned_thresholds.py --task remote_push sliding_mass --plot out
 """
 FIELDS = ("energy_threshold_j", "grasp_threshold", "velocity_threshold")
 SETTINGS = ("safety.window=10", "safety.wsc_force_threshold_n=0.1")
@@ -60,12 +60,10 @@ class Pair(NamedTuple):
 def main() -> int:
     """Simulates, tunes and counts; 1 where fewer held-out counts lie within their intervals than chance explains."""
     options = bench_options(__doc__, EXAMPLE)
-    options.add_argument(
-        "--task", nargs="+", default=["remote_push", "sliding_mass"], help="bundled scenes of two sides"
-    )
+    options.add_argument("--task", nargs="+", default=["remote_push"], help="bundled scenes of two sides")
     options.add_argument("--pairs", type=int, default=40, help="pairs of sets, of each task")
-    options.add_argument("--recordings", type=int, default=12, help="recordings of each set")
-    options.add_argument("--false-trips-per-h", type=float, default=300.0, help="rate asked for")
+    options.add_argument("--recordings", type=int, default=8, help="recordings of each set")
+    options.add_argument("--false-trips-per-h", type=float, default=400.0, help="rate asked for")
     options.add_argument("--confidence", type=float, default=0.95)
     options.add_argument("--round-trip-s", type=float, default=0.1)
     options.add_argument("--set", nargs="*", default=SETTINGS, metavar="KEY=VALUE", help="fields of the scenes")
