@@ -33,11 +33,12 @@ from haptether.bridge.devices.loop import DeviceRun, MasterRun, SlaveRun, drive_
 from haptether.bridge.devices.open import DeviceError
 from haptether.bridge.recording.flight import flight_of_file
 from haptether.bridge.recording.foxglove.write import write_foxglove
-from haptether.bridge.recording.hand import HandFit
+from haptether.bridge.recording.hand import HandError, HandFit, held_ticks
 from haptether.bridge.recording.load import load
 from haptether.bridge.recording.playback import playback_scene
 from haptether.bridge.recording.read import RecordedCause, RecordedStep, Recording, read_recording
 from haptether.bridge.recording.replay import Replay, ReplayFigures, replay
+from haptether.bridge.recording.settings import recorded_scene
 from haptether.bridge.scene.errors import SceneError
 from haptether.bridge.scene.load import load_scene, override_scene, scene_json, scene_names
 from haptether.bridge.scene.run import Event, Metrics, Run, Signals, simulate
@@ -140,6 +141,7 @@ __all__ = [
     "FingerTable",
     "ForceSensorTable",
     "GripperTable",
+    "HandError",
     "HandFit",
     "HandleTable",
     "HoleTable",
@@ -218,6 +220,7 @@ __all__ = [
     "drive_master",
     "drive_slave",
     "flight_of_file",
+    "held_ticks",
     "ladder_reason",
     "ladder_state_name",
     "load",
@@ -230,6 +233,7 @@ __all__ = [
     "playback_scene",
     "read_key",
     "read_recording",
+    "recorded_scene",
     "replay",
     "run_local",
     "save_scene",

@@ -67,6 +67,15 @@ if TYPE_CHECKING:
         draw_trade_off,
         measure_thresholds,
     )
+    from haptether.studies.tuning import (
+        TUNED_FIELDS,
+        Boundary,
+        RocPoint,
+        TunedThreshold,
+        Tuning,
+        draw_tuning,
+        tune,
+    )
 
 __all__ = [
     "DEMO_CONTROLLERS",
@@ -76,6 +85,8 @@ __all__ = [
     "RAVEN_ATTACKS",
     "THRESHOLD_LAWS",
     "THRESHOLD_TASKS",
+    "TUNED_FIELDS",
+    "Boundary",
     "ContactLoop",
     "DemoScene",
     "DesignCheck",
@@ -105,11 +116,14 @@ __all__ = [
     "RavenRow",
     "Release",
     "ReleaseBounds",
+    "RocPoint",
     "Sensitivity",
     "ThresholdLaw",
     "TradeOff",
     "TradeOffPoint",
     "TradeOffRow",
+    "TunedThreshold",
+    "Tuning",
     "Verdict",
     "WorstRelease",
     "check_scene",
@@ -119,6 +133,7 @@ __all__ = [
     "draw_paper",
     "draw_pick",
     "draw_trade_off",
+    "draw_tuning",
     "evaluate",
     "evaluation_html",
     "evaluation_markdown",
@@ -140,6 +155,7 @@ __all__ = [
     "scene_times",
     "stable_delays",
     "summarise_link",
+    "tune",
 ]
 
 if not TYPE_CHECKING:  # else any name would do
@@ -235,6 +251,15 @@ if not TYPE_CHECKING:  # else any name would do
                 "TradeOffRow",
                 "draw_trade_off",
                 "measure_thresholds",
+            ),
+            "tuning": (
+                "TUNED_FIELDS",
+                "Boundary",
+                "RocPoint",
+                "TunedThreshold",
+                "Tuning",
+                "draw_tuning",
+                "tune",
             ),
         },
     )

@@ -1,6 +1,6 @@
 """95 % intervals of what was counted or drawn, each exact or of a named source."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import comb, exp, lgamma, log, sqrt
 
 Z95 = 1.959964
@@ -48,3 +48,94 @@ def median_interval(values: Sequence[float]) -> tuple[float, float]:
         below += comb(count, rank) * 0.5**count
         rank += 1
     return ordered[rank - 1], ordered[count - rank]
+
+
+def binomial_interval(count: int, of: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Exact interval of a share of at least one: at either end half of the rest lies beyond the count.
+
+    Source: Clopper and Pearson 1934.
+    """
+
+    def at_most(most: int, share: float) -> float:
+        """P(B(of, share) <= most)."""
+        if share <= 0.0 or share >= 1.0:
+            return 1.0 if share <= 0.0 or most >= of else 0.0
+        logs = (lgamma(of + 1.0) - lgamma(n + 1.0) - lgamma(of - n + 1.0) for n in range(most + 1))
+        return sum(exp(each + n * log(share) + (of - n) * log(1.0 - share)) for n, each in enumerate(logs))
+
+    tail = 0.5 * (1.0 - confidence)
+    low = 0.0 if count == 0 else _falling(lambda share: at_most(count - 1, share), 1.0 - tail, 0.0, 1.0)
+    high = 1.0 if count == of else _falling(lambda share: at_most(count, share), tail, 0.0, 1.0)
+    return low, high
+
+
+def gamma_quantile(share: float, shape: float) -> float:
+    """The x below which a gamma variable of scale 1 lies with a probability; `chi2_(2 k) / 2` for a whole shape k.
+
+    By bisection on the regularised incomplete gamma function P(k, x).
+
+    Source: Press et al. 2007, section 6.2: its series below x = k + 1, its continued fraction above.
+    """
+    high = shape + 20.0 + 20.0 * sqrt(shape + 1.0)
+    return _falling(lambda x: 1.0 - _gamma_below(shape, x), 1.0 - share, 0.0, high)
+
+
+def exceedance_interval(order: float, ratio: float, confidence: float = 0.95) -> tuple[int, int]:
+    """Between which counts the next sample exceeds the `order`-th largest point of this one, whatever their law.
+
+    With `T lambda ~ Gamma(k)` the count of a time T' is negative binomial, `P(n) = C(n + k - 1, n) p^k (1 - p)^n`,
+    `p = T / (T + T')`.
+
+    Args:
+        order: k, above 0; not whole where points come in groups.
+        ratio: T' / T.
+        confidence: Of the interval; at either end at most half of the rest.
+
+    Source: Gumbel and von Schelling 1950.
+    """
+    tail, p = 0.5 * (1.0 - confidence), 1.0 / (1.0 + ratio)
+    low, count, below = None, 0, 0.0
+    while True:
+        chance = lgamma(count + order) - lgamma(count + 1.0) - lgamma(order) + order * log(p) + count * log(1.0 - p)
+        below += exp(chance)
+        if low is None and below > tail:
+            low = count
+        if below >= 1.0 - tail:
+            return low or 0, count
+        count += 1
+
+
+def _falling(of: Callable[[float], float], value: float, low: float, high: float) -> float:
+    """Where a function that falls passes a value."""
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if of(middle) > value else (low, middle)
+    return 0.5 * (low + high)
+
+
+def _gamma_below(shape: float, x: float) -> float:
+    """P(k, x)."""
+    if x <= 0.0:
+        return 0.0
+    front = exp(shape * log(x) - x - lgamma(shape))
+    if x < shape + 1.0:
+        term = total = 1.0 / shape
+        place = shape
+        while term > total * 1e-16:
+            place += 1.0
+            term *= x / place
+            total += term
+        return front * total
+    # Lentz's method.
+    b = x + 1.0 - shape
+    c, d = 1e300, 1.0 / b
+    fraction = d
+    for n in range(1, 100_000):
+        a = -n * (n - shape)
+        b += 2.0
+        d = 1.0 / (a * d + b or 1e-300)
+        c = b + a / c or 1e-300
+        fraction *= c * d
+        if abs(c * d - 1.0) < 1e-15:
+            break
+    return 1.0 - front * fraction

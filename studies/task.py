@@ -103,7 +103,7 @@ class Task:
     """A scene as a task, at one round trip.
 
     Args:
-        name: Of a bundled scene, or the path of one.
+        name: Of a bundled scene, the path of one, or a scene.
         round_trip_s: Both delays of a link together, or by how much a force without an arm is late.
         overrides: Fields of the scene to change first.
         network: What the link does; by default what the scene's does, with a jitter of a tenth of its delay.
@@ -112,14 +112,17 @@ class Task:
 
     def __init__(
         self,
-        name: str,
+        name: str | Scene,
         round_trip_s: float,
         overrides: Iterable[str] = (),
         *,
         network: Network | None = None,
         by_time: bool = True,
     ) -> None:
-        scene = load_scene(name, (*SOFTENED.get(Path(name).stem, ()), *overrides))
+        if isinstance(name, Scene):
+            scene, name = override_scene(name, overrides), name.title or "scene"
+        else:
+            scene = load_scene(name, (*SOFTENED.get(Path(name).stem, ()), *overrides))
         if scene.operator is None:
             message = f"{name}: nobody holds its device"
             raise ValueError(message)

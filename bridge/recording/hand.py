@@ -1,7 +1,7 @@
 """The hand of a recording as a model: its impedance by least squares, and when it holds the device."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -71,6 +71,45 @@ def hand_of(
     Raises:
         HandError: Nothing moves the hand, or too little.
     """
+    motion = _motion_of(position, device_force, device, period_s)
+    x, velocity, acceleration, force, hand_force, stopped, half = motion
+    holds = _holds_of(motion)
+    answers = np.stack([x, velocity, acceleration], axis=2)
+    windows = _windows((answers, hand_force, force), holds & ~stopped, period_s, half)
+    return _fit(windows, float(holds.sum() * period_s)), holds
+
+
+def held_ticks(position: Array, device_force: Array, device: dict[str, Any], period_s: float) -> npt.NDArray[np.bool_]:
+    """At which ticks a hand holds a device, by the equation of motion (paper Eq. 3), shape `(n_ticks,)`.
+
+    It has let go where it bears less than `LET_GO` of F_device, until it bears more than `HOLDS_AGAIN`; below
+    `MIN_FORCE_N` and at a mechanical stop nothing tells, and it is as before.
+
+    Args:
+        position: As of `hand_of`.
+        device_force: As of `hand_of`.
+        device: As of `hand_of`.
+        period_s: As of `hand_of`.
+
+    Raises:
+        HandError: Too few ticks.
+    """
+    return _holds_of(_motion_of(position, device_force, device, period_s))
+
+
+class _Motion(NamedTuple):
+    """A recorded device and its hand, smoothed, each of shape `(n_ticks, axes)`."""
+
+    x: Array
+    velocity: Array
+    acceleration: Array
+    force: Array
+    hand_force: Array
+    stopped: npt.NDArray[np.bool_]
+    half: int
+
+
+def _motion_of(position: Array, device_force: Array, device: dict[str, Any], period_s: float) -> _Motion:
     half = max(2, round(SMOOTHED_S / period_s / 2))
     if len(position) < 8 * half:
         message = f"{len(position)} ticks are too few"
@@ -86,11 +125,12 @@ def hand_of(
     friction = coulomb * velocity / np.maximum(speed, 1e-3)
     hand_force = mass * acceleration + viscous * velocity + friction - force
     stopped = _at_a_stop(position, device.get("stops"), half)
-    tells = np.linalg.norm(force, axis=1) >= MIN_FORCE_N
-    holds = _holds(np.linalg.norm(hand_force, axis=1), np.linalg.norm(force, axis=1), tells & ~stopped)
-    answers = np.stack([x, velocity, acceleration], axis=2)
-    windows = _windows((answers, hand_force, force), holds & ~stopped, period_s, half)
-    return _fit(windows, float(holds.sum() * period_s)), holds
+    return _Motion(x, velocity, acceleration, force, hand_force, stopped, half)
+
+
+def _holds_of(motion: _Motion) -> npt.NDArray[np.bool_]:
+    hand, force = np.linalg.norm(motion.hand_force, axis=1), np.linalg.norm(motion.force, axis=1)
+    return _holds(hand, force, (force >= MIN_FORCE_N) & ~motion.stopped)
 
 
 def _smoothed(values: Array, half: int) -> Array:

@@ -1,10 +1,14 @@
 """The settings that a recording was made with, as tables that can be changed and checked again."""
 
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any, cast
 
 from msgspec import json
 
 from haptether.bridge.scene.errors import Raw
+from haptether.bridge.scene.load import checked, overridden
+from haptether.bridge.scene.tables.session import Scene
 
 
 def tables_of(scene: bytes, names: tuple[str, ...]) -> dict[str, Raw]:
@@ -31,7 +35,34 @@ def tables_of(scene: bytes, names: tuple[str, ...]) -> dict[str, Raw]:
         times = operator.pop("clutch_times", None)
         if times is not None:
             operator["clutch"] = times
+    if isinstance(environment := tables.get("environment"), dict):
+        _drop_absent(environment)
     return tables
+
+
+def recorded_scene(scene: bytes, overrides: Iterable[str] = ()) -> Scene:
+    """The scene of a recording, as a scene that can be run again.
+
+    Args:
+        scene: As a recording keeps it.
+        overrides: Fields to change, `table.key=value` each.
+
+    Raises:
+        SceneError: One that cannot be built.
+    """
+    raw = tables_of(scene, ("run", "master", "operator", "slave", "environment", "link", "coupling", "safety"))
+    for override in overrides:
+        raw = overridden(raw, override)
+    return checked(raw, Path()).scene
+
+
+def _drop_absent(environment: dict[str, Raw]) -> None:
+    """Drops what a push of its shape does not have, which stands as 0."""
+    for key in ("pushers", "torques"):
+        for push in cast("list[dict[str, Raw]]", environment.get(key, [])):
+            for absent in ("frequency_hz", "rise_s"):
+                if not push.get(absent):
+                    push.pop(absent, None)
 
 
 def _given(value: Any) -> Any:  # noqa: ANN401  # any part of a scene

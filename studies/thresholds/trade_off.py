@@ -193,7 +193,7 @@ def measure_thresholds(
             if progress is not None:
                 progress(f"{name}, {round_trip_s * 1e3:g} ms")
             task = Task(name, round_trip_s, overrides)
-            run = _Runs(task, task.hands(hands, seed, bounds), releases, threads)
+            run = TaskRuns(task, task.hands(hands, seed, bounds), releases, threads)
             rows += run.rows(laws, task.lasting(bounds))
     return TradeOff(
         rows=tuple(rows),
@@ -205,8 +205,8 @@ def measure_thresholds(
     )
 
 
-class _Runs:
-    """One task at one round trip."""
+class TaskRuns:
+    """One task at one round trip, done by hands that hold, and that let go at times spread over what is pressed."""
 
     def __init__(self, task: Task, hands: dict[str, Array], releases: int, threads: int | None) -> None:
         self.task, self.threads = task, threads
@@ -241,6 +241,24 @@ class _Runs:
         speed = np.nan_to_num(np.asarray(found["max_ejection_velocity"], dtype=np.float64))
         return (ejection_speeds(scene, found) > MISSED_SPEED).reshape(shape), speed.reshape(shape)
 
+    def released(self, law: ThresholdLaw) -> list[tuple[int, int, Array]]:
+        """Of each threshold: releases that throw where nobody watches, those of them missed, and their speeds in m/s.
+
+        A speed is the largest within `WITHIN_S` after the grip is gone.
+        """
+        of = [
+            (thrown, *self._thrown(scene, law, chosen))
+            for (scene, chosen), thrown in zip(self.groups, self.thrown, strict=True)
+            if thrown.any()
+        ]
+        found = []
+        for place in range(len(law.values)):
+            speeds = [speed[place][thrown] for thrown, _, speed in of]
+            count = sum(int(thrown.sum()) for thrown, _, _ in of)
+            missed = sum(int(fast[place][thrown].sum()) for thrown, fast, _ in of)
+            found.append((count, missed, np.concatenate(speeds) if speeds else np.zeros(0)))
+        return found
+
     def rows(self, laws: Sequence[ThresholdLaw], lasting: Scene) -> list[TradeOffRow]:
         """Of all laws and thresholds; `lasting` is the task that is held throughout."""
         everyone = np.ones(self.count, dtype=bool)
@@ -254,13 +272,9 @@ class _Runs:
             trips = np.nan_to_num(np.asarray(held["false_trips"], dtype=np.float64)).reshape(len(law.values), -1)
             ticks = np.nan_to_num(np.asarray(held["ticks"], dtype=np.float64)).reshape(len(law.values), -1)
             hours = ticks.sum(axis=1) * lasting.run.period_s / 3600.0
-            of = [
-                (thrown, *self._thrown(scene, law, chosen))
-                for (scene, chosen), thrown in zip(self.groups, self.thrown, strict=True)
-                if thrown.any()
-            ]
+            released = self.released(law)
             for place, threshold in enumerate(law.values):
-                speeds = [speed[place][thrown] for thrown, _, speed in of]
+                releases, missed, speeds = released[place]
                 rows.append(
                     TradeOffRow(
                         law=law.name,
@@ -271,9 +285,9 @@ class _Runs:
                         round_trip_s=self.task.round_trip_s,
                         hours=float(hours[place]),
                         false_trips=int(trips[place].sum()),
-                        releases=sum(int(thrown.sum()) for thrown, _, _ in of),
-                        missed=sum(int(fast[place][thrown].sum()) for thrown, fast, _ in of),
-                        speed=float(np.median(np.concatenate(speeds))) if speeds else None,
+                        releases=releases,
+                        missed=missed,
+                        speed=float(np.median(speeds)) if speeds.size else None,
                     )
                 )
         return rows

@@ -540,6 +540,7 @@ REQUIRED = {
     "falsify": ["remote_push"],
     "check": ["remote_push"],
     "evaluate": ["remote_push"],
+    "tune": ["master.mcap"],
 }
 NUMBERS = [(name, option) for name, command in COMMANDS.items() for option in numbers_of(command)]
 

@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 
 from tests.images.panel import photograph_panel
 from tests.images.report import photograph_report
+from tests.images.tuning import photograph_tuning
 
 ROOT = Path(__file__).resolve().parents[2]
 LONGEST_S = 900.0
@@ -63,6 +64,7 @@ MAKERS: Mapping[str, Maker] = {
         "thresholds", "free_motion", "paper_wall", "active_force", "moving_wall", "sliding_mass", "remote_push",
         "--round-trip-s", "0", "0.1", "0.3", "--hands", "6", "--plot",
     ),
+    "tune.png": photograph_tuning,
     "view_push.gif": haptether(
         "view", "remote_push", "--compare", "safety.controllers=[]", "--title", "with WSC",
         "--title", "without a controller", "--from-s", "2.5", "--until-s", "3.1", "--speed", "0.2", "--fps", "12",

@@ -114,7 +114,8 @@ def test_commands_of_the_readme_exist() -> None:
         "demo", "paper", "raven", "simulate", "sweep", "view", "slave", "netsim list", "netsim sample", "netsim proxy",
         "master", "keygen", "list", "explain", "check-link", "ur-emulator", "dynamixel-emulator", "inverse3-emulator",
         "check-device", "identify", "new-driver", "info", "plot", "export", "watch", "replay", "playback", "console",
-        "falsify", "thresholds", "evaluate", "check", "netsim set", "netsim echo", "netsim record", "netsim compare",
+        "falsify", "thresholds", "tune", "evaluate", "check", "netsim set", "netsim echo", "netsim record",
+        "netsim compare",
     }  # fmt: skip
     for name, arguments in shown:
         flags = re.findall(r"--[a-z-]+", arguments)

@@ -55,6 +55,7 @@ COMMANDS = CommandTable(
         "info": "recording.info:Info",
         "plot": "recording.plot:Plot",
         "export": "recording.export:Export",
+        "tune": "recording.tune:Tune",
         "replay": "recording.replay:Replay",
         "playback": "recording.playback:Playback",
         "keygen": "keygen:Keygen",

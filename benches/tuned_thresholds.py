@@ -1,0 +1,218 @@
+"""Whether `haptether tune` predicts the false trips of hands that it has not seen.
+
+Pairs of sets of recordings are simulated, each recording of another random hand that does a task and holds throughout.
+From one set of a pair the boundary of each observer is found at a rate of false trips, with its intervals; then
+
+- held out: exceedances of that boundary in the other set, against the interval of their count,
+- all: its rate in the recordings of all pairs, against the interval of the rate,
+- closed loop: false trips of the hands of the other set where the controller watches with that threshold and
+  intervenes, against the interval of their count.
+
+Counted is how often each lies within its interval; these shares have exact intervals (Clopper and Pearson 1934). The
+pairs are independent. Ends with status 1 if a share of held-out sets is below the confidence beyond chance.
+"""
+
+import math
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from _report import bench_options, table_file, write_json
+from haptether.bridge import override_scene, simulate, sweep
+from haptether.studies.intervals import binomial_interval
+from haptether.studies.task import HandBounds, Task
+from haptether.studies.tuning import (
+    TUNED_FIELDS,
+    Boundary,
+    Exceedances,
+    NormalOperation,
+    read_normal_operation,
+)
+from haptether.view.style.figure import new_figure, styled, write_figure
+
+EXAMPLE = """example:
+  .venv/bin/python benches/tuned_thresholds.py --task remote_push sliding_mass --plot out
+"""
+FIELDS = ("energy_threshold_j", "grasp_threshold", "velocity_threshold")
+SETTINGS = ("safety.window=10", "safety.wsc_force_threshold_n=0.1")
+"""WSC with the window and the gate of docs/thresholds.md; the other fields are the scene's."""
+
+
+class Pair(NamedTuple):
+    """A boundary of one set, and what the other set made of it."""
+
+    task: str
+    field: str
+    boundary: Boundary
+    held_out_h: float
+    predicted: tuple[int, int]
+    held_out: int
+    closed_loop_h: float
+    closed_loop: int
+
+
+def main() -> int:
+    """Simulates, tunes and counts; 1 where fewer held-out counts lie within their intervals than chance explains."""
+    options = bench_options(__doc__, EXAMPLE)
+    options.add_argument("--task", nargs="+", default=["remote_push"], help="bundled scenes of two sides")
+    options.add_argument("--pairs", type=int, default=40, help="pairs of sets, of each task")
+    options.add_argument("--recordings", type=int, default=8, help="recordings of each set")
+    options.add_argument("--false-trips-per-h", type=float, default=400.0, help="rate asked for")
+    options.add_argument("--confidence", type=float, default=0.95)
+    options.add_argument("--round-trip-s", type=float, default=0.1)
+    options.add_argument("--set", nargs="*", default=SETTINGS, metavar="KEY=VALUE", help="fields of the scenes")
+    options.add_argument("--seed", type=int, default=1)
+    options.add_argument("--plot", metavar="DIR", help="draw predicted intervals and counts into this folder")
+    given = options.parse_args()
+    rows: list[dict[str, Any]] = []
+    pairs: list[Pair] = []
+    for name in given.task:
+        task = Task(name, given.round_trip_s, given.set)
+        found, everyone = _pairs(task, given)
+        pairs += found
+        rows += [
+            _row(name, field, [pair for pair in found if pair.field == field], everyone, given) for field in FIELDS
+        ]
+    table = Table("task", "threshold", "pairs", "order k", "D", "held out", "all", "closed loop")
+    for row in rows:
+        shares = [f"{row[of]}/{row['pairs']}" for of in ("held_out", "all", "closed_loop")]
+        table.add_row(
+            row["task"], row["field"], str(row["pairs"]), f"{row['order']:.1f}", f"{row['grouping']:.2f}", *shares
+        )
+    Console(file=table_file(given.json), width=110).print(table)
+    write_json(given.json, {"options": vars(given), "rows": rows, "pairs": [_plain(pair) for pair in pairs]})
+    if given.plot:
+        _draw(pairs, given, Path(given.plot))
+    return int(any(row["pairs"] and row["held_out_interval"][1] < given.confidence for row in rows))
+
+
+def _pairs(task: Task, given: Any) -> tuple[list[Pair], dict[str, tuple[Exceedances, float]]]:  # noqa: ANN401  # options
+    """The pairs of a task, and all recordings together by field."""
+    bounds, count = HandBounds(), given.recordings
+    lasting = task.lasting(bounds)
+    hands = task.hands(2 * count * given.pairs, given.seed, bounds)
+    pairs, sets = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(2 * given.pairs):
+            chosen = slice(number * count, (number + 1) * count)
+            files = list(
+                _recordings(task, {path: values[chosen] for path, values in hands.items()}, lasting, Path(folder))
+            )
+            sets.append(read_normal_operation(files, fields=FIELDS))
+            if number % 2 == 0:
+                continue
+            for field in FIELDS:
+                seen, other = sets[-2:]
+                boundary = _events(seen, field).at_most(given.false_trips_per_h, given.confidence)
+                if boundary is None:
+                    continue
+                held = {path: values[chosen] for path, values in hands.items()}
+                trips, hours = _closed_loop(task, lasting, held, field, boundary.value)
+                pairs.append(
+                    Pair(
+                        task.name, field, boundary, other.hours, boundary.expected_count(other.hours, given.confidence),
+                        _events(other, field).count(boundary.value), hours, trips,
+                    )
+                )  # fmt: skip
+    hours = sum(each.hours for each in sets)
+    return pairs, {field: (_together(sets, field, hours), hours) for field in FIELDS}
+
+
+def _recordings(task: Task, hands: dict[str, Any], lasting: Any, folder: Path) -> Iterator[Path]:  # noqa: ANN401  # a scene
+    """One of each hand, with no controller that intervenes."""
+    for number in range(len(hands["run.seed"])):
+        changes = [
+            f"{path}={int(values[number]) if path == 'run.seed' else float(values[number])!r}"
+            for path, values in hands.items()
+        ]
+        file = folder / f"{number}.mcap"
+        scene = override_scene(task.watched(lasting, None, {}), changes)
+        simulate(scene, record=(file, folder / "slave.mcap"))
+        yield file
+
+
+def _events(seen: NormalOperation, field: str) -> Exceedances:
+    return Exceedances(seen.scores[field], seen.hours, seen.period_s)
+
+
+def _together(sets: list[NormalOperation], field: str, hours: float) -> Exceedances:
+    """All recordings as one series."""
+    scores = [each.scores[field] for each in sets]
+    apart = 10**10
+    joined = type(scores[0])(
+        np.concatenate([of.value for of in scores]),
+        np.concatenate([of.tick + number * apart for number, of in enumerate(scores)]),
+        np.concatenate([of.block + number * 10**4 for number, of in enumerate(scores)]),
+    )
+    return Exceedances(joined, hours, sets[0].period_s)
+
+
+def _closed_loop(task: Task, lasting: Any, hands: dict[str, Any], field: str, value: float) -> tuple[int, float]:  # noqa: ANN401
+    """False trips of hands while the controller watches with the threshold, and the hours that they held."""
+    about = TUNED_FIELDS[field]
+    watched = task.watched(lasting, about.controller, {field: about.sign * value})
+    found = sweep(watched, samples=hands, threads=1)
+    ticks = np.nan_to_num(np.asarray(found["ticks"], dtype=np.float64)).sum()
+    return int(np.nansum(found["false_trips"])), float(ticks) * lasting.run.period_s / 3600.0
+
+
+def _row(
+    task: str,
+    field: str,
+    pairs: list[Pair],
+    everyone: dict[str, tuple[Exceedances, float]],
+    given: Any,  # noqa: ANN401
+) -> dict[str, Any]:
+    events, hours = everyone[field]
+    held = sum(pair.predicted[0] <= pair.held_out <= pair.predicted[1] for pair in pairs)
+    rates = [events.count(pair.boundary.value) / hours for pair in pairs]
+    intervals = [pair.boundary.interval_per_hour(given.confidence) for pair in pairs]
+    within = sum(low <= rate <= high for rate, (low, high) in zip(rates, intervals, strict=True))
+    loop = [pair.boundary.expected_count(pair.closed_loop_h, given.confidence) for pair in pairs]
+    closed = sum(low <= pair.closed_loop <= high for pair, (low, high) in zip(pairs, loop, strict=True))
+    return {
+        "task": task, "field": field, "pairs": len(pairs),
+        "order": float(np.mean([pair.boundary.order for pair in pairs])) if pairs else math.nan,
+        "grouping": float(np.mean([pair.boundary.grouping for pair in pairs])) if pairs else math.nan,
+        "held_out": held, "held_out_interval": binomial_interval(held, len(pairs)) if pairs else (0.0, 1.0),
+        "above": sum(rate > given.false_trips_per_h for rate in rates),
+        "all": within, "closed_loop": closed,
+        "closed_loop_trips": sum(pair.closed_loop for pair in pairs),
+        "held_out_trips": sum(pair.held_out for pair in pairs),
+        "predicted_trips": sum(pair.boundary.per_hour * pair.held_out_h for pair in pairs),
+    }  # fmt: skip
+
+
+def _plain(pair: Pair) -> dict[str, Any]:
+    boundary = pair.boundary
+    return {**pair._asdict(), "boundary": {name: getattr(boundary, name) for name in boundary.__struct_fields__}}
+
+
+def _draw(pairs: list[Pair], given: Any, folder: Path) -> None:  # noqa: ANN401  # options
+    folder.mkdir(parents=True, exist_ok=True)
+    with styled():
+        figure = new_figure(2, 2.2 * len(given.task) + 0.4, "held-out exceedances against their predicted intervals")
+        panels = figure.subplots(len(given.task), len(FIELDS), squeeze=False)
+        for row, task in zip(panels, given.task, strict=True):
+            for panel, field in zip(row, FIELDS, strict=True):
+                of = [pair for pair in pairs if (pair.task, pair.field) == (task, field)]
+                panel.set_title(f"{task}, {field}")
+                panel.set_xlabel("pair")
+                panel.set_ylabel("exceedances")
+                if not of:
+                    continue
+                number = np.arange(len(of))
+                low, high = np.array([pair.predicted for pair in of]).T
+                panel.vlines(number, low, high, color="#999999", lw=2.0)
+                panel.plot(number, [pair.held_out for pair in of], ".", color="#0072b2", ms=4.0)
+        write_figure(figure, folder / "tuned_thresholds.png")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

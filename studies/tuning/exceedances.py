@@ -1,0 +1,153 @@
+"""How often a boundary is exceeded, from the order statistics of clusters: no law of the values is assumed."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Struct
+
+from haptether.studies.intervals import exceedance_interval, gamma_quantile
+from haptether.studies.tuning.normal_operation import Scores
+
+SEPARATION_S = 0.3
+"""Exceedances closer than that in s are one event: hold-off and release ramp of one intervention."""
+GROUPED_OF = 5
+"""How many of the largest events say how they are grouped, at least: one alone says nothing of it."""
+
+
+class Boundary(Struct, frozen=True, kw_only=True):
+    """The k-th largest event of T hours as a threshold, and how often that will be exceeded.
+
+    Events beyond a high value are a Poisson process (Leadbetter 1976), whose rate lambda(u) falls with u. At the k-th
+    largest of T hours `T lambda(u) ~ Gamma(k, 1)`, whatever the law of the values, because `T lambda` maps the events,
+    from the largest on, to a process of rate 1. So the mean is k / T, and the bound of confidence C is
+    `chi2_(2 k)(C) / (2 T)`: for the largest value `-ln(1 - C) / T`, at 95 % the rule of three.
+
+    Events of one hand come in groups: n_i of them in block i, which are worth `k' = (sum n_i)^2 / sum n_i^2` that are
+    alone, each for `D = sum n_i^2 / sum n_i`: `T lambda / D ~ Gamma(k', 1)`.
+
+    Source: Leadbetter 1976 (events of a stationary series); Smith and Weissman 1994 (clusters by a least separation);
+    Fay and Feuer 1997 (gamma interval of a count whose variance is not its mean).
+    """
+
+    value: float
+    """u, in the unit of the threshold without its sign; infinite where an intervention cut the peak off."""
+    order: int
+    """k."""
+    grouping: float
+    """D: events of a block that has any, weighted by their number; 1 where all are alone."""
+    hours: float
+    """T."""
+
+    @property
+    def per_hour(self) -> float:
+        """Expected rate in 1/h."""
+        return self.order / self.hours
+
+    def quantile_per_hour(self, share: float) -> float:
+        """The rate in 1/h below which lambda(u) lies with a probability."""
+        return self.grouping * gamma_quantile(share, self.order / self.grouping) / self.hours
+
+    def interval_per_hour(self, confidence: float) -> tuple[float, float]:
+        """Interval of the rate in 1/h, with as much at either end."""
+        tail = 0.5 * (1.0 - confidence)
+        return self.quantile_per_hour(tail), self.quantile_per_hour(1.0 - tail)
+
+    def expected_count(self, hours: float, confidence: float) -> tuple[int, int]:
+        """Between which counts other recordings of so many hours will exceed it."""
+        low, high = exceedance_interval(self.order / self.grouping, hours / self.hours, confidence)
+        return math.floor(low * self.grouping), math.ceil(high * self.grouping)
+
+
+class Exceedances:
+    """The events of a score, by falling height."""
+
+    def __init__(self, scores: Scores, hours: float, period_s: float) -> None:
+        self.hours = hours
+        self._gap = round(SEPARATION_S / period_s)
+        falling = np.argsort(-scores.value, kind="stable")
+        self._value = scores.value[falling]
+        self._tick, self._block = scores.tick[falling], scores.block[falling]
+
+    def count(self, value: float) -> int:
+        """How many events exceed a value."""
+        return len(self._events(self._above(value)))
+
+    def boundary(self, order: int) -> Boundary | None:
+        """The `order`-th largest event; none where there are fewer."""
+        ticks, high = len(self._value), min(order, len(self._value))
+        while high < ticks and len(self._events(high)) < order:
+            high = min(2 * high, ticks)
+        if len(self._events(high)) < order:
+            return None
+        low = 0
+        # Two events may become one as what lies between them comes in: the first place that has as many.
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (low, middle) if len(self._events(middle)) >= order else (middle, high)
+        grouping = _grouping(self._events(high))
+        if order < GROUPED_OF and (more := self.boundary(GROUPED_OF)) is not None:
+            grouping = more.grouping
+        return Boundary(value=float(self._value[high - 1]), order=order, grouping=grouping, hours=self.hours)
+
+    def rate_of(self, value: float, confidence: float) -> tuple[float, tuple[float, float]]:
+        """Events per hour above a value that was not chosen by them, with an interval (Garwood 1936, grouped)."""
+        events = self._events(self._above(value))
+        count, grouping = len(events), _grouping(events) if len(events) else 1.0
+        tail = 0.5 * (1.0 - confidence)
+        low = gamma_quantile(tail, count / grouping) if count else 0.0
+        high = gamma_quantile(1.0 - tail, count / grouping + 1.0)
+        return count / self.hours, (grouping * low / self.hours, grouping * high / self.hours)
+
+    def peaks(self, most: int) -> list[float]:
+        """The largest events, falling; those that were cut off are infinite."""
+        order = np.argsort(self._tick)
+        tick, value = self._tick[order], self._value[order]
+        begins = np.flatnonzero(np.diff(tick, prepend=-self._gap - 1) > self._gap)
+        largest = np.maximum.reduceat(value, begins) if len(begins) else value
+        falling: list[float] = np.sort(largest)[::-1][:most].tolist()
+        return falling
+
+    def at_most(self, per_hour: float, confidence: float) -> Boundary | None:
+        """The lowest boundary that is exceeded at most so often in 1/h, with a confidence; none where none is.
+
+        Where all events that there are would be allowed, the largest one: how low one may go is not known then.
+        """
+        low, high = 0, 1
+        while self._holds(high, per_hour, confidence):
+            low, high = high, 2 * high
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (middle, high) if self._holds(middle, per_hour, confidence) else (low, middle)
+        if low and self.boundary(low + 1) is None:
+            low = 1
+        return self.boundary(low) if low else None
+
+    def _holds(self, order: int, per_hour: float, confidence: float) -> bool:
+        boundary = self.boundary(order)
+        return boundary is not None and boundary.quantile_per_hour(confidence) <= per_hour
+
+    def _above(self, value: float) -> int:
+        """How many ticks exceed a value."""
+        return int(np.searchsorted(-self._value, -value, "left"))
+
+    def _events(self, ticks: int) -> npt.NDArray[np.int64]:
+        """The blocks of the events that the highest ticks are."""
+        order = np.argsort(self._tick[:ticks])
+        tick, block = self._tick[:ticks][order], self._block[:ticks][order]
+        begins: npt.NDArray[np.int64] = block[np.diff(tick, prepend=-self._gap - 1) > self._gap]
+        return begins
+
+
+def _grouping(blocks: npt.NDArray[np.int64]) -> float:
+    """D of events in blocks."""
+    counts = np.bincount(blocks)
+    return float((counts**2).sum() / counts.sum())
+
+
+def hours_for(per_hour: float, confidence: float) -> float:
+    """How long hands must hold without an event so that a rate can be claimed: `-ln(1 - C) / rate`, in h.
+
+    Source: Hanley and Lippman-Hand 1983 (the rule of three at 95 %).
+    """
+    return -math.log(1.0 - confidence) / per_hour

@@ -1,0 +1,361 @@
+"""What a recorded hand that holds makes of the safety observers, tick by tick."""
+
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Struct, json
+
+from haptether.bridge import (
+    LADDER_STATES,
+    TRIP_BITS,
+    HandError,
+    Recording,
+    Run,
+    Scene,
+    held_ticks,
+    load,
+    read_recording,
+    recorded_scene,
+    replay,
+    scene_json,
+)
+
+Array = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+DULL = ("energy_threshold_j=-1e6", "velocity_threshold=1e6", "grasp_threshold=1e6", "hsc_force_threshold_n=1e6")
+"""Thresholds that nothing passes: observers watch and nobody intervenes."""
+OBSERVERS = ("vfc", "hsc", "wsc")
+"""Controllers whose observers are replayed."""
+READ_BY_OBSERVERS = {
+    "wsc": ("energy_threshold_j", "window", "energy_ratio", "wsc_force_threshold_n"),
+    "hsc": ("grasp_threshold", "hsc_force_threshold_n", "hsc_velocity_threshold", "grasp_floor_n"),
+    "vfc": ("velocity_threshold", "vfc_force_threshold_n", "vfc_form"),
+}
+"""Fields of `[safety]` that decide over what observers see, or over what of it trips."""
+DEVICE = ("kind", "axes", "mass_kg", "viscous", "coulomb", "encoder_quantum", "measures_velocity", "max_force_n")
+"""What makes two masters the same device."""
+SETTLE_S = 0.3
+"""After a recorded intervention, until signals are again those of a hand that feels F_v: the ramp of its return."""
+LET_GO_S = 0.05
+"""For how long in s nobody bears F_device where a hand let go: what a grip that fails takes (paper section 4.3)."""
+LET_GO_SPEED = 0.3
+"""Speed in m/s along F_device that a device then has at least: below, it was not thrown."""
+UNANSWERED = 0.5
+"""Share of an intervention in which nobody bears the force, above which the hand was gone.
+
+Measured in `remote_push` and `sliding_mass` at 100 ms with the default release law: at most 0.32 where a hand holds,
+0.65 and more where it has let go.
+"""
+UNANSWERED_S = 0.5
+"""Least duration in s of such an intervention: where one ends by time, a hand that yields may not answer meanwhile."""
+NOT_NORMAL = "a hand that lets go is no normal operation, give recordings in which it holds throughout"
+ENGAGED = LADDER_STATES.index("engaged")
+BLOCK_S = 60.0
+"""Longest time in s of a recording that counts as one; hands of a shorter one are one hand's."""
+
+
+class TunedField(NamedTuple):
+    """A threshold that can be read off recordings."""
+
+    controller: str
+    field: str
+    """Of `[safety]`."""
+    unit: str
+    sign: float
+    """Of the threshold: it is `sign` times the boundary of what rises as safety falls."""
+    least: float
+    """What such a boundary must exceed."""
+    score: str
+    """What rises as safety falls, with its unit."""
+
+
+TUNED_FIELDS = {
+    each.field: each
+    for each in (
+        TunedField("wsc", "energy_threshold_j", "J", -1.0, 0.0, "-E_wso [J]"),
+        TunedField("hsc", "grasp_threshold", "", 1.0, 1.0, "S_h"),
+        TunedField("hsc", "hsc_force_threshold_n", "N", 1.0, 0.0, "|F_v| [N]"),
+        TunedField("vfc", "velocity_threshold", "m/s", 1.0, 0.0, "V along F_v [m/s]"),
+    )
+}
+"""By the field of `[safety]`."""
+
+
+class NormalOperation(Struct, frozen=True, kw_only=True):
+    """Recordings of hands that hold, as one series of ticks."""
+
+    files: tuple[str, ...]
+    scene: Scene
+    """Of the first recording, with the overrides; all have its device, rate and settings of observers."""
+    period_s: float
+    hours: float
+    """For how long in h hands were coupled and nobody intervened."""
+    blocks: int
+    """Recordings, and parts of 60 s of longer ones: what can be taken as independent."""
+    round_trip_s: float
+    """Median of what was measured while coupled, in s; 0 where nothing was."""
+    interventions: dict[str, tuple[str, ...]]
+    """Where each controller tripped in the recordings: file and time in s."""
+    scores: dict[str, "Scores"]
+    """By the field of `[safety]`."""
+
+
+class Scores(NamedTuple):
+    """Ticks at which a controller would trip if its threshold were below the score; others are left out."""
+
+    value: Array
+    """In the unit of the threshold; infinite where it tripped in the recording, so that a peak was cut off."""
+    tick: npt.NDArray[np.int64]
+    """Number of the tick, recordings apart from each other."""
+    block: npt.NDArray[np.int64]
+
+
+def read_normal_operation(
+    files: Sequence[str | os.PathLike[str] | Recording], *, fields: Iterable[str], overrides: Iterable[str] = ()
+) -> NormalOperation:
+    """Reads recordings of masters and has the safety observers see them again, with no controller that intervenes.
+
+    A tick counts while the two sides are engaged and no controller of the recording intervenes or did so less than
+    `SETTLE_S` ago: then the hand felt another force.
+
+    Args:
+        files: What `--record` of a master wrote, or what `read_recording` read of it.
+        fields: Thresholds that are wanted, of `TUNED_FIELDS`.
+        overrides: Fields of `[safety]` to change first, `safety.key=value`.
+
+    Raises:
+        OSError: A file cannot be read.
+        ValueError: None, one twice, no recording of a master; nobody was coupled; a hand let go; different devices,
+            rates or settings of observers.
+    """
+    fields, overrides = tuple(fields), tuple(overrides)
+    if not files:
+        message = "no recording was given"
+        raise ValueError(message)
+    seen: set[Path] = set()
+    for path in (Path(file).resolve() for file in files if not isinstance(file, Recording)):
+        if path in seen:
+            message = f"{path}: is there twice, and says no more for it"
+            raise ValueError(message)
+        seen.add(path)
+    first: _Recorded | None = None
+    parts: dict[str, list[Scores]] = {field: [] for field in fields}
+    interventions: dict[str, list[str]] = {name: [] for name in OBSERVERS}
+    round_trips: list[Array] = []
+    ticks = blocks = offset = 0
+    for file in files:
+        one = _recorded(file, overrides)
+        if first is None:
+            first = one
+        _check_alike(first, one)
+        blocks_of = np.cumsum(one.counted) * one.period_s // BLOCK_S
+        place = np.arange(len(one.counted)) + offset
+        for field in fields:
+            value = one.score(field)
+            kept = value > TUNED_FIELDS[field].least
+            parts[field].append(Scores(value[kept], place[kept], blocks_of[kept].astype(np.int64) + blocks))
+        for name, begins in one.begins.items():
+            interventions[name] += [f"{one.name} at {one.time_s[tick]:.3f} s" for tick in np.flatnonzero(begins)]
+        round_trips.append(one.round_trips_s)
+        ticks += int(one.counted.sum())
+        blocks += int(blocks_of[-1]) + 1
+        # Farther apart than any two events that are one.
+        offset += len(one.counted) + 10**7
+    assert first is not None
+    return NormalOperation(
+        files=tuple(map(_name, files)),
+        scene=first.scene,
+        period_s=first.period_s,
+        hours=ticks * first.period_s / 3600.0,
+        blocks=blocks,
+        round_trip_s=float(np.median(measured)) if (measured := np.concatenate(round_trips)).size else 0.0,
+        interventions={name: tuple(places) for name, places in interventions.items()},
+        scores={
+            field: Scores(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
+            for field, found in parts.items()
+        },
+    )
+
+
+class _Recorded:
+    """One recording: its observers replayed, and which of its ticks count."""
+
+    def __init__(self, name: str, run: Run, scene: Scene, seen: dict[str, Array]) -> None:
+        self.name, self.scene, self.seen = name, scene, seen
+        self.period_s, self.time_s = scene.run.period_s, run.signals["time_s"]
+        tripped = _trips(run)
+        # Who trips while another intervenes begins nothing.
+        begins = _begins(tripped != 0)
+        self.begins = {name: begins & (tripped & TRIP_BITS[name] != 0) for name in OBSERVERS}
+        engaged = run.signals["state"] == ENGAGED
+        measured = run.signals["round_trip_s"][engaged] if "round_trip_s" in run.signals else np.zeros(0)
+        self.round_trips_s: Array = measured[np.isfinite(measured)]
+        after = round(SETTLE_S / self.period_s)
+        self.counted = engaged & ~_for_so_long_after(tripped != 0, after)
+
+    def score(self, field: str) -> Array:
+        """What the threshold must exceed so that a tick does not trip it, shape `(n_ticks,)`; -inf where none does.
+
+        - `energy_threshold_j`: `-E_wso` (paper Eq. 13), where `F_v.V / |V| > F_w` or F_w is 0.
+        - `grasp_threshold`: `S_h` (Eq. 14), where F_v, as of now and as late as F_h, exceeds F_t and `F_v.V / |F_v|`
+          exceeds V_s, or V_s is 0.
+        - `hsc_force_threshold_n`: the lesser of both F_v, where `S_h > zeta` and V_s is exceeded.
+        - `velocity_threshold`: of form "product" `V.F_v / F_t` (Eq. 1); of "both" `V.F_v / |F_v|` where `|F_v| > F_t`.
+
+        Source: safety/src/controller; the conditions are those of the tick.
+        """
+        tuned, safety = TUNED_FIELDS[field], self.scene.safety
+        velocity, force = self.seen["velocity"], self.seen["rendered_force"]
+        power, pushed, speed = (velocity * force).sum(axis=1), _norm(force), _norm(velocity)
+        if tuned.controller == "wsc":
+            gate = safety.wsc_force_threshold_n
+            passes = (power > gate * speed) | (gate == 0.0)
+            score = -self.seen["windowed_energy_j"]
+        elif tuned.controller == "hsc":
+            grasp = self.seen["grasp"]
+            # S_h = |F_v| / (|F_h| + alpha) with F_v as late as F_h (Eq. 5).
+            aligned = grasp * (_norm(self.seen["grasp_force"]) + safety.grasp_floor_n)
+            least = np.minimum(pushed, aligned)
+            slowest = safety.hsc_velocity_threshold or 0.0
+            passes = (power > slowest * pushed) | (slowest == 0.0)
+            if field == "grasp_threshold":
+                passes &= least > safety.hsc_force_threshold_n
+                score = grasp
+            else:
+                passes &= grasp > safety.grasp_threshold
+                score = least
+        elif safety.vfc_form == "product":
+            passes = np.ones(len(power), dtype=bool)
+            score = power / safety.vfc_force_threshold_n
+        else:
+            passes = pushed > safety.vfc_force_threshold_n
+            score = np.divide(power, pushed, out=np.zeros_like(power), where=pushed > 0.0)
+        score = np.where(passes & self.counted & np.isfinite(score), score, -np.inf)
+        return np.where(self.begins[tuned.controller], np.inf, score)
+
+
+def _name(file: str | os.PathLike[str] | Recording) -> str:
+    return file.side if isinstance(file, Recording) else str(file)
+
+
+def _recorded(file: str | os.PathLike[str] | Recording, overrides: tuple[str, ...]) -> _Recorded:
+    """A recording, checked to be of normal operation."""
+    name = _name(file)
+    recording = file if isinstance(file, Recording) else read_recording(file)
+    if recording.side != "master":
+        message = f"{name}: of the {recording.side}, must be of the master: observers watch the hand"
+        raise ValueError(message)
+    run = load(recording)
+    if not len(run.signals["time_s"]):
+        message = f"{name}: has no tick"
+        raise ValueError(message)
+    if not np.any(run.signals["state"] == ENGAGED):
+        message = f"{name}: nobody was coupled: the two sides never engaged ({run.metrics.outcome})"
+        raise ValueError(message)
+    if run.settings["master"]["kind"] == "joints":
+        message = f"{name}: of kind joints, must be linear or pose: it has no force and velocity of one point"
+        raise ValueError(message)
+    changes = [f"safety.controllers=[{','.join(OBSERVERS)}]", *overrides]
+    seen = replay(recording, overrides=[*changes, *(f"safety.{each}" for each in DULL)], hand="measured")
+    scene = recorded_scene(recording.scene, overrides)
+    device = run.settings["master"]
+    _check_held(name, run, recording.signals, device)
+    return _Recorded(name, run, scene, dict(seen.replayed))
+
+
+def _check_held(name: str, run: Run, recorded: dict[str, Any], device: dict[str, Any]) -> None:
+    """Refuses a recording in which the hand lets go: that is no normal operation."""
+    period_s = float(run.settings["run"]["period_s"])
+    time_s = run.signals["time_s"]
+    operator = run.settings.get("operator") or {}
+    engaged_s = float(time_s[np.argmax(run.signals["state"] == ENGAGED)])
+    if (release := operator.get("release")) is not None and engaged_s + release["at_s"] < time_s[-1]:
+        message = f"{name}: at {engaged_s + release['at_s']:.3f} s the modelled hand lets go: {NOT_NORMAL}"
+        raise ValueError(message)
+    position, force = recorded["position"], recorded["device_force"]
+    try:
+        holds = held_ticks(position, force, device, period_s)
+    except HandError as error:
+        message = f"{name}: {error}"
+        raise ValueError(message) from None
+    engaged = run.signals["state"] == ENGAGED
+    along = (recorded["velocity"] * force).sum(axis=1) / np.maximum(_norm(force), 1e-9)
+    flights = [
+        (begin, f"nobody bears the force, and the device reaches {speed:.2f} m/s along it")
+        for begin, end in _stretches(~holds & engaged)
+        if (end - begin) * period_s >= LET_GO_S and (speed := along[begin:end].max()) > LET_GO_SPEED
+    ]
+    flights += [
+        (begin, f"an intervention of {(end - begin) * period_s:.2f} s begins that no hand answers")
+        for begin, end in _stretches((_trips(run) != 0) & engaged)
+        if (end - begin) * period_s > UNANSWERED_S and np.mean(~holds[begin:end]) > UNANSWERED
+    ]
+    if flights:
+        begin, what = min(flights)
+        message = f"{name}: at {time_s[begin]:.3f} s {what}: {NOT_NORMAL}"
+        raise ValueError(message)
+
+
+def _check_alike(first: _Recorded, one: _Recorded) -> None:
+    """Refuses recordings that say nothing of each other."""
+    check_device(first.scene, one.scene, f"{first.name}, {one.name}")
+    for key in ("estimator", *(name for names in READ_BY_OBSERVERS.values() for name in names)):
+        ours, theirs = (getattr(each.scene.safety, key) for each in (first, one))
+        if ours != theirs:
+            message = (
+                f"{first.name}, {one.name}: differ in [safety] {key}: {ours} and {theirs}: must be of like observers"
+                + ("" if key == "estimator" else f"; --set safety.{key}=... sees all of them with one")
+            )
+            raise ValueError(message)
+
+
+def check_device(ours: Scene, theirs: Scene, names: str) -> None:
+    """Refuses two scenes of different devices or rates.
+
+    Raises:
+        ValueError: With what differs.
+    """
+    # As resolved: a preset and its numbers are one device.
+    masters = [json.decode(scene_json(each))["master"] for each in (ours, theirs)]
+    pairs = [("[run] period_s", ours.run.period_s, theirs.run.period_s)]
+    pairs += [(f"[master] {key}", *(each.get(key) for each in masters)) for key in DEVICE]
+    for key, one, other in pairs:
+        if one != other:
+            message = f"{names}: differ in {key}: {one} and {other}: must be of one device at one rate"
+            raise ValueError(message)
+
+
+def _trips(run: Run) -> npt.NDArray[np.int64]:
+    """Bits of the controllers that intervene, whichever layer, at each tick."""
+    tripped = np.zeros(len(run.signals["time_s"]), dtype=np.int64)
+    for name in ("tripped", "rotation_tripped"):
+        if name in run.signals:
+            tripped |= run.signals[name].astype(np.int64)
+    return tripped
+
+
+def _norm(vectors: Array) -> Array:
+    lengths: Array = np.linalg.norm(vectors, axis=1)
+    return lengths
+
+
+def _begins(states: Bools) -> Bools:
+    begins: Bools = states & ~np.concatenate([[False], states[:-1]])
+    return begins
+
+
+def _for_so_long_after(states: Bools, ticks: int) -> Bools:
+    """Where a state is, or was at most so many ticks ago."""
+    last: npt.NDArray[np.int64] = np.maximum.accumulate(np.where(states, np.arange(len(states)), -ticks - 1))
+    within: Bools = np.arange(len(states)) <= last + ticks
+    return within
+
+
+def _stretches(states: Bools) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], states, [False]])))
+    return [(int(begin), int(end)) for begin, end in edges.reshape(-1, 2)]

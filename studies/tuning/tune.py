@@ -1,0 +1,381 @@
+"""Thresholds that recordings of normal operation bear, held against simulated releases."""
+
+import math
+import os
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from haptether.bridge import Recording, Scene, load_scene
+from haptether.studies.intervals import binomial_interval
+from haptether.studies.task import HandBounds, Task
+from haptether.studies.thresholds.law import ThresholdLaw
+from haptether.studies.thresholds.trade_off import MISSED_SPEED, TaskRuns
+from haptether.studies.tuning.exceedances import Boundary, Exceedances, hours_for
+from haptether.studies.tuning.normal_operation import (
+    READ_BY_OBSERVERS,
+    TUNED_FIELDS,
+    NormalOperation,
+    check_device,
+    read_normal_operation,
+)
+
+FIELD_OF = {"wsc": "energy_threshold_j", "hsc": "grasp_threshold", "vfc": "velocity_threshold"}
+"""Which threshold of a controller is tuned by default: that of the paper's section 5."""
+BEYOND = (1.25, 1.6, 2.5)
+"""Multiples of the largest value seen at which releases are looked at, too."""
+MOST_POINTS = 12
+"""Of a ROC curve, below the largest value seen."""
+
+
+class RocPoint(Struct, frozen=True, kw_only=True):
+    """A threshold: false trips per hour against missed releases."""
+
+    threshold: float
+    """As `[safety]` takes it."""
+    false_trips_per_h: float
+    false_trips_per_h_interval: tuple[float, float]
+    """Of the confidence asked for."""
+    releases: int
+    """Simulated releases that throw the device beyond `missed_speed` where nobody watches; 0 without a scene."""
+    missed: int
+    """Those that still do."""
+    missed_interval: tuple[float, float] | None
+    """Exact (Clopper and Pearson 1934) of the share missed; none without a release."""
+    mev: float | None
+    """MEV: largest speed in m/s after these releases."""
+
+
+class TunedThreshold(Struct, frozen=True, kw_only=True):
+    """One threshold of `[safety]`, as the recordings bear it."""
+
+    controller: str
+    field: str
+    unit: str
+    point: RocPoint
+    """The threshold that was found."""
+    order: int
+    """It is the `order`-th largest event of the recordings; 0 where none came near, and the recorded one is kept."""
+    grouping: float
+    """Events that one hand makes together, on the average over events."""
+    most_per_h: float
+    """Largest rate of false trips in 1/h at the confidence, one-sided."""
+    reached: bool
+    """Whether that is at most what was asked for."""
+    needed_hours: float
+    """How long hands must hold so that it can be, in h, if they hold as here."""
+    interventions: tuple[str, ...]
+    """Of this controller, file and time in s: how high its observer went then was not seen, so each counts as above
+    every threshold."""
+    recorded: RocPoint
+    """The threshold of the recordings, for comparison."""
+    roc: tuple[RocPoint, ...]
+    """Other thresholds, the most sensitive first."""
+    peaks: tuple[float, ...]
+    """The largest events, falling, as thresholds: at most 1000."""
+
+    @property
+    def none_missed(self) -> RocPoint | None:
+        """The dullest threshold of the curve that misses no release, nor does any below it; none without one."""
+        best = None
+        for point in self.roc:
+            if point.missed:
+                break
+            best = point if point.releases else None
+        return best
+
+
+class Tuning(Struct, frozen=True, kw_only=True):
+    """Thresholds of recordings."""
+
+    files: tuple[str, ...]
+    hours: float
+    """For how long in h hands held while nobody intervened."""
+    blocks: int
+    """Recordings, and parts of 60 s of longer ones."""
+    per_hour: float
+    """False trips per hour of each controller that were asked for, at most."""
+    confidence: float
+    round_trip_s: float
+    missed_speed: float
+    """In m/s."""
+    hands: int
+    seed: int
+    thresholds: tuple[TunedThreshold, ...]
+    safety: dict[str, float | int | str]
+    """Other fields of `[safety]` that the observers read."""
+    notes: tuple[str, ...]
+    """What was not done, and why."""
+
+    @property
+    def reached(self) -> bool:
+        """Whether every threshold keeps what was asked for."""
+        return all(each.reached for each in self.thresholds)
+
+    def toml(self) -> str:
+        """A table `[safety]` with the thresholds, and what is to be expected of them."""
+        names = dict.fromkeys(each.controller for each in self.thresholds)
+        lines = ["[safety]", f"controllers = [{', '.join(map(_toml, names))}]"]
+        for each in self.thresholds:
+            lines += [*(f"# {text}" for text in _expected(each, self)), f"{each.field} = {_toml(each.point.threshold)}"]
+        lines += [f"{name} = {_toml(value)}" for name, value in self.safety.items()]
+        return "\n".join(lines) + "\n"
+
+
+def tune(
+    files: Sequence[str | os.PathLike[str] | Recording],
+    *,
+    scene: Scene | str | os.PathLike[str] | None = None,
+    fields: Sequence[str] | None = None,
+    false_trips_per_h: float = 60.0,
+    confidence: float = 0.95,
+    round_trip_s: float | None = None,
+    hands: int = 8,
+    releases: int = 4,
+    seed: int = 1,
+    overrides: Iterable[str] = (),
+    threads: int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Tuning:
+    """Finds the boundary of each observer in normal operation, and which releases a threshold there misses.
+
+    The most sensitive threshold is taken whose false trips stay below a rate with a confidence (`Boundary`); it is an
+    event of the recordings. Releases are of many hands in a scene, under the force that they press with or that pushes
+    them; each lets go within 50 ms, and counts if an unwatched device then exceeds 0.5 m/s within 0.3 s.
+
+    Args:
+        files: Recordings of masters, of hands that hold: paths, or what `read_recording` read.
+        scene: In which hands let go; by default that of the first recording.
+        fields: Thresholds, of `TUNED_FIELDS`; by default of the controllers of the recordings, or of all.
+        false_trips_per_h: Rate in 1/h of each controller, at most.
+        confidence: That it is kept, and of all intervals.
+        round_trip_s: Of the releases, in s; by default the median of the recordings.
+        hands: How many let go, 1 or more; each once.
+        releases: At how many times.
+        seed: Of hands and links.
+        overrides: Fields of `[safety]` that observers read to change first, `safety.key=value`.
+        threads: Of the runs; by default as many as there are processors.
+        progress: Called with what is done.
+
+    Raises:
+        OSError: A file cannot be read.
+        ValueError: Recordings that are not of normal operation, too few events were seen whole, or options that cannot
+            be.
+        SceneError: A scene that cannot be built.
+
+    Source: paper section 5 (boundary values in normal operation, then abnormal ones); `Boundary`.
+    """
+    _check(false_trips_per_h, confidence, round_trip_s, hands, releases)
+    overrides, say = tuple(overrides), progress or (lambda _: None)
+    _check_overrides(overrides)
+    chosen = _check_fields(fields)
+    say(f"{len(files)} recordings")
+    seen = read_normal_operation(files, fields=chosen or TUNED_FIELDS, overrides=overrides)
+    if chosen is None:
+        watching = [name for name in FIELD_OF if name in seen.scene.safety.controllers]
+        chosen = tuple(FIELD_OF[name] for name in watching or FIELD_OF)
+    trip_s = seen.round_trip_s if round_trip_s is None else round_trip_s
+    runs, notes = _release_runs(seen, scene, (trip_s, hands, releases, seed), threads)
+    if seen.scene.master.rotation is not None:
+        notes.append("of kind pose: thresholds of [safety.rotation], for torques, are not tuned")
+    tuned = []
+    for field in chosen:
+        say(f"{field}: releases")
+        tuned.append(_tuned(seen, field, runs, false_trips_per_h, confidence))
+    watched = {each.controller for each in tuned}
+    own = {each.field for each in tuned}
+    return Tuning(
+        files=seen.files,
+        hours=seen.hours,
+        blocks=seen.blocks,
+        per_hour=false_trips_per_h,
+        confidence=confidence,
+        round_trip_s=trip_s,
+        missed_speed=MISSED_SPEED,
+        hands=hands,
+        seed=seed,
+        thresholds=tuple(tuned),
+        safety={
+            name: getattr(seen.scene.safety, name)
+            for controller, names in READ_BY_OBSERVERS.items()
+            if controller in watched
+            for name in names
+            if name not in own
+        },
+        notes=tuple(notes),
+    )
+
+
+def _check(per_hour: float, confidence: float, round_trip_s: float | None, hands: int, releases: int) -> None:
+    if not 0.0 < per_hour < math.inf:
+        message = f"false_trips_per_h = {per_hour}: must be a number above 0"
+        raise ValueError(message)
+    if not 0.5 <= confidence <= 0.9999:
+        message = f"confidence = {confidence}: must be 0.5 to 0.9999"
+        raise ValueError(message)
+    if round_trip_s is not None and not 0.0 <= round_trip_s <= 10.0:
+        message = f"round_trip_s = {round_trip_s}: must be 0 to 10"
+        raise ValueError(message)
+    for name, value in (("hands", hands), ("releases", releases)):
+        if value < 1:
+            message = f"{name} = {value}: must be 1 or more"
+            raise ValueError(message)
+
+
+def _check_overrides(overrides: tuple[str, ...]) -> None:
+    allowed = sorted({name for names in READ_BY_OBSERVERS.values() for name in names})
+    for override in overrides:
+        key = override.partition("=")[0].strip()
+        if key.removeprefix("safety.") not in allowed or not key.startswith("safety."):
+            message = f"{override}: must be a setting of the observers, safety. and one of {', '.join(allowed)}"
+            raise ValueError(message)
+
+
+def _check_fields(fields: Sequence[str] | None) -> tuple[str, ...] | None:
+    if fields is None:
+        return None
+    if unknown := [field for field in fields if field not in TUNED_FIELDS]:
+        message = f"fields = {unknown[0]}: must be of {', '.join(TUNED_FIELDS)}"
+        raise ValueError(message)
+    controllers = [TUNED_FIELDS[field].controller for field in fields]
+    if not fields or len(set(controllers)) < len(controllers):
+        message = f"fields = {', '.join(fields)}: must be one or more, one of a controller: the other one is then held"
+        raise ValueError(message)
+    return tuple(fields)
+
+
+def _release_runs(
+    seen: NormalOperation,
+    scene: Scene | str | os.PathLike[str] | None,
+    how: tuple[float, int, int, int],
+    threads: int | None,
+) -> tuple[TaskRuns | None, list[str]]:
+    """Hands that let go in the scene, with the device, the estimator and the observers of the recordings."""
+    round_trip_s, hands, releases, seed = how
+    if scene is None:
+        task_scene = seen.scene
+    else:
+        task_scene = scene if isinstance(scene, Scene) else load_scene(scene)
+        check_device(seen.scene, task_scene, str(scene) if not isinstance(scene, Scene) else scene.title)
+    if task_scene.operator is None:
+        note = "the recordings do not say how a hand presses: give a scene, for releases that are missed"
+        return None, [note]
+    names = ("estimator", *(name for names in READ_BY_OBSERVERS.values() for name in names))
+    safety = replace(task_scene.safety, **{name: getattr(seen.scene.safety, name) for name in names})
+    task = Task(replace(task_scene, safety=safety), round_trip_s)
+    runs = TaskRuns(task, task.hands(hands, seed, HandBounds()), releases, threads)
+    if not any(thrown.any() for thrown in runs.thrown):
+        return runs, [f"no release in the scene exceeds {MISSED_SPEED:g} m/s where nobody watches: none can be missed"]
+    return runs, []
+
+
+def _tuned(
+    seen: NormalOperation, field: str, runs: TaskRuns | None, per_hour: float, confidence: float
+) -> TunedThreshold:
+    about = TUNED_FIELDS[field]
+    events = Exceedances(seen.scores[field], seen.hours, seen.period_s)
+    largest = events.boundary(1)
+    found = events.at_most(per_hour, confidence)
+    recorded = float(getattr(seen.scene.safety, field))
+    boundary = found or largest
+    tripped = seen.interventions[about.controller]
+    if boundary is not None and math.isinf(boundary.value):
+        message = (
+            f"{field}: {about.controller} tripped {len(tripped)} times in {seen.hours * 3600.0:.0f} s of the "
+            f"recordings, more than {per_hour:g} times per hour with confidence, and how high its observer would have "
+            f"gone was not seen: record with duller thresholds, or ask for less; first {tripped[0]}"
+        )
+        raise ValueError(message)
+    orders = _orders(found)
+    boundaries = [each for order in orders if (each := events.boundary(order)) and math.isfinite(each.value)]
+    values = {
+        _dull(about.sign * each.value): (each.per_hour, each.interval_per_hour(confidence)) for each in boundaries
+    }
+    if largest is not None and math.isfinite(largest.value):
+        for beyond in BEYOND:
+            most = largest.interval_per_hour(confidence)[1]
+            values.setdefault(_dull(about.sign * beyond * largest.value), (0.0, (0.0, most)))
+    values.setdefault(recorded, events.rate_of(about.sign * recorded, confidence))
+    points = _points(about.field, about.controller, values, runs, confidence)
+    point = points[recorded if boundary is None else _dull(about.sign * boundary.value)]
+    most_per_h = hours_for(1.0, confidence) / seen.hours if boundary is None else boundary.quantile_per_hour(confidence)
+    first = most_per_h if largest is None else largest.quantile_per_hour(confidence)
+    return TunedThreshold(
+        controller=about.controller,
+        field=field,
+        unit=about.unit,
+        point=point,
+        order=0 if boundary is None else boundary.order,
+        grouping=1.0 if boundary is None else boundary.grouping,
+        most_per_h=most_per_h,
+        reached=most_per_h <= per_hour,
+        needed_hours=seen.hours * first / per_hour,
+        interventions=tripped,
+        recorded=points[recorded],
+        roc=tuple(points.values()),
+        peaks=tuple(about.sign * value for value in events.peaks(1000) if math.isfinite(value)),
+    )
+
+
+def _orders(found: Boundary | None) -> list[int]:
+    """Of a ROC curve: 1, 2, 3, 4, 6, 8, ... up to some times what was found, and that."""
+    last = max(64, 4 * (found.order if found else 0))
+    orders = np.unique(np.round(np.geomspace(1.0, last, MOST_POINTS)).astype(int)).tolist()
+    return sorted({*orders, *([found.order] if found else [])})
+
+
+def _points(
+    field: str,
+    controller: str,
+    values: dict[float, tuple[float, tuple[float, float]]],
+    runs: TaskRuns | None,
+    confidence: float,
+) -> dict[float, RocPoint]:
+    """By threshold, the most sensitive first."""
+    ordered = sorted(values, key=abs)
+    law = ThresholdLaw(
+        name=field, controller=controller, source="ours", threshold=field, unit="", values=tuple(ordered)
+    )
+    released = [(0, 0, np.zeros(0))] * len(ordered) if runs is None else runs.released(law)
+    points = {}
+    for value, (count, missed, speeds) in zip(ordered, released, strict=True):
+        rate, interval = values[value]
+        points[value] = RocPoint(
+            threshold=value,
+            false_trips_per_h=rate,
+            false_trips_per_h_interval=interval,
+            releases=count,
+            missed=missed,
+            missed_interval=binomial_interval(missed, count, confidence) if count else None,
+            mev=float(speeds.max()) if speeds.size else None,
+        )
+    return points
+
+
+def _dull(threshold: float) -> float:
+    """To four digits, away from 0: not below what was seen."""
+    if threshold == 0.0:
+        return threshold
+    scale = 10.0 ** (math.floor(math.log10(abs(threshold))) - 3)
+    return float(f"{math.copysign(math.ceil(abs(threshold) / scale - 1e-9) * scale, threshold):.4g}")
+
+
+def _toml(value: float | str) -> str:
+    return f'"{value}"' if isinstance(value, str) else f"{value:.6g}"
+
+
+def _expected(each: TunedThreshold, found: Tuning) -> list[str]:
+    point = each.point
+    low, high = point.false_trips_per_h_interval
+    share = f"{100.0 * found.confidence:g} %"
+    rate = f"{point.false_trips_per_h:.3g} false trips per hour ({share}: {low:.3g} to {high:.3g})"
+    said = [rate if each.order else f"nothing came near: kept. {rate}"]
+    if point.missed_interval is not None:
+        low, high = point.missed_interval
+        said.append(
+            f"{point.missed} of {point.releases} releases missed ({share}: {100.0 * low:.0f} to {100.0 * high:.0f} %),"
+            f" MEV {point.mev:.2f} m/s"
+        )
+    return said

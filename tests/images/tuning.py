@@ -1,0 +1,42 @@
+"""The picture of `haptether tune`: hands that press the wall of `remote_push` and hold, and thresholds of them."""
+
+import subprocess
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from haptether.bridge import override_scene, simulate
+from haptether.studies.task import HandBounds, Task
+
+HANDS = 40
+SETTINGS = ("safety.window=10", "safety.wsc_force_threshold_n=0.1", "safety.vfc_form=both",
+            "safety.vfc_force_threshold_n=0.3")  # fmt: skip
+"""Of docs/thresholds.md."""
+
+
+def record_hands(folder: Path, hands: int = HANDS, seed: int = 1) -> list[Path]:
+    """Recordings of masters, each of another random hand that holds."""
+    task = Task("remote_push", 0.1)
+    drawn, held = task.hands(hands, seed, HandBounds()), task.watched(task.lasting(HandBounds()), None, {})
+    files = [folder / f"hand{hand}.mcap" for hand in range(hands)]
+    for hand, file in enumerate(files):
+        changes = [
+            f"{path}={int(values[hand]) if path == 'run.seed' else float(values[hand])}"
+            for path, values in drawn.items()
+        ]
+        simulate(override_scene(held, changes), record=(file, folder / "slave.mcap"))
+    return files
+
+
+def photograph_tuning(path: Path) -> None:
+    """Draws what `haptether tune` draws of them."""
+    with TemporaryDirectory() as folder:
+        files = map(str, record_hands(Path(folder)))
+        changes = [word for setting in SETTINGS for word in ("--set", setting)]
+        command = [sys.executable, "-m", "haptether", "tune", *files, *changes, "--plot", str(path)]
+        # Status 1 says that the recordings are too short for a threshold, 0 that they are not.
+        subprocess.run(command, check=True, timeout=900.0)
+
+
+if __name__ == "__main__":
+    photograph_tuning(Path(sys.argv[1]))
