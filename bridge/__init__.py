@@ -101,6 +101,7 @@ from haptether.bridge.scene.tables.slave import (
     ToolTable,
     TorqueTable,
 )
+from haptether.bridge.scene.unusual import unusual_numbers
 from haptether.bridge.session_key import read_key, wipe_key, write_key
 from haptether.bridge.telemetry import (
     TelemetryCause,
@@ -243,6 +244,7 @@ __all__ = [
     "simulate",
     "sweep",
     "tripped_names",
+    "unusual_numbers",
     "wipe_key",
     "write_foxglove",
     "write_key",

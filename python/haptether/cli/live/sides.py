@@ -101,7 +101,7 @@ def start_master(
         KeyboardInterrupt: Ctrl-C while the device opened; it is closed.
         RuntimeError: The device did not open in time; it is closed.
     """
-    from haptether.bridge import LiveMaster, MasterLoop, MasterRun, load_master, scene_json
+    from haptether.bridge import LiveMaster, MasterLoop, MasterRun, load_master, scene_json, unusual_numbers
 
     arguments = {**arguments, "peer": command.peer, "started_s": started_s()}
     clutch: Literal["once", "auto"] = "auto" if command.clutch == "auto" else "once"
@@ -118,7 +118,7 @@ def start_master(
             clutch=clutch,
         )
     spec = scene_json(scene)
-    said = list(announcement(scene))
+    said = [*unusual_numbers(scene), *announcement(scene)]
     if scene.master.driver is None:
         master = stopped.attached(LiveMaster(spec, **arguments))
         _say(said)
@@ -139,7 +139,7 @@ def start_slave(
     command: "Slave", scene: "Scene | None", stopped: "Stopped", arguments: dict[str, Any]
 ) -> "LiveSlave | SlaveRun":
     """The slave of a scene, or of the command's options without one, begun; see `start_master`."""
-    from haptether.bridge import LiveSlave, SlaveLoop, SlaveRun, load_gripper, load_slave, scene_json
+    from haptether.bridge import LiveSlave, SlaveLoop, SlaveRun, load_gripper, load_slave, scene_json, unusual_numbers
 
     if scene is None:
         scene = baseline_scene(
@@ -152,6 +152,7 @@ def start_slave(
             if command.push_at_s is None and getattr(command, flag) != getattr(type(command), flag):
                 message = f"{flag} = {getattr(command, flag):g}: nothing pushes: give --push-at-s, or leave it out"
                 raise ValueError(message)
+    _say(unusual_numbers(scene))
     assert scene.slave is not None
     jaws = scene.slave.gripper
     is_driven = jaws is not None and jaws.device != "simulated"

@@ -60,7 +60,7 @@ class Simulate(PictureOptions):
 
     def run(self) -> int:
         """Runs the scene; 0, or 1 if it diverged or the two sides never engaged."""
-        from haptether.bridge import SceneError, load_scene, simulate
+        from haptether.bridge import SceneError, load_scene, simulate, unusual_numbers
         from haptether.cli.shared.output import check_target, make_folder
         from haptether.cli.shared.picture import picture_in
         from haptether.cli.shared.screen import screen
@@ -88,6 +88,8 @@ class Simulate(PictureOptions):
         if scene.record is None and (self.plot is not None or self.out is not None):
             message = f"{self.scene} has no [record], so there are no signals to keep: add --set record.every=1"
             raise SceneError(message)
+        for line in unusual_numbers(scene):
+            console.print(line)
         with spinner(f"running {self.scene}"):
             run = simulate(self.scene, overrides=self.set, record=files)
         named = {

@@ -1,0 +1,71 @@
+"""Numbers of a scene that lie far outside what they usually are: a unit that slipped, 50 for 0.05."""
+
+import math
+import re
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import msgspec
+
+from haptether.bridge.scene.tables.session import Scene
+
+
+class _Usual(NamedTuple):
+    path: re.Pattern[str]
+    unit: str
+    most: float
+    """Largest magnitude that set-ups of this kind have."""
+    slipped: tuple[tuple[str, float], ...]
+    """Units that it may have been meant in, and what one of them is."""
+
+
+def _usual(path: str, unit: str, most: float, *slipped: tuple[str, float]) -> _Usual:
+    return _Usual(re.compile(path), unit, most, slipped)
+
+
+_MS, _US, _MM = ("ms", 1e-3), ("us", 1e-6), ("mm", 1e-3)
+_USUAL = (
+    # A geostationary satellite twice over takes 0.6 s one way.
+    _usual(r"link\.(forward|backward)\.(timeline\.\d+\.)?delay_s", "s", 2.0, _MS, _US),
+    _usual(r"link\.(forward|backward)\.jitter_s", "s", 0.5, _MS, _US),
+    _usual(r"(run|slave)\.period_s", "s", 0.02, _MS, _US),
+    _usual(r"master\.stops\.\d+(\.\d+)?|operator\.(start|legs\.\d+\.end)(\.\d+)?", "m", 3.0, _MM),
+    _usual(r"slave\.position(\.\d+)?|master\.encoder_quantum", "m", 3.0, _MM),
+    _usual(r"operator\.stiffness", "N/m", 20_000.0, ("N/mm", 1e3)),
+    _usual(r"environment\.\w+\.\d+\.contact\.stiffness", "N/m", 1e8),
+    _usual(r"(safety\.limiter|master)\.max_force_n", "N", 200.0, ("mN", 1e-3)),
+    _usual(r"operator\.grip_strength_n|environment\.pushers\.\d+\.force_n(\.\d+)?", "N", 500.0, ("mN", 1e-3)),
+    _usual(r"safety\.energy_threshold_j", "J", 1.0, ("mJ", 1e-3)),
+    _usual(r"safety\.(velocity_threshold|hsc_velocity_threshold)", "m/s", 5.0, ("mm/s", 1e-3)),
+    _usual(r"safety\.(hsc|wsc|vfc)_force_threshold_n", "N", 100.0, ("mN", 1e-3)),
+)
+"""Far beyond all scenes that come with Haptether and the devices of docs/devices.md; none of them is a limit."""
+
+
+def unusual_numbers(scene: Scene) -> list[str]:
+    """One line for each number far outside what it usually is, with the unit it may have been meant in; mostly none.
+
+    Of joints, whose units are others, nothing is said of positions and forces.
+    """
+    of_joints = scene.master.kind == "joints"
+    found = []
+    for path, value in _numbers(msgspec.to_builtins(scene)):
+        usual = next((one for one in _USUAL if one.path.fullmatch(path)), None)
+        if usual is None or abs(value) <= usual.most or (of_joints and usual.unit != "s"):
+            continue
+        meant = next((one for one in usual.slipped if abs(value) * one[1] <= usual.most), None)
+        question = f"; did you mean {value * meant[1]:.6g} ({value:g} {meant[0]})?" if meant is not None else ""
+        found.append(f"{path} = {value:g}: {usual.unit}, and beyond the usual {usual.most:g}{question}")
+    return found
+
+
+def _numbers(value: object, path: str = "") -> Iterator[tuple[str, float]]:
+    """The numbers that a scene gives, by their dotted path."""
+    if isinstance(value, dict):
+        for key, part in value.items():
+            yield from _numbers(part, f"{path}.{key}" if path else key)
+    elif isinstance(value, list | tuple):
+        for index, part in enumerate(value):
+            yield from _numbers(part, f"{path}.{index}")
+    elif isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+        yield path, value
