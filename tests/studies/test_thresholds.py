@@ -11,7 +11,15 @@ from scipy.stats import binom, chi2
 
 from haptether.bridge import RecordTable, load_scene, override_scene, save_scene, simulate
 from haptether.cli.entry import main
-from haptether.studies import THRESHOLD_LAWS, THRESHOLD_TASKS, HandBounds, ThresholdLaw, TradeOff, measure_thresholds
+from haptether.studies import (
+    EVALUATED_NETWORKS,
+    THRESHOLD_LAWS,
+    THRESHOLD_TASKS,
+    HandBounds,
+    ThresholdLaw,
+    TradeOff,
+    measure_thresholds,
+)
 from haptether.studies.intervals import median_interval, poisson_interval, wilson_interval
 from haptether.studies.task import FIXED, STIFFER, Task, refuse_fixed
 
@@ -187,6 +195,20 @@ def test_only_the_bundled_scene_is_softened_and_says_so(tmp_path: Path) -> None:
     assert own.replaced() == ()
     assert bundled.base.coupling != own.base.coupling
     assert bundled.replaced() == ("valve has coupling.force_scale=0.25, or it would ring.",)
+
+
+def test_what_a_scene_has_beside_its_delay_is_named_where_a_network_replaces_it() -> None:
+    steady = EVALUATED_NETWORKS[0]
+    driving = Task("driving_network", 0.1, network=steady)
+    assert driving.replaced() == ("driving_network is run without what its own link has: preset.",)
+    attacked = Task("raven_hijack", 0.1, network=steady).replaced()
+    assert "attacks" in attacked[0]
+    assert attacked[1:] == ("raven_hijack is run without its security.",)
+    # Clocks are no part of a network.
+    clocked = Task("remote_push", 0.1, ["link.master_clock.drift_ppm=30"], network=steady)
+    assert clocked.held.link is not None
+    assert clocked.held.link.master_clock is not None
+    assert clocked.held.link.master_clock.drift_ppm == 30
 
 
 def test_nobody_watches_torque_and_trigger_either_and_who_watches_watches_all() -> None:
