@@ -29,7 +29,6 @@ if TYPE_CHECKING:
         Evaluation,
         EvaluationCell,
         EvaluationLimits,
-        Network,
         Verdict,
         WorstRelease,
         draw_evaluation,
@@ -56,10 +55,9 @@ if TYPE_CHECKING:
     from haptether.studies.raven import RavenReport, RavenRow, measure_attack, raven_suite
     from haptether.studies.raven_attacks import RAVEN_ATTACKS, RavenAttack
     from haptether.studies.remote_push import PushResult, measure_push, save_master_trace
+    from haptether.studies.task import THRESHOLD_TASKS, HandBounds, Network
     from haptether.studies.thresholds import (
         THRESHOLD_LAWS,
-        THRESHOLD_TASKS,
-        HandBounds,
         ThresholdLaw,
         TradeOff,
         TradeOffPoint,
@@ -186,7 +184,6 @@ if not TYPE_CHECKING:  # else any name would do
                 "Evaluation",
                 "EvaluationCell",
                 "EvaluationLimits",
-                "Network",
                 "Verdict",
                 "WorstRelease",
                 "draw_evaluation",
@@ -241,10 +238,9 @@ if not TYPE_CHECKING:  # else any name would do
                 "measure_push",
                 "save_master_trace",
             ),
+            "task": ("THRESHOLD_TASKS", "HandBounds", "Network"),
             "thresholds": (
                 "THRESHOLD_LAWS",
-                "THRESHOLD_TASKS",
-                "HandBounds",
                 "ThresholdLaw",
                 "TradeOff",
                 "TradeOffPoint",

@@ -1,9 +1,13 @@
 """95 % intervals of what was counted or drawn, each exact or of a named source."""
 
 from collections.abc import Callable, Sequence
-from math import comb, exp, lgamma, log, sqrt
+from math import exp, lgamma, log, sqrt
+
+import numpy as np
 
 Z95 = 1.959964
+FEWEST_OF_MEDIAN = 6
+"""Of five values the outermost hold the median with 1 - 2 / 2^5 = 93.75 % only."""
 
 
 def poisson_interval(count: int) -> tuple[float, float]:
@@ -14,10 +18,15 @@ def poisson_interval(count: int) -> tuple[float, float]:
 
     def mean_where(most: int, share: float) -> float:
         """The mean at which so large a share of counts is at most `most`."""
-        low, high = 0.0, most + 20.0 + 10.0 * sqrt(most + 1.0)
+        spread = 20.0 + 10.0 * sqrt(most + 1.0)
+        low, high = max(0.0, most - spread), most + spread
+        # Counts further below have a share of less than 1e-20 at all of these means.
+        first = max(0, int(most - 2.0 * spread))
+        n = np.arange(first, most + 1, dtype=np.float64)
+        log_factorials = lgamma(first + 1.0) + np.concatenate([[0.0], np.cumsum(np.log(n[1:]))])
         for _ in range(60):
             middle = 0.5 * (low + high)
-            below = sum(exp(n * log(middle) - middle - lgamma(n + 1.0)) for n in range(most + 1))
+            below = float(np.exp(n * log(middle) - middle - log_factorials).sum())
             low, high = (middle, high) if below > share else (low, middle)
         return 0.5 * (low + high)
 
@@ -35,18 +44,20 @@ def wilson_interval(count: int, of: int) -> tuple[float, float]:
     return max(0.0, middle - half), min(1.0, middle + half)
 
 
-def median_interval(values: Sequence[float]) -> tuple[float, float]:
-    """Two of the values between which the median lies with at least 95 %, or the outermost of fewer than six.
+def median_interval(values: Sequence[float]) -> tuple[float, float] | None:
+    """Two of the values between which the median lies with at least 95 %; none of fewer than six.
 
     `P(X_(k) <= m <= X_(n+1-k)) = 1 - 2 P(B(n, 1/2) < k)`, whatever the law of the values.
 
     Source: David and Nagaraja 2003, section 7.1.
     """
     ordered, count = sorted(values), len(values)
-    rank, below = 1, 0.5**count
-    while below + comb(count, rank) * 0.5**count <= 0.025:
-        below += comb(count, rank) * 0.5**count
-        rank += 1
+    if count < FEWEST_OF_MEDIAN:
+        return None
+    k = np.arange(count // 2 + 1, dtype=np.float64)
+    log_ratios = np.concatenate([[0.0], np.cumsum(np.log((count - k[1:] + 1.0) / k[1:]))])
+    below = np.cumsum(np.exp(log_ratios - count * log(2.0)))
+    rank = int((below <= 0.025).sum())
     return ordered[rank - 1], ordered[count - rank]
 
 

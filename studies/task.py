@@ -1,6 +1,8 @@
 """A bundled scene as a task: the same work by many hands, held throughout or let go under force, at any round trip."""
 
-from collections.abc import Iterable
+import os
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from math import exp, log
 from pathlib import Path
 
@@ -12,10 +14,12 @@ from msgspec.structs import replace
 from haptether.bridge import (
     LegTable,
     LinksTable,
+    Metrics,
     OperatorTable,
     RecordTable,
     ReleaseTable,
     RotationSafetyTable,
+    Run,
     Scene,
     Sweep,
     TremorTable,
@@ -23,6 +27,8 @@ from haptether.bridge import (
     override_scene,
     simulate,
 )
+from haptether.bridge.codes import LADDER_STATES
+from haptether.bridge.scene.load import path_of, toml_value
 from haptether.netsim import LinkSettings
 
 Array = npt.NDArray[np.float64]
@@ -41,7 +47,29 @@ THRESHOLD_TASKS = (
 )
 """Bundled scenes in which a hand works."""
 SOFTENED = {"valve": ("coupling.force_scale=0.25",)}
-"""Scenes that are felt stiffer than hands are: with a delay the loop rings whoever watches."""
+"""Bundled scenes that are felt stiffer than hands are: with a delay the loop rings whoever watches."""
+
+ROUND_TRIPS_S = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5)
+"""Round trips in s by default."""
+HANDS = 8
+"""How many hands do each task by default."""
+RELEASES = 4
+"""At how many places of what they feel hands let go by default."""
+THROWN_SPEED = 0.5
+"""Speed in m/s above which a release has thrown the device: WSC and HSC of the paper leave 0.36 and 0.3 m/s, no
+controller 1.3."""
+WITHIN_S = 0.5
+"""Time in s after the grip is gone within which the device is watched."""
+
+COUPLED = frozenset({LADDER_STATES.index("engaged"), LADDER_STATES.index("stale")})
+"""Codes of the ladder in which forces are rendered."""
+FIXED = (
+    "safety.controllers", "safety.rotation.controllers", "safety.gripper.controllers", "link.forward.delay_s",
+    "link.backward.delay_s", "environment.delay_ticks", "run.duration_s", "run.seed", "operator.stiffness",
+    "operator.damping", "operator.tremor", "operator.grip_strength_n", "operator.release", "operator.rotation.release",
+    "operator.finger.release", "record", "security",
+)  # fmt: skip
+"""What a task sets, whatever the scene says."""
 
 DECAY_S = 0.05
 """Time in s in which a grip gives way: what a hand that loses a stylus takes (paper section 4.3)."""
@@ -50,7 +78,7 @@ STRENGTH_N = 12.0
 JITTER_OF_DELAY = 0.1
 """Standard deviation of a delay over itself, of a scene whose link has jitter."""
 HELD_SHARE = 0.5
-"""Share of the largest force of a task above which a hand is let go."""
+"""Share of the largest force that a hand feels while it holds, above which it lets go."""
 STROKES = 3
 """Out of contact, in again and out again: a hand that withdraws before a late force is what trips falsely."""
 STIFFER = 1.25
@@ -95,8 +123,54 @@ class Network(Struct, frozen=True, kw_only=True):
         return settings
 
 
-class NotEngagedError(ValueError):
-    """Master and slave of a task never engage."""
+class HeldRun(Struct, frozen=True, kw_only=True):
+    """What one hand does that never lets go."""
+
+    metrics: Metrics
+    engaged_s: float | None
+    """When the master's side engaged first, in s; 0 without an arm, none if the two never did."""
+    coupled_s: float
+    """Time in s for which the two were coupled; without an arm all of it."""
+    holds: int
+    """How often they were coupled no more: HOLD, STOP or a fault."""
+    intervention_s: float
+    """Time in s under intervention while they were coupled."""
+    pressed_s: Array
+    """Times in s since then at which more than half of the largest force is felt that this hand feels."""
+
+
+class Releases(Struct, frozen=True, kw_only=True):
+    """Hands that let go, each while it feels much."""
+
+    scene: Scene
+    """As the first of them does."""
+    rows: dict[str, Array]
+    """The hands as rows of a sweep, and when each lets go."""
+
+
+def refuse_fixed(overrides: Iterable[str], fixed: Iterable[str], why: str) -> None:
+    """Refuses overrides of what is set anyway: by their path, of a table by each of its fields.
+
+    Raises:
+        ValueError: One of them, with `why`.
+        SceneError: No `table.key=value` of the schema.
+    """
+    paths = [path_of(name) for name in fixed]
+    for override in overrides:
+        key, equals, text = override.partition("=")
+        path = path_of(key.strip())
+        for leaf in _leaf_paths(path, toml_value(text.strip(), path) if equals else None):
+            if any(leaf[: len(of)] == of[: len(leaf)] for of in paths):
+                message = f"{override}: {'.'.join(map(str, leaf))} {why}"
+                raise ValueError(message)
+
+
+def _leaf_paths(path: tuple[str | int, ...], value: object) -> Iterator[tuple[str | int, ...]]:
+    if isinstance(value, dict) and value:
+        for key, part in value.items():
+            yield from _leaf_paths((*path, str(key).replace("-", "_")), part)
+    else:
+        yield path
 
 
 class Task:
@@ -122,7 +196,7 @@ class Task:
         if isinstance(name, Scene):
             scene, name = override_scene(name, overrides), name.title or "scene"
         else:
-            scene = load_scene(name, (*SOFTENED.get(Path(name).stem, ()), *overrides))
+            scene = load_scene(name, (*SOFTENED.get(str(name), ()), *overrides))
         if scene.operator is None:
             message = f"{name}: nobody holds its device"
             raise ValueError(message)
@@ -131,13 +205,32 @@ class Task:
         self.network, self.by_time = network, by_time
         self.strokes = 0
         self.held = self._late(self._held())
-        self.engaged_s = 0.0
+        self.can_push = scene.slave is not None or scene.environment is not None
+        """Whether anything can be felt: there is an arm, or something to touch."""
+
+    def replaced(self) -> tuple[str, ...]:
+        """What of the scene itself the task does not have."""
+        said = [f"{self.name} has {change}, or it would ring." for change in SOFTENED.get(str(self.name), ())]
+        links, ours = self.base.link or LinksTable(), {"delay_s", "jitter_s", "distribution", "jitter_correlation_s"}
+        dropped = {
+            name: None
+            for link in (links.forward, links.backward)
+            for name in (() if link is None else link.__struct_fields__)
+            if name not in ours and getattr(link, name)
+        }
+        if self.base.slave is not None and self.network is not None and dropped:
+            said.append(f"{self.name} is run without what its own link has: {', '.join(dropped)}.")
+        if self.base.security is not None:
+            said.append(f"{self.name} is run without its security.")
+        return tuple(said)
 
     def _held(self) -> Scene:
         """It with a hand that never lets go, and nothing recorded."""
         operator = replace(self.operator, release=None, grip_strength_n=None, tremor=TremorTable(), legs=self._legs())
         if operator.rotation is not None:
             operator = replace(operator, rotation=replace(operator.rotation, release=None))
+        if operator.finger is not None:
+            operator = replace(operator, finger=replace(operator.finger, release=None))
         safety = self.base.safety
         if self.by_time:
             safety = replace(safety, hold_off_s=0.1, release_ramp_s=0.2, probe_force_n=0.0, release_tries=0)
@@ -159,7 +252,7 @@ class Task:
         delay_s = 0.5 * self.round_trip_s
         if scene.slave is not None and self.network is not None:
             link = self.network.link(delay_s)
-            return replace(scene, link=LinksTable(forward=link, backward=link))
+            return replace(scene, link=replace(scene.link or LinksTable(), forward=link, backward=link))
         if scene.slave is not None:
 
             def direction(link: LinkSettings | None) -> LinkSettings:
@@ -168,7 +261,7 @@ class Task:
                 return replace(link, delay_s=delay_s, jitter_s=jitter_s)
 
             old = scene.link or LinksTable()
-            links = LinksTable(forward=direction(old.forward), backward=direction(old.backward))
+            links = replace(old, forward=direction(old.forward), backward=direction(old.backward))
             return replace(scene, link=links)
         if scene.environment is None:
             return scene
@@ -176,8 +269,15 @@ class Task:
         return replace(scene, environment=replace(scene.environment, delay_ticks=ticks))
 
     def watched(self, scene: Scene, controllers: str | None, fixed: dict[str, float | str]) -> Scene:
-        """A scene with controllers, separated by commas, or with none."""
+        """A scene with controllers of force, torque and trigger, separated by commas, or with none."""
         names = controllers or ""
+        safety = scene.safety
+        # By default those of torque and trigger are those of the force.
+        if safety.rotation is not None:
+            safety = replace(safety, rotation=replace(safety.rotation, controllers=None))
+        if safety.gripper is not None:
+            safety = replace(safety, gripper=replace(safety.gripper, controllers=None))
+        scene = replace(scene, safety=safety)
         changes = [f"safety.{key}={value}" for key, value in fixed.items()]
         return override_scene(scene, [f"safety.controllers=[{names}]", *changes])
 
@@ -222,36 +322,103 @@ class Task:
         duration_s = round(longest_s + 2.0 * self.round_trip_s, 3)
         return replace(self.held, run=replace(self.held.run, duration_s=duration_s))
 
-    def release_times(self, count: int) -> tuple[float, ...]:
-        """When a hand is let go, in s: spread over the time in which more than half of the largest force is felt."""
-        recorded = replace(self.watched(self.held, None, {}), record=RecordTable())
-        run = simulate(recorded)
-        force = run.signals["device_force"]
-        size = np.abs(force) if force.ndim == 1 else np.linalg.norm(force, axis=-1)
-        engaged_s = [event.time_s for event in run.events if event.kind == "engaged"]
-        if self.base.slave is not None and not engaged_s:
-            message = (
-                f"{self.name}: at a round trip of {self.round_trip_s:g} s the two do not engage, so nothing is held"
-            )
-            raise NotEngagedError(message)
-        self.engaged_s = min(engaged_s, default=0.0)
-        time_s = run.signals["time_s"] - self.engaged_s
-        pressed = time_s[(size >= HELD_SHARE * size.max()) & (size > 0.0) & (time_s > 0.0)]
-        if pressed.size == 0:
-            return ()
-        shares = (np.arange(count) + 0.5) / count
-        return tuple(round(float(pressed[int(share * pressed.size)]), 3) for share in shares)
+    def alone(self, scene: Scene, hands: dict[str, Array], hand: int) -> Scene:
+        """One hand of a sweep as a scene of its own."""
+        values = {path: float(column[hand]) for path, column in hands.items()}
+        fields = [f"{path}={int(value) if path == 'run.seed' else repr(value)}" for path, value in values.items()]
+        return override_scene(scene, fields)
 
-    def let_go(self, at_s: float, after_s: float) -> Scene:
-        """The task in which the hand lets go at a time, and `after_s` of what follows the grip."""
+    def hold(self, scene: Scene, hands: dict[str, Array], threads: int | None) -> tuple[HeldRun, ...]:
+        """What each hand does in a scene in which nobody lets go."""
+        recorded = replace(scene, record=RecordTable())
+        lever_m = (scene.safety.rotation or RotationSafetyTable()).lever_m
+
+        def one(hand: int) -> HeldRun:
+            return held_run(simulate(self.alone(recorded, hands, hand)), scene.run.period_s, lever_m)
+
+        with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+            return tuple(pool.map(one, range(len(hands["run.seed"]))))
+
+    def releases(
+        self, hands: dict[str, Array], held: Iterable[HeldRun], places: int, after_s: float = WITHIN_S
+    ) -> Releases | None:
+        """Hands that let go, each while more than half of the largest force is felt that it feels where nobody watches.
+
+        Args:
+            hands: As rows of a sweep.
+            held: What each of them does where nobody watches and it holds.
+            places: At how many places of that time they let go; the hands share them.
+            after_s: Time in s after the grip is gone for which the run goes on.
+
+        Returns:
+            None where nothing is felt.
+        """
+        count = len(hands["run.seed"])
+        places = min(places, count)
+        chosen, at_s, lasts_s = [], [], []
+        for hand, run in enumerate(held):
+            if run.engaged_s is None or not run.pressed_s.size:
+                continue
+            share = (hand % places + 0.5) / places
+            chosen.append(hand)
+            at_s.append(round(float(run.pressed_s[int(share * run.pressed_s.size)]), 3))
+            lasts_s.append(round(run.engaged_s + at_s[-1] + DECAY_S + after_s, 3))
+        if not chosen:
+            return None
+        rows = {path: values[chosen] for path, values in hands.items()}
+        rows["operator.release.at_s"] = np.array(at_s)
+        operator = self.held.operator or self.operator
         # The grip of a hand that turns as well is of its rotation, too.
-        release = ReleaseTable(at_s=at_s, decay_s=DECAY_S)
-        operator = replace(self.held.operator or self.operator, release=release, grip_strength_n=STRENGTH_N)
+        release = ReleaseTable(at_s=at_s[0], decay_s=DECAY_S)
+        operator = replace(operator, release=release, grip_strength_n=STRENGTH_N)
         if operator.rotation is not None:
-            turned = replace(release, kind="gain")
-            operator = replace(operator, rotation=replace(operator.rotation, release=turned))
-        lasts_s = self.engaged_s + at_s + DECAY_S + after_s
-        return replace(self.held, operator=operator, run=replace(self.held.run, duration_s=round(lasts_s, 3)))
+            operator = replace(operator, rotation=replace(operator.rotation, release=replace(release, kind="gain")))
+            rows["operator.rotation.release.at_s"] = np.array(at_s)
+        rows["run.duration_s"] = np.array(lasts_s)
+        run_table = replace(self.held.run, duration_s=lasts_s[0])
+        return Releases(scene=replace(self.held, operator=operator, run=run_table), rows=rows)
+
+
+def held_run(run: Run, period_s: float, lever_m: float) -> HeldRun:
+    """What a run comes to in which nobody lets go.
+
+    What is felt is the larger of |F| and |tau| / r in N, r the lever: what a torque is at the hand.
+
+    Args:
+        run: With its signals at each tick.
+        period_s: Of a tick, in s.
+        lever_m: r in m, how far from the middle of a handle the hand is.
+    """
+    signals = run.signals
+    time_s = np.asarray(signals["time_s"])
+    ticks = len(time_s)
+
+    def size(name: str) -> Array:
+        sizes: Array = np.linalg.norm(np.asarray(signals[name]).reshape(ticks, -1), axis=1)
+        return sizes
+
+    felt = size("device_force")
+    tripped = np.asarray(signals["tripped"]) > 0
+    if "device_torque" in signals:
+        felt = np.maximum(felt, size("device_torque") / lever_m)
+        tripped |= np.asarray(signals["rotation_tripped"]) > 0
+    coupled, engaged_s = np.ones(ticks, dtype=bool), 0.0 if ticks else None
+    if "state" in signals:
+        coupled = np.isin(signals["state"], sorted(COUPLED))
+        # Releases count from where the master's side engages.
+        engaged = np.flatnonzero(coupled)
+        engaged_s = float(time_s[engaged[0]]) if engaged.size and run.metrics.outcome != "never-engaged" else None
+    ended = coupled[:-1] & ~coupled[1:]
+    since_s = time_s - (engaged_s or 0.0)
+    pressed = coupled & (felt > 0.0) & (felt >= HELD_SHARE * felt.max(initial=0.0)) & (since_s > 0.0)
+    return HeldRun(
+        metrics=run.metrics,
+        engaged_s=engaged_s,
+        coupled_s=float(coupled.sum()) * period_s,
+        holds=int(ended.sum()),
+        intervention_s=float((tripped & coupled).sum()) * period_s,
+        pressed_s=since_s[pressed] if engaged_s is not None else np.empty(0),
+    )
 
 
 def ejection_speeds(scene: Scene, found: Sweep) -> Array:

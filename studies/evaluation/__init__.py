@@ -12,7 +12,6 @@ from haptether.studies.evaluation.result import (
     Verdict,
     WorstRelease,
 )
-from haptether.studies.task import Network
 
 __all__ = [
     "EVALUATED_CONTROLLERS",
@@ -20,7 +19,6 @@ __all__ = [
     "Evaluation",
     "EvaluationCell",
     "EvaluationLimits",
-    "Network",
     "Verdict",
     "WorstRelease",
     "draw_evaluation",

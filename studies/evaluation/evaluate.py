@@ -7,10 +7,10 @@ from math import inf
 
 import numpy as np
 import numpy.typing as npt
-from msgspec import Struct
 from msgspec.structs import replace
 
-from haptether.bridge import RecordTable, Run, Scene, Sweep, override_scene, simulate, sweep
+from haptether.bridge import RecordTable, Run, Scene, simulate, sweep
+from haptether.safety import CONTROLLERS
 from haptether.studies.evaluation.result import (
     EVALUATED_CONTROLLERS,
     EVALUATED_NETWORKS,
@@ -20,30 +20,38 @@ from haptether.studies.evaluation.result import (
     WorstRelease,
 )
 from haptether.studies.intervals import median_interval
-from haptether.studies.task import HandBounds, Network, NotEngagedError, Task, ejection_speeds
-from haptether.view.style.colours import CONTROLLERS
+from haptether.studies.task import (
+    FIXED,
+    HANDS,
+    RELEASES,
+    ROUND_TRIPS_S,
+    HandBounds,
+    Network,
+    Releases,
+    Task,
+    ejection_speeds,
+    refuse_fixed,
+)
 
 Array = npt.NDArray[np.float64]
 
-WITHIN_S = 0.5
-"""Time in s after the grip is gone within which the device is watched."""
 PRESSED_SHARE = 0.1
 """Share of the largest force above which a hand counts as pressing, for the transmitted impedance."""
 MIN_PRESSED_TICKS = 100
 MOST_UNEXPLAINED = 0.2
 """Share of the variance of the force that K x + B V may leave."""
-FIXED = frozenset({"safety.controllers", "link.forward", "link.backward", "run.duration_s"})
-"""What the evaluation sets."""
+REPLACED = ("link.forward", "link.backward")
+"""What networks set beside what a task does."""
 
 
 def evaluate(
     tasks: Sequence[str],
     *,
     controllers: Sequence[str] = EVALUATED_CONTROLLERS,
-    round_trips_s: Sequence[float] = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5),
+    round_trips_s: Sequence[float] = ROUND_TRIPS_S,
     networks: Sequence[Network] = EVALUATED_NETWORKS,
-    hands: int = 8,
-    releases: int = 4,
+    hands: int = HANDS,
+    releases: int = RELEASES,
     seed: int = 1,
     limits: EvaluationLimits | None = None,
     bounds: HandBounds | None = None,
@@ -54,8 +62,9 @@ def evaluate(
     """How safe each set of controllers is at each round trip, through each network, in each task.
 
     Held throughout, each intervention that begins is a false trip. Let go under force, over 50 ms, a release throws if
-    the device exceeds the limit within 0.5 s after. All sets of controllers have the same hands, releases and draws of
-    the network. Device, arm, coupling, estimator, limits and release law are those of the scene.
+    the device exceeds the limit within 0.5 s after; one that happens under an intervention is not counted. All sets of
+    controllers have the same hands, releases and draws of the network. Device, arm, coupling, estimator, limits and
+    release law are those of the scene.
 
     Args:
         tasks: Names of bundled scenes, or paths of scenes, in which a hand works.
@@ -63,7 +72,7 @@ def evaluate(
         round_trips_s: In s: both delays of a link together, or by how much a force without an arm is late.
         networks: What the network does beside its delay; a scene without an arm meets the first one only.
         hands: How many hold each task.
-        releases: Times at which each task is let go, at most as many as hands; the hands share them.
+        releases: Places, of the time in which much is felt, at which hands let go; they share them.
         seed: Of hands and networks.
         limits: What is called safe.
         bounds: What hands may be; by default `HandBounds()`.
@@ -77,11 +86,8 @@ def evaluate(
     """
     _check(tasks, controllers, round_trips_s, networks, {"hands": hands, "releases": releases})
     overrides, bounds, limits = tuple(overrides), bounds or HandBounds(), limits or EvaluationLimits()
-    for override in overrides:
-        key = override.partition("=")[0].strip()
-        if any(key == fixed or key.startswith(f"{fixed}.") for fixed in FIXED):
-            message = f"{override}: {key} is what an evaluation varies"
-            raise ValueError(message)
+    refuse_fixed(overrides, (*FIXED, *REPLACED), "is what an evaluation varies")
+    assumed: dict[str, None] = {}
     cells: list[EvaluationCell] = []
     worst: dict[str, WorstRelease] = {}
     for name in tasks:
@@ -93,6 +99,7 @@ def evaluate(
                     progress(f"{name}, {round_trip_s * 1e3:g} ms, {network.name}")
                 task = Task(name, round_trip_s, overrides, network=network, by_time=False)
                 rows = task.hands(hands, seed, bounds)
+                assumed |= dict.fromkeys(task.replaced())
                 runs = _Runs(task, task.lasting(bounds), rows, releases, limits=limits, threads=threads)
                 for names in controllers:
                     cell, release = runs.cell(names)
@@ -112,6 +119,7 @@ def evaluate(
         releases=releases,
         seed=seed,
         version=version("haptether"),
+        assumed=tuple(assumed),
         worst=tuple(sorted(worst.values(), key=lambda release: -release.speed)),
     )
 
@@ -135,24 +143,15 @@ def _check(
         if not values or len(set(values)) < len(values):
             message = f"{name} = {list(values)}: must be one or more, each once"
             raise ValueError(message)
+    known = ("none", *(controller[0] for controller in CONTROLLERS))
     for names_of_set in controllers:
         parts = names_of_set.split("+")
-        if unknown := [part for part in parts if part not in CONTROLLERS or (part == "none" and len(parts) > 1)]:
-            message = f"controllers = {names_of_set!r}: {unknown[0]!r} is none of {', '.join(CONTROLLERS)}"
+        if unknown := [part for part in parts if part not in known or (part == "none" and len(parts) > 1)]:
+            message = f"controllers = {names_of_set!r}: {unknown[0]!r} is none of {', '.join(known)}"
             raise ValueError(message)
     if wrong := [value for value in round_trips_s if not 0.0 <= value <= 10.0]:
         message = f"round_trips_s: {wrong[0]}: must be between 0 and 10 s"
         raise ValueError(message)
-
-
-class _Group(Struct, frozen=True):
-    """Hands that let go at one time."""
-
-    scene: Scene
-    chosen: "npt.NDArray[np.int_]"
-    """Which hands."""
-    unwatched: Array
-    """Largest speed in m/s after each of them where nobody watches."""
 
 
 class _Runs:
@@ -163,46 +162,43 @@ class _Runs:
         task: Task,
         lasting: Scene,
         hands: dict[str, Array],
-        releases: int,
+        places: int,
         *,
         limits: EvaluationLimits,
         threads: int | None,
     ) -> None:
         self.task, self.hands, self.limits, self.threads = task, hands, limits, threads
         self.lasting = lasting
-        count = len(hands["run.seed"])
-        try:
-            times = task.release_times(min(releases, count))
-        except NotEngagedError:
-            times = ()
-        self.groups = []
-        for place, at_s in enumerate(times):
-            chosen = np.flatnonzero(np.arange(count) % len(times) == place)
-            if chosen.size:
-                scene = task.let_go(at_s, WITHIN_S)
-                found = self._sweep(scene, None, chosen)
-                self.groups.append(_Group(scene, chosen, ejection_speeds(scene, found)))
+        self.unwatched = task.hold(task.watched(lasting, None, {}), hands, threads)
+        self.releases = task.releases(hands, self.unwatched, places)
+        self.unwatched_speeds = self._speeds(self.releases, None)[0] if self.releases else np.empty(0)
 
-    def _sweep(self, scene: Scene, controllers: str | None, chosen: "npt.NDArray[np.int_] | None" = None) -> Sweep:
-        rows = self.hands if chosen is None else {path: values[chosen] for path, values in self.hands.items()}
-        return sweep(self.task.watched(scene, controllers, {}), samples=rows, threads=self.threads)
+    def _speeds(self, releases: Releases, controllers: str | None) -> tuple[Array, Array]:
+        """After each release the largest speed in m/s, NaN if the run did not come to it, and the time to a trip."""
+        scene = self.task.watched(releases.scene, controllers, {})
+        found = sweep(scene, samples=releases.rows, threads=self.threads)
+        speeds = ejection_speeds(scene, found)
+        speeds[~np.isfinite(np.asarray(found["max_ejection_velocity"], dtype=np.float64))] = np.nan
+        trip = np.asarray(found["time_to_trip_s"], dtype=np.float64)
+        return speeds, trip if controllers else np.full(len(speeds), np.nan)
 
     def cell(self, names: str) -> tuple[EvaluationCell, WorstRelease | None]:
         """What one set of controllers does, and the worst release."""
         controllers = None if names == "none" else names.replace("+", ",")
-        held = self._sweep(self.lasting, controllers)
-        outcomes = Counter(held["outcome"].tolist())
-        ticks = np.nan_to_num(np.asarray(held["ticks"], dtype=np.float64))
-        engaged = bool(len(held)) and not outcomes.get("never-engaged")
-        hours = float(ticks.sum()) * self.lasting.run.period_s / 3600.0 if engaged else 0.0
-        speeds, unwatched, detected, worst = self._let_go(names, controllers)
+        watched = self.task.watched(self.lasting, controllers, {})
+        held = self.task.hold(watched, self.hands, self.threads) if controllers else self.unwatched
+        outcomes = Counter(run.metrics.outcome for run in held)
+        engaged = all(run.engaged_s is not None for run in held)
+        held_s = sum(run.coupled_s for run in held) if engaged else 0.0
+        speeds, unwatched, detected, already, worst = self._let_go(names, controllers)
         limit = self.limits.speed
         dangerous = (speeds > limit) | (unwatched > limit)
         trips = detected[dangerous & np.isfinite(detected)]
         stiffness, damping = self._transmitted(controllers) if engaged else (None, None)
 
         def over(name: str, of: Callable[[Array], np.floating]) -> float | None:
-            values = np.asarray(held[name], dtype=np.float64) if name in held.columns else np.empty(0)
+            known = [value for run in held if (value := getattr(run.metrics, name)) is not None]
+            values = np.array(known, dtype=np.float64)
             values = values[np.isfinite(values)]
             return float(of(values)) if engaged and values.size else None
 
@@ -213,17 +209,20 @@ class _Runs:
             round_trip_s=self.task.round_trip_s,
             network=self._network().name,
             held=dict(outcomes),
-            hours=hours,
+            hours=held_s / 3600.0,
+            holds=sum(run.holds for run in held),
             false_trips=None if (count := over("false_trips", np.sum)) is None else int(count),
-            intervention_share=None
-            if (under_s := over("intervention_s", np.sum)) is None
-            else under_s / (hours * 3600.0),
+            intervention_share=sum(run.intervention_s for run in held) / held_s if held_s else None,
+            can_push=self.task.can_push,
             releases=len(speeds),
+            already_tripped=already,
             dangerous=int(dangerous.sum()),
             thrown=int((speeds > limit).sum()),
+            speeds=tuple(speeds[dangerous].tolist()),
             speed=float(np.median(speeds[dangerous])) if dangerous.any() else None,
-            speed_interval=median_interval(speeds[dangerous].tolist()) if dangerous.any() else None,
+            speed_interval=median_interval(speeds[dangerous].tolist()),
             max_speed=float(speeds.max()) if speeds.size else None,
+            detections_s=tuple(trips.tolist()),
             detection_s=float(np.median(trips)) if trips.size else None,
             undetected=int((dangerous & ~np.isfinite(detected)).sum()),
             peak_force_n=over("peak_device_force", np.max),
@@ -239,36 +238,30 @@ class _Runs:
         assert self.task.network is not None
         return self.task.network
 
-    def _let_go(self, names: str, controllers: str | None) -> tuple[Array, Array, Array, WorstRelease | None]:
-        """Of all releases: the largest speed, that where nobody watches, when a controller tripped; and the worst."""
-        speeds, unwatched, detected = np.empty(0), np.empty(0), np.empty(0)
-        worst: tuple[float, Scene, int] | None = None
-        for group in self.groups:
-            found = self._sweep(group.scene, controllers, group.chosen)
-            speed = ejection_speeds(group.scene, found)
-            speeds, unwatched = np.append(speeds, speed), np.append(unwatched, group.unwatched)
-            trip = np.asarray(found["time_to_trip_s"], dtype=np.float64)
-            detected = np.append(detected, trip if controllers else np.full(len(speed), np.nan))
-            most = int(speed.argmax())
-            if worst is None or speed[most] > worst[0]:
-                worst = (float(speed[most]), group.scene, int(group.chosen[most]))
-        if worst is None:
-            return speeds, unwatched, detected, None
+    def _let_go(self, names: str, controllers: str | None) -> tuple[Array, Array, Array, int, WorstRelease | None]:
+        """Of the releases: the largest speed, that where nobody watches, when a controller tripped; and the worst.
+
+        Without those under an intervention that had begun while the hand still held, of which it has the number.
+        """
+        if self.releases is None:
+            return np.empty(0), np.empty(0), np.empty(0), 0, None
+        speeds, detected = self._speeds(self.releases, controllers)
+        # A grip that begins to loosen in this tick is whole in it.
+        already = np.isfinite(speeds) & (detected < 0.5 * self.lasting.run.period_s)
+        counted = np.flatnonzero(np.isfinite(speeds) & ~already)
+        of = speeds[counted], self.unwatched_speeds[counted], detected[counted], int(already.sum())
+        if not counted.size:
+            return *of, None
+        most = int(counted[speeds[counted].argmax()])
         release = WorstRelease(
             controllers=names,
             task=self.task.name,
             round_trip_s=self.task.round_trip_s,
             network=self._network().name,
-            speed=worst[0],
-            scene=self._alone(worst[1], controllers, worst[2]),
+            speed=float(speeds[most]),
+            scene=self.task.alone(self.task.watched(self.releases.scene, controllers, {}), self.releases.rows, most),
         )
-        return speeds, unwatched, detected, release
-
-    def _alone(self, scene: Scene, controllers: str | None, hand: int) -> Scene:
-        """One hand of the sweep as a scene of its own."""
-        values = {path: float(column[hand]) for path, column in self.hands.items()}
-        fields = [f"{path}={int(value) if path == 'run.seed' else value!r}" for path, value in values.items()]
-        return override_scene(self.task.watched(scene, controllers, {}), fields)
+        return *of, release
 
     def _transmitted(self, controllers: str | None) -> tuple[float | None, float | None]:
         """Stiffness in N/m and damping in N s/m that the hand of the scene feels while it presses."""

@@ -8,7 +8,7 @@ from typing import TypeAlias
 from msgspec import Struct
 
 from haptether.studies.evaluation.figure import VERDICT_COLOURS, VERDICT_WORDS, draw_evaluation
-from haptether.studies.evaluation.result import Evaluation, EvaluationCell, Verdict, totals
+from haptether.studies.evaluation.result import Evaluation, EvaluationCell, Totals, Verdict, totals
 from haptether.view.style.colours import controller_title
 
 Cell: TypeAlias = "str | tuple[str, Verdict]"
@@ -40,9 +40,10 @@ def sections(found: Evaluation, worst: str | None) -> Iterator[Section]:
     limits = found.limits
     yield Section(
         "Which set-up is safe up to which round trip",
-        f"Safe: in every task and network no release leaves the device faster than {limits.speed:g} m/s, the two stay"
-        f" coupled, and all together have at most {limits.false_trips_per_h:g} false trips per hour held. A cell says"
-        " the worst that happened there, and the largest speed after a release.",
+        f"Safe: in every task and network no release leaves the device faster than {limits.speed:g} m/s, the two are"
+        f" coupled throughout, and all together have at most {limits.false_trips_per_h:g} false trips per hour held. A"
+        " cell says the worst that happened there, and the largest speed after a release; not measured: nobody let go"
+        " where something can be felt.",
         items=statements(found),
         table=_verdict_table(found, None),
     )
@@ -54,8 +55,9 @@ def sections(found: Evaluation, worst: str | None) -> Iterator[Section]:
         "All tasks together, of each its worst network. Dangerous: releases above the limit, here or where nobody"
         " watches; thrown: those above it here, with the 95 % interval of their share (Wilson 1927). False trips per"
         " hour held with the exact 95 % interval of a Poisson count. Speed: median of the largest after dangerous"
-        " releases, of the worst network, with its distribution-free 95 % interval. Detection: median from where the"
-        " grip begins to loosen. Energy: largest that a hand that held was given over what it had put in.",
+        " releases, with its distribution-free 95 % interval, a dash of fewer than six. Detection: median from where"
+        " the grip begins to loosen. Already tripped: releases under an intervention, which are not counted."
+        " Energy: largest that a hand that held was given over what it had put in.",
         table=_numbers(found),
     )
     yield Section(
@@ -166,7 +168,11 @@ def _statement(found: Evaluation, controllers: str) -> str:
         return f"{said} No longer one was tried."
     cells = list(found.of(controllers=controllers, round_trip_s=beyond[0]))
     verdict = found.verdict(cells)
-    where = {f"{cell.task} ({cell.network})": None for cell in cells if cell.verdict(found.limits) == verdict}
+    where = {
+        f"{cell.task} ({cell.network})": None
+        for cell in cells
+        if (cell.releases == 0 if verdict == "not-measured" else cell.verdict(found.limits) == verdict)
+    }
     return f"{said} At {beyond[0] * 1e3:g} ms: {VERDICT_WORDS[verdict]}, in {', '.join(list(where)[:MOST_NAMED])}."
 
 
@@ -190,7 +196,7 @@ def _verdict_table(found: Evaluation, task: str | None) -> Table:
 def _numbers(found: Evaluation) -> Table:
     head = (
         "controllers", "round trip", "held", "false trips/h", "under intervention", "dangerous", "thrown",
-        "speed [m/s]", "detection [ms]", "undetected", "peak force [N]", "energy [J]",
+        "already tripped", "speed [m/s]", "detection [ms]", "undetected", "peak force [N]", "energy [J]",
     )  # fmt: skip
     rows = []
     for controllers in found.controllers:
@@ -198,7 +204,6 @@ def _numbers(found: Evaluation) -> Table:
             cells = found.of(controllers=controllers, round_trip_s=round_trip_s)
             counted = totals(cells)
             rate, share = counted.false_trips_per_h, counted.thrown_share
-            slowest = max((cell for cell in cells if cell.speed is not None), key=_speed, default=None)
             rows.append(
                 (
                     controller_title(controllers),
@@ -208,9 +213,10 @@ def _numbers(found: Evaluation) -> Table:
                     _percent(_mean(cells, "intervention_share")),
                     f"{counted.dangerous} of {counted.releases}",
                     "-" if share is None else f"{counted.thrown} ({100.0 * share[1]:.0f} to {100.0 * share[2]:.0f} %)",
-                    "-" if slowest is None else _with_interval(slowest),
-                    _number(_most(cells, "detection_s"), 1e3, ".0f"),
-                    str(max((cell.undetected for cell in cells), default=0)),
+                    str(counted.already_tripped),
+                    _with_interval(counted),
+                    _number(counted.detection_s, 1e3, ".0f"),
+                    str(counted.undetected),
                     _number(_most(cells, "peak_force_n"), 1.0, ".2f"),
                     _number(_most(cells, "energy_j"), 1.0, ".3f"),
                 )
@@ -265,8 +271,12 @@ def _assumptions(found: Evaluation) -> Iterator[str]:
         "Hands are impedances with a path and a tremor, drawn at random; people were not measured. Strokes are made to"
         " be hard, so rates compare set-ups, and do not say what a day's work has."
     )
-    yield "A hand lets go under more than half of the task's largest force, its grip gives way within 50 ms."
+    yield (
+        "A hand lets go while it feels more than half of the largest force that it feels where nobody watches, a torque"
+        " as that over the lever; its grip gives way within 50 ms. A finger on a trigger does not let go."
+    )
     yield "Device, arm, coupling, estimator, limits and release law are those of the scenes."
+    yield from found.assumed
     for network in found.networks:
         parts = ["delay alone"] if not network.jitter and not network.loss else []
         if network.jitter:
@@ -277,13 +287,11 @@ def _assumptions(found: Evaluation) -> Iterator[str]:
     yield "A scene without an arm has no network: what it renders is late by the round trip."
 
 
-def _speed(cell: EvaluationCell) -> float:
-    return cell.speed or 0.0
-
-
-def _with_interval(cell: EvaluationCell) -> str:
-    low, high = cell.speed_interval or (0.0, 0.0)
-    return f"{_speed(cell):.2f} ({low:.2f} to {high:.2f})"
+def _with_interval(counted: Totals) -> str:
+    if counted.speed is None:
+        return "-"
+    interval = counted.speed_interval
+    return f"{counted.speed:.2f} ({'-' if interval is None else f'{interval[0]:.2f} to {interval[1]:.2f}'})"
 
 
 def _known(cells: Sequence[EvaluationCell], name: str) -> list[float]:

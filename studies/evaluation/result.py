@@ -1,18 +1,20 @@
 """What an evaluation finds: cells, what they say of a set-up at a delay, and the worst release."""
 
 from collections.abc import Iterable, Sequence
-from typing import Literal, TypeAlias
+from statistics import median
+from typing import Literal, TypeAlias, get_args
 
 from msgspec import Struct
 
 from haptether.bridge import Scene
-from haptether.studies.intervals import poisson_interval, wilson_interval
-from haptether.studies.task import Network
+from haptether.studies.intervals import median_interval, poisson_interval, wilson_interval
+from haptether.studies.task import THROWN_SPEED, Network
 
-Verdict: TypeAlias = Literal["not-engaged", "diverged", "thrown", "uncoupled", "trips", "safe"]
-VERDICTS: tuple[Verdict, ...] = ("diverged", "thrown", "not-engaged", "uncoupled", "trips", "safe")
+Verdict: TypeAlias = Literal["diverged", "thrown", "not-engaged", "uncoupled", "trips", "not-measured", "safe"]
+VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 """The worst first."""
-UNSAFE: frozenset[Verdict] = frozenset({"diverged", "thrown", "not-engaged"})
+UNSAFE: frozenset[Verdict] = frozenset({"diverged", "thrown", "not-engaged", "not-measured"})
+"""Of which nobody can say that nobody is thrown."""
 IN_THE_WAY: frozenset[Verdict] = frozenset({"uncoupled", "trips"})
 
 EVALUATED_CONTROLLERS = ("none", "vfc", "hsc", "wsc", "hsc+wsc", "vfc+hsc+wsc")
@@ -20,16 +22,17 @@ EVALUATED_CONTROLLERS = ("none", "vfc", "hsc", "wsc", "hsc+wsc", "vfc+hsc+wsc")
 EVALUATED_NETWORKS = (
     Network(name="steady"),
     Network(name="jitter", jitter=0.1),
-    Network(name="loss", jitter=0.1, loss=0.02, mean_burst=4.0),
+    Network(name="loss", loss=0.02, mean_burst=4.0),
+    Network(name="jitter+loss", jitter=0.1, loss=0.02, mean_burst=4.0),
 )
-"""Networks by default: delay alone; with a jitter of a tenth of it; and with 2 % of loss besides, in bursts of four."""
+"""Networks by default: delay alone; with a jitter of a tenth of it; with 2 % of loss, in bursts of four; with both."""
 
 
 class EvaluationLimits(Struct, frozen=True, kw_only=True):
     """What is called safe."""
 
-    speed: float = 0.5
-    """Speed in m/s above which a release has thrown the device: the paper's WSC and HSC leave 0.36 and 0.3 m/s."""
+    speed: float = THROWN_SPEED
+    """Speed in m/s above which a release has thrown the device."""
     false_trips_per_h: float = 60.0
     """Interventions per hour while a hand holds, above which a controller is in the way."""
 
@@ -45,25 +48,35 @@ class EvaluationCell(Struct, frozen=True, kw_only=True):
     held: dict[str, int]
     """How many runs of hands that held ended how, by the names of `Metrics.outcome`."""
     hours: float
-    """Time in h for which hands held."""
+    """Time in h for which hands held and the two were coupled."""
+    holds: int
+    """How often they were coupled no more meanwhile: HOLD, STOP or a fault, whatever came after."""
     false_trips: int | None
     """Interventions that began meanwhile."""
     intervention_share: float | None
     """Share of that time under intervention."""
+    can_push: bool
+    """Whether anything can be felt: there is an arm, or something to touch."""
     releases: int
-    """Hands that let go."""
+    """Hands that let go, without those that did under an intervention."""
+    already_tripped: int
+    """Those: what a controller does of them says nothing of a release."""
     dangerous: int
     """Those after which the device exceeds the limit, here or where nobody watches."""
     thrown: int
     """Those after which it does here."""
+    speeds: tuple[float, ...]
+    """Largest speeds in m/s after the dangerous ones."""
     speed: float | None
     """Median of the largest speeds in m/s after the dangerous ones, MEV."""
     speed_interval: tuple[float, float] | None
-    """95 % interval of that median, distribution-free."""
+    """95 % interval of that median, distribution-free; none of fewer than six."""
     max_speed: float | None
     """Largest speed in m/s after any release."""
+    detections_s: tuple[float, ...]
+    """Times in s from where the grip begins to loosen to the first intervention, of dangerous ones with one."""
     detection_s: float | None
-    """Median time in s from where the grip begins to loosen to the first intervention, of dangerous ones with one."""
+    """Median of them."""
     undetected: int
     """Dangerous releases without an intervention within the time that was watched."""
     peak_force_n: float | None
@@ -80,18 +93,17 @@ class EvaluationCell(Struct, frozen=True, kw_only=True):
     """Transmitted damping in N s/m, of the same fit."""
 
     def verdict(self, limits: EvaluationLimits) -> Verdict:
-        """What it comes to: the worst that happened."""
-        if self.held.get("never-engaged", 0) > 0:
-            return "not-engaged"
-        if self.held.get("diverged", 0) > 0:
-            return "diverged"
-        if self.thrown > 0:
-            return "thrown"
-        if any(count > 0 for outcome, count in self.held.items() if outcome not in {"complete", "settled"}):
-            return "uncoupled"
-        if self.false_trips_per_h is not None and self.false_trips_per_h > limits.false_trips_per_h:
-            return "trips"
-        return "safe"
+        """What it comes to: the worst that happened; without a release it is not measured whether one is safe."""
+        rate = self.false_trips_per_h
+        happened: dict[Verdict, bool] = {
+            "diverged": self.held.get("diverged", 0) > 0,
+            "thrown": self.thrown > 0,
+            "not-engaged": self.held.get("never-engaged", 0) > 0,
+            "uncoupled": self.holds > 0 or not self.held.keys() <= {"complete", "settled"},
+            "trips": rate is not None and rate > limits.false_trips_per_h,
+            "not-measured": self.releases == 0,
+        }
+        return next((verdict for verdict in VERDICTS if happened.get(verdict)), "safe")
 
     @property
     def false_trips_per_h(self) -> float | None:
@@ -105,9 +117,29 @@ class Totals(Struct, frozen=True, kw_only=True):
     hours: float
     false_trips: int
     releases: int
+    already_tripped: int
     dangerous: int
     thrown: int
+    undetected: int
     max_speed: float | None
+    speeds: tuple[float, ...]
+    """After the dangerous ones."""
+    detections_s: tuple[float, ...]
+
+    @property
+    def speed(self) -> float | None:
+        """Median of the largest speeds in m/s after dangerous releases."""
+        return median(self.speeds) if self.speeds else None
+
+    @property
+    def speed_interval(self) -> tuple[float, float] | None:
+        """Its distribution-free 95 % interval; none of fewer than six."""
+        return median_interval(self.speeds)
+
+    @property
+    def detection_s(self) -> float | None:
+        """Median time in s to the first intervention, of dangerous releases with one."""
+        return median(self.detections_s) if self.detections_s else None
 
     @property
     def false_trips_per_h(self) -> tuple[float, float, float] | None:
@@ -151,6 +183,8 @@ class Evaluation(Struct, frozen=True, kw_only=True):
     releases: int
     seed: int
     version: str
+    assumed: tuple[str, ...]
+    """What of its scenes was changed or left out."""
     worst: tuple[WorstRelease, ...]
     """One a set of controllers after which a device was let go, the fastest first."""
 
@@ -167,31 +201,61 @@ class Evaluation(Struct, frozen=True, kw_only=True):
         )
 
     def verdict(self, cells: Iterable[EvaluationCell]) -> Verdict:
-        """The worst of several; false trips of all tasks are counted together, for a single cell has few."""
+        """The worst of several; false trips of all tasks are counted together, for a single cell has few.
+
+        A task in which nothing can be felt has no release to be measured, and says nothing of those of others.
+
+        Raises:
+            ValueError: No cell.
+        """
         cells = tuple(cells)
-        found = {cell.verdict(self.limits) for cell in cells}
-        worst: Verdict = next((verdict for verdict in VERDICTS if verdict in found), "safe")
-        if worst == "trips":
-            rate = totals(cells).false_trips_per_h
-            return "trips" if rate is None or rate[0] > self.limits.false_trips_per_h else "safe"
-        return worst
+        if not cells:
+            message = "no cell: nothing was measured, so nothing can be said"
+            raise ValueError(message)
+        found = {cell.verdict(self.limits) for cell in cells} - {"safe", "trips", "not-measured"}
+        if found:
+            return next(verdict for verdict in VERDICTS if verdict in found)
+        rate = totals(cells).false_trips_per_h
+        if any(cell.verdict(self.limits) == "trips" for cell in cells) and (
+            rate is None or rate[0] > self.limits.false_trips_per_h
+        ):
+            return "trips"
+        return "safe" if has_releases(cells) else "not-measured"
 
     def safe_up_to_s(self, controllers: str, task: str | None = None) -> float | None:
-        """Largest round trip in s up to which each one that was tried is safe; none if already the least is not."""
+        """Largest round trip in s up to which each one that was tried is safe; none if already the least is not.
+
+        Raises:
+            ValueError: A set of controllers or a task that was not evaluated.
+        """
         return self._up_to_s(controllers, task, UNSAFE | IN_THE_WAY)
 
     def unthrown_up_to_s(self, controllers: str, task: str | None = None) -> float | None:
-        """The same of what throws or diverges alone: a controller that trips falsely is in the way, and safe."""
+        """The same of what throws or diverges alone: a controller that trips falsely is in the way, and safe.
+
+        Raises:
+            ValueError: A set of controllers or a task that was not evaluated.
+        """
         return self._up_to_s(controllers, task, UNSAFE)
 
     def _up_to_s(self, controllers: str, task: str | None, ending: frozenset[Verdict]) -> float | None:
+        for name, value, known in (("controllers", controllers, self.controllers), ("task", task, self.tasks)):
+            if value is not None and value not in known:
+                message = f"{name} = {value!r}: was not evaluated; there is {', '.join(known)}"
+                raise ValueError(message)
         reached = None
         for round_trip_s in sorted(self.round_trips_s):
             cells = self.of(task=task, controllers=controllers, round_trip_s=round_trip_s)
-            if self.verdict(cells) in ending:
+            if self.verdict(cells) in ending or not has_releases(cells):
                 break
             reached = round_trip_s
         return reached
+
+
+def has_releases(cells: Iterable[EvaluationCell]) -> bool:
+    """Whether releases were measured in each cell in which there is something to be felt, and in one at least."""
+    cells = tuple(cells)
+    return all(cell.releases > 0 or not cell.can_push for cell in cells) and any(cell.releases > 0 for cell in cells)
 
 
 def totals(cells: Sequence[EvaluationCell]) -> Totals:
@@ -207,7 +271,11 @@ def totals(cells: Sequence[EvaluationCell]) -> Totals:
         hours=sum(cell.hours for cell in tripping),
         false_trips=sum(cell.false_trips or 0 for cell in tripping),
         releases=sum(cell.releases for cell in throwing),
+        already_tripped=sum(cell.already_tripped for cell in throwing),
         dangerous=sum(cell.dangerous for cell in throwing),
         thrown=sum(cell.thrown for cell in throwing),
+        undetected=sum(cell.undetected for cell in throwing),
         max_speed=max(speeds, default=None),
+        speeds=tuple(speed for cell in throwing for speed in cell.speeds),
+        detections_s=tuple(time_s for cell in throwing for time_s in cell.detections_s),
     )

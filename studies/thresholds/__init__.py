@@ -1,14 +1,11 @@
 """Thresholds of safety controllers: false trips per hour against missed releases, over round trips."""
 
-from haptether.studies.task import THRESHOLD_TASKS, HandBounds
 from haptether.studies.thresholds.figure import draw_trade_off
 from haptether.studies.thresholds.law import THRESHOLD_LAWS, ThresholdLaw
 from haptether.studies.thresholds.trade_off import TradeOff, TradeOffPoint, TradeOffRow, measure_thresholds
 
 __all__ = [
     "THRESHOLD_LAWS",
-    "THRESHOLD_TASKS",
-    "HandBounds",
     "ThresholdLaw",
     "TradeOff",
     "TradeOffPoint",

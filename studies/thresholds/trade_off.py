@@ -8,24 +8,36 @@ from msgspec import Struct
 
 from haptether.bridge import Scene, sweep
 from haptether.studies.intervals import poisson_interval, wilson_interval
-from haptether.studies.task import THRESHOLD_TASKS, HandBounds, Task, ejection_speeds
+from haptether.studies.task import (
+    FIXED,
+    HANDS,
+    RELEASES,
+    ROUND_TRIPS_S,
+    THRESHOLD_TASKS,
+    THROWN_SPEED,
+    HandBounds,
+    Releases,
+    Task,
+    ejection_speeds,
+    refuse_fixed,
+)
 from haptether.studies.thresholds.law import THRESHOLD_LAWS, ThresholdLaw
 
 Array = npt.NDArray[np.float64]
 
-MISSED_SPEED = 0.5
-"""Speed in m/s above which a release is missed: WSC and HSC of the paper leave 0.36 and 0.3 m/s, no controller 1.3."""
-FIXED = frozenset(
-    f"safety.{name}"
-    for name in (
-        "controllers", "hold_off_s", "release_ramp_s", "probe_force_n", "release_tries", "hsc_velocity_threshold",
-        "wsc_force_threshold_n", "window", "vfc_form", "vfc_force_threshold_n",
-        *(law.threshold for law in THRESHOLD_LAWS),
-    )
+MISSED_SPEED = THROWN_SPEED
+"""Speed in m/s above which a release is missed."""
+LAWS_OWN = (
+    *(
+        f"safety.{name}"
+        for name in (
+            "hold_off_s", "release_ramp_s", "probe_force_n", "release_tries", "hsc_velocity_threshold",
+            "wsc_force_threshold_n", "window", "vfc_form", "vfc_force_threshold_n",
+        )
+    ),
+    *(f"safety.{law.threshold}" for law in THRESHOLD_LAWS),
 )  # fmt: skip
-"""What a law or a task sets, whatever the scene says."""
-WITHIN_S = 0.3
-"""Time in s after the grip is gone within which that counts."""
+"""What a law sets, whatever the scene says."""
 
 
 class TradeOffRow(Struct, frozen=True, kw_only=True):
@@ -40,7 +52,7 @@ class TradeOffRow(Struct, frozen=True, kw_only=True):
     task: str
     round_trip_s: float
     hours: float
-    """Simulated time in h while hands held."""
+    """Simulated time in h while hands held and the two were coupled, as where nobody watches."""
     false_trips: int
     """Interventions that began meanwhile."""
     releases: int
@@ -57,8 +69,9 @@ class TradeOffPoint(Struct, frozen=True, kw_only=True):
     law: str
     threshold: float
     round_trip_s: float
-    false_trips_per_h: float
-    false_trips_per_h_interval: tuple[float, float]
+    false_trips_per_h: float | None
+    """None where nobody held."""
+    false_trips_per_h_interval: tuple[float, float] | None
     """Exact, of a Poisson count (Garwood 1936)."""
     missed_share: float | None
     """None where there was nothing to miss."""
@@ -111,8 +124,10 @@ class TradeOff(Struct, frozen=True, kw_only=True):
                             law=law.name,
                             threshold=threshold,
                             round_trip_s=round_trip_s,
-                            false_trips_per_h=counts.per_hour,
-                            false_trips_per_h_interval=(low / counts.hours, high / counts.hours),
+                            false_trips_per_h=counts.per_hour if counts.hours else None,
+                            false_trips_per_h_interval=(low / counts.hours, high / counts.hours)
+                            if counts.hours
+                            else None,
                             missed_share=counts.missed_share if has_any else None,
                             missed_share_interval=wilson_interval(counts.missed, counts.releases) if has_any else None,
                         )
@@ -143,9 +158,9 @@ def measure_thresholds(
     *,
     tasks: Sequence[str] = THRESHOLD_TASKS,
     laws: Sequence[ThresholdLaw] = THRESHOLD_LAWS,
-    round_trips_s: Sequence[float] = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3),
-    hands: int = 8,
-    releases: int = 4,
+    round_trips_s: Sequence[float] = ROUND_TRIPS_S,
+    hands: int = HANDS,
+    releases: int = RELEASES,
     seed: int = 1,
     bounds: HandBounds | None = None,
     overrides: Iterable[str] = (),
@@ -155,7 +170,7 @@ def measure_thresholds(
     """Runs tasks with many hands, held and let go, for each threshold of each law.
 
     Held: each intervention that begins is a false trip. Let go: of the releases after which an unwatched device exceeds
-    `MISSED_SPEED` within 0.3 s, those after which it still does are missed. All laws have the same hands, releases and
+    `MISSED_SPEED` within 0.5 s, those after which it still does are missed. All laws have the same hands, releases and
     links, a hold-off of 0.1 s and a release ramp of 0.2 s.
 
     Args:
@@ -163,7 +178,7 @@ def measure_thresholds(
         laws: Whose thresholds are swept.
         round_trips_s: In s: both delays of a link together, or by how much a force without an arm is late.
         hands: How many hold each task, at each round trip.
-        releases: Times at which each task is let go, at most as many as hands; the hands share them.
+        releases: Places, of the time in which much is felt, at which hands let go; they share them.
         seed: Of hands and links.
         bounds: What hands may be; by default `HandBounds()`.
         overrides: Fields of each scene to change first, `table.key=value`.
@@ -182,19 +197,16 @@ def measure_thresholds(
         if not several or len(set(several)) < len(several):
             message = f"{name} = {list(several)}: must be one or more, each once"
             raise ValueError(message)
-    for override in overrides:
-        if (key := override.partition("=")[0].strip()) in FIXED:
-            message = f"{override}: {key} is the same for every law here, or the law's own"
-            raise ValueError(message)
     bounds, overrides = bounds or HandBounds(), tuple(overrides)
+    refuse_fixed(overrides, (*FIXED, *LAWS_OWN), "is the same for every law here, or the law's own")
     rows: list[TradeOffRow] = []
     for name in tasks:
         for round_trip_s in round_trips_s:
             if progress is not None:
                 progress(f"{name}, {round_trip_s * 1e3:g} ms")
             task = Task(name, round_trip_s, overrides)
-            run = TaskRuns(task, task.hands(hands, seed, bounds), releases, threads)
-            rows += run.rows(laws, task.lasting(bounds))
+            run = TaskRuns(task, task.lasting(bounds), task.hands(hands, seed, bounds), releases, threads)
+            rows += run.rows(laws)
     return TradeOff(
         rows=tuple(rows),
         laws=tuple(laws),
@@ -208,73 +220,52 @@ def measure_thresholds(
 class TaskRuns:
     """One task at one round trip, done by hands that hold, and that let go at times spread over what is pressed."""
 
-    def __init__(self, task: Task, hands: dict[str, Array], releases: int, threads: int | None) -> None:
-        self.task, self.threads = task, threads
-        self.hands, self.count = hands, len(hands["run.seed"])
-        # Each hand lets go once, at one of the times.
-        times = task.release_times(min(releases, self.count))
-        self.groups = [
-            (task.let_go(at_s, WITHIN_S), np.arange(self.count) % len(times) == place)
-            for place, at_s in enumerate(times)
-        ]
-        self.groups = [(scene, chosen) for scene, chosen in self.groups if chosen.any()]
-        self.thrown = [self._thrown(scene, None, chosen)[0] for scene, chosen in self.groups]
+    def __init__(self, task: Task, lasting: Scene, hands: dict[str, Array], places: int, threads: int | None) -> None:
+        self.task, self.lasting, self.threads = task, lasting, threads
+        self.hands = hands
+        held = task.hold(task.watched(lasting, None, {}), hands, threads)
+        self.hours = sum(run.coupled_s for run in held if run.engaged_s is not None) / 3600.0
+        self.releases = task.releases(hands, held, places)
+        # Each hand lets go once.
+        self.thrown = self._speeds(self.releases, None)[0] > MISSED_SPEED if self.releases else np.empty(0, dtype=bool)
 
-    def _over(self, law: ThresholdLaw, chosen: "npt.NDArray[np.bool_]") -> dict[str, Array]:
-        """Each chosen hand with each threshold, threshold by threshold."""
-        count = int(chosen.sum())
-        rows = {path: np.tile(values[chosen], len(law.values)) for path, values in self.hands.items()}
-        return rows | {f"safety.{law.threshold}": np.repeat(np.array(law.values), count)}
+    def _over(self, law: ThresholdLaw, rows: dict[str, Array]) -> dict[str, Array]:
+        """Each hand with each threshold, threshold by threshold."""
+        count = len(rows["run.seed"])
+        tiled = {path: np.tile(values, len(law.values)) for path, values in rows.items()}
+        return tiled | {f"safety.{law.threshold}": np.repeat(np.array(law.values), count)}
 
-    def _thrown(
-        self, scene: Scene, law: ThresholdLaw | None, chosen: "npt.NDArray[np.bool_]"
-    ) -> tuple["npt.NDArray[np.bool_]", Array]:
-        """Whether each release exceeds the missed speed, and the speed, by threshold and hand."""
-        if law is None:
-            watched = self.task.watched(scene, None, {})
-            samples = {path: values[chosen] for path, values in self.hands.items()}
-            shape: tuple[int, ...] = (-1,)
-        else:
-            watched = self.task.watched(scene, law.controller, law.fixed)
-            samples, shape = self._over(law, chosen), (len(law.values), -1)
+    def _speeds(self, releases: Releases, law: ThresholdLaw | None) -> Array:
+        """Largest speed in m/s after each release, by threshold and hand."""
+        watched = self.task.watched(releases.scene, law.controller if law else None, law.fixed if law else {})
+        samples = self._over(law, releases.rows) if law else releases.rows
         found = sweep(watched, samples=samples, threads=self.threads)
-        speed = np.nan_to_num(np.asarray(found["max_ejection_velocity"], dtype=np.float64))
-        return (ejection_speeds(scene, found) > MISSED_SPEED).reshape(shape), speed.reshape(shape)
+        return ejection_speeds(releases.scene, found).reshape(len(law.values) if law else 1, -1)
 
     def released(self, law: ThresholdLaw) -> list[tuple[int, int, Array]]:
         """Of each threshold: releases that throw where nobody watches, those of them missed, and their speeds in m/s.
 
         A speed is the largest within `WITHIN_S` after the grip is gone.
         """
-        of = [
-            (thrown, *self._thrown(scene, law, chosen))
-            for (scene, chosen), thrown in zip(self.groups, self.thrown, strict=True)
-            if thrown.any()
-        ]
-        found = []
-        for place in range(len(law.values)):
-            speeds = [speed[place][thrown] for thrown, _, speed in of]
-            count = sum(int(thrown.sum()) for thrown, _, _ in of)
-            missed = sum(int(fast[place][thrown].sum()) for thrown, fast, _ in of)
-            found.append((count, missed, np.concatenate(speeds) if speeds else np.zeros(0)))
-        return found
+        thrown = self.thrown
+        speeds = np.empty((len(law.values), 0))
+        if self.releases is not None and thrown.any():
+            speeds = self._speeds(self.releases, law)[:, thrown]
+        return [(int(thrown.sum()), int((each > MISSED_SPEED).sum()), each) for each in speeds]
 
-    def rows(self, laws: Sequence[ThresholdLaw], lasting: Scene) -> list[TradeOffRow]:
-        """Of all laws and thresholds; `lasting` is the task that is held throughout."""
-        everyone = np.ones(self.count, dtype=bool)
+    def rows(self, laws: Sequence[ThresholdLaw]) -> list[TradeOffRow]:
+        """Of all laws and thresholds."""
         rows = []
         for law in laws:
             held = sweep(
-                self.task.watched(lasting, law.controller, law.fixed),
-                samples=self._over(law, everyone),
+                self.task.watched(self.lasting, law.controller, law.fixed),
+                samples=self._over(law, self.hands),
                 threads=self.threads,
             )
             trips = np.nan_to_num(np.asarray(held["false_trips"], dtype=np.float64)).reshape(len(law.values), -1)
-            ticks = np.nan_to_num(np.asarray(held["ticks"], dtype=np.float64)).reshape(len(law.values), -1)
-            hours = ticks.sum(axis=1) * lasting.run.period_s / 3600.0
-            released = self.released(law)
-            for place, threshold in enumerate(law.values):
-                releases, missed, speeds = released[place]
+            for threshold, false_trips, (releases, missed, speeds) in zip(
+                law.values, trips, self.released(law), strict=True
+            ):
                 rows.append(
                     TradeOffRow(
                         law=law.name,
@@ -283,8 +274,8 @@ class TaskRuns:
                         threshold=threshold,
                         task=self.task.name,
                         round_trip_s=self.task.round_trip_s,
-                        hours=float(hours[place]),
-                        false_trips=int(trips[place].sum()),
+                        hours=self.hours,
+                        false_trips=int(false_trips.sum()),
                         releases=releases,
                         missed=missed,
                         speed=float(np.median(speeds)) if speeds.size else None,

@@ -265,8 +265,9 @@ def _release_runs(
     names = ("estimator", *(name for names in READ_BY_OBSERVERS.values() for name in names))
     safety = replace(task_scene.safety, **{name: getattr(seen.scene.safety, name) for name in names})
     task = Task(replace(task_scene, safety=safety), round_trip_s)
-    runs = TaskRuns(task, task.hands(hands, seed, HandBounds()), releases, threads)
-    if not any(thrown.any() for thrown in runs.thrown):
+    bounds = HandBounds()
+    runs = TaskRuns(task, task.lasting(bounds), task.hands(hands, seed, bounds), releases, threads)
+    if not runs.thrown.any():
         return runs, [f"no release in the scene exceeds {MISSED_SPEED:g} m/s where nobody watches: none can be missed"]
     return runs, []
 

@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from haptether.bridge import RecordTable, load_scene, simulate
 from haptether.cli.entry import main
+from haptether.cli.scene.evaluate import Evaluate
 from haptether.netsim import LinkSettings
 from haptether.studies import (
     EVALUATED_NETWORKS,
@@ -29,8 +30,10 @@ pytestmark = pytest.mark.slow
 
 CELL: dict[str, Any] = {
     "task": "push", "controllers": "wsc", "round_trip_s": 0.0, "network": "steady", "held": {"complete": 8},
-    "hours": 0.1, "false_trips": 0, "intervention_share": 0.0, "releases": 8, "dangerous": 4, "thrown": 0,
-    "speed": 0.3, "speed_interval": (0.2, 0.4), "max_speed": 0.4, "detection_s": 0.03, "undetected": 0,
+    "hours": 0.1, "holds": 0, "false_trips": 0, "intervention_share": 0.0, "can_push": True, "releases": 8,
+    "already_tripped": 0, "dangerous": 4, "thrown": 0,
+    "speeds": (0.2, 0.3, 0.3, 0.4), "speed": 0.3, "speed_interval": None, "max_speed": 0.4,
+    "detections_s": (0.03,) * 4, "detection_s": 0.03, "undetected": 0,
     "peak_force_n": 3.0, "energy_j": 0.1, "position_rmse_m": 1e-3, "force_rmse_n": 0.1, "stiffness": None,
     "damping": None,
 }  # fmt: skip
@@ -40,7 +43,7 @@ CELL: dict[str, Any] = {
 def found() -> Evaluation:
     return evaluate(
         ["paper_wall", "remote_push"], controllers=("none", "hsc"), round_trips_s=(0.0, 0.1), hands=2, releases=2,
-        networks=EVALUATED_NETWORKS[::2], threads=1,
+        networks=(EVALUATED_NETWORKS[0], EVALUATED_NETWORKS[3]), threads=1,
     )  # fmt: skip
 
 
@@ -55,6 +58,10 @@ def found() -> Evaluation:
         ({"false_trips": 6}, "safe"),
         ({"false_trips": 7}, "trips"),
         ({"held": {"complete": 7, "hold": 1}, "false_trips": 7}, "uncoupled"),
+        ({"holds": 1}, "uncoupled"),
+        ({"releases": 0, "dangerous": 0}, "not-measured"),
+        ({"releases": 0, "dangerous": 0, "already_tripped": 8, "false_trips": 7}, "trips"),
+        ({"held": {"complete": 7, "never-engaged": 1}, "thrown": 1}, "thrown"),
         ({"held": {"complete": 7, "stop": 1}, "thrown": 1}, "thrown"),
         ({"held": {"complete": 7, "diverged": 1}, "thrown": 1}, "diverged"),
         ({"held": {"never-engaged": 8}, "false_trips": None, "hours": 0.0, "releases": 0}, "not-engaged"),
@@ -69,7 +76,7 @@ def evaluation(*cells: dict[str, Any]) -> Evaluation:
     return Evaluation(
         cells=made, tasks=tuple({cell.task: None for cell in made}), controllers=("wsc",),
         round_trips_s=tuple(sorted({cell.round_trip_s for cell in made})), networks=EVALUATED_NETWORKS,
-        limits=EvaluationLimits(), hands=8, releases=4, seed=1, version="0", worst=(),
+        limits=EvaluationLimits(), hands=8, releases=4, seed=1, version="0", assumed=(), worst=(),
     )  # fmt: skip
 
 
@@ -89,6 +96,34 @@ def test_the_same_hands_in_several_networks_are_no_more_hands() -> None:
     counted = totals([EvaluationCell(**{**CELL, **changes}) for changes in (*networks, other)])
     assert (counted.hours, counted.false_trips) == (0.2, 6)
     assert (counted.releases, counted.dangerous, counted.thrown) == (16, 7, 1)
+
+
+def test_medians_are_those_of_all_releases_and_not_of_the_largest_cell() -> None:
+    quick = {"speeds": (0.1,) * 7, "detections_s": (0.05,) * 7, "undetected": 1}
+    slow = {"task": "other", "speeds": (0.4,), "detections_s": (0.5,), "undetected": 2}
+    counted = totals([EvaluationCell(**{**CELL, **changes}) for changes in (quick, slow)])
+    assert (counted.speed, counted.detection_s, counted.undetected) == (0.1, 0.05, 3)
+    assert counted.speed_interval == (0.1, 0.4)
+
+
+def test_a_task_without_a_release_ends_what_is_safe_unless_nothing_can_be_felt_there() -> None:
+    nothing = {"task": "other", "releases": 0, "dangerous": 0}
+    assert evaluation({}, nothing).safe_up_to_s("wsc") is None
+    assert evaluation({}, nothing).unthrown_up_to_s("wsc") is None
+    assert evaluation({}, nothing | {"can_push": False}).safe_up_to_s("wsc") == 0.0
+    assert evaluation(nothing | {"can_push": False}).safe_up_to_s("wsc") is None
+    # Nor does a HOLD stand for a release.
+    assert evaluation({}, nothing | {"holds": 1}).unthrown_up_to_s("wsc") is None
+
+
+def test_of_what_was_not_evaluated_nothing_is_said() -> None:
+    found = evaluation({})
+    with pytest.raises(ValueError, match="controllers = 'hsc': was not evaluated; there is wsc"):
+        found.safe_up_to_s("hsc")
+    with pytest.raises(ValueError, match="task = 'pull': was not evaluated; there is push"):
+        found.unthrown_up_to_s("wsc", "pull")
+    with pytest.raises(ValueError, match="no cell"):
+        found.verdict(())
 
 
 def test_who_trips_falsely_throws_nobody() -> None:
@@ -144,8 +179,44 @@ def test_nobody_who_watches_throws_and_a_controller_does_not(found: Evaluation) 
         assert all(cell.detection_s is not None and 0.0 <= cell.detection_s < 0.1 for cell in watched if cell.dangerous)
     # A wall has no network, and no arm whose errors could be measured.
     assert {cell.network for cell in found.of(task="paper_wall")} == {"steady"}
-    assert {cell.network for cell in found.of(task="remote_push")} == {"steady", "loss"}
+    assert {cell.network for cell in found.of(task="remote_push")} == {"steady", "jitter+loss"}
     assert all((cell.position_rmse_m is None) == (cell.task == "paper_wall") for cell in found.cells)
+
+
+def test_a_torque_throws_at_the_lever_and_is_let_go() -> None:
+    arguments = {"round_trips_s": (0.01,), "networks": EVALUATED_NETWORKS[:1], "hands": 2, "releases": 2, "threads": 1}
+    found = evaluate(["torque_release"], controllers=("none",), **arguments)  # type: ignore[arg-type]
+    (cell,) = found.cells
+    assert (cell.verdict(found.limits), cell.releases) == ("thrown", 2)
+    # (tau - c) / I t r, for the 0.5 s that are watched at most, and a grip that holds it back while it loosens.
+    assert cell.max_speed is not None
+    assert 0.5 < cell.max_speed < (0.1 - 0.002) / 4e-4 * 0.55 * 0.05
+
+
+def test_a_force_that_comes_after_the_scene_has_ended_is_let_go_too() -> None:
+    found = evaluate(["paper_wall"], controllers=("none",), round_trips_s=(10.0,), hands=1, releases=1, threads=1)
+    (cell,) = found.cells
+    assert (cell.verdict(found.limits), cell.releases) == ("thrown", 1)
+
+
+def test_where_a_trigger_pushes_alone_no_release_was_measured_and_a_link_is_named_that_is_replaced() -> None:
+    found = evaluate(
+        ["gripper"], controllers=("none",), round_trips_s=(0.1,), networks=EVALUATED_NETWORKS[:1], hands=1, threads=1
+    )
+    assert [cell.verdict(found.limits) for cell in found.cells] == ["not-measured"]
+    assert found.assumed == ("gripper is run without what its own link has: loss, outages.",)
+    assert found.assumed[0] in evaluation_markdown(found)
+    assert "no controller: safe at none of these round trips. At 100 ms: not measured" in evaluation_markdown(found)
+
+
+def test_a_release_under_an_intervention_is_not_one_that_was_survived() -> None:
+    """With the paper's threshold HSC holds the force of active_force back throughout: no release is left."""
+    found = evaluate(["active_force"], controllers=("none", "hsc"), round_trips_s=(0.0,), hands=3, threads=1)
+    alone, watched = found.cells
+    assert (alone.releases, alone.already_tripped) == (3, 0)
+    assert watched.releases + watched.already_tripped == 3
+    assert watched.already_tripped > 0
+    assert all(time_s > 0.0 for time_s in watched.detections_s)
 
 
 def test_threads_change_nothing(found: Evaluation) -> None:
@@ -209,7 +280,8 @@ def test_the_page_loads_nothing_and_says_each_verdict(found: Evaluation) -> None
 
 def test_the_command_writes_page_scene_and_cells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, target = tmp_path / "out", tmp_path / "cells.json"
-    arguments = ["--quick", "--controller", "none", "hsc", "--round-trip-s", "0.05", "--hands", "1", "--threads", "1"]
+    arguments = ["--quick", "--controller", "none", "hsc", "--round-trip-s", "0.05", "--network", "steady", "jitter"]
+    arguments += ["--hands", "1", "--threads", "1"]
     assert main(["evaluate", "remote_push", *arguments, "--out", str(out), "--json", str(target)]) == 0
     assert sorted(path.name for path in out.iterdir()) == ["evaluation.html", "evaluation.md", "worst.toml"]
     report = json.loads(target.read_text())
@@ -225,6 +297,20 @@ def test_the_command_writes_page_scene_and_cells(tmp_path: Path, capsys: pytest.
     assert "haptether evaluate remote_push --quick --controller none hsc" in (out / "evaluation.md").read_text()
 
 
+def test_the_command_that_is_printed_is_the_one_that_ran() -> None:
+    command = Evaluate(scene=("remote_push",), seed=1234567, round_trip_s=(0.0123456789,), speed=0.1234567, hands=2)
+    assert command._options() == [
+        "--round-trip-s", "0.0123456789", "--hands", "2", "--speed", "0.1234567", "--seed", "1234567"
+    ]  # fmt: skip
+
+
+def test_a_worst_release_of_an_earlier_run_is_none_of_this(tmp_path: Path) -> None:
+    (tmp_path / "worst.toml").write_text("old")
+    arguments = ["--controller", "none", "--round-trip-s", "0", "--hands", "1", "--releases", "1", "--threads", "1"]
+    assert main(["evaluate", "free_motion", *arguments, "--out", str(tmp_path)]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["evaluation.html", "evaluation.md"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
@@ -236,9 +322,10 @@ def test_the_command_writes_page_scene_and_cells(tmp_path: Path, capsys: pytest.
         (["--controller", "none+wsc"], "'none' is none of"),
         (["--controller", "wsc", "wsc"], "must be one or more, each once"),
         (["--round-trip-s", "-0.1"], "round_trips_s: -0.1: must be between 0 and 10 s"),
-        (["--network", "bad"], "--network bad: must be of steady, jitter, loss"),
+        (["--network", "bad"], "--network bad: must be of steady, jitter, loss, jitter+loss"),
         (["--set", "safety.controllers=[wsc]"], "safety.controllers is what an evaluation varies"),
         (["--set", "link.forward.delay_s=0.1"], "link.forward.delay_s is what an evaluation varies"),
+        (["--set", "link={forward={loss=0.1}}"], "link.forward.loss is what an evaluation varies"),
     ],
 )
 def test_what_cannot_be_is_refused(arguments: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,10 +11,8 @@ if TYPE_CHECKING:
 
     from haptether.studies import Evaluation
 
-ROUND_TRIPS_S = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5)
 QUICK_ROUND_TRIPS_S = (0.0, 0.1, 0.3)
 QUICK_CONTROLLERS = ("none", "hsc", "wsc", "hsc+wsc")
-HANDS, RELEASES = 8, 4
 QUICK_HANDS, QUICK_RELEASES = 2, 2
 
 
@@ -45,15 +43,15 @@ class Evaluate:
     round_trip_s: tuple[float, ...] | None = None
     """Round trips in s."""
     network: tuple[str, ...] | None = None
-    """Of steady, jitter and loss: what the network does beside its delay."""
+    """Of steady, jitter, loss and jitter+loss: what the network does beside its delay."""
     hands: int | None = None
     """How many hands do each task, 1 or more."""
     releases: int | None = None
-    """At how many times hands let go, 1 or more; each hand lets go once."""
-    speed: float = 0.5
-    """Speed in m/s above which a release has thrown the device."""
-    false_trips_per_h: float = 60.0
-    """False trips per hour held above which a controller is in the way."""
+    """At how many places of what they feel hands let go, 1 or more; each hand lets go once."""
+    speed: float | None = None
+    """Speed in m/s above which a release has thrown the device; by default 0.5."""
+    false_trips_per_h: float | None = None
+    """False trips per hour held above which a controller is in the way; by default 60."""
     seed: int = 1
     """Of hands and networks, 0 or more."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
@@ -82,17 +80,18 @@ class Evaluate:
             evaluation_html,
             evaluation_markdown,
         )
+        from haptether.studies.task import HANDS, RELEASES, ROUND_TRIPS_S
 
         check_target(self.json)
         if self.seed < 0:
             message = f"seed = {self.seed}: must be 0 or more"
             raise ValueError(message)
         for name, value in (("speed", self.speed), ("false-trips-per-h", self.false_trips_per_h)):
-            if not 0.0 <= value < float("inf"):
+            if value is not None and not 0.0 <= value < float("inf"):
                 message = f"{name} = {value}: must be a number of at least 0"
                 raise ValueError(message)
         known = {network.name: network for network in EVALUATED_NETWORKS}
-        chosen = self.network or (("steady", "loss") if self.quick else tuple(known))
+        chosen = self.network or (("steady", "jitter+loss") if self.quick else tuple(known))
         if unknown := [name for name in chosen if name not in known]:
             message = f"--network {unknown[0]}: must be of {', '.join(known)}"
             raise ValueError(message)
@@ -100,6 +99,7 @@ class Evaluate:
             require_matplotlib()
             make_folder(self.out)
         quick = self.quick
+        limits = {"speed": self.speed, "false_trips_per_h": self.false_trips_per_h}
         with spinner("evaluate") as say:
             found = evaluate(
                 self._tasks(),
@@ -109,7 +109,7 @@ class Evaluate:
                 hands=self.hands if self.hands is not None else QUICK_HANDS if quick else HANDS,
                 releases=self.releases if self.releases is not None else QUICK_RELEASES if quick else RELEASES,
                 seed=self.seed,
-                limits=EvaluationLimits(speed=self.speed, false_trips_per_h=self.false_trips_per_h),
+                limits=EvaluationLimits(**{name: value for name, value in limits.items() if value is not None}),
                 overrides=self.set,
                 threads=self.threads,
                 progress=say,
@@ -119,6 +119,8 @@ class Evaluate:
         if self.out is not None:
             worst = next((release for release in found.worst if release.controllers != "none"), None)
             named = None
+            # One of an earlier run is none of this.
+            (self.out / "worst.toml").unlink(missing_ok=True)
             if worst is not None:
                 named = "worst.toml"
                 save_scene(
@@ -144,7 +146,7 @@ class Evaluate:
             ]
             safe = {controllers: found.safe_up_to_s(controllers) for controllers in found.controllers}
             unthrown = {controllers: found.unthrown_up_to_s(controllers) for controllers in found.controllers}
-            fields = ("tasks", "networks", "limits", "hands", "releases", "seed", "version", "cells")
+            fields = ("tasks", "networks", "limits", "hands", "releases", "seed", "version", "assumed", "cells")
             report = {name: getattr(found, name) for name in fields}
             write_report(self.json, {**report, "safe_up_to_s": safe, "unthrown_up_to_s": unthrown, "worst": worst_rows})
         return 0
@@ -165,13 +167,13 @@ class Evaluate:
             ("controller", self.controller), ("round-trip-s", self.round_trip_s), ("network", self.network)
         ):  # fmt: skip
             if values is not None:
-                given += [f"--{option}", *(f"{value:g}" if isinstance(value, float) else value for value in values)]
+                given += [f"--{option}", *(value if isinstance(value, str) else repr(value) for value in values)]
         for option, value, default in (
-            ("hands", self.hands, None), ("releases", self.releases, None), ("speed", self.speed, 0.5),
-            ("false-trips-per-h", self.false_trips_per_h, 60.0), ("seed", self.seed, 1),
+            ("hands", self.hands, None), ("releases", self.releases, None), ("speed", self.speed, None),
+            ("false-trips-per-h", self.false_trips_per_h, None), ("seed", self.seed, 1),
         ):  # fmt: skip
             if value != default:
-                given += [f"--{option}", f"{value:g}"]
+                given += [f"--{option}", repr(value)]
         for change in self.set:
             given += ["--set", change]
         return given
@@ -188,7 +190,10 @@ class Evaluate:
         console.print("")
         for statement in statements(found):
             console.print(f"- {statement}")
+        for change in found.assumed:
+            console.print(f"- {change}")
         console.print(
             f"\nsafe: no release above {found.limits.speed:g} m/s, coupled throughout, at most"
-            f" {found.limits.false_trips_per_h:g} false trips per hour held; {found.hands} hands, all networks together"
+            f" {found.limits.false_trips_per_h:g} false trips per hour held; {found.hands} hands, all networks"
+            " together. Not measured: nobody let go where something can be felt."
         )
