@@ -1,0 +1,169 @@
+"""Where the time of a simulated tick goes: stacks sampled by `perf` while a scene runs, by part and as a flame graph.
+
+Each checkout runs the scene with its own built extension (a release build says what users have), so that a tree can be
+held against another: `--before CHECKOUT`. Times are shares of the samples times what a tick took in the same run.
+Needs `perf` (package linux-perf) and leave to sample (`kernel.perf_event_paranoid` at most 2).
+"""
+
+import argparse
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from _report import bench_options, table_file, write_json
+
+EXAMPLE = "example: python benches/flame_graph.py --before ../landed --plot flame.png"
+ROOT = Path(__file__).resolve().parents[1]
+RUN = """
+import sys, time
+import haptether
+scene, seconds, overrides = sys.argv[1], float(sys.argv[2]), sys.argv[3:]
+overrides = [f"run.duration_s={seconds}", *overrides]
+# What is imported and built once is no part of a tick.
+haptether.simulate(scene, overrides=["run.duration_s=0.5"])
+begun = time.perf_counter()
+run = haptether.simulate(scene, overrides=overrides)
+print((time.perf_counter() - begun) / run.metrics.ticks * 1e9)
+"""
+PARTS = (
+    ("arm and contact", r"^haptether_slave::"),
+    ("verdicts of the network", r"^(<?haptether_netsim::|libm::)"),
+    ("device and hand", r"^haptether_master::"),
+    ("observers, controllers, limiter", r"^haptether_safety::"),
+    ("ladder", r"^haptether_bridge::ladder::"),
+    ("frames and link", r"^haptether_bridge::(wire|link|session|endpoint::exchange)::"),
+    ("age, clock and counts of the path", r"^haptether_bridge::path::"),
+    ("endpoints and coupling", r"^haptether_bridge::(endpoint|coupling|hand)"),
+    ("measures, events, signals", r"^haptether_bridge::scene::"),
+    ("copies of memory", r"^_*mem(cpy|move|set)"),
+    ("sides, loops and what is inlined there", r"^<?haptether_bridge::"),
+)
+"""By the function that a sample was taken in, with what was inlined into it; the first that fits."""
+ROOT_FRAME = "run_virtual"
+Stack = tuple[str, ...]
+
+
+def sampled(checkout: Path, scene: str, seconds: float, overrides: Iterable[str]) -> tuple[Counter[Stack], float]:
+    """Stacks below the run of a scene, outermost first, with their counts, and the time of a tick in ns."""
+    with tempfile.TemporaryDirectory() as folder:
+        recorded = str(Path(folder, "perf.data"))
+        run = [sys.executable, "-c", RUN, scene, str(seconds), *overrides]
+        perf = ["perf", "record", "-q", "-F", "1500", "--call-graph", "dwarf,16384", "-o", recorded, "--", *run]
+        environment = {"PYTHONPATH": str(checkout / "python"), "PATH": "/usr/bin:/bin"}
+        plain = subprocess.run(run, check=True, capture_output=True, text=True, env=environment, timeout=300)
+        subprocess.run(perf, check=True, capture_output=True, text=True, env=environment, timeout=300)
+        script = ["perf", "script", "--no-inline", "-i", recorded, "-F", "ip,sym"]
+        printed = subprocess.run(script, check=True, capture_output=True, text=True, timeout=600).stdout
+    stacks: Counter[Stack] = Counter()
+    for block in printed.split("\n\n"):
+        frames = [named(line) for line in block.splitlines() if line.strip()]
+        frames.reverse()
+        begins = next((place for place, frame in enumerate(frames) if ROOT_FRAME in frame), None)
+        if begins is not None:
+            stacks[tuple(frames[begins:])] += 1
+    return stacks, float(plain.stdout)
+
+
+def named(line: str) -> str:
+    """The function of a line of `perf script`, without its address, hash and parameters of type."""
+    name = line.split(None, 1)[1] if " " in line.strip() else "?"
+    name = re.sub(r"::h[0-9a-f]{16}$", "", name.strip())
+    depth, kept = 0, []
+    for place, letter in enumerate(name):
+        if letter == "<" and place > 0:
+            depth += 1
+        elif letter == ">" and depth > 0:
+            depth -= 1
+        elif depth == 0:
+            kept.append(letter)
+    return "".join(kept)
+
+
+def by_part(stacks: Counter[Stack], ns: float) -> dict[str, float]:
+    """Time of a tick in ns that each part takes itself."""
+    total = sum(stacks.values())
+    spent = dict.fromkeys([*(name for name, _ in PARTS), "else"], 0.0)
+    for stack, count in stacks.items():
+        part = next((name for name, pattern in PARTS if re.search(pattern, stack[-1])), "else")
+        spent[part] += count / total * ns
+    return spent
+
+
+def draw(drawn: dict[str, tuple[Counter[Stack], float]], path: Path) -> None:
+    """Flame graphs one below the other, on one scale of time."""
+    from haptether.view.style.figure import fitted, new_figure, write_figure
+
+    most = max(ns for _, ns in drawn.values())
+    figure = new_figure(2, 3.0 * len(drawn), "Time of a remote tick by function")
+    panels = figure.subplots(len(drawn), 1, squeeze=False)[:, 0]
+    for panel, (title, (stacks, ns)) in zip(panels, drawn.items(), strict=True):
+        panel.set_title(f"{title}: {ns:.0f} ns a tick", loc="left")
+        panel.set_xlim(0.0, most)
+        panel.set_yticks([])
+        panel.set_xlabel("ns")
+        total = sum(stacks.values())
+        deepest = rectangles(panel, Counter(stacks), 0.0, 0, ns / total, most, fitted, figure)
+        panel.set_ylim(0.0, deepest + 1.0)
+    write_figure(figure, path)
+
+
+def rectangles(
+    panel: Any, stacks: Counter[Stack], left: float, level: int, scale: float, most: float, fitted: Any, figure: Any
+) -> int:  # fmt: skip
+    """Draws the frames of one level and above; returns the deepest."""
+    groups: dict[str, Counter[Stack]] = {}
+    for stack, count in stacks.items():
+        if stack:
+            groups.setdefault(stack[0], Counter())[stack[1:]] += count
+    deepest = level
+    for name, inside in sorted(groups.items()):
+        width = sum(inside.values()) * scale
+        if width > 0.003 * most:
+            place = next((place for place, (_, pattern) in enumerate(PARTS) if re.search(pattern, name)), len(PARTS))
+            colour = f"C{place % 10}"
+            panel.barh(level + 0.5, width, 0.96, left, color=colour, alpha=0.45, edgecolor="white", linewidth=0.4)
+            room = width / most * panel.get_window_extent().width - 4.0
+            short = "::".join(name.split("::")[-2:])
+            label = fitted(figure, short, room, 5.0) if room > 20.0 else ""
+            panel.text(left + 0.002 * most, level + 0.5, label, va="center", fontsize=5, clip_on=True)
+            deepest = max(deepest, rectangles(panel, inside, left, level + 1, scale, most, fitted, figure))
+        left += width
+    return deepest
+
+
+def main() -> int:
+    """Samples, prints the table, draws."""
+    options = bench_options(__doc__, EXAMPLE)
+    options.add_argument("--scene", default="remote_push", help="default %(default)s")
+    options.add_argument("--seconds", type=float, default=300.0, help="simulated; default %(default)s")
+    options.add_argument("--set", action="append", default=[], metavar="TABLE.KEY=VALUE", help="fields to change")
+    options.add_argument("--before", type=Path, metavar="CHECKOUT", help="another tree with a built extension")
+    options.add_argument("--plot", type=Path, metavar="FILE", help="the flame graphs as a picture")
+    chosen: argparse.Namespace = options.parse_args()
+    if shutil.which("perf") is None:
+        options.error("perf is not there: install linux-perf")
+    if not 1.0 <= chosen.seconds <= 3600.0:
+        options.error("--seconds must be 1 to 3600")
+    trees = {"now": ROOT} if chosen.before is None else {"before": chosen.before.resolve(), "now": ROOT}
+    overrides = [*chosen.set, "record.every=1000"]
+    drawn = {name: sampled(tree, chosen.scene, chosen.seconds, overrides) for name, tree in trees.items()}
+    spent = {name: by_part(stacks, ns) for name, (stacks, ns) in drawn.items()}
+    out = table_file(chosen.json)
+    print(f"{'ns a tick':42}" + "".join(f"{name:>10}" for name in drawn), file=out)
+    for part in spent["now"]:
+        print(f"{part:42}" + "".join(f"{spent[name][part]:10.0f}" for name in drawn), file=out)
+    print(f"{'all':42}" + "".join(f"{ns:10.0f}" for _, ns in drawn.values()), file=out)
+    if chosen.plot is not None:
+        draw(drawn, chosen.plot)
+    write_json(chosen.json, {name: {"ns": drawn[name][1], "parts_ns": spent[name]} for name in drawn})
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
