@@ -5,7 +5,6 @@ held against another: `--before CHECKOUT`. Times are shares of the samples times
 Needs `perf` (package linux-perf) and leave to sample (`kernel.perf_event_paranoid` at most 2).
 """
 
-import argparse
 import re
 import shutil
 import subprocess
@@ -14,9 +13,13 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from _report import bench_options, table_file, write_json
+from haptether.view.style.figure import figure_of, fitted, new_figure, write_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 EXAMPLE = "example: python benches/flame_graph.py --before ../landed --plot flame.png"
 ROOT = Path(__file__).resolve().parents[1]
@@ -97,8 +100,6 @@ def by_part(stacks: Counter[Stack], ns: float) -> dict[str, float]:
 
 def draw(drawn: dict[str, tuple[Counter[Stack], float]], path: Path) -> None:
     """Flame graphs one below the other, on one scale of time."""
-    from haptether.view.style.figure import fitted, new_figure, write_figure
-
     most = max(ns for _, ns in drawn.values())
     figure = new_figure(2, 3.0 * len(drawn), "Time of a remote tick by function")
     panels = figure.subplots(len(drawn), 1, squeeze=False)[:, 0]
@@ -108,16 +109,15 @@ def draw(drawn: dict[str, tuple[Counter[Stack], float]], path: Path) -> None:
         panel.set_yticks([])
         panel.set_xlabel("ns")
         total = sum(stacks.values())
-        deepest = rectangles(panel, Counter(stacks), 0.0, 0, ns / total, most, fitted, figure)
+        deepest = rectangles(panel, stacks, 0.0, 0, ns / total)
         panel.set_ylim(0.0, deepest + 1.0)
     write_figure(figure, path)
 
 
-def rectangles(
-    panel: Any, stacks: Counter[Stack], left: float, level: int, scale: float, most: float, fitted: Any, figure: Any
-) -> int:  # fmt: skip
+def rectangles(panel: "Axes", stacks: Counter[Stack], left: float, level: int, scale: float) -> int:
     """Draws the frames of one level and above; returns the deepest."""
     groups: dict[str, Counter[Stack]] = {}
+    _, most = panel.get_xlim()
     for stack, count in stacks.items():
         if stack:
             groups.setdefault(stack[0], Counter())[stack[1:]] += count
@@ -130,9 +130,9 @@ def rectangles(
             panel.barh(level + 0.5, width, 0.96, left, color=colour, alpha=0.45, edgecolor="white", linewidth=0.4)
             room = width / most * panel.get_window_extent().width - 4.0
             short = "::".join(name.split("::")[-2:])
-            label = fitted(figure, short, room, 5.0) if room > 20.0 else ""
+            label = fitted(figure_of(panel), short, room, 5.0) if room > 20.0 else ""
             panel.text(left + 0.002 * most, level + 0.5, label, va="center", fontsize=5, clip_on=True)
-            deepest = max(deepest, rectangles(panel, inside, left, level + 1, scale, most, fitted, figure))
+            deepest = max(deepest, rectangles(panel, inside, left, level + 1, scale))
         left += width
     return deepest
 
@@ -145,7 +145,7 @@ def main() -> int:
     options.add_argument("--set", action="append", default=[], metavar="TABLE.KEY=VALUE", help="fields to change")
     options.add_argument("--before", type=Path, metavar="CHECKOUT", help="another tree with a built extension")
     options.add_argument("--plot", type=Path, metavar="FILE", help="the flame graphs as a picture")
-    chosen: argparse.Namespace = options.parse_args()
+    chosen = options.parse_args()
     if shutil.which("perf") is None:
         options.error("perf is not there: install linux-perf")
     if not 1.0 <= chosen.seconds <= 3600.0:

@@ -1,7 +1,7 @@
 """Inequalities that a set-up must meet before anything moves, with this scene's numbers."""
 
 from collections.abc import Iterator
-from math import ceil, hypot, inf, sqrt
+from math import ceil, floor, hypot, inf, log10, sqrt
 from typing import Any, Literal
 
 from msgspec import Struct
@@ -9,6 +9,7 @@ from msgspec import Struct
 from haptether.bridge import Scene
 from haptether.safety import ejection_bound
 from haptether.studies.design.delay import ContactLoop, largest_delay_s, stable_delays
+from haptether.studies.design.idle import idle_link
 from haptether.studies.design.loops import contact_numbers, scene_loops, scene_numbers
 from haptether.studies.design.wall import largest_wall_stiffness
 
@@ -69,7 +70,7 @@ def check_scene(scene: Scene, *, speed: float = 0.5) -> DesignCheck:
     spec = scene_numbers(scene)
     parts = (
         _round_trip(scene, spec), _wall(spec), _ejection(scene, speed), _vfc(spec, speed), _hsc(spec), _wsc(spec),
-        _grip(spec), _holds(spec),
+        _grip(spec), _holds(spec), _idle(scene, spec),
     )  # fmt: skip
     return DesignCheck(findings=tuple(finding for part in parts for finding in part))
 
@@ -153,7 +154,12 @@ def _softer(loop: ContactLoop, delay_s: float) -> str:
             low = middle
         else:
             high = middle
-    return f"coupling.force_scale of {low:.2g} bears it, or a softer contact, more damping, less delay"
+    if low < 1e-6:
+        return "no coupling.force_scale bears it: a softer contact, more damping, less delay"
+    digits = 1 - floor(log10(low))
+    # Rounded down: what is printed bears it.
+    scale = floor(low * 10.0**digits) / 10.0**digits
+    return f"coupling.force_scale of {scale:g} bears it, or a softer contact, more damping, less delay"
 
 
 def _wall(spec: dict[str, Any]) -> Iterator[Finding]:
@@ -339,7 +345,10 @@ def _holds(spec: dict[str, Any]) -> Iterator[Finding]:
         if not direction or not direction["loss"]:
             continue
         loss = direction["loss"]
-        burst = direction["mean_burst"] or 1.0 / (1.0 - loss) if loss < 1.0 else inf
+        if loss >= 1.0:
+            # The idle link says so.
+            return
+        burst = direction["mean_burst"] or 1.0 / (1.0 - loss)
         packets = ceil(hold_s / period_s)
         stays = 1.0 - 1.0 / burst
         per_h += 3600.0 / period_s * loss / burst * stays ** (packets - 1)
@@ -350,4 +359,26 @@ def _holds(spec: dict[str, Any]) -> Iterator[Finding]:
         name="losses", state=state, text=f"losses alone silence this link for {hold_s * 1e3:.0f} ms, after which the"
         f" ladder holds, {per_h:.2g} times an hour", value=per_h, limit=MAX_HOLDS_PER_H, unit="1/h",
         remedy=None if state == "good" else "a longer safety.ladder.hold_after_s, or a better link",
+    )  # fmt: skip
+
+
+def _idle(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
+    """What the ladder makes of this link while nobody moves, whatever the link is made of."""
+    if spec["slave"] is None or scene.link is None:
+        return
+    seen = idle_link(scene)
+    if not seen.engaged:
+        yield Finding(
+            name="link", state="bad", text=f"over this link the two never engage: {seen.reason}",
+            remedy="is delay_s in seconds? 0.05 is 50 ms; else less delay and loss",
+        )  # fmt: skip
+        return
+    per_h = seen.holds * 3600.0 / seen.seconds
+    rate = f"{per_h:.3g} times an hour" if seen.holds else f"less than {3.0 * 3600.0 / seen.seconds:.3g} times an hour"
+    why = f" ({seen.reason})" if seen.reason else ""
+    state: State = "bad" if seen.stops else "warning" if seen.holds else "good"
+    yield Finding(
+        name="link", state=state, text=f"while nobody moves this link makes the ladder hold {rate}{why}, of"
+        f" {seen.seconds:g} s that were run", value=per_h, limit=MAX_HOLDS_PER_H, unit="1/h",
+        remedy=None if state == "good" else "less jitter and loss, or a longer safety.ladder.hold_after_s",
     )  # fmt: skip

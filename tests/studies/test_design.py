@@ -201,6 +201,14 @@ def states(scene: str, overrides: tuple[str, ...] = (), **options: Any) -> dict[
         ("remote_push", (), "grip", None),
         ("driving_network", (), "losses", "warning"),
         ("remote_push", (), "losses", "good"),
+        ("remote_push", ("link.forward.loss=1",), "losses", None),
+        ("remote_push", (), "link", "good"),
+        ("remote_push", ("link.forward.loss=1",), "link", "bad"),
+        ("remote_push", ("link.backward.loss=1",), "link", "bad"),
+        ("remote_push", ("link.forward.delay_s=50",), "link", "bad"),
+        ("remote_push", ("link.forward.delay_s=0.15", "link.forward.jitter_s=0.05"), "link", "warning"),
+        ("driving_network", (), "link", "bad"),
+        ("paper_wall", (), "link", None),
     ],
 )  # fmt: skip
 def test_a_finding_is_in_the_state_that_its_numbers_say(
@@ -224,6 +232,30 @@ def test_the_remedy_for_too_much_delay_bears_it() -> None:
     assert finding.remedy is not None
     scale = float(finding.remedy.split()[2])
     assert states("pick_and_place", (*overrides, f"coupling.force_scale={0.8 * scale}"))["delay margin"] == "good"
+
+
+def test_the_scale_that_is_advised_is_rounded_down() -> None:
+    (finding,) = (one for one in check_scene(load_scene("pick_and_place")).findings if one.name == "delay margin")
+    assert finding.remedy is not None
+    scale = float(finding.remedy.split()[2])
+    (mended,) = (
+        one
+        for one in check_scene(load_scene("pick_and_place", [f"coupling.force_scale={scale}"])).findings
+        if one.name == "delay margin"
+    )
+    assert mended.state == "good"
+    # The scene has 0.2, and 0.19506 is the largest that bears it.
+    assert 0.18 < scale < 0.19506
+
+
+def test_a_link_that_holds_says_how_often_and_why() -> None:
+    """An outage of 0.5 s once in 10 s: one hold each."""
+    outage = '[{ times = { kind = "periodic", at_s = 5.0, period_s = 10.0, duration_s = 0.5 } }]'
+    found = check_scene(load_scene("remote_push", [f"link.forward.outages={outage}"])).findings
+    (finding,) = (one for one in found if one.name == "link")
+    # Six in a minute.
+    assert finding.value == 360.0
+    assert "silent" in finding.text
 
 
 def test_losses_hold_as_often_as_a_chain_of_two_states_says() -> None:
