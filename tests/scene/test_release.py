@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 
 from haptether.bridge import Run, Scene, SceneError, load_scene, scene_json, simulate
-from haptether.cli.shared.ejection import release_line
+from haptether.cli.shared.ejection import release_law, release_line
 
 RELEASE_S, DURATION_S = 1.0, 8.0
 HELD = 16
@@ -127,7 +127,14 @@ def test_by_default_a_hand_is_asked_for_unless_friction_hides_it(
             "a cap of 3.3 N leave no room to probe for a hand: after a trip the force comes back to",
         ),
         (["master.device=touch", "safety.release_tries=0"], "comes back by time"),
-        (["master.device=touch", "safety.probe_force_n=0"], None),
+        (
+            ["master.device=touch", "safety.probe_force_n=0"],
+            "probe_force_n = 0: after a trip the force comes back to one",
+        ),
+        (
+            ["safety.probe_force_n=0", "safety.release_tries=0"],
+            "probe_force_n = 0: after a trip the force comes back by time",
+        ),
         (["master.device=touch", "safety.controllers=[pc]"], None),
         (["safety.damping=0"], "no probe for a hand: after a trip the force stays away until a person presses"),
         (["safety.limiter.max_force_n=0.5"], "a cap of 0.5 N leave no room to probe for a hand"),
@@ -136,6 +143,21 @@ def test_by_default_a_hand_is_asked_for_unless_friction_hides_it(
 def test_a_command_says_where_no_hand_is_probed_for(overrides: list[str], said: str | None) -> None:
     line = release_line(load_scene("remote_push", overrides))
     assert line == said if said is None else said in (line or "")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "by"),
+    [
+        ([], "hand"),
+        (["safety.probe_force_n=0"], "hand"),
+        (["safety.probe_force_n=0", "safety.release_tries=0"], "time"),
+        (["safety.damping=0"], "never"),
+    ],
+)
+def test_machines_are_told_what_brings_the_force_back(overrides: list[str], by: str) -> None:
+    law = release_law(load_scene("remote_push", overrides))
+    assert law is not None
+    assert law["returns"] == by
 
 
 def test_without_an_arm_nobody_can_press() -> None:

@@ -25,14 +25,14 @@ def bound_line(scene: "Scene", bound: "EjectionBound") -> str:
 
 
 def release_line(scene: "Scene") -> str | None:
-    """That no hand is asked for after a trip, where a scene has no probe by default."""
+    """That no hand is probed for after a trip, and what brings the force back instead; none where one is."""
     settings = scene.ejection_settings()
-    if not CANCELLING.intersection(settings.controllers):
-        return None
-    if scene.safety.probe_force_n is not None or settings.probe_force_n > 0.0:
+    if not CANCELLING.intersection(settings.controllers) or settings.probe_force_n > 0.0:
         return None
     unit = "N m" if scene.master.kind == "joints" else "N"
-    if settings.damping == 0.0:
+    if scene.safety.probe_force_n is not None:
+        why = "probe_force_n = 0"
+    elif settings.damping == 0.0:
         why = "without damping there is no probe for a hand"
     else:
         friction, cap = max(settings.coulomb), settings.max_force_n
@@ -45,6 +45,16 @@ def release_line(scene: "Scene") -> str | None:
     return f"{why}: after a trip the force stays away{until}"
 
 
+def returns(scene: "Scene") -> str:
+    """What brings the force back after a trip: a "hand" that answers or moves, "time", or "never"."""
+    settings = scene.ejection_settings()
+    if settings.probe_force_n > 0.0:
+        return "hand"
+    if not settings.release_tries:
+        return "time"
+    return "hand" if settings.damping > 0.0 else "never"
+
+
 def release_law(scene: "Scene") -> dict[str, object] | None:
     """Who gets the force back after a trip, for machines; none where no controller takes it away."""
     settings = scene.ejection_settings()
@@ -55,6 +65,7 @@ def release_law(scene: "Scene") -> dict[str, object] | None:
         "release_tries": settings.release_tries,
         "hold_off_s": scene.safety.hold_off_s,
         "release_ramp_s": settings.release_ramp_s,
+        "returns": returns(scene),
         "remark": release_line(scene),
     }
 
