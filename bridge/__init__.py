@@ -44,6 +44,7 @@ from haptether.bridge.scene.load import load_scene, override_scene, scene_json, 
 from haptether.bridge.scene.run import Event, Metrics, Run, Signals, simulate
 from haptether.bridge.scene.save import save_scene, scene_toml
 from haptether.bridge.scene.sweep import Sweep, sweep
+from haptether.bridge.scene.sweeps.store import StoredSweep, sweep_to_file
 from haptether.bridge.scene.tables.master import (
     ButtonsTable,
     FingerTable,
@@ -200,6 +201,7 @@ __all__ = [
     "SlaveTrace",
     "Sphere",
     "Spring",
+    "StoredSweep",
     "Sweep",
     "TelemetryCause",
     "TelemetryChange",
@@ -243,6 +245,7 @@ __all__ = [
     "scene_toml",
     "simulate",
     "sweep",
+    "sweep_to_file",
     "tripped_names",
     "unusual_numbers",
     "wipe_key",

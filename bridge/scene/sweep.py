@@ -8,6 +8,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from os import PathLike
 from pathlib import Path as FilePath
@@ -44,6 +45,12 @@ LARGEST_EXACT = 2**53
 """Values travel as float64: whole numbers beyond this are not exact."""
 _COUNTS = {"false_trips", "intervention_ticks"}
 """Columns of whole numbers that are float64, so that NaN can stand for what was not measured."""
+METRICS = (
+    "outcome", "max_ejection_velocity", "peak_device_force", "time_to_trip_s", "false_trips", "intervention_s",
+    "intervention_ticks", "position_rmse_m", "force_rmse_n", "max_ejection_rate", "peak_device_torque",
+    "orientation_rmse_rad", "torque_rmse_n_m", "passivity_min_j", "diverged", "ticks", "reason",
+)  # fmt: skip
+"""Columns of what is measured, in their order; a scene of poses has those of rotation."""
 _UNMEASURED = {"never-engaged", "refused"}
 """Outcomes of rows in which nothing was measured."""
 
@@ -75,10 +82,10 @@ class Sweep:
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """The rows, each a value per column."""
-        for values in zip(*map(self._values, self.columns), strict=True):
+        for values in zip(*map(self.values_of, self.columns), strict=True):
             yield dict(zip(self.columns, values, strict=True))
 
-    def _values(self, name: str) -> list[Any]:
+    def values_of(self, name: str) -> list[Any]:
         """A column as raw values, none for what was not measured."""
         column = self.columns[name]
         values: list[Any] = column.tolist()
@@ -104,7 +111,7 @@ class Sweep:
             with private_file(path) as binary, io.TextIOWrapper(binary, encoding="utf-8", newline="") as file:
                 writer = csv.writer(file, lineterminator="\n")
                 writer.writerow(self.columns)
-                writer.writerows(zip(*map(self._values, self.columns), strict=True))
+                writer.writerows(zip(*map(self.values_of, self.columns), strict=True))
         elif path.suffix == ".npz":
             arrays: dict[str, Any] = dict(self.columns)
             with private_file(path) as file:
@@ -122,7 +129,7 @@ class Sweep:
         if importlib.util.find_spec("polars") is None:
             message = "to_polars needs polars: install it beside haptether"
             raise ImportError(message)
-        return importlib.import_module("polars").DataFrame({name: self._values(name) for name in self.columns})
+        return importlib.import_module("polars").DataFrame({name: self.values_of(name) for name in self.columns})
 
 
 def sweep(
@@ -158,63 +165,120 @@ def sweep(
     """
     _, base = named_scene(scene, overrides)
     varied = _tied(_varied(grid, samples), ties or {})
+    threads = thread_count(threads)
+    found = measured(base, varied, Threads(count=threads, lanes=lanes, progress=progress))
+    whole = Sweep({**labelled(varied), **found})
+    refuse_empty(whole)
+    return whole
+
+
+@dataclass(frozen=True, kw_only=True)
+class Threads:
+    """How rows are run on this machine."""
+
+    count: int
+    """How many threads."""
+    lanes: bool = True
+    """Whether rows may be advanced side by side in one thread."""
+    progress: Callable[[int], None] | None = None
+    """Called from time to time with the number of rows that are done."""
+
+
+def thread_count(threads: int | None) -> int:
+    """So many threads, or as many as there are processors.
+
+    Raises:
+        ValueError: Fewer than 1.
+    """
     if threads is None:
-        threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if threads < 1:
         message = f"threads = {threads}: must be 1 or more"
         raise ValueError(message)
+    return threads
+
+
+def labelled(varied: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+    """What varies as columns of numbers and of text."""
+    return {
+        path: np.array([label(value) for value in column.tolist()]) if column.dtype == object else column
+        for path, column in varied.items()
+    }
+
+
+def refuse_empty(rows: Sweep) -> None:
+    """Refuses a table without a row that can be built.
+
+    Raises:
+        SceneError: Why the first cannot.
+    """
+    if not (rows.columns["outcome"] == "refused").all():
+        return
+    texts = {path: column[0] for path, column in rows.columns.items() if column.dtype.kind == "U"}
+    kind = ", ".join(f"{path} = {text}" for path, text in texts.items() if path not in {"outcome", "reason"})
+    message = f"{kind or 'row 0'}: {texts['reason']}"
+    raise SceneError(message)
+
+
+def measured(base: Checked, varied: Mapping[str, npt.NDArray[Any]], how: Threads) -> dict[str, npt.NDArray[Any]]:
+    """The outcome and the metrics of each row; of rows of which none can be built only `outcome` and `reason`."""
     categories = {path: column for path, column in varied.items() if column.dtype == object}
     if not categories:
-        return Sweep({**varied, **_metrics(base, varied, threads, lanes, progress)})
+        return in_order(_metrics(base, varied, how))
     numbers = {path: column for path, column in varied.items() if path not in categories}
-    labels = {path: np.array([label(value) for value in column.tolist()]) for path, column in categories.items()}
-    found = _by_category(base, numbers, categories, labels, (threads, lanes, progress))
-    return Sweep({**varied, **labels, **found})
-
-
-def _by_category(
-    base: Checked,
-    numbers: Mapping[str, Array],
-    categories: Mapping[str, npt.NDArray[Any]],
-    labels: Mapping[str, npt.NDArray[np.str_]],
-    how: tuple[int, bool, Callable[[int], None] | None],
-) -> dict[str, npt.NDArray[Any]]:
-    """The metrics of all rows, one combination of categories after the other."""
-    raw = cast("dict[str, Raw]", msgspec.to_builtins(base.scene))
-    kinds = list(zip(*labels.values(), strict=True))
-    rows, done = len(kinds), 0
-    threads, lanes, progress = how
+    labels = [[label(value) for value in column.tolist()] for column in categories.values()]
+    codes: dict[tuple[str, ...], int] = {}
+    of_row = np.array([codes.setdefault(kind, len(codes)) for kind in zip(*labels, strict=True)])
     parts: list[tuple[npt.NDArray[np.intp], dict[str, npt.NDArray[Any]]]] = []
-    first_problem: str | None = None
-    for kind in dict.fromkeys(kinds):
-        chosen = np.array([row for row in range(rows) if kinds[row] == kind])
+    done = 0
+    for kind, code in codes.items():
+        chosen = np.flatnonzero(of_row == code)
         own = {path: column[chosen] for path, column in numbers.items()}
         # Where no number varies all rows of a combination are alike, and the seed has to be given.
         own = own or {"run.seed": np.full(len(chosen), float(base.scene.run.seed))}
         try:
-            changed: Raw = raw
-            for path, column in categories.items():
-                changed = with_value(cast("dict[str, Raw]", changed), path_of(path), column[chosen[0]])
-            scene = typed_scene(changed)
-            of_these = _metrics(Checked(scene, checked_spec(scene)), own, threads, lanes, _shifted(progress, done))
+            changed = _of_kind(base, kind, {path: column[chosen[0]] for path, column in categories.items()})
+            of_these = _metrics(changed, own, replace(how, progress=_shifted(how.progress, done)))
         except SceneError as error:
-            first_problem = (
-                first_problem or f"{', '.join(f'{p} = {k}' for p, k in zip(labels, kind, strict=True))}: {error}"
-            )
-            texts = {"outcome": "refused", "reason": str(error)}
-            of_these = {name: np.full(len(chosen), text) for name, text in texts.items()}
+            of_these = _refused(dict.fromkeys(range(len(chosen)), str(error)))
         parts.append((chosen, of_these))
         done += len(chosen)
-    if all((of_these["outcome"] == "refused").all() for _, of_these in parts):
-        raise SceneError(first_problem or "no row can be built")
-    return _joined(parts, rows)
+    return in_order(joined(parts, len(of_row)))
+
+
+def in_order(metrics: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+    """Metrics in the one order that files have, whichever rows were computed first."""
+    return {name: metrics[name] for name in [*METRICS, *metrics] if name in metrics}
+
+
+_KINDS: dict[tuple[bytes, tuple[str, ...], tuple[str, ...]], Checked] = {}
+_MOST_KINDS = 256
+
+
+def _of_kind(base: Checked, kind: tuple[str, ...], values: Mapping[str, Raw]) -> Checked:
+    """The scene with what is no number changed; the last ones are kept, for rows come by batch.
+
+    Raises:
+        SceneError: A scene that cannot be built.
+    """
+    key = (base.json, tuple(values), kind)
+    if (kept := _KINDS.get(key)) is None:
+        changed: Raw = cast("dict[str, Raw]", msgspec.to_builtins(base.scene))
+        for path, value in values.items():
+            changed = with_value(changed, path_of(path), value)
+        scene = typed_scene(changed)
+        kept = Checked(scene, checked_spec(scene))
+        if len(_KINDS) >= _MOST_KINDS:
+            _KINDS.clear()
+        _KINDS[key] = kept
+    return kept
 
 
 def _shifted(progress: Callable[[int], None] | None, done: int) -> Callable[[int], None] | None:
     return None if progress is None else lambda now: progress(done + now)
 
 
-def _joined(
+def joined(
     parts: Sequence[tuple["npt.NDArray[np.intp]", Mapping[str, npt.NDArray[Any]]]], rows: int
 ) -> dict[str, npt.NDArray[Any]]:
     """Columns of all rows from those of some of them; what a part does not have is not measured."""
@@ -229,24 +293,27 @@ def _joined(
     return whole
 
 
-def _metrics(
-    base: Checked,
-    varied: Mapping[str, Array],
-    threads: int,
-    lanes: bool,
-    progress: Callable[[int], None] | None,
-) -> dict[str, npt.NDArray[Any]]:
+def _metrics(base: Checked, varied: Mapping[str, Array], how: Threads) -> dict[str, npt.NDArray[Any]]:
     """What is measured of rows of numbers."""
-    columns, refused = sweep_columns(base, varied)
+    columns, refused = _columns(base, varied)
     rows = len(next(iter(varied.values())))
+    if len(refused) == rows:
+        return _refused(refused)
     built = np.array([row for row in range(rows) if row not in refused]) if refused else slice(None)
     columns = [(path, np.ascontiguousarray(column[built])) for path, column in columns]
-    measured = _core.sweep_scenes(base.json, columns, threads, lanes, progress)
-    of_rows = {name: _of_rows(name, np.asarray(column), built, rows, refused) for name, column in measured.items()}
-    if "outcome" in of_rows and (of_rows["outcome"] == "refused").all():
-        message = f"row 0: {of_rows['reason'][0]}"
-        raise SceneError(message)
+    found = _core.sweep_scenes(base.json, columns, how.count, how.lanes, how.progress)
+    of_rows = {name: _of_rows(name, np.asarray(column), built, rows, refused) for name, column in found.items()}
+    if (of_rows["outcome"] == "refused").all():
+        return _refused(dict(enumerate(of_rows["reason"].tolist())))
     return of_rows
+
+
+def _refused(reasons: Mapping[int, str]) -> dict[str, npt.NDArray[Any]]:
+    """The columns of rows none of which can be built."""
+    return {
+        "outcome": np.full(len(reasons), "refused"),
+        "reason": np.array([reasons[row] for row in range(len(reasons))]),
+    }
 
 
 def label(value: object) -> str:
@@ -299,7 +366,7 @@ def _varied(
     if (grid is None) == (samples is None):
         message = "give grid or samples: exactly one of the two"
         raise ValueError(message)
-    given = {path: _values(path, values) for path, values in (grid or samples or {}).items()}
+    given = {path: values_of_path(path, values) for path, values in (grid or samples or {}).items()}
     if not given:
         message = "nothing to vary: give at least one path with values"
         raise ValueError(message)
@@ -318,7 +385,12 @@ def _varied(
     return given
 
 
-def _values(path: str, values: Values) -> npt.NDArray[Any]:
+def values_of_path(path: str, values: Values) -> npt.NDArray[Any]:
+    """The values of a parameter: numbers, or objects where not all are.
+
+    Raises:
+        SceneError: What no field takes.
+    """
     if isinstance(values, str) or any(isinstance(value, bool | str | list | tuple | Mapping) for value in values):
         return _categories(path, values)
     try:
@@ -357,6 +429,16 @@ def sweep_columns(base: Checked, varied: Mapping[str, Array]) -> tuple[list[tupl
     Raises:
         SceneError: A path that the scene does not have, or no row that can be built.
     """
+    columns, refused = _columns(base, varied)
+    if refused and len(refused) == len(next(iter(varied.values()))):
+        row, why = min(refused.items())
+        message = f"row {row}: {why}"
+        raise SceneError(message)
+    return columns, refused
+
+
+def _columns(base: Checked, varied: Mapping[str, Array]) -> tuple[list[tuple[str, Array]], dict[int, str]]:
+    """As `sweep_columns`, also of rows none of which can be built."""
     expected = _leaves_of(base.json)
     columns: dict[str, Array] = {}
     together: dict[Path, Array] = {}
@@ -374,10 +456,6 @@ def sweep_columns(base: Checked, varied: Mapping[str, Array]) -> tuple[list[tupl
         joint, wrong_rows = _joint_columns(raw, expected, together)
         columns |= joint
         refused = wrong_rows | refused
-    if refused and len(refused) == len(next(iter(varied.values()))):
-        row, why = min(refused.items())
-        message = f"row {row}: {why}"
-        raise SceneError(message)
     return list(columns.items()), refused
 
 

@@ -56,7 +56,7 @@ def given(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         progress(rows)
         return {
             "outcome": np.array(["complete"] * rows), "peak_device_force": np.arange(rows) * 1.0,
-            "time_to_trip_s": np.full(rows, np.nan),
+            "time_to_trip_s": np.full(rows, np.nan), "ticks": np.full(rows, 4000, np.uint64),
         }  # fmt: skip
 
     monkeypatch.setattr("haptether._core.simulate_scene", simulate_scene, raising=False)
@@ -164,7 +164,7 @@ def test_flags_with_a_dot_are_overrides(arguments: list[str], expected: list[str
         (["sweep", "remote_push"], "nothing to vary"),
         (["sweep", "remote_push", "--vary", "safety.window"], "--vary safety.window: must be path=a:b:n"),
         (["sweep", "remote_push", "--vary", "safety.window=-1,0"], "row 0: [safety] window = -1: must be 1 to 3600000"),
-        (["sweep", "remote_push", "--vary", "safety.window=1", "--out", "a.txt"], "a.txt: must end in .csv or .npz"),
+        (["sweep", "remote_push", "--vary", "safety.window=1", "--out", "a.txt"], "must end in .csv, .parquet or .npz"),
         (["sweep", "remote_push", "--vary", "run.seed=0:1:9999999", "operator.damping=1,2"], "must be at most 1000000"),
         (["sweep", "remote_push", "--vary", "safety.window=1", "--threads", "0"], "threads = 0: must be 1 or more"),
     ],
@@ -206,16 +206,17 @@ def test_a_sweep_is_shown_and_kept(
         "--set", "run.seed=3", "--json", str(out), "--out", str(table),
     ]) == 0  # fmt: skip
     assert given[0]["run"]["seed"] == 3
+    assert not (tmp_path / "sweep.csv.partial").exists()
     rows = json.loads(out.read_text())["rows"]
     assert len(rows) == 8
     assert rows[5] == {
         "safety.window": 100.0, "link.forward.delay_s": 0.04, "outcome": "complete", "peak_device_force": 5.0,
-        "time_to_trip_s": None,
+        "time_to_trip_s": None, "ticks": 4000,
     }  # fmt: skip
     assert len(table.read_text().splitlines()) == 9
     said = capsys.readouterr().out
     # The name is folded, from line to line of its column.
-    assert re.search(r"peak_\n.*device_\n.*force\n", said)
+    assert re.search(r"peak_ *\n.*device_ *\n.*force", said)
     assert "trip_s" not in said
     assert "8 rows: 8 complete" in said
 
@@ -355,10 +356,11 @@ def test_the_examples_in_the_help_work(
     (tmp_path / "my" / "scene.toml").write_text('schema = 1\nmaster = { device = "touch" }\nrecord = {}\n')
     lines = [line for command in (Simulate, Sweep) for line in (inspect.getdoc(command) or "").splitlines()]
     examples = [shlex.split(line)[1:] for line in lines if line.startswith("haptether ")]
-    assert len(examples) == 10
+    assert len(examples) == 11
     for example in examples:
         assert main(example) == 0, example
-    assert len(given) == 10
+    # Of a sweep with a file there is a run for each batch.
+    assert len(given) >= 11
 
 
 @pytest.mark.usefixtures("given")

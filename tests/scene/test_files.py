@@ -562,7 +562,10 @@ def sweeps_run(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         rows = len(columns[0][1])
         if progress is not None:
             progress(rows)
-        return {"max_ejection_velocity": np.linspace(0, 1, rows), "time_to_trip_s": np.full(rows, np.nan)}
+        return {
+            "outcome": np.array(["complete"] * rows), "max_ejection_velocity": np.linspace(0, 1, rows),
+            "time_to_trip_s": np.full(rows, np.nan),
+        }  # fmt: skip
 
     monkeypatch.setattr("haptether._core.sweep_scenes", sweep_scenes, raising=False)
     return given

@@ -1,5 +1,6 @@
 """`haptether sweep`."""
 
+import contextlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,14 +11,21 @@ import tyro
 from haptether.cli.shared.picture import PictureOptions
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     import numpy as np
     import numpy.typing as npt
 
+    from haptether.bridge import StoredSweep
     from haptether.bridge import Sweep as SweepResult
+    from haptether.bridge.scene.sweeps.design import Design
     from haptether.cli.shared.screen import Screen
 
 ROWS_SHOWN = 20
 MAX_ROWS = 10_000_000
+"""Of what is in memory: rows, and samples of a combination."""
+MAX_STORED_ROWS = 10**12 - 1
+"""What the names in a journal count."""
 SEED = "run.seed"
 RANGE = re.compile(r"[^:,\[{'\"]*:[^:,]*:[^:,]*")
 
@@ -40,6 +48,8 @@ class Sweep(PictureOptions):
     haptether sweep remote_push --vary link.forward.delay_s=0.01:0.1:10 --vary safety.window=50,100,200 --out push.csv
 
     haptether sweep remote_push --vary link.forward.delay_s=0:0.1:11 --vary run.seed=1,2,3,4,5 --plot delay.pdf
+
+    haptether sweep remote_push --vary link.forward.delay_s=0:0.3:31 --samples 100 --out delay.csv --resume
 
     haptether sweep remote_push --vary safety.controllers=none,[hsc] --samples 9 --draw operator.damping=normal:9:1
 
@@ -72,52 +82,124 @@ class Sweep(PictureOptions):
     """Threads to run in; as many as there are processors if not given."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write all rows as JSON; - for standard output."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.csv|FILE.npz")] = None
-    """Write all rows as CSV or as NumPy arrays."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.csv|FILE.parquet|FILE.npz")] = None
+    """Write all rows as CSV, as Parquet or as NumPy arrays. They are kept in FILE.partial while the sweep runs."""
+    resume: bool = False
+    """Go on with the rows that an interrupted sweep has kept; all other options as they were."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
     """Draw the metrics as .png, .pdf or .svg: over one path as lines, with 95 % bands where run.seed varies, too; over
     two paths as maps."""
 
     def run(self) -> int:
         """Runs all rows."""
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
-
-        from haptether.bridge import sweep
-        from haptether.cli.shared.output import check_target
+        from haptether import __version__
+        from haptether.bridge.scene.sweeps.store import design_of
+        from haptether.bridge.scene.sweeps.table_file import STREAMED, check_suffix
+        from haptether.cli.shared.output import check_distinct, check_target, write_report
         from haptether.cli.shared.picture import picture_file
-        from haptether.cli.shared.screen import Screen, screen
+        from haptether.cli.shared.screen import screen
         from haptether.view.figures.sweep import check_varied, draw_sweep
         from haptether.view.style.figure import write_figure
 
+        check_distinct(json=self.json, out=self.out, plot=self.plot)
         check_target(self.json, self.out)
-        if self.out is not None and self.out.suffix not in {".csv", ".npz"}:
-            message = f"{self.out}: must end in .csv or .npz"
+        if self.out is not None:
+            check_suffix(self.out)
+        elif self.resume:
+            message = "--resume: give --out, the file whose rows are kept"
             raise ValueError(message)
         varied, ties = self._varied()
-        columns, rows = self._columns_of(varied)
+        drawn = self._drawn(varied)
+        design = design_of(varied, drawn, ties)
+        collect = self.json is not None or self.plot is not None
+        streamed = self.out is not None and self.out.suffix in STREAMED and not collect
+        most = MAX_STORED_ROWS if streamed else MAX_ROWS
+        if design.rows > most:
+            message = f"{design.rows} rows: must be at most {most}"
+            raise ValueError(message)
         picture = None
         if self.plot is not None:
             check_varied(list(varied))
             picture = picture_file(self.plot, self.format)
-        bar = Progress(BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=Screen(stderr=True))
-        with bar:
-            task = bar.add_task("", total=rows)
-            result = sweep(
-                self.scene,
-                samples=columns,
-                ties=ties,
-                overrides=self.set,
-                threads=self.threads,
-                progress=lambda done: bar.update(task, completed=done),
-            )
-            bar.update(task, completed=rows)
+        whole, stored = self._swept(design, {"grid": varied, "samples": drawn, "ties": ties}, collect=collect)
         console = screen(self.json)
-        self._report(console, result, len(columns) + len(ties) + 1)
-        if picture is not None:
-            drawn = [*varied, *([SEED] if self.samples is not None and SEED not in varied else [])]
-            write_figure(draw_sweep(self.scene, result.columns, drawn, self.columns), picture)
+        shown = whole if stored is None else stored.head
+        assert shown is not None, "a sweep without a file is in memory"
+        if self.json is not None and whole is not None:
+            report = {"scene": self.scene, "version": __version__, "rows": list(whole.rows())}
+            write_report(self.json, report)
+        self._report(console, shown, len(varied) + len(drawn) + len(ties) + 1, stored)
+        if picture is not None and whole is not None:
+            paths = [*varied, *([SEED] if self.samples is not None and SEED not in varied else [])]
+            write_figure(draw_sweep(self.scene, whole.columns, paths, self.columns), picture)
             console.print(f"picture: {picture}")
         return 0
+
+    def _swept(
+        self, design: "Design", given: dict[str, Any], *, collect: bool
+    ) -> "tuple[SweepResult | None, StoredSweep | None]":
+        """All rows, or the file that has them."""
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+        from haptether.bridge import sweep, sweep_to_file
+        from haptether.cli.shared.rate import RateColumn
+        from haptether.cli.shared.screen import Screen
+
+        bar = Progress(
+            BarColumn(), MofNCompleteColumn(), RateColumn(), TimeRemainingColumn(), console=Screen(stderr=True)
+        )
+        task = bar.add_task("", total=design.rows, start=False)
+
+        def progress(done: int) -> None:
+            if not bar.tasks[0].started:
+                # Rows that were kept before count for no rate.
+                bar.update(task, completed=done)
+                bar.reset(task, start=True, completed=done)
+            bar.update(task, completed=done)
+
+        whole: SweepResult | None
+        stored: StoredSweep | None = None
+        with bar:
+            if self.out is not None:
+                with self._kept(design.rows):
+                    stored = sweep_to_file(
+                        self.scene,
+                        self.out,
+                        **given,
+                        overrides=self.set,
+                        threads=self.threads,
+                        resume=self.resume,
+                        collect=collect,
+                        progress=progress,
+                    )
+                whole = stored.whole
+            else:
+                progress(0)
+                whole = sweep(
+                    self.scene,
+                    samples=design.columns(0, design.rows),
+                    overrides=self.set,
+                    threads=self.threads,
+                    progress=progress,
+                )
+            progress(design.rows)
+        return whole, stored
+
+    @contextlib.contextmanager
+    def _kept(self, rows: int) -> "Iterator[None]":
+        """Says at Ctrl-C what is kept."""
+        from haptether.bridge.scene.sweeps.journal import kept_rows
+        from haptether.cli.shared.screen import Screen
+
+        try:
+            yield
+        except KeyboardInterrupt:
+            if self.out is not None and (kept := kept_rows(self.out)):
+                Screen(stderr=True).print(
+                    f"{kept} of {rows} rows are kept in {self.out}.partial: the same command with --resume goes on",
+                    soft_wrap=True,
+                )
+            raise
 
     def _varied(self) -> tuple[dict[str, list[Any]], dict[str, str]]:
         """The values of each path that varies, and which path takes whose."""
@@ -141,15 +223,12 @@ class Sweep(PictureOptions):
             ties[path] = leading if given else alike[0]
         return varied, ties
 
-    def _columns_of(self, varied: dict[str, list[Any]]) -> tuple[dict[str, list[Any]], int]:
-        """All rows: every combination, and in each of them the same samples."""
-        from itertools import product
-        from math import prod
-
+    def _drawn(self, varied: dict[str, list[Any]]) -> dict[str, "npt.NDArray[np.float64]"]:
+        """The samples that each combination has."""
         import numpy as np
 
-        if self.samples is not None and self.samples < 1:
-            message = f"samples = {self.samples}: must be 1 or more"
+        if self.samples is not None and not 1 <= self.samples <= MAX_ROWS:
+            message = f"samples = {self.samples}: must be {'1 or more' if self.samples < 1 else f'at most {MAX_ROWS}'}"
             raise ValueError(message)
         if self.draw and self.samples is None:
             message = "--draw: give --samples, how many are drawn"
@@ -157,40 +236,23 @@ class Sweep(PictureOptions):
         if self.seed < 0:
             message = f"seed = {self.seed}: must be 0 or more"
             raise ValueError(message)
-        count = self.samples or 1
-        rows = count * prod(len(values) for values in varied.values())
-        if rows > MAX_ROWS:
-            message = f"{rows} rows: must be at most {MAX_ROWS}"
-            raise ValueError(message)
-        combinations = list(zip(*product(*varied.values()), strict=True)) if varied else []
-        columns: dict[str, list[Any]] = {
-            path: [value for value in values for _ in range(count)]
-            for path, values in zip(varied, combinations, strict=True)
-        }
-        drawn = {path: draw_of(law, count, self.seed, path) for path, law in map(law_of, self.draw)}
-        if self.samples is not None and SEED not in varied:
-            drawn.setdefault(SEED, np.arange(1.0, count + 1.0))
-        for path, values in drawn.items():
-            if path in columns:
+        if self.samples is None:
+            return {}
+        drawn = {path: draw_of(law, self.samples, self.seed, path) for path, law in map(law_of, self.draw)}
+        if SEED not in varied:
+            drawn.setdefault(SEED, np.arange(1.0, self.samples + 1.0))
+        for path in drawn:
+            if path in varied:
                 message = f"--draw {path}: varies by itself"
                 raise ValueError(message)
-            columns[path] = values.tolist() * (rows // count)
-        return columns, rows
+        return drawn
 
-    def _report(self, console: "Screen", result: "SweepResult", keys: int) -> None:
+    def _report(self, console: "Screen", result: "SweepResult", keys: int, stored: "StoredSweep | None" = None) -> None:
         from collections import Counter
 
-        from haptether import __version__
         from haptether.cli.scene.simulate import shown
-        from haptether.cli.shared.output import write_report
 
-        # First what was computed, then what may not be read to its end.
-        if self.out is not None:
-            result.save(self.out)
-        if self.json is not None:
-            report = {"scene": self.scene, "version": __version__, "rows": list(result.rows())}
-            write_report(self.json, report)
-        shows = self._columns(result)
+        shows = self._columns(result, stored)
         rows = [row for row, _ in zip(result.rows(), range(ROWS_SHOWN), strict=False)]
         columns = {
             name: [
@@ -201,23 +263,25 @@ class Sweep(PictureOptions):
         }
         console.print_columns(columns, keys)
         console.print()
-        if len(result) > ROWS_SHOWN:
-            console.print(f"and {len(result) - ROWS_SHOWN} more rows; --out and --json have all")
+        total = len(result) if stored is None else stored.rows
+        if total > ROWS_SHOWN:
+            console.print(f"and {total - ROWS_SHOWN} more rows; --out and --json have all")
         for number, row in enumerate(rows):
             if row.get("reason"):
                 console.print(f"row {number}: {row['outcome']}: {row['reason']}", soft_wrap=True)
-        outcomes = Counter(result.columns["outcome"].tolist())
+        outcomes = Counter(result.columns["outcome"].tolist() if stored is None else stored.outcomes)
         counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common())
-        console.print(f"{len(result)} rows: {counts}")
-        if self.out is not None:
-            console.print(f"rows: {self.out}")
+        console.print(f"{total} rows: {counts}")
+        if stored is not None:
+            console.print(f"rows: {stored.path}" + (f", {stored.resumed} kept before" if stored.resumed else ""))
 
-    def _columns(self, result: "SweepResult") -> list[str]:
+    def _columns(self, result: "SweepResult", stored: "StoredSweep | None") -> list[str]:
         """What the table has: a metric that no row has is left out, and ticks are shown as time."""
         import numpy as np
 
         floats = {name: column for name, column in result.columns.items() if column.dtype.kind == "f"}
-        absent = {name for name, column in floats.items() if np.isnan(column).all()}
+        known = {name for name, column in floats.items() if not np.isnan(column).all()}
+        absent = floats.keys() - (known if stored is None else stored.measured)
         return [name for name in result.columns if name not in absent | {"intervention_ticks", "reason"}]
 
 

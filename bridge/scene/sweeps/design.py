@@ -1,0 +1,85 @@
+"""Which value each path has in which row of a sweep, without a table of all rows."""
+
+import hashlib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+
+@dataclass(frozen=True, kw_only=True)
+class Design:
+    """A full factorial design: every combination of the factors, and in each of them the same samples.
+
+    Of row r with N samples, factor f of n_f levels has the level floor(r / (N n_{f+1} ... n_F)) mod n_f and each
+    sampled path its value r mod N: the samples vary fastest, then the last factor.
+    """
+
+    factors: Mapping[str, npt.NDArray[Any]]
+    """Levels by path: float64, or objects where they are no numbers."""
+    samples: Mapping[str, npt.NDArray[Any]]
+    """Values by path, all of one length."""
+    ties: Mapping[str, str]
+    """Paths that take the values of another."""
+
+    def __post_init__(self) -> None:
+        lengths = {path: len(values) for path, values in self.samples.items()}
+        if len(set(lengths.values())) > 1:
+            seen = ", ".join(f"{path} has {length}" for path, length in lengths.items())
+            message = f"samples of different lengths: {seen}"
+            raise ValueError(message)
+        varied = {**self.factors, **self.samples}
+        if not varied:
+            message = "nothing to vary: give at least one path with values"
+            raise ValueError(message)
+        if both := self.factors.keys() & self.samples.keys():
+            message = f"{min(both)}: is varied and sampled: give one of the two"
+            raise ValueError(message)
+        for path, leading in self.ties.items():
+            if path in varied or leading not in varied:
+                problem = "varies by itself" if path in varied else f"{leading} does not vary"
+                message = f"{path} is tied to {leading}: {problem}"
+                raise ValueError(message)
+
+    @property
+    def sampled(self) -> int:
+        """Rows of each combination."""
+        return len(next(iter(self.samples.values()))) if self.samples else 1
+
+    @property
+    def rows(self) -> int:
+        """Rows of all combinations."""
+        return self.sampled * math.prod(len(levels) for levels in self.factors.values())
+
+    def columns(self, first: int, end: int) -> dict[str, npt.NDArray[Any]]:
+        """The value of each path in the rows `first` to `end` - 1."""
+        row = np.arange(first, end)
+        whole: dict[str, npt.NDArray[Any]] = {}
+        stride = self.rows
+        for path, levels in self.factors.items():
+            stride //= len(levels)
+            whole[path] = levels[row // stride % len(levels)]
+        for path, values in self.samples.items():
+            whole[path] = values[row % self.sampled]
+        return whole | {path: whole[leading] for path, leading in self.ties.items()}
+
+    def described(self) -> dict[str, Any]:
+        """The design as what JSON can say; long samples by their digest."""
+        return {
+            "vary": {path: levels.tolist() for path, levels in self.factors.items()},
+            "samples": {path: _digest(values) for path, values in self.samples.items()},
+            "ties": dict(self.ties),
+        }
+
+
+MOST_WRITTEN_OUT = 64
+"""Samples of a path that are written out; of more the digest is."""
+
+
+def _digest(values: npt.NDArray[Any]) -> dict[str, Any]:
+    if values.dtype == object or len(values) <= MOST_WRITTEN_OUT:
+        return {"values": values.tolist()}
+    return {"count": len(values), "sha256": hashlib.sha256(np.asarray(values, dtype="<f8").tobytes()).hexdigest()}

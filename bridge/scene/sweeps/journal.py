@@ -1,0 +1,246 @@
+"""What a sweep has computed so far, on disk: a folder beside its file, that a kill at any instant leaves whole."""
+
+import contextlib
+import fcntl
+import json
+import os
+import re
+import zipfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from haptether.private_file import refuse_link
+
+REQUEST = "sweep.json"
+"""Within the folder: what was to be computed."""
+FINISHED = "finished.json"
+"""Its name once the file has all rows, and the folder is to be removed."""
+_BATCH = re.compile(r"rows-(\d{12})-(\d{12})\.npz")
+_UNFINISHED = ".part"
+
+
+class Journal:
+    """Batches of rows, each a file that is written, synced and then renamed into its place.
+
+    Args:
+        path: The file that the sweep is for; the journal is the folder `path`.partial.
+        request: What is to be computed, as JSON can say it.
+        resume: Whether to go on with a journal that is there.
+
+    Raises:
+        ValueError: A journal that is there while `resume` is not set, of another request, or in use; no journal to
+            resume while the file is there; a symbolic link.
+        OSError: The folder cannot be made or written.
+    """
+
+    def __init__(self, path: Path, request: Mapping[str, Any], *, resume: bool) -> None:
+        self.path = path
+        self.folder = path.with_name(f"{path.name}.partial")
+        refuse_link(self.folder)
+        if (self.folder / FINISHED).is_file():
+            _discard(self.folder)
+        with contextlib.suppress(OSError):
+            # Of one that was removed up to the folder itself.
+            self.folder.rmdir()
+        there = (self.folder / REQUEST).is_file()
+        if resume and not there and path.exists():
+            message = f"{path}: is there and {self.folder} is not: nothing is left to resume"
+            raise ValueError(message)
+        self.folder.mkdir(mode=0o700, exist_ok=True)
+        self._lock = _locked(self.folder)
+        try:
+            self._begin(request, resume=resume)
+        except BaseException:
+            self._lock.close()
+            raise
+
+    def _begin(self, request: Mapping[str, Any], *, resume: bool) -> None:
+        for stale in self.folder.glob(f"*{_UNFINISHED}"):
+            stale.unlink()
+        file = self.folder / REQUEST
+        batches = self._found()
+        if not file.is_file():
+            if batches:
+                message = f"{self.folder}: has rows and no {REQUEST}: is no journal of a sweep; remove it"
+                raise ValueError(message)
+            with self.replacing(REQUEST) as head:
+                head.write(json.dumps(request, indent=1).encode())
+        elif not resume:
+            rows = sum(end - first for first, end in batches)
+            message = f"{self.folder}: has {rows} rows of a sweep that was interrupted: resume it, or remove it"
+            raise ValueError(message)
+        else:
+            _refuse_other(self.folder, json.loads(file.read_bytes()), json.loads(json.dumps(request)))
+        self._batches = batches
+
+    @property
+    def done(self) -> int:
+        """Rows that are kept."""
+        return sum(end - first for first, end in self._batches)
+
+    def missing(self, rows: int) -> list[tuple[int, int]]:
+        """Ranges of rows, each first and end, that are not kept, of so many."""
+        gaps, at = [], 0
+        for first, end in [*self._batches, (rows, rows)]:
+            if first > at:
+                gaps.append((at, first))
+            at = end
+        return gaps
+
+    def add(self, first: int, metrics: Mapping[str, npt.NDArray[Any]]) -> None:
+        """Keeps the metrics of the rows from `first` on."""
+        rows = len(metrics["outcome"])
+        arrays: dict[str, Any] = {}
+        for name, column in metrics.items():
+            if column.dtype.kind == "U":
+                # A text and its number in each row: most rows have the same few.
+                arrays[f"{name}.texts"], codes = np.unique(column, return_inverse=True)
+                arrays[f"{name}.codes"] = codes.reshape(-1).astype(np.uint32)
+            else:
+                arrays[name] = column
+        with self.replacing(f"rows-{first:012d}-{first + rows:012d}.npz") as file:
+            np.savez(file, **arrays)
+        self._batches = sorted([*self._batches, (first, first + rows)])
+
+    def batches(self) -> Iterator[tuple[int, dict[str, npt.NDArray[Any]]]]:
+        """The first row and the metrics of each batch, in the order of rows."""
+        for first, end in self._batches:
+            with self._opened(first, end) as archive:
+                metrics: dict[str, npt.NDArray[Any]] = {}
+                for name in archive.files:
+                    base, _, part = name.rpartition(".")
+                    if part == "texts":
+                        metrics[base] = archive[name][archive[f"{base}.codes"]]
+                    elif part != "codes":
+                        metrics[name] = archive[name]
+            yield first, metrics
+
+    def types(self) -> dict[str, np.dtype[Any]]:
+        """The metrics that any batch has, with the types of their columns."""
+        found: dict[str, np.dtype[Any]] = {}
+        for first, end in self._batches:
+            with self._opened(first, end) as archive:
+                for name in archive.files:
+                    metric = name.removesuffix(".texts")
+                    if metric not in found and not name.endswith(".codes"):
+                        found[metric] = archive[name].dtype
+        return found
+
+    @contextlib.contextmanager
+    def _opened(self, first: int, end: int) -> Iterator[Any]:
+        file = self.folder / f"rows-{first:012d}-{end:012d}.npz"
+        try:
+            with np.load(file, allow_pickle=False) as archive:
+                yield archive
+        except (ValueError, zipfile.BadZipFile, EOFError) as error:
+            message = f"{file}: is damaged ({error}): remove it and resume"
+            raise ValueError(message) from None
+
+    @contextlib.contextmanager
+    def replacing(self, name: str, target: Path | None = None) -> Iterator[IO[bytes]]:
+        """A file to write that is synced and then put into the place of `target`, or of `name` in the folder.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        beside = self.folder / f"{name}{_UNFINISHED}"
+        target = target or self.folder / name
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+        try:
+            with os.fdopen(os.open(beside, flags, 0o600), "wb") as file:
+                os.fchmod(file.fileno(), 0o600)
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+        except BaseException:
+            beside.unlink(missing_ok=True)
+            raise
+        beside.replace(target)
+        _sync_folder(target.parent)
+
+    def close(self) -> None:
+        """Lets another process resume."""
+        self._lock.close()
+
+    def remove(self) -> None:
+        """Removes the folder, once the file has all of it."""
+        (self.folder / REQUEST).rename(self.folder / FINISHED)
+        _sync_folder(self.folder)
+        self.close()
+        _discard(self.folder)
+
+    def _found(self) -> list[tuple[int, int]]:
+        found = (_BATCH.fullmatch(file.name) for file in self.folder.iterdir())
+        return sorted((int(each[1]), int(each[2])) for each in found if each)
+
+
+def _discard(folder: Path) -> None:
+    """Removes a finished journal, what says that it is finished last: a kill on the way leaves one that is finished."""
+    for file in folder.iterdir():
+        if file.name != FINISHED:
+            file.unlink()
+    (folder / FINISHED).unlink()
+    folder.rmdir()
+
+
+def kept_rows(path: Path) -> int:
+    """How many rows of the sweep of a file its journal has; 0 where there is none."""
+    folder = path.with_name(f"{path.name}.partial")
+    names = [file.name for file in folder.iterdir()] if (folder / REQUEST).is_file() else []
+    return sum(int(found[2]) - int(found[1]) for found in map(_BATCH.fullmatch, names) if found)
+
+
+def _locked(folder: Path) -> IO[bytes]:
+    """The lock of a folder, which its holder's end lets go."""
+    descriptor = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    file = os.fdopen(descriptor, "r+b")
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.close()
+        message = f"{folder}: another process writes it"
+        raise ValueError(message) from None
+    return file
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _refuse_other(folder: Path, kept: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    """Refuses to go on with what another request has begun."""
+    ours, theirs = dict(_leaves(wanted)), dict(_leaves(kept))
+    differing = [path for path in dict.fromkeys([*theirs, *ours]) if theirs.get(path) != ours.get(path)]
+    if not differing:
+        return
+    shown = [f"{path} was {_short(theirs.get(path))}, is {_short(ours.get(path))}" for path in differing[:MOST_SHOWN]]
+    more = f", and {len(differing) - MOST_SHOWN} more" if len(differing) > MOST_SHOWN else ""
+    message = f"{folder}: is of another sweep: {'; '.join(shown)}{more}: resume with what it was begun with"
+    raise ValueError(message)
+
+
+MOST_SHOWN = 4
+"""Differences of two requests that are told."""
+_LONGEST = 60
+
+
+def _short(text: str | None) -> str:
+    if text is None:
+        return "absent"
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}... ({len(text)} characters)"
+
+
+def _leaves(of: object, path: str = "") -> Iterator[tuple[str, str]]:
+    if isinstance(of, dict) and of:
+        for key, value in of.items():
+            yield from _leaves(value, f"{path}.{key}" if path else key)
+    else:
+        yield path, json.dumps(of)

@@ -1,0 +1,246 @@
+"""A sweep that is kept while it runs, goes on where it was interrupted, and takes no more memory for more rows."""
+
+import json
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from os import PathLike
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from haptether import __version__
+from haptether.bridge.scene.load import Checked
+from haptether.bridge.scene.run import named_scene
+from haptether.bridge.scene.save import scene_toml
+from haptether.bridge.scene.sweep import (
+    Sweep,
+    Threads,
+    Values,
+    in_order,
+    labelled,
+    measured,
+    refuse_empty,
+    thread_count,
+    values_of_path,
+)
+from haptether.bridge.scene.sweeps.design import Design
+from haptether.bridge.scene.sweeps.journal import Journal
+from haptether.bridge.scene.sweeps.table_file import STREAMED, check_suffix, table_file
+from haptether.bridge.scene.tables.session import Scene
+from haptether.private_file import is_stream, refuse_link
+
+HEAD_ROWS = 20
+"""Rows of a stored sweep that are kept in memory."""
+SMALLEST_BATCH, LARGEST_BATCH = 64, 65_536
+BATCH_S = 2.0
+"""What a batch takes: so much work is lost at most by a kill, and the tail of a batch idles little."""
+GROWTH = 4
+"""A batch has at most so many times the rows of the last."""
+
+Metrics: TypeAlias = "dict[str, npt.NDArray[Any]]"
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredSweep:
+    """A sweep whose rows are in a file."""
+
+    path: Path
+    rows: int
+    resumed: int
+    """Rows that were there already."""
+    outcomes: Mapping[str, int]
+    """How many rows ended how, the most frequent first."""
+    measured: frozenset[str]
+    """Columns that have a value in some row."""
+    head: Sweep = field(repr=False)
+    """The first `HEAD_ROWS` rows."""
+    whole: Sweep | None = field(repr=False, default=None)
+    """All rows, where they were to be collected."""
+
+
+def design_of(
+    grid: Mapping[str, Values] | None = None,
+    samples: Mapping[str, Values] | None = None,
+    ties: Mapping[str, str] | None = None,
+) -> Design:
+    """Every combination of the values of `grid`, each with all `samples`.
+
+    Raises:
+        SceneError: Values that are none of a field.
+        ValueError: Nothing to vary, samples of different lengths, a tie to what does not vary.
+    """
+    return Design(
+        factors={path: values_of_path(path, values) for path, values in (grid or {}).items()},
+        samples={path: values_of_path(path, values) for path, values in (samples or {}).items()},
+        ties=dict(ties or {}),
+    )
+
+
+def sweep_to_file(
+    scene: Scene | str | PathLike[str],
+    path: str | PathLike[str],
+    grid: Mapping[str, Values] | None = None,
+    samples: Mapping[str, Values] | None = None,
+    *,
+    ties: Mapping[str, str] | None = None,
+    overrides: Iterable[str] = (),
+    threads: int | None = None,
+    lanes: bool = True,
+    resume: bool = False,
+    collect: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> StoredSweep:
+    """Runs every combination of `grid` with all `samples`, and writes a file that is the same however often it resumed.
+
+    Rows are kept by batch in the folder `path`.partial until the file has them all: Ctrl-C, a kill or a loss of power
+    loses at most the batch that is running. A file that ends in .csv or .parquet is written row group by row group,
+    so that memory does not grow with the rows; .npz is made of all rows at the end. The metadata of Parquet has the
+    version, the scene as TOML and what varies.
+
+    Args:
+        scene: A `Scene`, the name of one that comes with Haptether, or the path of a TOML file.
+        path: A file that ends in .csv, .parquet or .npz.
+        grid: Values by dotted path, as of `sweep`; the last path varies fastest.
+        samples: Values by dotted path, all of one length: each combination has them all.
+        ties: Paths that take, in each row, the value of a path that varies.
+        overrides: Fields to change for all rows, `table.key=value` each.
+        threads: How many threads; by default as many as there are processors.
+        lanes: Whether rows may be advanced side by side in one thread; the numbers are the same.
+        resume: Whether to go on with rows that are kept already.
+        collect: Whether to return all rows, too.
+        progress: Called from time to time with the number of rows that are done, those kept before included.
+
+    Raises:
+        SceneError: A scene that cannot be built, a path that it does not have, or no row that can be built.
+        ValueError: Another suffix; rows of an interrupted sweep and not `resume`; a resume of another scene, design or
+            version, with what differs; a tie to what does not vary.
+        ImportError: Parquet without PyArrow.
+        OSError: A file cannot be written.
+    """
+    path = Path(path)
+    check_suffix(path)
+    refuse_link(path)
+    if is_stream(path):
+        message = f"{path}: is a pipe or a device, must be a file"
+        raise ValueError(message)
+    name, base = named_scene(scene, overrides)
+    design = design_of(grid, samples, ties)
+    threads = thread_count(threads)
+    request = {
+        "version": __version__,
+        "scene": name,
+        "rows": design.rows,
+        **design.described(),
+        "specification": json.loads(base.json),
+    }
+    journal = Journal(path, request, resume=resume)
+    try:
+        resumed = journal.done
+        how = Threads(count=threads, lanes=lanes)
+        for first, metrics in computed(base, design, journal.missing(design.rows), how, _from(progress, resumed)):
+            journal.add(first, metrics)
+        stored = _written(journal, base, design, request, resumed=resumed, collect=collect)
+        journal.remove()
+    finally:
+        journal.close()
+    return stored
+
+
+def _from(progress: Callable[[int], None] | None, done: int) -> Callable[[int], None] | None:
+    if progress is None:
+        return None
+    progress(done)
+    return lambda now: progress(done + now)
+
+
+def computed(
+    base: Checked,
+    design: Design,
+    gaps: Iterable[tuple[int, int]],
+    how: Threads,
+    progress: Callable[[int], None] | None,
+) -> Iterator[tuple[int, Metrics]]:
+    """The first row and the metrics of batches that fill the gaps, one after the other on this machine."""
+    size, done = SMALLEST_BATCH, 0
+    for start, stop in gaps:
+        first = start
+        while first < stop:
+            end = min(first + size, stop)
+            begun_s = time.perf_counter()
+            # What is called back at once belongs to this batch.
+            shifted = None if progress is None else (lambda now, before=done: progress(before + now))
+            metrics = measured(base, design.columns(first, end), replace(how, progress=shifted))
+            taken_s = max(time.perf_counter() - begun_s, 1e-9)
+            yield first, metrics
+            done += end - first
+            if progress is not None:
+                progress(done)
+            wanted = int(BATCH_S * (end - first) / taken_s)
+            size = max(SMALLEST_BATCH, min(wanted, GROWTH * size, LARGEST_BATCH))
+            first = end
+
+
+def _written(
+    journal: Journal, base: Checked, design: Design, request: Mapping[str, Any], *, resumed: int, collect: bool
+) -> StoredSweep:
+    """The file of all rows, from those that are kept."""
+    suffix = journal.path.suffix
+    names = journal.types()
+    if "ticks" not in names:
+        _, metrics = next(journal.batches())
+        refuse_empty(Sweep({**labelled(design.columns(0, len(metrics["outcome"]))), **metrics}))
+    outcomes: Counter[str] = Counter()
+    known: set[str] = set()
+    head: Sweep | None = None
+    parts: list[Metrics] = []
+    metadata = {
+        "haptether.version": str(request["version"]),
+        "haptether.scene": scene_toml(base.scene),
+        "haptether.sweep": msgspec.json.encode(dict(request)).decode(),
+    }
+    with journal.replacing(f"table{suffix}", journal.path) as file:
+        table = table_file(suffix, file, metadata) if suffix in STREAMED else None
+        for first, metrics in journal.batches():
+            rows = len(metrics["outcome"])
+            columns = {**labelled(design.columns(first, first + rows)), **_with_all(metrics, names, rows)}
+            outcomes.update(metrics["outcome"].tolist())
+            known |= {
+                name for name, column in columns.items() if column.dtype.kind != "f" or not np.isnan(column).all()
+            }
+            if head is None or len(head) < HEAD_ROWS:
+                before = [] if head is None else [head.columns]
+                head = Sweep({name: column[:HEAD_ROWS] for name, column in _stacked([*before, columns]).items()})
+            if table is not None:
+                table.write(columns)
+            if collect or table is None:
+                parts.append(columns)
+        if table is not None:
+            table.close()
+        whole = Sweep(_stacked(parts)) if parts else None
+        if table is None and whole is not None:
+            arrays: dict[str, Any] = dict(whole.columns)
+            np.savez_compressed(file, **arrays)
+    assert head is not None, "a design has at least one row"
+    return StoredSweep(
+        path=journal.path, rows=design.rows, resumed=resumed, outcomes=dict(outcomes.most_common()),
+        measured=frozenset(known), head=head, whole=whole if collect else None,
+    )  # fmt: skip
+
+
+def _with_all(metrics: Metrics, names: Mapping[str, np.dtype[Any]], rows: int) -> Metrics:
+    """The metrics of a batch, with columns of what was not measured for those that it does not have."""
+    absent = {
+        name: np.full(rows, np.nan if kind.kind == "f" else "" if kind.kind == "U" else 0, kind)
+        for name, kind in names.items()
+        if name not in metrics
+    }
+    return in_order({**metrics, **absent})
+
+
+def _stacked(parts: list[Any]) -> Metrics:
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -1,0 +1,13 @@
+"""How fast a command advances, beside its bar."""
+
+from rich.progress import ProgressColumn, Task
+from rich.text import Text
+
+
+class RateColumn(ProgressColumn):
+    """Rows per second over the last half minute."""
+
+    def render(self, task: Task) -> Text:
+        """The rate, once there is one."""
+        speed = task.finished_speed or task.speed
+        return Text("" if speed is None else f"{speed:.4g} rows/s", style="progress.data.speed")
