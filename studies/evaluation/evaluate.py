@@ -147,7 +147,10 @@ def _check(
     for names_of_set in controllers:
         parts = names_of_set.split("+")
         if unknown := [part for part in parts if part not in known or (part == "none" and len(parts) > 1)]:
-            message = f"controllers = {names_of_set!r}: {unknown[0]!r} is none of {', '.join(known)}"
+            message = (
+                f"controllers = {names_of_set!r}: {unknown[0]!r} is none of {', '.join(known)}; a set is joined"
+                ' by "+": "hsc+wsc"'
+            )
             raise ValueError(message)
     if wrong := [value for value in round_trips_s if not 0.0 <= value <= 10.0]:
         message = f"round_trips_s: {wrong[0]}: must be between 0 and 10 s"

@@ -155,6 +155,9 @@ class Evaluate:
         from haptether.bridge import load_scene
         from haptether.studies import THRESHOLD_TASKS
 
+        if "all" in self.scene and len(self.scene) > 1:
+            message = 'SCENE: "all" has all bundled tasks: give it alone'
+            raise ValueError(message)
         if self.scene != ("all",):
             return self.scene
         # Contact that turns costs more than a hundred times as much.

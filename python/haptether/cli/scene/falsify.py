@@ -1,5 +1,6 @@
 """`haptether falsify`."""
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -82,18 +83,24 @@ class Falsify:
             raise ValueError(message)
         check_target(self.json, out)
         scene = load_scene(self.scene, self.set)
-        controllers = None if self.controller is None else tuple(filter(None, self.controller.split(",")))
-        with spinner(f"searching {self.scene}") as say:
-            found = falsify(
-                scene,
-                controllers=controllers,
-                bounds=self._bounds(),
-                seconds=self.seconds,
-                tries=self.tries,
-                seed=self.seed,
-                threads=self.threads,
-                progress=lambda tried, speed: say(f"{self.scene}: {tried} releases, up to {speed:.3f} m/s"),
-            )
+        controllers = (
+            None if self.controller is None else tuple(filter(None, self.controller.replace("+", ",").split(",")))
+        )
+        try:
+            with spinner(f"searching {self.scene}") as say:
+                found = falsify(
+                    scene,
+                    controllers=controllers,
+                    bounds=self._bounds(),
+                    seconds=self.seconds,
+                    tries=self.tries,
+                    seed=self.seed,
+                    threads=self.threads,
+                    progress=lambda tried, speed: say(f"{self.scene}: {tried} releases, up to {speed:.3f} m/s"),
+                )
+        except KeyboardInterrupt:
+            print("haptether: interrupted before the first releases were done: there is no worst one", file=sys.stderr)
+            raise
         save_scene(found.scene, out, self._comment(found))
         self._report(screen(self.json), found, out)
         if found.margin is not None and found.margin < 0.0:
