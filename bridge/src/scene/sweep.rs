@@ -78,7 +78,7 @@ pub struct Refused(pub String);
 
 type Row = Result<Outcome, Refused>;
 
-/// Scenarios that a thread takes at once: enough that most fill their lanes, few enough that all threads have some.
+/// Scenarios that a thread takes at once, at most: enough that most fill their lanes, few enough that all threads have some.
 const BLOCK: usize = 64;
 
 /// Runs every scenario; `scene` is the scene as JSON, in the form of [`SceneSpec`].
@@ -112,7 +112,11 @@ pub fn sweep(
         };
         columns.push((pointer, is_whole, values.as_slice()));
     }
-    let blocks: Vec<_> = (0..rows).step_by(BLOCK).map(|first| first..rows.min(first + BLOCK)).collect();
+    // A scenario with an arm fills no lanes and takes milliseconds: blocks as small as keep all threads busy to the end.
+    let is_remote = base.get("slave").is_some_and(|slave| !slave.is_null());
+    let threads = if settings.threads == 0 { rayon::current_num_threads() } else { settings.threads };
+    let size = if is_remote { rows.div_ceil(8 * threads).clamp(1, BLOCK) } else { BLOCK };
+    let blocks: Vec<_> = (0..rows).step_by(size).map(|first| first..rows.min(first + size)).collect();
     let run = |block| run_block(&base, &columns, block, settings.lanes, progress);
     let results: Vec<_> = if settings.threads == 1 || blocks.len() == 1 {
         // Making a thread takes longer than many a scenario.
