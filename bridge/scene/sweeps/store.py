@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import msgspec
 import numpy as np
@@ -28,6 +28,7 @@ from haptether.bridge.scene.sweep import (
     thread_count,
     values_of_path,
 )
+from haptether.bridge.scene.sweeps.cluster import computed_by_cluster
 from haptether.bridge.scene.sweeps.design import Design
 from haptether.bridge.scene.sweeps.journal import Journal
 from haptether.bridge.scene.sweeps.table_file import STREAMED, check_suffix, table_file
@@ -93,6 +94,8 @@ def sweep_to_file(
     lanes: bool = True,
     resume: bool = False,
     collect: bool = False,
+    engine: Literal["local", "dask"] = "local",
+    address: str | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> StoredSweep:
     """Runs every combination of `grid` with all `samples`, and writes a file that is the same however often it resumed.
@@ -113,16 +116,23 @@ def sweep_to_file(
         lanes: Whether rows may be advanced side by side in one thread; the numbers are the same.
         resume: Whether to go on with rows that are kept already.
         collect: Whether to return all rows, too.
+        engine: Where rows are computed, which does not change the file: by threads of this process, or by the workers
+            of a Dask cluster.
+        address: Of the scheduler of a cluster, "tcp://host:8786", whose workers have this version; none for worker
+            processes on this machine.
         progress: Called from time to time with the number of rows that are done, those kept before included.
 
     Raises:
         SceneError: A scene that cannot be built, a path that it does not have, or no row that can be built.
         ValueError: Another suffix; rows of an interrupted sweep and not `resume`; a resume of another scene, design or
             version, with what differs; a tie to what does not vary.
-        ImportError: Parquet without PyArrow.
+        ImportError: Parquet without PyArrow, or the engine dask without dask.distributed.
         OSError: A file cannot be written.
     """
     path = Path(path)
+    if engine not in {"local", "dask"} or (address is not None and engine != "dask"):
+        message = f"engine = {engine!r}, address = {address!r}: must be local without an address, or dask"
+        raise ValueError(message)
     check_suffix(path)
     refuse_link(path)
     if is_stream(path):
@@ -141,8 +151,12 @@ def sweep_to_file(
     journal = Journal(path, request, resume=resume)
     try:
         resumed = journal.done
-        how = Threads(count=threads, lanes=lanes)
-        for first, metrics in computed(base, design, journal.missing(design.rows), how, _from(progress, resumed)):
+        gaps, told = journal.missing(design.rows), _from(progress, resumed)
+        if engine == "dask":
+            batches = computed_by_cluster(base, design, gaps, address, threads=threads, lanes=lanes, progress=told)
+        else:
+            batches = computed(base, design, gaps, Threads(count=threads, lanes=lanes), told)
+        for first, metrics in batches:
             journal.add(first, metrics)
         stored = _written(journal, base, design, request, resumed=resumed, collect=collect)
         journal.remove()

@@ -4,7 +4,7 @@ import contextlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -86,6 +86,10 @@ class Sweep(PictureOptions):
     """Write all rows as CSV, as Parquet or as NumPy arrays. They are kept in FILE.partial while the sweep runs."""
     resume: bool = False
     """Go on with the rows that an interrupted sweep has kept; all other options as they were."""
+    engine: Literal["local", "dask"] = "local"
+    """Where rows are computed, with --out: by threads here, or by the workers of a Dask cluster."""
+    address: Annotated[str | None, tyro.conf.arg(metavar="tcp://HOST:PORT")] = None
+    """Of the cluster's scheduler, whose workers have this version; worker processes on this machine if not given."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
     """Draw the metrics as .png, .pdf or .svg: over one path as lines, with 95 % bands where run.seed varies, too; over
     two paths as maps."""
@@ -105,8 +109,9 @@ class Sweep(PictureOptions):
         check_target(self.json, self.out)
         if self.out is not None:
             check_suffix(self.out)
-        elif self.resume:
-            message = "--resume: give --out, the file whose rows are kept"
+        elif self.resume or self.engine != "local":
+            option = "--resume" if self.resume else "--engine"
+            message = f"{option}: give --out, the file whose rows are kept"
             raise ValueError(message)
         varied, ties = self._varied()
         drawn = self._drawn(varied)
@@ -170,6 +175,8 @@ class Sweep(PictureOptions):
                         threads=self.threads,
                         resume=self.resume,
                         collect=collect,
+                        engine=self.engine,
+                        address=self.address,
                         progress=progress,
                     )
                 whole = stored.whole

@@ -1,0 +1,76 @@
+"""Rows computed by a Dask cluster of real processes, one of which is killed at work, are those of this process."""
+
+import signal
+import threading
+import time
+from os import kill
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from haptether.bridge import sweep_to_file
+from haptether.bridge.scene.sweeps import cluster
+
+GRID = {"link.forward.delay_s": [0.01, 0.02], "safety.controllers": [["wsc"], []]}
+SAMPLES = {"run.seed": np.arange(1.0, 201.0)}
+SHORT = ["run.duration_s=0.3"]
+
+
+@pytest.fixture
+def local(tmp_path: Path) -> bytes:
+    """The file without a cluster."""
+    path = tmp_path / "local.csv"
+    sweep_to_file("remote_push", path, GRID, SAMPLES, overrides=SHORT, threads=1)
+    return path.read_bytes()
+
+
+@pytest.mark.alone
+@pytest.mark.timeout(120)
+def test_a_cluster_that_loses_a_worker_writes_the_same_bytes(
+    local: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(cluster, "BATCH", 50)
+    path, killed = tmp_path / "cluster.csv", threading.Event()
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as workers:
+
+        def lose_one(done: int) -> None:
+            if done and not killed.is_set():
+                killed.set()
+                kill(workers.workers[0].process.process.pid, signal.SIGKILL)
+
+        stored = sweep_to_file(
+            "remote_push", path, GRID, SAMPLES, overrides=SHORT, engine="dask", address=workers.scheduler_address,
+            threads=1, progress=lose_one,
+        )  # fmt: skip
+    assert killed.is_set()
+    assert stored.rows == 800
+    assert path.read_bytes() == local
+
+
+@pytest.mark.alone
+@pytest.mark.timeout(120)
+def test_without_an_address_workers_are_processes_of_this_machine(local: bytes, tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    path = tmp_path / "own.csv"
+    sweep_to_file("remote_push", path, GRID, SAMPLES, overrides=SHORT, engine="dask", threads=2)
+    assert path.read_bytes() == local
+
+
+def test_a_scheduler_that_does_not_answer_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(cluster, "ANSWER_S", "1 s")
+    begun_s = time.monotonic()
+    with pytest.raises(OSError, match=r"tcp://127\.0\.0\.1:9"):
+        sweep_to_file(
+            "remote_push", tmp_path / "a.csv", GRID, SAMPLES, overrides=SHORT, engine="dask",
+            address="tcp://127.0.0.1:9",
+        )  # fmt: skip
+    assert time.monotonic() - begun_s < 30.0
+
+
+@pytest.mark.parametrize(("engine", "address"), [("ray", None), ("local", "tcp://127.0.0.1:1")])
+def test_an_engine_that_there_is_not_is_refused(engine: str, address: str | None, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=f"engine = '{engine}'"):
+        sweep_to_file("remote_push", tmp_path / "a.csv", GRID, SAMPLES, engine=engine, address=address)  # type: ignore[arg-type]
