@@ -5,6 +5,7 @@ import threading
 import time
 from os import kill
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import pytest
 from haptether.bridge import sweep_to_file
 from haptether.bridge.scene.sweeps import cluster
 
-GRID = {"link.forward.delay_s": [0.01, 0.02], "safety.controllers": [["wsc"], []]}
+GRID: dict[str, list[Any]] = {"link.forward.delay_s": [0.01, 0.02], "safety.controllers": [["wsc"], []]}
 SAMPLES = {"run.seed": np.arange(1.0, 201.0)}
 SHORT = ["run.duration_s=0.3"]
 
