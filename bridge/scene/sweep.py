@@ -165,6 +165,7 @@ def sweep(
     """
     _, base = named_scene(scene, overrides)
     varied = _tied(_varied(grid, samples), ties or {})
+    refuse_same_field(varied)
     threads = thread_count(threads)
     found = measured(base, varied, Threads(count=threads, lanes=lanes, progress=progress))
     whole = Sweep({**labelled(varied), **found})
@@ -204,6 +205,20 @@ def labelled(varied: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[An
         path: np.array([label(value) for value in column.tolist()]) if column.dtype == object else column
         for path, column in varied.items()
     }
+
+
+def refuse_same_field(paths: Iterable[str]) -> None:
+    """Refuses two paths that mean one field: "-" may stand for "_".
+
+    Raises:
+        SceneError: A path that is not in the schema.
+        ValueError: With both.
+    """
+    seen: dict[Path, str] = {}
+    for path in paths:
+        if (other := seen.setdefault(path_of(path), path)) != path:
+            message = f"{path}: is the same field as {other}"
+            raise ValueError(message)
 
 
 def refuse_empty(rows: Sweep) -> None:

@@ -277,6 +277,15 @@ def test_a_choice_of_no_field_or_no_value_is_refused() -> None:
         (["--samples", "0"], "samples = 0: must be 1 or more"),
         (["--vary", "safety.window=1,2", "--draw", "operator.stiffness=uniform:1:2"], "--draw: give --samples"),
         (["--samples", "2", "--draw", "operator.stiffness=uniform:2:1"], "must be path=uniform:a:b with a < b"),
+        (["--samples", "2", "--sobol"], "--sobol: give --draw"),
+        (
+            ["--vary", "coupling.force-scale=1,2", "--vary", "coupling.force_scale=3"],
+            "coupling.force_scale: given twice",
+        ),
+        (
+            ["--samples", "2", "--draw", "safety.damping=uniform:1:2", "--draw", "safety.damping=uniform:3:4"],
+            "given twice",
+        ),
         (["--samples", "2", "--draw", "operator.stiffness=loguniform:0:1"], "path=loguniform:a:b with 0 < a < b"),
         (["--samples", "2", "--draw", "operator.stiffness=normal:1:0"], "a deviation above 0"),
         (["--samples", "2", "--draw", "operator.stiffness=cauchy:1:2"], "must be path=uniform:a:b"),

@@ -601,6 +601,7 @@ def test_samples_are_taken_row_by_row(sweeps_run: list[dict[str, Any]]) -> None:
         ({"grid": {"safety.window": [1]}, "samples": {"safety.window": [1]}}, "give grid or samples"),
         ({"grid": {}}, "nothing to vary"),
         ({"grid": {"safety.window": []}}, "safety.window: values of shape (0,)"),
+        ({"grid": {"safety.window": [1], "safety.hold-off-s": [1], "safety.hold_off_s": [2]}}, "is the same field as"),
         ({"grid": {"safety.window": ["a"]}}, 'window = "a": must be a whole number'),
         ({"grid": {"safety.window": [np.inf]}}, "safety.window = inf: must be a finite number"),
         (

@@ -10,6 +10,7 @@ import pytest
 from haptether.bridge import SceneError, simulate, sweep
 from haptether.bridge.scene.sweep import label
 from haptether.cli.entry import main
+from haptether.cli.scene.sweep import sobol_draws
 from haptether.view.figures.sweep import draw_sweep
 
 METRICS = ("max_ejection_velocity", "peak_device_force", "time_to_trip_s", "false_trips", "position_rmse_m")
@@ -120,3 +121,22 @@ def test_choices_are_drawn_as_lines_or_points() -> None:
     columns["safety.vfc_form"] = np.repeat(["product"], 6)
     with pytest.raises(ValueError, match="a picture has one choice"):
         draw_sweep("s", columns, ["safety.controllers", "safety.vfc_form"])
+
+
+@pytest.mark.parametrize(
+    ("law", "mean", "within"),
+    [
+        # Integrals of smooth functions over 256 scrambled points err by some 1e-4 of the range.
+        (("uniform", 2.0, 4.0), 3.0, 1e-3),
+        (("normal", 9.0, 1.0), 9.0, 0.02),
+        (("loguniform", 1.0, np.e), np.e - 1.0, 2e-3),
+    ],
+)
+def test_a_sobol_sequence_fills_its_law_evenly(law: tuple[str, float, float], mean: float, within: float) -> None:
+    drawn = sobol_draws({"a": law, "b": ("uniform", 0.0, 1.0)}, 256, 1)
+    assert abs(drawn["a"].mean() - mean) < within
+    # Each of 256 equal parts has one.
+    assert np.unique((drawn["b"] * 256).astype(int)).size == 256
+    again = sobol_draws({"a": law, "b": ("uniform", 0.0, 1.0)}, 256, 1)
+    assert all((drawn[path] == again[path]).all() for path in drawn)
+    assert (sobol_draws({"a": law}, 256, 2)["a"] != sobol_draws({"a": law}, 256, 1)["a"]).any()

@@ -25,6 +25,7 @@ from haptether.bridge.scene.sweep import (
     labelled,
     measured,
     refuse_empty,
+    refuse_same_field,
     thread_count,
     values_of_path,
 )
@@ -73,8 +74,9 @@ def design_of(
 
     Raises:
         SceneError: Values that are none of a field.
-        ValueError: Nothing to vary, samples of different lengths, a tie to what does not vary.
+        ValueError: Nothing to vary, one field twice, samples of different lengths, a tie to what does not vary.
     """
+    refuse_same_field((*(grid or {}), *(samples or {}), *(ties or {})))
     return Design(
         factors={path: values_of_path(path, values) for path, values in (grid or {}).items()},
         samples={path: values_of_path(path, values) for path, values in (samples or {}).items()},
