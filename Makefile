@@ -128,7 +128,7 @@ setup: $(EXTENSION) ## only make the environment in .venv and build the extensio
 .PHONY: lock
 lock: $(PINNED_UV) ## renew tools/*.txt (UPGRADE=--upgrade takes the newest versions)
 	@$(USE_INDEX); set -x; \
-	    $(COMPILE) --extra analysis --extra console --extra haply --extra record --extra ur --extra view --group dev --output-file tools/requirements.txt pyproject.toml
+	    $(COMPILE) --extra analysis --extra console --extra haply --extra parquet --extra record --extra ur --extra view --group dev --output-file tools/requirements.txt pyproject.toml
 	@$(USE_INDEX); set -x; \
 	    $(COMPILE) --group bench --constraint tools/requirements.txt --output-file tools/bench.txt
 	@$(USE_INDEX); set -x; $(COMPILE) --output-file tools/uv.txt tools/uv.in

@@ -41,7 +41,7 @@ def check_suffix(path: Path) -> None:
         message = f"{path}: must end in .csv, .parquet or .npz"
         raise ValueError(message)
     if path.suffix == ".parquet" and importlib.util.find_spec("pyarrow") is None:
-        message = f"{path}: Parquet needs pyarrow: install it beside haptether"
+        message = f"{path}: Parquet needs pyarrow: install haptether[parquet]"
         raise ImportError(message)
 
 
