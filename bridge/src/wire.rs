@@ -565,7 +565,7 @@ impl<const N: usize> Frame<N> {
             // Of the same length with other parts: its bytes are read as what they are not.
             return Self::decode(self.encode(&mut [0; MAX_FRAME]), from, layout).map(Cow::Owned);
         }
-        if self.gripper.is_none() && self.rotation.is_none() {
+        if self.gripper.is_none() && self.rotation.is_none() && self.kind != SideKind::Pose {
             // Nothing else is read as other than what was written.
             self.check_head(self.flags(), false)?;
             self.check_body()?;
