@@ -1,10 +1,12 @@
 """Where the time of a simulated tick goes: stacks sampled by `perf` while a scene runs, by part and as a flame graph.
 
-Each checkout runs the scene with its own built extension (a release build says what users have), so that a tree can be
-held against another: `--before CHECKOUT`. Times are shares of the samples times what a tick took of the processor, least
-of three runs. Needs `perf` (package linux-perf) and leave to sample (`kernel.perf_event_paranoid` at most 2).
+Each checkout runs the scene with its own built extension (a release build says what users have), so that a tree can
+be held against another, `--before CHECKOUT`, or against what one gave before, `--keep FILE` and `--before FILE`. Times
+are shares of the samples times what a tick took of the processor, least of some runs. Needs `perf` (package linux-perf)
+and leave to sample (`kernel.perf_event_paranoid` at most 2).
 """
 
+import json
 import re
 import shutil
 import subprocess
@@ -21,17 +23,17 @@ from haptether.view.style.figure import figure_of, fitted, new_figure, write_fig
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-EXAMPLE = "example: python benches/flame_graph.py --before ../landed --plot flame.png"
+EXAMPLE = "example: python benches/flame_graph.py --before benches/profiles/remote_push_before.json --plot flame.png"
 ROOT = Path(__file__).resolve().parents[1]
 RUN = """
 import sys, time
 import haptether
-scene, seconds, overrides = sys.argv[1], float(sys.argv[2]), sys.argv[3:]
+scene, seconds, repeats, overrides = sys.argv[1], float(sys.argv[2]), int(sys.argv[3]), sys.argv[4:]
 overrides = [f"run.duration_s={seconds}", *overrides]
 # What is imported and built once is no part of a tick.
 haptether.simulate(scene, overrides=["run.duration_s=0.5"])
 least = float("inf")
-for _ in range(3):
+for _ in range(repeats):
     begun = time.process_time()
     run = haptether.simulate(scene, overrides=overrides)
     least = min(least, (time.process_time() - begun) / run.metrics.ticks * 1e9)
@@ -55,12 +57,17 @@ ROOT_FRAME = "run_virtual"
 Stack = tuple[str, ...]
 
 
-def sampled(checkout: Path, scene: str, seconds: float, overrides: Iterable[str]) -> tuple[Counter[Stack], float]:
+def sampled(
+    checkout: Path, scene: str, seconds: float, repeats: int, overrides: Iterable[str]
+) -> tuple[Counter[Stack], float]:
     """Stacks below the run of a scene, outermost first, with their counts, and the time of a tick in ns."""
+    if checkout.is_file():
+        kept = json.loads(checkout.read_text(encoding="utf-8"))
+        return Counter({tuple(stack): count for *stack, count in kept["stacks"]}), kept["ns"]
     with tempfile.TemporaryDirectory() as folder:
         recorded = str(Path(folder, "perf.data"))
-        run = [sys.executable, "-c", RUN, scene, str(seconds), *overrides]
-        perf = ["perf", "record", "-q", "-F", "1500", "--call-graph", "dwarf,16384", "-o", recorded, "--", *run]
+        run, once = ([sys.executable, "-c", RUN, scene, str(seconds), str(n), *overrides] for n in (repeats, 1))
+        perf = ["perf", "record", "-q", "-F", "1500", "--call-graph", "dwarf,16384", "-o", recorded, "--", *once]
         environment = {"PYTHONPATH": str(checkout / "python"), "PATH": "/usr/bin:/bin"}
         plain = subprocess.run(run, check=True, capture_output=True, text=True, env=environment, timeout=300)
         subprocess.run(perf, check=True, capture_output=True, text=True, env=environment, timeout=300)
@@ -146,16 +153,28 @@ def main() -> int:
     options.add_argument("--scene", default="remote_push", help="default %(default)s")
     options.add_argument("--seconds", type=float, default=300.0, help="simulated; default %(default)s")
     options.add_argument("--set", action="append", default=[], metavar="TABLE.KEY=VALUE", help="fields to change")
-    options.add_argument("--before", type=Path, metavar="CHECKOUT", help="another tree with a built extension")
+    options.add_argument(
+        "--before", type=Path, metavar="CHECKOUT|FILE", help="another tree, or what --keep has written"
+    )
+    options.add_argument("--keep", type=Path, metavar="FILE", help="write stacks and time as JSON")
+    options.add_argument("--repeats", type=int, default=5, help="runs whose least counts; default %(default)s")
     options.add_argument("--plot", type=Path, metavar="FILE", help="the flame graphs as a picture")
     chosen = options.parse_args()
     if shutil.which("perf") is None:
         options.error("perf is not there: install linux-perf")
+    if chosen.repeats < 1:
+        options.error("--repeats must be 1 or more")
     if not 1.0 <= chosen.seconds <= 3600.0:
         options.error("--seconds must be 1 to 3600")
     trees = {"now": ROOT} if chosen.before is None else {"before": chosen.before.resolve(), "now": ROOT}
     overrides = [*chosen.set, "record.every=1000"]
-    drawn = {name: sampled(tree, chosen.scene, chosen.seconds, overrides) for name, tree in trees.items()}
+    drawn = {
+        name: sampled(tree, chosen.scene, chosen.seconds, chosen.repeats, overrides) for name, tree in trees.items()
+    }
+    if chosen.keep is not None:
+        stacks, ns = drawn["now"]
+        rows = [[*stack, count] for stack, count in sorted(stacks.items())]
+        chosen.keep.write_text(json.dumps({"ns": round(ns), "stacks": rows}, indent=0), encoding="utf-8")
     spent = {name: by_part(stacks, ns) for name, (stacks, ns) in drawn.items()}
     out = table_file(chosen.json)
     print(f"{'ns a tick':42}" + "".join(f"{name:>10}" for name in drawn), file=out)
