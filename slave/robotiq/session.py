@@ -75,8 +75,8 @@ class Session:
         self._going = values["GTO"] == 1
         self._contact = values["OBJ"] if self._going and values["OBJ"] in CONTACT else None
         """OBJ, where it is that of something between the jaws."""
-        self._contact_at = self._position
-        """Where the jaws were then."""
+        self._contact_at: int | None = self._position
+        """Where the jaws were at the first position read after OBJ showed it; None until there is one."""
         self._moves = self._going and values["OBJ"] == MOVING
         self._holding = False
         self._sent_on: int | None = None
@@ -220,7 +220,12 @@ class Session:
         self._position = value
         self._positions.append((now_ns, value))
         gives = HELD_GIVES if self._holding else GIVES
-        if self._contact is not None and (abs(value - self._contact_at) > gives or not self._presses(self._contact)):
+        if self._contact is not None and self._contact_at is None:
+            # The position before OBJ may be that of jaws under way.
+            self._contact_at = value
+        if self._contact is not None and (
+            (self._contact_at is not None and abs(value - self._contact_at) > gives) or not self._presses(self._contact)
+        ):
             self._contact = None
         opened, closed = self._scale.counts
         aim = value if self._sent is None or not self._going else min(max(self._sent["POS"], opened), closed)
@@ -238,7 +243,10 @@ class Session:
             # Also of jaws that press on, until the new request shows the same contact: their position tells.
             self._moves = True
         elif value in CONTACT and (not self._echoes or self._presses(value)):
-            self._contact, self._contact_at = value, self._position
+            if value != self._contact:
+                self._contact, self._contact_at = value, None
+            elif self._contact_at is not None:
+                self._contact_at = self._position
         elif not self._echoes:
             self._contact = None
         if not self._echoes:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.gripper.virtual import CYCLE_S, MM, Led, gripper, move
 
-from haptether.slave.robotiq.protocol import CONTACT, CONTACT_OPENING, MOVING, Request
+from haptether.slave.robotiq.protocol import CONTACT, CONTACT_OPENING, MOVING, Request, get
 from haptether.slave.robotiq.session import ECHOED_NS, START, Session
 from haptether.slave.ur_emulator import GrippedObject
 
@@ -79,6 +79,23 @@ def test_a_leap_between_two_readings_is_a_sample_all_the_same() -> None:
     led = Led(gripper(), answer=lambda request, value: 255 if request.reads == "POS" else value)
     led.run(0.004)
     assert led.sample.velocity == 100.0
+
+
+def test_contact_seen_long_after_the_last_position_is_kept() -> None:
+    led = Led(gripper(40.0), round_trip_s=0.004)
+    led.write(move(1.0, speed=1.5, force_n=100.0))
+    led.run(1.0, until=lambda sample: 0.1 < sample.position < 0.3)
+    # The computer stands still until the jaws have met it; then OBJ is read before the position is.
+    led.now_s += 2.0
+    led.gripper.advance(led.now_s)
+    sent_ns = led.now_ns
+    led.session.replied(get("OBJ"), led.gripper.read("OBJ"), sent_ns, led.now_ns)
+    assert led.sample.holds_object
+    assert led.run(1.0, until=lambda sample: not sample.holds_object) >= 1.0
+    assert led.sample.position == pytest.approx(CONTACT_40_MM, abs=COUNT)
+    led.gripper.put(None)
+    led.run(0.5)
+    assert not led.sample.holds_object
 
 
 def test_an_object_is_held_from_inside() -> None:
