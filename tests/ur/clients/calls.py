@@ -33,7 +33,7 @@ def moves(host: str) -> Result:
     result["off_m"] = float(np.abs(np.subtract(receive.getActualTCPPose(), up)).max())
     result["movej_ik"] = control.moveJ_IK(pose, 2.0, 8.0)
     result["movel_fk"] = control.moveL_FK(list(START), 0.5, 4.0)
-    result["async"] = control.moveJ(away, 2.0, 8.0, True)
+    result["async"] = control.moveJ(away, 0.1, 8.0, True)  # 3 s, of which a busy machine may take some
     time.sleep(0.1)
     result["running"] = control.getAsyncOperationProgress()
     control.stopJ(2.0)

@@ -59,7 +59,7 @@ def served(folder: Path, *, controlled: bool = True, of: Scene | None = None) ->
     assert not thread.is_alive()
 
 
-def wait_for(condition: Callable[[], bool], within_s: float = 10.0) -> None:
+def wait_for(condition: Callable[[], bool], within_s: float = 30.0) -> None:
     end_s = time.monotonic() + within_s
     while not condition():
         assert time.monotonic() < end_s

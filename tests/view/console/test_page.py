@@ -34,7 +34,7 @@ def page(browser: "Browser", runs: Served) -> "Iterator[Page]":
 
 def opened(browser: "Browser", runs: Served) -> "Page":
     page = browser.new_context(viewport={"width": 1280, "height": 900}).new_page()
-    page.set_default_timeout(10_000)
+    page.set_default_timeout(30_000)
     page.goto(runs.console.address)
     page.wait_for_selector("#side-master .headline")
     page.wait_for_selector("#side-slave .headline")
