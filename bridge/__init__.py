@@ -22,6 +22,7 @@ from haptether.bridge.codes import LADDER_STATES, OBSERVED_SIGNALS, TRIP_BITS, O
 from haptether.bridge.devices.find import (
     GRIPPERS,
     MASTERS,
+    RESEARCH_CONTROLLERS,
     SLAVES,
     device_names,
     load_gripper,
@@ -41,6 +42,7 @@ from haptether.bridge.recording.replay import Replay, ReplayFigures, replay
 from haptether.bridge.recording.settings import recorded_scene
 from haptether.bridge.scene.errors import SceneError
 from haptether.bridge.scene.load import load_scene, override_scene, scene_json, scene_names
+from haptether.bridge.scene.research import ControllerTime, controller_names, controller_time, register_controller
 from haptether.bridge.scene.run import Event, Metrics, Run, Signals, simulate
 from haptether.bridge.scene.save import save_scene, scene_toml
 from haptether.bridge.scene.sweep import Sweep, sweep
@@ -74,6 +76,7 @@ from haptether.bridge.scene.tables.session import (
     LinksTable,
     LowPass,
     RecordTable,
+    ResearchTable,
     RotationSafetyTable,
     RunTable,
     SafetyTable,
@@ -123,6 +126,7 @@ __all__ = [
     "LADDER_STATES",
     "MASTERS",
     "OBSERVED_SIGNALS",
+    "RESEARCH_CONTROLLERS",
     "SLAVES",
     "TRIP_BITS",
     "AdaptiveWindow",
@@ -134,6 +138,7 @@ __all__ = [
     "ChangeTable",
     "ClockTable",
     "ContactTable",
+    "ControllerTime",
     "CouplingTable",
     "DeviceError",
     "DeviceRun",
@@ -180,6 +185,7 @@ __all__ = [
     "ReleaseTable",
     "Replay",
     "ReplayFigures",
+    "ResearchTable",
     "RigidBodyTable",
     "RotationLegTable",
     "RotationSafetyTable",
@@ -219,6 +225,8 @@ __all__ = [
     "TremorTable",
     "TriggerSafetyTable",
     "TriggerTable",
+    "controller_names",
+    "controller_time",
     "device_names",
     "drive_master",
     "drive_slave",
@@ -237,6 +245,7 @@ __all__ = [
     "read_key",
     "read_recording",
     "recorded_scene",
+    "register_controller",
     "replay",
     "run_local",
     "save_scene",

@@ -15,6 +15,7 @@ from haptether._core import (
     Limiter,
     LimiterSettings,
     PassivityObserver,
+    ResearchObservation,
     SafetyController,
     SafetyLayer,
     SafetyObserver,
@@ -33,6 +34,7 @@ from haptether.safety.ejection.bound import (
     ejection_bound,
     rising_push,
 )
+from haptether.safety.research import ResearchController, SafetyForce
 
 ControllerName: TypeAlias = Literal["vfc", "hsc", "wsc", "pc"]
 """The names of `CONTROLLERS`, for scenes and type checkers."""
@@ -55,7 +57,10 @@ __all__ = [
     "Limiter",
     "LimiterSettings",
     "PassivityObserver",
+    "ResearchController",
+    "ResearchObservation",
     "SafetyController",
+    "SafetyForce",
     "SafetyLayer",
     "SafetyObserver",
     "SafetySettings",

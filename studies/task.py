@@ -18,6 +18,7 @@ from haptether.bridge import (
     OperatorTable,
     RecordTable,
     ReleaseTable,
+    ResearchTable,
     RotationSafetyTable,
     Run,
     Scene,
@@ -30,6 +31,7 @@ from haptether.bridge import (
 from haptether.bridge.codes import LADDER_STATES
 from haptether.bridge.scene.load import path_of, toml_value
 from haptether.netsim import LinkSettings
+from haptether.safety import CONTROLLERS
 
 Array = npt.NDArray[np.float64]
 
@@ -220,6 +222,8 @@ class Task:
         }
         if self.base.slave is not None and self.network is not None and dropped:
             said.append(f"{self.name} is run without what its own link has: {', '.join(dropped)}.")
+        if (research := self.base.safety.research) is not None:
+            said.append(f"{research.controller} watches {self.name} where it is named as a controller.")
         if self.base.security is not None:
             said.append(f"{self.name} is run without its security.")
         return tuple(said)
@@ -269,9 +273,18 @@ class Task:
         return replace(scene, environment=replace(scene.environment, delay_ticks=ticks))
 
     def watched(self, scene: Scene, controllers: str | None, fixed: dict[str, float | str]) -> Scene:
-        """A scene with controllers of force, torque and trigger, separated by commas, or with none."""
-        names = controllers or ""
-        safety = scene.safety
+        """A scene with controllers of force, torque and trigger, separated by commas, or with none.
+
+        One in Python has the options that the scene gives it.
+        """
+        given = (controllers or "").split(",")
+        built_in = {name for name, _, _ in CONTROLLERS}
+        names = ",".join(name for name in given if name in built_in)
+        research = next((name for name in given if name and name not in built_in), None)
+        options = self.base.safety.research
+        if options is None or options.controller != research:
+            options = None if research is None else ResearchTable(controller=research)
+        safety = replace(scene.safety, research=options)
         # By default those of torque and trigger are those of the force.
         if safety.rotation is not None:
             safety = replace(safety, rotation=replace(safety.rotation, controllers=None))

@@ -30,8 +30,9 @@ fn batch(criterion: &mut Criterion) {
         {
             let settings = SweepSettings { threads, lanes };
             group.bench_with_input(BenchmarkId::new(name, scenarios), &settings, |bencher, settings| {
-                bencher
-                    .iter(|| black_box(sweep(SCENE, &variations, *settings, &Progress::default()).unwrap()));
+                bencher.iter(|| {
+                    black_box(sweep(SCENE, &variations, *settings, &Progress::default(), None).unwrap())
+                });
             });
         }
     }

@@ -1,31 +1,42 @@
-"""Drivers of devices, found by the entry points that packages declare."""
+"""Drivers of devices and controllers in Python, found by the entry points that packages declare."""
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from haptether.bridge.devices.open import DeviceError, failure
 
 if TYPE_CHECKING:
     from haptether.master import MasterDevice
+    from haptether.safety import ResearchController
     from haptether.slave import Gripper, SlaveDevice
 
 MASTERS = "haptether.masters"
 SLAVES = "haptether.slaves"
 GRIPPERS = "haptether.grippers"
-_KEYS = {MASTERS: "[master] driver", SLAVES: "[slave] device", GRIPPERS: "[slave.gripper] device"}
-"""What names a driver in a scene."""
+RESEARCH_CONTROLLERS = "haptether.controllers"
+_KEYS = {
+    MASTERS: "[master] driver",
+    SLAVES: "[slave] device",
+    GRIPPERS: "[slave.gripper] device",
+    RESEARCH_CONTROLLERS: "[safety.research] controller",
+}
+"""What names it in a scene."""
 _METHODS = {
     MASTERS: ("open", "read", "write", "close"),
     SLAVES: ("open", "read", "write", "stop", "close"),
     GRIPPERS: ("open", "read", "write", "hold", "close"),
+    RESEARCH_CONTROLLERS: ("step",),
 }
+_PACED = {MASTERS, SLAVES}
+"""What may have a pace of its own, and says whether."""
 
 
 def device_names(group: str) -> tuple[str, ...]:
-    """Names of the drivers of a group that are installed."""
+    """Names that installed packages have in a group."""
     return tuple(sorted(entry_points(group=group).names))
 
 
@@ -73,14 +84,45 @@ def load_gripper(name: str, options: Mapping[str, Any]) -> "Gripper":
     return gripper
 
 
-def _load(group: str, name: str, options: Mapping[str, Any]) -> Any:  # noqa: ANN401  # of that group
+def load_controller(
+    name: str,
+    options: Mapping[str, Any],
+    *,
+    offered: Mapping[str, Any],
+    registered: Mapping[str, Callable[..., Any]],
+) -> "ResearchController":
+    """A controller in Python, called with `options` as keywords, and with those of `offered` that it takes.
+
+    One that was registered in this process goes before one of a package.
+
+    Raises:
+        ValueError: No such controller, options that it does not have, or something that is none.
+    """
+    controller: ResearchController = _load(RESEARCH_CONTROLLERS, name, options, offered, registered)
+    return controller
+
+
+def _load(
+    group: str,
+    name: str,
+    options: Mapping[str, Any],
+    offered: Mapping[str, Any] = MappingProxyType({}),
+    registered: Mapping[str, Callable[..., Any]] = MappingProxyType({}),
+) -> Any:  # noqa: ANN401  # of that group
     named = _KEYS[group]
-    point, make = _maker(group, name)
+    if name in registered:
+        make = registered[name]
+        origin = getattr(make, "__qualname__", repr(make))
+    else:
+        point, make = _maker(group, name, registered)
+        origin = point.value
     try:
         signature = inspect.signature(make)
     except ValueError:
         # What C has made may say nothing of its arguments: the call itself will.
         signature = inspect.Signature([inspect.Parameter("options", inspect.Parameter.VAR_KEYWORD)])
+    takes_any = any(one.kind is one.VAR_KEYWORD for one in signature.parameters.values())
+    options = {**{key: offered[key] for key in offered if takes_any or key in signature.parameters}, **options}
     try:
         signature.bind(**options)
     except TypeError as error:
@@ -94,16 +136,15 @@ def _load(group: str, name: str, options: Mapping[str, Any]) -> Any:  # noqa: AN
     except Exception as error:
         raise failure(make, error) from error
     missing = [method for method in _METHODS[group] if not callable(getattr(device, method, None))]
-    # A gripper has a pace of its own.
-    if group != GRIPPERS and not isinstance(getattr(device, "paces", None), bool):
+    if group in _PACED and not isinstance(getattr(device, "paces", None), bool):
         missing.append("paces")
     if missing:
-        message = f"{named} = {name}: {point.value} has no {', '.join(missing)}"
+        message = f"{named} = {name}: {origin} has no {', '.join(missing)}"
         raise ValueError(message)
     return device
 
 
-def _maker(group: str, name: str) -> tuple[EntryPoint, Callable[..., Any]]:
+def _maker(group: str, name: str, others: Iterable[str] = ()) -> tuple[EntryPoint, Callable[..., Any]]:
     """The entry point of a driver, and what makes it.
 
     Raises:
@@ -113,13 +154,14 @@ def _maker(group: str, name: str) -> tuple[EntryPoint, Callable[..., Any]]:
     found = entry_points(group=group, name=name)
     if not found:
         # A model of an arm has a name; that of a haptic device is what a scene without a driver has.
-        names = (*(("simulated",) if group == SLAVES else ()), *device_names(group))
+        names = (*(("simulated",) if group == SLAVES else ()), *device_names(group), *others)
         near = get_close_matches(name, names, 1)
         there = f"there is {', '.join(names)}" if names else "none is installed"
         if group == MASTERS:
             there += "; without the key it is a model"
         hint = f"did you mean {near[0]}? {there}" if near else there
-        message = f"{named} = {name}: no such driver ({group}): {hint}"
+        what = "controller" if group == RESEARCH_CONTROLLERS else "driver"
+        message = f"{named} = {name}: no such {what} ({group}): {hint}"
         raise ValueError(message)
     if len({point.value for point in found}) > 1:
         message = f"{named} = {name}: several packages have it: {', '.join(sorted(map(_origin, found)))}"

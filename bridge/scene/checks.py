@@ -64,6 +64,7 @@ def contradictions(scene: Scene) -> Iterator[SceneError]:
     """Everything in a scene that does not go together, as far as its tables alone show it."""
     yield from _run(scene.run)
     yield from _driver_options(scene)
+    yield from _research(scene)
     if scene.operator is not None:
         yield from _operator(scene.operator)
         if scene.slave is None and scene.operator.clutch != "auto":
@@ -386,6 +387,19 @@ def _driver_options(scene: Scene) -> Iterator[SceneError]:
     if gripper is not None and gripper.options and gripper.device == SIMULATED:
         allowed = f'left out where device = "{SIMULATED}", or device must name the driver that takes them'
         yield wrong(("slave", "gripper", "options"), gripper.options, allowed)
+
+
+def _research(scene: Scene) -> Iterator[SceneError]:
+    """A controller in Python where none can watch."""
+    if scene.safety.research is None:
+        return
+    path: Path = ("safety", "research")
+    if scene.master.kind == "pose":
+        yield contradiction(path, 'watches what moves, not what also turns: leave it out of kind = "pose"')
+    if scene.safety.signals == "true":
+        yield contradiction(path, 'sees what is estimated: leave out safety.signals = "true"')
+    if scene.master.driver is not None:
+        yield contradiction(path, "is for simulated runs: no Python stands between a link and a hand")
 
 
 UNIT_QUATERNION = 1e-6

@@ -56,6 +56,8 @@ def settings_of(scene: Scene) -> EjectionSettings:
 def _outside(spec: Spec) -> str | None:
     """What of the assumptions a scene does not meet."""
     limiter, device_n = spec["safety"]["limiter"], spec["master"]["max_force_n"]
+    if spec["safety"]["research"] is not None:
+        return f"nothing is known of the force of {spec['safety']['research']['controller']}, a controller in Python"
     if limiter is None:
         return "the limiter is off, so the force has no cap"
     if device_n is not None and limiter["max_force_n"] > device_n:

@@ -16,6 +16,7 @@ from haptether import _core
 from haptether._core import LoopReport
 from haptether.bridge.scene.errors import SceneError
 from haptether.bridge.scene.load import Checked, checked_scene, loaded
+from haptether.bridge.scene.research import research_of
 from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import private_file, refuse_link
 
@@ -305,9 +306,10 @@ def simulate(
     """
     name, checked = named_scene(scene, overrides)
     specification = checked.json
+    research = research_of(checked.scene)
     begun = time.perf_counter()
     try:
-        done = _core.simulate_scene(specification, record)
+        done = _core.simulate_scene(specification, record, research)
     except ValueError as error:
         # What only the assembled parts show, such as how stiff they are together.
         raise SceneError(str(error)) from None

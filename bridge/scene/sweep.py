@@ -24,6 +24,7 @@ from haptether import _core
 from haptether.bridge.scene.checks import checked_spec
 from haptether.bridge.scene.errors import Path, Raw, SceneError, allowed_at, place, shown, types_at, wrong
 from haptether.bridge.scene.load import Checked, path_of, typed_scene, with_value
+from haptether.bridge.scene.research import research_of
 from haptether.bridge.scene.run import named_scene
 from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import private_file, refuse_link
@@ -316,7 +317,8 @@ def _metrics(base: Checked, varied: Mapping[str, Array], how: Threads) -> dict[s
         return _refused(refused)
     built = np.array([row for row in range(rows) if row not in refused]) if refused else slice(None)
     columns = [(path, np.ascontiguousarray(column[built])) for path, column in columns]
-    found = _core.sweep_scenes(base.json, columns, how.count, how.lanes, how.progress)
+    research = research_of(base.scene)
+    found = _core.sweep_scenes(base.json, columns, how.count, how.lanes, how.progress, research)
     of_rows = {name: _of_rows(name, np.asarray(column), built, rows, refused) for name, column in found.items()}
     if (of_rows["outcome"] == "refused").all():
         return _refused(dict(enumerate(of_rows["reason"].tolist())))

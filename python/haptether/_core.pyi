@@ -15,7 +15,7 @@ count or seed with `OverflowError`.
 
 from collections.abc import Callable, Sequence
 from os import PathLike
-from typing import Any, ClassVar, Literal, TypeAlias, final, overload, type_check_only
+from typing import Any, ClassVar, Literal, Protocol, TypeAlias, final, overload, type_check_only
 
 import numpy as np
 import numpy.typing as npt
@@ -60,6 +60,7 @@ __all__ = [
     "Recording",
     "RecordingColumns",
     "RecordingReport",
+    "ResearchObservation",
     "SafetyController",
     "SafetyLayer",
     "SafetyObserver",
@@ -862,6 +863,30 @@ class Limiter:
 
     def reset(self) -> None:
         """Zero force at once, and the ramp-in starts anew."""
+
+@final
+class ResearchObservation:
+    """What a controller in Python sees of one tick, as the controllers of the scene see it."""
+
+    @property
+    def time_s(self) -> float:
+        """t in s since the first tick of the run."""
+
+    @property
+    def velocity(self) -> _Array:
+        """V in m/s, estimated, shape `(axes,)`."""
+
+    @property
+    def rendered_force(self) -> _Array:
+        """F_v in N, as far as the device can render it, shape `(axes,)`."""
+
+    @property
+    def grasp_force(self) -> _Array:
+        """F_h in N of Eq. 4, shape `(axes,)`: late, as the acceleration is that it is had from."""
+
+    @property
+    def aligned_rendered_force(self) -> _Array:
+        """F_v in N as late as F_h, shape `(axes,)`: to compare the two."""
 
 def fault_message(code: int) -> str | None:
     """What a fault's code means: which signal was not a finite number or exceeds which bound.
@@ -2719,17 +2744,28 @@ class SceneRun:
 def scene_schema() -> str:
     """The JSON schema of a scene of one axis, as `haptether.bridge.scene_json` writes it."""
 
+@type_check_only
+class _ResearchFactory(Protocol):
+    """Makes the controllers in Python of a run or a sweep."""
+
+    def make(self, name: str, options: str, axes: int, period_s: float) -> object: ...
+    def spent(self, ticks: int, seconds: float) -> None: ...
+
 def simulate_scene(
-    scene_json: bytes, record: tuple[str | PathLike[str], str | PathLike[str]] | None = None
+    scene_json: bytes,
+    record: tuple[str | PathLike[str], str | PathLike[str]] | None = None,
+    research: _ResearchFactory | None = None,
 ) -> SceneRun:
-    """Runs a scene in virtual time, without the interpreter's lock.
+    """Runs a scene in virtual time, without the interpreter's lock but for a controller in Python.
 
     Args:
         scene_json: The scene as `haptether.bridge.scene_json` writes it: every field, nothing else.
         record: MCAP files for what `--record` of master and slave would write.
+        research: Makes the controller of a scene with `[safety.research]`; without it such a scene is refused.
 
     Raises:
         ValueError: JSON that is no such scene, or a number that a part of it does not take; a file that cannot be written.
+        RuntimeError: The controller in Python has raised; that is its cause.
     """
 
 @final
@@ -2797,8 +2833,11 @@ def sweep_scenes(
     threads: int,
     lanes: bool,
     progress: Callable[[int], None] | None,
+    research: _ResearchFactory | None = None,
 ) -> dict[str, npt.NDArray[Any] | list[str]]:
     """Runs a scene once per row, without the interpreter's lock. Threads and lanes change no number.
+
+    With a controller in Python there is one thread, and no lanes.
 
     Args:
         scene_json: The scene that all rows share, as for `simulate_scene`.
@@ -2807,6 +2846,7 @@ def sweep_scenes(
         threads: How many threads, 1 or more.
         lanes: Whether rows may be advanced side by side in one thread.
         progress: Called from time to time with the number of rows that are done; what it raises ends the sweep.
+        research: Makes the controllers of a scene with `[safety.research]`, one a row; without it each row is refused.
 
     Returns:
         How each ended, the metrics, and why a row was refused or diverged, by name, one value per row; NaN where a
@@ -2814,4 +2854,5 @@ def sweep_scenes(
 
     Raises:
         ValueError: JSON that is no scene; columns of different lengths, or a path that is not there.
+        RuntimeError: A controller in Python has raised; that is its cause.
     """

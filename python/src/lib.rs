@@ -17,6 +17,7 @@ mod local;
 mod netsim;
 mod recording;
 mod replay;
+mod research;
 mod reserve;
 mod safety;
 mod scene;

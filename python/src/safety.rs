@@ -50,7 +50,10 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
         module.add(name, PyTuple::new(module.py(), rows.collect::<Vec<_>>())?)?;
     }
     let named = ControllerKind::ALL.map(|kind| (kind.about().name, Tripped::of(kind).bits()));
-    let bits = named.into_iter().chain([("held", Tripped::HELD.bits())]).collect::<Vec<_>>();
+    let bits = named
+        .into_iter()
+        .chain([("held", Tripped::HELD.bits()), ("research", Tripped::RESEARCH.bits())])
+        .collect::<Vec<_>>();
     module.add("TRIP_BITS", PyTuple::new(module.py(), bits)?)?;
     let observed = ControllerKind::ALL.map(|kind| (kind.about().name, kind.observed()));
     let observed = observed.map(|(name, observed)| (name, observed.column, observed.symbol));

@@ -11,8 +11,8 @@ use std::{
 };
 
 use haptether_bridge::scene::{
-    self, Outcome, Progress, RecordingFiles, Refused, SceneError, SceneRun, SceneSpec, Signal, SweepSettings,
-    Variation, simulate_recorded, sweep,
+    self, Outcome, Progress, RecordingFiles, Refused, ResearchFactory, SceneError, SceneRun, SceneSpec,
+    Signal, SweepSettings, Variation, simulate_recorded, sweep,
 };
 use haptether_bridge::{SideKind, coupling::ROUND_TRIP_S, ladder::PRESS_NS};
 use numpy::{PyArrayMethods, PyReadonlyArray1, ToPyArray};
@@ -26,10 +26,12 @@ use crate::{
     axes::{of_axes, refuse},
     bridge::nanoseconds,
     bridge_trace::PyLoopReport,
+    research::{PyObservation, PyResearch},
 };
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PySceneRun>()?;
+    module.add_class::<PyObservation>()?;
     module.add("PRESS_S", PRESS_NS as f64 / 1e9)?;
     module.add("ROUND_TRIP_S", ROUND_TRIP_S)?;
     module.add_function(wrap_pyfunction!(scene_schema, module)?)?;
@@ -132,16 +134,21 @@ fn scene_schema() -> String {
 
 /// Runs a scene, recorded to the files of master and slave where there are any.
 #[pyfunction]
-#[pyo3(signature = (scene_json, record=None))]
+#[pyo3(signature = (scene_json, record=None, research=None))]
 fn simulate_scene(
     py: Python<'_>,
     scene_json: &[u8],
     record: Option<(PathBuf, PathBuf)>,
+    research: Option<Py<PyAny>>,
 ) -> PyResult<PySceneRun> {
     let scene = String::from_utf8_lossy(scene_json);
     let files = record.map(|(master, slave)| RecordingFiles { master, slave, scene: scene.into_owned() });
-    let done =
-        interruptibly(py, None, |progress| simulate_recorded(scene_json, &progress.stop, files.as_ref()))?;
+    let research = research.map(PyResearch::new);
+    let factory = research.as_ref().map(|factory| factory as &dyn ResearchFactory);
+    let done = interruptibly(py, None, |progress| {
+        attached(factory.is_some(), || simulate_recorded(scene_json, &progress.stop, files.as_ref(), factory))
+    })?;
+    research.as_ref().map_or(Ok(()), |factory| factory.finish(py))?;
     let SceneRun { signals, events, outcome, period_s, reports } = done.map_err(refuse)?;
     let by_name = PyDict::new(py);
     for signal in &signals {
@@ -160,6 +167,12 @@ fn simulate_scene(
         metrics: metrics_out(py, &outcome, period_s)?,
         reports,
     })
+}
+
+/// Does `work` with the interpreter's lock where it `calls` Python at each tick: to take it anew makes a thread's state
+/// each time, 40 us. The calls themselves let others have it.
+fn attached<T>(calls: bool, work: impl FnOnce() -> T) -> T {
+    if calls { Python::attach(|_| work()) } else { work() }
 }
 
 /// Time between two looks at signals and progress.
@@ -208,6 +221,7 @@ fn interruptibly<T: Send>(
 
 /// Runs a scene once per row.
 #[pyfunction]
+#[pyo3(signature = (scene_json, columns, threads, lanes, progress, research=None))]
 fn sweep_scenes(
     py: Python<'_>,
     scene_json: &[u8],
@@ -215,10 +229,15 @@ fn sweep_scenes(
     threads: usize,
     lanes: bool,
     progress: Option<Py<PyAny>>,
+    research: Option<Py<PyAny>>,
 ) -> PyResult<Py<PyDict>> {
     let columns: Vec<(String, Vec<f64>)> =
         columns.into_iter().map(|(path, values)| (path, values.as_array().to_vec())).collect();
+    // Controllers in Python would wait for one another.
+    let threads = if research.is_some() { 1 } else { threads };
     let settings = SweepSettings { threads, lanes };
+    let research = research.map(PyResearch::new);
+    let factory = research.as_ref().map(|factory| factory as &dyn ResearchFactory);
     let (period_s, kind) = of_axes!(scene_axes(scene_json)?, N => {
         let scene = scene_spec::<N>(scene_json)?;
         (scene.run.period_s, scene.master.kind)
@@ -227,8 +246,10 @@ fn sweep_scenes(
         .iter()
         .map(|(path, values)| Variation { path: path.clone(), values: values.clone() })
         .collect();
-    let swept =
-        interruptibly(py, progress.as_ref(), |progress| sweep(scene_json, &variations, settings, progress))?;
+    let swept = interruptibly(py, progress.as_ref(), |progress| {
+        attached(factory.is_some(), || sweep(scene_json, &variations, settings, progress, factory))
+    })?;
+    research.as_ref().map_or(Ok(()), |factory| factory.finish(py))?;
     let rows = swept.map_err(refuse)?;
     let periods = columns.iter().find(|(path, _)| path == "run.period_s").map(|(_, values)| values);
     let period = |row: usize| periods.map_or(period_s, |periods| periods[row]);

@@ -4,7 +4,10 @@ use nalgebra::SimdValue as _;
 
 use crate::{
     Axes, DeviceModel, Fault, Observation, ParameterError, Real, Signal,
-    controller::{ControllerKind, Intervention, Response, SafetyController, SafetySettings},
+    controller::{
+        ControllerKind, Intervention, Research, ResearchController, Response, SafetyController,
+        SafetySettings,
+    },
     estimator::{AnyEstimator, Estimator, EstimatorKind, MeasuredVelocity, Motion},
     is_within,
     lanes::{option, pack, part},
@@ -50,6 +53,8 @@ pub struct SafetyLayer<const N: usize, S = f64> {
     limiter: Limiter<N, S>,
     device_force: Axes<N, S>,
     fault: Option<Fault>,
+    /// Only in simulated runs that ask for one.
+    research: Option<Research>,
 }
 
 impl<const N: usize> SafetyLayer<N> {
@@ -72,7 +77,16 @@ impl<const N: usize> SafetyLayer<N> {
             limiter: Limiter::new(*period_s, LimiterSettings { ramp_in_s: 0.0, ..*limiter })?,
             device_force: Axes::zeros(),
             fault: None,
+            research: None,
         })
+    }
+
+    /// The layer before its first tick, with a controller of the caller's own behind the others; clones share it.
+    #[must_use]
+    pub fn with_research(mut self, controller: Box<dyn ResearchController>) -> Self {
+        self.rendered.get_or_insert_with(|| self.estimator.clone());
+        self.research = Some(Research::new(controller));
+        self
     }
 
     /// One tick: position x in m, velocity V in m/s if the device measures it (at every tick or at none), `F_v`
@@ -208,7 +222,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
     /// As many layers as there are lanes, without fault, whose parts can be gathered; else None. Period, estimator
     /// and what is watched must be the same in all; thresholds, bounds, times and the device need not.
     pub fn gather(of: &[SafetyLayer<N>]) -> Option<Self> {
-        if of.iter().any(|one| one.fault.is_some()) {
+        if of.iter().any(|one| one.fault.is_some() || one.research.is_some()) {
             return None;
         }
         Some(Self {
@@ -222,6 +236,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
             limiter: part(of, |one| one.limiter.clone(), Limiter::gather)?,
             device_force: pack(of, |one| one.device_force)?,
             fault: None,
+            research: None,
         })
     }
 
@@ -257,7 +272,12 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
 
     #[inline(always)]
     pub(crate) fn decide(&mut self, perceived: &Perceived<N, S>, authority: S) -> Advance<N, S> {
-        let response = self.controller.respond(&perceived.seen, authority);
+        let mut response = self.controller.respond(&perceived.seen, authority);
+        if S::LANES == 1
+            && let Some(research) = &self.research
+        {
+            research.add(&perceived.seen, self.controller.let_through(), authority, &mut response);
+        }
         self.bound(perceived, response)
     }
 
@@ -302,7 +322,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
             Some(velocity) => self.measured.step(velocity),
             None => self.estimator.step(position),
         };
-        let grasp_force = if self.controller.needs_grasp_force() {
+        let grasp_force = if self.controller.needs_grasp_force() || self.research.is_some() {
             let held = &self.device_force;
             let aligned = if velocity.is_some() {
                 inertia.align(&motion, held, true, |force| self.measured.align(force))
@@ -354,6 +374,9 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         }
         self.last_rendered = Axes::zeros();
         self.controller.reset();
+        if let Some(research) = &self.research {
+            research.reset();
+        }
         self.rendering.reset();
         self.limiter.reset();
         self.device_force = Axes::zeros();

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from msgspec.structs import replace
 
-from haptether.bridge import RecordTable, Run, Scene, simulate, sweep
+from haptether.bridge import RecordTable, Run, Scene, controller_names, simulate, sweep
 from haptether.safety import CONTROLLERS
 from haptether.studies.evaluation.result import (
     EVALUATED_CONTROLLERS,
@@ -68,7 +68,7 @@ def evaluate(
 
     Args:
         tasks: Names of bundled scenes, or paths of scenes, in which a hand works.
-        controllers: Sets of controllers, their names joined by "+"; "none" for nobody.
+        controllers: Sets of controllers, their names joined by "+", at most one of them in Python; "none" for nobody.
         round_trips_s: In s: both delays of a link together, or by how much a force without an arm is late.
         networks: What the network does beside its delay; a scene without an arm meets the first one only.
         hands: How many hold each task.
@@ -143,9 +143,13 @@ def _check(
         if not values or len(set(values)) < len(values):
             message = f"{name} = {list(values)}: must be one or more, each once"
             raise ValueError(message)
-    known = ("none", *(controller[0] for controller in CONTROLLERS))
+    in_python = controller_names()
+    known = ("none", *(controller[0] for controller in CONTROLLERS), *in_python)
     for names_of_set in controllers:
         parts = names_of_set.split("+")
+        if len(several_in_python := [part for part in parts if part in in_python]) > 1:
+            message = f"controllers = {names_of_set!r}: {' and '.join(several_in_python)}: at most one in Python"
+            raise ValueError(message)
         if unknown := [part for part in parts if part not in known or (part == "none" and len(parts) > 1)]:
             message = (
                 f"controllers = {names_of_set!r}: {unknown[0]!r} is none of {', '.join(known)}; a set is joined"

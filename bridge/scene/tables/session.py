@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, TypeAlias
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, json
 
 from haptether.bridge.scene.tables.master import MasterTable, OperatorTable
 from haptether.bridge.scene.tables.ranges import (
@@ -19,6 +19,7 @@ from haptether.bridge.scene.tables.ranges import (
     Hold,
     HoldAfter,
     NonNegative,
+    Options,
     Period,
     Positive,
     Quaternion,
@@ -332,6 +333,22 @@ class TriggerSafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Bound in N s/m on the damping of PC, at most m / (5 dT)."""
 
 
+class ResearchTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[safety.research]`: a controller of your own, in Python, behind those of `[safety] controllers`.
+
+    In simulated runs and sweeps only, of what moves and does not turn: live sides refuse such a scene.
+    """
+
+    controller: Annotated[str, Meta(min_length=1, max_length=100)]
+    """Its name: an entry point of `haptether.controllers`, or what `haptether.bridge.register_controller` was given."""
+    options: Options = {}
+    """What it is called with, beside the number of axes and the period."""
+
+    def __hash__(self) -> int:
+        # Options are a table of any keys, which has no hash of its own.
+        return hash(json.encode(self))
+
+
 class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[safety]`: who watches the hand. Thresholds are the paper's by default; V_s, estimator and release law are ours.
 
@@ -397,6 +414,8 @@ class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """What differs for the torque of kind "pose"."""
     gripper: TriggerSafetyTable | None = None
     """What differs for the force at the trigger of `[master.gripper]`."""
+    research: ResearchTable | None = None
+    """A controller of your own, in Python; simulated runs only."""
 
 
 class RecordTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

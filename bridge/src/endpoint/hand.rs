@@ -1,6 +1,6 @@
 //! What decides over the force on a hand: the same live, in virtual time, and when a recording is replayed.
 
-use haptether_safety::{Axes, Fault, SafetyTick, Signal};
+use haptether_safety::{Axes, Fault, SafetyTick, Signal, controller::ResearchController};
 
 use super::layer::{Layer, MasterReading};
 
@@ -76,6 +76,12 @@ pub(crate) struct Hand<const N: usize> {
 impl<const N: usize> Hand<N> {
     pub(super) fn new(layer: Layer<N>, period_s: f64) -> Self {
         Self { layer, last: None, period_s }
+    }
+
+    /// With a controller of the caller's own, of a hand that does not turn; None for one that does.
+    pub(super) fn with_research(mut self, controller: Box<dyn ResearchController>) -> Option<Self> {
+        self.layer = self.layer.with_research(controller)?;
+        Some(self)
     }
 
     /// One tick.

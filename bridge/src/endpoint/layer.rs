@@ -3,7 +3,8 @@
 use haptether_master::RotationSample;
 use haptether_safety::{
     Axes, Fault, LayerSettings, LimiterSettings, ParameterError, PoseSample, RotationModel, RotationSettings,
-    SafetyLayer, SafetyTick, WrenchLayer, WrenchSettings, WrenchTick, controller::SafetySettings,
+    SafetyLayer, SafetyTick, WrenchLayer, WrenchSettings, WrenchTick,
+    controller::{ResearchController, SafetySettings},
     estimator::EstimatorKind,
 };
 use nalgebra::{Quaternion, Unit, UnitQuaternion};
@@ -110,6 +111,14 @@ impl<const N: usize> Layer<N> {
         let limiter = LimiterSettings { ramp_in_s: 0.0, ..limiter };
         let rotation = RotationSettings { device, period_s, estimator, safety, limiter };
         Ok(Self::Wrench(Box::new(WrenchLayer::new(&WrenchSettings { translation, rotation, shares_trips })?)))
+    }
+
+    /// With a controller of the caller's own, of a hand that does not turn; None for one that does.
+    pub(super) fn with_research(self, controller: Box<dyn ResearchController>) -> Option<Self> {
+        match self {
+            Self::Force(layer) => Some(Self::Force(Box::new(layer.with_research(controller)))),
+            Self::Wrench(_) => None,
+        }
     }
 
     /// One tick: the force in N, the torque in N m that the remote side requests.

@@ -1,7 +1,8 @@
 //! The master's endpoint: one tick of the side of the hand.
 
 use haptether_safety::{
-    Axes, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyTick, controller::SafetySettings,
+    Axes, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyTick,
+    controller::{ResearchController, SafetySettings},
     estimator::EstimatorKind,
 };
 
@@ -101,6 +102,13 @@ impl<const N: usize> MasterEndpoint<N> {
         let fade_in_s = period_s(self.exchange.ladder.settings().fade_in_ns);
         self.trigger = Some(Box::new(TriggerFeedback::new(settings, self.period_s, fade_in_s)?));
         Ok(self)
+    }
+
+    /// The same with a controller of the caller's own behind the others, in a simulated run and before its first tick;
+    /// None of a pose.
+    pub(crate) fn with_research(mut self, controller: Box<dyn ResearchController>) -> Option<Self> {
+        self.hand = self.hand.with_research(controller)?;
+        Some(self)
     }
 
     fn with_rotation(

@@ -16,6 +16,7 @@ use super::{
     measures::{Divergence, DivergenceCause, Ending, MeasureSettings, Measures},
     pose::{self, RotationMeasures},
     record::{EventLog, Recorder, Sample, SceneRun},
+    research::ResearchFactory,
     sides::{coupled, master_endpoint, simulated_arm, simulated_gripper, slave_endpoint, trigger},
     spec::{Integrator, SceneSpec, SignalsSpec},
     timed::Timed,
@@ -50,6 +51,8 @@ pub(crate) struct Keeping<'a> {
     pub(crate) encoded: bool,
     /// Whether nothing but the outcome is asked for: reports then say nothing of the peer's clock and path.
     pub(crate) outcome_only: bool,
+    /// Who makes the controllers of scenes that ask for one of the caller's own.
+    pub(crate) research: Option<&'a dyn ResearchFactory>,
 }
 
 pub(crate) fn simulate<const N: usize>(
@@ -61,11 +64,13 @@ pub(crate) fn simulate<const N: usize>(
     let slave = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, SESSIONS.1)?)
         .with_gripper(simulated_gripper(scene)?);
     match scene.run.integrator {
-        Integrator::Exact => run(scene, master(scene, waiting(exact_master(scene)?))?, slave, stop, kept),
+        Integrator::Exact => {
+            run(scene, master(scene, waiting(exact_master(scene)?), kept)?, slave, stop, kept)
+        }
         Integrator::Stepped(stepping) => {
             let mut plant = stepped_master::<N>(scene, stepping)?;
             plant.set_waiting(true);
-            run(scene, master(scene, plant)?, slave, stop, kept)
+            run(scene, master(scene, plant, kept)?, slave, stop, kept)
         }
     }
 }
@@ -90,13 +95,13 @@ pub(crate) fn simulate_pose(
     match scene.run.integrator {
         Integrator::Exact => {
             let plant = pose::turning_master(scene, waiting(exact_master(scene)?))?;
-            run(scene, master(scene, plant)?.turning(), slave, stop, kept)
+            run(scene, master(scene, plant, kept)?.turning(), slave, stop, kept)
         }
         Integrator::Stepped(stepping) => {
             let mut plant = stepped_master::<3>(scene, stepping)?;
             plant.set_waiting(true);
             let plant = pose::turning_master(scene, plant)?;
-            run(scene, master(scene, plant)?.turning(), slave, stop, kept)
+            run(scene, master(scene, plant, kept)?.turning(), slave, stop, kept)
         }
     }
 }
@@ -120,8 +125,9 @@ fn waiting<const N: usize>(mut plant: SimulatedMaster<N>) -> SimulatedMaster<N> 
 fn master<P: MasterPlant<N>, const N: usize>(
     scene: &SceneSpec<N>,
     plant: P,
+    kept: &Keeping<'_>,
 ) -> Result<MasterSide<P, N>, SceneError> {
-    let endpoint = master_endpoint(scene, SESSIONS.0)?;
+    let endpoint = master_endpoint(scene, SESSIONS.0, kept.research)?;
     let side = MasterSide::new(plant, endpoint, clutch(scene))?.with_trigger(trigger(scene, false)?);
     Ok(side.with_buttons(scene.master.buttons)?)
 }

@@ -13,6 +13,7 @@ use super::{
     },
     measures::{Divergence, Ending, MeasureSettings, Measures, Outcome},
     record::{EventLog, Recorder, Sample, SceneRun},
+    research::ResearchFactory,
     spec::{Integrator, SceneSpec},
 };
 use crate::{
@@ -23,6 +24,7 @@ use crate::{
 pub(crate) fn simulate<const N: usize>(
     scene: &SceneSpec<N>,
     stop: &AtomicBool,
+    research: Option<&dyn ResearchFactory>,
 ) -> Result<SceneRun, SceneError> {
     check_local(scene)?;
     let environment_spec = scene.environment.as_ref();
@@ -31,7 +33,7 @@ pub(crate) fn simulate<const N: usize>(
     match (scene.run.integrator, is_formula) {
         (Integrator::Exact, true) => {
             let rendering = rendered_walls::<N>(environment_spec, !is_continuous)?;
-            let run = local_run(scene, exact_master(scene)?, rendering)?;
+            let run = local_run(scene, exact_master(scene)?, rendering, research)?;
             if is_continuous {
                 let mut touches = Touches::default();
                 follow(run, scene, stop, move |_, _, looped, log| touches.log(looped.plant(), log))
@@ -41,20 +43,25 @@ pub(crate) fn simulate<const N: usize>(
         }
         (Integrator::Exact, false) => {
             let rendering = SceneRendering(environment::<N>(environment_spec)?);
-            follow(local_run(scene, exact_master(scene)?, rendering)?, scene, stop, log_touch)
+            follow(local_run(scene, exact_master(scene)?, rendering, research)?, scene, stop, log_touch)
         }
         (Integrator::Stepped(stepping), true) => {
             // Where the device is says whether it touches, however the walls act on it.
             let walls = rendered_walls::<N>(environment_spec, true)?;
             let rendering = rendered_walls::<N>(environment_spec, !is_continuous)?;
-            let run = local_run(scene, stepped_master(scene, stepping)?, rendering)?;
+            let run = local_run(scene, stepped_master(scene, stepping)?, rendering, research)?;
             follow(run, scene, stop, move |time_s, tick, _, log| {
                 log.touches(time_s, walls.touches(&tick.position));
             })
         }
         (Integrator::Stepped(stepping), false) => {
             let rendering = SceneRendering(environment::<N>(environment_spec)?);
-            follow(local_run(scene, stepped_master(scene, stepping)?, rendering)?, scene, stop, log_touch)
+            follow(
+                local_run(scene, stepped_master(scene, stepping)?, rendering, research)?,
+                scene,
+                stop,
+                log_touch,
+            )
         }
     }
 }
@@ -114,12 +121,13 @@ pub(crate) fn local_run<P: ModelPlant<N>, R: Rendering<N, f64>, const N: usize>(
     scene: &SceneSpec<N>,
     plant: P,
     rendering: R,
+    research: Option<&dyn ResearchFactory>,
 ) -> Result<LocalRun<P, R, N>, SceneError> {
     let period_ns = period_ns("run.period_s", scene.run.period_s)?;
     let judged = Measures::new(&MeasureSettings::of(scene), &plant.state().position);
     let delay = DelayLine::new(delay_ticks(scene)?);
     Ok(LocalRun {
-        looped: LocalLoop::new(plant, rendering, delay, watch(scene)?, period_ns),
+        looped: LocalLoop::new(plant, rendering, delay, watch(scene, research)?, period_ns),
         measures: judged,
         ticks: ticks(scene)?,
     })

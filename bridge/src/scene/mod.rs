@@ -8,6 +8,7 @@ mod measures;
 mod pose;
 mod record;
 mod replay;
+mod research;
 mod sides;
 mod spec;
 mod sweep;
@@ -23,11 +24,12 @@ pub use measures::{Divergence, DivergenceCause, Ending, Outcome};
 pub use pose::as_pose;
 pub use record::{SceneEvent, SceneRun, Signal};
 pub use replay::{HandImpedance, RecordedTick, Replay, ReplayedTick};
+pub use research::ResearchFactory;
 pub use sides::{
     SimulatedDevice, driven_master, driven_slave, simulated_master, simulated_pose_master,
     simulated_pose_slave, simulated_slave,
 };
-pub use spec::{SceneSpec, scene_axes, scene_schema};
+pub use spec::{ResearchSpec, SceneSpec, scene_axes, scene_schema};
 pub use sweep::{Progress, Refused, SweepError, SweepSettings, Variation, sweep};
 pub use timed::Timed;
 
@@ -37,10 +39,10 @@ pub use timed::Timed;
 ///
 /// As [`run`], and what is no scene.
 pub fn simulate(scene: &[u8], stop: &AtomicBool) -> Result<SceneRun, SceneError> {
-    simulate_recorded(scene, stop, None)
+    simulate_recorded(scene, stop, None, None)
 }
 
-/// The same, recorded to files where there are any.
+/// The same, recorded to files where there are any, and with controllers of the caller's own where the scene asks for one.
 ///
 /// # Errors
 ///
@@ -49,8 +51,9 @@ pub fn simulate_recorded(
     scene: &[u8],
     stop: &AtomicBool,
     files: Option<&RecordingFiles>,
+    research: Option<&dyn ResearchFactory>,
 ) -> Result<SceneRun, SceneError> {
-    simulate_keeping(scene, stop, &Keeping { files, ..Keeping::default() })
+    simulate_keeping(scene, stop, &Keeping { files, research, ..Keeping::default() })
 }
 
 /// The same with every frame as its bytes between the two sides, encoded and decoded as on a live link: the result is
@@ -85,8 +88,10 @@ pub fn run<const N: usize>(scene: &SceneSpec<N>, stop: &AtomicBool) -> Result<Sc
 pub(crate) fn outcome<const N: usize>(
     scene: &SceneSpec<N>,
     stop: &AtomicBool,
+    research: Option<&dyn ResearchFactory>,
 ) -> Result<Outcome, SceneError> {
-    run_keeping(scene, stop, &Keeping { outcome_only: true, ..Keeping::default() }).map(|run| run.outcome)
+    let kept = Keeping { outcome_only: true, research, ..Keeping::default() };
+    run_keeping(scene, stop, &kept).map(|run| run.outcome)
 }
 
 fn run_keeping<const N: usize>(
@@ -95,6 +100,11 @@ fn run_keeping<const N: usize>(
     kept: &Keeping<'_>,
 ) -> Result<SceneRun, SceneError> {
     pose::check_kind(scene)?;
+    if kept.files.is_some() && scene.safety.research.is_some() {
+        return assemble::contradiction(
+            "safety.research: what is recorded is replayed, which has no such controller",
+        );
+    }
     if let Some(scene) = pose::as_pose(scene)? {
         return bilateral::simulate_pose(scene, stop, kept);
     }
@@ -104,5 +114,5 @@ fn run_keeping<const N: usize>(
     if kept.files.is_some() {
         return assemble::contradiction("record: a scene without a [slave] has no two sides to record");
     }
-    local::simulate(scene, stop)
+    local::simulate(scene, stop, kept.research)
 }

@@ -88,7 +88,7 @@ impl<const N: usize> Replay<N> {
     ) -> Result<Self, SceneError> {
         let (_, coupling) = coupled(scene)?;
         Ok(Self {
-            endpoint: master_endpoint(scene, RUN_ID)?,
+            endpoint: master_endpoint(scene, RUN_ID, None)?,
             commands: commands::<N>(coupling)?,
             done: 0,
             recouples,

@@ -9,6 +9,7 @@ use super::{
     },
     coupling::commands,
     pose,
+    research::{ResearchFactory, research_controller},
     spec::{CouplingSpec, Integrator, SceneSpec},
     timed::Timed,
 };
@@ -30,10 +31,11 @@ pub(super) fn coupled<const N: usize>(
     Ok((slave, coupling))
 }
 
-/// What decides at the side of the hand.
+/// What decides at the side of the hand; `research` makes a controller of the caller's own, and is None of what is live.
 pub(super) fn master_endpoint<const N: usize>(
     scene: &SceneSpec<N>,
     run_id: u64,
+    research: Option<&dyn ResearchFactory>,
 ) -> Result<MasterEndpoint<N>, SceneError> {
     let (arm, coupling) = coupled(scene)?;
     pose::check_kind(scene)?;
@@ -58,6 +60,10 @@ pub(super) fn master_endpoint<const N: usize>(
     endpoint.exchange.set_kind(scene.master.kind);
     if let Some(trigger) = trigger_feedback(scene, arm)? {
         endpoint = endpoint.with_trigger(&trigger)?;
+    }
+    if let Some(controller) = research_controller(scene, research)? {
+        let turns = || "safety.research: watches what moves, not what also turns".to_owned();
+        endpoint = endpoint.with_research(controller).ok_or_else(|| SceneError::Contradiction(turns()))?;
     }
     Ok(endpoint)
 }
@@ -153,7 +159,7 @@ pub fn simulated_master<const N: usize>(
     run_id: u64,
 ) -> Result<Timed<MasterSide<SimulatedDevice<N>, N>>, SceneError> {
     let plant = simulated_device(scene)?;
-    let side = MasterSide::new(plant, master_endpoint(scene, run_id)?, live_clutch(scene))?
+    let side = MasterSide::new(plant, master_endpoint(scene, run_id, None)?, live_clutch(scene))?
         .with_trigger(trigger(scene, false)?)
         .with_buttons(scene.master.buttons)?;
     Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
@@ -169,7 +175,7 @@ pub fn simulated_pose_master(
     run_id: u64,
 ) -> Result<Timed<MasterSide<SimulatedDevice<3>, 3, MasterRotation>>, SceneError> {
     let plant: SimulatedDevice<3> = Box::new(pose::turning_master(scene, simulated_device(scene)?)?);
-    let side = MasterSide::new(plant, master_endpoint(scene, run_id)?, live_clutch(scene))?
+    let side = MasterSide::new(plant, master_endpoint(scene, run_id, None)?, live_clutch(scene))?
         .with_trigger(trigger(scene, false)?)
         .with_buttons(scene.master.buttons)?
         .turning();
@@ -220,7 +226,7 @@ pub fn driven_master<const N: usize>(
 ) -> Result<Timed<MasterSide<DrivenMaster<N>, N>>, SceneError> {
     let side = MasterSide::new(
         DrivenMaster::default(),
-        master_endpoint(scene, run_id)?,
+        master_endpoint(scene, run_id, None)?,
         driven_clutch(scene, simulated_clutch)?,
     )?
     .with_trigger(trigger(scene, true)?)

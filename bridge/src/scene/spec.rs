@@ -17,6 +17,8 @@ use haptether_slave::{
     ArmSettings, HandleSettings, HoleSettings, ObjectSettings, PusherSettings, RigidBodySettings,
     SeriesSettings,
 };
+use std::collections::BTreeMap;
+
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -424,6 +426,18 @@ pub struct SafetySpec {
     pub rotation: Option<RotationSafetySpec>,
     /// What differs for the force at the trigger, with `[master.gripper]` only.
     pub gripper: Option<TriggerSafetySpec>,
+    /// A controller of the caller's own behind the others.
+    pub research: Option<ResearchSpec>,
+}
+
+/// `[safety.research]`: a controller of the caller's own, in simulated runs only.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ResearchSpec {
+    /// Its name.
+    pub controller: String,
+    /// What it is made with.
+    pub options: BTreeMap<String, serde_json::Value>,
 }
 
 /// `[safety.gripper]`: who watches the finger; what is not given is that of the hand, scaled.

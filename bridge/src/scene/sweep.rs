@@ -13,6 +13,7 @@ use super::{
     local::{LocalRun, check_local, local_run},
     measures::Outcome,
     outcome,
+    research::ResearchFactory,
     spec::{Integrator, SceneSpec, of_axes, scene_axes},
 };
 use crate::lanes::{LANES, Lanes};
@@ -78,17 +79,19 @@ pub struct Refused(pub String);
 
 type Row = Result<Outcome, Refused>;
 
-/// Scenarios that a thread takes at once, at most: enough that most fill their lanes, few enough that all threads have some.
+/// Scenarios that a thread takes at once, at most: enough to fill most lanes, few enough for all threads to have some.
 const BLOCK: usize = 64;
 
 /// Runs every scenario; `scene` is the scene as JSON, in the form of [`SceneSpec`].
 ///
-/// Which scenarios share a thread or lanes changes nothing, to the last bit: no operation mixes lanes.
+/// Which scenarios share a thread or lanes changes nothing, to the last bit: no operation mixes lanes. With a controller
+/// of the caller's own none shares lanes.
 pub fn sweep(
     scene: &[u8],
     variations: &[Variation],
     settings: SweepSettings,
     progress: &Progress,
+    research: Option<&dyn ResearchFactory>,
 ) -> Result<Vec<Row>, SweepError> {
     let unread = |error: serde_json::Error| SweepError::Scene(error.to_string());
     let run_block = of_axes!(
@@ -112,12 +115,12 @@ pub fn sweep(
         };
         columns.push((pointer, is_whole, values.as_slice()));
     }
-    // A scenario with an arm fills no lanes and takes milliseconds: blocks as small as keep all threads busy to the end.
+    // A scenario with an arm fills no lanes and takes milliseconds: small blocks keep all threads busy to the end.
     let is_remote = base.get("slave").is_some_and(|slave| !slave.is_null());
     let threads = if settings.threads == 0 { rayon::current_num_threads() } else { settings.threads };
     let size = if is_remote { rows.div_ceil(8 * threads).clamp(1, BLOCK) } else { BLOCK };
     let blocks: Vec<_> = (0..rows).step_by(size).map(|first| first..rows.min(first + size)).collect();
-    let run = |block| run_block(&base, &columns, block, settings.lanes, progress);
+    let run = |block| run_block(&base, &columns, block, settings.lanes, progress, research);
     let results: Vec<_> = if settings.threads == 1 || blocks.len() == 1 {
         // Making a thread takes longer than many a scenario.
         blocks.into_iter().map(run).collect()
@@ -193,6 +196,7 @@ fn run_block<const N: usize>(
     block: std::ops::Range<usize>,
     lanes: bool,
     progress: &Progress,
+    research: Option<&dyn ResearchFactory>,
 ) -> Result<Vec<Row>, SweepError> {
     let Progress { done, stop } = progress;
     if stop.load(Ordering::Relaxed) {
@@ -215,7 +219,7 @@ fn run_block<const N: usize>(
     // Devices with more axes have no lanes.
     if N > 3 || !run_stepped(&specs, lanes, progress, &mut rows) {
         for (index, spec) in &specs {
-            rows[*index] = Some(match outcome(spec, stop) {
+            rows[*index] = Some(match outcome(spec, stop, research) {
                 Ok(outcome) => Ok(outcome),
                 Err(SceneError::Stopped) => return Err(SweepError::Stopped),
                 Err(error) => Err(Refused(error.to_string())),
@@ -239,6 +243,7 @@ fn run_stepped<const N: usize>(
 ) -> bool {
     let can_share = |(_, spec): &(usize, SceneSpec<N>)| {
         spec.slave.is_none()
+            && spec.safety.research.is_none()
             && spec.run.integrator != Integrator::Exact
             && spec.environment.as_ref().is_none_or(is_formula)
     };
@@ -280,7 +285,7 @@ fn stepped_run<const N: usize>(spec: &SceneSpec<N>) -> Result<SteppedRun<N, f64>
         return contradiction("run.integrator: must have steps");
     };
     let rendering = rendered_walls(spec.environment.as_ref(), !is_continuous(spec))?;
-    local_run(spec, stepped_master(spec, stepping)?, rendering)
+    local_run(spec, stepped_master(spec, stepping)?, rendering, None)
 }
 
 enum Block<const N: usize> {

@@ -11,8 +11,9 @@ import tyro
 class List:
     """Say what there is to name: drivers of devices, presets of devices, scenes, networks, and who watches a hand.
 
-    Drivers are entry points of the groups `haptether.masters`, `haptether.slaves` and `haptether.grippers`; other
-    packages that are installed may bring more. One whose package cannot be loaded is listed with the reason.
+    Drivers and controllers in Python are entry points of the groups `haptether.masters`, `haptether.slaves`,
+    `haptether.grippers` and `haptether.controllers`; other packages that are installed may bring more. One whose
+    package cannot be loaded is listed with the reason.
 
     Examples:
 
@@ -28,7 +29,16 @@ class List:
         """Prints the names of each kind."""
         from rich.padding import Padding
 
-        from haptether.bridge import GRIPPERS, MASTERS, SLAVES, device_names, load_problems, scene_names
+        from haptether.bridge import (
+            GRIPPERS,
+            MASTERS,
+            RESEARCH_CONTROLLERS,
+            SLAVES,
+            controller_names,
+            device_names,
+            load_problems,
+            scene_names,
+        )
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
         from haptether.master import DEVICE_PRESETS
@@ -43,6 +53,7 @@ class List:
                 "drivers of grippers, for haptether.bridge.load_gripper",
                 device_names(GRIPPERS),
             ),
+            "[safety.research] controller": ("controllers in Python, of simulated runs", controller_names()),
             "[master] device": ("presets of haptic devices", tuple(DEVICE_PRESETS)),
             "SCENE": ("scenes: haptether simulate --list says what they show", scene_names()),
             "preset": ("networks: haptether netsim list says where they come from", tuple(PRESETS)),
@@ -52,7 +63,12 @@ class List:
             "observer": ("what the controllers act on", OBSERVERS),
             "[safety.estimator] kind": ("how velocity and acceleration are had from the position", ESTIMATORS),
         }
-        groups = {"[master] driver": MASTERS, "[slave] device": SLAVES, "[slave.gripper] device": GRIPPERS}
+        groups = {
+            "[master] driver": MASTERS,
+            "[slave] device": SLAVES,
+            "[slave.gripper] device": GRIPPERS,
+            "[safety.research] controller": RESEARCH_CONTROLLERS,
+        }
         problems = {key: load_problems(group) for key, group in groups.items()}
         console = screen(self.json)
         for key, (what, names) in kinds.items():

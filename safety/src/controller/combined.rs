@@ -300,6 +300,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
             tripped: verdicts.tripped(),
             held,
             withheld: self.probe.as_ref().map_or_else(nowhere::<S>, GraspProbes::withheld),
+            research: nowhere::<S>(),
             observed: verdicts.observed(),
         };
         verdicts.add_forces(&self.controllers, gain, authority, &mut response);
@@ -351,6 +352,12 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         );
         [_, self.on_for, self.fading_for] = next.into();
         next.x
+    }
+
+    /// Share of `F_v` that the last tick let through.
+    #[inline(always)]
+    pub(crate) fn let_through(&self) -> S {
+        self.let_through
     }
 
     /// Which of them watch.
@@ -434,6 +441,8 @@ pub struct Response<const N: usize, S: Real = f64> {
     pub held: S::SimdBool,
     /// Where all tries are over without the force being back: there is none until the authority was at zero, or a reset.
     pub withheld: S::SimdBool,
+    /// Where a [research controller](crate::controller::ResearchController) adds a force of its own.
+    pub research: S::SimdBool,
     /// The observers' values; NaN where the controller is not built.
     pub observed: PerController<S>,
 }
@@ -448,6 +457,9 @@ impl<const N: usize, S: Real> Response<N, S> {
             if is_set(self.tripped[kind]) {
                 tripped = tripped.and(Tripped::of(kind));
             }
+        }
+        if is_set(self.research) {
+            tripped = tripped.and(Tripped::RESEARCH);
         }
         Intervention {
             safety_force: self.safety_force.extract(lane),

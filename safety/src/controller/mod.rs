@@ -9,6 +9,7 @@ mod hand_grasp;
 mod passivity;
 mod probe;
 mod registry;
+mod research;
 mod velocity_force;
 mod windowed;
 
@@ -16,6 +17,8 @@ pub use combined::{Intervention, Response, SafetyController, SafetySettings};
 pub(crate) use combined::{Judged, UNDECIDED};
 pub use probe::{FRICTION_ROOM, PROBED_DAMPING};
 pub use registry::{Controllers, PerController, Tripped};
+pub(crate) use research::Research;
+pub use research::{ResearchController, ResearchObservation};
 
 use crate::{
     About, Axes, DeviceModel, Observation, ParameterError, Real,

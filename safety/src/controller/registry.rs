@@ -283,6 +283,8 @@ impl Tripped {
     pub const NONE: Self = Self(0);
     /// No controller now, but its minimum time on or the release ramp has not ended.
     pub const HELD: Self = Self(16);
+    /// A [research controller](super::ResearchController); the last bit, so that the registry has room.
+    pub const RESEARCH: Self = Self(128);
 
     /// One controller.
     pub const fn of(kind: ControllerKind) -> Self {
@@ -291,7 +293,9 @@ impl Tripped {
 
     /// From [`bits`](Self::bits); bits without meaning are dropped.
     pub fn from_bits(bits: u8) -> Self {
-        let all = ControllerKind::ALL.into_iter().fold(Self::HELD, |all, kind| all.and(Self::of(kind)));
+        let all = ControllerKind::ALL
+            .into_iter()
+            .fold(Self::HELD.and(Self::RESEARCH), |all, kind| all.and(Self::of(kind)));
         Self(bits & all.0)
     }
 
@@ -311,14 +315,14 @@ impl Tripped {
         Self(self.0 | other.0)
     }
 
-    /// Names of what is set: the controllers in the order of the registry, then "held".
+    /// Names of what is set: the controllers in the order of the registry, then "held" and "research".
     pub fn names(self) -> impl Iterator<Item = &'static str> {
         let names = ControllerKind::ALL.map(|kind| (Self::of(kind), kind.about().name));
-        let named = names.into_iter().chain([(Self::HELD, "held")]);
+        let named = names.into_iter().chain([(Self::HELD, "held"), (Self::RESEARCH, "research")]);
         named.filter(move |(bit, _)| self.contains(*bit)).map(|(_, name)| name)
     }
 
-    /// The bits, for records: VFC 1, HSC 2, WSC 4, PC 8, held 16.
+    /// The bits, for records: VFC 1, HSC 2, WSC 4, PC 8, held 16, research 128.
     pub fn bits(self) -> u8 {
         self.0
     }
@@ -333,7 +337,7 @@ mod tests {
         let named: Vec<_> = ControllerKind::ALL
             .into_iter()
             .map(|kind| (Tripped::of(kind), kind.about().name))
-            .chain([(Tripped::HELD, "held")])
+            .chain([(Tripped::HELD, "held"), (Tripped::RESEARCH, "research")])
             .collect();
         assert_eq!(
             named[..4].iter().map(|(bit, name)| (bit.bits(), *name)).collect::<Vec<_>>(),

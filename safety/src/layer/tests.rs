@@ -303,3 +303,95 @@ fn a_missed_tick_without_a_sound_position_changes_nothing() {
     layer.missed(&Axes::<1>::new(0.05), None);
     assert_ne!(forces(&next(&mut layer, 0.05)), before, "a sound one is carried along");
 }
+
+/// VFC by hand (Eq. 1 and 2): what a researcher would write; it fails at a tick, where it is told one.
+struct VelocityForceByHand {
+    settings: SafetySettings,
+    fails_at: Option<u64>,
+    gives: f64,
+    tick: u64,
+}
+
+impl ResearchController for VelocityForceByHand {
+    fn step(&mut self, seen: &crate::controller::ResearchObservation<'_>, safety_force: &mut [f64]) -> bool {
+        self.tick += 1;
+        let (v, f) = (seen.velocity[0], seen.rendered_force[0]);
+        let SafetySettings { velocity_threshold, vfc_force_threshold_n, damping, .. } = self.settings;
+        if v * f / (velocity_threshold * vfc_force_threshold_n) > 1.0 {
+            safety_force[0] = (-f - v * damping) * self.gives;
+        }
+        self.fails_at != Some(self.tick)
+    }
+
+    fn reset(&mut self) {
+        self.tick = 0;
+    }
+}
+
+fn by_hand(settings: SafetySettings, fails_at: Option<u64>, gives: f64) -> Box<dyn ResearchController> {
+    Box::new(VelocityForceByHand { settings, fails_at, gives, tick: 0 })
+}
+
+/// Forces and trips while 3 N come and nobody holds, tick by tick.
+fn thrown(mut layer: SafetyLayer<1>) -> Vec<(f64, Tripped)> {
+    let (mut x, mut v) = (0.0_f64, 0.0);
+    let mut ticks = Vec::new();
+    for n in 0..400 {
+        let rendered = Axes::<1>::new(if n < 50 { 0.0 } else { 3.0 });
+        let tick = layer.tick(&Axes::<1>::new((x / 2.3e-5).round() * 2.3e-5), None, &rendered);
+        let force = tick.device_force[0];
+        ticks.push((force, tick.intervention.tripped));
+        x += v * PERIOD + force / MASS * PERIOD * PERIOD / 2.0;
+        v += force / MASS * PERIOD;
+    }
+    ticks
+}
+
+#[test]
+fn a_research_controller_acts_as_one_of_the_registry_with_the_same_law() {
+    let vfc = SafetySettings { controllers: [ControllerKind::Vfc].into(), ..SafetySettings::default() };
+    let nobody = SafetySettings { controllers: crate::controller::Controllers::NONE, ..vfc };
+    let bare = || SafetyLayer::new(&settings(nobody)).unwrap();
+    let shipped = thrown(SafetyLayer::new(&settings(vfc)).unwrap());
+    let written = thrown(bare().with_research(by_hand(vfc, None, 1.0)));
+    assert!(shipped.iter().any(|(_, tripped)| tripped.any()));
+    for (tick, ((a, by), (b, of))) in shipped.iter().zip(&written).enumerate() {
+        assert_eq!(a.to_bits(), b.to_bits(), "{tick}");
+        assert_eq!(by.any(), *of == Tripped::RESEARCH, "{tick}");
+    }
+}
+
+#[test]
+fn a_research_controller_that_fails_or_gives_no_force_renders_none() {
+    let vfc = SafetySettings { controllers: [ControllerKind::Vfc].into(), ..SafetySettings::default() };
+    let nobody = SafetySettings { controllers: crate::controller::Controllers::NONE, ..vfc };
+    let bare = || SafetyLayer::new(&settings(nobody)).unwrap();
+    for (fails_at, gives) in [(Some(60), 1.0), (None, f64::NAN), (None, f64::INFINITY), (None, 1e9)] {
+        let ticks = thrown(bare().with_research(by_hand(vfc, fails_at, gives)));
+        let first = ticks.iter().position(|(_, tripped)| tripped.any()).unwrap();
+        assert!(fails_at.is_none_or(|tick| first as u64 + 1 == tick), "{first}");
+        assert_eq!(ticks[first].0, 0.0, "{fails_at:?}, {gives}");
+    }
+}
+
+/// Lanes have none, a reset reaches it, and PC's share is left to it by an intervention.
+#[test]
+fn a_research_controller_stands_behind_the_others() {
+    let vfc = SafetySettings { controllers: [ControllerKind::Vfc].into(), ..SafetySettings::default() };
+    let layer = || SafetyLayer::new(&settings(vfc)).unwrap();
+    let alone = thrown(layer());
+    let both = thrown(layer().with_research(by_hand(vfc, None, 1.0)));
+    // Wherever it calls for a force VFC has an intervention on, which leaves it no share.
+    for (tick, (a, b)) in alone.iter().zip(&both).enumerate() {
+        assert_eq!((a.0.to_bits(), a.1), (b.0.to_bits(), b.1), "{tick}");
+    }
+    let mut reset = layer().with_research(by_hand(vfc, Some(1), 1.0));
+    for _ in 0..2 {
+        let tick = reset.tick(&Axes::zeros(), None, &Axes::<1>::new(1.0));
+        assert_eq!(tick.intervention.tripped, Tripped::RESEARCH, "the first tick fails");
+        assert_eq!(tick.device_force[0], 0.0);
+        reset.reset(&Axes::zeros()).unwrap();
+    }
+    let of = vec![layer().with_research(by_hand(vfc, None, 1.0)); 4];
+    assert!(SafetyLayer::<1, simba::simd::AutoF64x4>::gather(&of).is_none());
+}

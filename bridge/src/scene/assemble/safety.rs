@@ -5,17 +5,26 @@ use haptether_safety::{
 };
 
 use super::{
-    super::spec::{SafetySpec, SceneSpec, SignalsSpec},
-    SceneError,
+    super::{
+        research::{ResearchFactory, research_controller},
+        spec::{SafetySpec, SceneSpec, SignalsSpec},
+    },
+    SceneError, contradiction,
     master::device_model,
 };
 use crate::local::Watch;
 
-/// Who watches a scene without an arm.
-pub(crate) fn watch<const N: usize>(scene: &SceneSpec<N>) -> Result<Watch<N>, SceneError> {
+/// Who watches a scene without an arm; with a controller of the caller's own if there is one.
+pub(crate) fn watch<const N: usize>(
+    scene: &SceneSpec<N>,
+    research: Option<&dyn ResearchFactory>,
+) -> Result<Watch<N>, SceneError> {
     let SafetySpec { settings: safety, signals, estimator, .. } = scene.safety;
     let (device, period_s) = (device_model(scene)?, scene.run.period_s);
     if signals == SignalsSpec::True {
+        if scene.safety.research.is_some() {
+            return contradiction("safety.research: sees what is estimated, not safety.signals = \"true\"");
+        }
         let controller = SafetyController::new(&device, period_s, &safety)?;
         let limiters = scene.safety.limiter.map(|settings| {
             Ok::<_, ParameterError>([
@@ -27,6 +36,10 @@ pub(crate) fn watch<const N: usize>(scene: &SceneSpec<N>) -> Result<Watch<N>, Sc
     }
     let limiter = limiter(&scene.safety);
     let layer = SafetyLayer::new(&LayerSettings { device, period_s, estimator, safety, limiter })?;
+    let layer = match research_controller(scene, research)? {
+        Some(controller) => layer.with_research(controller),
+        None => layer,
+    };
     Ok(Watch::Estimated(Box::new(layer)))
 }
 

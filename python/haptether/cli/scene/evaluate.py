@@ -39,7 +39,7 @@ class Evaluate:
     quick: bool = False
     """Few hands, round trips and networks, and of all scenes not those that turn: a first look, in a minute."""
     controller: tuple[str, ...] | None = None
-    """Sets of controllers, the names of each joined by +; none for nobody."""
+    """Sets of controllers, the names of each joined by +, at most one of them in Python; none for nobody."""
     round_trip_s: tuple[float, ...] | None = None
     """Round trips in s."""
     network: tuple[str, ...] | None = None
@@ -69,6 +69,7 @@ class Evaluate:
 
         from haptether.bridge import save_scene
         from haptether.cli.scene.simulate import spinner
+        from haptether.cli.shared.controller_time import controller_timed
         from haptether.cli.shared.output import check_target, make_folder, require_matplotlib, write_report
         from haptether.cli.shared.screen import screen
         from haptether.private_file import write_private
@@ -98,23 +99,22 @@ class Evaluate:
         if self.out is not None:
             require_matplotlib()
             make_folder(self.out)
-        quick = self.quick
         limits = {"speed": self.speed, "false_trips_per_h": self.false_trips_per_h}
-        with spinner("evaluate") as say:
+        console = screen(self.json)
+        with controller_timed(console), spinner("evaluate") as say:
             found = evaluate(
                 self._tasks(),
-                controllers=self.controller or (QUICK_CONTROLLERS if quick else EVALUATED_CONTROLLERS),
-                round_trips_s=self.round_trip_s or (QUICK_ROUND_TRIPS_S if quick else ROUND_TRIPS_S),
+                controllers=self.controller or (QUICK_CONTROLLERS if self.quick else EVALUATED_CONTROLLERS),
+                round_trips_s=self.round_trip_s or (QUICK_ROUND_TRIPS_S if self.quick else ROUND_TRIPS_S),
                 networks=[known[name] for name in chosen],
-                hands=self.hands if self.hands is not None else QUICK_HANDS if quick else HANDS,
-                releases=self.releases if self.releases is not None else QUICK_RELEASES if quick else RELEASES,
+                hands=self.hands if self.hands is not None else QUICK_HANDS if self.quick else HANDS,
+                releases=self.releases if self.releases is not None else QUICK_RELEASES if self.quick else RELEASES,
                 seed=self.seed,
                 limits=EvaluationLimits(**{name: value for name, value in limits.items() if value is not None}),
                 overrides=self.set,
                 threads=self.threads,
                 progress=say,
             )
-        console = screen(self.json)
         self._print(console, found)
         if self.out is not None:
             worst = next((release for release in found.worst if release.controllers != "none"), None)

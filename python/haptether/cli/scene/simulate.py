@@ -61,6 +61,7 @@ class Simulate(PictureOptions):
     def run(self) -> int:
         """Runs the scene; 0, or 1 if it diverged or the two sides never engaged."""
         from haptether.bridge import SceneError, load_scene, simulate, unusual_numbers
+        from haptether.cli.shared.controller_time import controller_timed
         from haptether.cli.shared.output import check_target, make_folder
         from haptether.cli.shared.picture import picture_in
         from haptether.cli.shared.screen import screen
@@ -90,7 +91,7 @@ class Simulate(PictureOptions):
             raise SceneError(message)
         for line in unusual_numbers(scene):
             console.print(line)
-        with spinner(f"running {self.scene}"):
+        with controller_timed(console), spinner(f"running {self.scene}"):
             run = simulate(self.scene, overrides=self.set, record=files)
         named = {
             "slave.device": None if scene.slave is None else scene.slave.device,

@@ -102,6 +102,7 @@ class Sweep(PictureOptions):
         from haptether import __version__
         from haptether.bridge.scene.sweeps.store import design_of
         from haptether.bridge.scene.sweeps.table_file import STREAMED, check_suffix
+        from haptether.cli.shared.controller_time import controller_timed
         from haptether.cli.shared.output import check_distinct, check_target, write_report
         from haptether.cli.shared.picture import picture_file
         from haptether.cli.shared.screen import screen
@@ -129,8 +130,9 @@ class Sweep(PictureOptions):
         if self.plot is not None:
             check_varied(list(varied))
             picture = picture_file(self.plot, self.format)
-        whole, stored = self._swept(design, {"grid": varied, "samples": drawn, "ties": ties}, collect=collect)
         console = screen(self.json)
+        with controller_timed(console):
+            whole, stored = self._swept(design, {"grid": varied, "samples": drawn, "ties": ties}, collect=collect)
         shown = whole if stored is None else stored.head
         assert shown is not None, "a sweep without a file is in memory"
         if self.json is not None and whole is not None:

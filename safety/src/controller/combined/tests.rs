@@ -305,12 +305,13 @@ fn each_lane_has_its_own_answer() {
             tripped: PerController([0, 1, 2, 3].map(only)),
             held: only(0),
             withheld: only(1),
+            research: only(1),
             observed: PerController([10.0, 20.0, 30.0, 40.0].map(number)),
         };
         let own = response.lane(lane);
         assert_eq!(own.tripped, Tripped::from_bits(1 | 16));
         for (place, one) in [
-            (1, Tripped::of(ControllerKind::Hsc)),
+            (1, Tripped::of(ControllerKind::Hsc).and(Tripped::RESEARCH)),
             (2, Tripped::of(ControllerKind::Wsc)),
             (3, Tripped::of(ControllerKind::Pc)),
         ] {

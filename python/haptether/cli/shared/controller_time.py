@@ -1,0 +1,26 @@
+"""What controllers in Python cost, in a sentence."""
+
+import contextlib
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@contextlib.contextmanager
+def controller_timed(console: "Console") -> Iterator[None]:
+    """Says at the end, where a controller in Python has run meanwhile, how much slower it has made that."""
+    from haptether.bridge import controller_time
+
+    before, begun_s = controller_time(), time.perf_counter()
+    yield
+    after, took_s = controller_time(), time.perf_counter() - begun_s
+    ticks, seconds = after.ticks - before.ticks, after.seconds - before.seconds
+    if not ticks:
+        return
+    line = f"controller in Python: {ticks} ticks of {1e6 * seconds / ticks:.1f} us each"
+    if took_s > seconds:
+        line += f", {took_s / (took_s - seconds):.1f} times the time of a run without it"
+    console.print(line)

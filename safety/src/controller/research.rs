@@ -1,0 +1,93 @@
+//! A controller of the caller's own, for research: it sees what the others see and adds a force.
+
+use std::{
+    fmt::{self, Debug, Formatter},
+    sync::{Arc, Mutex, PoisonError},
+};
+
+use nalgebra::SimdValue as _;
+
+use super::Response;
+use crate::{Axes, Observation, Real, Signal, lanes::nowhere};
+
+/// A controller that is not of the registry.
+///
+/// It stands after those that are and is the caller's alone: it may allocate, lock and be slow, so that it belongs into
+/// simulated runs and not into a loop that a hand holds.
+pub trait ResearchController: Send {
+    /// One tick: writes `F_c` in N, which is zero before; returns whether it could.
+    fn step(&mut self, seen: &ResearchObservation<'_>, safety_force: &mut [f64]) -> bool;
+
+    /// Clears what it remembers of past ticks: the device rests.
+    fn reset(&mut self);
+}
+
+/// What a research controller sees of one tick, one value per axis.
+#[derive(Clone, Copy, Debug)]
+pub struct ResearchObservation<'a> {
+    /// V in m/s.
+    pub velocity: &'a [f64],
+    /// `F_v` in N.
+    pub rendered_force: &'a [f64],
+    /// `F_h` in N.
+    pub grasp_force: &'a [f64],
+    /// `F_v` in N as late as `F_h` is, to compare the two.
+    pub aligned_rendered_force: &'a [f64],
+}
+
+/// A research controller in its place behind the others; clones of a layer share it.
+#[derive(Clone)]
+pub(crate) struct Research(Arc<Mutex<Box<dyn ResearchController>>>);
+
+impl Debug for Research {
+    fn fmt(&self, formatter: &mut Formatter<'_>) -> fmt::Result {
+        formatter.write_str("Research")
+    }
+}
+
+impl Research {
+    pub(crate) fn new(controller: Box<dyn ResearchController>) -> Self {
+        Self(Arc::new(Mutex::new(controller)))
+    }
+
+    /// Adds its force in the share `let_through` that the intervention of the others leaves, as PC adds its own. Where it
+    /// fails, or gives a number that is no force, the device renders none.
+    ///
+    /// Only of one scenario: lanes have no research controller.
+    pub(crate) fn add<const N: usize, S: Real>(
+        &self,
+        seen: &Observation<N, S>,
+        let_through: S,
+        authority: S,
+        response: &mut Response<N, S>,
+    ) {
+        let one = Observation {
+            velocity: seen.velocity.extract(0),
+            rendered_force: seen.rendered_force.extract(0),
+            grasp_force: seen.grasp_force.extract(0),
+            aligned_rendered_force: seen.aligned_rendered_force.extract(0),
+        };
+        let mut force = Axes::<N>::zeros();
+        let observation = ResearchObservation {
+            velocity: one.velocity.as_slice(),
+            rendered_force: one.rendered_force.as_slice(),
+            grasp_force: one.grasp_force.as_slice(),
+            aligned_rendered_force: one.aligned_rendered_force.as_slice(),
+        };
+        let mut controller = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let could = controller.step(&observation, force.as_mut_slice());
+        if !could || Signal::RenderedForce.check(&force).is_err() {
+            response.safety_force = -seen.rendered_force;
+        } else if force.iter().any(|value| *value != 0.0) && let_through.extract(0) > 0.0 {
+            response.safety_force += force.map(S::splat) * (let_through * authority);
+        } else {
+            return;
+        }
+        response.research = !nowhere::<S>();
+        response.acts = !nowhere::<S>();
+    }
+
+    pub(crate) fn reset(&self) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).reset();
+    }
+}
