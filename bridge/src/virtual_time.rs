@@ -91,24 +91,24 @@ enum Sent {
     Bytes(usize),
 }
 
-/// Places for what is in flight, each used again once it is free.
-struct Places<T> {
-    kept: Vec<T>,
+/// A slab of what is in flight: each slot is used again once it is free.
+struct Slab<T> {
+    slots: Vec<T>,
     free: Vec<usize>,
 }
 
-impl<T> Places<T> {
+impl<T> Slab<T> {
     const fn new() -> Self {
-        Self { kept: Vec::new(), free: Vec::new() }
+        Self { slots: Vec::new(), free: Vec::new() }
     }
 
-    fn keep(&mut self, one: T) -> usize {
-        if let Some(place) = self.free.pop() {
-            self.kept[place] = one;
-            place
+    fn insert(&mut self, one: T) -> usize {
+        if let Some(slot) = self.free.pop() {
+            self.slots[slot] = one;
+            slot
         } else {
-            self.kept.push(one);
-            self.kept.len() - 1
+            self.slots.push(one);
+            self.slots.len() - 1
         }
     }
 }
@@ -117,8 +117,8 @@ impl<T> Places<T> {
 struct OneWay<const N: usize> {
     link: Link,
     in_flight: InFlight<Sent>,
-    frames: Places<Frame<N>>,
-    datagrams: Places<Datagram>,
+    frames: Slab<Frame<N>>,
+    datagrams: Slab<Datagram>,
     index: u64,
     direction: Direction,
 }
@@ -127,7 +127,7 @@ impl<const N: usize> OneWay<N> {
     fn new(direction: Direction, seed: u64, settings: &LinkSettings) -> Result<Self, LinkSettingsError> {
         let link = Link::new(direction, seed, settings)?;
         let in_flight = InFlight::growing(MAX_IN_FLIGHT);
-        Ok(Self { link, in_flight, frames: Places::new(), datagrams: Places::new(), index: 0, direction })
+        Ok(Self { link, in_flight, frames: Slab::new(), datagrams: Slab::new(), index: 0, direction })
     }
 
     /// Takes a datagram; `back` leads to its sender.
@@ -178,24 +178,24 @@ impl<const N: usize> OneWay<N> {
 /// Where a direction keeps what is on its way.
 struct Arrivals<'a, const N: usize> {
     in_flight: &'a mut InFlight<Sent>,
-    frames: &'a mut Places<Frame<N>>,
-    datagrams: &'a mut Places<Datagram>,
+    frames: &'a mut Slab<Frame<N>>,
+    datagrams: &'a mut Slab<Datagram>,
 }
 
 impl<const N: usize> Arrivals<'_, N> {
     // A full queue drops, as the network would, and counts it.
 
     fn push_frame(&mut self, at_ns: u64, frame: &Frame<N>) {
-        let place = self.frames.keep(*frame);
-        if self.in_flight.push(at_ns, Sent::Frame(place)).is_err() {
-            self.frames.free.push(place);
+        let slot = self.frames.insert(*frame);
+        if self.in_flight.push(at_ns, Sent::Frame(slot)).is_err() {
+            self.frames.free.push(slot);
         }
     }
 
     fn push_bytes(&mut self, at_ns: u64, datagram: &Datagram) {
-        let place = self.datagrams.keep(*datagram);
-        if self.in_flight.push(at_ns, Sent::Bytes(place)).is_err() {
-            self.datagrams.free.push(place);
+        let slot = self.datagrams.insert(*datagram);
+        if self.in_flight.push(at_ns, Sent::Bytes(slot)).is_err() {
+            self.datagrams.free.push(slot);
         }
     }
 }
@@ -241,8 +241,8 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
         if wake.is_stalled() {
             while let Some((_, sent)) = inward.in_flight.pop_due(now_ns) {
                 match sent {
-                    Sent::Frame(place) => inward.frames.free.push(place),
-                    Sent::Bytes(place) => inward.datagrams.free.push(place),
+                    Sent::Frame(slot) => inward.frames.free.push(slot),
+                    Sent::Bytes(slot) => inward.datagrams.free.push(slot),
                 }
             }
             self.side.exchange_mut().stalled(clock_ns);
@@ -250,12 +250,12 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
         let time = LinkTime::late(clock_ns, self.pace.late_ns(&wake));
         while let Some((_, sent)) = inward.in_flight.pop_due(now_ns) {
             match sent {
-                Sent::Frame(place) => {
+                Sent::Frame(slot) => {
                     // A refusal is counted by the link.
-                    let _ = self.side.receive_frame(time, &inward.frames.kept[place]);
-                    inward.frames.free.push(place);
+                    let _ = self.side.receive_frame(time, &inward.frames.slots[slot]);
+                    inward.frames.free.push(slot);
                 }
-                Sent::Bytes(place) => self.open(time, place, inward, outward),
+                Sent::Bytes(slot) => self.open(time, slot, inward, outward),
             }
         }
         let record = self.side.tick(TickTime {
@@ -286,9 +286,9 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
     }
 
     /// Takes a datagram of bytes.
-    fn open(&mut self, time: LinkTime, place: usize, inward: &mut OneWay<N>, outward: &mut OneWay<N>) {
-        let (mut bytes, length) = inward.datagrams.kept[place];
-        inward.datagrams.free.push(place);
+    fn open(&mut self, time: LinkTime, slot: usize, inward: &mut OneWay<N>, outward: &mut OneWay<N>) {
+        let (mut bytes, length) = inward.datagrams.slots[slot];
+        inward.datagrams.free.push(slot);
         match self.end.receive(time.tick_ns, &mut bytes[..length], &mut self.entropy) {
             // A refusal is counted by the link.
             Ok(Received::Payload { payload, .. }) => {

@@ -151,7 +151,7 @@ impl<const N: usize> Exchange<N> {
     pub fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<(), RejectReason> {
         let is_known = self.link.newest().is_some();
         let begins = self.link.receive(time, datagram)?;
-        self.took(time, is_known, begins);
+        self.accepted(time, is_known, begins);
         Ok(())
     }
 
@@ -159,12 +159,12 @@ impl<const N: usize> Exchange<N> {
     pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame<N>) -> Result<(), RejectReason> {
         let is_known = self.link.newest().is_some();
         let begins = self.link.receive_frame(time, frame)?;
-        self.took(time, is_known, begins);
+        self.accepted(time, is_known, begins);
         Ok(())
     }
 
     /// The link has taken a frame; `is_known`: not its first, `begins`: the first of a run.
-    fn took(&mut self, time: LinkTime, is_known: bool, begins: bool) {
+    fn accepted(&mut self, time: LinkTime, is_known: bool, begins: bool) {
         let Some(frame) = self.link.newest() else { return };
         let (sequence, sent_ns) = (frame.sequence, frame.sent_ns);
         if begins {

@@ -527,7 +527,7 @@ impl<const N: usize> Watched<N> {
             self.squares[1] += difference.norm_squared();
             self.samples[1] += 1;
         }
-        if self.near.is_due() {
+        if self.near.begin_tick() {
             self.record_near(record, side, time_s);
         }
         self.newest = Some((record.time_ns, record.true_position));
@@ -595,7 +595,7 @@ impl<const N: usize> Watched<N> {
         if let (Some(turn), Some(rotation)) = (turn, &mut self.rotation) {
             rotation.far(turn);
         }
-        if self.far.is_due() {
+        if self.far.begin_tick() {
             self.record_far(record, arm, time_s);
         }
         ControlFlow::Continue(())

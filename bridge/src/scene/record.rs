@@ -53,16 +53,15 @@ impl Recorder {
         Self { every, max_ticks, ticks: 0, signals: Vec::new() }
     }
 
-    /// Whether the next tick is one that is recorded; one that is not is counted here, and needs no
-    /// [`take`](Self::take).
+    /// Counts a tick that is not recorded; returns whether there was none, so that a [`take`](Self::take) must follow.
     #[inline]
-    pub(crate) fn is_due(&mut self) -> bool {
+    pub(crate) fn begin_tick(&mut self) -> bool {
         if self.every == 0 {
             return false;
         }
-        let is_due = self.ticks.is_multiple_of(self.every);
-        self.ticks += u64::from(!is_due);
-        is_due
+        let is_recorded = self.ticks.is_multiple_of(self.every);
+        self.ticks += u64::from(!is_recorded);
+        is_recorded
     }
 
     /// Takes a tick: the same signals in the same order each time.

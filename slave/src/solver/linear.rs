@@ -407,8 +407,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Where bounds say that no contact changes none does, at any instant of the course; and what a kept map makes of
-        /// a state is what the course says.
+        /// Where bounds say that no contact changes none does, at any instant of the course.
         #[test]
         fn a_contact_that_stays_by_its_bounds_stays(
             (k, c, x, v) in (1.0..1e5_f64, 0.0..600.0_f64, -0.02..0.02_f64, -1.0..1.0_f64),
@@ -422,8 +421,6 @@ mod tests {
             plane.mode = plane.mode([x, v]);
             let line = Line { planes: vec![plane], ..Line::default() };
             let course = Course::new(k, c, [input.0, input.1, input.2], [x, v]);
-            let map = course.transition.over(t);
-            prop_assert_eq!(course.by(&map, t), course.at(t));
             let [farther, fastest] = course.bounds(t);
             for share in 0..=200 {
                 let at = f64::from(share) / 200.0 * t;
@@ -433,6 +430,32 @@ mod tests {
                 prop_assert!(!line.stays(&course, x, t) || !line.changed([moved, speed]), "{share}");
             }
         }
+    }
+
+    /// The map that is kept is that of what is asked for, whatever was asked for before, and is not made anew for the same.
+    #[test]
+    fn a_kept_map_is_that_of_its_transition_and_time() {
+        let transitions = [Transition::new(9.0, 1.0), Transition::new(9.0, 5.0), Transition::new(4.0, 1.0)];
+        let mut kept = Kept::default();
+        for round in 0..3 {
+            for transition in transitions {
+                for t in [1e-3, 2e-3] {
+                    let state = [0.7, -1.3];
+                    assert_eq!(
+                        kept.over(transition, t).apply(state),
+                        transition.apply(t, state),
+                        "{round} {t}"
+                    );
+                    assert!(kept.0.is_some_and(|(of, time, _)| of == transition && time == t));
+                }
+            }
+        }
+        // That it is kept: a map that was put in its place is what comes out.
+        let (of, t) = (transitions[0], 1e-3);
+        let other = transitions[2].over(t);
+        kept.0 = Some((of, t, other));
+        assert_eq!(kept.over(of, t).apply([1.0, 1.0]), other.apply([1.0, 1.0]));
+        assert_ne!(other.apply([1.0, 1.0]), of.apply(t, [1.0, 1.0]));
     }
 
     /// The bounds are worth their while: of a tool that is clear of a wall, or rests on it, they say so.

@@ -246,3 +246,94 @@ impl Rule for Wander {
         Verdict::Deliver { at_ns: shifted(at_ns, delay_ns, self.mean_ns, packet.sent_ns) }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "as the code under test")]
+    fn whole_is_round() {
+        let edges = [
+            0.0,
+            -0.0,
+            0.499_999_999_999_999_94,
+            0.5,
+            0.500_000_000_000_000_1,
+            1.5,
+            2.5,
+            2f64.powi(52) - 0.5,
+            2f64.powi(52) + 1.0,
+            2f64.powi(53) + 2.0,
+            2f64.powi(63),
+            2f64.powi(64),
+            f64::MIN_POSITIVE,
+            f64::MAX,
+            f64::INFINITY,
+            f64::NAN,
+        ];
+        for ns in edges {
+            assert_eq!(whole(ns), ns.round() as u64, "{ns}");
+        }
+    }
+
+    /// Delays of the first packets of a link.
+    fn delays(settings: &LinkSettings) -> Vec<u64> {
+        let direction = crate::Direction::Forward;
+        let streams = Streams { seed: 7, direction };
+        let mut rule = build(settings, &streams).unwrap().unwrap();
+        let packet = |index: u64| Packet { direction, index, sent_ns: index * 1_000_000, size: 100 };
+        (0..200)
+            .map(|index| match rule.judge(&packet(index), packet(index).sent_ns + 50_000_000) {
+                Verdict::Deliver { at_ns } => at_ns,
+                verdict => panic!("{verdict:?}"),
+            })
+            .collect()
+    }
+
+    /// Laws that differ in one field, each built between the others: a path that is shared is that of its own law.
+    #[test]
+    fn a_shared_path_is_that_of_its_own_law() {
+        let base = LinkSettings {
+            delay_s: 0.05,
+            jitter_s: 0.005,
+            distribution: Distribution::Gamma,
+            jitter_correlation_s: Some(0.1),
+            ..LinkSettings::default()
+        };
+        let laws = [
+            base.clone(),
+            LinkSettings { delay_s: 0.06, ..base.clone() },
+            LinkSettings { jitter_s: 0.006, ..base.clone() },
+            LinkSettings { distribution: Distribution::Normal, ..base.clone() },
+            LinkSettings {
+                distribution: Distribution::Pareto,
+                distribution_shape: Some(3.0),
+                ..base.clone()
+            },
+            LinkSettings {
+                distribution: Distribution::Pareto,
+                distribution_shape: Some(4.0),
+                ..base.clone()
+            },
+            LinkSettings { jitter_correlation_s: Some(0.2), ..base.clone() },
+            LinkSettings { keep_order: !base.keep_order, ..base },
+        ];
+        // A thread of its own shares nothing.
+        let alone: Vec<_> = laws
+            .iter()
+            .map(|law| std::thread::scope(|scope| scope.spawn(|| delays(law)).join().unwrap()))
+            .collect();
+        for step in [1, 3, 5] {
+            for turn in 0..2 * laws.len() {
+                let place = turn * step % laws.len();
+                assert_eq!(delays(&laws[place]), alone[place], "{place}");
+            }
+        }
+        // Correlated delays keep their order anyway: the last law has the delays of the first.
+        let different = &alone[..laws.len() - 1];
+        for (place, one) in different.iter().enumerate() {
+            assert!(different[place + 1..].iter().all(|other| other != one), "{place} is that of another");
+        }
+    }
+}
