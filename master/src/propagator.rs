@@ -122,6 +122,43 @@ impl<const N: usize> Propagator<N> {
     }
 }
 
+impl AxisPropagator {
+    /// By how much x, beside `V dt`, and V change over the tick: of the acceleration and V at its begin, of the target's path
+    /// and of its tremor.
+    #[inline(always)]
+    pub(crate) fn change(
+        &self,
+        acceleration: f64,
+        speed: f64,
+        path: Option<[f64; DEGREE]>,
+        wave: Option<[f64; 2]>,
+    ) -> [f64; 2] {
+        let mut e =
+            [0, 1].map(|which| self.to_acceleration[which] * acceleration + self.to_speed[which] * speed);
+        if let Some(path) = path {
+            for (answer, term) in self.to_path.iter().zip(path) {
+                e[0] += answer[0] * term;
+                e[1] += answer[1] * term;
+            }
+        }
+        if let Some(wave) = wave {
+            for (answer, wave) in self.to_tremor.iter().zip(wave) {
+                e[0] += answer[0] * wave;
+                e[1] += answer[1] * wave;
+            }
+        }
+        e
+    }
+
+    /// Bounds over the tick on how far x moves and on the change of V, where the target adds at most `target` to the
+    /// acceleration.
+    #[inline(always)]
+    pub(crate) fn bounds(&self, acceleration: f64, speed: f64, target: f64, duration: f64) -> [f64; 2] {
+        let faster = self.most * (acceleration.abs() + self.pull * duration * speed.abs() + target);
+        [duration * (speed.abs() + faster) * (1.0 + 1e-12), faster]
+    }
+}
+
 /// `(e, e')` at t of `e'' = f - c e' - k e` from rest, for f as its Taylor series.
 fn respond(f: &dyn Fn(usize) -> f64, k: f64, c: f64, t: f64) -> [f64; 2] {
     let mut e = [0.0; TERMS];
@@ -171,6 +208,23 @@ impl<const N: usize> Outlook<N> {
         outlook.moves = outlook.path[1..].iter().any(|term| *term != Axes::<N>::zeros());
         outlook.shake(hand);
         outlook
+    }
+
+    /// The path of the target along one axis, without where it is: the coefficients of t, t², ...
+    #[inline(always)]
+    pub(crate) fn path_of(&self, axis: usize) -> [f64; DEGREE] {
+        std::array::from_fn(|degree| self.path[degree + 1][axis])
+    }
+
+    /// Most by which the path moves the target along each axis, in m.
+    #[inline(always)]
+    pub(crate) fn most_moved(&self, duration: f64) -> Axes<N> {
+        let (mut shift, mut power) = (Axes::zeros(), 1.0);
+        for term in &self.path[1..] {
+            power *= duration;
+            shift += term.abs() * power;
+        }
+        shift
     }
 
     /// Moves on to time t in s.

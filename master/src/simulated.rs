@@ -231,7 +231,6 @@ impl<const N: usize> SimulatedMaster<N> {
 
     /// Moves over a tick of `duration` in one step, if bounds on the motion say that no event falls into it and all
     /// laws are linear; else leaves everything as it is. A bound too many costs time, none costs accuracy.
-    #[allow(clippy::too_many_lines)] // one law after the other, each with its bound
     #[inline]
     fn propagates(&mut self, duration: f64, past_ns: u64) -> bool {
         #[cfg(test)]
@@ -249,16 +248,10 @@ impl<const N: usize> SimulatedMaster<N> {
             return false;
         }
         let (x, v) = (self.position, self.velocity);
-        let mut wish = ((outlook.target - x) * self.hand.stiffness() - v * self.hand.damping()) * gain[0];
-        let has_let_go = strength[0] == 0.0;
-        let impedance = if has_let_go {
-            if self.hand.stiffness() + self.hand.damping() != 0.0 && wish == Axes::<N>::zeros() {
-                return false;
-            }
-            wish = Axes::zeros();
-            [0.0; 2]
-        } else {
-            [gain[0] * self.hand.stiffness(), gain[0] * self.hand.damping()]
+        let Some(StandingGrip { force: wish, impedance, has_let_go }) =
+            self.standing_grip(gain[0], strength[0])
+        else {
+            return false;
         };
         if !self.propagator.is_of(duration, impedance) {
             self.propagator = Propagator::new(&self.device, &self.hand, impedance, duration);
@@ -274,57 +267,24 @@ impl<const N: usize> SimulatedMaster<N> {
         } else {
             0.0
         };
-        // Most by which the target moves along each axis, in m.
         let mut shift = Axes::<N>::repeat(shakes);
         if moves {
-            let mut power = 1.0;
-            for term in &outlook.path[1..] {
-                power *= duration;
-                shift += term.abs() * power;
-            }
+            shift += outlook.most_moved(duration);
         }
         let push = self.held_force + wish;
-        let mut stuck = [false; N];
-        let mut friction = Axes::<N>::zeros();
         let rubs_along = self.device.rubs_along_motion();
-        let mut straight = 0.0;
-        if rubs_along {
-            let coulomb = self.device.coulomb[0];
-            let speed = v.norm();
-            if speed == 0.0 {
-                if push.norm() + impedance[0] * shift.norm() * (1.0 + 1e-12) > coulomb * (1.0 - 1e-12) {
-                    return false;
-                }
-                stuck = [true; N];
-            } else {
-                if speed < STOPPED || !map.is_isotropic {
-                    return false;
-                }
-                straight = speed;
-                friction = v * (coulomb / speed);
-            }
-        }
-        let inverse_mass = Axes::<N>::from_fn(|axis, _| map.axes[axis].inverse_mass);
-        if !rubs_along {
-            for axis in 0..N {
-                let coulomb = self.device.coulomb[axis];
-                if coulomb == 0.0 {
-                    continue;
-                }
-                if v[axis] != 0.0 {
-                    friction[axis] = coulomb * v[axis].signum();
-                } else if push[axis].abs() + impedance[0] * shift[axis] * (1.0 + 1e-12)
-                    <= coulomb * (1.0 - 1e-12)
-                {
-                    stuck[axis] = true;
-                } else {
-                    return false;
-                }
-            }
-        }
+        let most_pulled = shift * (impedance[0] * (1.0 + 1e-12));
+        let Some(StandingFriction { force: friction, stuck, along }) =
+            self.standing_friction(&push, &most_pulled)
+        else {
+            return false;
+        };
+        let inverse_mass = Axes::<N>::from_fn(|axis, _| self.propagator.axes[axis].inverse_mass);
         let acceleration =
             (push - friction - self.device.viscous.component_mul(&v)).component_mul(&inverse_mass);
-        if straight > 0.0 && !self.goes_straight(&acceleration, straight, shakes, duration) {
+        if let Some(speed) = along
+            && !self.goes_straight(&acceleration, speed, shakes, duration)
+        {
             return false;
         }
         let (lower, upper) = &self.device.stops;
@@ -338,23 +298,10 @@ impl<const N: usize> SimulatedMaster<N> {
                 continue;
             }
             let (map, a, v, x) = (&map.axes[axis], acceleration[axis], v[axis], x[axis]);
-            let mut e = [0, 1].map(|which| map.to_acceleration[which] * a + map.to_speed[which] * v);
-            if moves {
-                for (answer, term) in map.to_path.iter().zip(&outlook.path[1..]) {
-                    e[0] += answer[0] * term[axis];
-                    e[1] += answer[1] * term[axis];
-                }
-            }
-            if trembles {
-                for (answer, wave) in map.to_tremor.iter().zip(outlook.wave) {
-                    e[0] += answer[0] * wave;
-                    e[1] += answer[1] * wave;
-                }
-            }
-            // Bounds over the tick: on the change of V, then on those of x and of the acceleration.
+            let path = moves.then(|| outlook.path_of(axis));
+            let e = map.change(a, v, path, trembles.then_some(outlook.wave));
             let target = map.pull * shift[axis];
-            let faster = map.most * (a.abs() + map.pull * duration * v.abs() + target);
-            let farther = duration * (v.abs() + faster) * (1.0 + 1e-12);
+            let [farther, faster] = map.bounds(a, v, target, duration);
             if friction[axis] != 0.0 && !rubs_along && v.abs() <= faster {
                 let bends = map.damping.abs() * faster + map.pull * farther + target;
                 let is_monotone = a.abs() * (1.0 - 1e-12) > bends;
@@ -374,24 +321,82 @@ impl<const N: usize> SimulatedMaster<N> {
                 return false;
             }
         }
-        for wall in &self.walls {
-            let room = -wall.depth(&x) - 1e-15 * (1.0 + wall.surface.abs());
-            if wall.is_two_sided || most_moved.norm() * (1.0 + 1e-12) >= room {
-                return false;
-            }
+        if !self.stays_clear(&most_moved) {
+            return false;
         }
-        add(&mut self.position, &mut self.lost[0], &moved);
-        add(&mut self.velocity, &mut self.lost[1], &gained);
-        for (axis, is_stuck) in stuck.into_iter().enumerate() {
-            if is_stuck {
-                self.halt(axis);
-            }
-        }
+        self.move_by(&moved, &gained, &stuck);
         #[cfg(test)]
         {
             self.propagated += 1;
         }
         true
+    }
+
+    /// Changes position and velocity, without what rounding loses, and holds the axes that stick.
+    #[inline]
+    fn move_by(&mut self, moved: &Axes<N>, gained: &Axes<N>, stuck: &[bool; N]) {
+        add(&mut self.position, &mut self.lost[0], moved);
+        add(&mut self.velocity, &mut self.lost[1], gained);
+        for (axis, is_stuck) in stuck.iter().enumerate() {
+            if *is_stuck {
+                self.halt(axis);
+            }
+        }
+    }
+
+    /// Whether no wall that acts at each instant is within reach of a motion of at most so much along each axis.
+    #[inline]
+    fn stays_clear(&self, most_moved: &Axes<N>) -> bool {
+        self.walls.iter().all(|wall| {
+            let room = -wall.depth(&self.position) - 1e-15 * (1.0 + wall.surface.abs());
+            !wall.is_two_sided && most_moved.norm() * (1.0 + 1e-12) < room
+        })
+    }
+
+    /// The force of a hand that holds or has let go; None where it lets go with nothing to hold, so that the series decides.
+    #[inline]
+    fn standing_grip(&self, gain: f64, strength: f64) -> Option<StandingGrip<N>> {
+        let (x, v) = (self.position, self.velocity);
+        let force = ((self.outlook.target - x) * self.hand.stiffness() - v * self.hand.damping()) * gain;
+        if strength != 0.0 {
+            let impedance = [gain * self.hand.stiffness(), gain * self.hand.damping()];
+            return Some(StandingGrip { force, impedance, has_let_go: false });
+        }
+        let is_free = self.hand.stiffness() + self.hand.damping() == 0.0 || force != Axes::<N>::zeros();
+        is_free.then_some(StandingGrip { force: Axes::zeros(), impedance: [0.0; 2], has_let_go: true })
+    }
+
+    /// The friction of a tick in which no axis that sticks is torn loose: `push` in N as it is now, `most_pulled` by how much
+    /// the hand's target may add to it; None where that cannot be said.
+    #[inline]
+    fn standing_friction(&self, push: &Axes<N>, most_pulled: &Axes<N>) -> Option<StandingFriction<N>> {
+        let mut found = StandingFriction { force: Axes::zeros(), stuck: [false; N], along: None };
+        let v = &self.velocity;
+        if self.device.rubs_along_motion() {
+            let coulomb = self.device.coulomb[0];
+            let speed = v.norm();
+            if speed == 0.0 {
+                found.stuck = [true; N];
+                return (push.norm() + most_pulled.norm() <= coulomb * (1.0 - 1e-12)).then_some(found);
+            }
+            found.force = v * (coulomb / speed);
+            found.along = Some(speed);
+            return (speed >= STOPPED && self.propagator.is_isotropic).then_some(found);
+        }
+        for axis in 0..N {
+            let coulomb = self.device.coulomb[axis];
+            if coulomb == 0.0 {
+                continue;
+            }
+            if v[axis] != 0.0 {
+                found.force[axis] = coulomb * v[axis].signum();
+            } else if push[axis].abs() + most_pulled[axis] <= coulomb * (1.0 - 1e-12) {
+                found.stuck[axis] = true;
+            } else {
+                return None;
+            }
+        }
+        Some(found)
     }
 
     /// Whether friction along the motion keeps its direction over a tick, so far that rounding hides the rest.
@@ -400,7 +405,7 @@ impl<const N: usize> SimulatedMaster<N> {
     fn goes_straight(&self, acceleration: &Axes<N>, speed: f64, shakes: f64, duration: f64) -> bool {
         let (map, one) = (&self.propagator, &self.propagator.axes[0]);
         let direction = self.velocity / speed;
-        let aside = |along: &Axes<N>| (along - direction * direction.dot(along)).norm();
+        let aside = |along: &Axes<N>| across(&direction, along);
         let (mut moved, mut moved_aside) = (0.0, 0.0);
         if shakes > 0.0 {
             let all = Axes::<N>::repeat(1.0);
@@ -561,7 +566,7 @@ impl<const N: usize> SimulatedMaster<N> {
         let push = self.held_force + hand;
         let speed = self.velocity.norm();
         let direction = if speed >= STOPPED { self.velocity / speed } else { push / push.norm() };
-        let aside = |along: &Axes<N>| (along - direction * direction.dot(along)).norm();
+        let aside = |along: &Axes<N>| across(&direction, along);
         let (mut across, mut power) = (aside(&push), 1.0);
         if holds_on {
             for term in &law.target[1..] {
@@ -856,6 +861,30 @@ enum EventKind {
 struct Event {
     at: f64,
     kind: EventKind,
+}
+
+/// What a hand does over a tick in which its grip neither changes nor begins to slip.
+struct StandingGrip<const N: usize> {
+    /// In N, at the begin of the tick.
+    force: Axes<N>,
+    /// Stiffness and damping by which that changes with the motion.
+    impedance: [f64; 2],
+    has_let_go: bool,
+}
+
+/// Friction of a tick over which it stands.
+struct StandingFriction<const N: usize> {
+    /// In N, against the motion.
+    force: Axes<N>,
+    /// Axes that stick throughout.
+    stuck: [bool; N],
+    /// The speed in m/s, where the friction is along the motion, which must then stay straight.
+    along: Option<f64>,
+}
+
+/// What of `along` lies across a direction, a unit vector.
+fn across<const N: usize>(direction: &Axes<N>, along: &Axes<N>) -> f64 {
+    (along - direction * direction.dot(along)).norm()
 }
 
 /// Adds a small step and what earlier steps lost.
