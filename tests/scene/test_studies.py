@@ -121,6 +121,9 @@ def test_choices_are_drawn_as_lines_or_points() -> None:
     columns["safety.vfc_form"] = np.repeat(["product"], 6)
     with pytest.raises(ValueError, match="a picture has one choice"):
         draw_sweep("s", columns, ["safety.controllers", "safety.vfc_form"])
+    columns["safety.controllers"] = np.repeat(["none", "hsc+xyz"], 3)
+    with pytest.raises(ValueError, match="'xyz' is none of none, vfc, hsc, wsc, pc"):
+        draw_sweep("s", columns, ["safety.controllers"])
 
 
 @pytest.mark.parametrize(

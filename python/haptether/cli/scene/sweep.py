@@ -100,6 +100,7 @@ class Sweep(PictureOptions):
     def run(self) -> int:
         """Runs all rows."""
         from haptether import __version__
+        from haptether.bridge.scene.sweep import labelled
         from haptether.bridge.scene.sweeps.store import design_of
         from haptether.bridge.scene.sweeps.table_file import STREAMED, check_suffix
         from haptether.cli.shared.output import check_distinct, check_target, write_report
@@ -126,8 +127,9 @@ class Sweep(PictureOptions):
             message = f"{design.rows} rows: must be at most {most}"
             raise ValueError(message)
         picture = None
+        paths = [*varied, *([SEED] if self.samples is not None and SEED not in varied else [])]
         if self.plot is not None:
-            check_varied(list(varied))
+            check_varied(paths, labelled({**design.factors, **design.samples}))
             picture = picture_file(self.plot, self.format)
         whole, stored = self._swept(design, {"grid": varied, "samples": drawn, "ties": ties}, collect=collect)
         console = screen(self.json)
@@ -138,7 +140,6 @@ class Sweep(PictureOptions):
             write_report(self.json, report)
         self._report(console, shown, len(varied) + len(drawn) + len(ties) + 1, stored)
         if picture is not None and whole is not None:
-            paths = [*varied, *([SEED] if self.samples is not None and SEED not in varied else [])]
             write_figure(draw_sweep(self.scene, whole.columns, paths, self.columns), picture)
             console.print(f"picture: {picture}")
         return 0
