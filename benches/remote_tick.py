@@ -17,7 +17,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from _report import bench_options, table_file, write_json
+from _report import bench_options, print_requirements, table_file, write_json
 from haptether.bridge import load_scene, scene_json
 
 EXAMPLE = "example: python benches/remote_tick.py --repeats 20 --json -"
@@ -89,10 +89,9 @@ def main() -> int:
         "the required times": all(row["required_ns"] is None or row["ns"] <= row["required_ns"] for row in rows),
         "both ways give the same": all(row["is_same"] for row in rows),
     }
-    for what, seen in holds.items():
-        print(f"{what}: {'holds' if seen else 'DOES NOT HOLD'}", file=out)
+    status = print_requirements(holds, out)
     write_json(chosen.json, {"rows": rows, "holds": holds})
-    return 0 if all(holds.values()) else 1
+    return status
 
 
 if __name__ == "__main__":

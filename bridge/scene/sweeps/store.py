@@ -20,17 +20,16 @@ from haptether.bridge.scene.save import scene_toml
 from haptether.bridge.scene.sweep import (
     Sweep,
     Threads,
-    Values,
     in_order,
     labelled,
     measured,
     refuse_empty,
-    refuse_same_field,
+    shifted,
     thread_count,
-    values_of_path,
+    unmeasured,
 )
 from haptether.bridge.scene.sweeps.cluster import computed_by_cluster
-from haptether.bridge.scene.sweeps.design import Design
+from haptether.bridge.scene.sweeps.design import Design, Values, design_of
 from haptether.bridge.scene.sweeps.journal import Journal
 from haptether.bridge.scene.sweeps.table_file import STREAMED, check_suffix, table_file
 from haptether.bridge.scene.tables.session import Scene
@@ -63,25 +62,6 @@ class StoredSweep:
     """The first `HEAD_ROWS` rows."""
     whole: Sweep | None = field(repr=False, default=None)
     """All rows, where they were to be collected."""
-
-
-def design_of(
-    grid: Mapping[str, Values] | None = None,
-    samples: Mapping[str, Values] | None = None,
-    ties: Mapping[str, str] | None = None,
-) -> Design:
-    """Every combination of the values of `grid`, each with all `samples`.
-
-    Raises:
-        SceneError: Values that are none of a field.
-        ValueError: Nothing to vary, one field twice, samples of different lengths, a tie to what does not vary.
-    """
-    refuse_same_field((*(grid or {}), *(samples or {}), *(ties or {})))
-    return Design(
-        factors={path: values_of_path(path, values) for path, values in (grid or {}).items()},
-        samples={path: values_of_path(path, values) for path, values in (samples or {}).items()},
-        ties=dict(ties or {}),
-    )
 
 
 def sweep_to_file(
@@ -153,11 +133,13 @@ def sweep_to_file(
     journal = Journal(path, request, resume=resume)
     try:
         resumed = journal.done
-        gaps, told = journal.missing(design.rows), _from(progress, resumed)
+        gaps, report = journal.missing(design.rows), shifted(progress, resumed)
+        if progress is not None:
+            progress(resumed)
         if engine == "dask":
-            batches = computed_by_cluster(base, design, gaps, address, threads=threads, lanes=lanes, progress=told)
+            batches = computed_by_cluster(base, design, gaps, address, threads=threads, lanes=lanes, progress=report)
         else:
-            batches = computed(base, design, gaps, Threads(count=threads, lanes=lanes), told)
+            batches = computed(base, design, gaps, Threads(count=threads, lanes=lanes), report)
         for first, metrics in batches:
             journal.add(first, metrics)
         stored = _written(journal, base, design, request, resumed=resumed, collect=collect)
@@ -165,13 +147,6 @@ def sweep_to_file(
     finally:
         journal.close()
     return stored
-
-
-def _from(progress: Callable[[int], None] | None, done: int) -> Callable[[int], None] | None:
-    if progress is None:
-        return None
-    progress(done)
-    return lambda now: progress(done + now)
 
 
 def computed(
@@ -187,16 +162,14 @@ def computed(
         first = start
         while first < stop:
             end = min(first + size, stop)
-            begun_s = time.perf_counter()
-            # What is called back at once belongs to this batch.
-            shifted = None if progress is None else (lambda now, before=done: progress(before + now))
-            metrics = measured(base, design.columns(first, end), replace(how, progress=shifted))
-            taken_s = max(time.perf_counter() - begun_s, 1e-9)
+            start_s = time.perf_counter()
+            metrics = measured(base, design.columns(first, end), replace(how, progress=shifted(progress, done)))
+            elapsed_s = max(time.perf_counter() - start_s, 1e-9)
             yield first, metrics
             done += end - first
             if progress is not None:
                 progress(done)
-            wanted = int(BATCH_S * (end - first) / taken_s)
+            wanted = int(BATCH_S * (end - first) / elapsed_s)
             size = max(SMALLEST_BATCH, min(wanted, GROWTH * size, LARGEST_BATCH))
             first = end
 
@@ -250,11 +223,7 @@ def _written(
 
 def _with_all(metrics: Metrics, names: Mapping[str, np.dtype[Any]], rows: int) -> Metrics:
     """The metrics of a batch, with columns of what was not measured for those that it does not have."""
-    absent = {
-        name: np.full(rows, np.nan if kind.kind == "f" else "" if kind.kind == "U" else 0, kind)
-        for name, kind in names.items()
-        if name not in metrics
-    }
+    absent = {name: unmeasured(kind, rows) for name, kind in names.items() if name not in metrics}
     return in_order({**metrics, **absent})
 
 

@@ -11,7 +11,7 @@ from typing import IO, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from haptether.bridge.scene.sweep import Sweep
+from haptether.bridge.scene.sweep import COUNTS, Sweep
 
 ROW_GROUP = 65_536
 """Rows of a row group of Parquet."""
@@ -118,6 +118,6 @@ class ParquetTable:
     def _type(self, name: str, column: npt.NDArray[Any]) -> Any:  # noqa: ANN401  # of pyarrow
         if column.dtype.kind == "U":
             return self._arrow.string()
-        if name in {"false_trips", "intervention_ticks"} or column.dtype.kind in "iu":
+        if name in COUNTS or column.dtype.kind in "iu":
             return self._arrow.int64()
         return self._arrow.bool_() if column.dtype == np.bool_ else self._arrow.float64()

@@ -69,6 +69,7 @@ class Evaluate:
 
         from haptether.bridge import save_scene
         from haptether.cli.scene.simulate import spinner
+        from haptether.cli.shared.numbers import check_random_seed
         from haptether.cli.shared.output import check_target, make_folder, require_matplotlib, write_report
         from haptether.cli.shared.screen import screen
         from haptether.private_file import write_private
@@ -83,9 +84,7 @@ class Evaluate:
         from haptether.studies.task import HANDS, RELEASES, ROUND_TRIPS_S
 
         check_target(self.json)
-        if self.seed < 0:
-            message = f"seed = {self.seed}: must be 0 or more"
-            raise ValueError(message)
+        check_random_seed(self.seed)
         for name, value in (("speed", self.speed), ("false-trips-per-h", self.false_trips_per_h)):
             if value is not None and not 0.0 <= value < float("inf"):
                 message = f"{name} = {value}: must be a number of at least 0"

@@ -101,7 +101,7 @@ class Sweep(PictureOptions):
         """Runs all rows."""
         from haptether import __version__
         from haptether.bridge.scene.sweep import labelled
-        from haptether.bridge.scene.sweeps.store import design_of
+        from haptether.bridge.scene.sweeps.design import design_of
         from haptether.bridge.scene.sweeps.table_file import STREAMED, check_suffix
         from haptether.cli.shared.output import check_distinct, check_target, write_report
         from haptether.cli.shared.picture import picture_file
@@ -239,15 +239,15 @@ class Sweep(PictureOptions):
         """The samples that each combination has."""
         import numpy as np
 
+        from haptether.cli.shared.numbers import check_random_seed
+
         if self.samples is not None and not 1 <= self.samples <= MAX_ROWS:
             message = f"samples = {self.samples}: must be {'1 or more' if self.samples < 1 else f'at most {MAX_ROWS}'}"
             raise ValueError(message)
         if self.draw and self.samples is None:
             message = "--draw: give --samples, how many are drawn"
             raise ValueError(message)
-        if self.seed < 0:
-            message = f"seed = {self.seed}: must be 0 or more"
-            raise ValueError(message)
+        check_random_seed(self.seed)
         if self.samples is None:
             return {}
         laws: dict[str, tuple[str, float, float]] = {}
