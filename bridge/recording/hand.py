@@ -1,6 +1,7 @@
 """The hand of a recording as a model: its impedance by least squares, and when it holds the device."""
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -141,7 +142,7 @@ def _smoothed(values: Array, half: int) -> Array:
     return np.stack(columns, axis=1)
 
 
-def _at_a_stop(position: Array, stops: Any, half: int) -> npt.NDArray[np.bool_]:  # noqa: ANN401  # pairs, or none
+def _at_a_stop(position: Array, stops: Sequence[Sequence[float] | None] | None, half: int) -> npt.NDArray[np.bool_]:
     """Where a mechanical stop of the device may bear its force, which would look like a hand."""
     stopped = np.zeros(len(position), dtype=bool)
     for axis, pair in enumerate(stops or ()):

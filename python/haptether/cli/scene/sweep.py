@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from haptether.bridge import StoredSweep
     from haptether.bridge import Sweep as SweepResult
+    from haptether.bridge.scene.errors import Raw
     from haptether.bridge.scene.sweeps.design import Design
     from haptether.cli.shared.screen import Screen
 
@@ -360,7 +361,7 @@ def _items(text: str) -> list[str]:
     return items
 
 
-def _value_of(path: str, item: str) -> Any:  # noqa: ANN401  # whatever a field takes
+def _value_of(path: str, item: str) -> "Raw":
     from msgspec import inspect
 
     from haptether.bridge.scene.errors import types_at
