@@ -149,7 +149,7 @@ def _recordings(task: Task, hands: dict[str, Array], lasting: Scene, folder: Pat
             for path, values in hands.items()
         ]
         file = folder / f"{number}.mcap"
-        scene = override_scene(task.watched(lasting, None, {}), changes)
+        scene = override_scene(task.with_controllers(lasting, None, {}), changes)
         simulate(scene, record=(file, folder / "slave.mcap"))
         yield file
 
@@ -174,7 +174,7 @@ def _closed_loop(task: Task, hands: dict[str, Array], field: str, value: float) 
     """False trips of hands while the controller watches with the threshold, and the hours that they held."""
     lasting = task.lasting(HandBounds())
     about = TUNED_FIELDS[field]
-    watched = task.watched(lasting, about.controller, {field: about.sign * value})
+    watched = task.with_controllers(lasting, about.controller, {field: about.sign * value})
     found = sweep(watched, samples=hands, threads=1)
     ticks = np.nan_to_num(np.asarray(found["ticks"], dtype=np.float64)).sum()
     return int(np.nansum(found["false_trips"])), float(ticks) * lasting.run.period_s / 3600.0

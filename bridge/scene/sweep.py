@@ -227,11 +227,11 @@ def refuse_empty(rows: Sweep) -> None:
     raise SceneError(message)
 
 
-def measured(base: Checked, varied: Mapping[str, npt.NDArray[Any]], how: Threads) -> dict[str, npt.NDArray[Any]]:
+def measured(base: Checked, varied: Mapping[str, npt.NDArray[Any]], threads: Threads) -> dict[str, npt.NDArray[Any]]:
     """The outcome and the metrics of each row; of rows of which none can be built only `outcome` and `reason`."""
     categories = {path: column for path, column in varied.items() if column.dtype == object}
     if not categories:
-        return in_order(_metrics(base, varied, how))
+        return in_order(_metrics(base, varied, threads))
     numbers = {path: column for path, column in varied.items() if path not in categories}
     labels = [[label(value) for value in column.tolist()] for column in categories.values()]
     codes: dict[tuple[str, ...], int] = {}
@@ -245,7 +245,7 @@ def measured(base: Checked, varied: Mapping[str, npt.NDArray[Any]], how: Threads
         own = own or {"run.seed": np.full(len(chosen), float(base.scene.run.seed))}
         try:
             changed = _of_kind(base, kind, {path: column[chosen[0]] for path, column in categories.items()})
-            of_these = _metrics(changed, own, replace(how, progress=shifted(how.progress, done)))
+            of_these = _metrics(changed, own, replace(threads, progress=shifted(threads.progress, done)))
         except SceneError as error:
             of_these = _refused(dict.fromkeys(range(len(chosen)), str(error)))
         parts.append((chosen, of_these))
@@ -263,22 +263,22 @@ _MOST_KINDS = 256
 
 
 def _of_kind(base: Checked, kind: tuple[str, ...], values: Mapping[str, Raw]) -> Checked:
-    """The scene with what is no number changed; the last ones are kept, for rows come by batch.
+    """The scene with what is no number changed; the last ones are cached, for the batches of one sweep.
 
     Raises:
         SceneError: A scene that cannot be built.
     """
     key = (base.json, tuple(values), kind)
-    if (kept := _KINDS.get(key)) is None:
+    if (cached := _KINDS.get(key)) is None:
         changed: Raw = cast("dict[str, Raw]", msgspec.to_builtins(base.scene))
         for path, value in values.items():
             changed = with_value(changed, path_of(path), value)
         scene = typed_scene(changed)
-        kept = Checked(scene, checked_spec(scene))
+        cached = Checked(scene, checked_spec(scene))
         if len(_KINDS) >= _MOST_KINDS:
             _KINDS.clear()
-        _KINDS[key] = kept
-    return kept
+        _KINDS[key] = cached
+    return cached
 
 
 def shifted(progress: Callable[[int], None] | None, done: int) -> Callable[[int], None] | None:
@@ -306,7 +306,7 @@ def unmeasured(kind: "np.dtype[Any]", rows: int) -> npt.NDArray[Any]:
     return np.full(rows, np.nan if kind.kind == "f" else "" if kind.kind == "U" else 0, kind)
 
 
-def _metrics(base: Checked, varied: Mapping[str, Array], how: Threads) -> dict[str, npt.NDArray[Any]]:
+def _metrics(base: Checked, varied: Mapping[str, Array], threads: Threads) -> dict[str, npt.NDArray[Any]]:
     """What is measured of rows of numbers."""
     columns, refused = _columns(base, varied)
     rows = len(next(iter(varied.values())))
@@ -314,7 +314,7 @@ def _metrics(base: Checked, varied: Mapping[str, Array], how: Threads) -> dict[s
         return _refused(refused)
     built = np.array([row for row in range(rows) if row not in refused]) if refused else slice(None)
     columns = [(path, np.ascontiguousarray(column[built])) for path, column in columns]
-    found = _core.sweep_scenes(base.json, columns, how.count, how.lanes, how.progress)
+    found = _core.sweep_scenes(base.json, columns, threads.count, threads.lanes, threads.progress)
     of_rows = {name: _of_rows(name, np.asarray(column), built, rows, refused) for name, column in found.items()}
     if (of_rows["outcome"] == "refused").all():
         return _refused(dict(enumerate(of_rows["reason"].tolist())))

@@ -35,7 +35,7 @@ def test_each_row_is_the_run_of_its_own_scene() -> None:
     for row in found.rows():
         expected = alone(
             f"safety.controllers=[{'' if row['safety.controllers'] == 'none' else 'hsc,wsc'}]",
-            *(f"link.{way}.delay_s={row[f'link.{way}.delay_s']}" for way in ("forward", "backward")),
+            *(f"link.{direction}.delay_s={row[f'link.{direction}.delay_s']}" for direction in ("forward", "backward")),
             f"run.seed={int(row['run.seed'])}", "run.duration_s=3.2",
         )  # fmt: skip
         assert {name: row[name] for name in METRICS} == expected

@@ -1,4 +1,4 @@
-"""A sweep that is kept while it runs, goes on where it was interrupted, and takes no more memory for more rows."""
+"""A sweep to a file: stored by batch, resumable, in memory that does not grow with the rows."""
 
 import json
 import time
@@ -36,10 +36,10 @@ from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import is_stream, refuse_link
 
 HEAD_ROWS = 20
-"""Rows of a stored sweep that are kept in memory."""
+"""Rows of a stored sweep that stay in memory."""
 SMALLEST_BATCH, LARGEST_BATCH = 64, 65_536
 BATCH_S = 2.0
-"""What a batch takes: so much work is lost at most by a kill, and the tail of a batch idles little."""
+"""Target duration of a batch in s: what a kill loses at most, and long against the idle time at its end."""
 GROWTH = 4
 """A batch has at most so many times the rows of the last."""
 
@@ -53,7 +53,7 @@ class StoredSweep:
     path: Path
     rows: int
     resumed: int
-    """Rows that were there already."""
+    """Rows that an earlier run had stored."""
     outcomes: Mapping[str, int]
     """How many rows ended how, the most frequent first."""
     measured: frozenset[str]
@@ -153,7 +153,7 @@ def computed(
     base: Checked,
     design: Design,
     gaps: Iterable[tuple[int, int]],
-    how: Threads,
+    threads: Threads,
     progress: Callable[[int], None] | None,
 ) -> Iterator[tuple[int, Metrics]]:
     """The first row and the metrics of batches that fill the gaps, one after the other on this machine."""
@@ -163,7 +163,7 @@ def computed(
         while first < stop:
             end = min(first + size, stop)
             start_s = time.perf_counter()
-            metrics = measured(base, design.columns(first, end), replace(how, progress=shifted(progress, done)))
+            metrics = measured(base, design.columns(first, end), replace(threads, progress=shifted(progress, done)))
             elapsed_s = max(time.perf_counter() - start_s, 1e-9)
             yield first, metrics
             done += end - first
@@ -177,14 +177,14 @@ def computed(
 def _written(
     journal: Journal, base: Checked, design: Design, request: Mapping[str, Any], *, resumed: int, collect: bool
 ) -> StoredSweep:
-    """The file of all rows, from those that are kept."""
+    """The file of all rows, from the batches of the journal."""
     suffix = journal.path.suffix
     names = journal.types()
     if "ticks" not in names:
         _, metrics = next(journal.batches())
         refuse_empty(Sweep({**labelled(design.columns(0, len(metrics["outcome"]))), **metrics}))
     outcomes: Counter[str] = Counter()
-    known: set[str] = set()
+    measured_columns: set[str] = set()
     head: Sweep | None = None
     parts: list[Metrics] = []
     metadata = {
@@ -198,7 +198,7 @@ def _written(
             rows = len(metrics["outcome"])
             columns = {**labelled(design.columns(first, first + rows)), **_with_all(metrics, names, rows)}
             outcomes.update(metrics["outcome"].tolist())
-            known |= {
+            measured_columns |= {
                 name for name, column in columns.items() if column.dtype.kind != "f" or not np.isnan(column).all()
             }
             if head is None or len(head) < HEAD_ROWS:
@@ -217,7 +217,7 @@ def _written(
     assert head is not None, "a design has at least one row"
     return StoredSweep(
         path=journal.path, rows=design.rows, resumed=resumed, outcomes=dict(outcomes.most_common()),
-        measured=frozenset(known), head=head, whole=whole if collect else None,
+        measured=frozenset(measured_columns), head=head, whole=whole if collect else None,
     )  # fmt: skip
 
 

@@ -51,7 +51,7 @@ class Evaluate:
     speed: float | None = None
     """Speed in m/s above which a release has thrown the device; by default 0.5."""
     false_trips_per_h: float | None = None
-    """False trips per hour held above which a controller is in the way; by default 60."""
+    """False trips per hour held above which a controller interferes with the task; by default 60."""
     seed: int = 1
     """Of hands and networks, 0 or more."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()

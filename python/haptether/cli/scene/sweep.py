@@ -132,7 +132,7 @@ class Sweep(PictureOptions):
         if self.plot is not None:
             check_varied(paths, labelled({**design.factors, **design.samples}))
             picture = picture_file(self.plot, self.format)
-        whole, stored = self._swept(design, {"grid": varied, "samples": drawn, "ties": ties}, collect=collect)
+        whole, stored = self._run_rows(design, {"grid": varied, "samples": drawn, "ties": ties}, collect=collect)
         console = screen(self.json)
         shown = whole if stored is None else stored.head
         assert shown is not None, "a sweep without a file is in memory"
@@ -145,7 +145,7 @@ class Sweep(PictureOptions):
             console.print(f"picture: {picture}")
         return 0
 
-    def _swept(
+    def _run_rows(
         self, design: "Design", given: dict[str, Any], *, collect: bool
     ) -> "tuple[SweepResult | None, StoredSweep | None]":
         """All rows, or the file that has them."""
@@ -162,7 +162,7 @@ class Sweep(PictureOptions):
 
         def progress(done: int) -> None:
             if not bar.tasks[0].started:
-                # Rows that were kept before count for no rate.
+                # Rows of an earlier run are not counted in the rate.
                 bar.update(task, completed=done)
                 bar.reset(task, start=True, completed=done)
             bar.update(task, completed=done)
@@ -171,7 +171,7 @@ class Sweep(PictureOptions):
         stored: StoredSweep | None = None
         with bar:
             if self.out is not None:
-                with self._kept(design.rows):
+                with self._resume_hint(design.rows):
                     stored = sweep_to_file(
                         self.scene,
                         self.out,
@@ -198,17 +198,17 @@ class Sweep(PictureOptions):
         return whole, stored
 
     @contextlib.contextmanager
-    def _kept(self, rows: int) -> "Iterator[None]":
-        """Says at Ctrl-C what is kept."""
+    def _resume_hint(self, rows: int) -> "Iterator[None]":
+        """Prints at Ctrl-C how many rows a resume has already."""
         from haptether.bridge.scene.sweeps.journal import kept_rows
         from haptether.cli.shared.screen import Screen
 
         try:
             yield
         except KeyboardInterrupt:
-            if self.out is not None and (kept := kept_rows(self.out)):
+            if self.out is not None and (stored := kept_rows(self.out)):
                 Screen(stderr=True).print(
-                    f"{kept} of {rows} rows are kept in {self.out}.partial: the same command with --resume goes on",
+                    f"{stored} of {rows} rows are kept in {self.out}.partial: the same command with --resume goes on",
                     soft_wrap=True,
                 )
             raise
@@ -301,8 +301,8 @@ class Sweep(PictureOptions):
         import numpy as np
 
         floats = {name: column for name, column in result.columns.items() if column.dtype.kind == "f"}
-        known = {name for name, column in floats.items() if not np.isnan(column).all()}
-        absent = floats.keys() - (known if stored is None else stored.measured)
+        present = {name for name, column in floats.items() if not np.isnan(column).all()}
+        absent = floats.keys() - (present if stored is None else stored.measured)
         return [name for name in result.columns if name not in absent | {"intervention_ticks", "reason"}]
 
 
