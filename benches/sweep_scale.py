@@ -47,7 +47,7 @@ print(json.dumps({"rows": rows, "stored_s": stored_s, "peak_mib": peak_mib, "eng
 
 
 def measured(rows: int, threads: int) -> dict[str, Any]:
-    """One size, in a process of its own."""
+    """Times in s, rates in rows/s and peak memory in MiB of one size, in a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
         arguments = [str(rows), str(threads), str(MOST_IN_MEMORY), str(Path(folder, "rows.csv"))]
         child = [sys.executable, "-c", CHILD, *arguments]

@@ -45,7 +45,7 @@ class Boundary(Struct, frozen=True, kw_only=True):
         return self.order / self.hours
 
     def quantile_per_hour(self, share: float) -> float:
-        """The rate in 1/h below which lambda(u) lies with a probability."""
+        """The rate in 1/h below which lambda(u) lies with a probability: `D Q(share; k') / T`, Q of Gamma(k', 1)."""
         return self.grouping * gamma_quantile(share, self.order / self.grouping) / self.hours
 
     def interval_per_hour(self, confidence: float) -> tuple[float, float]:
@@ -60,7 +60,15 @@ class Boundary(Struct, frozen=True, kw_only=True):
 
 
 class Exceedances:
-    """The events of a score, by falling height."""
+    """The events of a score, by falling height: exceedances at least `SEPARATION_S` apart.
+
+    Args:
+        scores: Ticks of a score that rises as safety falls.
+        hours: T, for how long hands were coupled, in h.
+        period_s: dT of a tick in s.
+
+    Source: Smith and Weissman 1994 (clusters by a least separation).
+    """
 
     def __init__(self, scores: Scores, hours: float, period_s: float) -> None:
         self.hours = hours

@@ -88,7 +88,7 @@ class TunedThreshold(Struct, frozen=True, kw_only=True):
 
 
 class Tuning(Struct, frozen=True, kw_only=True):
-    """Thresholds of recordings."""
+    """Thresholds that `tune` found, with the recordings and options that they are of."""
 
     files: tuple[str, ...]
     hours: float
@@ -115,7 +115,7 @@ class Tuning(Struct, frozen=True, kw_only=True):
         return all(each.reached for each in self.thresholds)
 
     def toml(self) -> str:
-        """A table `[safety]` with the thresholds, and what is to be expected of them."""
+        """A table `[safety]` with the thresholds; rates, intervals and MEV as comments."""
         names = dict.fromkeys(each.controller for each in self.thresholds)
         lines = ["[safety]", f"controllers = [{', '.join(map(_toml, names))}]"]
         for each in self.thresholds:

@@ -61,7 +61,7 @@ class Design:
         return self.sampled * math.prod(len(levels) for levels in self.factors.values())
 
     def columns(self, first: int, end: int) -> dict[str, npt.NDArray[Any]]:
-        """The value of each path in the rows `first` to `end` - 1."""
+        """The value of each path in the rows `first` to `end` - 1, shape `(end - first,)`."""
         row = np.arange(first, end)
         whole: dict[str, npt.NDArray[Any]] = {}
         stride = self.rows
@@ -73,7 +73,7 @@ class Design:
         return whole | {path: whole[leading] for path, leading in self.ties.items()}
 
     def described(self) -> dict[str, Any]:
-        """The design as what JSON can say; long samples by their digest."""
+        """The design as JSON types; long samples by their SHA-256."""
         return {
             "vary": {path: levels.tolist() for path, levels in self.factors.items()},
             "samples": {path: _digest(values) for path, values in self.samples.items()},
@@ -147,7 +147,7 @@ def _categories(path: str, values: Values) -> npt.NDArray[Any]:
 
 
 MOST_WRITTEN_OUT = 64
-"""Samples of a path that are written out; of more the digest is."""
+"""Most samples of a path that are written out; of more the digest is."""
 
 
 def _digest(values: npt.NDArray[Any]) -> dict[str, Any]:

@@ -28,7 +28,7 @@ class Journal:
 
     Args:
         path: The file that the sweep is for; the journal is the folder `path`.partial.
-        request: What is to be computed, as JSON can say it.
+        request: What is to be computed, in types of JSON.
         resume: Whether to go on with a journal that is there.
 
     Raises:
@@ -92,7 +92,11 @@ class Journal:
         return gaps
 
     def add(self, first: int, metrics: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Stores the metrics of the rows from `first` on."""
+        """Stores the metrics of the rows from `first` on.
+
+        Raises:
+            OSError: They cannot be written.
+        """
         rows = len(metrics["outcome"])
         arrays: dict[str, Any] = {}
         for name, column in metrics.items():
@@ -107,7 +111,11 @@ class Journal:
         self._batches = sorted([*self._batches, (first, first + rows)])
 
     def batches(self) -> Iterator[tuple[int, dict[str, npt.NDArray[Any]]]]:
-        """The first row and the metrics of each batch, in the order of rows."""
+        """The first row and the metrics of each batch, in the order of rows.
+
+        Raises:
+            ValueError: A batch is damaged.
+        """
         for first, end in self._batches:
             with self._opened(first, end) as archive:
                 metrics: dict[str, npt.NDArray[Any]] = {}
@@ -120,7 +128,11 @@ class Journal:
             yield first, metrics
 
     def types(self) -> dict[str, np.dtype[Any]]:
-        """The metrics that any batch has, with the types of their columns."""
+        """The metrics that any batch has, with the types of their columns.
+
+        Raises:
+            ValueError: A batch is damaged.
+        """
         found: dict[str, np.dtype[Any]] = {}
         for first, end in self._batches:
             with self._opened(first, end) as archive:
