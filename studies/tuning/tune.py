@@ -143,7 +143,7 @@ def tune(
 
     The most sensitive threshold is taken whose false trips stay below a rate with a confidence (`Boundary`); it is an
     event of the recordings. Releases are of many hands in a scene, under the force that they press with or that pushes
-    them; each lets go within 50 ms, and counts if an unwatched device then exceeds 0.5 m/s within 0.3 s.
+    them; each lets go within 50 ms, and counts if an unwatched device then exceeds 0.5 m/s within 0.5 s.
 
     Args:
         files: Recordings of masters, of hands that hold: paths, or what `read_recording` read.
