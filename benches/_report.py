@@ -1,8 +1,9 @@
-"""What every bench shares: `--json`, where its table goes then, and how the JSON is written."""
+"""What every bench shares: `--json`, where its table goes then, how the JSON is written, and its requirements."""
 
 import argparse
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TextIO
 
@@ -28,3 +29,10 @@ def write_json(json_path: str | None, report: object) -> None:
         sys.stdout.write(text)
     elif json_path is not None:
         Path(json_path).write_text(text, encoding="utf-8")
+
+
+def print_requirements(holds: Mapping[str, bool], out: TextIO) -> int:
+    """Prints whether each requirement holds; the exit status: 0 where all do, else 1."""
+    for requirement, met in holds.items():
+        print(f"{requirement}: {'holds' if met else 'DOES NOT HOLD'}", file=out)
+    return 0 if all(holds.values()) else 1

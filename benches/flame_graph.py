@@ -1,9 +1,9 @@
 """Where the time of a simulated tick goes: stacks sampled by `perf` while a scene runs, by part and as a flame graph.
 
 Each checkout runs the scene with its own built extension (a release build says what users have), so that a tree can
-be held against another, `--before CHECKOUT`, or against what one gave before, `--keep FILE` and `--before FILE`. Times
-are shares of the samples times what a tick took of the processor, least of some runs. Needs `perf` (package linux-perf)
-and leave to sample (`kernel.perf_event_paranoid` at most 2).
+be compared with another, `--before CHECKOUT`, or with stacks that were written before, `--keep FILE` and `--before
+FILE`. Times are shares of the samples times the processor time of a tick, least of some runs. Needs `perf` (package
+linux-perf) and leave to sample (`kernel.perf_event_paranoid` at most 2).
 """
 
 import json
@@ -57,13 +57,13 @@ ROOT_FRAME = "run_virtual"
 Stack = tuple[str, ...]
 
 
-def sampled(
+def sample(
     checkout: Path, scene: str, seconds: float, repeats: int, overrides: Iterable[str]
 ) -> tuple[Counter[Stack], float]:
     """Stacks below the run of a scene, outermost first, with their counts, and the time of a tick in ns."""
     if checkout.is_file():
-        kept = json.loads(checkout.read_text(encoding="utf-8"))
-        return Counter({tuple(stack): count for *stack, count in kept["stacks"]}), kept["ns"]
+        profile = json.loads(checkout.read_text(encoding="utf-8"))
+        return Counter({tuple(stack): count for *stack, count in profile["stacks"]}), profile["ns"]
     with tempfile.TemporaryDirectory() as folder:
         recorded = str(Path(folder, "perf.data"))
         run, once = ([sys.executable, "-c", RUN, scene, str(seconds), str(n), *overrides] for n in (repeats, 1))
@@ -75,7 +75,7 @@ def sampled(
         printed = subprocess.run(script, check=True, capture_output=True, text=True, timeout=600).stdout
     stacks: Counter[Stack] = Counter()
     for block in printed.split("\n\n"):
-        frames = [named(line) for line in block.splitlines() if line.strip()]
+        frames = [function_name(line) for line in block.splitlines() if line.strip()]
         frames.reverse()
         begins = next((place for place, frame in enumerate(frames) if ROOT_FRAME in frame), None)
         if begins is not None:
@@ -83,23 +83,23 @@ def sampled(
     return stacks, float(plain.stdout)
 
 
-def named(line: str) -> str:
+def function_name(line: str) -> str:
     """The function of a line of `perf script`, without its address, hash and parameters of type."""
     name = line.split(None, 1)[1] if " " in line.strip() else "?"
     name = re.sub(r"::h[0-9a-f]{16}$", "", name.strip())
-    depth, kept = 0, []
+    depth, letters = 0, []
     for place, letter in enumerate(name):
         if letter == "<" and place > 0:
             depth += 1
         elif letter == ">" and depth > 0:
             depth -= 1
         elif depth == 0:
-            kept.append(letter)
-    return "".join(kept)
+            letters.append(letter)
+    return "".join(letters)
 
 
 def by_part(stacks: Counter[Stack], ns: float) -> dict[str, float]:
-    """Time of a tick in ns that each part takes itself."""
+    """Time of a tick in ns by part, without that of the functions it calls."""
     total = sum(stacks.values())
     spent = dict.fromkeys([*(name for name, _ in PARTS), "else"], 0.0)
     for stack, count in stacks.items():
@@ -169,7 +169,7 @@ def main() -> int:
     trees = {"now": ROOT} if chosen.before is None else {"before": chosen.before.resolve(), "now": ROOT}
     overrides = [*chosen.set, "record.every=1000"]
     drawn = {
-        name: sampled(tree, chosen.scene, chosen.seconds, chosen.repeats, overrides) for name, tree in trees.items()
+        name: sample(tree, chosen.scene, chosen.seconds, chosen.repeats, overrides) for name, tree in trees.items()
     }
     if chosen.keep is not None:
         stacks, ns = drawn["now"]

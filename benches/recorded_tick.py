@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from _report import bench_options, table_file, write_json
+from _report import bench_options, print_requirements, table_file, write_json
 from haptether.bridge import LiveMaster, TelemetryReader, load_scene, scene_json
 
 EXAMPLE = "example: python benches/recorded_tick.py --rounds 10 --json -"
@@ -126,10 +126,9 @@ def main() -> int:
         "p99 of a tick within 5 %": median("telemetry", "p99_times") <= REQUIRED,
         "p99 of the lateness within 5 %": p99_late["telemetry"] <= REQUIRED,
     }
-    for what, seen in holds.items():
-        print(f"{what}: {'holds' if seen else 'DOES NOT HOLD'}", file=out)
+    status = print_requirements(holds, out)
     write_json(chosen.json, {"rounds": rounds, "late_us": late, "holds": holds})
-    return 0 if all(holds.values()) else 1
+    return status
 
 
 if __name__ == "__main__":

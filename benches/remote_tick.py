@@ -6,7 +6,7 @@ less that of a short one by the ticks between them, least of the repeats, on one
 first tick stands beside it.
 
 Required: at most 350 ns a tick on one axis, 1000 on three. Ends with status 1 where that does not hold, or where the
-two ways differ.
+two runs of a scene differ.
 """
 
 import json
@@ -17,7 +17,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from _report import bench_options, table_file, write_json
+from _report import bench_options, print_requirements, table_file, write_json
 from haptether.bridge import load_scene, scene_json
 
 EXAMPLE = "example: python benches/remote_tick.py --repeats 20 --json -"
@@ -34,15 +34,15 @@ ROWS = {
 """Scene, both directions of its link, and the most that a tick may take in ns."""
 
 
-def built() -> Path:
-    """The example that runs scenes."""
+def build_example() -> Path:
+    """Builds the example that runs the scenes; the path of its program."""
     command = ["cargo", "build", "--quiet", "--release", "--locked", "-p", "haptether-bridge"]
     subprocess.run([*command, "--example", "remote_tick"], check=True, cwd=ROOT)
     return Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"), "release", "examples", "remote_tick")
 
 
-def written(folder: Path, name: str, link: list[str], duration_s: float) -> Path:
-    """A scene that lasts `duration_s`, without signals, as the example reads it."""
+def write_scene(folder: Path, name: str, link: list[str], duration_s: float) -> Path:
+    """Writes a scene that lasts `duration_s`, without signals, as the example reads it."""
     overrides = [f"link.{direction}.{one}" for direction in ("forward", "backward") for one in link]
     scene = json.loads(scene_json(load_scene(name, [*overrides, f"run.duration_s={duration_s}"])))
     scene["record"] = None
@@ -52,10 +52,10 @@ def written(folder: Path, name: str, link: list[str], duration_s: float) -> Path
 
 
 def cost(short: dict[str, Any], long: dict[str, Any], key: str) -> tuple[float, float]:
-    """Time of a tick in ns, and of what comes before the first in us."""
-    (few, many), (little, much) = ([run["run"][2][0] for run in (short, long)], [run[key] for run in (short, long)])
-    per_tick = (many * much - few * little) / (many - few)
-    return per_tick, few * (little - per_tick) * 1e-3
+    """Time of a tick in ns, and of what precedes the first tick in us: `(n_l t_l - n_s t_s) / (n_l - n_s)`."""
+    ticks, ns = [run["run"][2][0] for run in (short, long)], [run[key] for run in (short, long)]
+    per_tick_ns = (ticks[1] * ns[1] - ticks[0] * ns[0]) / (ticks[1] - ticks[0])
+    return per_tick_ns, ticks[0] * (ns[0] - per_tick_ns) * 1e-3
 
 
 def main() -> int:
@@ -65,19 +65,19 @@ def main() -> int:
     chosen = options.parse_args()
     if not 1 <= chosen.repeats <= 1000:
         options.error("--repeats must be 1 to 1000")
-    program = built()
+    program = build_example()
     rows = []
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        for name, (scene, link, most) in ROWS.items():
-            paths = [written(folder, scene, link, duration_s) for duration_s in (SHORT_S, LONG_S)]
+        for name, (scene, link, limit_ns) in ROWS.items():
+            paths = [write_scene(folder, scene, link, duration_s) for duration_s in (SHORT_S, LONG_S)]
             command = [str(program), str(chosen.repeats), *map(str, paths)]
             printed = subprocess.run(command, check=True, capture_output=True, text=True, timeout=600).stdout
             short, long = map(json.loads, printed.splitlines())
             ns, before_us = cost(short, long, "ns_per_tick")
             encoded_ns, _ = cost(short, long, "encoded_ns_per_tick")
             is_same = short["is_same"] and long["is_same"]
-            row = {"name": name, "ns": ns, "encoded_ns": encoded_ns, "before_us": before_us, "required_ns": most}
+            row = {"name": name, "ns": ns, "encoded_ns": encoded_ns, "before_us": before_us, "required_ns": limit_ns}
             rows.append({**row, "is_same": is_same})
     out = table_file(chosen.json)
     print(f"{'':30}{'ns a tick':>10}{'required':>10}{'as bytes':>10}{'before the first [us]':>23}", file=out)
@@ -87,12 +87,11 @@ def main() -> int:
         print(f"{row['name']:30}{numbers}", file=out)
     holds = {
         "the required times": all(row["required_ns"] is None or row["ns"] <= row["required_ns"] for row in rows),
-        "both ways give the same": all(row["is_same"] for row in rows),
+        "the same with frames encoded": all(row["is_same"] for row in rows),
     }
-    for what, seen in holds.items():
-        print(f"{what}: {'holds' if seen else 'DOES NOT HOLD'}", file=out)
+    status = print_requirements(holds, out)
     write_json(chosen.json, {"rows": rows, "holds": holds})
-    return 0 if all(holds.values()) else 1
+    return status
 
 
 if __name__ == "__main__":

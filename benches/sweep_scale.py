@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from _report import bench_options, table_file, write_json
+from _report import bench_options, print_requirements, table_file, write_json
 
 EXAMPLE = "example: python benches/sweep_scale.py --rows 1000 100000 --json -"
 MOST_IN_MEMORY = 20_000
@@ -47,7 +47,7 @@ print(json.dumps({"rows": rows, "stored_s": stored_s, "peak_mib": peak_mib, "eng
 
 
 def measured(rows: int, threads: int) -> dict[str, Any]:
-    """One size, in a process of its own."""
+    """Times in s, rates in rows/s and peak memory in MiB of one size, in a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
         arguments = [str(rows), str(threads), str(MOST_IN_MEMORY), str(Path(folder, "rows.csv"))]
         child = [sys.executable, "-c", CHILD, *arguments]
@@ -80,10 +80,9 @@ def main() -> int:
         "0.9 of the engine's rate": all(row["share"] >= 0.9 for row in found if row["stored_s"] > 10.0),
         "flat memory": found[-1]["peak_mib"] <= 1.5 * found[0]["peak_mib"],
     }
-    for what, seen in holds.items():
-        print(f"{what}: {'holds' if seen else 'DOES NOT HOLD'}", file=out)
+    status = print_requirements(holds, out)
     write_json(chosen.json, {"rows": found, "holds": holds})
-    return 0 if all(holds.values()) else 1
+    return status
 
 
 if __name__ == "__main__":

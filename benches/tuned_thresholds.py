@@ -12,6 +12,7 @@ Counted is how often each lies within its interval; these shares have exact inte
 pairs are independent. Ends with status 1 if a share of held-out sets is below the confidence beyond chance.
 """
 
+import argparse
 import math
 import sys
 import tempfile
@@ -20,11 +21,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
 from _report import bench_options, table_file, write_json
-from haptether.bridge import override_scene, simulate, sweep
+from haptether.bridge import Scene, override_scene, simulate, sweep
 from haptether.studies.intervals import binomial_interval
 from haptether.studies.task import HandBounds, Task
 from haptether.studies.tuning import (
@@ -36,6 +38,8 @@ from haptether.studies.tuning import (
 )
 from haptether.view.style.figure import new_figure, styled, write_figure
 
+Array = npt.NDArray[np.float64]
+
 EXAMPLE = """example:
   .venv/bin/python benches/tuned_thresholds.py --task remote_push sliding_mass --plot out
 """
@@ -45,7 +49,7 @@ SETTINGS = ("safety.window=10", "safety.wsc_force_threshold_n=0.1")
 
 
 class Pair(NamedTuple):
-    """A boundary of one set, and what the other set made of it."""
+    """A boundary of one set, and how often the other set exceeds it, against the prediction."""
 
     task: str
     field: str
@@ -63,21 +67,21 @@ def main() -> int:
     options.add_argument("--task", nargs="+", default=["remote_push"], help="bundled scenes of two sides")
     options.add_argument("--pairs", type=int, default=40, help="pairs of sets, of each task")
     options.add_argument("--recordings", type=int, default=8, help="recordings of each set")
-    options.add_argument("--false-trips-per-h", type=float, default=400.0, help="rate asked for")
+    options.add_argument("--false-trips-per-h", type=float, default=400.0, help="rate to keep")
     options.add_argument("--confidence", type=float, default=0.95)
     options.add_argument("--round-trip-s", type=float, default=0.1)
     options.add_argument("--set", nargs="*", default=SETTINGS, metavar="KEY=VALUE", help="fields of the scenes")
     options.add_argument("--seed", type=int, default=1)
     options.add_argument("--plot", metavar="DIR", help="draw predicted intervals and counts into this folder")
-    given = options.parse_args()
+    chosen = options.parse_args()
     rows: list[dict[str, Any]] = []
     pairs: list[Pair] = []
-    for name in given.task:
-        task = Task(name, given.round_trip_s, given.set)
-        found, everyone = _pairs(task, given)
+    for name in chosen.task:
+        task = Task(name, chosen.round_trip_s, chosen.set)
+        found, all_sets = _pairs(task, chosen)
         pairs += found
         rows += [
-            _row(name, field, [pair for pair in found if pair.field == field], everyone, given) for field in FIELDS
+            _row(name, field, [pair for pair in found if pair.field == field], all_sets, chosen) for field in FIELDS
         ]
     table = Table("task", "threshold", "pairs", "order k", "D", "held out", "all", "closed loop")
     for row in rows:
@@ -85,46 +89,59 @@ def main() -> int:
         table.add_row(
             row["task"], row["field"], str(row["pairs"]), f"{row['order']:.1f}", f"{row['grouping']:.2f}", *shares
         )
-    Console(file=table_file(given.json), width=110).print(table)
-    write_json(given.json, {"options": vars(given), "rows": rows, "pairs": [_plain(pair) for pair in pairs]})
-    if given.plot:
-        _draw(pairs, given, Path(given.plot))
-    return int(any(row["pairs"] and row["held_out_interval"][1] < given.confidence for row in rows))
+    Console(file=table_file(chosen.json), width=110).print(table)
+    write_json(chosen.json, {"options": vars(chosen), "rows": rows, "pairs": [_plain(pair) for pair in pairs]})
+    if chosen.plot:
+        _draw(pairs, chosen, Path(chosen.plot))
+    return int(any(row["pairs"] and row["held_out_interval"][1] < chosen.confidence for row in rows))
 
 
-def _pairs(task: Task, given: Any) -> tuple[list[Pair], dict[str, tuple[Exceedances, float]]]:  # noqa: ANN401  # options
-    """The pairs of a task, and all recordings together by field."""
-    bounds, count = HandBounds(), given.recordings
+def _pairs(task: Task, chosen: argparse.Namespace) -> tuple[list[Pair], dict[str, tuple[Exceedances, float]]]:
+    """The pairs of a task; by field the events of all its recordings, with their hours."""
+    bounds, count = HandBounds(), chosen.recordings
     lasting = task.lasting(bounds)
-    hands = task.hands(2 * count * given.pairs, given.seed, bounds)
-    pairs, sets = [], []
+    hands = task.hands(2 * count * chosen.pairs, chosen.seed, bounds)
+    pairs: list[Pair] = []
+    sets: list[NormalOperation] = []
     with tempfile.TemporaryDirectory() as folder:
-        for number in range(2 * given.pairs):
-            chosen = slice(number * count, (number + 1) * count)
-            files = list(
-                _recordings(task, {path: values[chosen] for path, values in hands.items()}, lasting, Path(folder))
-            )
+        for number in range(2 * chosen.pairs):
+            rows = slice(number * count, (number + 1) * count)
+            hands_of_set = {path: values[rows] for path, values in hands.items()}
+            files = list(_recordings(task, hands_of_set, lasting, Path(folder)))
             sets.append(read_normal_operation(files, fields=FIELDS))
-            if number % 2 == 0:
-                continue
-            for field in FIELDS:
-                seen, other = sets[-2:]
-                boundary = _events(seen, field).at_most(given.false_trips_per_h, given.confidence)
-                if boundary is None:
-                    continue
-                held = {path: values[chosen] for path, values in hands.items()}
-                trips, hours = _closed_loop(task, lasting, held, field, boundary.value)
-                pairs.append(
-                    Pair(
-                        task.name, field, boundary, other.hours, boundary.expected_count(other.hours, given.confidence),
-                        _events(other, field).count(boundary.value), hours, trips,
-                    )
-                )  # fmt: skip
+            if number % 2:
+                found = (_pair(task, field, sets[-2:], hands_of_set, chosen) for field in FIELDS)
+                pairs += [pair for pair in found if pair is not None]
     hours = sum(each.hours for each in sets)
-    return pairs, {field: (_together(sets, field, hours), hours) for field in FIELDS}
+    return pairs, {field: (_joined(sets, field, hours), hours) for field in FIELDS}
 
 
-def _recordings(task: Task, hands: dict[str, Any], lasting: Any, folder: Path) -> Iterator[Path]:  # noqa: ANN401  # a scene
+def _pair(
+    task: Task,
+    field: str,
+    sets: list[NormalOperation],
+    hands: dict[str, Array],
+    chosen: argparse.Namespace,
+) -> Pair | None:
+    """The boundary of the first set against the second, that of `hands`; none where none keeps the rate."""
+    tuned, held_out = sets
+    boundary = _events(tuned, field).at_most(chosen.false_trips_per_h, chosen.confidence)
+    if boundary is None:
+        return None
+    trips, hours = _closed_loop(task, hands, field, boundary.value)
+    return Pair(
+        task=task.name,
+        field=field,
+        boundary=boundary,
+        held_out_h=held_out.hours,
+        predicted=boundary.expected_count(held_out.hours, chosen.confidence),
+        held_out=_events(held_out, field).count(boundary.value),
+        closed_loop_h=hours,
+        closed_loop=trips,
+    )
+
+
+def _recordings(task: Task, hands: dict[str, Array], lasting: Scene, folder: Path) -> Iterator[Path]:
     """One of each hand, with no controller that intervenes."""
     for number in range(len(hands["run.seed"])):
         changes = [
@@ -132,16 +149,16 @@ def _recordings(task: Task, hands: dict[str, Any], lasting: Any, folder: Path) -
             for path, values in hands.items()
         ]
         file = folder / f"{number}.mcap"
-        scene = override_scene(task.watched(lasting, None, {}), changes)
+        scene = override_scene(task.with_controllers(lasting, None, {}), changes)
         simulate(scene, record=(file, folder / "slave.mcap"))
         yield file
 
 
-def _events(seen: NormalOperation, field: str) -> Exceedances:
-    return Exceedances(seen.scores[field], seen.hours, seen.period_s)
+def _events(recorded: NormalOperation, field: str) -> Exceedances:
+    return Exceedances(recorded.scores[field], recorded.hours, recorded.period_s)
 
 
-def _together(sets: list[NormalOperation], field: str, hours: float) -> Exceedances:
+def _joined(sets: list[NormalOperation], field: str, hours: float) -> Exceedances:
     """All recordings as one series."""
     scores = [each.scores[field] for each in sets]
     apart = 10**10
@@ -153,10 +170,11 @@ def _together(sets: list[NormalOperation], field: str, hours: float) -> Exceedan
     return Exceedances(joined, hours, sets[0].period_s)
 
 
-def _closed_loop(task: Task, lasting: Any, hands: dict[str, Any], field: str, value: float) -> tuple[int, float]:  # noqa: ANN401
+def _closed_loop(task: Task, hands: dict[str, Array], field: str, value: float) -> tuple[int, float]:
     """False trips of hands while the controller watches with the threshold, and the hours that they held."""
+    lasting = task.lasting(HandBounds())
     about = TUNED_FIELDS[field]
-    watched = task.watched(lasting, about.controller, {field: about.sign * value})
+    watched = task.with_controllers(lasting, about.controller, {field: about.sign * value})
     found = sweep(watched, samples=hands, threads=1)
     ticks = np.nan_to_num(np.asarray(found["ticks"], dtype=np.float64)).sum()
     return int(np.nansum(found["false_trips"])), float(ticks) * lasting.run.period_s / 3600.0
@@ -166,22 +184,22 @@ def _row(
     task: str,
     field: str,
     pairs: list[Pair],
-    everyone: dict[str, tuple[Exceedances, float]],
-    given: Any,  # noqa: ANN401
+    all_sets: dict[str, tuple[Exceedances, float]],
+    chosen: argparse.Namespace,
 ) -> dict[str, Any]:
-    events, hours = everyone[field]
-    held = sum(pair.predicted[0] <= pair.held_out <= pair.predicted[1] for pair in pairs)
+    events, hours = all_sets[field]
+    held_out = sum(pair.predicted[0] <= pair.held_out <= pair.predicted[1] for pair in pairs)
     rates = [events.count(pair.boundary.value) / hours for pair in pairs]
-    intervals = [pair.boundary.interval_per_hour(given.confidence) for pair in pairs]
+    intervals = [pair.boundary.interval_per_hour(chosen.confidence) for pair in pairs]
     within = sum(low <= rate <= high for rate, (low, high) in zip(rates, intervals, strict=True))
-    loop = [pair.boundary.expected_count(pair.closed_loop_h, given.confidence) for pair in pairs]
+    loop = [pair.boundary.expected_count(pair.closed_loop_h, chosen.confidence) for pair in pairs]
     closed = sum(low <= pair.closed_loop <= high for pair, (low, high) in zip(pairs, loop, strict=True))
     return {
         "task": task, "field": field, "pairs": len(pairs),
         "order": float(np.mean([pair.boundary.order for pair in pairs])) if pairs else math.nan,
         "grouping": float(np.mean([pair.boundary.grouping for pair in pairs])) if pairs else math.nan,
-        "held_out": held, "held_out_interval": binomial_interval(held, len(pairs)) if pairs else (0.0, 1.0),
-        "above": sum(rate > given.false_trips_per_h for rate in rates),
+        "held_out": held_out, "held_out_interval": binomial_interval(held_out, len(pairs)) if pairs else (0.0, 1.0),
+        "above": sum(rate > chosen.false_trips_per_h for rate in rates),
         "all": within, "closed_loop": closed,
         "closed_loop_trips": sum(pair.closed_loop for pair in pairs),
         "held_out_trips": sum(pair.held_out for pair in pairs),
@@ -194,12 +212,12 @@ def _plain(pair: Pair) -> dict[str, Any]:
     return {**pair._asdict(), "boundary": {name: getattr(boundary, name) for name in boundary.__struct_fields__}}
 
 
-def _draw(pairs: list[Pair], given: Any, folder: Path) -> None:  # noqa: ANN401  # options
+def _draw(pairs: list[Pair], chosen: argparse.Namespace, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with styled():
-        figure = new_figure(2, 2.2 * len(given.task) + 0.4, "held-out exceedances against their predicted intervals")
-        panels = figure.subplots(len(given.task), len(FIELDS), squeeze=False)
-        for row, task in zip(panels, given.task, strict=True):
+        figure = new_figure(2, 2.2 * len(chosen.task) + 0.4, "held-out exceedances against their predicted intervals")
+        panels = figure.subplots(len(chosen.task), len(FIELDS), squeeze=False)
+        for row, task in zip(panels, chosen.task, strict=True):
             for panel, field in zip(row, FIELDS, strict=True):
                 of = [pair for pair in pairs if (pair.task, pair.field) == (task, field)]
                 panel.set_title(f"{task}, {field}")

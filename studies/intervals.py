@@ -75,8 +75,8 @@ def binomial_interval(count: int, of: int, confidence: float = 0.95) -> tuple[fl
         return sum(exp(each + n * log(share) + (of - n) * log(1.0 - share)) for n, each in enumerate(logs))
 
     tail = 0.5 * (1.0 - confidence)
-    low = 0.0 if count == 0 else _falling(lambda share: at_most(count - 1, share), 1.0 - tail, 0.0, 1.0)
-    high = 1.0 if count == of else _falling(lambda share: at_most(count, share), tail, 0.0, 1.0)
+    low = 0.0 if count == 0 else _root_of_falling(lambda share: at_most(count - 1, share), 1.0 - tail, 0.0, 1.0)
+    high = 1.0 if count == of else _root_of_falling(lambda share: at_most(count, share), tail, 0.0, 1.0)
     return low, high
 
 
@@ -88,7 +88,7 @@ def gamma_quantile(share: float, shape: float) -> float:
     Source: Press et al. 2007, section 6.2: its series below x = k + 1, its continued fraction above.
     """
     high = shape + 20.0 + 20.0 * sqrt(shape + 1.0)
-    return _falling(lambda x: 1.0 - _gamma_below(shape, x), 1.0 - share, 0.0, high)
+    return _root_of_falling(lambda x: 1.0 - _gamma_cdf(shape, x), 1.0 - share, 0.0, high)
 
 
 def exceedance_interval(order: float, ratio: float, confidence: float = 0.95) -> tuple[int, int]:
@@ -107,8 +107,10 @@ def exceedance_interval(order: float, ratio: float, confidence: float = 0.95) ->
     tail, p = 0.5 * (1.0 - confidence), 1.0 / (1.0 + ratio)
     low, count, below = None, 0, 0.0
     while True:
-        chance = lgamma(count + order) - lgamma(count + 1.0) - lgamma(order) + order * log(p) + count * log(1.0 - p)
-        below += exp(chance)
+        probability = (
+            lgamma(count + order) - lgamma(count + 1.0) - lgamma(order) + order * log(p) + count * log(1.0 - p)
+        )
+        below += exp(probability)
         if low is None and below > tail:
             low = count
         if below >= 1.0 - tail:
@@ -116,7 +118,7 @@ def exceedance_interval(order: float, ratio: float, confidence: float = 0.95) ->
         count += 1
 
 
-def _falling(of: Callable[[float], float], value: float, low: float, high: float) -> float:
+def _root_of_falling(of: Callable[[float], float], value: float, low: float, high: float) -> float:
     """Where a function that falls passes a value."""
     for _ in range(80):
         middle = 0.5 * (low + high)
@@ -124,7 +126,7 @@ def _falling(of: Callable[[float], float], value: float, low: float, high: float
     return 0.5 * (low + high)
 
 
-def _gamma_below(shape: float, x: float) -> float:
+def _gamma_cdf(shape: float, x: float) -> float:
     """P(k, x)."""
     if x <= 0.0:
         return 0.0

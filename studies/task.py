@@ -105,7 +105,7 @@ class HandBounds(Struct, frozen=True, kw_only=True):
 
 
 class Network(Struct, frozen=True, kw_only=True):
-    """What a network does beside its mean delay, the same both ways."""
+    """What a network does beside its mean delay, the same in both directions."""
 
     name: str
     jitter: float = 0.0
@@ -126,7 +126,7 @@ class Network(Struct, frozen=True, kw_only=True):
 
 
 class HeldRun(Struct, frozen=True, kw_only=True):
-    """What one hand does that never lets go."""
+    """A run of one hand that never lets go."""
 
     metrics: Metrics
     engaged_s: float | None
@@ -134,7 +134,7 @@ class HeldRun(Struct, frozen=True, kw_only=True):
     coupled_s: float
     """Time in s for which the two were coupled; without an arm all of it."""
     holds: int
-    """How often they were coupled no more: HOLD, STOP or a fault."""
+    """How often the coupling ended: HOLD, STOP or a fault."""
     intervention_s: float
     """Time in s under intervention while they were coupled."""
     pressed_s: Array
@@ -206,13 +206,13 @@ class Task:
         self.operator: OperatorTable = scene.operator
         self.network, self.by_time = network, by_time
         self.strokes = 0
-        self.held = self._late(self._held())
+        self.held = self._delayed(self._held())
         self.can_push = scene.slave is not None or scene.environment is not None
         """Whether anything can be felt: there is an arm, or something to touch."""
 
     def replaced(self) -> tuple[str, ...]:
         """What of the scene itself the task does not have."""
-        said = [f"{self.name} has {change}, or it would ring." for change in SOFTENED.get(str(self.name), ())]
+        remarks = [f"{self.name} has {change}, or it would ring." for change in SOFTENED.get(str(self.name), ())]
         links, ours = self.base.link or LinksTable(), {"delay_s", "jitter_s", "distribution", "jitter_correlation_s"}
         dropped = {
             name: None
@@ -221,12 +221,12 @@ class Task:
             if name not in ours and getattr(link, name)
         }
         if self.base.slave is not None and self.network is not None and dropped:
-            said.append(f"{self.name} is run without what its own link has: {', '.join(dropped)}.")
+            remarks.append(f"{self.name} is run without what its own link has: {', '.join(dropped)}.")
         if (research := self.base.safety.research) is not None:
-            said.append(f"{research.controller} watches {self.name} where it is named as a controller.")
+            remarks.append(f"{research.controller} watches {self.name} where it is named as a controller.")
         if self.base.security is not None:
-            said.append(f"{self.name} is run without its security.")
-        return tuple(said)
+            remarks.append(f"{self.name} is run without its security.")
+        return tuple(remarks)
 
     def _held(self) -> Scene:
         """It with a hand that never lets go, and nothing recorded."""
@@ -251,7 +251,7 @@ class Task:
         ends = (self.operator.start, legs[-1].end)
         return legs + tuple(LegTable(duration_s=1.0, end=ends[place % 2]) for place in range(STROKES))
 
-    def _late(self, scene: Scene) -> Scene:
+    def _delayed(self, scene: Scene) -> Scene:
         """It with forces that come back after the round trip."""
         delay_s = 0.5 * self.round_trip_s
         if scene.slave is not None and self.network is not None:
@@ -272,7 +272,7 @@ class Task:
         ticks = round(self.round_trip_s / scene.run.period_s)
         return replace(scene, environment=replace(scene.environment, delay_ticks=ticks))
 
-    def watched(self, scene: Scene, controllers: str | None, fixed: dict[str, float | str]) -> Scene:
+    def with_controllers(self, scene: Scene, controllers: str | None, fixed: dict[str, float | str]) -> Scene:
         """A scene with controllers of force, torque and trigger, separated by commas, or with none.
 
         One in Python has the options that the scene gives it.

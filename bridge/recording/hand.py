@@ -1,6 +1,7 @@
 """The hand of a recording as a model: its impedance by least squares, and when it holds the device."""
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,11 +13,11 @@ Array = npt.NDArray[np.float64]
 SMOOTHED_S = 0.021
 """Length of the kernel that all signals pass: what derivatives of a quantised position need."""
 WINDOW_S = 0.2
-"""Length of a window within which the way that the hand wants to go is a parabola."""
+"""Length in s of a window within which the path that the hand intends is a parabola."""
 LAGS_S = (0.0, 0.01, 0.025, 0.05)
 """By how much the force that moves the hand is taken late."""
 MIN_FORCE_N = 0.5
-"""Least |F_device| that tells whether somebody holds against it."""
+"""Least |F_device| in N at which it is decided whether a hand holds against it."""
 STOP_M = 5e-4
 """How near a mechanical stop in m a device may already lean on it."""
 LET_GO, HOLDS_AGAIN = 0.3, 0.6
@@ -83,7 +84,7 @@ def held_ticks(position: Array, device_force: Array, device: dict[str, Any], per
     """At which ticks a hand holds a device, by the equation of motion (paper Eq. 3), shape `(n_ticks,)`.
 
     It has let go where it bears less than `LET_GO` of F_device, until it bears more than `HOLDS_AGAIN`; below
-    `MIN_FORCE_N` and at a mechanical stop nothing tells, and it is as before.
+    `MIN_FORCE_N` and at a mechanical stop the last state stays.
 
     Args:
         position: As of `hand_of`.
@@ -141,7 +142,7 @@ def _smoothed(values: Array, half: int) -> Array:
     return np.stack(columns, axis=1)
 
 
-def _at_a_stop(position: Array, stops: Any, half: int) -> npt.NDArray[np.bool_]:  # noqa: ANN401  # pairs, or none
+def _at_a_stop(position: Array, stops: Sequence[Sequence[float] | None] | None, half: int) -> npt.NDArray[np.bool_]:
     """Where a mechanical stop of the device may bear its force, which would look like a hand."""
     stopped = np.zeros(len(position), dtype=bool)
     for axis, pair in enumerate(stops or ()):
@@ -152,11 +153,11 @@ def _at_a_stop(position: Array, stops: Any, half: int) -> npt.NDArray[np.bool_]:
     return np.convolve(stopped, np.ones(2 * half + 1), "same") > 0.5
 
 
-def _holds(hand: Array, device: Array, tells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Whether somebody holds against the force; where nothing tells, as before."""
+def _holds(hand: Array, device: Array, decided: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Whether a hand holds against the force; at ticks that decide nothing the last state."""
     holds = np.ones(len(hand), dtype=bool)
     held = True
-    for tick in np.flatnonzero(tells):
+    for tick in np.flatnonzero(decided):
         share = hand[tick] / device[tick]
         if held and share < LET_GO:
             held = False

@@ -22,7 +22,7 @@ def tables_of(scene: bytes, names: tuple[str, ...]) -> dict[str, Raw]:
     tables: dict[str, Raw] = {"schema": 1}
     for name in names:
         if spec.get(name) is not None:
-            tables[name] = _given(spec[name])
+            tables[name] = _without_none(spec[name])
     if isinstance(safety := tables.get("safety"), dict) and spec["safety"]["limiter"] is None:
         safety["limiter"] = {"enabled": False}
     if isinstance(slave := tables.get("slave"), dict):
@@ -65,7 +65,8 @@ def _drop_absent(environment: dict[str, Raw]) -> None:
                     push.pop(absent, None)
 
 
-def _given(value: Any) -> Any:  # noqa: ANN401  # any part of a scene
+def _without_none(value: Raw) -> Raw:
+    """A part of a scene without its fields that are none."""
     if isinstance(value, dict):
-        return {key: _given(part) for key, part in value.items() if part is not None}
-    return [_given(part) for part in value] if isinstance(value, list) else value
+        return {key: _without_none(part) for key, part in value.items() if part is not None}
+    return [_without_none(part) for part in value] if isinstance(value, list) else value

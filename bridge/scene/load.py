@@ -2,12 +2,12 @@
 
 import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from os import PathLike
 from pathlib import Path as FilePath
-from typing import cast
+from typing import TypeAlias, cast
 
 import msgspec
 from msgspec import inspect
@@ -29,6 +29,9 @@ from haptether.bridge.scene.errors import (
 from haptether.bridge.scene.resolve import Spec
 from haptether.bridge.scene.series import embed_recordings
 from haptether.bridge.scene.tables.session import Scene
+
+Leaf: TypeAlias = "float | int | str | bool | None"
+"""A value of a scene's field that has no parts."""
 
 _SHIPPED = FilePath(__file__).parents[1] / "scenes"
 MAX_BYTES = 1 << 18
@@ -242,6 +245,18 @@ def overridden(raw: dict[str, Raw], override: str) -> dict[str, Raw]:
         raise SceneError(message)
     path = path_of(key.strip())
     return cast("dict[str, Raw]", with_value(raw, path, toml_value(text.strip(), path)))
+
+
+def leaf_values(tree: object, path: str = "") -> Iterator[tuple[str, Leaf]]:
+    """The values of nested tables and lists, each with its dotted path from `path` on, in their order."""
+    if isinstance(tree, dict):
+        for key, value in tree.items():
+            yield from leaf_values(value, f"{path}.{key}" if path else key)
+    elif isinstance(tree, list | tuple):
+        for index, value in enumerate(tree):
+            yield from leaf_values(value, f"{path}.{index}")
+    else:
+        yield path, cast("Leaf", tree)
 
 
 @lru_cache(maxsize=256)

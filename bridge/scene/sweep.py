@@ -23,16 +23,14 @@ from msgspec import inspect
 from haptether import _core
 from haptether.bridge.scene.checks import checked_spec
 from haptether.bridge.scene.errors import Path, Raw, SceneError, allowed_at, place, shown, types_at, wrong
-from haptether.bridge.scene.load import Checked, path_of, typed_scene, with_value
+from haptether.bridge.scene.load import Checked, Leaf, leaf_values, path_of, typed_scene, with_value
 from haptether.bridge.scene.research import research_of
 from haptether.bridge.scene.run import named_scene
+from haptether.bridge.scene.sweeps.design import Values, design_of
 from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import private_file, refuse_link
 
 Array: TypeAlias = npt.NDArray[np.float64]
-Leaf: TypeAlias = "float | int | str | bool | None"
-Values: TypeAlias = "Sequence[Any] | Array"
-"""Of one parameter: numbers, or whatever else a field takes."""
 
 # Numbers on which neither a check nor a default of another number depends: each value is checked once, by itself.
 # All others are checked together, row by row.
@@ -44,7 +42,7 @@ _ALONE = re.compile(
 )
 LARGEST_EXACT = 2**53
 """Values travel as float64: whole numbers beyond this are not exact."""
-_COUNTS = {"false_trips", "intervention_ticks"}
+COUNTS = frozenset({"false_trips", "intervention_ticks"})
 """Columns of whole numbers that are float64, so that NaN can stand for what was not measured."""
 METRICS = (
     "outcome", "max_ejection_velocity", "peak_device_force", "time_to_trip_s", "false_trips", "intervention_s",
@@ -54,6 +52,8 @@ METRICS = (
 """Columns of what is measured, in their order; a scene of poses has those of rotation."""
 _UNMEASURED = {"never-engaged", "refused"}
 """Outcomes of rows in which nothing was measured."""
+MAX_ROWS = 2_000_000
+"""Scenarios of a grid: more would not fit into memory."""
 
 
 class Sweep:
@@ -91,7 +91,7 @@ class Sweep:
         column = self.columns[name]
         values: list[Any] = column.tolist()
         if column.dtype.kind == "f":
-            known = int if name in _COUNTS else float
+            known = int if name in COUNTS else float
             return [None if math.isnan(value) else known(value) for value in values]
         if name == "reason":
             return [value or None for value in values]
@@ -165,8 +165,14 @@ def sweep(
         ValueError: Neither or both of `grid` and `samples`, samples of different lengths, a tie to what does not vary.
     """
     _, base = named_scene(scene, overrides)
-    varied = _tied(_varied(grid, samples), ties or {})
-    refuse_same_field(varied)
+    if (grid is None) == (samples is None):
+        message = "give grid or samples: exactly one of the two"
+        raise ValueError(message)
+    design = design_of(grid, samples, ties)
+    if grid is not None and design.rows > MAX_ROWS:
+        message = f"a grid of {design.rows} scenarios: must be at most {MAX_ROWS}"
+        raise ValueError(message)
+    varied = design.columns(0, design.rows)
     threads = thread_count(threads)
     found = measured(base, varied, Threads(count=threads, lanes=lanes, progress=progress))
     whole = Sweep({**labelled(varied), **found})
@@ -208,20 +214,6 @@ def labelled(varied: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[An
     }
 
 
-def refuse_same_field(paths: Iterable[str]) -> None:
-    """Refuses two paths that mean one field: "-" may stand for "_".
-
-    Raises:
-        SceneError: A path that is not in the schema.
-        ValueError: With both.
-    """
-    seen: dict[Path, str] = {}
-    for path in paths:
-        if (other := seen.setdefault(path_of(path), path)) != path:
-            message = f"{path}: is the same field as {other}"
-            raise ValueError(message)
-
-
 def refuse_empty(rows: Sweep) -> None:
     """Refuses a table without a row that can be built.
 
@@ -236,11 +228,11 @@ def refuse_empty(rows: Sweep) -> None:
     raise SceneError(message)
 
 
-def measured(base: Checked, varied: Mapping[str, npt.NDArray[Any]], how: Threads) -> dict[str, npt.NDArray[Any]]:
+def measured(base: Checked, varied: Mapping[str, npt.NDArray[Any]], threads: Threads) -> dict[str, npt.NDArray[Any]]:
     """The outcome and the metrics of each row; of rows of which none can be built only `outcome` and `reason`."""
     categories = {path: column for path, column in varied.items() if column.dtype == object}
     if not categories:
-        return in_order(_metrics(base, varied, how))
+        return in_order(_metrics(base, varied, threads))
     numbers = {path: column for path, column in varied.items() if path not in categories}
     labels = [[label(value) for value in column.tolist()] for column in categories.values()]
     codes: dict[tuple[str, ...], int] = {}
@@ -254,7 +246,7 @@ def measured(base: Checked, varied: Mapping[str, npt.NDArray[Any]], how: Threads
         own = own or {"run.seed": np.full(len(chosen), float(base.scene.run.seed))}
         try:
             changed = _of_kind(base, kind, {path: column[chosen[0]] for path, column in categories.items()})
-            of_these = _metrics(changed, own, replace(how, progress=_shifted(how.progress, done)))
+            of_these = _metrics(changed, own, replace(threads, progress=shifted(threads.progress, done)))
         except SceneError as error:
             of_these = _refused(dict.fromkeys(range(len(chosen)), str(error)))
         parts.append((chosen, of_these))
@@ -272,25 +264,26 @@ _MOST_KINDS = 256
 
 
 def _of_kind(base: Checked, kind: tuple[str, ...], values: Mapping[str, Raw]) -> Checked:
-    """The scene with what is no number changed; the last ones are kept, for rows come by batch.
+    """The scene with what is no number changed; the last ones are cached, for the batches of one sweep.
 
     Raises:
         SceneError: A scene that cannot be built.
     """
     key = (base.json, tuple(values), kind)
-    if (kept := _KINDS.get(key)) is None:
+    if (cached := _KINDS.get(key)) is None:
         changed: Raw = cast("dict[str, Raw]", msgspec.to_builtins(base.scene))
         for path, value in values.items():
             changed = with_value(changed, path_of(path), value)
         scene = typed_scene(changed)
-        kept = Checked(scene, checked_spec(scene))
+        cached = Checked(scene, checked_spec(scene))
         if len(_KINDS) >= _MOST_KINDS:
             _KINDS.clear()
-        _KINDS[key] = kept
-    return kept
+        _KINDS[key] = cached
+    return cached
 
 
-def _shifted(progress: Callable[[int], None] | None, done: int) -> Callable[[int], None] | None:
+def shifted(progress: Callable[[int], None] | None, done: int) -> Callable[[int], None] | None:
+    """A call of `progress` that counts what is done from `done` rows on."""
     return None if progress is None else lambda now: progress(done + now)
 
 
@@ -302,14 +295,19 @@ def joined(
     for name in dict.fromkeys(name for _, of_these in parts for name in of_these):
         columns = [(chosen, of_these[name]) for chosen, of_these in parts if name in of_these]
         kind = np.result_type(*(column for _, column in columns))
-        column = np.full(rows, np.nan if kind.kind == "f" else "" if kind.kind == "U" else 0, kind)
+        column = unmeasured(kind, rows)
         for chosen, of_these in columns:
             column[chosen] = of_these
         whole[name] = column
     return whole
 
 
-def _metrics(base: Checked, varied: Mapping[str, Array], how: Threads) -> dict[str, npt.NDArray[Any]]:
+def unmeasured(kind: "np.dtype[Any]", rows: int) -> npt.NDArray[Any]:
+    """A column in which nothing was measured: NaN, empty text, or 0 where a type has neither; shape `(rows,)`."""
+    return np.full(rows, np.nan if kind.kind == "f" else "" if kind.kind == "U" else 0, kind)
+
+
+def _metrics(base: Checked, varied: Mapping[str, Array], threads: Threads) -> dict[str, npt.NDArray[Any]]:
     """What is measured of rows of numbers."""
     columns, refused = _columns(base, varied)
     rows = len(next(iter(varied.values())))
@@ -318,7 +316,7 @@ def _metrics(base: Checked, varied: Mapping[str, Array], how: Threads) -> dict[s
     built = np.array([row for row in range(rows) if row not in refused]) if refused else slice(None)
     columns = [(path, np.ascontiguousarray(column[built])) for path, column in columns]
     research = research_of(base.scene)
-    found = _core.sweep_scenes(base.json, columns, how.count, how.lanes, how.progress, research)
+    found = _core.sweep_scenes(base.json, columns, threads.count, threads.lanes, threads.progress, research)
     of_rows = {name: _of_rows(name, np.asarray(column), built, rows, refused) for name, column in found.items()}
     if (of_rows["outcome"] == "refused").all():
         return _refused(dict(enumerate(of_rows["reason"].tolist())))
@@ -354,84 +352,9 @@ def _of_rows(
         texts = {"outcome": dict.fromkeys(refused, "refused"), "reason": refused}[name]
         found = dict(zip(np.arange(rows)[built].tolist(), column.tolist(), strict=True))
         return np.array([texts.get(row, found.get(row)) for row in range(rows)])
-    whole = np.full(rows, np.nan if column.dtype.kind == "f" else 0, column.dtype)
+    whole = unmeasured(column.dtype, rows)
     whole[built] = column
     return whole
-
-
-MAX_ROWS = 2_000_000
-"""Scenarios of a grid: more would not fit into memory."""
-
-
-def _tied(varied: Mapping[str, npt.NDArray[Any]], ties: Mapping[str, str]) -> dict[str, npt.NDArray[Any]]:
-    """What varies, and what takes the values of that."""
-    whole = dict(varied)
-    for path, leading in ties.items():
-        if path in varied or leading not in varied:
-            problem = "varies by itself" if path in varied else f"{leading} does not vary"
-            message = f"{path} is tied to {leading}: {problem}"
-            raise ValueError(message)
-        whole[path] = varied[leading]
-    return whole
-
-
-def _varied(
-    grid: Mapping[str, Values] | None,
-    samples: Mapping[str, Values] | None,
-) -> dict[str, npt.NDArray[Any]]:
-    """The value of each parameter in each row: numbers, or objects where not all are."""
-    if (grid is None) == (samples is None):
-        message = "give grid or samples: exactly one of the two"
-        raise ValueError(message)
-    given = {path: values_of_path(path, values) for path, values in (grid or samples or {}).items()}
-    if not given:
-        message = "nothing to vary: give at least one path with values"
-        raise ValueError(message)
-    if grid is not None:
-        total = math.prod(len(values) for values in given.values())
-        if total > MAX_ROWS:
-            message = f"a grid of {total} scenarios: must be at most {MAX_ROWS}"
-            raise ValueError(message)
-        places = np.indices([len(values) for values in given.values()]).reshape(len(given), -1)
-        return {path: values[place] for (path, values), place in zip(given.items(), places, strict=True)}
-    lengths = {path: len(values) for path, values in given.items()}
-    if len(set(lengths.values())) > 1:
-        seen = ", ".join(f"{path} has {length}" for path, length in lengths.items())
-        message = f"samples of different lengths: {seen}"
-        raise ValueError(message)
-    return given
-
-
-def values_of_path(path: str, values: Values) -> npt.NDArray[Any]:
-    """The values of a parameter: numbers, or objects where not all are.
-
-    Raises:
-        SceneError: What no field takes.
-    """
-    if isinstance(values, str) or any(isinstance(value, bool | str | list | tuple | Mapping) for value in values):
-        return _categories(path, values)
-    try:
-        numbers = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        message = f"{path}: values that are neither numbers, strings, booleans, lists nor tables"
-        raise SceneError(message) from None
-    if numbers.ndim != 1 or numbers.size == 0:
-        message = f"{path}: values of shape {numbers.shape}: must be a list of at least one number"
-        raise SceneError(message)
-    if not np.isfinite(numbers).all():
-        message = f"{path} = {numbers[~np.isfinite(numbers)][0]}: must be a finite number"
-        raise SceneError(message)
-    return numbers
-
-
-def _categories(path: str, values: Values) -> npt.NDArray[Any]:
-    if isinstance(values, str):
-        message = f"{path} = {values!r}: must be a list of values"
-        raise SceneError(message)
-    column = np.empty(len(values), dtype=object)
-    for row, value in enumerate(values):
-        column[row] = list(value) if isinstance(value, tuple) else value
-    return column
 
 
 # --------------------------------------------------------------------------------------------------- columns
@@ -512,7 +435,7 @@ def _joint_columns(
             changed = raw
             for path, value in zip(varied, combination, strict=True):
                 changed = cast("dict[str, Raw]", with_value(changed, path, _as_typed(value)))
-            leaves = dict(_leaves(checked_spec(typed_scene(changed))))
+            leaves = dict(leaf_values(checked_spec(typed_scene(changed))))
         except SceneError as error:
             refused[number] = str(error)
             continue
@@ -542,18 +465,7 @@ def _as_typed(value: float) -> float | int:
 @lru_cache(maxsize=8)
 def _leaves_of(json: bytes) -> Mapping[str, Leaf]:
     """The leaves of a specification as JSON."""
-    return MappingProxyType(dict(_leaves(msgspec.json.decode(json))))
-
-
-def _leaves(spec: object, path: str = "") -> Iterator[tuple[str, Leaf]]:
-    if isinstance(spec, dict):
-        for key, value in spec.items():
-            yield from _leaves(value, f"{path}.{key}" if path else key)
-    elif isinstance(spec, list | tuple):
-        for index, value in enumerate(spec):
-            yield from _leaves(value, f"{path}.{index}")
-    else:
-        yield path, cast("Leaf", spec)
+    return MappingProxyType(dict(leaf_values(msgspec.json.decode(json))))
 
 
 def _number(path: str, leaf: Leaf) -> float:

@@ -2,11 +2,11 @@
 
 import math
 import re
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import msgspec
 
+from haptether.bridge.scene.load import leaf_values
 from haptether.bridge.scene.tables.session import Scene
 
 
@@ -49,7 +49,9 @@ def unusual_numbers(scene: Scene) -> list[str]:
     """
     of_joints = scene.master.kind == "joints"
     found = []
-    for path, value in _numbers(msgspec.to_builtins(scene)):
+    for path, value in leaf_values(msgspec.to_builtins(scene)):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            continue
         usual = next((one for one in _USUAL if one.path.fullmatch(path)), None)
         if usual is None or abs(value) <= usual.most or (of_joints and usual.unit != "s"):
             continue
@@ -57,15 +59,3 @@ def unusual_numbers(scene: Scene) -> list[str]:
         question = f"; did you mean {value * meant[1]:.6g} ({value:g} {meant[0]})?" if meant is not None else ""
         found.append(f"{path} = {value:g}: {usual.unit}, and beyond the usual {usual.most:g}{question}")
     return found
-
-
-def _numbers(value: object, path: str = "") -> Iterator[tuple[str, float]]:
-    """The numbers that a scene gives, by their dotted path."""
-    if isinstance(value, dict):
-        for key, part in value.items():
-            yield from _numbers(part, f"{path}.{key}" if path else key)
-    elif isinstance(value, list | tuple):
-        for index, part in enumerate(value):
-            yield from _numbers(part, f"{path}.{index}")
-    elif isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
-        yield path, value

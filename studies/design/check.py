@@ -264,11 +264,12 @@ def _strokes(spec: dict[str, Any]) -> tuple[float, float]:
         return 0.0, 0.0
     fastest, hardest, start = 0.0, 0.0, operator["start"]
     for leg in operator["legs"]:
-        way, time_s = hypot(*(end - begin for begin, end in zip(start, leg["end"], strict=True))), leg["duration_s"]
+        distance_m = hypot(*(end - begin for begin, end in zip(start, leg["end"], strict=True)))
+        time_s = leg["duration_s"]
         is_smooth = leg["shape"] == "minimum-jerk"
         if time_s > 0.0:
-            fastest = max(fastest, way / time_s * (PEAK_SPEED if is_smooth else 1.0))
-            hardest = max(hardest, way / time_s**2 * PEAK_ACCELERATION if is_smooth else 0.0)
+            fastest = max(fastest, distance_m / time_s * (PEAK_SPEED if is_smooth else 1.0))
+            hardest = max(hardest, distance_m / time_s**2 * PEAK_ACCELERATION if is_smooth else 0.0)
         start = leg["end"]
     return fastest, hardest
 
@@ -366,19 +367,19 @@ def _idle(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
     """What the ladder makes of this link while nobody moves, whatever the link is made of."""
     if spec["slave"] is None or scene.link is None:
         return
-    seen = idle_link(scene)
-    if not seen.engaged:
+    idle = idle_link(scene)
+    if not idle.engaged:
         yield Finding(
-            name="link", state="bad", text=f"over this link the two never engage: {seen.reason}",
+            name="link", state="bad", text=f"over this link the two never engage: {idle.reason}",
             remedy="is delay_s in seconds? 0.05 is 50 ms; else less delay and loss",
         )  # fmt: skip
         return
-    per_h = seen.holds * 3600.0 / seen.seconds
-    rate = f"{per_h:.3g} times an hour" if seen.holds else f"less than {3.0 * 3600.0 / seen.seconds:.3g} times an hour"
-    why = f" ({seen.reason})" if seen.reason else ""
-    state: State = "bad" if seen.stops else "warning" if seen.holds else "good"
+    per_h = idle.holds * 3600.0 / idle.seconds
+    rate = f"{per_h:.3g} times an hour" if idle.holds else f"less than {3.0 * 3600.0 / idle.seconds:.3g} times an hour"
+    why = f" ({idle.reason})" if idle.reason else ""
+    state: State = "bad" if idle.stops else "warning" if idle.holds else "good"
     yield Finding(
         name="link", state=state, text=f"while nobody moves this link makes the ladder hold {rate}{why}, of"
-        f" {seen.seconds:g} s that were run", value=per_h, limit=MAX_HOLDS_PER_H, unit="1/h",
+        f" {idle.seconds:g} s that were run", value=per_h, limit=MAX_HOLDS_PER_H, unit="1/h",
         remedy=None if state == "good" else "less jitter and loss, or a longer safety.ladder.hold_after_s",
     )  # fmt: skip

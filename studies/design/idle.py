@@ -1,4 +1,4 @@
-"""What a link alone does to the ladder: both sides coupled over it while nobody moves."""
+"""The ladder of safe states on an idle link: both sides coupled while nobody moves."""
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -6,9 +6,9 @@ from msgspec.structs import replace
 from haptether.bridge import Scene, load_scene, simulate
 
 IDLE_S = 60.0
-"""How long."""
+"""Simulated time in s."""
 EPISODE_S = 0.45
-"""Both sides hold one after the other, and a simulated person presses again 0.5 s after that."""
+"""Holds closer than that in s are one: both sides hold in turn, and the simulated hand re-engages 0.5 s after."""
 
 
 class IdleLink(Struct, frozen=True, kw_only=True):
@@ -18,45 +18,45 @@ class IdleLink(Struct, frozen=True, kw_only=True):
     engaged: bool
     """Whether the two ever were coupled."""
     holds: int
-    """How often they were coupled no more."""
+    """How often the coupling ended, as episodes."""
     stops: int
     """How often a side went to STOP."""
     reason: str
-    """Why they first were not."""
+    """Why the coupling first ended or never began; empty where it lasted."""
 
 
 def idle_link(scene: Scene, *, seconds: float = IDLE_S) -> IdleLink:
     """Runs link, ladder and periods of a scene with a resting hand, an arm that touches nothing, and no controller.
 
-    So whatever a link is made of counts, and however a ladder judges it: silence, age over what it is used to, order.
+    Loss, jitter, outages and order of the link count, as the ladder judges them: by silence and by age.
 
     Args:
         scene: With an arm and a link.
         seconds: Simulated.
     """
-    still = load_scene("remote_push", ["safety.controllers=[]"])
-    assert still.operator is not None
-    assert still.slave is not None
+    resting = load_scene("remote_push", ["safety.controllers=[]"])
+    assert resting.operator is not None
+    assert resting.slave is not None
     period_s = scene.slave.period_s if scene.slave is not None else None
     pair = replace(
-        still,
-        run=replace(still.run, duration_s=seconds, period_s=scene.run.period_s, seed=scene.run.seed),
-        slave=replace(still.slave, period_s=period_s),
-        operator=replace(still.operator, legs=(), release=None),
+        resting,
+        run=replace(resting.run, duration_s=seconds, period_s=scene.run.period_s, seed=scene.run.seed),
+        slave=replace(resting.slave, period_s=period_s),
+        operator=replace(resting.operator, legs=(), release=None),
         environment=None,
         link=scene.link,
-        safety=replace(still.safety, ladder=scene.safety.ladder),
+        safety=replace(resting.safety, ladder=scene.safety.ladder),
         record=None,
     )
     events = simulate(pair).events
     engaged = any(event.kind == "engaged" for event in events)
-    parted = [event for event in events if event.kind in {"hold", "stop", "never-engaged"}]
-    begins = [one.time_s for one in parted if one.kind == "hold"]
-    holds = sum(1 for place, at_s in enumerate(begins) if place == 0 or at_s - begins[place - 1] > EPISODE_S)
+    uncoupled = [event for event in events if event.kind in {"hold", "stop", "never-engaged"}]
+    holds_s = [one.time_s for one in uncoupled if one.kind == "hold"]
+    holds = sum(1 for place, at_s in enumerate(holds_s) if place == 0 or at_s - holds_s[place - 1] > EPISODE_S)
     return IdleLink(
         seconds=seconds,
         engaged=engaged,
         holds=holds,
-        stops=sum(1 for one in parted if one.kind == "stop"),
-        reason=parted[0].detail if parted else "",
+        stops=sum(1 for one in uncoupled if one.kind == "stop"),
+        reason=uncoupled[0].detail if uncoupled else "",
     )

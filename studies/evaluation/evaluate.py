@@ -176,13 +176,13 @@ class _Runs:
     ) -> None:
         self.task, self.hands, self.limits, self.threads = task, hands, limits, threads
         self.lasting = lasting
-        self.unwatched = task.hold(task.watched(lasting, None, {}), hands, threads)
-        self.releases = task.releases(hands, self.unwatched, places)
-        self.unwatched_speeds = self._speeds(self.releases, None)[0] if self.releases else np.empty(0)
+        self.uncontrolled = task.hold(task.with_controllers(lasting, None, {}), hands, threads)
+        self.releases = task.releases(hands, self.uncontrolled, places)
+        self.uncontrolled_speeds = self._speeds(self.releases, None)[0] if self.releases else np.empty(0)
 
     def _speeds(self, releases: Releases, controllers: str | None) -> tuple[Array, Array]:
         """After each release the largest speed in m/s, NaN if the run did not come to it, and the time to a trip."""
-        scene = self.task.watched(releases.scene, controllers, {})
+        scene = self.task.with_controllers(releases.scene, controllers, {})
         found = sweep(scene, samples=releases.rows, threads=self.threads)
         speeds = ejection_speeds(scene, found)
         speeds[~np.isfinite(np.asarray(found["max_ejection_velocity"], dtype=np.float64))] = np.nan
@@ -192,14 +192,14 @@ class _Runs:
     def cell(self, names: str) -> tuple[EvaluationCell, WorstRelease | None]:
         """What one set of controllers does, and the worst release."""
         controllers = None if names == "none" else names.replace("+", ",")
-        watched = self.task.watched(self.lasting, controllers, {})
-        held = self.task.hold(watched, self.hands, self.threads) if controllers else self.unwatched
+        watched = self.task.with_controllers(self.lasting, controllers, {})
+        held = self.task.hold(watched, self.hands, self.threads) if controllers else self.uncontrolled
         outcomes = Counter(run.metrics.outcome for run in held)
         engaged = all(run.engaged_s is not None for run in held)
         held_s = sum(run.coupled_s for run in held) if engaged else 0.0
-        speeds, unwatched, detected, already, worst = self._let_go(names, controllers)
+        speeds, uncontrolled, detected, already_tripped, worst = self._released(names, controllers)
         limit = self.limits.speed
-        dangerous = (speeds > limit) | (unwatched > limit)
+        dangerous = (speeds > limit) | (uncontrolled > limit)
         trips = detected[dangerous & np.isfinite(detected)]
         stiffness, damping = self._transmitted(controllers) if engaged else (None, None)
 
@@ -222,7 +222,7 @@ class _Runs:
             intervention_share=sum(run.intervention_s for run in held) / held_s if held_s else None,
             can_push=self.task.can_push,
             releases=len(speeds),
-            already_tripped=already,
+            already_tripped=already_tripped,
             dangerous=int(dangerous.sum()),
             thrown=int((speeds > limit).sum()),
             speeds=tuple(speeds[dangerous].tolist()),
@@ -245,7 +245,7 @@ class _Runs:
         assert self.task.network is not None
         return self.task.network
 
-    def _let_go(self, names: str, controllers: str | None) -> tuple[Array, Array, Array, int, WorstRelease | None]:
+    def _released(self, names: str, controllers: str | None) -> tuple[Array, Array, Array, int, WorstRelease | None]:
         """Of the releases: the largest speed, that where nobody watches, when a controller tripped; and the worst.
 
         Without those under an intervention that had begun while the hand still held, of which it has the number.
@@ -254,9 +254,9 @@ class _Runs:
             return np.empty(0), np.empty(0), np.empty(0), 0, None
         speeds, detected = self._speeds(self.releases, controllers)
         # A grip that begins to loosen in this tick is whole in it.
-        already = np.isfinite(speeds) & (detected < 0.5 * self.lasting.run.period_s)
-        counted = np.flatnonzero(np.isfinite(speeds) & ~already)
-        of = speeds[counted], self.unwatched_speeds[counted], detected[counted], int(already.sum())
+        already_tripped = np.isfinite(speeds) & (detected < 0.5 * self.lasting.run.period_s)
+        counted = np.flatnonzero(np.isfinite(speeds) & ~already_tripped)
+        of = speeds[counted], self.uncontrolled_speeds[counted], detected[counted], int(already_tripped.sum())
         if not counted.size:
             return *of, None
         most = int(counted[speeds[counted].argmax()])
@@ -266,13 +266,15 @@ class _Runs:
             round_trip_s=self.task.round_trip_s,
             network=self._network().name,
             speed=float(speeds[most]),
-            scene=self.task.alone(self.task.watched(self.releases.scene, controllers, {}), self.releases.rows, most),
+            scene=self.task.alone(
+                self.task.with_controllers(self.releases.scene, controllers, {}), self.releases.rows, most
+            ),
         )
         return *of, release
 
     def _transmitted(self, controllers: str | None) -> tuple[float | None, float | None]:
         """Stiffness in N/m and damping in N s/m that the hand of the scene feels while it presses."""
-        scene = self.task.watched(self.task.held, controllers, {})
+        scene = self.task.with_controllers(self.task.held, controllers, {})
         return transmitted_impedance(simulate(replace(scene, record=RecordTable())))
 
 

@@ -14,8 +14,9 @@ Verdict: TypeAlias = Literal["diverged", "thrown", "not-engaged", "uncoupled", "
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 """The worst first."""
 UNSAFE: frozenset[Verdict] = frozenset({"diverged", "thrown", "not-engaged", "not-measured"})
-"""Of which nobody can say that nobody is thrown."""
-IN_THE_WAY: frozenset[Verdict] = frozenset({"uncoupled", "trips"})
+"""Verdicts that do not exclude a thrown device."""
+INTERFERING: frozenset[Verdict] = frozenset({"uncoupled", "trips"})
+"""Verdicts of a loop that interrupts the task and throws no device."""
 
 EVALUATED_CONTROLLERS = ("none", "vfc", "hsc", "wsc", "hsc+wsc", "vfc+hsc+wsc")
 """Sets of controllers that are compared by default."""
@@ -34,7 +35,7 @@ class EvaluationLimits(Struct, frozen=True, kw_only=True):
     speed: float = THROWN_SPEED
     """Speed in m/s above which a release has thrown the device."""
     false_trips_per_h: float = 60.0
-    """Interventions per hour while a hand holds, above which a controller is in the way."""
+    """Interventions per hour while a hand holds, above which a controller interferes with the task."""
 
 
 class EvaluationCell(Struct, frozen=True, kw_only=True):
@@ -50,7 +51,7 @@ class EvaluationCell(Struct, frozen=True, kw_only=True):
     hours: float
     """Time in h for which hands held and the two were coupled."""
     holds: int
-    """How often they were coupled no more meanwhile: HOLD, STOP or a fault, whatever came after."""
+    """How often the coupling ended meanwhile: HOLD, STOP or a fault, also where it resumed."""
     false_trips: int | None
     """Interventions that began meanwhile."""
     intervention_share: float | None
@@ -93,9 +94,9 @@ class EvaluationCell(Struct, frozen=True, kw_only=True):
     """Transmitted damping in N s/m, of the same fit."""
 
     def verdict(self, limits: EvaluationLimits) -> Verdict:
-        """What it comes to: the worst that happened; without a release it is not measured whether one is safe."""
+        """The worst of its findings; without a release it is not measured whether one is safe."""
         rate = self.false_trips_per_h
-        happened: dict[Verdict, bool] = {
+        applies: dict[Verdict, bool] = {
             "diverged": self.held.get("diverged", 0) > 0,
             "thrown": self.thrown > 0,
             "not-engaged": self.held.get("never-engaged", 0) > 0,
@@ -103,7 +104,7 @@ class EvaluationCell(Struct, frozen=True, kw_only=True):
             "trips": rate is not None and rate > limits.false_trips_per_h,
             "not-measured": self.releases == 0,
         }
-        return next((verdict for verdict in VERDICTS if happened.get(verdict)), "safe")
+        return next((verdict for verdict in VERDICTS if applies.get(verdict)), "safe")
 
     @property
     def false_trips_per_h(self) -> float | None:
@@ -228,10 +229,10 @@ class Evaluation(Struct, frozen=True, kw_only=True):
         Raises:
             ValueError: A set of controllers or a task that was not evaluated.
         """
-        return self._up_to_s(controllers, task, UNSAFE | IN_THE_WAY)
+        return self._up_to_s(controllers, task, UNSAFE | INTERFERING)
 
     def unthrown_up_to_s(self, controllers: str, task: str | None = None) -> float | None:
-        """The same of what throws or diverges alone: a controller that trips falsely is in the way, and safe.
+        """The same of what throws or diverges alone: a controller that trips falsely interferes, and is safe.
 
         Raises:
             ValueError: A set of controllers or a task that was not evaluated.

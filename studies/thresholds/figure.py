@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
+from haptether.studies.task import WITHIN_S
 from haptether.studies.thresholds.law import ThresholdLaw
 from haptether.studies.thresholds.trade_off import TradeOff
 from haptether.view.style.colours import AXES, CONTROLLERS, HELD, PAPER, THRESHOLD
@@ -31,7 +32,7 @@ def draw_trade_off(found: TradeOff, columns: Columns = 2) -> "Figure":
     with styled():
         title = (
             f"{len(found.tasks)} tasks, {found.hands} hands each; missed: faster than {found.missed_speed:g} m/s within"
-            " 0.3 s of a release"
+            f" {WITHIN_S:g} s of a release"
         )
         height = 3.0 if columns == 2 else 2.2 * len(controllers) + 0.8
         figure = new_figure(columns, height, title)

@@ -223,7 +223,7 @@ class TaskRuns:
     def __init__(self, task: Task, lasting: Scene, hands: dict[str, Array], places: int, threads: int | None) -> None:
         self.task, self.lasting, self.threads = task, lasting, threads
         self.hands = hands
-        held = task.hold(task.watched(lasting, None, {}), hands, threads)
+        held = task.hold(task.with_controllers(lasting, None, {}), hands, threads)
         self.hours = sum(run.coupled_s for run in held if run.engaged_s is not None) / 3600.0
         self.releases = task.releases(hands, held, places)
         # Each hand lets go once.
@@ -237,7 +237,7 @@ class TaskRuns:
 
     def _speeds(self, releases: Releases, law: ThresholdLaw | None) -> Array:
         """Largest speed in m/s after each release, by threshold and hand."""
-        watched = self.task.watched(releases.scene, law.controller if law else None, law.fixed if law else {})
+        watched = self.task.with_controllers(releases.scene, law.controller if law else None, law.fixed if law else {})
         samples = self._over(law, releases.rows) if law else releases.rows
         found = sweep(watched, samples=samples, threads=self.threads)
         return ejection_speeds(releases.scene, found).reshape(len(law.values) if law else 1, -1)
@@ -258,7 +258,7 @@ class TaskRuns:
         rows = []
         for law in laws:
             held = sweep(
-                self.task.watched(self.lasting, law.controller, law.fixed),
+                self.task.with_controllers(self.lasting, law.controller, law.fixed),
                 samples=self._over(law, self.hands),
                 threads=self.threads,
             )

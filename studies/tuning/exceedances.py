@@ -1,4 +1,4 @@
-"""How often a boundary is exceeded, from the order statistics of clusters: no law of the values is assumed."""
+"""Exceedance rates from the order statistics of clusters: no law of the values is assumed."""
 
 import math
 
@@ -11,12 +11,12 @@ from haptether.studies.tuning.normal_operation import Scores
 
 SEPARATION_S = 0.3
 """Exceedances closer than that in s are one event: hold-off and release ramp of one intervention."""
-GROUPED_OF = 5
-"""How many of the largest events say how they are grouped, at least: one alone says nothing of it."""
+GROUPING_EVENTS = 5
+"""Least number of the largest events from which the grouping D is estimated."""
 
 
 class Boundary(Struct, frozen=True, kw_only=True):
-    """The k-th largest event of T hours as a threshold, and how often that will be exceeded.
+    """The k-th largest event of T hours as a threshold, and the rate at which that is exceeded.
 
     Events beyond a high value are a Poisson process (Leadbetter 1976), whose rate lambda(u) falls with u. At the k-th
     largest of T hours `T lambda(u) ~ Gamma(k, 1)`, whatever the law of the values, because `T lambda` maps the events,
@@ -45,7 +45,7 @@ class Boundary(Struct, frozen=True, kw_only=True):
         return self.order / self.hours
 
     def quantile_per_hour(self, share: float) -> float:
-        """The rate in 1/h below which lambda(u) lies with a probability."""
+        """The rate in 1/h below which lambda(u) lies with a probability: `D Q(share; k') / T`, Q of Gamma(k', 1)."""
         return self.grouping * gamma_quantile(share, self.order / self.grouping) / self.hours
 
     def interval_per_hour(self, confidence: float) -> tuple[float, float]:
@@ -60,7 +60,15 @@ class Boundary(Struct, frozen=True, kw_only=True):
 
 
 class Exceedances:
-    """The events of a score, by falling height."""
+    """The events of a score, by falling height: exceedances at least `SEPARATION_S` apart.
+
+    Args:
+        scores: Ticks of a score that rises as safety falls.
+        hours: T, for how long hands were coupled, in h.
+        period_s: dT of a tick in s.
+
+    Source: Smith and Weissman 1994 (clusters by a least separation).
+    """
 
     def __init__(self, scores: Scores, hours: float, period_s: float) -> None:
         self.hours = hours
@@ -71,7 +79,7 @@ class Exceedances:
 
     def count(self, value: float) -> int:
         """How many events exceed a value."""
-        return len(self._events(self._above(value)))
+        return len(self._events(self._ticks_above(value)))
 
     def boundary(self, order: int) -> Boundary | None:
         """The `order`-th largest event; none where there are fewer."""
@@ -86,13 +94,13 @@ class Exceedances:
             middle = (low + high) // 2
             low, high = (low, middle) if len(self._events(middle)) >= order else (middle, high)
         grouping = _grouping(self._events(high))
-        if order < GROUPED_OF and (more := self.boundary(GROUPED_OF)) is not None:
+        if order < GROUPING_EVENTS and (more := self.boundary(GROUPING_EVENTS)) is not None:
             grouping = more.grouping
         return Boundary(value=float(self._value[high - 1]), order=order, grouping=grouping, hours=self.hours)
 
     def rate_of(self, value: float, confidence: float) -> tuple[float, tuple[float, float]]:
         """Events per hour above a value that was not chosen by them, with an interval (Garwood 1936, grouped)."""
-        events = self._events(self._above(value))
+        events = self._events(self._ticks_above(value))
         count, grouping = len(events), _grouping(events) if len(events) else 1.0
         tail = 0.5 * (1.0 - confidence)
         low = gamma_quantile(tail, count / grouping) if count else 0.0
@@ -114,20 +122,20 @@ class Exceedances:
         Where all events that there are would be allowed, the largest one: how low one may go is not known then.
         """
         low, high = 0, 1
-        while self._holds(high, per_hour, confidence):
+        while self._keeps(high, per_hour, confidence):
             low, high = high, 2 * high
         while high - low > 1:
             middle = (low + high) // 2
-            low, high = (middle, high) if self._holds(middle, per_hour, confidence) else (low, middle)
+            low, high = (middle, high) if self._keeps(middle, per_hour, confidence) else (low, middle)
         if low and self.boundary(low + 1) is None:
             low = 1
         return self.boundary(low) if low else None
 
-    def _holds(self, order: int, per_hour: float, confidence: float) -> bool:
+    def _keeps(self, order: int, per_hour: float, confidence: float) -> bool:
         boundary = self.boundary(order)
         return boundary is not None and boundary.quantile_per_hour(confidence) <= per_hour
 
-    def _above(self, value: float) -> int:
+    def _ticks_above(self, value: float) -> int:
         """How many ticks exceed a value."""
         return int(np.searchsorted(-self._value, -value, "left"))
 

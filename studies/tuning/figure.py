@@ -44,16 +44,16 @@ def draw_tuning(found: Tuning, columns: Columns = 2) -> "Figure":
 def _events(panel: "Axes", each: TunedThreshold, found: Tuning) -> list[object]:
     colour = CONTROLLERS[each.controller][0]
     values = np.abs(np.array(each.peaks))
-    (seen,) = panel.step(values, np.arange(1, len(values) + 1) / found.hours, color=colour, where="post",
+    (events,) = panel.step(values, np.arange(1, len(values) + 1) / found.hours, color=colour, where="post",
                          label="events of normal operation")  # fmt: skip
     chosen = panel.axvline(abs(each.point.threshold), color=PAPER, lw=1.0, label="threshold found")
     recorded = panel.axvline(abs(each.recorded.threshold), color=THRESHOLD, ls="--", lw=1.0, label="as recorded")
-    asked = panel.axhline(found.per_hour, color=HELD, ls=":", lw=1.0, label="false trips asked for, at most")
+    target = panel.axhline(found.per_hour, color=HELD, ls=":", lw=1.0, label="false trips asked for, at most")
     panel.set_xlabel(TUNED_FIELDS[each.field].score)
     panel.set_ylabel("events above it per hour")
     panel.set_title(each.field)
     panel.set_yscale("log")
-    return [seen, chosen, recorded, asked]
+    return [events, chosen, recorded, target]
 
 
 def _roc(panel: "Axes", each: TunedThreshold) -> None:
@@ -61,14 +61,14 @@ def _roc(panel: "Axes", each: TunedThreshold) -> None:
     points = [point for point in each.roc if point.missed_interval is not None]
     rates = np.array([point.false_trips_per_h for point in points])
     missed = np.array([point.missed / point.releases for point in points])
-    beyond = np.array([point.false_trips_per_h_interval for point in points]).reshape(-1, 2)
+    intervals = np.array([point.false_trips_per_h_interval for point in points]).reshape(-1, 2)
     panel.set_xlabel("false trips per hour")
     panel.set_ylabel("releases missed [%]")
     panel.set_ylim(-3.0, 103.0)
     if not points:
         panel.text(0.5, 0.5, "no release to be missed", ha="center", va="center", transform=panel.transAxes)
         return
-    panel.errorbar(rates, 100.0 * missed, xerr=np.abs(beyond - rates[:, None]).T,
+    panel.errorbar(rates, 100.0 * missed, xerr=np.abs(intervals - rates[:, None]).T,
                    color=colour, marker=".", ms=4.0, lw=0.8, elinewidth=0.4)  # fmt: skip
     panel.plot(each.point.false_trips_per_h, 100.0 * each.point.missed / each.point.releases, "o", color=PAPER,
                mfc="none", ms=7.0)  # fmt: skip

@@ -1,4 +1,4 @@
-"""What a recorded hand that holds makes of the safety observers, tick by tick."""
+"""The safety observers on recordings of normal operation, tick by tick."""
 
 import os
 from collections.abc import Iterable, Sequence
@@ -27,8 +27,13 @@ from haptether.bridge import (
 Array = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
-DULL = ("energy_threshold_j=-1e6", "velocity_threshold=1e6", "grasp_threshold=1e6", "hsc_force_threshold_n=1e6")
-"""Thresholds that nothing passes: observers watch and nobody intervenes."""
+NEVER_TRIPPING = (
+    "energy_threshold_j=-1e6",
+    "velocity_threshold=1e6",
+    "grasp_threshold=1e6",
+    "hsc_force_threshold_n=1e6",
+)
+"""Thresholds that no signal passes: observers are computed and no controller intervenes."""
 OBSERVERS = ("vfc", "hsc", "wsc")
 """Controllers whose observers are replayed."""
 READ_BY_OBSERVERS = {
@@ -36,23 +41,23 @@ READ_BY_OBSERVERS = {
     "hsc": ("grasp_threshold", "hsc_force_threshold_n", "hsc_velocity_threshold", "grasp_floor_n"),
     "vfc": ("velocity_threshold", "vfc_force_threshold_n", "vfc_form"),
 }
-"""Fields of `[safety]` that decide over what observers see, or over what of it trips."""
+"""Fields of `[safety]` that observers and the conditions of their trips read, by controller."""
 DEVICE = ("kind", "axes", "mass_kg", "viscous", "coulomb", "encoder_quantum", "measures_velocity", "max_force_n")
 """What makes two masters the same device."""
 SETTLE_S = 0.3
 """After a recorded intervention, until signals are again those of a hand that feels F_v: the ramp of its return."""
 LET_GO_S = 0.05
-"""For how long in s nobody bears F_device where a hand let go: what a grip that fails takes (paper section 4.3)."""
+"""Least time in s for which no hand loads the device after a release: that of a failing grip (paper section 4.3)."""
 LET_GO_SPEED = 0.3
 """Speed in m/s along F_device that a device then has at least: below, it was not thrown."""
-UNANSWERED = 0.5
-"""Share of an intervention in which nobody bears the force, above which the hand was gone.
+UNLOADED_SHARE = 0.5
+"""Share of an intervention in which no hand loads the device, above which the hand has let go.
 
 Measured in `remote_push` and `sliding_mass` at 100 ms with the default release law: at most 0.32 where a hand holds,
 0.65 and more where it has let go.
 """
-UNANSWERED_S = 0.5
-"""Least duration in s of such an intervention: where one ends by time, a hand that yields may not answer meanwhile."""
+UNLOADED_S = 0.5
+"""Least duration in s of such an intervention: in a shorter one a compliant hand may not load the device."""
 NOT_NORMAL = "a hand that lets go is no normal operation, give recordings in which it holds throughout"
 ENGAGED = LADDER_STATES.index("engaged")
 BLOCK_S = 60.0
@@ -60,7 +65,7 @@ BLOCK_S = 60.0
 
 
 class TunedField(NamedTuple):
-    """A threshold that can be read off recordings."""
+    """A threshold that recordings can tune."""
 
     controller: str
     field: str
@@ -118,14 +123,14 @@ class Scores(NamedTuple):
 def read_normal_operation(
     files: Sequence[str | os.PathLike[str] | Recording], *, fields: Iterable[str], overrides: Iterable[str] = ()
 ) -> NormalOperation:
-    """Reads recordings of masters and has the safety observers see them again, with no controller that intervenes.
+    """Reads recordings of masters and computes the safety observers on them, with no controller that intervenes.
 
     A tick counts while the two sides are engaged and no controller of the recording intervenes or did so less than
     `SETTLE_S` ago: then the hand felt another force.
 
     Args:
         files: What `--record` of a master wrote, or what `read_recording` read of it.
-        fields: Thresholds that are wanted, of `TUNED_FIELDS`.
+        fields: Thresholds, of `TUNED_FIELDS`.
         overrides: Fields of `[safety]` to change first, `safety.key=value`.
 
     Raises:
@@ -159,8 +164,8 @@ def read_normal_operation(
             value = one.score(field)
             kept = value > TUNED_FIELDS[field].least
             parts[field].append(Scores(value[kept], place[kept], blocks_of[kept].astype(np.int64) + blocks))
-        for name, begins in one.begins.items():
-            interventions[name] += [f"{one.name} at {one.time_s[tick]:.3f} s" for tick in np.flatnonzero(begins)]
+        for name, onsets in one.onsets.items():
+            interventions[name] += [f"{one.name} at {one.time_s[tick]:.3f} s" for tick in np.flatnonzero(onsets)]
         round_trips.append(one.round_trips_s)
         ticks += int(one.counted.sum())
         blocks += int(blocks_of[-1]) + 1
@@ -185,18 +190,18 @@ def read_normal_operation(
 class _Recorded:
     """One recording: its observers replayed, and which of its ticks count."""
 
-    def __init__(self, name: str, run: Run, scene: Scene, seen: dict[str, Array]) -> None:
-        self.name, self.scene, self.seen = name, scene, seen
+    def __init__(self, name: str, run: Run, scene: Scene, replayed: dict[str, Array]) -> None:
+        self.name, self.scene, self.replayed = name, scene, replayed
         self.period_s, self.time_s = scene.run.period_s, run.signals["time_s"]
         tripped = _trips(run)
-        # Who trips while another intervenes begins nothing.
-        begins = _begins(tripped != 0)
-        self.begins = {name: begins & (tripped & TRIP_BITS[name] != 0) for name in OBSERVERS}
+        # A trip during an intervention of another controller is part of that.
+        onsets = _onsets(tripped != 0)
+        self.onsets = {name: onsets & (tripped & TRIP_BITS[name] != 0) for name in OBSERVERS}
         engaged = run.signals["state"] == ENGAGED
         measured = run.signals["round_trip_s"][engaged] if "round_trip_s" in run.signals else np.zeros(0)
         self.round_trips_s: Array = measured[np.isfinite(measured)]
         after = round(SETTLE_S / self.period_s)
-        self.counted = engaged & ~_for_so_long_after(tripped != 0, after)
+        self.counted = engaged & ~_extended(tripped != 0, after)
 
     def score(self, field: str) -> Array:
         """What the threshold must exceed so that a tick does not trip it, shape `(n_ticks,)`; -inf where none does.
@@ -210,16 +215,16 @@ class _Recorded:
         Source: safety/src/controller; the conditions are those of the tick.
         """
         tuned, safety = TUNED_FIELDS[field], self.scene.safety
-        velocity, force = self.seen["velocity"], self.seen["rendered_force"]
+        velocity, force = self.replayed["velocity"], self.replayed["rendered_force"]
         power, pushed, speed = (velocity * force).sum(axis=1), _norm(force), _norm(velocity)
         if tuned.controller == "wsc":
             gate = safety.wsc_force_threshold_n
             passes = (power > gate * speed) | (gate == 0.0)
-            score = -self.seen["windowed_energy_j"]
+            score = -self.replayed["windowed_energy_j"]
         elif tuned.controller == "hsc":
-            grasp = self.seen["grasp"]
+            grasp = self.replayed["grasp"]
             # S_h = |F_v| / (|F_h| + alpha) with F_v as late as F_h (Eq. 5).
-            aligned = grasp * (_norm(self.seen["grasp_force"]) + safety.grasp_floor_n)
+            aligned = grasp * (_norm(self.replayed["grasp_force"]) + safety.grasp_floor_n)
             least = np.minimum(pushed, aligned)
             slowest = safety.hsc_velocity_threshold or 0.0
             passes = (power > slowest * pushed) | (slowest == 0.0)
@@ -236,7 +241,7 @@ class _Recorded:
             passes = pushed > safety.vfc_force_threshold_n
             score = np.divide(power, pushed, out=np.zeros_like(power), where=pushed > 0.0)
         score = np.where(passes & self.counted & np.isfinite(score), score, -np.inf)
-        return np.where(self.begins[tuned.controller], np.inf, score)
+        return np.where(self.onsets[tuned.controller], np.inf, score)
 
 
 def _name(file: str | os.PathLike[str] | Recording) -> str:
@@ -261,11 +266,11 @@ def _recorded(file: str | os.PathLike[str] | Recording, overrides: tuple[str, ..
         message = f"{name}: of kind joints, must be linear or pose: it has no force and velocity of one point"
         raise ValueError(message)
     changes = [f"safety.controllers=[{','.join(OBSERVERS)}]", *overrides]
-    seen = replay(recording, overrides=[*changes, *(f"safety.{each}" for each in DULL)], hand="measured")
+    replayed = replay(recording, overrides=[*changes, *(f"safety.{each}" for each in NEVER_TRIPPING)], hand="measured")
     scene = recorded_scene(recording.scene, overrides)
     device = run.settings["master"]
     _check_held(name, run, recording.signals, device)
-    return _Recorded(name, run, scene, dict(seen.replayed))
+    return _Recorded(name, run, scene, dict(replayed.replayed))
 
 
 def _check_held(name: str, run: Run, recorded: dict[str, Any], device: dict[str, Any]) -> None:
@@ -285,24 +290,24 @@ def _check_held(name: str, run: Run, recorded: dict[str, Any], device: dict[str,
         raise ValueError(message) from None
     engaged = run.signals["state"] == ENGAGED
     along = (recorded["velocity"] * force).sum(axis=1) / np.maximum(_norm(force), 1e-9)
-    flights = [
+    releases = [
         (begin, f"nobody bears the force, and the device reaches {speed:.2f} m/s along it")
-        for begin, end in _stretches(~holds & engaged)
+        for begin, end in _intervals_of(~holds & engaged)
         if (end - begin) * period_s >= LET_GO_S and (speed := along[begin:end].max()) > LET_GO_SPEED
     ]
-    flights += [
+    releases += [
         (begin, f"an intervention of {(end - begin) * period_s:.2f} s begins that no hand answers")
-        for begin, end in _stretches((_trips(run) != 0) & engaged)
-        if (end - begin) * period_s > UNANSWERED_S and np.mean(~holds[begin:end]) > UNANSWERED
+        for begin, end in _intervals_of((_trips(run) != 0) & engaged)
+        if (end - begin) * period_s > UNLOADED_S and np.mean(~holds[begin:end]) > UNLOADED_SHARE
     ]
-    if flights:
-        begin, what = min(flights)
+    if releases:
+        begin, what = min(releases)
         message = f"{name}: at {time_s[begin]:.3f} s {what}: {NOT_NORMAL}"
         raise ValueError(message)
 
 
 def _check_alike(first: _Recorded, one: _Recorded) -> None:
-    """Refuses recordings that say nothing of each other."""
+    """Refuses recordings of different devices, rates or settings of observers."""
     check_device(first.scene, one.scene, f"{first.name}, {one.name}")
     for key in ("estimator", *(name for names in READ_BY_OBSERVERS.values() for name in names)):
         ours, theirs = (getattr(each.scene.safety, key) for each in (first, one))
@@ -344,18 +349,20 @@ def _norm(vectors: Array) -> Array:
     return lengths
 
 
-def _begins(states: Bools) -> Bools:
-    begins: Bools = states & ~np.concatenate([[False], states[:-1]])
-    return begins
+def _onsets(states: Bools) -> Bools:
+    """Where a state begins."""
+    onsets: Bools = states & ~np.concatenate([[False], states[:-1]])
+    return onsets
 
 
-def _for_so_long_after(states: Bools, ticks: int) -> Bools:
+def _extended(states: Bools, ticks: int) -> Bools:
     """Where a state is, or was at most so many ticks ago."""
     last: npt.NDArray[np.int64] = np.maximum.accumulate(np.where(states, np.arange(len(states)), -ticks - 1))
     within: Bools = np.arange(len(states)) <= last + ticks
     return within
 
 
-def _stretches(states: Bools) -> list[tuple[int, int]]:
+def _intervals_of(states: Bools) -> list[tuple[int, int]]:
+    """First tick and end of each interval in which a state is."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], states, [False]])))
     return [(int(begin), int(end)) for begin, end in edges.reshape(-1, 2)]

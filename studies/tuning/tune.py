@@ -1,4 +1,4 @@
-"""Thresholds that recordings of normal operation bear, held against simulated releases."""
+"""Thresholds from recordings of normal operation, with the simulated releases that they miss."""
 
 import math
 import os
@@ -37,7 +37,7 @@ class RocPoint(Struct, frozen=True, kw_only=True):
     """As `[safety]` takes it."""
     false_trips_per_h: float
     false_trips_per_h_interval: tuple[float, float]
-    """Of the confidence asked for."""
+    """At the confidence of the tuning."""
     releases: int
     """Simulated releases that throw the device beyond `missed_speed` where nobody watches; 0 without a scene."""
     missed: int
@@ -49,7 +49,7 @@ class RocPoint(Struct, frozen=True, kw_only=True):
 
 
 class TunedThreshold(Struct, frozen=True, kw_only=True):
-    """One threshold of `[safety]`, as the recordings bear it."""
+    """One tuned threshold of `[safety]`, with its rates and intervals."""
 
     controller: str
     field: str
@@ -57,18 +57,18 @@ class TunedThreshold(Struct, frozen=True, kw_only=True):
     point: RocPoint
     """The threshold that was found."""
     order: int
-    """It is the `order`-th largest event of the recordings; 0 where none came near, and the recorded one is kept."""
+    """It is the `order`-th largest event of the recordings; 0 where there is none, and the recorded one stays."""
     grouping: float
     """Events that one hand makes together, on the average over events."""
     most_per_h: float
     """Largest rate of false trips in 1/h at the confidence, one-sided."""
     reached: bool
-    """Whether that is at most what was asked for."""
+    """Whether that is at most `Tuning.per_hour`."""
     needed_hours: float
     """How long hands must hold so that it can be, in h, if they hold as here."""
     interventions: tuple[str, ...]
-    """Of this controller, file and time in s: how high its observer went then was not seen, so each counts as above
-    every threshold."""
+    """Of this controller, file and time in s: they cut the peak of the observer off, so that each counts as above every
+    threshold."""
     recorded: RocPoint
     """The threshold of the recordings, for comparison."""
     roc: tuple[RocPoint, ...]
@@ -78,7 +78,7 @@ class TunedThreshold(Struct, frozen=True, kw_only=True):
 
     @property
     def none_missed(self) -> RocPoint | None:
-        """The dullest threshold of the curve that misses no release, nor does any below it; none without one."""
+        """The least sensitive threshold of the curve that, as all more sensitive ones, misses no release."""
         best = None
         for point in self.roc:
             if point.missed:
@@ -88,7 +88,7 @@ class TunedThreshold(Struct, frozen=True, kw_only=True):
 
 
 class Tuning(Struct, frozen=True, kw_only=True):
-    """Thresholds of recordings."""
+    """Thresholds that `tune` found, with the recordings and options that they are of."""
 
     files: tuple[str, ...]
     hours: float
@@ -96,7 +96,7 @@ class Tuning(Struct, frozen=True, kw_only=True):
     blocks: int
     """Recordings, and parts of 60 s of longer ones."""
     per_hour: float
-    """False trips per hour of each controller that were asked for, at most."""
+    """Largest rate of false trips in 1/h that each controller may have."""
     confidence: float
     round_trip_s: float
     missed_speed: float
@@ -111,11 +111,11 @@ class Tuning(Struct, frozen=True, kw_only=True):
 
     @property
     def reached(self) -> bool:
-        """Whether every threshold keeps what was asked for."""
+        """Whether every threshold keeps the rate of false trips."""
         return all(each.reached for each in self.thresholds)
 
     def toml(self) -> str:
-        """A table `[safety]` with the thresholds, and what is to be expected of them."""
+        """A table `[safety]` with the thresholds; rates, intervals and MEV as comments."""
         names = dict.fromkeys(each.controller for each in self.thresholds)
         lines = ["[safety]", f"controllers = [{', '.join(map(_toml, names))}]"]
         for each in self.thresholds:
@@ -143,7 +143,7 @@ def tune(
 
     The most sensitive threshold is taken whose false trips stay below a rate with a confidence (`Boundary`); it is an
     event of the recordings. Releases are of many hands in a scene, under the force that they press with or that pushes
-    them; each lets go within 50 ms, and counts if an unwatched device then exceeds 0.5 m/s within 0.3 s.
+    them; each lets go within 50 ms, and counts if an unwatched device then exceeds 0.5 m/s within 0.5 s.
 
     Args:
         files: Recordings of masters, of hands that hold: paths, or what `read_recording` read.
@@ -168,21 +168,21 @@ def tune(
     Source: paper section 5 (boundary values in normal operation, then abnormal ones); `Boundary`.
     """
     _check(false_trips_per_h, confidence, round_trip_s, hands, releases)
-    overrides, say = tuple(overrides), progress or (lambda _: None)
+    overrides, report = tuple(overrides), progress or (lambda _: None)
     _check_overrides(overrides)
     chosen = _check_fields(fields)
-    say(f"{len(files)} recordings")
+    report(f"{len(files)} recordings")
     seen = read_normal_operation(files, fields=chosen or TUNED_FIELDS, overrides=overrides)
     if chosen is None:
         watching = [name for name in FIELD_OF if name in seen.scene.safety.controllers]
         chosen = tuple(FIELD_OF[name] for name in watching or FIELD_OF)
-    trip_s = seen.round_trip_s if round_trip_s is None else round_trip_s
-    runs, notes = _release_runs(seen, scene, (trip_s, hands, releases, seed), threads)
+    release_trip_s = seen.round_trip_s if round_trip_s is None else round_trip_s
+    runs, notes = _release_runs(seen, scene, (release_trip_s, hands, releases, seed), threads)
     if seen.scene.master.rotation is not None:
         notes.append("of kind pose: thresholds of [safety.rotation], for torques, are not tuned")
     tuned = []
     for field in chosen:
-        say(f"{field}: releases")
+        report(f"{field}: releases")
         tuned.append(_tuned(seen, field, runs, false_trips_per_h, confidence))
     watched = {each.controller for each in tuned}
     own = {each.field for each in tuned}
@@ -192,7 +192,7 @@ def tune(
         blocks=seen.blocks,
         per_hour=false_trips_per_h,
         confidence=confidence,
-        round_trip_s=trip_s,
+        round_trip_s=release_trip_s,
         missed_speed=MISSED_SPEED,
         hands=hands,
         seed=seed,
@@ -292,15 +292,16 @@ def _tuned(
     orders = _orders(found)
     boundaries = [each for order in orders if (each := events.boundary(order)) and math.isfinite(each.value)]
     values = {
-        _dull(about.sign * each.value): (each.per_hour, each.interval_per_hour(confidence)) for each in boundaries
+        _rounded_outward(about.sign * each.value): (each.per_hour, each.interval_per_hour(confidence))
+        for each in boundaries
     }
     if largest is not None and math.isfinite(largest.value):
         for beyond in BEYOND:
             most = largest.interval_per_hour(confidence)[1]
-            values.setdefault(_dull(about.sign * beyond * largest.value), (0.0, (0.0, most)))
+            values.setdefault(_rounded_outward(about.sign * beyond * largest.value), (0.0, (0.0, most)))
     values.setdefault(recorded, events.rate_of(about.sign * recorded, confidence))
     points = _points(about.field, about.controller, values, runs, confidence)
-    point = points[recorded if boundary is None else _dull(about.sign * boundary.value)]
+    point = points[recorded if boundary is None else _rounded_outward(about.sign * boundary.value)]
     most_per_h = hours_for(1.0, confidence) / seen.hours if boundary is None else boundary.quantile_per_hour(confidence)
     first = most_per_h if largest is None else largest.quantile_per_hour(confidence)
     return TunedThreshold(
@@ -355,8 +356,8 @@ def _points(
     return points
 
 
-def _dull(threshold: float) -> float:
-    """To four digits, away from 0: not below what was seen."""
+def _rounded_outward(threshold: float) -> float:
+    """A threshold to four digits, rounded away from 0: not below the event that it is."""
     if threshold == 0.0:
         return threshold
     scale = 10.0 ** (math.floor(math.log10(abs(threshold))) - 3)
@@ -372,11 +373,11 @@ def _expected(each: TunedThreshold, found: Tuning) -> list[str]:
     low, high = point.false_trips_per_h_interval
     share = f"{100.0 * found.confidence:g} %"
     rate = f"{point.false_trips_per_h:.3g} false trips per hour ({share}: {low:.3g} to {high:.3g})"
-    said = [rate if each.order else f"nothing came near: kept. {rate}"]
+    lines = [rate if each.order else f"nothing came near: kept. {rate}"]
     if point.missed_interval is not None:
         low, high = point.missed_interval
-        said.append(
+        lines.append(
             f"{point.missed} of {point.releases} releases missed ({share}: {100.0 * low:.0f} to {100.0 * high:.0f} %),"
             f" MEV {point.mev:.2f} m/s"
         )
-    return said
+    return lines

@@ -303,6 +303,28 @@ def test_a_study_that_cannot_be_is_refused(
     assert problem in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.parametrize(
+    ("varied", "problem"),
+    [
+        (["safety.controllers=none,[hsc]", "link.forward.distribution=normal,gamma"], "a picture has one choice"),
+        (["safety.controllers=none,[hsc,of-no-name]"], "safety.controllers: 'of-no-name' is none of none, vfc, hsc"),
+        (["safety.window=9,10", "safety.grasp_threshold=2,3", "link.forward.delay_s=0,1"], "a picture has at most 2"),
+    ],
+)
+def test_a_picture_that_cannot_be_drawn_is_refused_before_the_sweep(
+    varied: list[str], problem: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def sweep(*_: object, **__: object) -> None:
+        pytest.fail("rows were run")
+
+    monkeypatch.setattr("haptether.bridge.sweep", sweep)
+    picture = tmp_path / "sweep.png"
+    options = [part for path in varied for part in ("--vary", path)]
+    assert main(["sweep", "remote_push", *options, "--plot", str(picture)]) == 2
+    assert problem in " ".join(capsys.readouterr().err.split())
+    assert not picture.exists()
+
+
 def test_a_run_loads_no_library_that_it_does_not_need() -> None:
     heavy = ("casadi", "matplotlib", "pyvista", "rtde_control", "scipy")
     program = f"""

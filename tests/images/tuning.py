@@ -17,7 +17,7 @@ SETTINGS = ("safety.window=10", "safety.wsc_force_threshold_n=0.1", "safety.vfc_
 def record_hands(folder: Path, hands: int = HANDS, seed: int = 1) -> list[Path]:
     """Recordings of masters, each of another random hand that holds."""
     task = Task("remote_push", 0.1)
-    drawn, held = task.hands(hands, seed, HandBounds()), task.watched(task.lasting(HandBounds()), None, {})
+    drawn, held = task.hands(hands, seed, HandBounds()), task.with_controllers(task.lasting(HandBounds()), None, {})
     files = [folder / f"hand{hand}.mcap" for hand in range(hands)]
     for hand, file in enumerate(files):
         changes = [

@@ -74,4 +74,5 @@ def test_a_scheduler_that_does_not_answer_is_an_error(tmp_path: Path, monkeypatc
 @pytest.mark.parametrize(("engine", "address"), [("ray", None), ("local", "tcp://127.0.0.1:1")])
 def test_an_engine_that_there_is_not_is_refused(engine: str, address: str | None, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=f"engine = '{engine}'"):
+        # What mypy refuses, a caller without it may pass.
         sweep_to_file("remote_push", tmp_path / "a.csv", GRID, SAMPLES, engine=engine, address=address)  # type: ignore[arg-type]

@@ -154,7 +154,7 @@ def test_a_command_says_where_no_hand_is_probed_for(overrides: list[str], said: 
         (["safety.damping=0"], "never"),
     ],
 )
-def test_machines_are_told_what_brings_the_force_back(overrides: list[str], by: str) -> None:
+def test_json_has_what_brings_the_force_back(overrides: list[str], by: str) -> None:
     law = release_law(load_scene("remote_push", overrides))
     assert law is not None
     assert law["returns"] == by

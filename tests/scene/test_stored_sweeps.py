@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from haptether.bridge import SceneError, StoredSweep, sweep, sweep_to_file
 from haptether.bridge.scene.sweeps import store, table_file
-from haptether.bridge.scene.sweeps.design import Design
+from haptether.bridge.scene.sweeps.design import Design, design_of
 
 BRIEF = ("run.duration_s=0.2",)
 GRID: dict[str, Any] = {"link.forward.delay_s": [0.0, 0.02, 0.05], "safety.controllers": [[], ["wsc"], ["hsc"]]}
@@ -54,7 +54,7 @@ def test_a_design_is_every_combination_with_all_samples(lengths: list[int], samp
 
 @pytest.mark.usefixtures("small_batches")
 def test_a_file_has_the_rows_of_a_sweep_in_memory(tmp_path: Path) -> None:
-    design = store.design_of(GRID, SEEDS, TIES)
+    design = design_of(GRID, SEEDS, TIES)
     whole = sweep("remote_push", samples=design.columns(0, design.rows), overrides=BRIEF)
     # The scene refuses no delay for some controllers: rows that cannot be built are in it.
     assert 0 < (whole["outcome"] == "refused").sum() < len(whole)
@@ -83,7 +83,7 @@ def test_parquet_has_types_nulls_and_where_it_is_from(tmp_path: Path) -> None:
     assert json.loads(metadata["haptether.sweep"])["vary"]["safety.controllers"] == GRID["safety.controllers"]
     scene = tmp_path / "again.toml"
     scene.write_text(metadata["haptether.scene"])
-    design = store.design_of(GRID, SEEDS, TIES)
+    design = design_of(GRID, SEEDS, TIES)
     again = sweep(scene, samples=design.columns(0, design.rows))
     assert file.read().to_pylist() == list(again.rows())
     types = {field.name: str(field.type) for field in file.schema_arrow}

@@ -35,7 +35,7 @@ def test_each_row_is_the_run_of_its_own_scene() -> None:
     for row in found.rows():
         expected = alone(
             f"safety.controllers=[{'' if row['safety.controllers'] == 'none' else 'hsc,wsc'}]",
-            *(f"link.{way}.delay_s={row[f'link.{way}.delay_s']}" for way in ("forward", "backward")),
+            *(f"link.{direction}.delay_s={row[f'link.{direction}.delay_s']}" for direction in ("forward", "backward")),
             f"run.seed={int(row['run.seed'])}", "run.duration_s=3.2",
         )  # fmt: skip
         assert {name: row[name] for name in METRICS} == expected
@@ -121,6 +121,9 @@ def test_choices_are_drawn_as_lines_or_points() -> None:
     columns["safety.vfc_form"] = np.repeat(["product"], 6)
     with pytest.raises(ValueError, match="a picture has one choice"):
         draw_sweep("s", columns, ["safety.controllers", "safety.vfc_form"])
+    columns["safety.controllers"] = np.repeat(["none", "hsc+xyz"], 3)
+    with pytest.raises(ValueError, match="'xyz' is none of none, vfc, hsc, wsc, pc"):
+        draw_sweep("s", columns, ["safety.controllers"])
 
 
 @pytest.mark.parametrize(

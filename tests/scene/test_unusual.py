@@ -20,12 +20,12 @@ def test_no_shipped_scene_has_one() -> None:
         ("environment.objects.0.contact.stiffness", "1e+09", "N/m, and beyond the usual 1e+08"),
     ],
 )
-def test_a_slipped_unit_is_asked_about(path: str, value: str, said: str) -> None:
+def test_a_number_in_another_unit_is_reported(path: str, value: str, said: str) -> None:
     assert unusual_numbers(load_scene("remote_push", [f"{path}={value}"])) == [f"{path} = {value}: {said}"]
 
 
 @pytest.mark.parametrize("change", ["link.forward.delay_s=2", "safety.energy_threshold_j=-1", "operator.stiffness=2e4"])
-def test_what_is_usual_is_passed_over(change: str) -> None:
+def test_usual_numbers_are_not_reported(change: str) -> None:
     assert unusual_numbers(load_scene("remote_push", [change])) == []
 
 

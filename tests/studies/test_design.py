@@ -248,7 +248,7 @@ def test_the_scale_that_is_advised_is_rounded_down() -> None:
     assert 0.18 < scale < 0.19506
 
 
-def test_a_link_that_holds_says_how_often_and_why() -> None:
+def test_a_link_that_holds_is_reported_with_rate_and_reason() -> None:
     """An outage of 0.5 s once in 10 s: one hold each."""
     outage = '[{ times = { kind = "periodic", at_s = 5.0, period_s = 10.0, duration_s = 0.5 } }]'
     found = check_scene(load_scene("remote_push", [f"link.forward.outages={outage}"])).findings

@@ -116,7 +116,7 @@ def test_a_task_without_a_release_ends_what_is_safe_unless_nothing_can_be_felt_t
     assert evaluation({}, nothing | {"holds": 1}).unthrown_up_to_s("wsc") is None
 
 
-def test_of_what_was_not_evaluated_nothing_is_said() -> None:
+def test_what_was_not_evaluated_is_refused() -> None:
     found = evaluation({})
     with pytest.raises(ValueError, match="controllers = 'hsc': was not evaluated; there is wsc"):
         found.safe_up_to_s("hsc")
@@ -193,7 +193,7 @@ def test_a_torque_throws_at_the_lever_and_is_let_go() -> None:
     assert 0.5 < cell.max_speed < (0.1 - 0.002) / 4e-4 * 0.55 * 0.05
 
 
-def test_a_force_that_comes_after_the_scene_has_ended_is_let_go_too() -> None:
+def test_a_hand_lets_go_of_a_force_after_the_end_of_the_scene_too() -> None:
     found = evaluate(["paper_wall"], controllers=("none",), round_trips_s=(10.0,), hands=1, releases=1, threads=1)
     (cell,) = found.cells
     assert (cell.verdict(found.limits), cell.releases) == ("thrown", 1)
@@ -304,7 +304,7 @@ def test_the_command_that_is_printed_is_the_one_that_ran() -> None:
     ]  # fmt: skip
 
 
-def test_a_worst_release_of_an_earlier_run_is_none_of_this(tmp_path: Path) -> None:
+def test_the_worst_release_of_an_earlier_run_is_removed(tmp_path: Path) -> None:
     (tmp_path / "worst.toml").write_text("old")
     arguments = ["--controller", "none", "--round-trip-s", "0", "--hands", "1", "--releases", "1", "--threads", "1"]
     assert main(["evaluate", "free_motion", *arguments, "--out", str(tmp_path)]) == 0

@@ -188,7 +188,7 @@ def test_what_a_task_sets_is_refused_however_it_is_written(override: str, leaf: 
     refuse_fixed(["safety={window=10}", "operator.legs.0.end=0.1", "coupling.force_scale=0.5"], FIXED, "is set")
 
 
-def test_only_the_bundled_scene_is_softened_and_says_so(tmp_path: Path) -> None:
+def test_only_the_bundled_scene_is_softened_and_that_is_reported(tmp_path: Path) -> None:
     save_scene(load_scene("valve"), tmp_path / "valve.toml")
     own, bundled = Task(str(tmp_path / "valve.toml"), 0.0), Task("valve", 0.0)
     assert own.base == load_scene("valve")
@@ -211,15 +211,17 @@ def test_what_a_scene_has_beside_its_delay_is_named_where_a_network_replaces_it(
     assert clocked.held.link.master_clock.drift_ppm == 30
 
 
-def test_nobody_watches_torque_and_trigger_either_and_who_watches_watches_all() -> None:
+def test_controllers_of_torque_and_trigger_are_those_of_the_force() -> None:
     overrides = ["safety.rotation.controllers=[wsc]", "safety.gripper.controllers=[vfc]"]
     scene = override_scene(load_scene("torque_release"), overrides[:1])
-    alone = Task("torque_release", 0.0).watched(scene, None, {})
+    alone = Task("torque_release", 0.0).with_controllers(scene, None, {})
     assert simulate(alone).metrics.max_ejection_rate == pytest.approx(22.9, abs=0.1)
-    rotation = Task("torque_release", 0.0).watched(scene, "hsc", {}).safety.rotation
+    rotation = Task("torque_release", 0.0).with_controllers(scene, "hsc", {}).safety.rotation
     assert rotation is not None
     assert rotation.controllers is None
-    gripper = Task("torque_release", 0.0).watched(override_scene(load_scene("felt_trigger"), overrides[1:]), None, {})
+    gripper = Task("torque_release", 0.0).with_controllers(
+        override_scene(load_scene("felt_trigger"), overrides[1:]), None, {}
+    )
     assert gripper.safety.gripper is not None
     assert gripper.safety.gripper.controllers is None
 
@@ -227,10 +229,10 @@ def test_nobody_watches_torque_and_trigger_either_and_who_watches_watches_all() 
 def test_each_hand_lets_go_while_it_feels_more_than_half_of_its_own_largest_force() -> None:
     task, bounds = Task("paper_wall", 0.1), HandBounds()
     hands = task.hands(3, 1, bounds)
-    held = task.hold(task.watched(task.lasting(bounds), None, {}), hands, 1)
+    held = task.hold(task.with_controllers(task.lasting(bounds), None, {}), hands, 1)
     found = task.releases(hands, held, 3)
     assert found is not None
-    recorded = replace(task.watched(task.lasting(bounds), None, {}), record=RecordTable())
+    recorded = replace(task.with_controllers(task.lasting(bounds), None, {}), record=RecordTable())
     for hand, at_s in enumerate(found.rows["operator.release.at_s"]):
         run = simulate(task.alone(recorded, hands, hand))
         felt = np.abs(run.signals["device_force"])
@@ -243,7 +245,7 @@ def test_what_is_held_is_what_is_coupled() -> None:
     """A link that is dead from 2 s on: one HOLD, and the rest of the run is not held."""
     network = "[{times={kind='once', at_s=2.0, duration_s=9.0}}]"
     task, bounds = Task("remote_push", 0.02, [f"link.forward.outages={network}"]), HandBounds()
-    (run,) = task.hold(task.watched(task.lasting(bounds), None, {}), task.hands(1, 1, bounds), 1)
+    (run,) = task.hold(task.with_controllers(task.lasting(bounds), None, {}), task.hands(1, 1, bounds), 1)
     assert run.engaged_s is not None
     assert run.holds == 1
     assert run.coupled_s == pytest.approx(2.0 - run.engaged_s, abs=0.1)

@@ -136,7 +136,7 @@ def test_the_interval_of_a_rate_covers_it_whatever_the_law(group: int, order: in
         assert inside < 250
 
 
-def test_a_group_that_is_taken_for_events_alone_is_too_sure() -> None:
+def test_without_grouping_intervals_are_too_narrow() -> None:
     rng = np.random.default_rng(3)
     inside = 0
     for _ in range(200):
@@ -242,7 +242,9 @@ def test_hours_are_those_in_which_the_two_are_engaged_and_nobody_intervenes(held
     assert free.blocks == 1
     assert free.round_trip_s == pytest.approx(0.1, abs=0.005)
     task = Task("remote_push", 0.1)
-    simulate(task.watched(task.lasting(HandBounds()), "wsc", {}), record=(tmp_path / "m.mcap", tmp_path / "s.mcap"))
+    simulate(
+        task.with_controllers(task.lasting(HandBounds()), "wsc", {}), record=(tmp_path / "m.mcap", tmp_path / "s.mcap")
+    )
     watched = read_recording(tmp_path / "m.mcap")
     tripped = watched.signals["tripped"] != 0
     begins = np.flatnonzero(tripped & ~np.concatenate([[False], tripped[:-1]]))
@@ -274,7 +276,7 @@ def of_a_person(recording: Recording, **run: object) -> Recording:
     ("controllers", "said"),
     [("", "nobody bears the force, and the device reaches"), ("wsc", "an intervention of"), ("hsc", "no hand answers")],
 )
-def test_a_hand_that_lets_go_is_seen_without_being_told(controllers: str, said: str, tmp_path: Path) -> None:
+def test_a_release_is_found_by_the_signals_alone(controllers: str, said: str, tmp_path: Path) -> None:
     files = (tmp_path / "master.mcap", tmp_path / "slave.mcap")
     run = simulate("remote_push", overrides=[f"safety.controllers=[{controllers}]"], record=files)
     engaged_s = next(event.time_s for event in run.events if event.kind == "engaged")
@@ -351,7 +353,7 @@ def test_a_setting_that_differs_can_be_made_the_same(held: list[Path]) -> None:
     np.testing.assert_array_equal(value[: len(value) // 2], value[len(value) // 2 :])
 
 
-def test_the_same_file_twice_says_no_more(held: list[Path]) -> None:
+def test_the_same_file_twice_is_refused(held: list[Path]) -> None:
     with pytest.raises(ValueError, match="is there twice"):
         read_normal_operation([held[0], held[1], held[0]], fields=FIELDS)
 
@@ -417,7 +419,7 @@ def test_the_command_prints_a_table_that_can_be_pasted(
     assert events.count(point["threshold"]) < tuned["order"]
 
 
-def test_recordings_that_are_too_short_are_said_to_be(held: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
+def test_recordings_that_are_too_short_are_reported(held: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["--threshold", "grasp_threshold", "--hands", "1", "--releases", "1", "--threads", "1"]
     assert main(["tune", str(held[0]), *arguments, "--false-trips-per-h", "1"]) == 1
     shown = " ".join(capsys.readouterr().out.split())
@@ -428,7 +430,7 @@ def test_recordings_that_are_too_short_are_said_to_be(held: list[Path], capsys: 
     assert "the threshold is the largest value seen" in shown
 
 
-def test_without_a_hand_in_the_scene_nothing_is_said_of_releases(held: list[Path]) -> None:
+def test_without_a_hand_in_the_scene_no_release_is_reported(held: list[Path]) -> None:
     found = tune([of_a_person(read_recording(held[0]))], fields=["grasp_threshold"], false_trips_per_h=3000.0)
     assert found.reached
     assert found.thresholds[0].point.missed_interval is None
@@ -445,7 +447,7 @@ def test_without_a_hand_in_the_scene_nothing_is_said_of_releases(held: list[Path
         (["nowhere.mcap", "--plot", "picture.txt"], 2, "must end in"),
     ],
 )
-def test_a_command_that_cannot_be_says_why(
+def test_an_invalid_command_is_refused_with_its_reason(
     arguments: list[str], status: int, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["tune", *arguments]) == status

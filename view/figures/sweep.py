@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.view.figures.intervals import mean_and_half
-from haptether.view.style.colours import AXES, SIGNALS, controller_look
+from haptether.view.style.colours import AXES, CONTROLLERS, SIGNALS, controller_look
 from haptether.view.style.figure import Columns, figure_of, letter, new_figure, plain_ticks, styled
 from haptether.view.style.legend import legend_above
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 SEED = "run.seed"
+CONTROLLER_SETS = "safety.controllers"
 METRICS = {
     "max_ejection_velocity": "ejection velocity [m/s]",
     "max_ejection_rate": "ejection rate [rad/s]",
@@ -54,12 +55,9 @@ def draw_sweep(
 
     Raises:
         ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
-        ValueError: More than two varied beside the seed, or nothing was measured.
+        ValueError: As of `check_varied`, or nothing was measured.
     """
-    over = check_varied(varied)
-    if sum(columns[name].dtype.kind == "U" for name in over) > 1:
-        message = f"{', '.join(over)}: a picture has one choice, over at most one number; use --out for all"
-        raise ValueError(message)
+    over = check_varied(varied, columns)
     metrics = [name for name in METRICS if name in columns and np.isfinite(columns[name].astype(float)).any()][:MOST]
     if not metrics:
         message = f"{scene}: nothing to draw: no metric was measured in any row"
@@ -89,16 +87,31 @@ def draw_sweep(
     return figure
 
 
-def check_varied(varied: Sequence[str]) -> list[str]:
+def check_varied(varied: Sequence[str], columns: Mapping[str, npt.NDArray[Any]]) -> list[str]:
     """What a picture has on its axes: what varied, without the seed beside others.
 
+    Args:
+        varied: What varied.
+        columns: Its values; of a choice, text. Before a run each value once is enough.
+
     Raises:
-        ValueError: More than two.
+        ValueError: More than two varied, two of them choices, or a set of controllers with a name of none.
     """
     over = [name for name in varied if name != SEED] or list(varied)
     if len(over) > MOST_AXES:
         message = f"{', '.join(over)} vary: a picture has at most {MOST_AXES} beside run.seed; use --out for all"
         raise ValueError(message)
+    choices = [name for name in over if columns[name].dtype.kind == "U"]
+    if len(choices) > 1:
+        message = f"{', '.join(over)}: a picture has one choice, over at most one number; use --out for all"
+        raise ValueError(message)
+    if CONTROLLER_SETS in choices:
+        names = {name for names in columns[CONTROLLER_SETS].tolist() for name in names.split("+")}
+        if unknown := sorted(names - CONTROLLERS.keys()):
+            message = (
+                f"{CONTROLLER_SETS}: {unknown[0]!r} is none of {', '.join(CONTROLLERS)}: a picture has no line for it"
+            )
+            raise ValueError(message)
     return over
 
 
@@ -146,7 +159,7 @@ def _draw_choices(
         places = np.unique(at)
         of_places = [mean_and_half(values[rows][at == each]) for each in places]
         means, halves = np.array([mean for mean, _ in of_places]), np.array([half for _, half in of_places])
-        look = controller_look(name) if choice == "safety.controllers" else {"color": AXES[place % len(AXES)]}
+        look = controller_look(name) if choice == CONTROLLER_SETS else {"color": AXES[place % len(AXES)]}
         panel.errorbar(places, means, np.nan_to_num(halves), fmt="o", ms=2.5, elinewidth=0.6, capsize=1.2,
                        color=look["color"])  # fmt: skip
         panel.plot(places, means, label=name, **look)

@@ -1,1 +1,1 @@
-"""Sweeps that are kept while they run: their design, their journal, their files, and who computes the rows."""
+"""Sweeps that are stored while they run: their design, their journal, their files, and where rows are computed."""

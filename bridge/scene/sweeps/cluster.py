@@ -1,10 +1,10 @@
-"""Rows of a sweep computed by the workers of a Dask cluster; a worker that is lost on the way costs its batch again."""
+"""Rows of a sweep computed by the workers of a Dask cluster; the batch of a worker that is lost is computed again."""
 
 import contextlib
 import importlib
 import importlib.util
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any
+from typing import Any, Protocol, TypeAlias
 
 import numpy.typing as npt
 
@@ -12,14 +12,26 @@ from haptether.bridge.scene.load import Checked
 from haptether.bridge.scene.sweep import Threads, measured
 from haptether.bridge.scene.sweeps.design import Design
 
+Metrics: TypeAlias = "dict[str, npt.NDArray[Any]]"
+
 BATCH = 256
 """Rows of a task: seconds of work, so that a lost worker costs no more."""
 AHEAD = 4
 """Tasks for each worker that are submitted at once: memory does not grow with the rows."""
 RETRIES = 10
-"""How often a batch is begun anew whose workers were lost."""
+"""How often a batch whose worker was lost is computed again."""
 ANSWER_S = "30 s"
 """How long a scheduler may take to answer."""
+
+
+class _Future(Protocol):
+    """What of a `distributed.Future` is used; Haptether does not depend on dask.distributed."""
+
+    def result(self) -> tuple[int, Metrics]:
+        """Waits for the rows of a batch."""
+
+    def release(self) -> None:
+        """Frees them on the cluster."""
 
 
 def computed_by_cluster(
@@ -31,7 +43,7 @@ def computed_by_cluster(
     threads: int,
     lanes: bool,
     progress: Callable[[int], None] | None,
-) -> Iterator[tuple[int, dict[str, npt.NDArray[Any]]]]:
+) -> Iterator[tuple[int, Metrics]]:
     """The first row and the metrics of batches that fill the gaps, as they are done: in any order.
 
     Args:
@@ -52,7 +64,7 @@ def computed_by_cluster(
     if importlib.util.find_spec("distributed") is None:
         message = "the engine dask needs dask.distributed: install distributed beside haptether"
         raise ImportError(message)
-    distributed: Any = importlib.import_module("distributed")
+    distributed = importlib.import_module("distributed")
     ranges = ((first, min(first + BATCH, end)) for start, end in gaps for first in range(start, end, BATCH))
     with contextlib.ExitStack() as stack:
         if address is None:
@@ -63,19 +75,21 @@ def computed_by_cluster(
             cluster, threads = stack.enter_context(local), 1
         else:
             cluster = address
-        client: Any = stack.enter_context(distributed.Client(cluster, timeout=ANSWER_S, set_as_default=False))
+        client = stack.enter_context(distributed.Client(cluster, timeout=ANSWER_S, set_as_default=False))
         shared = client.scatter(base, broadcast=True)
-        how = {"count": threads, "lanes": lanes}
+        on_worker = Threads(count=threads, lanes=lanes)
 
-        def submit(first: int, end: int) -> Any:  # noqa: ANN401  # of distributed
+        def submit(first: int, end: int) -> _Future:
             columns = design.columns(first, end)
-            return client.submit(_batch, shared, first, columns, how, pure=False, retries=RETRIES)
+            future: _Future = client.submit(_batch, shared, first, columns, on_worker, pure=False, retries=RETRIES)
+            return future
 
         waiting = distributed.as_completed(loop=client.loop)
-        most = AHEAD * max(1, len(client.scheduler_info()["workers"]))
-        for _, each in zip(range(most), ranges, strict=False):
-            waiting.add(submit(*each))
+        submitted = AHEAD * max(1, len(client.scheduler_info()["workers"]))
+        for _, rows in zip(range(submitted), ranges, strict=False):
+            waiting.add(submit(*rows))
         done = 0
+        future: _Future
         for future in waiting:
             try:
                 first, metrics = future.result()
@@ -91,8 +105,6 @@ def computed_by_cluster(
                 progress(done)
 
 
-def _batch(
-    base: Checked, first: int, columns: Mapping[str, npt.NDArray[Any]], how: Mapping[str, Any]
-) -> tuple[int, dict[str, npt.NDArray[Any]]]:
+def _batch(base: Checked, first: int, columns: Mapping[str, npt.NDArray[Any]], threads: Threads) -> tuple[int, Metrics]:
     """On a worker: the metrics of some rows."""
-    return first, measured(base, columns, Threads(**how))
+    return first, measured(base, columns, threads)

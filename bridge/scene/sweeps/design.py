@@ -2,12 +2,18 @@
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+
+from haptether.bridge.scene.errors import Path, SceneError
+from haptether.bridge.scene.load import path_of
+
+Values: TypeAlias = "Sequence[Any] | npt.NDArray[np.float64]"
+"""Of one path: numbers, or whatever else a field takes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +61,7 @@ class Design:
         return self.sampled * math.prod(len(levels) for levels in self.factors.values())
 
     def columns(self, first: int, end: int) -> dict[str, npt.NDArray[Any]]:
-        """The value of each path in the rows `first` to `end` - 1."""
+        """The value of each path in the rows `first` to `end` - 1, shape `(end - first,)`."""
         row = np.arange(first, end)
         whole: dict[str, npt.NDArray[Any]] = {}
         stride = self.rows
@@ -67,7 +73,7 @@ class Design:
         return whole | {path: whole[leading] for path, leading in self.ties.items()}
 
     def described(self) -> dict[str, Any]:
-        """The design as what JSON can say; long samples by their digest."""
+        """The design as JSON types; long samples by their SHA-256."""
         return {
             "vary": {path: levels.tolist() for path, levels in self.factors.items()},
             "samples": {path: _digest(values) for path, values in self.samples.items()},
@@ -75,8 +81,73 @@ class Design:
         }
 
 
+def design_of(
+    grid: Mapping[str, Values] | None = None,
+    samples: Mapping[str, Values] | None = None,
+    ties: Mapping[str, str] | None = None,
+) -> Design:
+    """Every combination of the values of `grid`, each with all `samples`.
+
+    Raises:
+        SceneError: Values that are none of a field.
+        ValueError: Nothing to vary, one field twice, samples of different lengths, a tie to what does not vary.
+    """
+    _refuse_same_field((*(grid or {}), *(samples or {}), *(ties or {})))
+    return Design(
+        factors={path: _values_of_path(path, values) for path, values in (grid or {}).items()},
+        samples={path: _values_of_path(path, values) for path, values in (samples or {}).items()},
+        ties=dict(ties or {}),
+    )
+
+
+def _refuse_same_field(paths: Iterable[str]) -> None:
+    """Refuses two paths that mean one field: "-" may stand for "_".
+
+    Raises:
+        SceneError: A path that is not in the schema.
+        ValueError: With both.
+    """
+    seen: dict[Path, str] = {}
+    for path in paths:
+        if (other := seen.setdefault(path_of(path), path)) != path:
+            message = f"{path}: is the same field as {other}"
+            raise ValueError(message)
+
+
+def _values_of_path(path: str, values: Values) -> npt.NDArray[Any]:
+    """The values of a parameter: numbers, or objects where not all are.
+
+    Raises:
+        SceneError: What no field takes.
+    """
+    if isinstance(values, str) or any(isinstance(value, bool | str | list | tuple | Mapping) for value in values):
+        return _categories(path, values)
+    try:
+        numbers = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        message = f"{path}: values that are neither numbers, strings, booleans, lists nor tables"
+        raise SceneError(message) from None
+    if numbers.ndim != 1 or numbers.size == 0:
+        message = f"{path}: values of shape {numbers.shape}: must be a list of at least one number"
+        raise SceneError(message)
+    if not np.isfinite(numbers).all():
+        message = f"{path} = {numbers[~np.isfinite(numbers)][0]}: must be a finite number"
+        raise SceneError(message)
+    return numbers
+
+
+def _categories(path: str, values: Values) -> npt.NDArray[Any]:
+    if isinstance(values, str):
+        message = f"{path} = {values!r}: must be a list of values"
+        raise SceneError(message)
+    column = np.empty(len(values), dtype=object)
+    for row, value in enumerate(values):
+        column[row] = list(value) if isinstance(value, tuple) else value
+    return column
+
+
 MOST_WRITTEN_OUT = 64
-"""Samples of a path that are written out; of more the digest is."""
+"""Most samples of a path that are written out; of more the digest is."""
 
 
 def _digest(values: npt.NDArray[Any]) -> dict[str, Any]:

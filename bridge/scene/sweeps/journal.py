@@ -1,4 +1,4 @@
-"""What a sweep has computed so far, on disk: a folder beside its file, that a kill at any instant leaves whole."""
+"""The rows that a sweep has computed so far: a folder beside its file, consistent whenever the process is killed."""
 
 import contextlib
 import fcntl
@@ -28,7 +28,7 @@ class Journal:
 
     Args:
         path: The file that the sweep is for; the journal is the folder `path`.partial.
-        request: What is to be computed, as JSON can say it.
+        request: What is to be computed, in types of JSON.
         resume: Whether to go on with a journal that is there.
 
     Raises:
@@ -46,8 +46,8 @@ class Journal:
         with contextlib.suppress(OSError):
             # Of one that was removed up to the folder itself.
             self.folder.rmdir()
-        there = (self.folder / REQUEST).is_file()
-        if resume and not there and path.exists():
+        exists = (self.folder / REQUEST).is_file()
+        if resume and not exists and path.exists():
             message = f"{path}: is there and {self.folder} is not: nothing is left to resume"
             raise ValueError(message)
         self.folder.mkdir(mode=0o700, exist_ok=True)
@@ -79,11 +79,11 @@ class Journal:
 
     @property
     def done(self) -> int:
-        """Rows that are kept."""
+        """Rows that the journal has."""
         return sum(end - first for first, end in self._batches)
 
     def missing(self, rows: int) -> list[tuple[int, int]]:
-        """Ranges of rows, each first and end, that are not kept, of so many."""
+        """Ranges of rows, each first and end, that the journal does not have of `rows`."""
         gaps, at = [], 0
         for first, end in [*self._batches, (rows, rows)]:
             if first > at:
@@ -92,7 +92,11 @@ class Journal:
         return gaps
 
     def add(self, first: int, metrics: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Keeps the metrics of the rows from `first` on."""
+        """Stores the metrics of the rows from `first` on.
+
+        Raises:
+            OSError: They cannot be written.
+        """
         rows = len(metrics["outcome"])
         arrays: dict[str, Any] = {}
         for name, column in metrics.items():
@@ -107,7 +111,11 @@ class Journal:
         self._batches = sorted([*self._batches, (first, first + rows)])
 
     def batches(self) -> Iterator[tuple[int, dict[str, npt.NDArray[Any]]]]:
-        """The first row and the metrics of each batch, in the order of rows."""
+        """The first row and the metrics of each batch, in the order of rows.
+
+        Raises:
+            ValueError: A batch is damaged.
+        """
         for first, end in self._batches:
             with self._opened(first, end) as archive:
                 metrics: dict[str, npt.NDArray[Any]] = {}
@@ -120,7 +128,11 @@ class Journal:
             yield first, metrics
 
     def types(self) -> dict[str, np.dtype[Any]]:
-        """The metrics that any batch has, with the types of their columns."""
+        """The metrics that any batch has, with the types of their columns.
+
+        Raises:
+            ValueError: A batch is damaged.
+        """
         found: dict[str, np.dtype[Any]] = {}
         for first, end in self._batches:
             with self._opened(first, end) as archive:
@@ -147,19 +159,19 @@ class Journal:
         Raises:
             OSError: It cannot be written.
         """
-        beside = self.folder / f"{name}{_UNFINISHED}"
+        partial = self.folder / f"{name}{_UNFINISHED}"
         target = target or self.folder / name
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
         try:
-            with os.fdopen(os.open(beside, flags, 0o600), "wb") as file:
+            with os.fdopen(os.open(partial, flags, 0o600), "wb") as file:
                 os.fchmod(file.fileno(), 0o600)
                 yield file
                 file.flush()
                 os.fsync(file.fileno())
         except BaseException:
-            beside.unlink(missing_ok=True)
+            partial.unlink(missing_ok=True)
             raise
-        beside.replace(target)
+        partial.replace(target)
         _sync_folder(target.parent)
 
     def close(self) -> None:
@@ -179,7 +191,7 @@ class Journal:
 
 
 def _discard(folder: Path) -> None:
-    """Removes a finished journal, what says that it is finished last: a kill on the way leaves one that is finished."""
+    """Removes a finished journal, its mark last: a kill meanwhile leaves a journal that is finished."""
     for file in folder.iterdir():
         if file.name != FINISHED:
             file.unlink()
@@ -195,7 +207,7 @@ def kept_rows(path: Path) -> int:
 
 
 def _locked(folder: Path) -> IO[bytes]:
-    """The lock of a folder, which its holder's end lets go."""
+    """The lock of a folder; the system releases it when the process ends."""
     descriptor = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     file = os.fdopen(descriptor, "r+b")
     try:
@@ -215,20 +227,20 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def _refuse_other(folder: Path, kept: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
-    """Refuses to go on with what another request has begun."""
-    ours, theirs = dict(_leaves(wanted)), dict(_leaves(kept))
-    differing = [path for path in dict.fromkeys([*theirs, *ours]) if theirs.get(path) != ours.get(path)]
+def _refuse_other(folder: Path, stored: Mapping[str, Any], requested: Mapping[str, Any]) -> None:
+    """Refuses to resume the journal of another request."""
+    now, before = dict(_fields(requested)), dict(_fields(stored))
+    differing = [path for path in dict.fromkeys([*before, *now]) if before.get(path) != now.get(path)]
     if not differing:
         return
-    shown = [f"{path} was {_short(theirs.get(path))}, is {_short(ours.get(path))}" for path in differing[:MOST_SHOWN]]
+    shown = [f"{path} was {_short(before.get(path))}, is {_short(now.get(path))}" for path in differing[:MOST_SHOWN]]
     more = f", and {len(differing) - MOST_SHOWN} more" if len(differing) > MOST_SHOWN else ""
     message = f"{folder}: is of another sweep: {'; '.join(shown)}{more}: resume with what it was begun with"
     raise ValueError(message)
 
 
 MOST_SHOWN = 4
-"""Differences of two requests that are told."""
+"""Differences of two requests that a message names."""
 _LONGEST = 60
 
 
@@ -238,9 +250,10 @@ def _short(text: str | None) -> str:
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}... ({len(text)} characters)"
 
 
-def _leaves(of: object, path: str = "") -> Iterator[tuple[str, str]]:
-    if isinstance(of, dict) and of:
-        for key, value in of.items():
-            yield from _leaves(value, f"{path}.{key}" if path else key)
+def _fields(table: object, path: str = "") -> Iterator[tuple[str, str]]:
+    """The fields of nested tables as JSON, each with its dotted path; a list is one field."""
+    if isinstance(table, dict) and table:
+        for key, value in table.items():
+            yield from _fields(value, f"{path}.{key}" if path else key)
     else:
-        yield path, json.dumps(of)
+        yield path, json.dumps(table)

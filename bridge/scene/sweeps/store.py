@@ -1,4 +1,4 @@
-"""A sweep that is kept while it runs, goes on where it was interrupted, and takes no more memory for more rows."""
+"""A sweep to a file: stored by batch, resumable, in memory that does not grow with the rows."""
 
 import json
 import time
@@ -20,27 +20,26 @@ from haptether.bridge.scene.save import scene_toml
 from haptether.bridge.scene.sweep import (
     Sweep,
     Threads,
-    Values,
     in_order,
     labelled,
     measured,
     refuse_empty,
-    refuse_same_field,
+    shifted,
     thread_count,
-    values_of_path,
+    unmeasured,
 )
 from haptether.bridge.scene.sweeps.cluster import computed_by_cluster
-from haptether.bridge.scene.sweeps.design import Design
+from haptether.bridge.scene.sweeps.design import Design, Values, design_of
 from haptether.bridge.scene.sweeps.journal import Journal
 from haptether.bridge.scene.sweeps.table_file import STREAMED, check_suffix, table_file
 from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import is_stream, refuse_link
 
 HEAD_ROWS = 20
-"""Rows of a stored sweep that are kept in memory."""
+"""Rows of a stored sweep that stay in memory."""
 SMALLEST_BATCH, LARGEST_BATCH = 64, 65_536
 BATCH_S = 2.0
-"""What a batch takes: so much work is lost at most by a kill, and the tail of a batch idles little."""
+"""Target duration of a batch in s: what a kill loses at most, and long against the idle time at its end."""
 GROWTH = 4
 """A batch has at most so many times the rows of the last."""
 
@@ -54,7 +53,7 @@ class StoredSweep:
     path: Path
     rows: int
     resumed: int
-    """Rows that were there already."""
+    """Rows that an earlier run had stored."""
     outcomes: Mapping[str, int]
     """How many rows ended how, the most frequent first."""
     measured: frozenset[str]
@@ -63,25 +62,6 @@ class StoredSweep:
     """The first `HEAD_ROWS` rows."""
     whole: Sweep | None = field(repr=False, default=None)
     """All rows, where they were to be collected."""
-
-
-def design_of(
-    grid: Mapping[str, Values] | None = None,
-    samples: Mapping[str, Values] | None = None,
-    ties: Mapping[str, str] | None = None,
-) -> Design:
-    """Every combination of the values of `grid`, each with all `samples`.
-
-    Raises:
-        SceneError: Values that are none of a field.
-        ValueError: Nothing to vary, one field twice, samples of different lengths, a tie to what does not vary.
-    """
-    refuse_same_field((*(grid or {}), *(samples or {}), *(ties or {})))
-    return Design(
-        factors={path: values_of_path(path, values) for path, values in (grid or {}).items()},
-        samples={path: values_of_path(path, values) for path, values in (samples or {}).items()},
-        ties=dict(ties or {}),
-    )
 
 
 def sweep_to_file(
@@ -153,11 +133,13 @@ def sweep_to_file(
     journal = Journal(path, request, resume=resume)
     try:
         resumed = journal.done
-        gaps, told = journal.missing(design.rows), _from(progress, resumed)
+        gaps, report = journal.missing(design.rows), shifted(progress, resumed)
+        if progress is not None:
+            progress(resumed)
         if engine == "dask":
-            batches = computed_by_cluster(base, design, gaps, address, threads=threads, lanes=lanes, progress=told)
+            batches = computed_by_cluster(base, design, gaps, address, threads=threads, lanes=lanes, progress=report)
         else:
-            batches = computed(base, design, gaps, Threads(count=threads, lanes=lanes), told)
+            batches = computed(base, design, gaps, Threads(count=threads, lanes=lanes), report)
         for first, metrics in batches:
             journal.add(first, metrics)
         stored = _written(journal, base, design, request, resumed=resumed, collect=collect)
@@ -167,18 +149,11 @@ def sweep_to_file(
     return stored
 
 
-def _from(progress: Callable[[int], None] | None, done: int) -> Callable[[int], None] | None:
-    if progress is None:
-        return None
-    progress(done)
-    return lambda now: progress(done + now)
-
-
 def computed(
     base: Checked,
     design: Design,
     gaps: Iterable[tuple[int, int]],
-    how: Threads,
+    threads: Threads,
     progress: Callable[[int], None] | None,
 ) -> Iterator[tuple[int, Metrics]]:
     """The first row and the metrics of batches that fill the gaps, one after the other on this machine."""
@@ -187,16 +162,14 @@ def computed(
         first = start
         while first < stop:
             end = min(first + size, stop)
-            begun_s = time.perf_counter()
-            # What is called back at once belongs to this batch.
-            shifted = None if progress is None else (lambda now, before=done: progress(before + now))
-            metrics = measured(base, design.columns(first, end), replace(how, progress=shifted))
-            taken_s = max(time.perf_counter() - begun_s, 1e-9)
+            start_s = time.perf_counter()
+            metrics = measured(base, design.columns(first, end), replace(threads, progress=shifted(progress, done)))
+            elapsed_s = max(time.perf_counter() - start_s, 1e-9)
             yield first, metrics
             done += end - first
             if progress is not None:
                 progress(done)
-            wanted = int(BATCH_S * (end - first) / taken_s)
+            wanted = int(BATCH_S * (end - first) / elapsed_s)
             size = max(SMALLEST_BATCH, min(wanted, GROWTH * size, LARGEST_BATCH))
             first = end
 
@@ -204,14 +177,14 @@ def computed(
 def _written(
     journal: Journal, base: Checked, design: Design, request: Mapping[str, Any], *, resumed: int, collect: bool
 ) -> StoredSweep:
-    """The file of all rows, from those that are kept."""
+    """The file of all rows, from the batches of the journal."""
     suffix = journal.path.suffix
     names = journal.types()
     if "ticks" not in names:
         _, metrics = next(journal.batches())
         refuse_empty(Sweep({**labelled(design.columns(0, len(metrics["outcome"]))), **metrics}))
     outcomes: Counter[str] = Counter()
-    known: set[str] = set()
+    measured_columns: set[str] = set()
     head: Sweep | None = None
     parts: list[Metrics] = []
     metadata = {
@@ -225,7 +198,7 @@ def _written(
             rows = len(metrics["outcome"])
             columns = {**labelled(design.columns(first, first + rows)), **_with_all(metrics, names, rows)}
             outcomes.update(metrics["outcome"].tolist())
-            known |= {
+            measured_columns |= {
                 name for name, column in columns.items() if column.dtype.kind != "f" or not np.isnan(column).all()
             }
             if head is None or len(head) < HEAD_ROWS:
@@ -244,17 +217,13 @@ def _written(
     assert head is not None, "a design has at least one row"
     return StoredSweep(
         path=journal.path, rows=design.rows, resumed=resumed, outcomes=dict(outcomes.most_common()),
-        measured=frozenset(known), head=head, whole=whole if collect else None,
+        measured=frozenset(measured_columns), head=head, whole=whole if collect else None,
     )  # fmt: skip
 
 
 def _with_all(metrics: Metrics, names: Mapping[str, np.dtype[Any]], rows: int) -> Metrics:
     """The metrics of a batch, with columns of what was not measured for those that it does not have."""
-    absent = {
-        name: np.full(rows, np.nan if kind.kind == "f" else "" if kind.kind == "U" else 0, kind)
-        for name, kind in names.items()
-        if name not in metrics
-    }
+    absent = {name: unmeasured(kind, rows) for name, kind in names.items() if name not in metrics}
     return in_order({**metrics, **absent})
 
 

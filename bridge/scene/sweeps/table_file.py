@@ -1,4 +1,4 @@
-"""The file of a sweep, written row group by row group: the same rows yield the same bytes, however they come."""
+"""The file of a sweep, written row group by row group: the same rows yield the same bytes, whatever their batches."""
 
 import csv
 import importlib
@@ -11,13 +11,37 @@ from typing import IO, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from haptether.bridge.scene.sweep import Sweep
+from haptether.bridge.scene.sweep import COUNTS, Sweep
 
 ROW_GROUP = 65_536
 """Rows of a row group of Parquet."""
 STREAMED = frozenset({".csv", ".parquet"})
 """Suffixes of files that are written without all rows in memory."""
 SUFFIXES = (".csv", ".parquet", ".npz")
+
+
+class _ArrowTable(Protocol):
+    """What of a `pyarrow.Table` is used; Haptether depends on PyArrow only as an extra."""
+
+    num_rows: int
+
+    def slice(self, offset: int, length: int | None = None) -> "_ArrowTable":
+        """Rows from `offset` on."""
+
+    def combine_chunks(self) -> "_ArrowTable":
+        """The same rows, each column in one piece."""
+
+
+class _ParquetWriter(Protocol):
+    """What of a `pyarrow.parquet.ParquetWriter` is used."""
+
+    schema: object
+
+    def write_table(self, table: _ArrowTable, row_group_size: int) -> None:
+        """Writes a row group."""
+
+    def close(self) -> None:
+        """Writes the footer."""
 
 
 class TableFile(Protocol):
@@ -27,7 +51,7 @@ class TableFile(Protocol):
         """Writes rows below those that are there."""
 
     def close(self) -> None:
-        """Writes what is still held back."""
+        """Writes what is pending; the file stays open."""
 
 
 def check_suffix(path: Path) -> None:
@@ -67,7 +91,7 @@ class CsvTable:
         writer.writerows(zip(*map(part.values_of, columns), strict=True))
 
     def close(self) -> None:
-        """Writes what is still held back, and leaves the file open."""
+        """Writes what is pending; the file stays open."""
         self._text.detach()
 
 
@@ -77,47 +101,53 @@ class ParquetTable:
     def __init__(self, file: IO[bytes], metadata: Mapping[str, str]) -> None:
         self._file = file
         self._metadata = metadata
-        self._writer: Any = None
-        self._held: list[Any] = []
-        self._arrow: Any = importlib.import_module("pyarrow")
-        self._parquet: Any = importlib.import_module("pyarrow.parquet")
+        self._writer: _ParquetWriter | None = None
+        self._pending: list[_ArrowTable] = []
+        self._arrow = importlib.import_module("pyarrow")
+        self._parquet = importlib.import_module("pyarrow.parquet")
 
     def write(self, columns: Mapping[str, npt.NDArray[Any]]) -> None:
         """Takes rows, and writes each row group that they complete."""
-        self._held.append(self._table(columns))
-        if sum(table.num_rows for table in self._held) >= ROW_GROUP:
-            self._flush(whole=True)
+        part = Sweep(columns)
+        arrays = {
+            name: self._arrow.array(part.values_of(name), type=self._type(name, column))
+            for name, column in columns.items()
+        }
+        if self._writer is None:
+            self._writer = self._begun({name: array.type for name, array in arrays.items()})
+        self._pending.append(self._arrow.table(list(arrays.values()), schema=self._writer.schema))
+        if sum(table.num_rows for table in self._pending) >= ROW_GROUP:
+            self._flush(self._writer, whole=True)
 
     def close(self) -> None:
         """Writes the last row group and the footer."""
-        if self._held:
-            self._flush(whole=False)
         if self._writer is not None:
+            if self._pending:
+                self._flush(self._writer, whole=False)
             self._writer.close()
 
-    def _flush(self, *, whole: bool) -> None:
-        table = self._arrow.concat_tables(self._held)
+    def _begun(self, types: Mapping[str, object]) -> _ParquetWriter:
+        fields = [self._arrow.field(name, kind) for name, kind in types.items()]
+        schema = self._arrow.schema(fields, metadata=dict(self._metadata))
+        writer: _ParquetWriter = self._parquet.ParquetWriter(self._file, schema, compression="zstd")
+        return writer
+
+    def _flush(self, writer: _ParquetWriter, *, whole: bool) -> None:
+        """Writes the pending rows in row groups; with `whole` only those that are complete."""
+        table: _ArrowTable = self._arrow.concat_tables(self._pending)
         end = table.num_rows // ROW_GROUP * ROW_GROUP if whole else table.num_rows
-        for at in range(0, end, ROW_GROUP):
+        for first in range(0, end, ROW_GROUP):
             # What a slice is made of would show in the pages that it becomes.
-            group = table.slice(at, min(ROW_GROUP, end - at)).combine_chunks()
-            self._writer.write_table(group, row_group_size=ROW_GROUP)
-        self._held = [table.slice(end)] if end < table.num_rows else []
+            group = table.slice(first, min(ROW_GROUP, end - first)).combine_chunks()
+            writer.write_table(group, row_group_size=ROW_GROUP)
+        self._pending = [table.slice(end)] if end < table.num_rows else []
 
-    def _table(self, columns: Mapping[str, npt.NDArray[Any]]) -> Any:  # noqa: ANN401  # of pyarrow
-        arrow, part = self._arrow, Sweep(columns)
-        arrays = {
-            name: arrow.array(part.values_of(name), type=self._type(name, column)) for name, column in columns.items()
-        }
-        if self._writer is None:
-            fields = [arrow.field(name, array.type) for name, array in arrays.items()]
-            schema = arrow.schema(fields, metadata=dict(self._metadata))
-            self._writer = self._parquet.ParquetWriter(self._file, schema, compression="zstd")
-        return arrow.table(list(arrays.values()), schema=self._writer.schema)
-
-    def _type(self, name: str, column: npt.NDArray[Any]) -> Any:  # noqa: ANN401  # of pyarrow
+    def _type(self, name: str, column: npt.NDArray[Any]) -> object:
+        """The Arrow type of a column."""
         if column.dtype.kind == "U":
-            return self._arrow.string()
-        if name in {"false_trips", "intervention_ticks"} or column.dtype.kind in "iu":
-            return self._arrow.int64()
-        return self._arrow.bool_() if column.dtype == np.bool_ else self._arrow.float64()
+            kind: object = self._arrow.string()
+        elif name in COUNTS or column.dtype.kind in "iu":
+            kind = self._arrow.int64()
+        else:
+            kind = self._arrow.bool_() if column.dtype == np.bool_ else self._arrow.float64()
+        return kind

@@ -69,6 +69,7 @@ class Tune(PictureOptions):
     def run(self) -> int:
         """Tunes; 0, or 1 where the recordings are too short."""
         from haptether.cli.scene.simulate import spinner
+        from haptether.cli.shared.numbers import check_random_seed
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.picture import picture_file
         from haptether.cli.shared.screen import screen
@@ -76,9 +77,7 @@ class Tune(PictureOptions):
         from haptether.view.style.figure import write_figure
 
         check_target(self.json)
-        if self.seed < 0:
-            message = f"seed = {self.seed}: must be 0 or more"
-            raise ValueError(message)
+        check_random_seed(self.seed)
         picture = None if self.plot is None else picture_file(self.plot, self.format)
         with spinner("tune") as say:
             found = tune(

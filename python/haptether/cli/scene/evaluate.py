@@ -51,7 +51,7 @@ class Evaluate:
     speed: float | None = None
     """Speed in m/s above which a release has thrown the device; by default 0.5."""
     false_trips_per_h: float | None = None
-    """False trips per hour held above which a controller is in the way; by default 60."""
+    """False trips per hour held above which a controller interferes with the task; by default 60."""
     seed: int = 1
     """Of hands and networks, 0 or more."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
@@ -65,28 +65,16 @@ class Evaluate:
 
     def run(self) -> int:
         """Runs all tasks; 0."""
-        import shlex
-
-        from haptether.bridge import save_scene
         from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.controller_time import controller_timed
-        from haptether.cli.shared.output import check_target, make_folder, require_matplotlib, write_report
+        from haptether.cli.shared.numbers import check_random_seed
+        from haptether.cli.shared.output import check_target, make_folder, require_matplotlib
         from haptether.cli.shared.screen import screen
-        from haptether.private_file import write_private
-        from haptether.studies import (
-            EVALUATED_CONTROLLERS,
-            EVALUATED_NETWORKS,
-            EvaluationLimits,
-            evaluate,
-            evaluation_html,
-            evaluation_markdown,
-        )
+        from haptether.studies import EVALUATED_CONTROLLERS, EVALUATED_NETWORKS, EvaluationLimits, evaluate
         from haptether.studies.task import HANDS, RELEASES, ROUND_TRIPS_S
 
         check_target(self.json)
-        if self.seed < 0:
-            message = f"seed = {self.seed}: must be 0 or more"
-            raise ValueError(message)
+        check_random_seed(self.seed)
         for name, value in (("speed", self.speed), ("false-trips-per-h", self.false_trips_per_h)):
             if value is not None and not 0.0 <= value < float("inf"):
                 message = f"{name} = {value}: must be a number of at least 0"
@@ -117,39 +105,56 @@ class Evaluate:
             )
         self._print(console, found)
         if self.out is not None:
-            worst = next((release for release in found.worst if release.controllers != "none"), None)
-            named = None
-            # One of an earlier run is none of this.
-            (self.out / "worst.toml").unlink(missing_ok=True)
-            if worst is not None:
-                named = "worst.toml"
-                save_scene(
-                    worst.scene,
-                    self.out / named,
-                    f"{worst.task}, {worst.controllers}, {worst.round_trip_s:g} s, network {worst.network}:"
-                    f" {worst.speed:.4f} m/s after the release.",
-                )
-            command = shlex.join(("haptether", "evaluate", *self.scene, *self._options()))
-            for suffix, text in (
-                ("html", evaluation_html(found, command=command, worst=named)),
-                ("md", evaluation_markdown(found, command=command, worst=named)),
-            ):
-                path = self.out / f"evaluation.{suffix}"
-                write_private(path, text.encode())
-                console.print(f"page: {path}")
-            if named is not None:
-                console.print(f"worst release under a controller: {self.out / named}")
+            self._write_pages(console, found, self.out)
         if self.json is not None:
-            worst_rows = [
-                {name: getattr(release, name) for name in ("controllers", "task", "round_trip_s", "network", "speed")}
-                for release in found.worst
-            ]
-            safe = {controllers: found.safe_up_to_s(controllers) for controllers in found.controllers}
-            unthrown = {controllers: found.unthrown_up_to_s(controllers) for controllers in found.controllers}
-            fields = ("tasks", "networks", "limits", "hands", "releases", "seed", "version", "assumed", "cells")
-            report = {name: getattr(found, name) for name in fields}
-            write_report(self.json, {**report, "safe_up_to_s": safe, "unthrown_up_to_s": unthrown, "worst": worst_rows})
+            self._write_cells(found, self.json)
         return 0
+
+    def _write_pages(self, console: "Console", found: "Evaluation", folder: Path) -> None:
+        """Writes both pages, and the worst release under a controller as a scene."""
+        import shlex
+
+        from haptether.bridge import save_scene
+        from haptether.private_file import write_private
+        from haptether.studies import evaluation_html, evaluation_markdown
+
+        worst = next((release for release in found.worst if release.controllers != "none"), None)
+        named = None
+        # That of an earlier run does not belong to these pages.
+        (folder / "worst.toml").unlink(missing_ok=True)
+        if worst is not None:
+            named = "worst.toml"
+            save_scene(
+                worst.scene,
+                folder / named,
+                f"{worst.task}, {worst.controllers}, {worst.round_trip_s:g} s, network {worst.network}:"
+                f" {worst.speed:.4f} m/s after the release.",
+            )
+        command = shlex.join(("haptether", "evaluate", *self.scene, *self._options()))
+        for suffix, text in (
+            ("html", evaluation_html(found, command=command, worst=named)),
+            ("md", evaluation_markdown(found, command=command, worst=named)),
+        ):
+            path = folder / f"evaluation.{suffix}"
+            write_private(path, text.encode())
+            console.print(f"page: {path}")
+        if named is not None:
+            console.print(f"worst release under a controller: {folder / named}")
+
+    @staticmethod
+    def _write_cells(found: "Evaluation", path: Path) -> None:
+        """Writes all cells, and what follows from them, as JSON."""
+        from haptether.cli.shared.output import write_report
+
+        worst = [
+            {name: getattr(release, name) for name in ("controllers", "task", "round_trip_s", "network", "speed")}
+            for release in found.worst
+        ]
+        safe = {controllers: found.safe_up_to_s(controllers) for controllers in found.controllers}
+        unthrown = {controllers: found.unthrown_up_to_s(controllers) for controllers in found.controllers}
+        fields = ("tasks", "networks", "limits", "hands", "releases", "seed", "version", "assumed", "cells")
+        report = {name: getattr(found, name) for name in fields}
+        write_report(path, {**report, "safe_up_to_s": safe, "unthrown_up_to_s": unthrown, "worst": worst})
 
     def _tasks(self) -> tuple[str, ...]:
         from haptether.bridge import load_scene

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from haptether.bridge import StoredSweep
     from haptether.bridge import Sweep as SweepResult
+    from haptether.bridge.scene.errors import Raw
     from haptether.bridge.scene.sweeps.design import Design
     from haptether.cli.shared.screen import Screen
 
@@ -100,7 +101,8 @@ class Sweep(PictureOptions):
     def run(self) -> int:
         """Runs all rows."""
         from haptether import __version__
-        from haptether.bridge.scene.sweeps.store import design_of
+        from haptether.bridge.scene.sweep import labelled
+        from haptether.bridge.scene.sweeps.design import design_of
         from haptether.bridge.scene.sweeps.table_file import STREAMED, check_suffix
         from haptether.cli.shared.controller_time import controller_timed
         from haptether.cli.shared.output import check_distinct, check_target, write_report
@@ -127,12 +129,13 @@ class Sweep(PictureOptions):
             message = f"{design.rows} rows: must be at most {most}"
             raise ValueError(message)
         picture = None
+        paths = [*varied, *([SEED] if self.samples is not None and SEED not in varied else [])]
         if self.plot is not None:
-            check_varied(list(varied))
+            check_varied(paths, labelled({**design.factors, **design.samples}))
             picture = picture_file(self.plot, self.format)
         console = screen(self.json)
         with controller_timed(console):
-            whole, stored = self._swept(design, {"grid": varied, "samples": drawn, "ties": ties}, collect=collect)
+            whole, stored = self._run_rows(design, {"grid": varied, "samples": drawn, "ties": ties}, collect=collect)
         shown = whole if stored is None else stored.head
         assert shown is not None, "a sweep without a file is in memory"
         if self.json is not None and whole is not None:
@@ -140,12 +143,11 @@ class Sweep(PictureOptions):
             write_report(self.json, report)
         self._report(console, shown, len(varied) + len(drawn) + len(ties) + 1, stored)
         if picture is not None and whole is not None:
-            paths = [*varied, *([SEED] if self.samples is not None and SEED not in varied else [])]
             write_figure(draw_sweep(self.scene, whole.columns, paths, self.columns), picture)
             console.print(f"picture: {picture}")
         return 0
 
-    def _swept(
+    def _run_rows(
         self, design: "Design", given: dict[str, Any], *, collect: bool
     ) -> "tuple[SweepResult | None, StoredSweep | None]":
         """All rows, or the file that has them."""
@@ -162,7 +164,7 @@ class Sweep(PictureOptions):
 
         def progress(done: int) -> None:
             if not bar.tasks[0].started:
-                # Rows that were kept before count for no rate.
+                # Rows of an earlier run are not counted in the rate.
                 bar.update(task, completed=done)
                 bar.reset(task, start=True, completed=done)
             bar.update(task, completed=done)
@@ -171,7 +173,7 @@ class Sweep(PictureOptions):
         stored: StoredSweep | None = None
         with bar:
             if self.out is not None:
-                with self._kept(design.rows):
+                with self._resume_hint(design.rows):
                     stored = sweep_to_file(
                         self.scene,
                         self.out,
@@ -198,17 +200,17 @@ class Sweep(PictureOptions):
         return whole, stored
 
     @contextlib.contextmanager
-    def _kept(self, rows: int) -> "Iterator[None]":
-        """Says at Ctrl-C what is kept."""
+    def _resume_hint(self, rows: int) -> "Iterator[None]":
+        """Prints at Ctrl-C how many rows a resume has already."""
         from haptether.bridge.scene.sweeps.journal import kept_rows
         from haptether.cli.shared.screen import Screen
 
         try:
             yield
         except KeyboardInterrupt:
-            if self.out is not None and (kept := kept_rows(self.out)):
+            if self.out is not None and (stored := kept_rows(self.out)):
                 Screen(stderr=True).print(
-                    f"{kept} of {rows} rows are kept in {self.out}.partial: the same command with --resume goes on",
+                    f"{stored} of {rows} rows are kept in {self.out}.partial: the same command with --resume goes on",
                     soft_wrap=True,
                 )
             raise
@@ -240,15 +242,15 @@ class Sweep(PictureOptions):
         """The samples that each combination has."""
         import numpy as np
 
+        from haptether.cli.shared.numbers import check_random_seed
+
         if self.samples is not None and not 1 <= self.samples <= MAX_ROWS:
             message = f"samples = {self.samples}: must be {'1 or more' if self.samples < 1 else f'at most {MAX_ROWS}'}"
             raise ValueError(message)
         if self.draw and self.samples is None:
             message = "--draw: give --samples, how many are drawn"
             raise ValueError(message)
-        if self.seed < 0:
-            message = f"seed = {self.seed}: must be 0 or more"
-            raise ValueError(message)
+        check_random_seed(self.seed)
         if self.samples is None:
             return {}
         laws: dict[str, tuple[str, float, float]] = {}
@@ -301,8 +303,8 @@ class Sweep(PictureOptions):
         import numpy as np
 
         floats = {name: column for name, column in result.columns.items() if column.dtype.kind == "f"}
-        known = {name for name, column in floats.items() if not np.isnan(column).all()}
-        absent = floats.keys() - (known if stored is None else stored.measured)
+        present = {name for name, column in floats.items() if not np.isnan(column).all()}
+        absent = floats.keys() - (present if stored is None else stored.measured)
         return [name for name in result.columns if name not in absent | {"intervention_ticks", "reason"}]
 
 
@@ -361,7 +363,7 @@ def _items(text: str) -> list[str]:
     return items
 
 
-def _value_of(path: str, item: str) -> Any:  # noqa: ANN401  # whatever a field takes
+def _value_of(path: str, item: str) -> "Raw":
     from msgspec import inspect
 
     from haptether.bridge.scene.errors import types_at

@@ -54,6 +54,7 @@ class Thresholds(PictureOptions):
     def run(self) -> int:
         """Runs all tasks and prints, for each law, its thresholds over round trips."""
         from haptether.cli.scene.simulate import spinner
+        from haptether.cli.shared.numbers import check_random_seed
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.picture import picture_file
         from haptether.cli.shared.screen import screen
@@ -62,9 +63,7 @@ class Thresholds(PictureOptions):
         from haptether.view.style.figure import write_figure
 
         check_target(self.json)
-        if self.seed < 0:
-            message = f"seed = {self.seed}: must be 0 or more"
-            raise ValueError(message)
+        check_random_seed(self.seed)
         known = sorted({law.controller for law in THRESHOLD_LAWS})
         names = known if self.controller is None else self.controller.split(",")
         if unknown := [name for name in names if name not in known]:

@@ -45,7 +45,7 @@ def release_line(scene: "Scene") -> str | None:
     return f"{why}: after a trip the force stays away{until}"
 
 
-def returns(scene: "Scene") -> str:
+def force_returns_by(scene: "Scene") -> str:
     """What brings the force back after a trip: a "hand" that answers or moves, "time", or "never"."""
     settings = scene.ejection_settings()
     if settings.probe_force_n > 0.0:
@@ -65,7 +65,7 @@ def release_law(scene: "Scene") -> dict[str, object] | None:
         "release_tries": settings.release_tries,
         "hold_off_s": scene.safety.hold_off_s,
         "release_ramp_s": settings.release_ramp_s,
-        "returns": returns(scene),
+        "returns": force_returns_by(scene),
         "remark": release_line(scene),
     }
 

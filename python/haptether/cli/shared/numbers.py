@@ -18,6 +18,17 @@ def check_seed(seed: int) -> None:
         raise ValueError(message)
 
 
+def check_random_seed(seed: int) -> None:
+    """Refuses what is no seed of `numpy.random.default_rng`.
+
+    Raises:
+        ValueError: A seed below 0.
+    """
+    if seed < 0:
+        message = f"seed = {seed}: must be 0 or more"
+        raise ValueError(message)
+
+
 def check_duration(key: str, seconds: float | None) -> None:
     """Refuses a time that no run can last.
 
