@@ -44,6 +44,15 @@ from haptether.bridge.scene.load import load_scene, override_scene, scene_json, 
 from haptether.bridge.scene.run import Event, Metrics, Run, Signals, simulate
 from haptether.bridge.scene.save import save_scene, scene_toml
 from haptether.bridge.scene.sweep import Sweep, sweep
+from haptether.bridge.scene.sweeps.laws import Law
+from haptether.bridge.scene.sweeps.population import (
+    Hand,
+    Population,
+    Published,
+    Trait,
+    load_population,
+    population_names,
+)
 from haptether.bridge.scene.sweeps.store import StoredSweep, sweep_to_file
 from haptether.bridge.scene.tables.master import (
     ButtonsTable,
@@ -143,12 +152,14 @@ __all__ = [
     "FingerTable",
     "ForceSensorTable",
     "GripperTable",
+    "Hand",
     "HandError",
     "HandFit",
     "HandleTable",
     "HoleTable",
     "Kalman",
     "LadderTable",
+    "Law",
     "LegTable",
     "LimiterTable",
     "LinkStatistics",
@@ -170,6 +181,8 @@ __all__ = [
     "OperatorTable",
     "PathReport",
     "Plane",
+    "Population",
+    "Published",
     "PusherTable",
     "RecordTable",
     "RecordedCause",
@@ -216,6 +229,7 @@ __all__ = [
     "TelemetrySignal",
     "ToolTable",
     "TorqueTable",
+    "Trait",
     "TremorTable",
     "TriggerSafetyTable",
     "TriggerTable",
@@ -229,11 +243,13 @@ __all__ = [
     "load",
     "load_gripper",
     "load_master",
+    "load_population",
     "load_problems",
     "load_scene",
     "load_slave",
     "override_scene",
     "playback_scene",
+    "population_names",
     "read_key",
     "read_recording",
     "recorded_scene",

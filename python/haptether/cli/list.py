@@ -9,7 +9,7 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class List:
-    """Say what there is to name: drivers of devices, presets of devices, scenes, networks, and who watches a hand.
+    """Say what there is to name: drivers and presets of devices, scenes, hands, networks, and who watches a hand.
 
     Drivers are entry points of the groups `haptether.masters`, `haptether.slaves` and `haptether.grippers`; other
     packages that are installed may bring more. One whose package cannot be loaded is listed with the reason.
@@ -28,7 +28,15 @@ class List:
         """Prints the names of each kind."""
         from rich.padding import Padding
 
-        from haptether.bridge import GRIPPERS, MASTERS, SLAVES, device_names, load_problems, scene_names
+        from haptether.bridge import (
+            GRIPPERS,
+            MASTERS,
+            SLAVES,
+            device_names,
+            load_problems,
+            population_names,
+            scene_names,
+        )
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
         from haptether.master import DEVICE_PRESETS
@@ -45,6 +53,7 @@ class List:
             ),
             "[master] device": ("presets of haptic devices", tuple(DEVICE_PRESETS)),
             "SCENE": ("scenes: haptether simulate --list says what they show", scene_names()),
+            "--population": ("hands that haptether sweep draws: docs/populations.md has them", population_names()),
             "preset": ("networks: haptether netsim list says where they come from", tuple(PRESETS)),
         }
         registries = {
