@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import inf, isfinite, log, log1p, sqrt
+from os import PathLike
 from pathlib import Path
 from statistics import NormalDist
 from typing import TypeAlias
@@ -87,8 +88,12 @@ class Law:
         return np.asarray(np.exp(log(mean) - 0.5 * variance + sqrt(variance) * standard), dtype=np.float64)
 
 
-def law_of(text: str) -> Law:
+def law_of(text: str, folder: Path | None = None) -> Law:
     """The law of `name:number:number`, of `quantiles:p=v:p=v:...` or of `measured:FILE.csv:COLUMN`.
+
+    Args:
+        text: One of these forms.
+        folder: What the path of a file is relative to; by default the working directory.
 
     Raises:
         ValueError: Another form, numbers that the law does not take, or a file without such a column of numbers.
@@ -97,7 +102,7 @@ def law_of(text: str) -> Law:
     if name == "measured":
         path, _, column = rest.rpartition(":")
         if path and column:
-            return measured_law(path, column)
+            return measured_law(path if folder is None else folder / path, column)
         rest = ""
     parts = rest.split(":")
     try:
@@ -139,7 +144,7 @@ def _holds(name: str, numbers: Sequence[float]) -> bool:
     }.get(name, False)
 
 
-def measured_law(path: str, column: str) -> Law:
+def measured_law(path: str | PathLike[str], column: str) -> Law:
     """The law of the measurements of a column of a CSV file: its empirical quantiles, linear between them.
 
     The i-th of n sorted values, counted from 0, is the quantile i / (n - 1).
@@ -170,7 +175,7 @@ def measured_law(path: str, column: str) -> Law:
     return Law("quantiles", tuple(number for point in points for number in point))
 
 
-def _finite(path: str, column: str, line: int, text: str | None) -> float:
+def _finite(path: str | PathLike[str], column: str, line: int, text: str | None) -> float:
     try:
         value = float(text or "")
     except ValueError:

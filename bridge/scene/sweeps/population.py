@@ -248,7 +248,7 @@ def load_population(name_or_path: str | PathLike[str]) -> Population:
         if len(content) > MAX_BYTES:
             message = f"more than {MAX_BYTES} bytes: no population is that long"
             raise SceneError(message)
-        return _population(tomllib.loads(content.decode("utf-8")))
+        return _population(tomllib.loads(content.decode("utf-8")), path.parent)
     except OSError as error:
         message = f"{path}: cannot be read: {error.strerror}"
     except UnicodeDecodeError as error:
@@ -260,10 +260,10 @@ def load_population(name_or_path: str | PathLike[str]) -> Population:
     raise SceneError(message)
 
 
-def _population(raw: Mapping[str, Any]) -> Population:
+def _population(raw: Mapping[str, Any], folder: FilePath) -> Population:
     _refuse_unknown("population", raw, ("title", "hands", "traits"))
-    hands = tuple(_hand(f"hands.{place}", each) for place, each in enumerate(_tables(raw, "hands")))
-    traits = tuple(_trait(f"traits.{place}", each) for place, each in enumerate(_tables(raw, "traits")))
+    hands = tuple(_hand(f"hands.{place}", each, folder) for place, each in enumerate(_tables(raw, "hands")))
+    traits = tuple(_trait(f"traits.{place}", each, folder) for place, each in enumerate(_tables(raw, "traits")))
     if not hands:
         message = "hands: must be one table [[hands]] or more"
         raise SceneError(message)
@@ -295,7 +295,7 @@ def _published(place: str, raw: Mapping[str, Any]) -> Published:
     return Published(source=source, measured=measured, subjects=subjects, read_at=read_at, verified=verified)
 
 
-def _hand(place: str, raw: Mapping[str, Any]) -> Hand:
+def _hand(place: str, raw: Mapping[str, Any], folder: FilePath) -> Hand:
     _refuse_unknown(place, raw, ("name", "model", "weight", "figures", *_PUBLISHED))
     name, model = _text(place, raw, "name"), _text(place, raw, "model")
     place = f"{place} ({name})"
@@ -312,7 +312,7 @@ def _hand(place: str, raw: Mapping[str, Any]) -> Hand:
     if missing := [figure for figure in known if figure not in figures]:
         message = f"{place}.figures: {missing[0]} is missing: the model {model} takes {', '.join(known)}"
         raise SceneError(message)
-    laws = {figure: _law(f"{place}.figures", figure, value) for figure, value in figures.items()}
+    laws = {figure: _law(f"{place}.figures", figure, value, folder) for figure, value in figures.items()}
     for figure, law in laws.items():
         low = law.support[0]
         if low < 0.0 or (figure.endswith("stiffness") and low == 0.0 and law.name != "lognormal"):
@@ -321,7 +321,7 @@ def _hand(place: str, raw: Mapping[str, Any]) -> Hand:
     return Hand(name=name, model=model, weight=float(weight), figures=laws, published=_published(place, raw))
 
 
-def _trait(place: str, raw: Mapping[str, Any]) -> Trait:
+def _trait(place: str, raw: Mapping[str, Any], folder: FilePath) -> Trait:
     _refuse_unknown(place, raw, ("field", "law", *_PUBLISHED))
     field = _text(place, raw, "field")
     place = f"{place} ({field})"
@@ -332,7 +332,7 @@ def _trait(place: str, raw: Mapping[str, Any]) -> Trait:
         raise SceneError(message) from None
     if path[0] != "operator" or field.replace("-", "_") in {"operator.stiffness", "operator.damping"}:
         raise _wrong(place, "field", field, "a number of [operator] other than stiffness and damping")
-    law = _law(place, "law", raw.get("law"))
+    law = _law(place, "law", raw.get("law"), folder)
     ends = [end for end in law.support if isfinite(end)]
     if len(ends) < 2 and law.name != "lognormal":
         raise _wrong(place, "law", raw["law"], "a law whose values have bounds")
@@ -342,13 +342,13 @@ def _trait(place: str, raw: Mapping[str, Any]) -> Trait:
     return Trait(field=".".join(map(str, path)), law=law, published=_published(place, raw))
 
 
-def _law(place: str, key: str, value: object) -> Law:
+def _law(place: str, key: str, value: object, folder: FilePath) -> Law:
     if _is_number(value):
         return Law("constant", (float(cast("float", value)),))
     if not isinstance(value, str):
         raise _wrong(place, key, value, "a finite number, or a law as --draw has it, in quotes")
     try:
-        return law_of(value)
+        return law_of(value, folder)
     except ValueError as error:
         message = f"{place}: {key}: {error}"
         raise SceneError(message) from None
