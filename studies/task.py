@@ -210,8 +210,8 @@ class Task:
         self.operator: OperatorTable = scene.operator
         self.network, self.by_time = network, by_time
         self.strokes = 0
-        self.passed_over = 0.0
-        """Share of the hands of a population that were too soft, of those that were drawn."""
+        self.selection: str | None = None
+        """Which share of a population does it, where some of its hands are too soft."""
         self.held = self._late(self._held())
         self.can_push = scene.slave is not None or scene.environment is not None
         """Whether anything can be felt: there is an arm, or something to touch."""
@@ -230,10 +230,8 @@ class Task:
             said.append(f"{self.name} is run without what its own link has: {', '.join(dropped)}.")
         if self.base.security is not None:
             said.append(f"{self.name} is run without its security.")
-        if self.passed_over:
-            said.append(
-                f"{self.name} is done by the stiffest {100.0 * (1.0 - self.passed_over):.0f} % of the population."
-            )
+        if self.selection is not None:
+            said.append(self.selection)
         return tuple(said)
 
     def _held(self) -> Scene:
@@ -346,7 +344,8 @@ class Task:
                 f" below which the task rings with a delay: {count} are asked for"
             )
             raise ValueError(message)
-        self.passed_over = 1.0 - float(stiff.mean())
+        if not stiff.all():
+            self.selection = f"{self.name} is done by the stiffest {100.0 * stiff.mean():.0f} % of {population}."
         return {path: column[stiff][:count] for path, column in drawn.items()}
 
     def lasting(self, bounds: HandBounds) -> Scene:

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from haptether.bridge import (
-    Hand,
-    Law,
+    FigureSource,
     Population,
-    Published,
+    PopulationHand,
+    PopulationTrait,
+    SampleLaw,
     SceneError,
-    Trait,
     load_population,
     load_scene,
     population_names,
@@ -33,7 +33,7 @@ ERRORS = 5.0
 """Standard errors within which a mean has to lie: a right one misses them once in two million draws."""
 
 
-def moments(law: Law) -> tuple[float, float]:
+def moments(law: SampleLaw) -> tuple[float, float]:
     """Mean and standard deviation of a law, by the closed form of each."""
     numbers = law.numbers
     if law.name in {"normal", "lognormal"}:
@@ -314,16 +314,16 @@ def test_a_file_of_ones_own_is_read(tmp_path: Path) -> None:
     assert load_population(path) == Population(
         title="T",
         hands=(
-            Hand(
+            PopulationHand(
                 name="one", model="spring-damper", weight=1.0,
-                figures={"stiffness": Law("constant", (100.0,)), "damping": Law("uniform", (1.0, 2.0))},
-                published=Published(subjects=3, verified=True, **of),
+                figures={"stiffness": SampleLaw("constant", (100.0,)), "damping": SampleLaw("uniform", (1.0, 2.0))},
+                published=FigureSource(subjects=3, verified=True, **of),
             ),
         ),
         traits=(
-            Trait(
-                field="operator.tremor.amplitude", law=Law("constant", (1e-4,)),
-                published=Published(subjects=None, verified=False, **of),
+            PopulationTrait(
+                field="operator.tremor.amplitude", law=SampleLaw("constant", (1e-4,)),
+                published=FigureSource(subjects=None, verified=False, **of),
             ),
         ),
     )  # fmt: skip
@@ -380,7 +380,7 @@ def test_two_hands_of_one_name_are_refused(tmp_path: Path) -> None:
         load_population(path)
 
 
-def law_cell(law: Law) -> str:
+def law_cell(law: SampleLaw) -> str:
     """A law as the page has it."""
     if law.name == "constant":
         return f"{law.numbers[0]:g}"

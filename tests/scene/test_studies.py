@@ -9,7 +9,7 @@ import pytest
 
 from haptether.bridge import SceneError, simulate, sweep
 from haptether.bridge.scene.sweep import label
-from haptether.bridge.scene.sweeps.laws import Law, sobol_points
+from haptether.bridge.scene.sweeps.laws import SampleLaw, sobol_points
 from haptether.cli.entry import main
 from haptether.view.figures.sweep import draw_sweep
 
@@ -127,15 +127,15 @@ def test_choices_are_drawn_as_lines_or_points() -> None:
     ("law", "mean", "within"),
     [
         # Integrals of smooth functions over 256 scrambled points err by some 1e-4 of the range.
-        (Law("uniform", (2.0, 4.0)), 3.0, 1e-3),
-        (Law("normal", (9.0, 1.0)), 9.0, 0.02),
-        (Law("lognormal", (9.0, 1.0)), 9.0, 0.02),
-        (Law("loguniform", (1.0, np.e)), np.e - 1.0, 2e-3),
+        (SampleLaw("uniform", (2.0, 4.0)), 3.0, 1e-3),
+        (SampleLaw("normal", (9.0, 1.0)), 9.0, 0.02),
+        (SampleLaw("lognormal", (9.0, 1.0)), 9.0, 0.02),
+        (SampleLaw("loguniform", (1.0, np.e)), np.e - 1.0, 2e-3),
         # Half of it even between 0 and 1, half between 1 and 5.
-        (Law("quantiles", (0.0, 0.0, 0.5, 1.0, 1.0, 5.0)), 1.75, 5e-3),
+        (SampleLaw("quantiles", (0.0, 0.0, 0.5, 1.0, 1.0, 5.0)), 1.75, 5e-3),
     ],
 )
-def test_a_sobol_sequence_fills_its_law_evenly(law: Law, mean: float, within: float) -> None:
+def test_a_sobol_sequence_fills_its_law_evenly(law: SampleLaw, mean: float, within: float) -> None:
     points = sobol_points(["a", "b"], 256, 1)
     assert abs(law.quantile(points["a"]).mean() - mean) < within
     # Each of 256 equal parts has one.

@@ -278,6 +278,6 @@ def test_hands_of_a_population_do_a_task_where_they_are_stiff_enough() -> None:
         np.testing.assert_array_equal(hands[path], usual[path])
     share = 100.0 * stiff.mean()
     assert 0.0 < share < 100.0
-    assert any(f"the stiffest {share:.0f} % of the population" in said for said in near.replaced())
+    assert any(f"the stiffest {share:.0f} % of stylus-arm" in said for said in near.replaced())
     with pytest.raises(ValueError, match=r"paper_wall: of 128 hands of handle 0 have the 250 N/m below which"):
         Task("paper_wall", 0.1).hands(2, 1, HandBounds(population="handle"))

@@ -28,7 +28,7 @@ MOST_MEASURED = 1_000_000
 
 
 @dataclass(frozen=True)
-class Law:
+class SampleLaw:
     """A law of one number.
 
     - uniform a, b: x = a + (b - a) u
@@ -88,7 +88,7 @@ class Law:
         return np.asarray(np.exp(log(mean) - 0.5 * variance + sqrt(variance) * standard), dtype=np.float64)
 
 
-def law_of(text: str, folder: Path | None = None) -> Law:
+def law_of(text: str, folder: Path | None = None) -> SampleLaw:
     """The law of `name:number:number`, of `quantiles:p=v:p=v:...` or of `measured:FILE.csv:COLUMN`.
 
     Args:
@@ -115,7 +115,7 @@ def law_of(text: str, folder: Path | None = None) -> Law:
     if not _holds(name, numbers):
         message = f"{text}: must be {FORMS}"
         raise ValueError(message)
-    return Law(name, tuple(numbers))
+    return SampleLaw(name, tuple(numbers))
 
 
 def _pair(part: str) -> Sequence[str]:
@@ -144,7 +144,7 @@ def _holds(name: str, numbers: Sequence[float]) -> bool:
     }.get(name, False)
 
 
-def measured_law(path: str | PathLike[str], column: str) -> Law:
+def measured_law(path: str | PathLike[str], column: str) -> SampleLaw:
     """The law of the measurements of a column of a CSV file: its empirical quantiles, linear between them.
 
     The i-th of n sorted values, counted from 0, is the quantile i / (n - 1).
@@ -172,7 +172,7 @@ def measured_law(path: str | PathLike[str], column: str) -> Law:
         message = f"{path}: {len(values)} rows: must be 2 to {MOST_MEASURED} measurements"
         raise ValueError(message)
     points = zip(np.linspace(0.0, 1.0, len(values)).tolist(), sorted(values), strict=True)
-    return Law("quantiles", tuple(number for point in points for number in point))
+    return SampleLaw("quantiles", tuple(number for point in points for number in point))
 
 
 def _finite(path: str | PathLike[str], column: str, line: int, text: str | None) -> float:

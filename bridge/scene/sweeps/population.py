@@ -15,7 +15,7 @@ from msgspec import Struct
 
 from haptether.bridge.scene.errors import Path, SceneError, closest, shown
 from haptether.bridge.scene.load import path_of
-from haptether.bridge.scene.sweeps.laws import Law, generator, law_of, sobol_points
+from haptether.bridge.scene.sweeps.laws import SampleLaw, generator, law_of, sobol_points
 from haptether.bridge.scene.sweeps.limits import out_of_range
 from haptether.bridge.scene.tables.session import Scene
 
@@ -69,7 +69,7 @@ NOT_DRAWN = "mass_kg"
 """A figure that any model may have, and no scene takes: its hand has no mass."""
 
 
-class Published(Struct, frozen=True, kw_only=True):
+class FigureSource(Struct, frozen=True, kw_only=True):
     """Where figures come from."""
 
     source: str
@@ -84,7 +84,7 @@ class Published(Struct, frozen=True, kw_only=True):
     """Whether they were read in the publication itself, or in another's transcription of it."""
 
 
-class Hand(Struct, frozen=True, kw_only=True):
+class PopulationHand(Struct, frozen=True, kw_only=True):
     """One person, or one condition: what goes together."""
 
     name: str
@@ -93,20 +93,20 @@ class Hand(Struct, frozen=True, kw_only=True):
     """Of `HAND_MODELS`."""
     weight: float
     """Its share in the draws, over that of the others."""
-    figures: Mapping[str, Law]
+    figures: Mapping[str, SampleLaw]
     """In SI units, by the names of the model."""
-    published: Published
+    published: FigureSource
     """Where they come from."""
 
 
-class Trait(Struct, frozen=True, kw_only=True):
+class PopulationTrait(Struct, frozen=True, kw_only=True):
     """A field of `[operator]` that is drawn beside the hand."""
 
     field: str
     """Its path."""
-    law: Law
+    law: SampleLaw
     """In the unit of the field."""
-    published: Published
+    published: FigureSource
     """Where it comes from."""
 
 
@@ -115,9 +115,9 @@ class Population(Struct, frozen=True, kw_only=True):
 
     title: str
     """What it is."""
-    hands: tuple[Hand, ...]
+    hands: tuple[PopulationHand, ...]
     """At least one."""
-    traits: tuple[Trait, ...] = ()
+    traits: tuple[PopulationTrait, ...] = ()
     """Drawn of the fields that a scene has."""
 
     @property
@@ -150,7 +150,7 @@ class Population(Struct, frozen=True, kw_only=True):
             message = "a population: the scene has no [operator]; add it before drawing hands"
             raise SceneError(message)
 
-        def values(name: str, law: Law) -> Array:
+        def values(name: str, law: SampleLaw) -> Array:
             if points is not None:
                 return law.quantile(points[_DIMENSION + name])
             return law.draw(generator(seed, _DIMENSION + name), count)
@@ -285,17 +285,17 @@ def _tables(raw: Mapping[str, Any], key: str) -> Sequence[Mapping[str, Any]]:
 _PUBLISHED = ("source", "measured", "subjects", "read_at", "verified")
 
 
-def _published(place: str, raw: Mapping[str, Any]) -> Published:
+def _published(place: str, raw: Mapping[str, Any]) -> FigureSource:
     subjects, verified = raw.get("subjects"), raw.get("verified")
     if subjects is not None and (not isinstance(subjects, int) or isinstance(subjects, bool) or subjects < 1):
         raise _wrong(place, "subjects", subjects, "a whole number of 1 or more")
     if not isinstance(verified, bool):
         raise _wrong(place, "verified", verified, "true or false")
     source, measured, read_at = (_text(place, raw, key) for key in ("source", "measured", "read_at"))
-    return Published(source=source, measured=measured, subjects=subjects, read_at=read_at, verified=verified)
+    return FigureSource(source=source, measured=measured, subjects=subjects, read_at=read_at, verified=verified)
 
 
-def _hand(place: str, raw: Mapping[str, Any], folder: FilePath) -> Hand:
+def _hand(place: str, raw: Mapping[str, Any], folder: FilePath) -> PopulationHand:
     _refuse_unknown(place, raw, ("name", "model", "weight", "figures", *_PUBLISHED))
     name, model = _text(place, raw, "name"), _text(place, raw, "model")
     place = f"{place} ({name})"
@@ -318,10 +318,10 @@ def _hand(place: str, raw: Mapping[str, Any], folder: FilePath) -> Hand:
         if low < 0.0 or (figure.endswith("stiffness") and low == 0.0 and law.name != "lognormal"):
             least = "above 0" if figure.endswith("stiffness") else "0 or more"
             raise _wrong(f"{place}.figures", figure, figures[figure], f"{least} throughout")
-    return Hand(name=name, model=model, weight=float(weight), figures=laws, published=_published(place, raw))
+    return PopulationHand(name=name, model=model, weight=float(weight), figures=laws, published=_published(place, raw))
 
 
-def _trait(place: str, raw: Mapping[str, Any], folder: FilePath) -> Trait:
+def _trait(place: str, raw: Mapping[str, Any], folder: FilePath) -> PopulationTrait:
     _refuse_unknown(place, raw, ("field", "law", *_PUBLISHED))
     field = _text(place, raw, "field")
     place = f"{place} ({field})"
@@ -339,12 +339,12 @@ def _trait(place: str, raw: Mapping[str, Any], folder: FilePath) -> Trait:
     if outside := out_of_range(path, np.array(ends)):
         message = f"{place}: law: {next(iter(outside.values()))}"
         raise SceneError(message)
-    return Trait(field=".".join(map(str, path)), law=law, published=_published(place, raw))
+    return PopulationTrait(field=".".join(map(str, path)), law=law, published=_published(place, raw))
 
 
-def _law(place: str, key: str, value: object, folder: FilePath) -> Law:
+def _law(place: str, key: str, value: object, folder: FilePath) -> SampleLaw:
     if _is_number(value):
-        return Law("constant", (float(cast("float", value)),))
+        return SampleLaw("constant", (float(cast("float", value)),))
     if not isinstance(value, str):
         raise _wrong(place, key, value, "a finite number, or a law as --draw has it, in quotes")
     try:

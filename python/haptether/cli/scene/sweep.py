@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from haptether.bridge import StoredSweep
     from haptether.bridge import Sweep as SweepResult
     from haptether.bridge.scene.sweeps.design import Design
-    from haptether.bridge.scene.sweeps.laws import Law
+    from haptether.bridge.scene.sweeps.laws import SampleLaw
     from haptether.cli.shared.screen import Screen
 
 ROWS_SHOWN = 20
@@ -252,7 +252,7 @@ class Sweep(PictureOptions):
         self._check_samples()
         if self.samples is None:
             return {}
-        laws: dict[str, Law] = {}
+        laws: dict[str, SampleLaw] = {}
         for path, law in map(drawn_law, self.draw):
             if laws.setdefault(path, law) is not law:
                 message = f"--draw {path}: given twice"
@@ -401,7 +401,7 @@ def _value_of(path: str, item: str) -> Any:  # noqa: ANN401  # whatever a field 
     return toml_value(item.strip(), steps)
 
 
-def drawn_law(text: str) -> "tuple[str, Law]":
+def drawn_law(text: str) -> "tuple[str, SampleLaw]":
     """The path and the law of `path=law:...`.
 
     Raises:
