@@ -46,6 +46,15 @@ from haptether.bridge.scene.research import ControllerTime, controller_names, co
 from haptether.bridge.scene.run import Event, Metrics, Run, Signals, simulate
 from haptether.bridge.scene.save import save_scene, scene_toml
 from haptether.bridge.scene.sweep import Sweep, sweep
+from haptether.bridge.scene.sweeps.laws import SampleLaw
+from haptether.bridge.scene.sweeps.population import (
+    FigureSource,
+    Population,
+    PopulationHand,
+    PopulationTrait,
+    load_population,
+    population_names,
+)
 from haptether.bridge.scene.sweeps.store import StoredSweep, sweep_to_file
 from haptether.bridge.scene.tables.master import (
     ButtonsTable,
@@ -145,6 +154,7 @@ __all__ = [
     "DualKalman",
     "EnvironmentTable",
     "Event",
+    "FigureSource",
     "FingerTable",
     "ForceSensorTable",
     "GripperTable",
@@ -175,6 +185,9 @@ __all__ = [
     "OperatorTable",
     "PathReport",
     "Plane",
+    "Population",
+    "PopulationHand",
+    "PopulationTrait",
     "PusherTable",
     "RecordTable",
     "RecordedCause",
@@ -193,6 +206,7 @@ __all__ = [
     "Run",
     "RunTable",
     "SafetyTable",
+    "SampleLaw",
     "SavitzkyGolay",
     "Scene",
     "SceneError",
@@ -237,11 +251,13 @@ __all__ = [
     "load",
     "load_gripper",
     "load_master",
+    "load_population",
     "load_problems",
     "load_scene",
     "load_slave",
     "override_scene",
     "playback_scene",
+    "population_names",
     "read_key",
     "read_recording",
     "recorded_scene",

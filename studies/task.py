@@ -24,6 +24,7 @@ from haptether.bridge import (
     Scene,
     Sweep,
     TremorTable,
+    load_population,
     load_scene,
     override_scene,
     simulate,
@@ -85,6 +86,8 @@ STROKES = 3
 """Out of contact, in again and out again: a hand that withdraws before a late force is what trips falsely."""
 STIFFER = 1.25
 """Stiffness of a hand over what it feels, at least: below 1 the loop with delay rings whoever watches."""
+DRAWN_PER_HAND = 64
+"""Hands of a population that are drawn for each that a task takes, most of which may be too soft."""
 
 
 class HandBounds(Struct, frozen=True, kw_only=True):
@@ -102,6 +105,9 @@ class HandBounds(Struct, frozen=True, kw_only=True):
     """Amplitude of the tremor in m."""
     tremor_hz: tuple[float, float] = (8.0, 12.0)
     """Its frequency in Hz (Elble and Koller 1990)."""
+    population: str | None = None
+    """Name or file of a population whose hands have stiffness, damping and tremor instead, as far as it has them; those
+    softer than 1.25 times what is felt are passed over."""
 
 
 class Network(Struct, frozen=True, kw_only=True):
@@ -206,6 +212,8 @@ class Task:
         self.operator: OperatorTable = scene.operator
         self.network, self.by_time = network, by_time
         self.strokes = 0
+        self.selection: str | None = None
+        """Which share of a population does it, where some of its hands are too soft."""
         self.held = self._delayed(self._held())
         self.can_push = scene.slave is not None or scene.environment is not None
         """Whether anything can be felt: there is an arm, or something to touch."""
@@ -226,6 +234,8 @@ class Task:
             remarks.append(f"{research.controller} watches {self.name} where it is named as a controller.")
         if self.base.security is not None:
             remarks.append(f"{self.name} is run without its security.")
+        if self.selection is not None:
+            remarks.append(self.selection)
         return tuple(remarks)
 
     def _held(self) -> Scene:
@@ -326,7 +336,30 @@ class Task:
         withdrawal_s = _log_uniform(rng, bounds.withdrawal_s, count)
         for stroke in range(self.strokes):
             rows[f"operator.legs.{len(self.operator.legs) + stroke}.duration_s"] = withdrawal_s
+        if bounds.population is not None:
+            people = self._people(bounds.population, count, seed)
+            rows |= {path: column for path, column in people.items() if path in rows}
         return rows
+
+    def _people(self, population: str, count: int, seed: int) -> dict[str, Array]:
+        """The first hands of a population that are as stiff as `STIFFER` asks for.
+
+        Raises:
+            SceneError: No such population.
+            ValueError: Too few of `DRAWN_PER_HAND` times as many are.
+        """
+        drawn = load_population(population).draws(DRAWN_PER_HAND * count, seed)
+        softest = STIFFER * self.felt_stiffness()
+        stiff = drawn["operator.stiffness"] >= softest
+        if stiff.sum() < count:
+            message = (
+                f"{self.name}: of {DRAWN_PER_HAND * count} hands of {population} {stiff.sum()} have the {softest:g} N/m"
+                f" below which the task rings with a delay: {count} are asked for"
+            )
+            raise ValueError(message)
+        if not stiff.all():
+            self.selection = f"{self.name} is done by the stiffest {100.0 * stiff.mean():.0f} % of {population}."
+        return {path: column[stiff][:count] for path, column in drawn.items()}
 
     def lasting(self, bounds: HandBounds) -> Scene:
         """The held task, as long as its slowest hand needs."""

@@ -18,15 +18,16 @@ from typing import Any, TypeAlias, cast
 import msgspec
 import numpy as np
 import numpy.typing as npt
-from msgspec import inspect
 
 from haptether import _core
 from haptether.bridge.scene.checks import checked_spec
-from haptether.bridge.scene.errors import Path, Raw, SceneError, allowed_at, place, shown, types_at, wrong
+from haptether.bridge.scene.errors import Path, Raw, SceneError, place, shown
 from haptether.bridge.scene.load import Checked, Leaf, leaf_values, path_of, typed_scene, with_value
 from haptether.bridge.scene.research import research_of
 from haptether.bridge.scene.run import named_scene
 from haptether.bridge.scene.sweeps.design import Values, design_of
+from haptether.bridge.scene.sweeps.limits import LARGEST_EXACT, as_typed, out_of_range
+from haptether.bridge.scene.sweeps.population import Population, with_population
 from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import private_file, refuse_link
 
@@ -40,8 +41,6 @@ _ALONE = re.compile(
     r"|coupling\.(position_scale|force_scale|command_.*|changes\.\d+\..*_scale)|slave\.(bandwidth_hz|max_.*|force_sensor\..*)"
     r"|safety\.(velocity_.*|vfc_.*|grasp_.*|hsc_.*|wsc_.*|energy_.*|window|hold_off_s|release_ramp_s)"
 )
-LARGEST_EXACT = 2**53
-"""Values travel as float64: whole numbers beyond this are not exact."""
 COUNTS = frozenset({"false_trips", "intervention_ticks"})
 """Columns of whole numbers that are float64, so that NaN can stand for what was not measured."""
 METRICS = (
@@ -138,6 +137,8 @@ def sweep(
     grid: Mapping[str, Values] | None = None,
     samples: Mapping[str, Values] | None = None,
     *,
+    population: Population | str | PathLike[str] | None = None,
+    seed: int = 1,
     ties: Mapping[str, str] | None = None,
     overrides: Iterable[str] = (),
     threads: int | None = None,
@@ -154,6 +155,9 @@ def sweep(
         grid: Values by dotted path ("safety.window"): every combination is run, the last path varies fastest. Values
             are numbers, or whatever else the field takes: strings, booleans, lists, tables.
         samples: Values by dotted path, all of one length: row i takes the value i of each.
+        population: As many hands as there are samples, drawn of a `Population`, of one of `population_names()` or of
+            the path of a TOML file.
+        seed: Of these hands, 0 or more.
         ties: Paths that take, in each row, the value of a path that varies.
         overrides: Fields to change for all rows, `table.key=value` each.
         threads: How many threads; by default as many as there are processors.
@@ -161,10 +165,13 @@ def sweep(
         progress: Called from time to time with the number of rows that are done.
 
     Raises:
-        SceneError: A scene that cannot be built, a path that it does not have, or no row that can be built.
-        ValueError: Neither or both of `grid` and `samples`, samples of different lengths, a tie to what does not vary.
+        SceneError: A scene that cannot be built, a path that it does not have, no row that can be built, or a file that
+            is no population.
+        ValueError: Neither or both of `grid` and `samples`, samples of different lengths, a tie to what does not vary,
+            a population without samples, or one whose field is sampled, too.
     """
     _, base = named_scene(scene, overrides)
+    samples = with_population(base.scene, samples, population, seed)
     if (grid is None) == (samples is None):
         message = "give grid or samples: exactly one of the two"
         raise ValueError(message)
@@ -387,7 +394,7 @@ def _columns(base: Checked, varied: Mapping[str, Array]) -> tuple[list[tuple[str
         path = path_of(text)
         leaves = _of_parameter(path, expected)
         if _ALONE.fullmatch(".".join(map(str, path))):
-            refused = _out_of_range(path, values) | refused
+            refused = out_of_range(path, values) | refused
             columns |= dict.fromkeys(leaves, values)
         else:
             together[path] = values
@@ -397,27 +404,6 @@ def _columns(base: Checked, varied: Mapping[str, Array]) -> tuple[list[tuple[str
         columns |= joint
         refused = wrong_rows | refused
     return list(columns.items()), refused
-
-
-def _out_of_range(path: Path, values: Array) -> dict[int, str]:
-    """What is wrong with the values that are outside the range of their type, by their row."""
-    kinds = [kind for kind in types_at(path) if isinstance(kind, inspect.FloatType | inspect.IntType)]
-    good = np.zeros(len(values), dtype=bool)
-    for kind in kinds:
-        inside = np.ones(len(values), dtype=bool)
-        for limit, holds in (
-            (kind.gt, np.greater), (kind.ge, np.greater_equal), (kind.lt, np.less), (kind.le, np.less_equal)
-        ):  # fmt: skip
-            if limit is not None:
-                inside &= holds(values, limit)
-        if isinstance(kind, inspect.IntType):
-            inside &= (values == np.rint(values)) & (np.abs(values) <= LARGEST_EXACT)
-        good |= inside
-    outside = {}
-    for row in np.flatnonzero(~good).tolist():
-        seen = _as_typed(float(values[row]))
-        outside[row] = str(wrong(path, seen, allowed_at(path, seen)))
-    return outside
 
 
 def _joint_columns(
@@ -434,7 +420,7 @@ def _joint_columns(
         try:
             changed = raw
             for path, value in zip(varied, combination, strict=True):
-                changed = cast("dict[str, Raw]", with_value(changed, path, _as_typed(value)))
+                changed = cast("dict[str, Raw]", with_value(changed, path, as_typed(value)))
             leaves = dict(leaf_values(checked_spec(typed_scene(changed))))
         except SceneError as error:
             refused[number] = str(error)
@@ -453,13 +439,6 @@ def _joint_columns(
             raise SceneError(message) from None
     wrong_rows = {row: refused[number] for row, number in enumerate(of_row.tolist()) if number in refused}
     return {leaf: np.ascontiguousarray(column[of_row]) for leaf, column in columns.items()}, wrong_rows
-
-
-def _as_typed(value: float) -> float | int:
-    """Whole numbers as such, so that they fit fields that count; those that measure take either."""
-    if value.is_integer() and abs(value) <= LARGEST_EXACT:
-        return int(value)
-    return value
 
 
 @lru_cache(maxsize=8)

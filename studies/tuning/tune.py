@@ -135,6 +135,7 @@ def tune(
     hands: int = 8,
     releases: int = 4,
     seed: int = 1,
+    bounds: HandBounds | None = None,
     overrides: Iterable[str] = (),
     threads: int | None = None,
     progress: Callable[[str], None] | None = None,
@@ -155,6 +156,7 @@ def tune(
         hands: How many let go, 1 or more; each once.
         releases: At how many times.
         seed: Of hands and links.
+        bounds: What hands may be; by default `HandBounds()`.
         overrides: Fields of `[safety]` that observers read to change first, `safety.key=value`.
         threads: Of the runs; by default as many as there are processors.
         progress: Called with what is done.
@@ -177,7 +179,8 @@ def tune(
         watching = [name for name in FIELD_OF if name in seen.scene.safety.controllers]
         chosen = tuple(FIELD_OF[name] for name in watching or FIELD_OF)
     release_trip_s = seen.round_trip_s if round_trip_s is None else round_trip_s
-    runs, notes = _release_runs(seen, scene, (release_trip_s, hands, releases, seed), threads)
+    conditions = (release_trip_s, hands, releases, seed)
+    runs, notes = _release_runs(seen, scene, conditions, bounds or HandBounds(), threads)
     if seen.scene.master.rotation is not None:
         notes.append("of kind pose: thresholds of [safety.rotation], for torques, are not tuned")
     tuned = []
@@ -250,6 +253,7 @@ def _release_runs(
     seen: NormalOperation,
     scene: Scene | str | os.PathLike[str] | None,
     how: tuple[float, int, int, int],
+    bounds: HandBounds,
     threads: int | None,
 ) -> tuple[TaskRuns | None, list[str]]:
     """Hands that let go in the scene, with the device, the estimator and the observers of the recordings."""
@@ -265,11 +269,11 @@ def _release_runs(
     names = ("estimator", *(name for names in READ_BY_OBSERVERS.values() for name in names))
     safety = replace(task_scene.safety, **{name: getattr(seen.scene.safety, name) for name in names})
     task = Task(replace(task_scene, safety=safety), round_trip_s)
-    bounds = HandBounds()
     runs = TaskRuns(task, task.lasting(bounds), task.hands(hands, seed, bounds), releases, threads)
+    notes = [] if task.selection is None else [task.selection]
     if not runs.thrown.any():
-        return runs, [f"no release in the scene exceeds {MISSED_SPEED:g} m/s where nobody watches: none can be missed"]
-    return runs, []
+        notes.append(f"no release in the scene exceeds {MISSED_SPEED:g} m/s where nobody watches: none can be missed")
+    return runs, notes
 
 
 def _tuned(

@@ -276,7 +276,10 @@ def test_a_choice_of_no_field_or_no_value_is_refused() -> None:
         ([], "nothing to vary"),
         (["--samples", "0"], "samples = 0: must be 1 or more"),
         (["--vary", "safety.window=1,2", "--draw", "operator.stiffness=uniform:1:2"], "--draw: give --samples"),
-        (["--samples", "2", "--draw", "operator.stiffness=uniform:2:1"], "must be path=uniform:a:b with a < b"),
+        (
+            ["--samples", "2", "--draw", "operator.stiffness=uniform:2:1"],
+            "operator.stiffness=uniform:2:1: must be uniform:a:b with a < b",
+        ),
         (["--samples", "2", "--sobol"], "--sobol: give --draw"),
         (
             ["--vary", "coupling.force-scale=1,2", "--vary", "coupling.force_scale=3"],
@@ -286,9 +289,9 @@ def test_a_choice_of_no_field_or_no_value_is_refused() -> None:
             ["--samples", "2", "--draw", "safety.damping=uniform:1:2", "--draw", "safety.damping=uniform:3:4"],
             "given twice",
         ),
-        (["--samples", "2", "--draw", "operator.stiffness=loguniform:0:1"], "path=loguniform:a:b with 0 < a < b"),
+        (["--samples", "2", "--draw", "operator.stiffness=loguniform:0:1"], "loguniform:a:b with 0 < a < b"),
         (["--samples", "2", "--draw", "operator.stiffness=normal:1:0"], "a deviation above 0"),
-        (["--samples", "2", "--draw", "operator.stiffness=cauchy:1:2"], "must be path=uniform:a:b"),
+        (["--samples", "2", "--draw", "operator.stiffness=cauchy:1:2"], "must be uniform:a:b"),
         (["--samples", "2", "--vary", "safety.window=50", "--draw", "safety.window=uniform:1:2"], "varies by itself"),
         (["--samples", "2", "--seed", "-1"], "seed = -1: must be 0 or more"),
         (["--vary", "safety.window=50", "--tie", "link.backward.delay_s"], "0 paths of that name vary"),
@@ -387,7 +390,7 @@ def test_the_examples_in_the_help_work(
     (tmp_path / "my" / "scene.toml").write_text('schema = 1\nmaster = { device = "touch" }\nrecord = {}\n')
     lines = [line for command in (Simulate, Sweep) for line in (inspect.getdoc(command) or "").splitlines()]
     examples = [shlex.split(line)[1:] for line in lines if line.startswith("haptether ")]
-    assert len(examples) == 11
+    assert len(examples) == 12
     for example in examples:
         assert main(example) == 0, example
     # Of a sweep with a file there is a run for each batch.

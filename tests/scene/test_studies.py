@@ -9,8 +9,8 @@ import pytest
 
 from haptether.bridge import SceneError, simulate, sweep
 from haptether.bridge.scene.sweep import label
+from haptether.bridge.scene.sweeps.laws import SampleLaw, sobol_points
 from haptether.cli.entry import main
-from haptether.cli.scene.sweep import sobol_draws
 from haptether.view.figures.sweep import draw_sweep
 
 METRICS = ("max_ejection_velocity", "peak_device_force", "time_to_trip_s", "false_trips", "position_rmse_m")
@@ -130,16 +130,19 @@ def test_choices_are_drawn_as_lines_or_points() -> None:
     ("law", "mean", "within"),
     [
         # Integrals of smooth functions over 256 scrambled points err by some 1e-4 of the range.
-        (("uniform", 2.0, 4.0), 3.0, 1e-3),
-        (("normal", 9.0, 1.0), 9.0, 0.02),
-        (("loguniform", 1.0, np.e), np.e - 1.0, 2e-3),
+        (SampleLaw("uniform", (2.0, 4.0)), 3.0, 1e-3),
+        (SampleLaw("normal", (9.0, 1.0)), 9.0, 0.02),
+        (SampleLaw("lognormal", (9.0, 1.0)), 9.0, 0.02),
+        (SampleLaw("loguniform", (1.0, np.e)), np.e - 1.0, 2e-3),
+        # Half of it even between 0 and 1, half between 1 and 5.
+        (SampleLaw("quantiles", (0.0, 0.0, 0.5, 1.0, 1.0, 5.0)), 1.75, 5e-3),
     ],
 )
-def test_a_sobol_sequence_fills_its_law_evenly(law: tuple[str, float, float], mean: float, within: float) -> None:
-    drawn = sobol_draws({"a": law, "b": ("uniform", 0.0, 1.0)}, 256, 1)
-    assert abs(drawn["a"].mean() - mean) < within
+def test_a_sobol_sequence_fills_its_law_evenly(law: SampleLaw, mean: float, within: float) -> None:
+    points = sobol_points(["a", "b"], 256, 1)
+    assert abs(law.quantile(points["a"]).mean() - mean) < within
     # Each of 256 equal parts has one.
-    assert np.unique((drawn["b"] * 256).astype(int)).size == 256
-    again = sobol_draws({"a": law, "b": ("uniform", 0.0, 1.0)}, 256, 1)
-    assert all((drawn[path] == again[path]).all() for path in drawn)
-    assert (sobol_draws({"a": law}, 256, 2)["a"] != sobol_draws({"a": law}, 256, 1)["a"]).any()
+    assert np.unique((points["b"] * 256).astype(int)).size == 256
+    again = sobol_points(["a", "b"], 256, 1)
+    assert all((points[name] == again[name]).all() for name in points)
+    assert (sobol_points(["a"], 256, 2)["a"] != sobol_points(["a"], 256, 1)["a"]).any()

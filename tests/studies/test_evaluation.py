@@ -298,9 +298,13 @@ def test_the_command_writes_page_scene_and_cells(tmp_path: Path, capsys: pytest.
 
 
 def test_the_command_that_is_printed_is_the_one_that_ran() -> None:
-    command = Evaluate(scene=("remote_push",), seed=1234567, round_trip_s=(0.0123456789,), speed=0.1234567, hands=2)
+    command = Evaluate(
+        scene=("remote_push",), seed=1234567, round_trip_s=(0.0123456789,), speed=0.1234567, hands=2,
+        population="stylus-arm",
+    )  # fmt: skip
     assert command._options() == [
-        "--round-trip-s", "0.0123456789", "--hands", "2", "--speed", "0.1234567", "--seed", "1234567"
+        "--round-trip-s", "0.0123456789", "--hands", "2", "--speed", "0.1234567", "--seed", "1234567",
+        "--population", "stylus-arm",
     ]  # fmt: skip
 
 

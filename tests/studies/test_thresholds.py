@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 from scipy.stats import binom, chi2
 
-from haptether.bridge import RecordTable, load_scene, override_scene, save_scene, simulate
+from haptether.bridge import RecordTable, load_population, load_scene, override_scene, save_scene, simulate
 from haptether.cli.entry import main
 from haptether.studies import (
     EVALUATED_NETWORKS,
@@ -263,3 +263,23 @@ def test_a_scene_without_a_hand_is_no_task(tmp_path: Path) -> None:
     save_scene(nobody, tmp_path / "nobody.toml")
     with pytest.raises(ValueError, match="nobody holds its device"):
         Task(str(tmp_path / "nobody.toml"), 0.0)
+
+
+def test_hands_of_a_population_do_a_task_where_they_are_stiff_enough() -> None:
+    bounds = HandBounds(population="stylus-arm")
+    near, far = Task("remote_push", 0.0), Task("remote_push", 0.3)
+    hands, usual = near.hands(20, 3, bounds), near.hands(20, 3, HandBounds())
+    assert hands.keys() == usual.keys()
+    drawn = load_population("stylus-arm").draws(64 * 20, 3)
+    stiff = drawn["operator.stiffness"] >= 1.25 * near.felt_stiffness()
+    # The first that are stiff enough, whole, whatever the round trip; what a population does not have is as ever.
+    for path in ("operator.stiffness", "operator.damping", "operator.tremor.amplitude", "operator.tremor.frequency_hz"):
+        np.testing.assert_array_equal(hands[path], drawn[path][stiff][:20])
+        np.testing.assert_array_equal(far.hands(20, 3, bounds)[path], hands[path])
+    for path in hands.keys() - drawn.keys():
+        np.testing.assert_array_equal(hands[path], usual[path])
+    share = 100.0 * stiff.mean()
+    assert 0.0 < share < 100.0
+    assert any(f"the stiffest {share:.0f} % of stylus-arm" in said for said in near.replaced())
+    with pytest.raises(ValueError, match=r"paper_wall: of 128 hands of handle 0 have the 250 N/m below which"):
+        Task("paper_wall", 0.1).hands(2, 1, HandBounds(population="handle"))

@@ -31,6 +31,7 @@ from haptether.bridge.scene.sweep import (
 from haptether.bridge.scene.sweeps.cluster import computed_by_cluster
 from haptether.bridge.scene.sweeps.design import Design, Values, design_of
 from haptether.bridge.scene.sweeps.journal import Journal
+from haptether.bridge.scene.sweeps.population import Population, with_population
 from haptether.bridge.scene.sweeps.table_file import STREAMED, check_suffix, table_file
 from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import is_stream, refuse_link
@@ -70,6 +71,8 @@ def sweep_to_file(
     grid: Mapping[str, Values] | None = None,
     samples: Mapping[str, Values] | None = None,
     *,
+    population: Population | str | PathLike[str] | None = None,
+    seed: int = 1,
     ties: Mapping[str, str] | None = None,
     overrides: Iterable[str] = (),
     threads: int | None = None,
@@ -92,6 +95,8 @@ def sweep_to_file(
         path: A file that ends in .csv, .parquet or .npz.
         grid: Values by dotted path, as of `sweep`; the last path varies fastest.
         samples: Values by dotted path, all of one length: each combination has them all.
+        population: As many hands as there are samples, drawn as by `sweep`: the same in each combination.
+        seed: Of these hands, 0 or more.
         ties: Paths that take, in each row, the value of a path that varies.
         overrides: Fields to change for all rows, `table.key=value` each.
         threads: How many threads; by default as many as there are processors.
@@ -121,7 +126,7 @@ def sweep_to_file(
         message = f"{path}: is a pipe or a device, must be a file"
         raise ValueError(message)
     name, base = named_scene(scene, overrides)
-    design = design_of(grid, samples, ties)
+    design = design_of(grid, with_population(base.scene, samples, population, seed), ties)
     threads = thread_count(threads)
     request = {
         "version": __version__,

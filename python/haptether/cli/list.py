@@ -9,7 +9,7 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class List:
-    """Say what there is to name: drivers of devices, presets of devices, scenes, networks, and who watches a hand.
+    """Say what there is to name: drivers and presets of devices, scenes, hands, networks, and who watches a hand.
 
     Drivers and controllers in Python are entry points of the groups `haptether.masters`, `haptether.slaves`,
     `haptether.grippers` and `haptether.controllers`; other packages that are installed may bring more. One whose
@@ -37,6 +37,7 @@ class List:
             controller_names,
             device_names,
             load_problems,
+            population_names,
             scene_names,
         )
         from haptether.cli.shared.output import check_target, write_report
@@ -56,6 +57,7 @@ class List:
             "[safety.research] controller": ("controllers in Python, of simulated runs", controller_names()),
             "[master] device": ("presets of haptic devices", tuple(DEVICE_PRESETS)),
             "SCENE": ("scenes: haptether simulate --list says what they show", scene_names()),
+            "--population": ("hands that haptether sweep draws: docs/populations.md has them", population_names()),
             "preset": ("networks: haptether netsim list says where they come from", tuple(PRESETS)),
         }
         registries = {

@@ -55,6 +55,9 @@ class Tune(PictureOptions):
     """How many hands let go, 1 or more; each once."""
     releases: int = 4
     """At how many times, 1 or more."""
+    population: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE.toml")] = None
+    """A population whose hands let go, instead of hands of 200 to 600 N/m and 8 to 25 N s/m; those too soft for what
+    the scene lets them feel are passed over: docs/populations.md."""
     seed: int = 1
     """Of hands and links, 0 or more."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="safety.KEY=VALUE")] = ()
@@ -73,7 +76,7 @@ class Tune(PictureOptions):
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.picture import picture_file
         from haptether.cli.shared.screen import screen
-        from haptether.studies import draw_tuning, tune
+        from haptether.studies import HandBounds, draw_tuning, tune
         from haptether.view.style.figure import write_figure
 
         check_target(self.json)
@@ -90,6 +93,7 @@ class Tune(PictureOptions):
                 hands=self.hands,
                 releases=self.releases,
                 seed=self.seed,
+                bounds=HandBounds(population=self.population),
                 overrides=self.set,
                 threads=self.threads,
                 progress=say,

@@ -52,6 +52,9 @@ class Evaluate:
     """Speed in m/s above which a release has thrown the device; by default 0.5."""
     false_trips_per_h: float | None = None
     """False trips per hour held above which a controller interferes with the task; by default 60."""
+    population: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE.toml")] = None
+    """A population whose hands do the tasks, instead of hands of 200 to 600 N/m and 8 to 25 N s/m; those too soft for
+    what a task lets them feel are passed over: docs/populations.md."""
     seed: int = 1
     """Of hands and networks, 0 or more."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
@@ -70,7 +73,13 @@ class Evaluate:
         from haptether.cli.shared.numbers import check_random_seed
         from haptether.cli.shared.output import check_target, make_folder, require_matplotlib
         from haptether.cli.shared.screen import screen
-        from haptether.studies import EVALUATED_CONTROLLERS, EVALUATED_NETWORKS, EvaluationLimits, evaluate
+        from haptether.studies import (
+            EVALUATED_CONTROLLERS,
+            EVALUATED_NETWORKS,
+            EvaluationLimits,
+            HandBounds,
+            evaluate,
+        )
         from haptether.studies.task import HANDS, RELEASES, ROUND_TRIPS_S
 
         check_target(self.json)
@@ -98,6 +107,7 @@ class Evaluate:
                 hands=self.hands if self.hands is not None else QUICK_HANDS if self.quick else HANDS,
                 releases=self.releases if self.releases is not None else QUICK_RELEASES if self.quick else RELEASES,
                 seed=self.seed,
+                bounds=HandBounds(population=self.population),
                 limits=EvaluationLimits(**{name: value for name, value in limits.items() if value is not None}),
                 overrides=self.set,
                 threads=self.threads,
@@ -182,6 +192,8 @@ class Evaluate:
         ):  # fmt: skip
             if value != default:
                 given += [f"--{option}", repr(value)]
+        if self.population is not None:
+            given += ["--population", self.population]
         for change in self.set:
             given += ["--set", change]
         return given

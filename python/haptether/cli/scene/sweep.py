@@ -11,7 +11,7 @@ import tyro
 from haptether.cli.shared.picture import PictureOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
     import numpy as np
     import numpy.typing as npt
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from haptether.bridge import Sweep as SweepResult
     from haptether.bridge.scene.errors import Raw
     from haptether.bridge.scene.sweeps.design import Design
+    from haptether.bridge.scene.sweeps.laws import SampleLaw
     from haptether.cli.shared.screen import Screen
 
 ROWS_SHOWN = 20
@@ -54,6 +55,8 @@ class Sweep(PictureOptions):
 
     haptether sweep remote_push --vary safety.controllers=none,[hsc] --samples 9 --draw operator.damping=normal:9:1
 
+    haptether sweep remote_push --vary link.forward.delay_s=0:0.2:5 --samples 64 --population stylus-arm
+
     haptether sweep remote_push --vary link.forward.delay_s=0.02:0.2:10 --tie link.backward.delay_s --plot delay.png
 
     haptether sweep paper_wall --vary environment.objects.0.contact.stiffness=200:1000:9 --set safety.controllers=[hsc]
@@ -71,7 +74,11 @@ class Sweep(PictureOptions):
     samples: int | None = None
     """How many samples each combination has; of all --draw, and of run.seed unless that varies."""
     draw: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="PATH=LAW:A:B")] = ()
-    """What is drawn in each sample: uniform:a:b, loguniform:a:b or normal:mean:deviation; may be given often."""
+    """What is drawn in each sample: uniform:a:b, loguniform:a:b, normal:mean:deviation, lognormal:mean:deviation,
+    quantiles:p=v:p=v (linear between them) or measured:FILE.csv:COLUMN; may be given often."""
+    population: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE.toml")] = None
+    """A population of hands, of which each sample draws one: stiffness, damping and what else of [operator] it has and
+    the scene, too. Names: haptether list; docs/populations.md."""
     seed: int = 1
     """Of what is drawn, 0 or more."""
     sobol: bool = False
@@ -242,26 +249,31 @@ class Sweep(PictureOptions):
         """The samples that each combination has."""
         import numpy as np
 
-        from haptether.cli.shared.numbers import check_random_seed
+        from haptether.bridge import load_population, load_scene
+        from haptether.bridge.scene.sweeps.laws import generator, sobol_points
+        from haptether.bridge.scene.sweeps.population import refuse_both
 
-        if self.samples is not None and not 1 <= self.samples <= MAX_ROWS:
-            message = f"samples = {self.samples}: must be {'1 or more' if self.samples < 1 else f'at most {MAX_ROWS}'}"
-            raise ValueError(message)
-        if self.draw and self.samples is None:
-            message = "--draw: give --samples, how many are drawn"
-            raise ValueError(message)
-        check_random_seed(self.seed)
+        self._check_samples()
         if self.samples is None:
             return {}
-        laws: dict[str, tuple[str, float, float]] = {}
-        for path, law in map(law_of, self.draw):
-            if laws.setdefault(path.replace("-", "_"), law) is not law:
+        laws: dict[str, SampleLaw] = {}
+        for path, law in map(drawn_law, self.draw):
+            if laws.setdefault(path, law) is not law:
                 message = f"--draw {path}: given twice"
                 raise ValueError(message)
+        population = None if self.population is None else load_population(self.population)
+        points = None
         if self.sobol:
-            drawn = sobol_draws(laws, self.samples, self.seed)
+            dimensions = () if population is None else population.dimensions
+            points = sobol_points([*laws, *dimensions], self.samples, self.seed)
+            drawn = {path: law.quantile(points[path]) for path, law in laws.items()}
         else:
-            drawn = {path: draw_of(law, self.samples, self.seed, path) for path, law in laws.items()}
+            drawn = {path: law.draw(generator(self.seed, path), self.samples) for path, law in laws.items()}
+        if population is not None:
+            scene = load_scene(self.scene, self.set)
+            hands = population.draws(self.samples, self.seed, scene=scene, points=points)
+            refuse_both(hands, [*drawn, *varied])
+            drawn |= hands
         if SEED not in varied:
             drawn.setdefault(SEED, np.arange(1.0, self.samples + 1.0))
         for path in drawn:
@@ -269,6 +281,19 @@ class Sweep(PictureOptions):
                 message = f"--draw {path}: varies by itself"
                 raise ValueError(message)
         return drawn
+
+    def _check_samples(self) -> None:
+        """Refuses a number of samples or a seed that cannot be, and what is drawn without samples."""
+        from haptether.cli.shared.numbers import check_random_seed
+
+        if self.samples is not None and not 1 <= self.samples <= MAX_ROWS:
+            message = f"samples = {self.samples}: must be {'1 or more' if self.samples < 1 else f'at most {MAX_ROWS}'}"
+            raise ValueError(message)
+        for given, option in ((self.draw, "--draw"), (self.population, "--population")):
+            if given and self.samples is None:
+                message = f"{option}: give --samples, how many are drawn"
+                raise ValueError(message)
+        check_random_seed(self.seed)
 
     def _report(self, console: "Screen", result: "SweepResult", keys: int, stored: "StoredSweep | None" = None) -> None:
         from collections import Counter
@@ -380,80 +405,20 @@ def _value_of(path: str, item: str) -> "Raw":
     return toml_value(item.strip(), steps)
 
 
-def law_of(text: str) -> tuple[str, tuple[str, float, float]]:
-    """The path and the law of `path=law:a:b`.
+def drawn_law(text: str) -> "tuple[str, SampleLaw]":
+    """The path and the law of `path=law:...`.
 
     Raises:
         ValueError: Another form, or numbers that the law does not take.
     """
-    from math import isfinite
+    from haptether.bridge.scene.sweeps.laws import FORMS, law_of
 
     path, _, law = text.partition("=")
-    name, *numbers = law.split(":")
+    if not path or not law:
+        message = f"--draw {text}: must be path=law, the law one of {FORMS}"
+        raise ValueError(message)
     try:
-        first, second = map(float, numbers)
-    except ValueError:
-        first = second = float("nan")
-    holds = {"uniform": first < second, "loguniform": 0.0 < first < second, "normal": second > 0.0}
-    if not path or not holds.get(name) or not isfinite(first + second):
-        message = (
-            f"--draw {text}: must be path=uniform:a:b with a < b, path=loguniform:a:b with 0 < a < b, or"
-            " path=normal:mean:deviation with a deviation above 0"
-        )
-        raise ValueError(message)
-    return path, (name, first, second)
-
-
-def draw_of(law: tuple[str, float, float], count: int, seed: int, path: str) -> "npt.NDArray[np.float64]":
-    """So many numbers of a law; each path has its own, the same for the same seed."""
-    import numpy as np
-
-    name, first, second = law
-    rng = np.random.default_rng([seed, *path.encode()])
-    if name == "normal":
-        return rng.normal(first, second, count)
-    if name == "uniform":
-        return rng.uniform(first, second, count)
-    return np.asarray(np.exp(rng.uniform(np.log(first), np.log(second), count)), dtype=np.float64)
-
-
-def sobol_draws(
-    laws: "Mapping[str, tuple[str, float, float]]", count: int, seed: int
-) -> "dict[str, npt.NDArray[np.float64]]":
-    """So many points of a scrambled Sobol sequence, a dimension for each path, by the quantiles of its law.
-
-    Raises:
-        ValueError: Nothing to draw.
-        ImportError: SciPy is not installed.
-
-    Source: Owen 1998 (scrambling); Joe and Kuo 2008 (direction numbers).
-    """
-    import importlib.util
-    import warnings
-    from statistics import NormalDist
-
-    import numpy as np
-
-    if not laws:
-        message = "--sobol: give --draw, what is drawn"
-        raise ValueError(message)
-    if importlib.util.find_spec("scipy") is None:
-        message = "--sobol needs scipy: install it beside haptether"
-        raise ImportError(message)
-    from scipy.stats import qmc
-
-    with warnings.catch_warnings():
-        # Of a count that is no power of two; the help says it.
-        warnings.simplefilter("ignore", UserWarning)
-        points = qmc.Sobol(len(laws), scramble=True, rng=np.random.default_rng(seed)).random(count)
-    drawn = {}
-    for place, (path, (name, first, second)) in enumerate(laws.items()):
-        unit = np.clip(points[:, place], 0.5**53, 1.0 - 0.5**53)
-        if name == "normal":
-            quantile = NormalDist(first, second).inv_cdf
-            drawn[path] = np.array([quantile(share) for share in unit.tolist()])
-        elif name == "uniform":
-            drawn[path] = first + (second - first) * unit
-        else:
-            drawn[path] = np.exp(np.log(first) + np.log(second / first) * unit)
-    return drawn
+        return path.replace("-", "_"), law_of(law)
+    except ValueError as error:
+        message = f"--draw {path}={error}"
+        raise ValueError(message) from None

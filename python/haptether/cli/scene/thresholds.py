@@ -40,6 +40,9 @@ class Thresholds(PictureOptions):
     """How many hands do each task, 1 or more; by default 8."""
     releases: int | None = None
     """At how many places of what they feel hands let go, 1 or more; each hand lets go once. By default 4."""
+    population: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE.toml")] = None
+    """A population whose hands do the tasks, instead of hands of 200 to 600 N/m and 8 to 25 N s/m; those too soft for
+    what a task lets them feel are passed over: docs/populations.md."""
     seed: int = 1
     """Of hands and links, 0 or more."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
@@ -58,7 +61,7 @@ class Thresholds(PictureOptions):
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.picture import picture_file
         from haptether.cli.shared.screen import screen
-        from haptether.studies import THRESHOLD_LAWS, THRESHOLD_TASKS, draw_trade_off, measure_thresholds
+        from haptether.studies import THRESHOLD_LAWS, THRESHOLD_TASKS, HandBounds, draw_trade_off, measure_thresholds
         from haptether.studies.task import HANDS, RELEASES, ROUND_TRIPS_S
         from haptether.view.style.figure import write_figure
 
@@ -78,6 +81,7 @@ class Thresholds(PictureOptions):
                 hands=HANDS if self.hands is None else self.hands,
                 releases=RELEASES if self.releases is None else self.releases,
                 seed=self.seed,
+                bounds=HandBounds(population=self.population),
                 overrides=self.set,
                 threads=self.threads,
                 progress=say,

@@ -1,0 +1,38 @@
+"""Which numbers a field takes, many at once."""
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import inspect
+
+from haptether.bridge.scene.errors import Path, allowed_at, types_at, wrong
+
+LARGEST_EXACT = 2**53
+"""Values travel as float64: whole numbers beyond this are not exact."""
+
+
+def out_of_range(path: Path, values: npt.NDArray[np.float64]) -> dict[int, str]:
+    """What is wrong with the values that are outside the range of their type, by their row."""
+    kinds = [kind for kind in types_at(path) if isinstance(kind, inspect.FloatType | inspect.IntType)]
+    good = np.zeros(len(values), dtype=bool)
+    for kind in kinds:
+        inside = np.ones(len(values), dtype=bool)
+        for limit, holds in (
+            (kind.gt, np.greater), (kind.ge, np.greater_equal), (kind.lt, np.less), (kind.le, np.less_equal)
+        ):  # fmt: skip
+            if limit is not None:
+                inside &= holds(values, limit)
+        if isinstance(kind, inspect.IntType):
+            inside &= (values == np.rint(values)) & (np.abs(values) <= LARGEST_EXACT)
+        good |= inside
+    outside = {}
+    for row in np.flatnonzero(~good).tolist():
+        seen = as_typed(float(values[row]))
+        outside[row] = str(wrong(path, seen, allowed_at(path, seen)))
+    return outside
+
+
+def as_typed(value: float) -> float | int:
+    """Whole numbers as such, so that they fit fields that count; those that measure take either."""
+    if value.is_integer() and abs(value) <= LARGEST_EXACT:
+        return int(value)
+    return value
