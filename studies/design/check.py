@@ -246,7 +246,11 @@ def _vfc(spec: dict[str, Any], limit: float | None) -> Iterator[Finding]:
     safety, units = spec["safety"], Units.of(spec)
     if "vfc" not in safety["controllers"] or safety["limiter"] is None:
         return
-    cap_n, force_n, least = safety["limiter"]["max_force_n"], safety["vfc_force_threshold_n"], safety["velocity_threshold"]
+    cap_n, force_n, least = (
+        safety["limiter"]["max_force_n"],
+        safety["vfc_force_threshold_n"],
+        safety["velocity_threshold"],
+    )
     state: State
     if safety["vfc_form"] == "product":
         seen = least * force_n / cap_n
@@ -289,7 +293,9 @@ def _hsc(spec: dict[str, Any]) -> Iterator[Finding]:
     force_n, zeta = safety["hsc_force_threshold_n"], safety["grasp_threshold"]
     cap_n = inf if safety["limiter"] is None else safety["limiter"]["max_force_n"]
     if force_n >= cap_n:
-        text = f"HSC sees no push below F_t = {force_n:g} {units.force}, and the limiter lets no more than {cap_n:g} pass"
+        text = (
+            f"HSC sees no push below F_t = {force_n:g} {units.force}, and the limiter lets no more than {cap_n:g} pass"
+        )
         yield Finding(name="hsc", state="bad", text=text, value=force_n, limit=cap_n, unit=units.force)
         return
     _, hardest = _strokes(spec)

@@ -1,4 +1,4 @@
-"""What a scene touches and renders: the stiffness that its loop is judged by, and what one spring does not stand for."""
+"""What a scene touches and renders: the stiffness of its loop, and what one spring does not stand for."""
 
 from math import sqrt
 from typing import Any, Literal

@@ -63,9 +63,8 @@ def with_remedies(
         judge: By what.
         limit: Speed in m/s or rad/s above which a release has thrown the device; none where there is no such limit.
     """
-    spec = scene_numbers(scene)
     return tuple(
-        _mended(scene, spec, finding, findings, judge, limit) if finding.state in {"bad", "warning"} else finding
+        _mended(scene, finding, findings, judge, limit) if finding.state in {"bad", "warning"} else finding
         for finding in findings
     )
 
@@ -82,7 +81,9 @@ def is_worse(after: Finding, before: Finding | None) -> bool:
     """Whether a finding is in a worse state than it was; one that is new counts as worse where it is bad or warns."""
     old = RANKS["good"] if before is None else RANKS[before.state]
     return RANKS[after.state] < min(old, RANKS["not judged"]) or (
-        before is not None and RANKS[after.state] == old < RANKS["not judged"] and _excess(after) > _excess(before) * (1.0 + 1e-9)
+        before is not None
+        and RANKS[after.state] == old < RANKS["not judged"]
+        and _excess(after) > _excess(before) * (1.0 + 1e-9)
     )
 
 
@@ -94,13 +95,12 @@ def _excess(finding: Finding) -> float:
 
 
 def _mended(
-    scene: Scene, spec: dict[str, Any], finding: Finding, findings: tuple[Finding, ...], judge: Judge,
-    limit: float | None,
-) -> Finding:  # fmt: skip
+    scene: Scene, finding: Finding, findings: tuple[Finding, ...], judge: Judge, limit: float | None
+) -> Finding:
     before = {one.name: one for one in findings}
     on_link = finding.name == "link"
 
-    def tried(changes: Changes) -> Finding | None | bool:
+    def tried(changes: Changes) -> Finding | bool | None:
         """The finding with these changes, none if it is gone; false if they cannot be, or do not mend it."""
         try:
             found = {one.name: one for one in judge(override_scene(scene, changes), link=on_link)}
@@ -114,7 +114,7 @@ def _mended(
         return after
 
     best: tuple[Changes, Finding | None] | None = None
-    for changes in _candidates(scene, spec, finding, limit):
+    for changes in _candidates(scene, finding, limit):
         after = tried(changes)
         if isinstance(after, bool):
             continue
@@ -177,7 +177,8 @@ def _rounded(value: float, whole: Any) -> float:  # noqa: ANN401
 # ------------------------------------------------------------------------------------- candidates, the mildest first
 
 
-def _candidates(scene: Scene, spec: dict[str, Any], finding: Finding, limit: float | None) -> Iterator[Changes]:
+def _candidates(scene: Scene, finding: Finding, limit: float | None) -> Iterator[Changes]:
+    spec = scene_numbers(scene)
     safety = spec["safety"]
     match finding.name:
         case "delay margin":
@@ -191,20 +192,13 @@ def _candidates(scene: Scene, spec: dict[str, Any], finding: Finding, limit: flo
         case "vfc":
             yield from _sharper_vfc(safety, limit)
         case "hsc":
-            yield from _sharper_hsc(safety, finding)
+            yield from _sharper_hsc(finding)
         case "wsc":
-            yield ("safety.wsc_force_threshold_n=0.1",)
-            # `lasting` = sqrt(2 eta |delta| / m) of the fastest stroke.
-            if finding.value and finding.limit:
-                threshold_j = abs(safety["energy_threshold_j"]) * (finding.value / finding.limit) ** 2
-                yield (f"safety.energy_threshold_j={-rounded_up(threshold_j):g}",)
+            yield from _blunter_wsc(safety, finding)
         case "grip":
             yield (f"safety.limiter.max_force_n={finding.limit:g}",)
-        case "losses":
+        case "losses" | "link" if finding.name == "losses" or "silent" in finding.text:
             yield from _longer_holds(safety)
-        case "link":
-            if "silent" in finding.text:
-                yield from _longer_holds(safety)
 
 
 def _softer(scene: Scene, spec: dict[str, Any]) -> Iterator[Changes]:
@@ -333,7 +327,11 @@ def _watched(safety: dict[str, Any], finding: Finding) -> Iterator[Changes]:
 
 
 def _sharper_vfc(safety: dict[str, Any], limit: float | None) -> Iterator[Changes]:
-    cap_n, force_n, speed = safety["limiter"]["max_force_n"], safety["vfc_force_threshold_n"], safety["velocity_threshold"]
+    cap_n, force_n, speed = (
+        safety["limiter"]["max_force_n"],
+        safety["vfc_force_threshold_n"],
+        safety["velocity_threshold"],
+    )
     if safety["vfc_form"] == "product":
         if limit is not None:
             yield (f"safety.vfc_force_threshold_n={rounded_down(limit * cap_n / speed):g}",)
@@ -346,7 +344,7 @@ def _sharper_vfc(safety: dict[str, Any], limit: float | None) -> Iterator[Change
     yield tuple(changes)
 
 
-def _sharper_hsc(safety: dict[str, Any], finding: Finding) -> Iterator[Changes]:
+def _sharper_hsc(finding: Finding) -> Iterator[Changes]:
     if finding.state == "bad":
         for force_n in (1.0, 0.1):
             yield (f"safety.hsc_force_threshold_n={force_n:g}",)
@@ -354,6 +352,14 @@ def _sharper_hsc(safety: dict[str, Any], finding: Finding) -> Iterator[Changes]:
     yield ("safety.hsc_velocity_threshold=0.05",)
     if finding.limit:
         yield (f"safety.hsc_force_threshold_n={rounded_up(finding.limit):g}",)
+
+
+def _blunter_wsc(safety: dict[str, Any], finding: Finding) -> Iterator[Changes]:
+    yield ("safety.wsc_force_threshold_n=0.1",)
+    # `lasting` = sqrt(2 eta |delta| / m) of the fastest stroke.
+    if finding.value and finding.limit:
+        threshold_j = abs(safety["energy_threshold_j"]) * (finding.value / finding.limit) ** 2
+        yield (f"safety.energy_threshold_j={-rounded_up(threshold_j):g}",)
 
 
 def _longer_holds(safety: dict[str, Any]) -> Iterator[Changes]:

@@ -2,12 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
-
-if TYPE_CHECKING:
-    from haptether.studies import DesignCheck
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +39,7 @@ class Check:
     def run(self) -> int:
         """Prints the findings; 0, or 1 if one is bad."""
         from haptether.bridge import load_scene
+        from haptether.cli.shared.design import WORDS, summary
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
         from haptether.studies import check_scene
@@ -58,16 +56,3 @@ class Check:
         console.print(summary(found))
         write_report(self.json, {"scene": self.scene, "findings": found.findings})
         return 1 if found.of("bad") else 0
-
-
-def summary(found: "DesignCheck") -> str:
-    """How many findings are bad, have little room, or were not judged."""
-    counts = (("bad", "bad"), ("warning", "with little room"), ("not judged", "not judged"))
-    said = [f"{len(of)} {words}" for state, words in counts if (of := found.of(state))]
-    if not found.of("bad"):
-        said.insert(0, "nothing bad")
-    return ", ".join(said) if len(said) > 1 or found.of("bad") else "nothing bad, room everywhere"
-
-
-WORDS = {"bad": "BAD  ", "warning": "warn ", "not judged": "?    ", "good": "good ", "note": "note "}
-"""What a finding is, before its name."""
