@@ -18,7 +18,7 @@ THROWN_SPEED = 0.5
 """Speed in m/s above which a release has thrown the device: above the 0.36 and 0.3 m/s that WSC and HSC of the paper
 leave, and far below the 1.3 m/s without a controller.
 
-Source: paper Fig. 9 and 10; `docs/ejection_bound.md`, "What counts as thrown".
+Source: paper Fig. 9 and 10; `docs/check.md`.
 """
 BOUNDED = ("hsc", "wsc")
 """Controllers for which there is a bound."""

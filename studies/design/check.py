@@ -180,8 +180,8 @@ def _wall(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
     let_go = "at none once it is let go" if free == 0.0 else f"{free:.0f} {units.stiffness} once it is let go"
     late_text = f", {late} ticks late" if late else ""
     yield Finding(
-        name="wall", state=state, text=f"{stiffness:g} {units.stiffness} rendered at {1.0 / period_s:.0f} Hz{late_text}: stable to"
-        f" {held:.0f} {units.stiffness} while it is held, {let_go} (friction not counted)", value=stiffness,
+        name="wall", state=state, text=f"{stiffness:g} {units.stiffness} rendered at {1.0 / period_s:.0f}"
+        f" Hz{late_text}: stable to {held:.0f} {units.stiffness} while it is held, {let_go} (friction not counted)", value=stiffness,
         limit=held, unit=units.stiffness,
     )  # fmt: skip
     yield Finding(
@@ -259,7 +259,8 @@ def _vfc(spec: dict[str, Any], limit: float | None) -> Iterator[Finding]:
             text += f", and at {limit:g} {units.speed} one of {least * force_n / limit:.2g} {units.force}"
     else:
         seen = least
-        text = f"VFC sees a push above {force_n:g} {units.force}, of at most {cap_n:g}, at more than {least:g} {units.speed}"
+        text = f"VFC sees a push above {force_n:g} {units.force}, of at most {cap_n:g},"
+        text += f" at more than {least:g} {units.speed}"
     if safety["vfc_form"] == "both" and force_n >= cap_n:
         state = "bad"
     elif limit is None:
@@ -302,7 +303,8 @@ def _hsc(spec: dict[str, Any]) -> Iterator[Finding]:
     needed_n = (max(master["mass_kg"]) * hardest + max(master["coulomb"])) / (1.0 - 1.0 / zeta)
     gate = safety["hsc_velocity_threshold"]
     if gate > 0.0:
-        text = f"HSC looks at pushes above {force_n:g} {units.force} that move the device at more than {gate:g} {units.speed}"
+        text = f"HSC looks at pushes above {force_n:g} {units.force}"
+        text += f" that move the device at more than {gate:g} {units.speed}"
         yield Finding(name="hsc", state="good", text=text, value=force_n, unit=units.force)
     else:
         state: State = "good" if force_n >= needed_n else "warning"

@@ -239,15 +239,9 @@ def _softer_wall(spec: dict[str, Any], finding: Finding) -> Iterator[Changes]:
 
 def _slower(scene: Scene, spec: dict[str, Any], limit: float | None) -> Iterator[Changes]:
     """What a bound needs that there is none of, then VFC, a quicker estimator, a smaller |delta| or cap on top."""
-    safety, master, environment = spec["safety"], spec["master"], spec["environment"]
+    safety, master = spec["safety"], spec["master"]
     kind, is_exact = safety["estimator"]["kind"], safety["signals"] == "true" or master["measures_velocity"]
-    changes: list[str] = []
-    if safety["limiter"] is None:
-        changes.append("safety.limiter.enabled=true")
-    elif master["max_force_n"] is not None and safety["limiter"]["max_force_n"] > master["max_force_n"]:
-        changes.append(f"safety.limiter.max_force_n={master['max_force_n']:g}")
-    if spec["slave"] is None and environment is not None and environment["rendering"] == "continuous":
-        changes.append("environment.rendering=sampled")
+    changes = _within_assumptions(spec)
     if kind == "adaptive-window" and not is_exact:
         changes.append("safety.estimator={kind=dual-kalman}")
     watching = list(safety["controllers"])
@@ -279,6 +273,19 @@ def _slower(scene: Scene, spec: dict[str, Any], limit: float | None) -> Iterator
         half = rounded_up(LEAST_SHARE_OF_CAP * safety["limiter"]["max_force_n"])
         uncapped = tuple(one for one in bases[0] if not one.startswith("safety.limiter.max_force_n="))
         yield from _held_to(scene, (*uncapped, f"safety.limiter.max_force_n={half:g}"), limit, "energy_threshold_j")
+
+
+def _within_assumptions(spec: dict[str, Any]) -> list[str]:
+    """What brings a scene under the assumptions of the bound (docs/ejection_bound.md, A1)."""
+    limiter, device_n, environment = spec["safety"]["limiter"], spec["master"]["max_force_n"], spec["environment"]
+    changes = []
+    if limiter is None:
+        changes.append("safety.limiter.enabled=true")
+    elif device_n is not None and limiter["max_force_n"] > device_n:
+        changes.append(f"safety.limiter.max_force_n={device_n:g}")
+    if spec["slave"] is None and environment is not None and environment["rendering"] == "continuous":
+        changes.append("environment.rendering=sampled")
+    return changes
 
 
 def _held_to(

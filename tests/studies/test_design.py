@@ -289,7 +289,7 @@ def test_every_shipped_scene_can_be_checked_and_what_its_remedies_change_mends_i
     [
         # Where the limiter is off and WSC watches, WSC is no remedy.
         ("remote_push", ("safety.limiter={enabled=false}",), "ejection", "safety.limiter.enabled=true"),
-        ("remote_push", ("safety.limiter={enabled=false}", "safety.controllers=[]"), "ejection", "safety.controllers=[wsc]"),
+        ("remote_push", ("safety.limiter={enabled=false}", "safety.controllers=[]"), "ejection", "controllers=[wsc]"),
         ("remote_push", ("safety.estimator={kind=adaptive-window}",), "ejection", "dual-kalman"),
         ("remote_push", ("safety.estimator={kind=kalman}",), "ejection", "safety.e"),
         # F_w without stops is what takes the bound away.
@@ -302,8 +302,8 @@ def test_every_shipped_scene_can_be_checked_and_what_its_remedies_change_mends_i
         ("remote_push", ("operator.legs.0.duration_s=0.2",), "wsc", None),
         ("free_motion", (), "wsc", "safety.wsc_force_threshold_n=0.1"),
         ("paper_wall", ("environment.objects.0.contact.stiffness=11000",), "wall", "stiffness=80"),
-        ("remote_push", ("safety.controllers=[vfc]", "safety.vfc_force_threshold_n=7"), "vfc", "vfc_force_threshold_n=6.5"),
-        ("remote_push", ("safety.controllers=[hsc]", "safety.hsc_force_threshold_n=8"), "hsc", "hsc_force_threshold_n=1"),
+        ("remote_push", ("safety.controllers=[vfc]", "safety.vfc_force_threshold_n=7"), "vfc", "threshold_n=6.5"),
+        ("remote_push", ("safety.controllers=[hsc]", "safety.hsc_force_threshold_n=8"), "hsc", "threshold_n=1"),
         ("remote_push", ("operator.grip_strength_n=5",), "grip", "safety.limiter.max_force_n=5"),
         ("driving_network", (), "losses", "safety.ladder.hold_after_s=0.05"),
         ("remote_push", ("link.forward.loss=1",), "link", None),
@@ -377,7 +377,8 @@ def test_a_handle_that_is_said_to_ring_does_and_with_the_remedy_does_not() -> No
         ("paper_wall", ("environment.objects.0.contact={law=hunt-crossley,stiffness=1e5}",),
          1.5 * 7.9 / (7.9 / 1e5) ** (2 / 3), ""),
         # Nothing bounds the force there.
-        ("paper_wall", ("environment.objects.0.contact={law=hunt-crossley,stiffness=1e5}", "safety.limiter={enabled=false}"),
+        ("paper_wall",
+         ("environment.objects.0.contact={law=hunt-crossley,stiffness=1e5}", "safety.limiter={enabled=false}"),
          1.5 * 7.9 / (7.9 / 1e5) ** (2 / 3), ""),
         ("remote_push", ("environment.objects.0.shape={kind=spring}",), 100.0, ""),
     ],
