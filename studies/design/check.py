@@ -181,8 +181,8 @@ def _wall(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
     late_text = f", {late} ticks late" if late else ""
     yield Finding(
         name="wall", state=state, text=f"{stiffness:g} {units.stiffness} rendered at {1.0 / period_s:.0f}"
-        f" Hz{late_text}: stable to {held:.0f} {units.stiffness} while it is held, {let_go} (friction not counted)", value=stiffness,
-        limit=held, unit=units.stiffness,
+        f" Hz{late_text}: stable to {held:.0f} {units.stiffness} while it is held, {let_go} (friction not counted)",
+        value=stiffness, limit=held, unit=units.stiffness,
     )  # fmt: skip
     yield Finding(
         name="passive wall", state="good" if damping > needed else "note", text=f"b > K (T/2 + d T) + |B| asks for"

@@ -270,7 +270,7 @@ def held_with(scene: Scene, finding: Finding, findings: tuple[Finding, ...]) -> 
 ORDER = {"bad": 0, "warning": 1, "not judged": 2, "good": 3, "note": 3}
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", [name for name in scene_names() if not name.startswith("raven_") or name == ONE_RAVEN])
 def test_every_shipped_scene_can_be_checked_and_what_its_remedies_change_mends_it(name: str) -> None:
     scene = load_scene(name)
@@ -283,7 +283,7 @@ def test_every_shipped_scene_can_be_checked_and_what_its_remedies_change_mends_i
             held_with(scene, one, found)
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("scene", "overrides", "name", "changed"),
     [
@@ -354,12 +354,12 @@ def test_a_changed_scale_is_lowered_with_the_first() -> None:
 
 def test_a_handle_that_is_said_to_ring_does_and_with_the_remedy_does_not() -> None:
     """A hand moves a valve's tool by 1 cm, which the valve does not let: the force swings on, or dies away."""
-    scene = load_scene("valve", ["operator.legs=[{duration_s=1.0,end=[0.0,0.0,0.01]}]", "run.duration_s=4"])
+    scene = load_scene("valve", ["operator.legs=[{duration_s=1.0,end=[0.0,0.0,0.01]}]", "run.duration_s=2.5"])
     finding = of(check_scene(scene).findings, "delay margin")
     assert finding is not None
     assert finding.state == "bad"
     for changes, rings in (((), True), (finding.changes, False)):
-        force = np.asarray(simulate(override_scene(scene, changes)).signals["device_force"]).reshape(4000, -1)
+        force = np.asarray(simulate(override_scene(scene, changes)).signals["device_force"]).reshape(2500, -1)
         late = np.linalg.norm(force, axis=1)[1500:]
         assert (np.ptp(late) > 1.0) == rings
 
