@@ -27,6 +27,7 @@ from haptether._core import (
     fault_message,
 )
 from haptether.safety.ejection.bound import (
+    THROWN_SPEED,
     ControllerBound,
     EjectionBound,
     EjectionSettings,
@@ -43,6 +44,7 @@ __all__ = [
     "CONTROLLERS",
     "ESTIMATORS",
     "OBSERVERS",
+    "THROWN_SPEED",
     "ControllerBound",
     "ControllerName",
     "DeviceModel",

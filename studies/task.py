@@ -33,6 +33,7 @@ from haptether.bridge.codes import LADDER_STATES
 from haptether.bridge.scene.load import path_of, toml_value
 from haptether.netsim import LinkSettings
 from haptether.safety import CONTROLLERS
+from haptether.studies.design.contact import scene_numbers, touched
 
 Array = npt.NDArray[np.float64]
 
@@ -58,9 +59,6 @@ HANDS = 8
 """How many hands do each task by default."""
 RELEASES = 4
 """At how many places of what they feel hands let go by default."""
-THROWN_SPEED = 0.5
-"""Speed in m/s above which a release has thrown the device: WSC and HSC of the paper leave 0.36 and 0.3 m/s, no
-controller 1.3."""
 WITHIN_S = 0.5
 """Time in s after the grip is gone within which the device is watched."""
 
@@ -306,11 +304,7 @@ class Task:
 
     def felt_stiffness(self) -> float:
         """Stiffness in N/m that the hand feels at most: of what is touched, or of an arm's servo if that is softer."""
-        contacts = [0.0]
-        if (environment := self.base.environment) is not None:
-            contacts += [each.contact.stiffness for each in environment.objects]
-            contacts += [each.contact.stiffness for each in environment.holes]
-        felt = max(contacts)
+        felt = touched(self.base, scene_numbers(self.base)).stiffness
         if (slave := self.base.slave) is None:
             return felt
         if slave.stiffness is not None:

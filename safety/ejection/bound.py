@@ -14,6 +14,12 @@ from haptether.safety.ejection.push import Array, best_push, best_rising_push, w
 
 MAX_LATE_S = 0.02
 """A tick that is later is a tick that is left out: the loop drops the force."""
+THROWN_SPEED = 0.5
+"""Speed in m/s above which a release has thrown the device: above the 0.36 and 0.3 m/s that WSC and HSC of the paper
+leave, and far below the 1.3 m/s without a controller.
+
+Source: paper Fig. 9 and 10; `docs/check.md`.
+"""
 BOUNDED = ("hsc", "wsc")
 """Controllers for which there is a bound."""
 

@@ -1,102 +1,110 @@
 """Inequalities that a set-up must meet before anything moves, with this scene's numbers."""
 
 from collections.abc import Iterator
-from math import ceil, floor, hypot, inf, log10, sqrt
-from typing import Any, Literal
-
-from msgspec import Struct
+from math import ceil, hypot, inf, sqrt
+from typing import Any
 
 from haptether.bridge import Scene
-from haptether.safety import ejection_bound
-from haptether.studies.design.delay import ContactLoop, largest_delay_s, stable_delays
+from haptether.safety import THROWN_SPEED, EjectionBound, ejection_bound
+from haptether.studies.design.contact import rendered, scene_numbers, touched
+from haptether.studies.design.delay import largest_delay_s, stable_delays
+from haptether.studies.design.finding import MARGIN, DesignCheck, Finding, State, Units, link_delays_s
 from haptether.studies.design.idle import idle_link
-from haptether.studies.design.loops import contact_numbers, scene_loops, scene_numbers
+from haptether.studies.design.loops import scene_loops
+from haptether.studies.design.remedy import with_remedies
 from haptether.studies.design.wall import largest_wall_stiffness
 
-Z99 = 2.326
-"""Quantile of a normal law that 1 % exceed."""
 SHOWN_DELAY_S = 0.5
 """Delays that are looked at, or twice what the link has."""
-MARGIN = 1.25
-"""Of delay and stiffness, below which a margin is small."""
 MAX_HOLDS_PER_H = 1.0
 PEAK_SPEED, PEAK_ACCELERATION = 1.875, 10.0 / sqrt(3.0)
 """Of a minimum-jerk stroke, in units of D/T and D/T² (Flash and Hogan 1985)."""
 
-State = Literal["bad", "warning", "good", "note"]
 
-
-class Finding(Struct, frozen=True, kw_only=True):
-    """One inequality with its numbers."""
-
-    name: str
-    """What it is about."""
-    state: State
-    """Whether it holds: bad, warning (little room, or with a price), good, or a note."""
-    text: str
-    """In one sentence, with numbers and units."""
-    value: float | None = None
-    limit: float | None = None
-    """What `value` is held against, where it is one number."""
-    unit: str = ""
-    remedy: str | None = None
-    """What would mend it."""
-
-
-class DesignCheck(Struct, frozen=True, kw_only=True):
-    """All findings of a scene."""
-
-    findings: tuple[Finding, ...]
-
-    def of(self, state: State) -> tuple[Finding, ...]:
-        """The findings in that state."""
-        return tuple(finding for finding in self.findings if finding.state == state)
-
-
-def check_scene(scene: Scene, *, speed: float = 0.5) -> DesignCheck:
+def check_scene(scene: Scene, *, speed: float | None = None, remedies: bool = True) -> DesignCheck:
     """Holds a scene against the design-time inequalities of its loop, observers, limits and link.
 
     Args:
         scene: Of any kind; what turns counts by its translation.
-        speed: In m/s, above which a device that was let go has been thrown.
+        speed: In m/s, of joints in rad/s, above which a device that was let go has been thrown. By default
+            `haptether.safety.THROWN_SPEED`; of joints none, for what a rad/s is at the hand depends on its lever.
+        remedies: Whether what would mend a finding is looked for, which takes most of the time.
 
     Raises:
         ValueError: A speed that is none.
         SceneError: A scene that cannot be built.
     """
+    limit = _limit(scene, speed)
+
+    bounds: dict[str, EjectionBound] = {}
+
+    def judge(changed: Scene, *, link: bool) -> tuple[Finding, ...]:
+        spec = scene_numbers(changed)
+        settings = changed.ejection_settings()
+        # Most changes leave what the bound depends on.
+        key = repr(settings)
+        if key not in bounds:
+            bounds[key] = ejection_bound(settings)
+        found = (*_round_trip(changed, spec), *_at_once(changed, spec, limit, bounds[key]))
+        return (*found, *_idle(changed, spec)) if link else found
+
+    findings = judge(scene, link=True)
+    return DesignCheck(findings=with_remedies(scene, findings, judge, limit) if remedies else findings)
+
+
+def check_at_once(scene: Scene, bound: EjectionBound | None = None) -> tuple[Finding, ...]:
+    """The findings of `check_scene` that cost no analysis of the delay, no run of the link, and no remedy.
+
+    Args:
+        scene: Of any kind.
+        bound: That of `ejection_bound`, where it is known already.
+
+    Raises:
+        SceneError: A scene that cannot be built.
+    """
+    return tuple(_at_once(scene, scene_numbers(scene), _limit(scene, None), bound))
+
+
+def _limit(scene: Scene, speed: float | None) -> float | None:
+    """The speed above which a release has thrown the device, in m/s or rad/s; none of joints by default."""
+    unit = Units.of(scene_numbers(scene)).speed
+    if speed is None:
+        return THROWN_SPEED if unit == "m/s" else None
     if not 0.0 < speed < inf:
-        message = f"speed = {speed}: must be a number above 0"
+        message = (
+            f"speed = {speed:g}: must be above 0 and finite: it is the speed in {unit} above which a device"
+            " that was let go counts as thrown"
+        )
         raise ValueError(message)
-    spec = scene_numbers(scene)
-    parts = (
-        _round_trip(scene, spec), _wall(spec), _ejection(scene, speed), _vfc(spec, speed), _hsc(spec), _wsc(spec),
-        _grip(spec), _holds(spec), _idle(scene, spec),
-    )  # fmt: skip
-    return DesignCheck(findings=tuple(finding for part in parts for finding in part))
+    return speed
+
+
+def _at_once(
+    scene: Scene, spec: dict[str, Any], limit: float | None, bound: EjectionBound | None = None
+) -> Iterator[Finding]:
+    yield from _wall(scene, spec)
+    yield from _ejection(scene, spec, limit, bound)
+    yield from _vfc(spec, limit)
+    yield from _hsc(spec)
+    yield from _wsc(spec)
+    yield from _grip(spec)
+    yield from _holds(spec)
 
 
 # ------------------------------------------------------------------------------------------------- stability
-
-
-def link_delays_s(spec: dict[str, Any]) -> tuple[float, float] | None:
-    """Mean of both delays together and what 1 % exceed, in s, ticks included; none where a recording has them."""
-    delay_s, variance = 2.0 * max(spec["run"]["period_s"], spec["slave"]["period_s"]), 0.0
-    for direction in (spec["link"] or {}).values():
-        if direction is None or "delay_s" not in direction:
-            continue
-        if direction["trace"] is not None:
-            return None
-        delay_s += direction["delay_s"] or 0.0
-        variance += (direction["jitter_s"] or 0.0) ** 2
-    return delay_s, delay_s + Z99 * sqrt(variance)
 
 
 def _round_trip(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
     """Delay margin of contact, and the intervals beyond it."""
     if spec["slave"] is None:
         return
+    units, beyond = Units.of(spec), "; ".join(touched(scene, spec).beyond)
     loops = scene_loops(scene)
     if not loops or loops[0].environment_stiffness == 0.0:
+        if beyond:
+            text = f"the loop of one spring does not have what this scene touches: {beyond}"
+            yield Finding(name="delay margin", state="not judged", text=text, unit="s")
+            return
         yield Finding(name="delay margin", state="note", text="the scene touches nothing, so that nothing oscillates")
         return
     worst = min(loops, key=largest_delay_s)
@@ -104,7 +112,7 @@ def _round_trip(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
     up_to_s = SHOWN_DELAY_S if delays is None else max(SHOWN_DELAY_S, 2.0 * delays[1])
     stable = stable_delays(worst, up_to_s)
     who = "held" if worst.hand_stiffness > 0.0 else "nobody holds"
-    said = f"contact with {worst.environment_stiffness:g} N/m, {who}: {_intervals(stable, up_to_s)}"
+    said = f"contact with {worst.environment_stiffness:g} {units.stiffness}, {who}: {_intervals(stable, up_to_s)}"
     if delays is None:
         yield Finding(name="delay margin", state="note", text=f"{said}; the link's delays are a recording", unit="s")
     else:
@@ -114,10 +122,12 @@ def _round_trip(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
         if not any(low <= mean_s <= high for low, high in stable):
             state = "bad"
         has = f"{mean_s * 1e3:.0f} ms" if mean_s == late_s else f"{mean_s * 1e3:.0f} ms, 1 in 100 {late_s * 1e3:.0f} ms"
+        said = f"{said}; this link has {has}"
+        if beyond:
+            state, said = "not judged" if state == "good" else state, f"{said}; not in that loop: {beyond}"
         yield Finding(
-            name="delay margin", state=state, text=f"{said}; this link has {has}", value=late_s,
-            limit=margin_s if margin_s < inf else None, unit="s",
-            remedy=None if state == "good" else _softer(worst, late_s),
+            name="delay margin", state=state, text=said, value=late_s, limit=margin_s if margin_s < inf else None,
+            unit="s",
         )  # fmt: skip
     free = [loop for loop in scene_loops(scene, held=False) if loop.environment_stiffness > 0.0]
     if free and spec["operator"] is not None:
@@ -144,31 +154,13 @@ def _intervals(stable: tuple[tuple[float, float], ...], up_to_s: float) -> str:
     return f"stable {', again '.join(parts)}{rest}"
 
 
-def _softer(loop: ContactLoop, delay_s: float) -> str:
-    """The force scale at which a delay would be borne, by halving."""
-    low, high = 0.0, loop.force_scale
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        scaled = ContactLoop(**{name: getattr(loop, name) for name in loop.__struct_fields__} | {"force_scale": middle})
-        if largest_delay_s(scaled) > delay_s:
-            low = middle
-        else:
-            high = middle
-    if low < 1e-6:
-        return "no coupling.force_scale bears it: a softer contact, more damping, less delay"
-    digits = 1 - floor(log10(low))
-    # Rounded down: what is printed bears it.
-    scale = floor(low * 10.0**digits) / 10.0**digits
-    return f"coupling.force_scale of {scale:g} bears it, or a softer contact, more damping, less delay"
-
-
-def _wall(spec: dict[str, Any]) -> Iterator[Finding]:
+def _wall(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
     """Stiffness that a servo loop renders: stable and, more than that, passive."""
     environment = spec["environment"]
     if spec["slave"] is not None or environment is None or environment["rendering"] != "sampled":
         return
-    limiter = spec["safety"]["limiter"]
-    stiffness, wall_damping = contact_numbers(environment, inf if limiter is None else limiter["max_force_n"])
+    units, found = Units.of(spec), touched(scene, spec)
+    stiffness, wall_damping = found.stiffness, found.damping
     if stiffness == 0.0:
         return
     operator, master, period_s = spec["operator"], spec["master"], spec["run"]["period_s"]
@@ -185,76 +177,97 @@ def _wall(spec: dict[str, Any]) -> Iterator[Finding]:
     damping = min(viscous for _, viscous in axes) + hand["damping"]
     needed = stiffness * period_s * (0.5 + late) + abs(wall_damping)
     state: State = "bad" if stiffness >= held else "warning" if stiffness * MARGIN > held else "good"
-    let_go = "at none once it is let go" if free == 0.0 else f"{free:.0f} N/m once it is let go"
+    let_go = "at none once it is let go" if free == 0.0 else f"{free:.0f} {units.stiffness} once it is let go"
     late_text = f", {late} ticks late" if late else ""
     yield Finding(
-        name="wall", state=state, text=f"{stiffness:g} N/m rendered at {1.0 / period_s:.0f} Hz{late_text}: stable to"
-        f" {held:.0f} N/m while it is held, {let_go} (friction not counted)", value=stiffness, limit=held, unit="N/m",
-        remedy=None if state == "good" else "a softer wall, a shorter run.period_s, less delay or more damping",
+        name="wall", state=state, text=f"{stiffness:g} {units.stiffness} rendered at {1.0 / period_s:.0f}"
+        f" Hz{late_text}: stable to {held:.0f} {units.stiffness} while it is held, {let_go} (friction not counted)",
+        value=stiffness, limit=held, unit=units.stiffness,
     )  # fmt: skip
     yield Finding(
         name="passive wall", state="good" if damping > needed else "note", text=f"b > K (T/2 + d T) + |B| asks for"
-        f" {needed:.2f} N s/m of device and hand, which have {damping:.2f}", value=damping, limit=needed, unit="N s/m",
+        f" {needed:.2f} {units.damping} of device and hand, which have {damping:.2f}", value=damping, limit=needed,
+        unit=units.damping,
     )  # fmt: skip
     quantum, coulomb = master["encoder_quantum"], min(master["coulomb"])
     if quantum > 0.0:
         limit = 2.0 * coulomb / quantum
         yield Finding(
             name="encoder", state="good" if stiffness <= limit else "note", text=f"friction hides the steps of the"
-            f" encoder up to K = 2 c / q = {limit:.0f} N/m (Abbott and Okamura 2005)", value=stiffness, limit=limit,
-            unit="N/m",
+            f" encoder up to K = 2 c / q = {limit:.0f} {units.stiffness} (Abbott and Okamura 2005)", value=stiffness,
+            limit=limit, unit=units.stiffness,
         )  # fmt: skip
 
 
 # ------------------------------------------------------------------------------------------------- observers
 
 
-def _ejection(scene: Scene, speed: float) -> Iterator[Finding]:
+def _ejection(
+    scene: Scene, spec: dict[str, Any], limit: float | None, bound: EjectionBound | None
+) -> Iterator[Finding]:
     """What a device may reach once it is let go, and what of that no threshold changes."""
-    bound = ejection_bound(scene)
-    state: State
-    if bound.speed is None:
-        state = "bad" if bound.reason is not None and "watches" in bound.reason else "warning"
-        yield Finding(name="ejection", state=state, text=bound.text(), limit=speed, unit="m/s",
-                      remedy='safety.controllers=["wsc"], or with stops also "hsc"')  # fmt: skip
+    what = rendered(scene, spec)
+    if not what:
+        text = "nothing pushes the device, so that nothing can be thrown"
+        yield Finding(name="ejection", state="note", text=text)
         return
+    if "force" in what:
+        yield _bounded(ejection_bound(scene) if bound is None else bound, limit, Units.of(spec).speed)
+    safety = spec["safety"]
+    for part, table, who in (("torque", "rotation", "the handle"), ("trigger", "gripper", "the trigger")):
+        if part not in what:
+            continue
+        own = (safety[table] or {}).get("controllers")
+        watched = safety["controllers"] if own is None else own
+        text = f"the speed of {who} after a release has no bound"
+        if not watched:
+            text += ": no controller watches"
+        yield Finding(name=f"ejection of {who}", state="not judged" if watched else "bad", text=text)
+
+
+def _bounded(bound: EjectionBound, limit: float | None, unit: str) -> Finding:
+    if bound.speed is None:
+        return Finding(name="ejection", state="bad", text=bound.text(unit), limit=limit, unit=unit)
     terms = next(of.terms for of in bound.of if of.controller == bound.controller)
     floor = 0.0 if terms is None or terms.threshold_speed is None else terms.floor
-    text = f"{bound.text()}; {floor:.2f} of it are what the estimate of V is late, which no threshold lowers"
-    if floor == 0.0:
-        text = bound.text()
-    state, remedy = "good", None
-    if bound.speed > speed:
-        state = "bad" if floor > speed else "warning"
-        text += ": a release cannot be seen in time" if floor > speed else f": above {speed:g} m/s"
-        quicker = "" if scene.safety.estimator.__struct_config__.tag == "dual-kalman" else "dual-kalman, "
-        remedy = f"{quicker}a device that measures V, or a lower safety.limiter.max_force_n"
-        remedy += "" if floor > speed else " or |safety.energy_threshold_j|"
-    yield Finding(
-        name="ejection", state=state, text=text, value=bound.speed, limit=speed, unit="m/s", remedy=remedy
-    )  # fmt: skip
+    text = bound.text(unit)
+    if floor > 0.0:
+        text += f"; {floor:.2f} of it are what the estimate of V is late, which no threshold lowers"
+    state: State = "good"
+    if limit is None:
+        state, text = "not judged", f"{text}; what is too fast depends on the lever at the hand"
+    elif bound.speed > limit:
+        state = "bad"
+        text += ": a release cannot be seen in time" if floor > limit else f": above {limit:g} {unit}"
+    return Finding(name="ejection", state=state, text=text, value=bound.speed, limit=limit, unit=unit)
 
 
-def _vfc(spec: dict[str, Any], speed: float) -> Iterator[Finding]:
-    safety = spec["safety"]
+def _vfc(spec: dict[str, Any], limit: float | None) -> Iterator[Finding]:
+    safety, units = spec["safety"], Units.of(spec)
     if "vfc" not in safety["controllers"] or safety["limiter"] is None:
         return
-    cap_n, force_n = safety["limiter"]["max_force_n"], safety["vfc_force_threshold_n"]
-    seen = safety["velocity_threshold"] * force_n / cap_n if safety["vfc_form"] == "product" else None
-    if seen is None:
-        least = safety["velocity_threshold"]
-        state: State = "bad" if force_n >= cap_n else "warning" if least > speed else "good"
-        text = f"VFC sees a push above {force_n:g} N, of at most {cap_n:g}, at more than {least:g} m/s"
-        remedy = None if state == "good" else "a lower velocity_threshold or vfc_force_threshold_n"
-        yield Finding(name="vfc", state=state, text=text, value=least, limit=speed, unit="m/s", remedy=remedy)
-        return
-    state = "warning" if seen > speed else "good"
-    weakest = safety["velocity_threshold"] * force_n / speed
-    yield Finding(
-        name="vfc", state=state, text=f"VFC sees a push of {cap_n:g} N from {seen:.2f} m/s on, and at {speed:g} m/s one"
-        f" of {weakest:.2g} N", value=seen, limit=speed, unit="m/s",
-        remedy=None if state == "good" else "a lower velocity_threshold or vfc_force_threshold_n",
-    )  # fmt: skip
+    cap_n, force_n, least = (
+        safety["limiter"]["max_force_n"],
+        safety["vfc_force_threshold_n"],
+        safety["velocity_threshold"],
+    )
+    state: State
+    if safety["vfc_form"] == "product":
+        seen = least * force_n / cap_n
+        text = f"VFC sees a push of {cap_n:g} {units.force} from {seen:.2f} {units.speed} on"
+        if limit is not None:
+            text += f", and at {limit:g} {units.speed} one of {least * force_n / limit:.2g} {units.force}"
+    else:
+        seen = least
+        text = f"VFC sees a push above {force_n:g} {units.force}, of at most {cap_n:g},"
+        text += f" at more than {least:g} {units.speed}"
+    if safety["vfc_form"] == "both" and force_n >= cap_n:
+        state = "bad"
+    elif limit is None:
+        state = "note"
+    else:
+        state = "warning" if seen > limit else "good"
+    yield Finding(name="vfc", state=state, text=text, value=seen, limit=limit, unit=units.speed)
 
 
 def _strokes(spec: dict[str, Any]) -> tuple[float, float]:
@@ -276,35 +289,37 @@ def _strokes(spec: dict[str, Any]) -> tuple[float, float]:
 
 def _hsc(spec: dict[str, Any]) -> Iterator[Finding]:
     """F_t between what a hand that moves needs and what the limiter lets pass (docs/thresholds.md, Eq. 1)."""
-    safety, master = spec["safety"], spec["master"]
+    safety, master, units = spec["safety"], spec["master"], Units.of(spec)
     if "hsc" not in safety["controllers"]:
         return
     force_n, zeta = safety["hsc_force_threshold_n"], safety["grasp_threshold"]
     cap_n = inf if safety["limiter"] is None else safety["limiter"]["max_force_n"]
     if force_n >= cap_n:
-        text = f"HSC sees no push below F_t = {force_n:g} N, and the limiter lets no more than {cap_n:g} N pass"
-        yield Finding(name="hsc", state="bad", text=text, value=force_n, limit=cap_n, unit="N",
-                      remedy="a lower hsc_force_threshold_n")  # fmt: skip
+        text = (
+            f"HSC sees no push below F_t = {force_n:g} {units.force}, and the limiter lets no more than {cap_n:g} pass"
+        )
+        yield Finding(name="hsc", state="bad", text=text, value=force_n, limit=cap_n, unit=units.force)
         return
     _, hardest = _strokes(spec)
     needed_n = (max(master["mass_kg"]) * hardest + max(master["coulomb"])) / (1.0 - 1.0 / zeta)
     gate = safety["hsc_velocity_threshold"]
     if gate > 0.0:
-        text = f"HSC looks at pushes above {force_n:g} N that move the device at more than {gate:g} m/s"
-        yield Finding(name="hsc", state="good", text=text, value=force_n, unit="N")
+        text = f"HSC looks at pushes above {force_n:g} {units.force}"
+        text += f" that move the device at more than {gate:g} {units.speed}"
+        yield Finding(name="hsc", state="good", text=text, value=force_n, unit=units.force)
     else:
         state: State = "good" if force_n >= needed_n else "warning"
         yield Finding(
             name="hsc", state=state, text=f"a hand that moves as this one does needs F_t = (m A + c) / (1 - 1/zeta) ="
-            f" {needed_n:.2f} N, and F_t is {force_n:g} N" + ("" if state == "good" else ": it trips while it holds"),
-            value=force_n, limit=needed_n, unit="N",
-            remedy=None if state == "good" else "hsc_velocity_threshold of 0.05 m/s, or that F_t",
+            f" {needed_n:.2f} {units.force}, and F_t is {force_n:g}"
+            + ("" if state == "good" else ": it trips while it holds"),
+            value=force_n, limit=needed_n, unit=units.force,
         )  # fmt: skip
 
 
 def _wsc(spec: dict[str, Any]) -> Iterator[Finding]:
     """Speeds at which WSC trips in free motion (docs/thresholds.md)."""
-    safety, master = spec["safety"], spec["master"]
+    safety, master, units = spec["safety"], spec["master"], Units.of(spec)
     if "wsc" not in safety["controllers"] or safety["wsc_force_threshold_n"] > 0.0:
         return
     mass_kg, eta, delta = max(master["mass_kg"]), safety["energy_ratio"], abs(safety["energy_threshold_j"])
@@ -313,11 +328,10 @@ def _wsc(spec: dict[str, Any]) -> Iterator[Finding]:
     fastest, _ = _strokes(spec)
     window_s = safety["window"] * spec["run"]["period_s"]
     state: State = "good" if fastest <= lasting else "warning"
-    text = f"WSC trips in free motion above {at_once:.2f} m/s,"
-    text += f" and above {lasting:.2f} m/s kept for {window_s * 1e3:.0f} ms"
-    text += f"; the fastest stroke of this hand is {fastest:.2f} m/s" if fastest > 0.0 else ""
-    remedy = None if state == "good" else "wsc_force_threshold_n of 0.1 N, or a larger |energy_threshold_j|"
-    yield Finding(name="wsc", state=state, text=text, value=fastest, limit=lasting, unit="m/s", remedy=remedy)
+    text = f"WSC trips in free motion above {at_once:.2f} {units.speed},"
+    text += f" and above {lasting:.2f} {units.speed} kept for {window_s * 1e3:.0f} ms"
+    text += f"; the fastest stroke of this hand is {fastest:.2f} {units.speed}" if fastest > 0.0 else ""
+    yield Finding(name="wsc", state=state, text=text, value=fastest, limit=lasting, unit=units.speed)
 
 
 def _grip(spec: dict[str, Any]) -> Iterator[Finding]:
@@ -326,9 +340,9 @@ def _grip(spec: dict[str, Any]) -> Iterator[Finding]:
         return
     cap_n, grip_n = limiter["max_force_n"], operator["grip_strength_n"]
     if grip_n < cap_n:
-        yield Finding(name="grip", state="warning", text=f"the limiter lets {cap_n:g} N pass, and this hand slips at"
-                      f" {grip_n:g} N", value=cap_n, limit=grip_n, unit="N",
-                      remedy=f"safety.limiter.max_force_n of {grip_n:g} N")  # fmt: skip
+        unit = Units.of(spec).force
+        text = f"the limiter lets {cap_n:g} {unit} pass, and this hand slips at {grip_n:g} {unit}"
+        yield Finding(name="grip", state="warning", text=text, value=cap_n, limit=grip_n, unit=unit)
 
 
 # ------------------------------------------------------------------------------------------------- link
@@ -359,7 +373,6 @@ def _holds(spec: dict[str, Any]) -> Iterator[Finding]:
     yield Finding(
         name="losses", state=state, text=f"losses alone silence this link for {hold_s * 1e3:.0f} ms, after which the"
         f" ladder holds, {per_h:.2g} times an hour", value=per_h, limit=MAX_HOLDS_PER_H, unit="1/h",
-        remedy=None if state == "good" else "a longer safety.ladder.hold_after_s, or a better link",
     )  # fmt: skip
 
 
@@ -369,10 +382,7 @@ def _idle(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
         return
     idle = idle_link(scene)
     if not idle.engaged:
-        yield Finding(
-            name="link", state="bad", text=f"over this link the two never engage: {idle.reason}",
-            remedy="is delay_s in seconds? 0.05 is 50 ms; else less delay and loss",
-        )  # fmt: skip
+        yield Finding(name="link", state="bad", text=f"over this link the two never engage: {idle.reason}")
         return
     per_h = idle.holds * 3600.0 / idle.seconds
     rate = f"{per_h:.3g} times an hour" if idle.holds else f"less than {3.0 * 3600.0 / idle.seconds:.3g} times an hour"
@@ -381,5 +391,4 @@ def _idle(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
     yield Finding(
         name="link", state=state, text=f"while nobody moves this link makes the ladder hold {rate}{why}, of"
         f" {idle.seconds:g} s that were run", value=per_h, limit=MAX_HOLDS_PER_H, unit="1/h",
-        remedy=None if state == "good" else "less jitter and loss, or a longer safety.ladder.hold_after_s",
     )  # fmt: skip

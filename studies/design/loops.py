@@ -3,9 +3,8 @@
 import math
 from typing import Any
 
-import msgspec
-
-from haptether.bridge import Scene, scene_json
+from haptether.bridge import Scene
+from haptether.studies.design.contact import felt_axes, largest_scale, scene_numbers, touched
 from haptether.studies.design.delay import ContactLoop, Follower
 
 
@@ -21,19 +20,10 @@ def scene_loops(scene: Scene, wall_stiffness: float | None = None, *, held: bool
     """
     spec = scene_numbers(scene)
     master, operator, coupling = spec["master"], spec["operator"] if held else None, spec["coupling"]
-    states = [coupling, *coupling["changes"]]
-    force_scale, position_scale = (
-        max(state[key] for state in states if state[key] is not None) for key in ("force_scale", "position_scale")
-    )
-    limiter = spec["safety"]["limiter"]
-    max_force_n = DEFAULT_FORCE_N if limiter is None else limiter["max_force_n"]
-    stiffness, damping = (
-        contact_numbers(spec["environment"], max_force_n / force_scale)
-        if wall_stiffness is None
-        else (wall_stiffness, 0.0)
-    )
-    # What is locked from the first to the last change is never felt.
-    locked = set.intersection(*(set(state["locked_axes"]) for state in states if state["locked_axes"] is not None))
+    found = touched(scene, spec)
+    stiffness, damping = (found.stiffness, found.damping) if wall_stiffness is None else (wall_stiffness, 0.0)
+    felt = felt_axes(spec)
+    states = (coupling, *coupling["changes"])
     rotated = any(state["quat_wxyz"] not in (None, [1.0, 0.0, 0.0, 0.0]) for state in states)
     return [
         ContactLoop(
@@ -42,23 +32,13 @@ def scene_loops(scene: Scene, wall_stiffness: float | None = None, *, held: bool
             hand_stiffness=operator["stiffness"] if operator else 0.0,
             environment_stiffness=stiffness,
             environment_damping=damping,
-            force_scale=force_scale,
-            position_scale=position_scale,
+            force_scale=largest_scale(spec, "force_scale"),
+            position_scale=largest_scale(spec, "position_scale"),
             follower=_arm(spec["slave"]),
         )
         for axis, (mass_kg, viscous) in enumerate(zip(master["mass_kg"], master["viscous"], strict=True))
-        if rotated or axis not in locked or len(locked) == master["axes"]
+        if rotated or axis in felt or not felt
     ]
-
-
-DEFAULT_FORCE_N = 7.9
-"""Where a scene bounds no force: what a PHANTOM Desktop exerts."""
-
-
-def scene_numbers(scene: Scene) -> dict[str, Any]:
-    """All numbers of a scene, with presets and defaults filled in."""
-    spec: dict[str, Any] = msgspec.json.decode(scene_json(scene))
-    return spec
 
 
 def _arm(slave: dict[str, Any]) -> Follower:
@@ -72,23 +52,6 @@ def _arm(slave: dict[str, Any]) -> Follower:
     return Follower(
         mass_kg=mass_kg, damping=damping, stiffness=stiffness, follows_velocity=slave["control"] != "position"
     )
-
-
-def contact_numbers(environment: dict[str, Any] | None, force_n: float) -> tuple[float, float]:
-    """K in N/m and B in N s/m of what is stiffest, and of the springs that act all the time."""
-    springs, stiffest = [(0.0, 0.0)], (0.0, 0.0)
-    for part in environment["objects"] if environment else []:
-        contact = part["contact"]
-        stiffness, damping, exponent = contact["stiffness"], contact["damping"], contact["exponent"]
-        if part["shape"]["kind"] == "spring":
-            springs.append((stiffness, damping))
-            continue
-        if contact["law"] == "hunt-crossley" and stiffness > 0.0:
-            # F = K d^n: n F / d, and its damping chi F.
-            stiffness = exponent * force_n / (force_n / stiffness) ** (1.0 / exponent)
-            damping *= force_n
-        stiffest = max(stiffest, (stiffness, damping))
-    return sum(k for k, _ in springs) + stiffest[0], sum(b for _, b in springs) + stiffest[1]
 
 
 def scene_times(scene: Scene) -> tuple[float, float]:

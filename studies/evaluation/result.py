@@ -7,8 +7,9 @@ from typing import Literal, TypeAlias, get_args
 from msgspec import Struct
 
 from haptether.bridge import Scene
+from haptether.safety import THROWN_SPEED
 from haptether.studies.intervals import median_interval, poisson_interval, wilson_interval
-from haptether.studies.task import THROWN_SPEED, Network
+from haptether.studies.task import Network
 
 Verdict: TypeAlias = Literal["diverged", "thrown", "not-engaged", "uncoupled", "trips", "not-measured", "safe"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)

@@ -7,6 +7,7 @@ import numpy.typing as npt
 from msgspec import Struct
 
 from haptether.bridge import Scene, sweep
+from haptether.safety import THROWN_SPEED
 from haptether.studies.intervals import poisson_interval, wilson_interval
 from haptether.studies.task import (
     FIXED,
@@ -14,7 +15,6 @@ from haptether.studies.task import (
     RELEASES,
     ROUND_TRIPS_S,
     THRESHOLD_TASKS,
-    THROWN_SPEED,
     HandBounds,
     Releases,
     Task,

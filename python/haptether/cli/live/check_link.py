@@ -73,6 +73,7 @@ class CheckLink:
         from haptether.cli.shared.output import check_target
         from haptether.cli.shared.stop import Stopped, wait
         from haptether.studies import judge_link, largest_delay_s, scene_loops, scene_times, summarise_link
+        from haptether.studies.design.contact import scene_numbers, touched
 
         check_target(self.json)
         key = session_key(self.key, insecure=self.insecure)
@@ -84,6 +85,8 @@ class CheckLink:
             raise ValueError(message)
         scene = live_scene(self, ("force_scale",)) or baseline_scene(force_scale=self.force_scale)
         loops, (period_s, hold_s) = scene_loops(scene, self.wall_stiffness), scene_times(scene)
+        # What is touched instead of the scene's own is one spring.
+        beyond = touched(scene, scene_numbers(scene)).beyond if self.wall_stiffness is None else ()
         worst = min(loops, key=largest_delay_s)
         bearable_s = largest_delay_s(worst)
         with Stopped() as stopped:
@@ -123,10 +126,12 @@ class CheckLink:
             raise RuntimeError(message)
         summary = summarise_link(trace, report, scene.run.period_s)
         verdict = judge_link(summary, bearable_s, hold_s + period_s, period_s)
-        self._report(summary, verdict, worst)
+        self._report(summary, verdict, worst, beyond)
         return 0 if verdict.good else 1
 
-    def _report(self, summary: "LinkSummary", verdict: "LinkVerdict", loop: "ContactLoop") -> None:
+    def _report(
+        self, summary: "LinkSummary", verdict: "LinkVerdict", loop: "ContactLoop", beyond: tuple[str, ...]
+    ) -> None:
         from haptether.cli.shared.link_table import link_table
         from haptether.cli.shared.output import write_report
         from haptether.cli.shared.screen import screen
@@ -135,7 +140,8 @@ class CheckLink:
         console.print(link_table(summary))
         of_scene = "" if self.scene is None else f"{self.scene}: "
         scene = (
-            f"{of_scene}position-force coupling, lambda_f = {loop.force_scale:g}, {loop.environment_stiffness:g} N/m, "
+            f"{of_scene}position-force coupling, a device of {loop.mass_kg:g} kg, lambda_f = {loop.force_scale:g}, "
+            f"{loop.environment_stiffness:g} N/m, "
             f"{'a hand that holds' if loop.hand_stiffness > 0.0 else 'nobody holds'}"
         )
         bearable = "any delay" if verdict.bearable_delay_s is None else f"{verdict.bearable_delay_s * 1e3:.1f} ms"
@@ -147,9 +153,10 @@ class CheckLink:
             f"  silence: bears {verdict.bearable_gap_s * 1e3:.1f} ms, had {gap}",
             "a hand that lets go damps nothing: that is what the safety controllers are for",
             *(f"NOT GOOD ENOUGH: {complaint}" for complaint in verdict.complaints),
+            *(f"not judged, for it is not in that loop: {one}" for one in beyond),
         ]
         if verdict.good:
-            lines.append("good enough")
+            lines.append("good enough" if not beyond else "good enough for that loop")
         for line in lines:
             console.print_item(line)
-        write_report(self.json, {"peer": self.peer, "verdict": verdict, "link": summary})
+        write_report(self.json, {"peer": self.peer, "verdict": verdict, "link": summary, "not_judged": beyond})

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from haptether.cli.interrupts import INTERRUPTS
+from haptether.cli.shared.design import design_lines
 from haptether.cli.shared.ejection import announcement
 
 if TYPE_CHECKING:
@@ -118,7 +119,7 @@ def start_master(
             clutch=clutch,
         )
     spec = scene_json(scene)
-    said = [*unusual_numbers(scene), *announcement(scene)]
+    said = [*unusual_numbers(scene), *announcement(scene), *design_lines(scene, command.scene, command.set)]
     if scene.master.driver is None:
         master = stopped.attached(LiveMaster(spec, **arguments))
         _say(said)

@@ -13,8 +13,9 @@ class Check:
 
     Delay margin of contact and the intervals beyond it, stiffness of rendered walls, how fast a device may become once
     it is let go and what of that no threshold lowers, thresholds against limits and against the hand's own motion,
-    losses against the ladder: each with this scene's numbers and what would mend it. Linear where it says stable. Exit
-    status 1 says that something is bad. What each line computes: docs/check.md.
+    losses against the ladder: each with this scene's numbers and what would mend it. What is changed by a remedy was
+    tried: the finding is better with it, and no other worse. Linear where it says stable; what that does not cover is
+    not judged. Exit status 1 says that something is bad. What each line computes: docs/check.md.
 
     Examples:
 
@@ -29,14 +30,16 @@ class Check:
     """Name of a shipped scene, or path of a TOML file."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
     """Change a field first; may be given often."""
-    speed: float = 0.5
-    """Speed in m/s above which a device that was let go has been thrown."""
+    speed: float | None = None
+    """Speed above which a device that was let go has been thrown, above 0: in m/s, by default 0.5, of joints in rad/s,
+    by default none."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write all findings as JSON; - for standard output."""
 
     def run(self) -> int:
         """Prints the findings; 0, or 1 if one is bad."""
         from haptether.bridge import load_scene
+        from haptether.cli.shared.design import WORDS, summary
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
         from haptether.studies import check_scene
@@ -46,13 +49,10 @@ class Check:
         console = screen(self.json)
         console.print(f"{self.scene}, by design:")
         for finding in found.findings:
-            console.print_item(f"{WORDS[finding.state]}{finding.name}: {finding.text}")
+            said = "not judged: " if finding.state == "not judged" else ""
+            console.print_item(f"{WORDS[finding.state]}{finding.name}: {said}{finding.text}")
             if finding.remedy is not None:
                 console.print_item(f"    mend: {finding.remedy}")
-        bad, warnings = len(found.of("bad")), len(found.of("warning"))
-        console.print(f"{bad} bad, {warnings} with little room" if bad or warnings else "nothing bad, room everywhere")
+        console.print(summary(found))
         write_report(self.json, {"scene": self.scene, "findings": found.findings})
-        return 1 if bad else 0
-
-
-WORDS = {"bad": "BAD  ", "warning": "warn ", "good": "good ", "note": "note "}
+        return 1 if found.of("bad") else 0

@@ -20,8 +20,14 @@ def scene_bound(scene: "Scene") -> "EjectionBound | None":
 
 def bound_line(scene: "Scene", bound: "EjectionBound") -> str:
     """The bound in one line, with what it holds under."""
-    line = bound.text("rad/s" if scene.master.kind == "joints" else "m/s")
+    line = bound.text("rad/s" if _is_of_joints(scene) else "m/s")
     return line if bound.speed is None else f"{line} ({'; '.join(bound.assumptions)})"
+
+
+def _is_of_joints(scene: "Scene") -> bool:
+    from haptether.bridge.scene.resolve import side_kind
+
+    return side_kind(scene.master) == "joints"
 
 
 def release_line(scene: "Scene") -> str | None:
@@ -29,7 +35,7 @@ def release_line(scene: "Scene") -> str | None:
     settings = scene.ejection_settings()
     if not CANCELLING.intersection(settings.controllers) or settings.probe_force_n > 0.0:
         return None
-    unit = "N m" if scene.master.kind == "joints" else "N"
+    unit = "N m" if _is_of_joints(scene) else "N"
     if scene.safety.probe_force_n is not None:
         why = "probe_force_n = 0"
     elif settings.damping == 0.0:

@@ -1,0 +1,142 @@
+"""What a scene touches and renders: the stiffness of its loop, and what one spring does not stand for."""
+
+from math import sqrt
+from typing import Any, Literal
+
+import msgspec
+from msgspec import Struct
+
+from haptether.bridge import Scene, scene_json
+
+DEFAULT_FORCE_N = 7.9
+"""Where a scene bounds no force: what a PHANTOM Desktop exerts."""
+
+Rendered = Literal["force", "torque", "trigger"]
+
+
+class Touched(Struct, frozen=True, kw_only=True):
+    """What is touched, as `F = K d + B d'` to a ground that does not yield."""
+
+    stiffness: float
+    """K in N/m of what is stiffest, and of the springs that act all the time; of joints in N m/rad."""
+    damping: float
+    """B in N s/m of the same; of joints in N m s/rad."""
+    beyond: tuple[str, ...]
+    """What is touched that is more than such a spring, each with the reason."""
+
+
+def scene_numbers(scene: Scene) -> dict[str, Any]:
+    """All numbers of a scene, with presets and defaults filled in."""
+    spec: dict[str, Any] = msgspec.json.decode(scene_json(scene))
+    return spec
+
+
+def touched(scene: Scene, spec: dict[str, Any]) -> Touched:
+    """What a scene touches: objects, holes and handles by their K and B, and what of it is more than a spring.
+
+    A law that is not linear counts with its slope where it pushes with the largest force that is rendered,
+    `dF/dd = n F / d` of `F = K d^n`.
+
+    Args:
+        scene: Of any kind.
+        spec: Its numbers, of `scene_numbers`.
+
+    Source: Hunt and Crossley 1975.
+    """
+    environment, slave = spec["environment"] or {}, spec["slave"]
+    force_n = _largest_force_n(spec)
+    springs, contacts = [(0.0, 0.0)], [(0.0, 0.0)]
+    for part in (*environment.get("objects", ()), *environment.get("holes", ())):
+        contact = part["contact"]
+        stiffness, damping = contact["stiffness"], contact["damping"]
+        if contact["law"] == "hunt-crossley" and stiffness > 0.0:
+            exponent = contact["exponent"]
+            stiffness = exponent * force_n / (force_n / stiffness) ** (1.0 / exponent)
+            damping *= force_n
+        is_spring = "shape" in part and part["shape"]["kind"] == "spring"
+        (springs if is_spring else contacts).append((stiffness, damping))
+    # Held, a handle yields along its circle alone; critically damped with the tool's mass (slave/src/tool/handle.rs).
+    contacts += [
+        (part["hold_stiffness"], 2.0 * sqrt(part["hold_stiffness"] * slave["mass_kg"]))
+        for part in environment.get("handles", ())
+    ]
+    stiffest = max(contacts)
+    return Touched(
+        stiffness=sum(k for k, _ in springs) + stiffest[0],
+        damping=sum(b for _, b in springs) + stiffest[1],
+        beyond=tuple(_beyond(scene, environment)) if slave is not None else (),
+    )
+
+
+def _largest_force_n(spec: dict[str, Any]) -> float:
+    """Largest force in N at what is touched that a limiter lets be rendered."""
+    limiter, device_n = spec["safety"]["limiter"], spec["master"]["max_force_n"]
+    force_n: float = (device_n or DEFAULT_FORCE_N) if limiter is None else limiter["max_force_n"]
+    return force_n / largest_scale(spec, "force_scale") if spec["slave"] is not None else force_n
+
+
+def largest_scale(spec: dict[str, Any], key: str) -> float:
+    """The largest of a scale of the coupling, its changes included."""
+    coupling = spec["coupling"]
+    return float(max(state[key] for state in (coupling, *coupling["changes"]) if state[key] is not None))
+
+
+def _beyond(scene: Scene, environment: dict[str, Any]) -> list[str]:
+    """What is touched that one spring along an axis does not stand for."""
+    slave = scene.slave
+    assert slave is not None
+    said = []
+    if slave.device != "simulated" and not environment:
+        said.append("the scene does not say what a real arm touches")
+    if slave.tool is not None and len(slave.tool.points) > 1 and environment.get("objects"):
+        said.append("a tool of several points touches with several at once, and is turned")
+    if environment.get("holes"):
+        said.append("a hole touches a tool at several points at once, and turns it")
+    if environment.get("handles"):
+        said.append("a handle turns with the tool")
+    if environment.get("bodies"):
+        said.append("a body that jaws hold moves with the arm")
+    if any(part["body"] is not None for part in environment.get("objects", ())):
+        said.append("an object slides away with its mass")
+    if scene.master.gripper is not None and slave.gripper is not None:
+        said.append("jaws are felt at a trigger")
+    return said
+
+
+def rendered(scene: Scene, spec: dict[str, Any]) -> frozenset[Rendered]:
+    """What can push the device: a force, a torque on a handle that turns, a force at its trigger; or nothing.
+
+    A real arm may touch whatever is there; attacks on the way back may say anything.
+    """
+    slave, master, coupling = scene.slave, scene.master, spec["coupling"]
+    environment = spec["environment"] or {}
+    if slave is None:
+        return frozenset({"force"}) if environment.get("objects") or environment.get("pushers") else frozenset()
+    link = spec["link"] or {}
+    anything = slave.device != "simulated" or bool((link.get("backward") or {}).get("attacks"))
+    turned = anything or any(environment.get(kind) for kind in ("torques", "holes", "handles", "bodies"))
+    if slave.tool is not None and (environment.get("objects") or environment.get("pushers")):
+        # A force at the coupled point has no moment about it.
+        turned |= any(map(any, slave.tool.points)) or coupling["reference_point"] is not None
+    sensed = spec["slave"]["force_sensor"]
+    pushed = anything or any(environment.get(kind) for kind in ("objects", "pushers", "holes", "handles", "bodies"))
+    pushed |= sensed is not None and bool(sensed["noise_n"] or any(_axes(sensed["bias_n"])))
+    found: set[Rendered] = set()
+    if pushed and len(felt_axes(spec)) > 0:
+        found.add("force")
+    if turned and spec["master"]["kind"] == "pose" and not coupling["locks_rotation"]:
+        found.add("torque")
+    if master.gripper is not None and slave.gripper is not None:
+        found.add("trigger")
+    return frozenset(found)
+
+
+def felt_axes(spec: dict[str, Any]) -> frozenset[int]:
+    """The axes of the arm whose force is felt at some time: those that are not locked from the first change on."""
+    coupling = spec["coupling"]
+    states = [state["locked_axes"] for state in (coupling, *coupling["changes"]) if state["locked_axes"] is not None]
+    return frozenset(range(spec["master"]["axes"])) - set.intersection(*map(set, states))
+
+
+def _axes(value: float | list[float]) -> list[float]:
+    return value if isinstance(value, list) else [value]
