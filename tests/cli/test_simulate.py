@@ -38,7 +38,7 @@ def given(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     """The scenes that were run; a seed of 13 diverges."""
     scenes: list[dict[str, Any]] = []
 
-    def simulate_scene(scene: bytes, _record: object = None) -> Played:
+    def simulate_scene(scene: bytes, _record: object = None, _research: object = None) -> Played:
         scenes.append(json.loads(scene))
         return Played(diverged=scenes[-1]["run"]["seed"] == 13)
 
@@ -48,6 +48,7 @@ def given(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         threads: int,
         lanes: bool,
         progress: Callable[[int], None],
+        _research: object = None,
     ) -> dict[str, npt.NDArray[Any]]:
         assert threads >= 1
         assert lanes
@@ -335,7 +336,7 @@ import sys, numpy as np
 from haptether import _core
 class Run:
     signals, events, metrics, reports = {{"time_s": np.zeros(3)}}, [], {{"ticks": 3}}, None
-_core.simulate_scene = lambda scene, record: Run()
+_core.simulate_scene = lambda scene, record, research: Run()
 from haptether.cli import main
 assert main(["simulate", "remote_push"]) == 0
 print("loaded:", *sorted(set({heavy!r}) & set(sys.modules)))

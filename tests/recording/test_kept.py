@@ -93,7 +93,7 @@ def test_a_recording_says_scene_version_and_states(
     assert "both sides aligned" in set(recording.signals["reason"])
 
 
-@pytest.mark.parametrize("controller", [name for name in TRIP_BITS if name != "held"])
+@pytest.mark.parametrize("controller", OBSERVED_SIGNALS)
 def test_bits_and_signals_of_controllers_are_those_of_the_binary(controller: str) -> None:
     run = simulate("remote_push", overrides=[f"safety.controllers=[{controller}]", "run.duration_s=3.5"])
     trips = [event for event in run.events if event.kind == "trip"]

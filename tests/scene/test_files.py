@@ -300,7 +300,7 @@ def scenes_run(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
     """The scenes that were given to the extension."""
     given: list[bytes] = []
 
-    def simulate_scene(scene: bytes, record: object = None) -> FakeRun:
+    def simulate_scene(scene: bytes, record: object = None, _research: object = None) -> FakeRun:
         assert record is None
         given.append(scene)
         return FakeRun(10)
@@ -557,6 +557,7 @@ def sweeps_run(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         threads: int,
         lanes: bool,
         progress: Callable[[int], None] | None,
+        _research: object = None,
     ) -> dict[str, npt.NDArray[Any]]:
         given.append({"scene": scene, "columns": dict(columns), "threads": threads, "lanes": lanes})
         rows = len(columns[0][1])

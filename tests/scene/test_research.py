@@ -23,7 +23,7 @@ from haptether.bridge import (
 )
 from haptether.bridge.scene import research
 from haptether.safety import ResearchObservation, ejection_bound
-from haptether.studies import evaluate
+from haptether.studies import evaluate, evaluation_html
 
 Force = npt.NDArray[np.float64] | None
 PRINTED = ["safety.hold_off_s=0", "safety.release_ramp_s=0", "safety.probe_force_n=0", "safety.release_tries=0"]
@@ -69,6 +69,12 @@ def test_the_law_of_vfc_acts_as_vfc_does(scene: str) -> None:
         shipped.metrics.max_ejection_velocity, rel=0.0 if exact else 1e-9
     )
     assert [event.detail for event in written.events if event.kind == "trip"][:1] == ["research"]
+
+
+def test_it_is_drawn(tmp_path: Path) -> None:
+    run = simulate("paper_wall", overrides=[*OURS, "record.every=1", "safety.research.options.velocity_threshold=0.1"])
+    figure = run.plot(tmp_path / "run.png")
+    assert "research" in [label.get_text() for axes in figure.axes for label in axes.get_yticklabels()]
 
 
 def test_it_leaves_a_run_alone_while_it_adds_nothing() -> None:
@@ -233,6 +239,7 @@ def test_it_is_evaluated_beside_the_others() -> None:
     assert none.speed is not None
     assert ours.speed < none.speed
     assert any("by-hand watches paper_wall" in line for line in found.assumed)
+    assert "by-hand" in evaluation_html(found, command="haptether evaluate", worst=None)
     for wrong, said in (("by-hant", "'by-hant' is none of none, vfc, .*by-hand"), ("by-hand+other", "at most one")):
         register_controller("other", ByHand)
         with pytest.raises(ValueError, match=said):

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from haptether.view.figures.events import RunEvent, merged_events
 from haptether.view.figures.rotation import angle_apart, angle_from_first
-from haptether.view.style.colours import AXES, CONTROLLERS, HELD, SIGNALS
+from haptether.view.style.colours import AXES, CONTROLLERS, HELD, SIGNALS, controller_look
 from haptether.view.style.events import EventMark, name_events
 from haptether.view.style.figure import Columns, letter, new_figure, plain_ticks, styled
 from haptether.view.style.legend import legend_above
@@ -25,7 +25,7 @@ Recorded = Mapping[str, npt.NDArray[Any]]
 
 LADDER = ["apart", "aligning", "engaged", "stale", "hold", "stop", "fault"]
 """States of the ladder by their code."""
-TRIPPED = {1: "vfc", 2: "hsc", 4: "wsc", 8: "pc", 16: "held"}
+TRIPPED = {1: "vfc", 2: "hsc", 4: "wsc", 8: "pc", 16: "held", 128: "research"}
 """Controllers by their bit."""
 NOTHING = 2e-3
 """Share of the largest axis that is not seen beside it."""
@@ -159,9 +159,9 @@ def _draw_trips(axis: "Axes", time_s: Array, tripped: npt.NDArray[np.uint8], row
         begins, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
         # A trip of one tick must still be seen.
         bars = [(float(time_s[a]), float(time_s[b - 1] - time_s[a]) + step) for a, b in zip(begins, ends, strict=True)]
-        colour = CONTROLLERS.get(TRIPPED[bit], (HELD, "-"))[0]
+        colour = HELD if TRIPPED[bit] == "held" else controller_look(TRIPPED[bit])["color"]
         axis.broken_barh(bars, (row + 0.12, 0.76), facecolor=colour, edgecolor=colour, lw=0.6)
-    names = [TRIPPED[bit].upper() if TRIPPED[bit] != "held" else "held" for bit in rows]
+    names = [TRIPPED[bit].upper() if TRIPPED[bit] in CONTROLLERS else TRIPPED[bit] for bit in rows]
     axis.set_yticks(np.arange(len(rows)) + 0.5, names)
     axis.set_ylim(0, len(rows))
     axis.grid(visible=False, axis="y")

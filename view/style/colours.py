@@ -19,6 +19,8 @@ CONTROLLERS = {
 UNION = "#56b4e9"
 """Of several controllers at once; which ones is told by their dashes."""
 UNION_DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 3)))
+RESEARCH = "#8c564b"
+"""Of a controller in Python, alone or with others; which others is told by the dashes."""
 PAPER = "#000000"
 """Of what was read off the paper."""
 THRESHOLD = "#7f7f7f"
@@ -41,11 +43,14 @@ AXES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#0000
 def controller_look(controllers: str | Iterable[str]) -> dict[str, Any]:
     """`color` and `linestyle` of a line that shows a run with these controllers; none is a run without one.
 
-    Raises:
-        KeyError: A name of no controller.
+    A name that is not built in is that of a controller in Python.
     """
-    names = controllers.split("+") if isinstance(controllers, str) else list(controllers)
-    names = sorted({name for name in names if name != "none"}, key=list(CONTROLLERS).index) or ["none"]
+    given = controllers.split("+") if isinstance(controllers, str) else list(controllers)
+    names = sorted({name for name in given if name in CONTROLLERS and name != "none"}, key=list(CONTROLLERS).index)
+    if any(name not in CONTROLLERS for name in given):
+        mask = sum(1 << (list(CONTROLLERS).index(name) - 1) for name in names)
+        return {"color": RESEARCH, "linestyle": UNION_DASHES[mask % len(UNION_DASHES)]}
+    names = names or ["none"]
     if len(names) == 1:
         colour, dashes = CONTROLLERS[names[0]]
         return {"color": colour, "linestyle": dashes}
@@ -58,4 +63,5 @@ def controller_look(controllers: str | Iterable[str]) -> dict[str, Any]:
 def controller_title(controllers: str | Iterable[str]) -> str:
     """What a legend calls a run with these controllers."""
     names = controllers.split("+") if isinstance(controllers, str) else list(controllers)
-    return " + ".join(name.upper() for name in names if name != "none") or "no controller"
+    titles = [name.upper() if name in CONTROLLERS else name for name in names if name != "none"]
+    return " + ".join(titles) or "no controller"
