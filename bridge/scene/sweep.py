@@ -90,8 +90,11 @@ class Sweep:
         column = self.columns[name]
         values: list[Any] = column.tolist()
         if column.dtype.kind == "f":
-            known = int if name in COUNTS else float
-            return [None if math.isnan(value) else known(value) for value in values]
+            if name in COUNTS:
+                return [None if math.isnan(value) else int(value) for value in values]
+            for row in np.flatnonzero(np.isnan(column)).tolist():
+                values[row] = None
+            return values
         if name == "reason":
             return [value or None for value in values]
         if name == "diverged" and "outcome" in self.columns:
@@ -399,17 +402,17 @@ def _columns(base: Checked, varied: Mapping[str, Array]) -> tuple[list[tuple[str
         else:
             together[path] = values
     if together:
-        raw = cast("dict[str, Raw]", msgspec.to_builtins(base.scene))
-        joint, wrong_rows = _joint_columns(raw, expected, together)
+        joint, wrong_rows = _joint_columns(base, expected, together)
         columns |= joint
         refused = wrong_rows | refused
     return list(columns.items()), refused
 
 
 def _joint_columns(
-    raw: dict[str, Raw], expected: Mapping[str, Leaf], varied: Mapping[Path, Array]
+    base: Checked, expected: Mapping[str, Leaf], varied: Mapping[Path, Array]
 ) -> tuple[dict[str, Array], dict[int, str]]:
     """Columns of parameters that are checked together, once per combination of their values; what is wrong by row."""
+    changes = _Changes(base, tuple(varied))
     rows = np.column_stack(list(varied.values()))
     combinations, first_rows, of_row = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     own = [leaf for path in varied for leaf in _of_parameter(path, expected)]
@@ -418,27 +421,75 @@ def _joint_columns(
     refused: dict[int, str] = {}  # by combination
     for number, combination in enumerate(combinations.tolist()):
         try:
-            changed = raw
-            for path, value in zip(varied, combination, strict=True):
-                changed = cast("dict[str, Raw]", with_value(changed, path, as_typed(value)))
-            leaves = dict(leaf_values(checked_spec(typed_scene(changed))))
-        except SceneError as error:
-            refused[number] = str(error)
-            continue
-        try:
-            for leaf in leaves.keys() ^ expected.keys():
+            found = changes.of(combination)
+            if isinstance(found, str):
+                refused[number] = found
+                continue
+            for leaf in found.keys() - expected.keys():
                 message = f"{leaf}: a sweep changes numbers, not what the scene consists of"
                 raise SceneError(message)
-            for leaf, seen in leaves.items():
-                if seen != expected[leaf] and leaf not in columns:
-                    columns[leaf] = np.full(len(combinations), _number(leaf, expected[leaf]))
+            for leaf in found.keys() - columns.keys():
+                columns[leaf] = np.full(len(combinations), _number(leaf, expected[leaf]))
             for leaf, column in columns.items():
-                column[number] = _number(leaf, leaves[leaf])
+                column[number] = _number(leaf, found.get(leaf, expected[leaf]))
         except SceneError as error:
             message = f"row {int(first_rows[number])}: {error}"
             raise SceneError(message) from None
     wrong_rows = {row: refused[number] for row, number in enumerate(of_row.tolist()) if number in refused}
     return {leaf: np.ascontiguousarray(column[of_row]) for leaf, column in columns.items()}, wrong_rows
+
+
+_MOST_CHANGES = 4096
+_LONGEST_KEPT = 1 << 16
+"""Bytes of a scene whose changes are kept."""
+_CHANGES: dict[tuple[bytes, tuple[Path, ...], bytes], "dict[str, Leaf] | str"] = {}
+
+
+class _Changes:
+    """What values of some paths change in the leaves of a specification; the last are kept, for rows come by batch.
+
+    Args:
+        base: The scene that is changed.
+        paths: Of the values.
+    """
+
+    def __init__(self, base: Checked, paths: tuple[Path, ...]) -> None:
+        self._raw = cast("dict[str, Raw]", msgspec.to_builtins(base.scene))
+        self._expected, self._paths = _leaves_of(base.json), paths
+        key = msgspec.msgpack.encode(base.scene)
+        self._key = key if len(key) <= _LONGEST_KEPT else None
+
+    def of(self, values: Sequence[float]) -> "dict[str, Leaf] | str":
+        """The leaves that are not those of the base; or why there is no such scene.
+
+        Raises:
+            SceneError: A leaf of the base is gone.
+        """
+        if self._key is None:
+            return self._found(values)
+        # By their bits: -0 is not 0.
+        key = (self._key, self._paths, np.asarray(values, dtype=np.float64).tobytes())
+        if (kept := _CHANGES.get(key)) is None:
+            kept = self._found(values)
+            if len(_CHANGES) >= _MOST_CHANGES:
+                _CHANGES.clear()
+            _CHANGES[key] = kept
+        return kept
+
+    def _found(self, values: Sequence[float]) -> "dict[str, Leaf] | str":
+        changed = self._raw
+        try:
+            for path, value in zip(self._paths, values, strict=True):
+                changed = cast("dict[str, Raw]", with_value(changed, path, as_typed(value)))
+            leaves = dict(leaf_values(checked_spec(typed_scene(changed))))
+        except SceneError as error:
+            return str(error)
+        if gone := self._expected.keys() - leaves.keys():
+            message = f"{min(gone)}: a sweep changes numbers, not what the scene consists of"
+            raise SceneError(message)
+        return {
+            leaf: seen for leaf, seen in leaves.items() if leaf not in self._expected or seen != self._expected[leaf]
+        }
 
 
 @lru_cache(maxsize=8)
