@@ -2,7 +2,8 @@
 //!
 //! Each scene, in the form of `haptether.bridge.scene_json`, is run `REPEATS` times and once with every frame as its
 //! bytes; the times are the least of the runs, in ns per tick of the master, on one thread. Beside them stand what the
-//! run is judged by, what its sides counted, and a checksum of its signals and events, which both ways must have alike.
+//! run is judged by, what its sides counted, and a checksum of its signals and events, which must not depend on how
+//! frames travel.
 #![allow(clippy::unwrap_used, clippy::print_stdout)] // a bench: whatever fails ends it
 
 use std::{env, fs, sync::atomic::AtomicBool, time::Instant};
@@ -90,17 +91,17 @@ fn timed(simulate: Simulate, scene: &[u8]) -> Result<(SceneRun, f64), SceneError
 fn main() {
     let mut arguments = env::args().skip(1);
     let repeats: u32 = arguments.next().unwrap().parse().unwrap();
-    let ways: [(&str, Simulate); 2] = [("frames", simulate), ("bytes", simulate_encoded)];
+    let transports: [(&str, Simulate); 2] = [("frames", simulate), ("bytes", simulate_encoded)];
     for path in arguments {
         let scene = fs::read(&path).unwrap();
         let mut least_ns = [f64::INFINITY; 2];
         let mut seen = [const { None }; 2];
         // In turn, so that both meet the same machine.
         for _ in 0..repeats {
-            for (way, (_, simulate)) in ways.iter().enumerate() {
-                seen[way] = Some(match timed(*simulate, &scene) {
+            for (transport, (_, simulate)) in transports.iter().enumerate() {
+                seen[transport] = Some(match timed(*simulate, &scene) {
                     Ok((run, ns)) => {
-                        least_ns[way] = least_ns[way].min(ns);
+                        least_ns[transport] = least_ns[transport].min(ns);
                         json!([checksum(&run), counts(&run), outcome(&run)])
                     }
                     Err(error) => json!([error.to_string()]),
