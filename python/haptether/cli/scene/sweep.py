@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from haptether.bridge.scene.sweeps.design import Design
     from haptether.bridge.scene.sweeps.laws import SampleLaw
     from haptether.cli.shared.screen import Screen
+    from haptether.studies import SummaryRow
 
 ROWS_SHOWN = 20
 MAX_ROWS = 10_000_000
@@ -105,6 +106,11 @@ class Sweep(PictureOptions):
     """Draw the metrics as .png, .pdf or .svg: over one path as lines, with 95 % bands where run.seed varies, too; over
     two paths as maps."""
 
+    summary: tuple[str, ...] = ()
+    """What the samples of each combination come to, with 95 %: metrics, or conditions: max_ejection_velocity>0.5."""
+    against: Annotated[str | None, tyro.conf.arg(metavar="PATH=VALUE")] = None
+    """With --summary: each combination less that with this value, sample by sample, as safety.controllers=none."""
+
     def run(self) -> int:
         """Runs all rows."""
         from haptether import __version__
@@ -129,7 +135,7 @@ class Sweep(PictureOptions):
         varied, ties = self._varied()
         drawn = self._drawn(varied)
         design = design_of(varied, drawn, ties)
-        collect = self.json is not None or self.plot is not None
+        collect = self.json is not None or self.plot is not None or bool(self.summary)
         streamed = self.out is not None and self.out.suffix in STREAMED and not collect
         most = MAX_STORED_ROWS if streamed else MAX_ROWS
         if design.rows > most:
@@ -145,14 +151,42 @@ class Sweep(PictureOptions):
             whole, stored = self._run_rows(design, {"grid": varied, "samples": drawn, "ties": ties}, collect=collect)
         shown = whole if stored is None else stored.head
         assert shown is not None, "a sweep without a file is in memory"
+        summary = self._summarised(console, whole, [path for path in design.factors if path != SEED])
         if self.json is not None and whole is not None:
             report = {"scene": self.scene, "version": __version__, "rows": list(whole.rows())}
-            write_report(self.json, report)
+            write_report(self.json, report | ({"summary": summary} if summary else {}))
         self._report(console, shown, len(varied) + len(drawn) + len(ties) + 1, stored)
         if picture is not None and whole is not None:
             write_figure(draw_sweep(self.scene, whole.columns, paths, self.columns), picture)
             console.print(f"picture: {picture}")
         return 0
+
+    def _summarised(self, console: "Screen", whole: "SweepResult | None", by: list[str]) -> "tuple[SummaryRow, ...]":
+        """What each combination comes to, printed, where it was asked for."""
+        from haptether.cli.scene.simulate import shown
+        from haptether.cli.shared.table import Column, Rows
+        from haptether.studies import sweep_summary
+
+        if not self.summary or whole is None:
+            return ()
+        path, _, value = (self.against or "").partition("=")
+        baseline = None if self.against is None else (path.replace("-", "_"), value)
+        summary = sweep_summary(whole, self.summary, by, baseline=baseline)
+
+        def interval(pair: tuple[float, float] | None) -> str:
+            return "-" if pair is None else f"{pair[0]:.4g} to {pair[1]:.4g}"
+
+        names = ["rows", "mean", "95 %", *(["difference", "95 % of it"] if baseline else [])]
+        for quantity in self.summary:
+            of = quantity if baseline is None else f"{quantity}, difference to {self.against}"
+            table = Rows(*by, *(Column(name, numbers=True) for name in names), keys=max(1, len(by)), title=of)
+            for row in (row for row in summary if row.quantity == quantity):
+                group = [f"{each:.10g}" if isinstance(each, float) else str(each) for each in row.group.values()]
+                cells = [str(row.measured), shown(row.mean), interval(row.interval)]
+                cells += [shown(row.difference), interval(row.difference_interval)] if baseline else []
+                table.add(*group, *cells)
+            console.print(table)
+        return summary
 
     def _run_rows(
         self, design: "Design", given: dict[str, Any], *, collect: bool
@@ -286,6 +320,9 @@ class Sweep(PictureOptions):
         """Refuses a number of samples or a seed that cannot be, and what is drawn without samples."""
         from haptether.cli.shared.numbers import check_random_seed
 
+        if self.against is not None and not self.summary:
+            message = "--against: give --summary, what is compared"
+            raise ValueError(message)
         if self.samples is not None and not 1 <= self.samples <= MAX_ROWS:
             message = f"samples = {self.samples}: must be {'1 or more' if self.samples < 1 else f'at most {MAX_ROWS}'}"
             raise ValueError(message)

@@ -1,0 +1,189 @@
+"""What the samples of each combination of a sweep come to: means and shares with intervals, and paired differences."""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Struct
+
+from haptether.bridge import Sweep
+from haptether.bridge.scene.sweep import METRICS
+from haptether.studies.intervals import binomial_interval
+
+Array = npt.NDArray[np.float64]
+RESAMPLES = 4000
+MOST_AT_ONCE = 1 << 20
+"""Numbers that are resampled at once."""
+SHARE = re.compile(r"(?P<metric>\w+)\s*(?P<relation>[<>=])\s*(?P<value>\S+)")
+
+
+class SummaryRow(Struct, frozen=True, kw_only=True):
+    """One quantity in one combination."""
+
+    group: dict[str, Any]
+    """What the combination consists of."""
+    quantity: str
+    """A metric, of which this is the mean, or a condition on one, of which it is the share of rows that meet it."""
+    rows: int
+    """Rows of the combination."""
+    measured: int
+    """Those in which it was measured."""
+    mean: float | None
+    """Mean or share; none where it was measured in no row."""
+    interval: tuple[float, float] | None
+    """95 %: of a mean by bootstrap, none of fewer than two; of a share exact, of Clopper and Pearson 1934."""
+    pairs: int | None = None
+    """Samples that were measured here and in the baseline, too; none without one."""
+    difference: float | None = None
+    """Mean difference to the baseline over these."""
+    difference_interval: tuple[float, float] | None = None
+    """95 % of that, by bootstrap over the pairs."""
+
+
+def sweep_summary(
+    sweep: Sweep,
+    quantities: Sequence[str],
+    by: Sequence[str],
+    *,
+    baseline: tuple[str, Any] | None = None,
+    seed: int = 1,
+) -> tuple[SummaryRow, ...]:
+    """Each quantity in each combination of the columns `by`.
+
+    Args:
+        sweep: All rows; those of a combination differ in their samples, such as `run.seed`.
+        quantities: Metrics, or conditions on one: "max_ejection_velocity > 0.5", "outcome = complete".
+        by: Columns of what varies, whose combinations are told apart.
+        baseline: A column of `by` and a value of it: each combination is compared with that which differs from it in
+            this column alone, sample by sample.
+        seed: Of the bootstrap, 0 or more.
+
+    Raises:
+        ValueError: A column that there is not, a condition that cannot be, samples that do not pair.
+
+    Source: Efron 1979 (bootstrap), Clopper and Pearson 1934.
+    """
+    for name in by:
+        sweep[name]  # says what there is
+        if name in METRICS:
+            message = f"by: {name} is what was measured, not what varies"
+            raise ValueError(message)
+    labels = {name: sweep[name].tolist() for name in by}
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    for row, key in enumerate(zip(*labels.values(), strict=True)):
+        groups.setdefault(key, []).append(row)
+    others = [name for name in sweep.columns if name not in METRICS and name not in by]
+    samples = list(zip(*(sweep[name].tolist() for name in others), strict=True)) or [()] * len(sweep)
+    beside = None if baseline is None else _beside(baseline, by, groups)
+    found = []
+    for quantity in quantities:
+        values, is_share = _values(sweep, quantity)
+        for key, rows in groups.items():
+            own = values[rows]
+            known = own[np.isfinite(own)]
+            rng = np.random.default_rng(seed)
+            pairs = None
+            if beside is not None:
+                pairs = _paired(values, rows, groups[beside[key]], samples)
+            found.append(
+                SummaryRow(
+                    group=dict(zip(by, key, strict=True)),
+                    quantity=quantity,
+                    rows=len(rows),
+                    measured=len(known),
+                    mean=float(known.mean()) if len(known) else None,
+                    interval=_share_interval(known) if is_share else bootstrap_interval(known, rng),
+                    pairs=None if pairs is None else len(pairs),
+                    difference=float(pairs.mean()) if pairs is not None and len(pairs) else None,
+                    difference_interval=None if pairs is None else bootstrap_interval(pairs, rng),
+                )
+            )
+    return tuple(found)
+
+
+def bootstrap_interval(values: Array, rng: np.random.Generator) -> tuple[float, float] | None:
+    """95 % of a mean by the percentiles of resampled means; none of fewer than two.
+
+    Of few values it is too narrow: of ten normal ones it holds the mean in 90 %.
+
+    Source: Efron 1979.
+    """
+    if len(values) < 2:
+        return None
+    at_once = max(1, MOST_AT_ONCE // len(values))
+    counts = [min(at_once, RESAMPLES - done) for done in range(0, RESAMPLES, at_once)]
+    means = [values[rng.integers(0, len(values), (count, len(values)))].mean(axis=1) for count in counts]
+    low, high = np.quantile(np.concatenate(means), (0.025, 0.975))
+    return float(low), float(high)
+
+
+def _share_interval(values: Array) -> tuple[float, float] | None:
+    return binomial_interval(int(values.sum()), len(values)) if len(values) else None
+
+
+def _values(sweep: Sweep, quantity: str) -> tuple[Array, bool]:
+    """A quantity in each row, NaN where it was not measured; and whether it is a share."""
+    condition = SHARE.fullmatch(quantity.strip())
+    name = condition["metric"] if condition else quantity.strip()
+    try:
+        column = sweep[name]
+    except KeyError as error:
+        message = f"{quantity!r}: {error.args[0]}"
+        raise ValueError(message) from None
+    if condition is None:
+        if column.dtype.kind not in "fiub":
+            message = f"{quantity!r}: is text: give a share, {name} = VALUE"
+            raise ValueError(message)
+        values = np.array([np.nan if value is None else value for value in sweep.values_of(name)], dtype=np.float64)
+        return values, column.dtype.kind == "b"
+    relation, text = condition["relation"], condition["value"]
+    if column.dtype.kind == "U":
+        if relation != "=":
+            message = f"{quantity!r}: is text: must be {name} = VALUE"
+            raise ValueError(message)
+        return (column == text).astype(np.float64), True
+    try:
+        limit = float(text)
+    except ValueError:
+        message = f"{quantity!r}: {text!r} must be a number"
+        raise ValueError(message) from None
+    if not np.isfinite(limit):
+        message = f"{quantity!r}: {text} must be a finite number"
+        raise ValueError(message)
+    measured = np.array([np.nan if value is None else value for value in sweep.values_of(name)], dtype=np.float64)
+    met = {"<": measured < limit, ">": measured > limit, "=": measured == limit}[relation].astype(np.float64)
+    return np.where(np.isfinite(measured), met, np.nan), True
+
+
+def _beside(
+    baseline: tuple[str, Any], by: Sequence[str], groups: Mapping[tuple[Any, ...], list[int]]
+) -> dict[tuple[Any, ...], tuple[Any, ...]]:
+    """The combination that each is compared with."""
+    column, value = baseline
+    if column not in by:
+        message = f"baseline: {column} is none of {', '.join(by) or 'nothing'}"
+        raise ValueError(message)
+    place = list(by).index(column)
+    known = list(dict.fromkeys(key[place] for key in groups))
+    chosen = next((one for one in known if one == value or str(one) == str(value)), None)
+    if chosen is None:
+        message = f"baseline: {column} = {value}: must be of {', '.join(map(str, known))}"
+        raise ValueError(message)
+    beside = {key: (*key[:place], chosen, *key[place + 1 :]) for key in groups}
+    if alone := [key for key in beside.values() if key not in groups]:
+        message = f"baseline: there is no {dict(zip(by, alone[0], strict=True))} to compare with"
+        raise ValueError(message)
+    return beside
+
+
+def _paired(values: Array, rows: Sequence[int], baseline: Sequence[int], samples: Sequence[tuple[Any, ...]]) -> Array:
+    """Differences to the baseline, sample by sample, where both are measured."""
+    of_baseline = {samples[row]: row for row in baseline}
+    if len(of_baseline) < len(baseline):
+        message = "baseline: several rows of one combination have the same samples: vary run.seed"
+        raise ValueError(message)
+    found = [values[row] - values[of_baseline[samples[row]]] for row in rows if samples[row] in of_baseline]
+    differences = np.array(found, dtype=np.float64)
+    return differences[np.isfinite(differences)]
