@@ -19,7 +19,7 @@ class ResearchController(Protocol):
     """What a controller in Python is: called once a tick, after the controllers of the scene.
 
     It is made for each run, with the options of `[safety.research]` as keywords, and with `axes` and `period_s` where
-    it has these. Where it also has a method `reset`, that is called when the device is taken to rest, as after a fault.
+    it has these. Where it also has a method `reset`, that is called when the layer forgets its past, after a fault.
     """
 
     def step(self, observation: ResearchObservation) -> SafetyForce:

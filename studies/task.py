@@ -210,6 +210,8 @@ class Task:
         self.operator: OperatorTable = scene.operator
         self.network, self.by_time = network, by_time
         self.strokes = 0
+        self.undrawn: tuple[str, ...] = ()
+        """What else a population has of its hands."""
         self.selection: str | None = None
         """Which share of a population does it, where some of its hands are too soft."""
         self.held = self._delayed(self._held())
@@ -234,6 +236,8 @@ class Task:
             remarks.append(f"{self.name} is run without its security.")
         if self.selection is not None:
             remarks.append(self.selection)
+        if self.undrawn:
+            remarks.append(f"{self.name} is done by hands without what else they have: {', '.join(self.undrawn)}.")
         return tuple(remarks)
 
     def _held(self) -> Scene:
@@ -288,7 +292,11 @@ class Task:
         given = (controllers or "").split(",")
         built_in = {name for name, _, _ in CONTROLLERS}
         names = ",".join(name for name in given if name in built_in)
-        research = next((name for name in given if name and name not in built_in), None)
+        in_python = [name for name in given if name and name not in built_in]
+        if len(in_python) > 1:
+            message = f"controllers = {controllers}: {' and '.join(in_python)}: at most one in Python"
+            raise ValueError(message)
+        research = in_python[0] if in_python else None
         options = self.base.safety.research
         if options is None or options.controller != research:
             options = None if research is None else ResearchTable(controller=research)
@@ -333,6 +341,7 @@ class Task:
         if bounds.population is not None:
             people = self._people(bounds.population, count, seed)
             rows |= {path: column for path, column in people.items() if path in rows}
+            self.undrawn = tuple(path for path in people if path not in rows)
         return rows
 
     def _people(self, population: str, count: int, seed: int) -> dict[str, Array]:

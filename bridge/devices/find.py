@@ -102,6 +102,15 @@ def load_controller(
     return controller
 
 
+def load_maker(group: str, name: str) -> Callable[..., Any]:
+    """What an entry point of a group names, which nobody has called.
+
+    Raises:
+        ValueError: There is none, or none that can be loaded.
+    """
+    return _maker(group, name)[1]
+
+
 def _load(
     group: str,
     name: str,
@@ -133,7 +142,7 @@ def _load(
     except (ValueError, DeviceError):
         # Of options that cannot be, in the driver's own words.
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise failure(make, error) from error
     missing = [method for method in _METHODS[group] if not callable(getattr(device, method, None))]
     if group in _PACED and not isinstance(getattr(device, "paces", None), bool):
@@ -160,8 +169,7 @@ def _maker(group: str, name: str, others: Iterable[str] = ()) -> tuple[EntryPoin
         if group == MASTERS:
             there += "; without the key it is a model"
         hint = f"did you mean {near[0]}? {there}" if near else there
-        what = "controller" if group == RESEARCH_CONTROLLERS else "driver"
-        message = f"{named} = {name}: no such {what} ({group}): {hint}"
+        message = f"{named} = {name}: no such {_what(group)} ({group}): {hint}"
         raise ValueError(message)
     if len({point.value for point in found}) > 1:
         message = f"{named} = {name}: several packages have it: {', '.join(sorted(map(_origin, found)))}"
@@ -175,9 +183,15 @@ def _maker(group: str, name: str, others: Iterable[str] = ()) -> tuple[EntryPoin
         message = f"{named} = {name}: {point.value} of {_origin(point)} cannot be loaded: {why}"
         raise ValueError(message) from error
     if not callable(make):
-        message = f"{named} = {name}: {point.value} of {_origin(point)} is no driver: must be a class or a function"
+        message = (
+            f"{named} = {name}: {point.value} of {_origin(point)} is no {_what(group)}: must be a class or a function"
+        )
         raise ValueError(message)
     return point, make
+
+
+def _what(group: str) -> str:
+    return "controller" if group == RESEARCH_CONTROLLERS else "driver"
 
 
 def _origin(point: EntryPoint) -> str:

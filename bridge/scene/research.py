@@ -1,11 +1,17 @@
 """Controllers in Python: found by their name, made for each run, timed."""
 
+import hashlib
+import inspect
+import re
+import secrets
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from msgspec import json
 
-from haptether.bridge.devices.find import RESEARCH_CONTROLLERS, device_names, load_controller
+from haptether.bridge.devices.find import RESEARCH_CONTROLLERS, device_names, load_controller, load_maker
+from haptether.bridge.devices.open import DeviceError
 from haptether.bridge.scene.errors import SceneError
 from haptether.bridge.scene.tables.session import Scene
 from haptether.safety import CONTROLLERS
@@ -17,6 +23,8 @@ if TYPE_CHECKING:
 
 MakeController: TypeAlias = "Callable[..., ResearchController]"
 _REGISTERED: dict[str, MakeController] = {}
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_BUILT_IN = ("none", *(name for name, _, _ in CONTROLLERS))
 
 
 def register_controller(name: str, make: MakeController) -> None:
@@ -31,10 +39,7 @@ def register_controller(name: str, make: MakeController) -> None:
     Raises:
         ValueError: A name of one that is built in, or nothing that can be called.
     """
-    built_in = [known for known, _, _ in CONTROLLERS]
-    if name in {*built_in, "none", ""} or any(mark in name for mark in "+,[]\"' "):
-        message = f"name = {name!r}: must be none of {', '.join(built_in)}, none, and have no blank, comma, quote or +"
-        raise ValueError(message)
+    _check_name(name)
     if not callable(make):
         message = f"make = {make!r}: must be a class or a function"
         raise ValueError(message)
@@ -43,7 +48,19 @@ def register_controller(name: str, make: MakeController) -> None:
 
 def controller_names() -> tuple[str, ...]:
     """Names of the controllers in Python that there are: of installed packages, and registered in this process."""
-    return tuple(sorted({*_REGISTERED, *device_names(RESEARCH_CONTROLLERS)}))
+    names = {*_REGISTERED, *device_names(RESEARCH_CONTROLLERS)}
+    return tuple(sorted(name for name in names if _NAME.fullmatch(name) and name not in _BUILT_IN))
+
+
+def _check_name(name: str) -> None:
+    """Refuses what means something else where controllers are named.
+
+    Raises:
+        ValueError: With what is allowed.
+    """
+    if not isinstance(name, str) or not _NAME.fullmatch(name) or name in _BUILT_IN:
+        message = f"name = {name!r}: must be none of {', '.join(_BUILT_IN)}, and of letters, digits, _, - and ."
+        raise ValueError(message)
 
 
 @dataclass
@@ -73,6 +90,7 @@ class Research:
         Raises:
             ValueError: There is none of this name, it cannot be loaded, or not with these options.
         """
+        _check_name(name)
         offered = {"axes": axes, "period_s": period_s}
         return load_controller(name, json.decode(options), offered=offered, registered=_REGISTERED)
 
@@ -94,6 +112,21 @@ def research_of(scene: Scene) -> Research | None:
     research = Research()
     try:
         research.make(table.controller, json.encode(table.options).decode(), scene.master.axes, scene.run.period_s)
+    except DeviceError as error:
+        message = f"[safety.research] controller = {table.controller}: {error}"
+        raise SceneError(message) from error
     except ValueError as error:
         raise SceneError(str(error)) from error
     return research
+
+
+def source_of(name: str) -> str:
+    """What a controller is now, a digest of its file; something else each time of one whose file is not known."""
+    make = _REGISTERED.get(name) or load_maker(RESEARCH_CONTROLLERS, name)
+    try:
+        file = inspect.getsourcefile(make)
+        content = b"" if file is None else Path(file).read_bytes()
+    except (TypeError, OSError):
+        content = b""
+    digest = hashlib.sha256(content).hexdigest() if content else secrets.token_hex()
+    return f"{getattr(make, '__module__', '')}:{getattr(make, '__qualname__', '')} {digest}"

@@ -249,13 +249,13 @@ def measured(base: Checked, varied: Mapping[str, npt.NDArray[Any]], threads: Thr
     of_row = np.array([codes.setdefault(kind, len(codes)) for kind in zip(*labels, strict=True)])
     parts: list[tuple[npt.NDArray[np.intp], dict[str, npt.NDArray[Any]]]] = []
     done = 0
-    for kind, code in codes.items():
+    for code in codes.values():
         chosen = np.flatnonzero(of_row == code)
         own = {path: column[chosen] for path, column in numbers.items()}
         # Where no number varies all rows of a combination are alike, and the seed has to be given.
         own = own or {"run.seed": np.full(len(chosen), float(base.scene.run.seed))}
         try:
-            changed = _of_kind(base, kind, {path: column[chosen[0]] for path, column in categories.items()})
+            changed = _of_kind(base, {path: column[chosen[0]] for path, column in categories.items()})
             of_these = _metrics(changed, own, replace(threads, progress=shifted(threads.progress, done)))
         except SceneError as error:
             of_these = _refused(dict.fromkeys(range(len(chosen)), str(error)))
@@ -269,17 +269,18 @@ def in_order(metrics: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[A
     return {name: metrics[name] for name in [*METRICS, *metrics] if name in metrics}
 
 
-_KINDS: dict[tuple[bytes, tuple[str, ...], tuple[str, ...]], Checked] = {}
+_KINDS: dict[tuple[bytes, bytes], Checked] = {}
 _MOST_KINDS = 256
 
 
-def _of_kind(base: Checked, kind: tuple[str, ...], values: Mapping[str, Raw]) -> Checked:
+def _of_kind(base: Checked, values: Mapping[str, Raw]) -> Checked:
     """The scene with what is no number changed; the last ones are cached, for the batches of one sweep.
 
     Raises:
         SceneError: A scene that cannot be built.
     """
-    key = (base.json, tuple(values), kind)
+    # By the scene as it was written, and not as it is resolved: a preset fills in what was left out.
+    key = (msgspec.msgpack.encode(base.scene), msgspec.msgpack.encode(dict(values)))
     if (cached := _KINDS.get(key)) is None:
         changed: Raw = cast("dict[str, Raw]", msgspec.to_builtins(base.scene))
         for path, value in values.items():

@@ -8,7 +8,7 @@ use std::{
     time::Instant,
 };
 
-use haptether_bridge::scene::{ResearchFactory, ResearchSpec};
+use haptether_bridge::scene::{Progress, ResearchFactory, ResearchSpec};
 use haptether_safety::controller::{ResearchController, ResearchObservation};
 use pyo3::{
     exceptions::{PyRuntimeError, PyValueError},
@@ -17,8 +17,12 @@ use pyo3::{
 
 use crate::arrays::{Sample, column};
 
-/// What is raised instead of what comes of a run.
-type Failure = Arc<Mutex<Option<PyErr>>>;
+/// The first exception of any controller, which is raised instead of what comes of a run or sweep, and ends it.
+#[derive(Clone, Debug)]
+struct Failure {
+    error: Arc<Mutex<Option<PyErr>>>,
+    progress: Arc<Progress>,
+}
 
 /// What the controllers of a run or a sweep have taken.
 #[derive(Debug, Default)]
@@ -32,18 +36,19 @@ struct Spent {
 pub(crate) struct PyResearch {
     factory: Py<PyAny>,
     spent: Arc<Spent>,
-    /// The first exception of any controller; from then on the device of no run is given a force.
     failure: Failure,
 }
 
 impl PyResearch {
-    pub(crate) fn new(factory: Py<PyAny>) -> Self {
-        Self { factory, spent: Arc::default(), failure: Failure::default() }
+    /// A failure ends the work of which `progress` is.
+    pub(crate) fn new(factory: Py<PyAny>, progress: &Arc<Progress>) -> Self {
+        let failure = Failure { error: Arc::default(), progress: Arc::clone(progress) };
+        Self { factory, spent: Arc::default(), failure }
     }
 
     /// The first exception of any controller; without one the factory is told what they took.
     pub(crate) fn finish(&self, py: Python<'_>) -> PyResult<()> {
-        if let Some(error) = take(&self.failure) {
+        if let Some(error) = self.failure.error.lock().unwrap_or_else(PoisonError::into_inner).take() {
             return Err(error);
         }
         let of = |count: &AtomicU64| count.load(Ordering::Relaxed);
@@ -64,7 +69,7 @@ impl PyResearch {
                 tick: 0,
                 failed: false,
                 spent: Arc::clone(&self.spent),
-                failure: Arc::clone(&self.failure),
+                failure: self.failure.clone(),
             })
         })
     }
@@ -86,7 +91,7 @@ impl ResearchFactory for PyResearch {
             }
             Err(error) => {
                 let why = format!("controller = {:?} cannot be made", spec.controller);
-                keep(&self.failure, why.clone(), error);
+                self.failure.keep(&why, error);
                 Err(why)
             }
         }
@@ -123,7 +128,8 @@ impl PyResearchController {
             let axes = safety_force.len();
             let refused = |seen: String| {
                 let values = if axes == 1 { "a number".to_owned() } else { format!("{axes} numbers") };
-                PyValueError::new_err(format!("step returned {seen}: must be F_c in N, {values}, or None"))
+                let bound = format!("finite and at most {MAX_FORCE_N} N");
+                PyValueError::new_err(format!("step returned {seen}: must be {values} ({bound}), or None"))
             };
             match given.extract::<Sample>(py) {
                 Ok(Sample::One(value)) if axes == 1 => safety_force[0] = value,
@@ -150,7 +156,7 @@ impl ResearchController for PyResearchController {
         {
             self.failed = true;
             let time_s = self.tick as f64 * self.period_s;
-            keep(&self.failure, format!("safety.research: {} failed at {time_s:.6} s", self.name), error);
+            self.failure.keep(&format!("safety.research: {} failed at {time_s:.6} s", self.name), error);
         }
         self.tick += 1;
         self.spent.ticks.fetch_add(1, Ordering::Relaxed);
@@ -163,26 +169,25 @@ impl ResearchController for PyResearchController {
         let Some(reset) = self.reset.as_ref().filter(|_| !self.failed) else { return };
         if let Err(error) = Python::attach(|py| reset.call0(py)) {
             self.failed = true;
-            keep(&self.failure, format!("safety.research: {}: its reset failed", self.name), error);
+            self.failure.keep(&format!("safety.research: {}: its reset failed", self.name), error);
         }
     }
 }
 
-/// Keeps the first failure, with what caused it.
-fn keep(failure: &Failure, what: String, cause: PyErr) {
-    let mut kept = failure.lock().unwrap_or_else(PoisonError::into_inner);
-    if kept.is_none() {
-        *kept = Some(Python::attach(|py| {
-            let name = cause.get_type(py).name().map_or_else(|_| String::new(), |name| name.to_string());
-            let raised = PyRuntimeError::new_err(format!("{what}: {name}: {}", cause.value(py)));
-            raised.set_cause(py, Some(cause));
-            raised
-        }));
+impl Failure {
+    /// Keeps the first, with what caused it.
+    fn keep(&self, what: &str, cause: PyErr) {
+        let mut kept = self.error.lock().unwrap_or_else(PoisonError::into_inner);
+        if kept.is_none() {
+            *kept = Some(Python::attach(|py| {
+                let name = cause.get_type(py).name().map_or_else(|_| String::new(), |name| name.to_string());
+                let raised = PyRuntimeError::new_err(format!("{what}: {name}: {}", cause.value(py)));
+                raised.set_cause(py, Some(cause));
+                raised
+            }));
+        }
+        self.progress.stop.store(true, Ordering::Relaxed);
     }
-}
-
-fn take(failure: &Failure) -> Option<PyErr> {
-    failure.lock().unwrap_or_else(PoisonError::into_inner).take()
 }
 
 #[pyclass(name = "ResearchObservation", module = "haptether.safety", frozen, get_all)]

@@ -3,6 +3,7 @@
 use std::{
     path::PathBuf,
     sync::{
+        Arc,
         atomic::Ordering,
         mpsc::{self, RecvTimeoutError},
     },
@@ -143,9 +144,10 @@ fn simulate_scene(
 ) -> PyResult<PySceneRun> {
     let scene = String::from_utf8_lossy(scene_json);
     let files = record.map(|(master, slave)| RecordingFiles { master, slave, scene: scene.into_owned() });
-    let research = research.map(PyResearch::new);
+    let shared = Arc::new(Progress::default());
+    let research = research.map(|factory| PyResearch::new(factory, &shared));
     let factory = research.as_ref().map(|factory| factory as &dyn ResearchFactory);
-    let done = interruptibly(py, None, |progress| {
+    let done = interruptibly(py, None, &shared, |progress| {
         attached(factory.is_some(), || simulate_recorded(scene_json, &progress.stop, files.as_ref(), factory))
     })?;
     research.as_ref().map_or(Ok(()), |factory| factory.finish(py))?;
@@ -169,10 +171,10 @@ fn simulate_scene(
     })
 }
 
-/// Does `work` with the interpreter's lock where it `calls` Python at each tick: to take it anew makes a thread's state
-/// each time, 40 us. The calls themselves let others have it.
-fn attached<T>(calls: bool, work: impl FnOnce() -> T) -> T {
-    if calls { Python::attach(|_| work()) } else { work() }
+/// Does `work` on a thread that Python knows where it `calls` Python at each tick: to make a thread's state anew for each
+/// call takes 40 us. Between the calls others have the interpreter's lock.
+fn attached<T: Send>(calls: bool, work: impl FnOnce() -> T + Send) -> T {
+    if calls { Python::attach(|py| py.detach(work)) } else { work() }
 }
 
 /// Time between two looks at signals and progress.
@@ -182,14 +184,14 @@ const LOOK_EVERY: Duration = Duration::from_millis(50);
 fn interruptibly<T: Send>(
     py: Python<'_>,
     report: Option<&Py<PyAny>>,
+    progress: &Progress,
     work: impl FnOnce(&Progress) -> T + Send,
 ) -> PyResult<T> {
-    let progress = Progress::default();
     let (finished, mut finishes) = mpsc::channel();
     thread::scope(|scope| {
         let worker = scope.spawn(|| {
             // Nobody has gone: this thread is waited for.
-            let _ = finished.send(work(&progress));
+            let _ = finished.send(work(progress));
             drop(finished);
         });
         let mut reported = 0;
@@ -208,7 +210,8 @@ fn interruptibly<T: Send>(
                     .check_signals()
                     .and_then(|()| report.map_or(Ok(()), |report| report.call1(py, (done,)).map(drop)))
                     .err();
-                progress.stop.store(interrupted.is_some(), Ordering::Relaxed);
+                // It may have been stopped by itself.
+                progress.stop.fetch_or(interrupted.is_some(), Ordering::Relaxed);
                 reported = done;
             }
         }
@@ -236,7 +239,8 @@ fn sweep_scenes(
     // Controllers in Python would wait for one another.
     let threads = if research.is_some() { 1 } else { threads };
     let settings = SweepSettings { threads, lanes };
-    let research = research.map(PyResearch::new);
+    let shared = Arc::new(Progress::default());
+    let research = research.map(|factory| PyResearch::new(factory, &shared));
     let factory = research.as_ref().map(|factory| factory as &dyn ResearchFactory);
     let (period_s, kind) = of_axes!(scene_axes(scene_json)?, N => {
         let scene = scene_spec::<N>(scene_json)?;
@@ -246,7 +250,7 @@ fn sweep_scenes(
         .iter()
         .map(|(path, values)| Variation { path: path.clone(), values: values.clone() })
         .collect();
-    let swept = interruptibly(py, progress.as_ref(), |progress| {
+    let swept = interruptibly(py, progress.as_ref(), &shared, |progress| {
         attached(factory.is_some(), || sweep(scene_json, &variations, settings, progress, factory))
     })?;
     research.as_ref().map_or(Ok(()), |factory| factory.finish(py))?;

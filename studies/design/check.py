@@ -5,6 +5,7 @@ from math import ceil, hypot, inf, sqrt
 from typing import Any
 
 from haptether.bridge import Scene
+from haptether.bridge.scene.research import research_of
 from haptether.safety import THROWN_SPEED, EjectionBound, ejection_bound
 from haptether.studies.design.contact import rendered, scene_numbers, touched
 from haptether.studies.design.delay import largest_delay_s, stable_delays
@@ -35,6 +36,7 @@ def check_scene(scene: Scene, *, speed: float | None = None, remedies: bool = Tr
         SceneError: A scene that cannot be built.
     """
     limit = _limit(scene, speed)
+    research_of(scene)  # a controller that there is not would have no force
 
     bounds: dict[str, EjectionBound] = {}
 

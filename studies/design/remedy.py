@@ -131,7 +131,8 @@ def _mended(
         if not fewer:
             break
         now = tried(fewer)
-        if not isinstance(now, bool) and not (after is not None and now is not None and is_better(after, now)):
+        as_good = not isinstance(now, bool) and (now is None or (after is not None and not is_better(after, now)))
+        if not isinstance(now, bool) and as_good:
             changes, after = fewer, now
     remedy = f"{', '.join(changes)}: {_outcome(after)}"
     if not _is_mended(after) and advice is not None:

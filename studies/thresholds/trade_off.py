@@ -198,7 +198,7 @@ def measure_thresholds(
             message = f"{name} = {list(several)}: must be one or more, each once"
             raise ValueError(message)
     bounds, overrides = bounds or HandBounds(), tuple(overrides)
-    refuse_fixed(overrides, (*FIXED, *LAWS_OWN), "is the same for every law here, or the law's own")
+    refuse_fixed(overrides, (*FIXED, *LAWS_OWN, "safety.research"), "is the same for every law here, or the law's own")
     rows: list[TradeOffRow] = []
     for name in tasks:
         for round_trip_s in round_trips_s:

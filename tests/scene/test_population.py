@@ -428,3 +428,18 @@ def test_the_population_of_the_page_can_be_drawn(tmp_path: Path) -> None:
     drawn = load_population(tmp_path / "ours.toml").draws(MANY)
     assert_moments(drawn["operator.stiffness"], *moments(law_of("quantiles:0=90:0.25=140:0.5=210:0.75=260:1=420")))
     assert_moments(drawn["operator.damping"], 9.0, 3.0)
+
+
+def test_traits_reach_into_lists_and_may_be_lognormal(tmp_path: Path) -> None:
+    path = tmp_path / "ours.toml"
+    path.write_text(
+        GOOD.replace("operator.tremor.amplitude", "operator.legs.0.duration_s").replace(
+            "law = 1e-4", 'law = "lognormal:1:0.2"'
+        )
+    )
+    population = load_population(path)
+    with_legs, without = load_scene("remote_push"), load_scene("remote_push", ["operator.legs=[]"])
+    drawn = population.draws(200, scene=with_legs)["operator.legs.0.duration_s"]
+    assert (drawn > 0.0).all()
+    assert len(set(drawn.tolist())) == 200
+    assert "operator.legs.0.duration_s" not in population.draws(2, scene=without)

@@ -1,8 +1,11 @@
 """Controllers in Python: they act as those in Rust do, what they do wrong is said, and nothing live has any."""
 
+import importlib.util
 import secrets
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +15,7 @@ import pytest
 
 from haptether.bridge import (
     LiveMaster,
+    LiveSlave,
     SceneError,
     controller_names,
     controller_time,
@@ -20,6 +24,7 @@ from haptether.bridge import (
     scene_json,
     simulate,
     sweep,
+    sweep_to_file,
 )
 from haptether.bridge.scene import research
 from haptether.safety import ResearchObservation, ejection_bound
@@ -69,6 +74,98 @@ def test_the_law_of_vfc_acts_as_vfc_does(scene: str) -> None:
         shipped.metrics.max_ejection_velocity, rel=0.0 if exact else 1e-9
     )
     assert [event.detail for event in written.events if event.kind == "trip"][:1] == ["research"]
+
+
+def test_taking_the_force_away_is_whole_while_the_authority_fades() -> None:
+    class Cancelling:
+        def step(self, seen: ResearchObservation) -> Force:
+            return -seen.rendered_force
+
+    register_controller("cancelling", Cancelling)
+    outage = 'link.backward.outages=[{times={kind="once",at_s=2.5,duration_s=0.5}}]'
+    asked = ["safety.controllers=[]", 'safety.research.controller="cancelling"', "record.every=1", outage]
+    signals = simulate("remote_push", overrides=asked).signals
+    faded = np.abs(signals.rendered_force.ravel()) > 1.0
+    assert faded[2500:2700].any()
+    np.testing.assert_array_equal(signals.device_force, 0.0)
+
+
+def test_a_failure_ends_a_sweep_at_once() -> None:
+    steps = 0
+
+    class Failing:
+        def step(self, seen: ResearchObservation) -> Force:
+            nonlocal steps
+            steps += 1
+            assert seen.time_s < 0.005
+            return None
+
+    register_controller("failing", Failing)
+    with pytest.raises(RuntimeError, match=r"failing failed at 0\.005000 s: AssertionError"):
+        sweep("remote_push", {"run.seed": list(range(50))}, overrides=['safety.research.controller="failing"'])
+    assert steps == 6
+
+
+def test_others_run_beside_it() -> None:
+    """As the one that waits for Ctrl-C does; also where no step is called any more."""
+
+    class Stopped:
+        def step(self, _: ResearchObservation) -> Force:
+            return None
+
+    register_controller("stopped", Stopped)
+    gaps, ended = [0.0], threading.Event()
+
+    def beside() -> None:
+        before = time.monotonic()
+        while not ended.wait(0.002):
+            gaps.append(time.monotonic() - before)
+            before = time.monotonic()
+
+    thread = threading.Thread(target=beside)
+    thread.start()
+    try:
+        simulate("remote_push", overrides=["run.duration_s=60", 'safety.research.controller="stopped"'])
+    finally:
+        ended.set()
+        thread.join()
+    assert len(gaps) > 10
+    assert max(gaps) < 2.0
+
+
+def test_rows_of_a_controller_that_was_changed_are_not_gone_on_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, out = tmp_path / "brakes.py", tmp_path / "rows.csv"
+
+    def defined(text: str) -> None:
+        file.write_text(text)
+        spec = importlib.util.spec_from_file_location("brakes", file)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        monkeypatch.setitem(sys.modules, "brakes", module)
+        spec.loader.exec_module(module)
+        register_controller("brake", module.Brake)
+
+    def stored(*, resume: bool) -> int:
+        def stop(done: int) -> None:
+            if done >= 64 and not resume:
+                raise KeyboardInterrupt
+
+        return sweep_to_file(
+            "paper_wall", out, {"run.seed": list(range(1, 101))}, overrides=['safety.research.controller="brake"'],
+            resume=resume, progress=stop,
+        ).rows  # fmt: skip
+
+    defined("class Brake:\n    def step(self, seen):\n        return None\n")
+    with pytest.raises(KeyboardInterrupt):
+        stored(resume=False)
+    defined("class Brake:\n    def step(self, seen):\n        return -seen.rendered_force\n")
+    with pytest.raises(ValueError, match="controllers in Python"):
+        stored(resume=True)
+    defined("class Brake:\n    def step(self, seen):\n        return None\n")
+    assert stored(resume=True) == 100
 
 
 def test_it_is_drawn(tmp_path: Path) -> None:
@@ -137,9 +234,9 @@ class Wrong:
     ("what", "said"),
     [
         ("raise", "TypeError: unsupported operand"),
-        ("many", r"step returned \[0.0, 0.0\]: must be F_c in N, a number, or None"),
-        ("text", "step returned 'much': must be F_c in N"),
-        ("nan", "step returned NaN N: must be"),
+        ("many", r"step returned \[0.0, 0.0\]: must be a number "),
+        ("text", "step returned 'much': must be a number "),
+        ("nan", "step returned NaN N: must be a number .finite and at most 10000 N., or None"),
         ("huge", "step returned 1000000000 N: must be"),
     ],
 )
@@ -167,6 +264,7 @@ def test_what_it_does_wrong_ends_the_run_with_its_cause(scene: str, what: str, s
         (['safety.research.controller="by-hand"', "safety.signals=true"], "sees what is estimated"),
         (['safety.research={controller="stepless"}'], "has no step"),
         (['safety.research={controller="refusing"}'], "limit = 3: must be below 2"),
+        (['safety.research={controller="leaving"}'], r"\[safety.research\] controller = leaving: .*SystemExit"),
     ],
 )
 def test_what_cannot_be_is_refused_before_it_runs(overrides: list[str], said: str) -> None:
@@ -178,6 +276,12 @@ def test_what_cannot_be_is_refused_before_it_runs(overrides: list[str], said: st
             raise ValueError("limit = 3: must be below 2")
 
     register_controller("stepless", Stepless)  # type: ignore[arg-type]
+
+    class Leaving:
+        def __init__(self) -> None:
+            sys.exit(0)
+
+    register_controller("leaving", Leaving)  # type: ignore[arg-type]
     register_controller("refusing", Refusing)  # type: ignore[arg-type]
     with pytest.raises(SceneError, match=said):
         simulate("paper_wall", overrides=overrides)
@@ -192,13 +296,15 @@ def test_nothing_live_and_nothing_recorded_has_one(tmp_path: Path) -> None:
     scene = load_scene("remote_push", OURS)
     with pytest.raises(ValueError, match=r"safety\.research: runs in simulated runs and sweeps only"):
         LiveMaster(scene_json(scene), peer="127.0.0.1:9", run_id=2, key=secrets.token_bytes(32))
+    with pytest.raises(ValueError, match=r"safety\.research: runs in simulated runs and sweeps only"):
+        LiveSlave(scene_json(scene), listen="127.0.0.1:0", run_id=3, key=secrets.token_bytes(32))
     with pytest.raises(SceneError, match="no Python stands between a link and a hand"):
         load_scene("remote_push", [*OURS, 'master.driver="touch"'])
     with pytest.raises(SceneError, match="what is recorded is replayed"):
         simulate(scene, record=(tmp_path / "master.mcap", tmp_path / "slave.mcap"))
 
 
-@pytest.mark.parametrize("name", ["wsc", "none", "", "a b", "a+b", 'a"b'])
+@pytest.mark.parametrize("name", ["wsc", "none", "", "a b", "a+b", 'a"b', "a\nb"])
 def test_names_that_mean_something_else_are_refused(name: str) -> None:
     with pytest.raises(ValueError, match="must be none of"):
         register_controller(name, ByHand)

@@ -73,6 +73,17 @@ def test_choices_are_strings_tables_and_booleans(path: str, values: list[Any], l
     assert label(True) == "true"  # what a column says of it
 
 
+def test_what_a_scene_leaves_to_a_preset_is_not_taken_from_another_scene() -> None:
+    """Both resolve to the same: of the second, another preset changes no mass."""
+    presets = {"master.device": ["phantom-omni"]}
+    given = ["master.device=phantom-desktop", "run.duration_s=0.4"]
+    written = [*given, "master.mass_kg=0.157"]
+    alone = [sweep("paper_wall", presets, overrides=one)["peak_device_force"].tolist() for one in (written, given)]
+    again = [sweep("paper_wall", presets, overrides=one)["peak_device_force"].tolist() for one in (given, written)]
+    assert alone == again[::-1]
+    assert alone[0] != alone[1]
+
+
 def test_a_choice_that_cannot_be_built_is_refused_with_its_reason() -> None:
     found = sweep("remote_push", {"safety.controllers": [["hsc"], ["nobody"]], "run.seed": [1, 2]})
     assert found["outcome"].tolist() == ["complete"] * 2 + ["refused"] * 2

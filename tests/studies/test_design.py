@@ -4,6 +4,7 @@ import itertools
 import json
 from typing import Any
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -26,6 +27,7 @@ from haptether.studies import (
     scene_loops,
     stable_delays,
 )
+from haptether.studies.design import remedy
 from haptether.studies.design.contact import scene_numbers, touched
 from haptether.studies.task import Task
 
@@ -503,3 +505,17 @@ def test_a_speed_that_is_none_is_refused_with_its_meaning(speed: str, capsys: py
     said = " ".join(capsys.readouterr().err.split())
     assert f"speed = {float(speed):g}: must be above 0 and finite" in said
     assert "in m/s above which a device that was let go counts as thrown" in said
+
+
+def test_a_remedy_that_mends_is_not_cut_down_to_one_that_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both changes together mend; one alone only makes it less bad."""
+    both = ("run.duration_s=1", "run.seed=7")
+    monkeypatch.setattr(remedy, "_candidates", lambda *_: iter([both]))
+    bad = Finding(name="wall", state="bad", text="", value=10.0, limit=1.0)
+
+    def judge(scene: Scene, /, *, link: bool) -> tuple[Finding, ...]:  # noqa: ARG001  # there is no link
+        changed = (scene.run.duration_s == 1.0) + (scene.run.seed == 7)
+        return () if changed == 2 else (msgspec.structs.replace(bad, value=10.0 - changed),)
+
+    (found,) = remedy.with_remedies(load_scene("paper_wall"), (bad,), judge, None)
+    assert found.changes == both

@@ -155,8 +155,11 @@ def measured_law(path: str | PathLike[str], column: str) -> SampleLaw:
 
     Source: Hyndman and Fan 1996, definition 7.
     """
+    if Path(path).exists() and not Path(path).is_file():
+        message = f"{path}: must be a file"
+        raise ValueError(message)
     try:
-        with Path(path).open(encoding="utf-8", newline="") as file:
+        with Path(path).open(encoding="utf-8-sig", newline="") as file:
             rows = csv.DictReader(file)
             if column not in (rows.fieldnames or ()):
                 message = f"{path}: has no column {column!r}: there is {', '.join(rows.fieldnames or ()) or 'none'}"

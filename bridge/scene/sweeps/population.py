@@ -174,7 +174,10 @@ def _has(scene: Scene, path: Path) -> bool:
     """Whether a scene has a field, or leaves it or its table out."""
     part: Any = scene
     for step in path:
-        part = getattr(part, str(step), None)
+        if isinstance(step, int):
+            part = part[step] if isinstance(part, tuple) and step < len(part) else None
+        else:
+            part = getattr(part, step, None)
     return part is not None
 
 
@@ -333,7 +336,8 @@ def _trait(place: str, raw: Mapping[str, Any], folder: FilePath) -> PopulationTr
     if path[0] != "operator" or field.replace("-", "_") in {"operator.stiffness", "operator.damping"}:
         raise _wrong(place, "field", field, "a number of [operator] other than stiffness and damping")
     law = _law(place, "law", raw.get("law"), folder)
-    ends = [end for end in law.support if isfinite(end)]
+    # A lognormal law never has its lower end, and above rows are refused one by one.
+    ends = [] if law.name == "lognormal" else [end for end in law.support if isfinite(end)]
     if len(ends) < 2 and law.name != "lognormal":
         raise _wrong(place, "law", raw["law"], "a law whose values have bounds")
     if outside := out_of_range(path, np.array(ends)):

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from haptether import __version__
 from haptether.bridge.scene.load import Checked
+from haptether.bridge.scene.research import source_of
 from haptether.bridge.scene.run import named_scene
 from haptether.bridge.scene.save import scene_toml
 from haptether.bridge.scene.sweep import (
@@ -135,6 +136,8 @@ def sweep_to_file(
         **design.described(),
         "specification": json.loads(base.json),
     }
+    if (sources := _controller_sources(base, design)) is not None:
+        request["controllers in Python"] = sources
     journal = Journal(path, request, resume=resume)
     try:
         resumed = journal.done
@@ -152,6 +155,17 @@ def sweep_to_file(
     finally:
         journal.close()
     return stored
+
+
+def _controller_sources(base: Checked, design: Design) -> dict[str, str] | None:
+    """What the controllers in Python of a sweep are now: rows of one that was changed meanwhile are other rows."""
+    tables = [base.scene.safety.research]
+    names = {table.controller for table in tables if table is not None}
+    for path, values in design.factors.items():
+        if path.startswith("safety.research"):
+            names |= {value["controller"] for value in values.tolist() if isinstance(value, dict)}
+            names |= {value for value in values.tolist() if isinstance(value, str)}
+    return {name: source_of(name) for name in sorted(names)} or None
 
 
 def computed(

@@ -191,6 +191,7 @@ pub fn simulated_slave<const N: usize>(
     scene: &SceneSpec<N>,
     run_id: u64,
 ) -> Result<Timed<SlaveSide<SimulatedSlave<N>, N>>, SceneError> {
+    research_controller(scene, None)?; // what its master refuses, too
     let side = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, run_id)?)
         .with_gripper(simulated_gripper(scene)?);
     Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
@@ -244,6 +245,7 @@ pub fn driven_slave<const N: usize>(
     run_id: u64,
 ) -> Result<Timed<SlaveSide<DrivenSlave<N>, N>>, SceneError> {
     let (slave, coupling) = coupled(scene)?;
+    research_controller(scene, None)?; // what its master refuses, too
     let plant = DrivenSlave::new(slave.max_acceleration.unwrap_or(DECELERATION))
         .map_err(|error| SceneError::Contradiction(format!("slave.max_acceleration: {error}")))?;
     let gripper = slave.gripper.map(LedGripper::driven).transpose()?;

@@ -50,8 +50,9 @@ impl Research {
         Self(Arc::new(Mutex::new(controller)))
     }
 
-    /// Adds its force in the share `let_through` that the intervention of the others leaves, as PC adds its own. Where it
-    /// fails, or gives a number that is no force, the device renders none.
+    /// Adds its force in the share `let_through` that the intervention of the others leaves, as PC adds its own, and what of
+    /// it does not cancel `F_v` in the share `authority`. Where it fails, or gives a number that is no force, the device
+    /// renders none.
     ///
     /// Only of one scenario: lanes have no research controller.
     pub(crate) fn add<const N: usize, S: Real>(
@@ -79,7 +80,8 @@ impl Research {
         if !could || Signal::RenderedForce.check(&force).is_err() {
             response.safety_force = -seen.rendered_force;
         } else if force.iter().any(|value| *value != 0.0) && let_through.extract(0) > 0.0 {
-            response.safety_force += force.map(S::splat) * (let_through * authority);
+            let force = with_authority(&force, &one.rendered_force, authority.extract(0));
+            response.safety_force += force.map(S::splat) * let_through;
         } else {
             return;
         }
@@ -90,4 +92,15 @@ impl Research {
     pub(crate) fn reset(&self) {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).reset();
     }
+}
+
+/// A safety force of which only what goes beyond `-F_v` needs authority: cancelling takes a force away, which has faded
+/// with the authority already.
+fn with_authority<const N: usize>(force: &Axes<N>, rendered: &Axes<N>, authority: f64) -> Axes<N> {
+    let squared = rendered.norm_squared();
+    if authority == 1.0 || squared == 0.0 {
+        return force * authority;
+    }
+    let cancelling = rendered * -(-force.dot(rendered) / squared).clamp(0.0, 1.0);
+    cancelling + (force - cancelling) * authority
 }

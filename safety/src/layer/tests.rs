@@ -395,3 +395,46 @@ fn a_research_controller_stands_behind_the_others() {
     let of = vec![layer().with_research(by_hand(vfc, None, 1.0)); 4];
     assert!(SafetyLayer::<1, simba::simd::AutoF64x4>::gather(&of).is_none());
 }
+
+/// Gives a share of `-F_v`, a push of its own and damping.
+struct Linear {
+    cancels: f64,
+    push: f64,
+    damping: f64,
+}
+
+impl ResearchController for Linear {
+    fn step(&mut self, seen: &crate::controller::ResearchObservation<'_>, safety_force: &mut [f64]) -> bool {
+        safety_force[0] =
+            -self.cancels * seen.rendered_force[0] + self.push - self.damping * seen.velocity[0];
+        true
+    }
+
+    fn reset(&mut self) {}
+}
+
+/// What cancels a force that has faded needs no authority, what pushes does: as for the controllers of the registry.
+#[test]
+fn a_research_controller_may_take_a_force_away_without_authority() {
+    let nobody = SafetySettings::default();
+    let rendered = 2.0;
+    for (cancels, push, authority, device_force) in [
+        (1.0, 0.0, 1.0, 0.0),
+        (1.0, 0.0, 0.5, 0.0),
+        (1.0, 0.0, 0.0, 0.0),
+        (0.5, 0.0, 0.25, 1.0),
+        // Beyond -F_v it pushes the other way: 1 N of it.
+        (1.5, 0.0, 0.5, -0.5),
+        (0.0, 1.0, 0.25, 2.25),
+        // 1 N of push takes part of what cancels back: what is left cancels 1 N of 2.
+        (1.0, 1.0, 0.0, 1.0),
+    ] {
+        let controller = Box::new(Linear { cancels, push, damping: 0.0 });
+        let mut layer = SafetyLayer::new(&settings(nobody)).unwrap().with_research(controller);
+        // As long as the force takes to grow.
+        let mut tick =
+            || layer.tick_with_authority(&Axes::zeros(), None, &Axes::<1>::new(rendered), authority);
+        let force = (0..20).map(|_| tick().device_force[0]).last().unwrap();
+        assert!((force - device_force).abs() < 1e-12, "{cancels} {push} {authority}: {force}");
+    }
+}

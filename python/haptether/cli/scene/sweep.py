@@ -306,7 +306,8 @@ class Sweep(PictureOptions):
         if population is not None:
             scene = load_scene(self.scene, self.set)
             hands = population.draws(self.samples, self.seed, scene=scene, points=points)
-            refuse_both(hands, [*drawn, *varied])
+            fixed = [text.partition("=")[0].strip() for text in self.set]
+            refuse_both(hands, [*drawn, *varied, *fixed])
             drawn |= hands
         if SEED not in varied:
             drawn.setdefault(SEED, np.arange(1.0, self.samples + 1.0))

@@ -22,5 +22,5 @@ def controller_timed(console: "Console") -> Iterator[None]:
         return
     line = f"controller in Python: {ticks} ticks of {1e6 * seconds / ticks:.1f} us each"
     if took_s > seconds:
-        line += f", {took_s / (took_s - seconds):.1f} times the time of a run without it"
+        line += f", {seconds / took_s:.0%} of the time"
     console.print(line)
