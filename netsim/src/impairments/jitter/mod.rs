@@ -286,7 +286,7 @@ mod tests {
         (0..200)
             .map(|index| match rule.judge(&packet(index), packet(index).sent_ns + 50_000_000) {
                 Verdict::Deliver { at_ns } => at_ns,
-                verdict => panic!("{verdict:?}"),
+                verdict @ Verdict::Drop { .. } => panic!("{verdict:?}"),
             })
             .collect()
     }
