@@ -145,12 +145,14 @@ def _mended(
 
 
 def _is_mended(after: Finding | None) -> bool:
-    return after is None or after.state not in {"bad", "warning"}
+    return after is None or after.state in {"good", "note"}
 
 
 def _outcome(after: Finding | None) -> str:
     if after is None:
         return "mends it"
+    if after.state == "not judged":
+        return "it can then not be judged"
     said = "mends it" if _is_mended(after) else "makes it better"
     return said if after.value is None else f"{said}, {_shown(after.value)} {after.unit}".rstrip()
 

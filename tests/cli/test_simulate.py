@@ -377,6 +377,15 @@ def test_what_chatters_is_reported_once() -> None:
     ]  # fmt: skip
 
 
+def test_trips_of_several_controllers_are_counted_each() -> None:
+    from haptether.bridge import Event
+    from haptether.view.figures.events import merged_events
+
+    trips = ["wsc", "research", "research", "wsc", "wsc"]
+    events = [Event(time_s=0.1 * n, kind="trip", detail=detail) for n, detail in enumerate(trips)]
+    assert merged_events(events) == [(0.0, "trip  wsc 3 times, research 2 times, until 0.4000 s")]
+
+
 def test_the_examples_in_the_help_work(
     given: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

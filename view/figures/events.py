@@ -1,5 +1,6 @@
 """What is written of events that chatter: one line for the same two over and over."""
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -34,7 +35,15 @@ def merged_events(events: Sequence[RunEvent]) -> list[tuple[float, str]]:
         times = sum(event.kind == first.kind for event in same)
         text = f"{first.kind}  {first.detail}".rstrip()
         if times > 2:
-            merged.append((first.time_s, f"{text}  {times} times, until {same[-1].time_s:.4f} s"))
+            details = Counter(event.detail for event in same if event.kind == first.kind)
+            if len(details) > 1:
+                counted = (
+                    f"{detail} {often} times" if often > 1 else f"{detail} once" for detail, often in details.items()
+                )
+                text, often_text = f"{first.kind}  {', '.join(counted)}", ""
+            else:
+                often_text = f"  {times} times"
+            merged.append((first.time_s, f"{text}{often_text}, until {same[-1].time_s:.4f} s"))
         else:
             same = same[:1] or [first]
             merged.append((first.time_s, text))
