@@ -55,7 +55,7 @@ def sweep_summary(
     Args:
         sweep: All rows; those of a combination differ in their samples, such as `run.seed`.
         quantities: Metrics, or conditions on one: "max_ejection_velocity > 0.5", "outcome = complete".
-        by: Columns of what varies, whose combinations are told apart.
+        by: Columns of what varies, whose combinations are the groups.
         baseline: A column of `by` and a value of it: each combination is compared with that which differs from it in
             this column alone, sample by sample.
         seed: Of the bootstrap, 0 or more.

@@ -46,7 +46,7 @@ impl PyResearch {
         Self { factory, spent: Arc::default(), failure }
     }
 
-    /// The first exception of any controller; without one the factory is told what they took.
+    /// The first exception of any controller; without one the factory gets what they took.
     pub(crate) fn finish(&self, py: Python<'_>) -> PyResult<()> {
         if let Some(error) = self.failure.error.lock().unwrap_or_else(PoisonError::into_inner).take() {
             return Err(error);
@@ -163,6 +163,22 @@ impl ResearchController for PyResearchController {
         let took = u64::try_from(begun.elapsed().as_nanos()).unwrap_or(u64::MAX);
         self.spent.nanoseconds.fetch_add(took, Ordering::Relaxed);
         !self.failed
+    }
+
+    fn boxed_clone(&self) -> Box<dyn ResearchController> {
+        // The object in Python is the same.
+        Python::attach(|py| {
+            Box::new(Self {
+                name: self.name.clone(),
+                step: self.step.clone_ref(py),
+                reset: self.reset.as_ref().map(|reset| reset.clone_ref(py)),
+                period_s: self.period_s,
+                tick: self.tick,
+                failed: self.failed,
+                spent: Arc::clone(&self.spent),
+                failure: self.failure.clone(),
+            })
+        })
     }
 
     fn reset(&mut self) {

@@ -81,7 +81,7 @@ impl<const N: usize> SafetyLayer<N> {
         })
     }
 
-    /// The layer before its first tick, with a controller of the caller's own behind the others; clones share it.
+    /// The layer before its first tick, with a controller of the caller's own behind the others.
     #[must_use]
     pub fn with_research(mut self, controller: Box<dyn ResearchController>) -> Self {
         self.rendered.get_or_insert_with(|| self.estimator.clone());
@@ -274,7 +274,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
     pub(crate) fn decide(&mut self, perceived: &Perceived<N, S>, authority: S) -> Advance<N, S> {
         let mut response = self.controller.respond(&perceived.seen, authority);
         if S::LANES == 1
-            && let Some(research) = &self.research
+            && let Some(research) = &mut self.research
         {
             research.add(&perceived.seen, self.controller.let_through(), authority, &mut response);
         }
@@ -374,7 +374,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         }
         self.last_rendered = Axes::zeros();
         self.controller.reset();
-        if let Some(research) = &self.research {
+        if let Some(research) = &mut self.research {
             research.reset();
         }
         self.rendering.reset();

@@ -1,6 +1,6 @@
 """What mends a finding: changes of a scene's fields that were applied and held against it again."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from math import ceil, floor, inf, isfinite, log10, sqrt
 from typing import Any, Literal, Protocol
 
@@ -171,7 +171,7 @@ def rounded_up(value: float) -> float:
     return _rounded(value, ceil)
 
 
-def _rounded(value: float, whole: Any) -> float:  # noqa: ANN401
+def _rounded(value: float, whole: Callable[[float], int]) -> float:
     digits = 1 - floor(log10(value))
     # Of 0.3 that is 0.29999999999999999 the step below is another number.
     return float(f"{whole(round(value * 10.0**digits, 9)) / 10.0**digits:.12g}")

@@ -407,10 +407,10 @@ def published_table() -> str:
         for who, figure, law, of in cells:
             read = "the publication" if of.verified else "a transcription"
             lines.append(f"| {who} | {figure} | {law_cell(law)} | {of.subjects or '-'} | {read} |")
-            told = f"{of.source}. {of.measured}. Read at {of.read_at}."
-            sources.setdefault(told, {})[figure if who == "all" else f"`{name}` {who}"] = None
+            citation = f"{of.source}. {of.measured}. Read at {of.read_at}."
+            sources.setdefault(citation, {})[figure if who == "all" else f"`{name}` {who}"] = None
         lines.append("")
-    lines += ["### Sources", "", *(f"- {', '.join(names)}: {told}" for told, names in sources.items())]
+    lines += ["### Sources", "", *(f"- {', '.join(names)}: {citation}" for citation, names in sources.items())]
     return "\n".join(lines)
 
 

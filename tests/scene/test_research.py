@@ -376,10 +376,12 @@ class Braking:
 
 def test_a_package_names_one_by_an_entry_point(tmp_path: Path) -> None:
     (tmp_path / "braking.py").write_text(CONTROLLER)
-    told = tmp_path / "braking-1.0.dist-info"
-    told.mkdir()
-    (told / "METADATA").write_text("Metadata-Version: 2.1\nName: braking\nVersion: 1.0\n")
-    (told / "entry_points.txt").write_text("[haptether.controllers]\nbrake = braking:Braking\ngone = braking:Gone\n")
+    metadata = tmp_path / "braking-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: braking\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text(
+        "[haptether.controllers]\nbrake = braking:Braking\ngone = braking:Gone\n"
+    )
     code = "import sys; sys.path.insert(0, sys.argv.pop(1)); from haptether.__main__ import main; sys.exit(main())"
     command = [sys.executable, "-c", code, str(tmp_path)]
 

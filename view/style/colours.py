@@ -20,7 +20,7 @@ UNION = "#56b4e9"
 """Of several controllers at once; which ones is told by their dashes."""
 UNION_DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 3)))
 RESEARCH = "#8c564b"
-"""Of a controller in Python, alone or with others; which others is told by the dashes."""
+"""Of a controller in Python, alone or with others, which its dashes show."""
 PAPER = "#000000"
 """Of what was read off the paper."""
 THRESHOLD = "#7f7f7f"

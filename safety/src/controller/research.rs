@@ -1,9 +1,6 @@
 //! A controller of the caller's own, for research: it sees what the others see and adds a force.
 
-use std::{
-    fmt::{self, Debug, Formatter},
-    sync::{Arc, Mutex, PoisonError},
-};
+use std::fmt::{self, Debug, Formatter};
 
 use nalgebra::SimdValue as _;
 
@@ -14,12 +11,15 @@ use crate::{Axes, Observation, Real, Signal, lanes::nowhere};
 ///
 /// It stands after those that are and is the caller's alone: it may allocate, lock and be slow, so that it belongs into
 /// simulated runs and not into a loop that a hand holds.
-pub trait ResearchController: Send {
+pub trait ResearchController: Send + Sync {
     /// One tick: writes `F_c` in N, which is zero before; returns whether it could.
     fn step(&mut self, seen: &ResearchObservation<'_>, safety_force: &mut [f64]) -> bool;
 
     /// Clears what it remembers of past ticks: the device rests.
     fn reset(&mut self);
+
+    /// Another one in the same state, for a layer that is cloned.
+    fn boxed_clone(&self) -> Box<dyn ResearchController>;
 }
 
 /// What a research controller sees of one tick, one value per axis.
@@ -35,9 +35,14 @@ pub struct ResearchObservation<'a> {
     pub aligned_rendered_force: &'a [f64],
 }
 
-/// A research controller in its place behind the others; clones of a layer share it.
-#[derive(Clone)]
-pub(crate) struct Research(Arc<Mutex<Box<dyn ResearchController>>>);
+/// A research controller in its place behind the others.
+pub(crate) struct Research(Box<dyn ResearchController>);
+
+impl Clone for Research {
+    fn clone(&self) -> Self {
+        Self(self.0.boxed_clone())
+    }
+}
 
 impl Debug for Research {
     fn fmt(&self, formatter: &mut Formatter<'_>) -> fmt::Result {
@@ -47,7 +52,7 @@ impl Debug for Research {
 
 impl Research {
     pub(crate) fn new(controller: Box<dyn ResearchController>) -> Self {
-        Self(Arc::new(Mutex::new(controller)))
+        Self(controller)
     }
 
     /// Adds its force in the share `let_through` that the intervention of the others leaves, as PC adds its own, and what of
@@ -56,7 +61,7 @@ impl Research {
     ///
     /// Only of one scenario: lanes have no research controller.
     pub(crate) fn add<const N: usize, S: Real>(
-        &self,
+        &mut self,
         seen: &Observation<N, S>,
         let_through: S,
         authority: S,
@@ -75,8 +80,7 @@ impl Research {
             grasp_force: one.grasp_force.as_slice(),
             aligned_rendered_force: one.aligned_rendered_force.as_slice(),
         };
-        let mut controller = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let could = controller.step(&observation, force.as_mut_slice());
+        let could = self.0.step(&observation, force.as_mut_slice());
         if !could || Signal::RenderedForce.check(&force).is_err() {
             response.safety_force = -seen.rendered_force;
         } else if force.iter().any(|value| *value != 0.0) && let_through.extract(0) > 0.0 {
@@ -89,8 +93,8 @@ impl Research {
         response.acts = !nowhere::<S>();
     }
 
-    pub(crate) fn reset(&self) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).reset();
+    pub(crate) fn reset(&mut self) {
+        self.0.reset();
     }
 }
 

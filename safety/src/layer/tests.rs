@@ -304,7 +304,7 @@ fn a_missed_tick_without_a_sound_position_changes_nothing() {
     assert_ne!(forces(&next(&mut layer, 0.05)), before, "a sound one is carried along");
 }
 
-/// VFC by hand (Eq. 1 and 2): what a researcher would write; it fails at a tick, where it is told one.
+/// VFC by hand (Eq. 1 and 2): what a researcher would write; it fails at a tick, where it is given one.
 struct VelocityForceByHand {
     settings: SafetySettings,
     fails_at: Option<u64>,
@@ -325,6 +325,10 @@ impl ResearchController for VelocityForceByHand {
 
     fn reset(&mut self) {
         self.tick = 0;
+    }
+
+    fn boxed_clone(&self) -> Box<dyn ResearchController> {
+        Box::new(Self { ..*self })
     }
 }
 
@@ -411,6 +415,10 @@ impl ResearchController for Linear {
     }
 
     fn reset(&mut self) {}
+
+    fn boxed_clone(&self) -> Box<dyn ResearchController> {
+        Box::new(Self { ..*self })
+    }
 }
 
 /// What cancels a force that has faded needs no authority, what pushes does: as for the controllers of the registry.
