@@ -47,6 +47,7 @@ DRIVERS = drivers.rows(LOOSE.hold_s)
 
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("measure", DRIVERS, ids=names(DRIVERS))
+@anew_after_stalls
 def test_drivers_in_python_that_fail(measure: Callable[[], Row]) -> None:
     judge(measure())
 

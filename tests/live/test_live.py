@@ -61,7 +61,12 @@ class Child:
     def engaged(self) -> None:
         """Waits until it says that it is; the test's own timeout bounds that."""
         assert self.process.stderr is not None
-        assert any(line.strip().endswith(": engaged") for line in self.process.stderr), "it ended before"
+        said: list[str] = []
+        for line in self.process.stderr:
+            if line.strip().endswith(": engaged"):
+                return
+            said.append(line)
+        pytest.fail(f"it ended before: {''.join(said)}")
 
     def end(self) -> str:
         """Waits for the end and gives what it said on standard error."""
@@ -179,7 +184,9 @@ def test_both_commands_end_cleanly_on_a_signal(key: Path, children: list[Child],
         "netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", slave.address(), "--max-error-s", "1"
     )  # fmt: skip
     children.append(netsim)
-    master = Child("master", "--key", str(key), "--peer", netsim.address(), "--controller", "wsc")
+    master = Child(
+        "master", "--key", str(key), "--peer", netsim.address(), "--controller", "wsc", "--patience-s", "30"
+    )  # fmt: skip
     children.append(master)
     master.engaged()
     time.sleep(1.0)

@@ -1,0 +1,51 @@
+"""A test of real time that failed beside others is decided alone; one that fails alone has failed."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+TESTS = """
+import pathlib
+import pytest
+pytestmark = pytest.mark.live
+
+def test_passes():
+    pass
+
+@pytest.mark.parametrize("number", range({once}))
+def test_fails_once(number):
+    seen = pathlib.Path(f"seen{{number}}")
+    first = not seen.exists()
+    seen.touch()
+    assert not first
+
+@pytest.mark.parametrize("number", range({always}))
+def test_fails_always(number):
+    assert False
+"""
+
+
+@pytest.mark.parametrize(
+    ("once", "always", "status", "said"),
+    [
+        (0, 0, 0, "1 passed in"),
+        (2, 0, 0, "2 passed alone only:"),
+        (1, 1, 1, "2 failed beside others; once more, alone:"),
+        (0, 4, 1, "4 failed, 1 passed in"),  # more than are tried anew
+    ],
+)
+def test_a_failure_counts_when_it_fails_alone(once: int, always: int, status: int, said: str, tmp_path: Path) -> None:
+    (tmp_path / "test_some.py").write_text(TESTS.format(once=once, always=always), "utf-8")
+    (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = live: of real time\n", "utf-8")
+    ended = subprocess.run(
+        [sys.executable, "-m", "tests.anew", "--most", "3", "-m", "live", "--", "--quiet"],
+        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False,
+        timeout=60,
+    )  # fmt: skip
+    assert ended.returncode == status, ended.stdout + ended.stderr
+    assert said in ended.stdout
+    assert ("once more, alone" in ended.stdout) == (0 < once + always <= 3)
