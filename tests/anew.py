@@ -1,8 +1,8 @@
 """Runs tests of real time beside each other, and those that failed once more with nothing beside them.
 
-They watch loops with a period of 1 ms as processes; a machine that its neighbours hold up for some tens of ms fails them,
-whoever is right. What fails alone as well has failed. What passes then is named at the end, so that nobody overlooks a
-test that needs it often.
+They watch loops with a period of 1 ms as processes; a machine that its neighbours hold up for some tens of ms fails
+them, whoever is right. What fails alone as well has failed. What passes then is named at the end, so that nobody
+overlooks a test that needs it often.
 """
 
 import argparse
