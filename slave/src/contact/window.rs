@@ -2,7 +2,20 @@
 
 /// A time in s as whole ns: exact below 2^53 ns (104 days), where sums of decimal seconds differ by rounding.
 pub(crate) fn whole_ns(time_s: f64) -> f64 {
-    (time_s * 1e9).round()
+    rounded(time_s * 1e9)
+}
+
+/// As [`f64::round`], which is a call where the processor is not known to have an instruction for it, and is asked at
+/// every tick: what is cut off is exact below 2^52, beyond which a number is whole.
+#[expect(clippy::cast_possible_truncation, reason = "below 2^52 where it is used")]
+fn rounded(number: f64) -> f64 {
+    const WHOLE: f64 = 4_503_599_627_370_496.0;
+    if number.abs() < WHOLE {
+        let below = number.abs() as i64 as f64;
+        (below + f64::from(u8::from(number.abs() - below >= 0.5))).copysign(number)
+    } else {
+        number
+    }
 }
 
 /// From a time on until another, in whole ns; the end is excluded, and a tick on a bound is on that bound exactly.
@@ -72,6 +85,30 @@ mod tests {
                 assert_eq!(as_quotient.collect::<Vec<_>>(), expected, "{period_ns} {begin} {lasts}");
             }
         }
+    }
+
+    #[test]
+    fn rounded_is_round() {
+        let edges = [
+            0.0,
+            0.499_999_999_999_999_94,
+            0.5,
+            0.500_000_000_000_000_1,
+            1.5,
+            2.5,
+            2f64.powi(52) - 1.5,
+            2f64.powi(52) - 0.5,
+            2f64.powi(52),
+            2f64.powi(52) + 1.0,
+            2f64.powi(63),
+            f64::MIN_POSITIVE,
+            f64::MAX,
+            f64::INFINITY,
+        ];
+        for number in edges.into_iter().flat_map(|edge| [edge, -edge]) {
+            assert_eq!(rounded(number).to_bits(), number.round().to_bits(), "{number}");
+        }
+        assert!(rounded(f64::NAN).is_nan());
     }
 
     #[test]
