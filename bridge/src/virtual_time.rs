@@ -162,7 +162,7 @@ impl<const N: usize> OneWay<N> {
         let Judgement { verdict, damage, extras } = link.judge(&packet);
         let mut forward = Arrivals { in_flight, frames, datagrams };
         if let Verdict::Deliver { at_ns } = verdict {
-            push(&mut forward, at_ns, &damage);
+            push(&mut forward, at_ns, damage);
         }
         for extra in extras {
             if extra.cause == ExtraCause::Mirror {

@@ -86,6 +86,10 @@ impl<T> InFlight<T> {
     /// The next packet that has arrived by `now_ns`, with its due time.
     #[inline]
     pub fn pop_due(&mut self, now_ns: u64) -> Option<(u64, T)> {
+        if self.overtaking.is_empty() {
+            self.in_turn.front().filter(|next| next.due_ns <= now_ns)?;
+            return self.in_turn.pop_front().map(|next| (next.due_ns, next.payload));
+        }
         if self.next_due()? > now_ns {
             return None;
         }

@@ -83,6 +83,8 @@ pub struct Link {
     /// The latest arrival without what reordering and the rules on arrival add. Where the order is kept, as through a
     /// queue that is served in turn, no packet arrives earlier.
     latest_in_turn_ns: u64,
+    /// How the bytes of the latest packet change, and what arrives beside it, where there are rules on arrival.
+    damage: Damage,
     extras: Extras,
 }
 
@@ -95,6 +97,7 @@ impl Link {
             counters: LinkCounters::default(),
             latest_due_ns: 0,
             latest_in_turn_ns: 0,
+            damage: Damage::NONE,
             extras: Extras::new(),
         })
     }
@@ -120,14 +123,16 @@ impl Link {
     #[inline]
     pub fn judge(&mut self, packet: &Packet) -> Judgement<'_> {
         debug_assert_eq!(packet.direction, self.rules.direction, "packet on the wrong link");
-        let mut damage = Damage::NONE;
-        self.extras.clear();
-        let verdict = self.pass(packet, &mut damage);
-        self.count(verdict);
-        Judgement { verdict, damage, extras: &self.extras }
+        let verdict = self.travel(packet);
+        if !self.rules.on_arrival.is_empty() {
+            return self.arrive(packet, verdict);
+        }
+        self.count(verdict, 0);
+        Judgement { verdict, damage: &Damage::NONE, extras: &[] }
     }
 
-    fn pass(&mut self, packet: &Packet, damage: &mut Damage) -> Verdict {
+    /// What becomes of a packet up to its arrival.
+    fn travel(&mut self, packet: &Packet) -> Verdict {
         let mut at_ns = packet.sent_ns;
         for rule in &mut self.rules.path {
             match rule.judge(packet, at_ns) {
@@ -139,25 +144,28 @@ impl Link {
         if self.rules.keeps_order {
             at_ns = self.latest_in_turn_ns;
         }
-        if let Some(reorder) = &mut self.rules.reorder {
-            match reorder.judge(packet, at_ns) {
-                Verdict::Deliver { at_ns: later } => at_ns = later,
-                drop @ Verdict::Drop { .. } => return drop,
-            }
+        match &mut self.rules.reorder {
+            Some(reorder) => reorder.judge(packet, at_ns),
+            None => Verdict::Deliver { at_ns },
         }
-        for rule in &mut self.rules.on_arrival {
-            match rule.end(packet, at_ns, damage, &mut self.extras) {
-                Verdict::Deliver { at_ns: later } => at_ns = later,
-                drop @ Verdict::Drop { .. } => return drop,
-            }
-        }
-        Verdict::Deliver { at_ns }
     }
 
-    fn count(&mut self, verdict: Verdict) {
+    /// What becomes of it on arrival.
+    fn arrive(&mut self, packet: &Packet, mut verdict: Verdict) -> Judgement<'_> {
+        self.damage = Damage::NONE;
+        self.extras.clear();
+        for rule in &mut self.rules.on_arrival {
+            let Verdict::Deliver { at_ns } = verdict else { break };
+            verdict = rule.end(packet, at_ns, &mut self.damage, &mut self.extras);
+        }
+        self.count(verdict, self.extras.len());
+        Judgement { verdict, damage: &self.damage, extras: &self.extras }
+    }
+
+    fn count(&mut self, verdict: Verdict, extras: usize) {
         let counters = &mut self.counters;
         counters.sent += 1;
-        counters.extras += self.extras.len() as u64;
+        counters.extras += extras as u64;
         match verdict {
             Verdict::Drop { .. } => counters.dropped += 1,
             Verdict::Deliver { at_ns } => {

@@ -47,6 +47,18 @@ impl Stream {
         self.pair(index)[0]
     }
 
+    /// The [`bits`](Self::bits) of the packets from `first` on, a multiple of their number.
+    #[inline(never)]
+    fn side_by_side(&self, first: u64) -> [u64; LANES] {
+        let ([i0, i1], [s0, s1]) = (split(first), split(self.id).map(u64::from));
+        let mut bits = [0; LANES];
+        for (lane, bits) in (0..).zip(&mut bits) {
+            let [a, b, ..] = rounds([u64::from(i0) + lane, u64::from(i1), s0, s1], split(self.seed));
+            *bits = u64::from(low(a)) | (b << 32);
+        }
+        bits
+    }
+
     /// Twice 64 uniform bits for packet or bin `index`; the first are those of [`bits`](Self::bits).
     pub(crate) fn pair(&self, index: u64) -> [u64; 2] {
         let [a, b, c, d] = draw(self.seed, self.id, index);
@@ -160,21 +172,22 @@ pub(crate) fn draw(seed: u64, stream: u64, index: u64) -> [u32; 4] {
 }
 
 fn philox4x32(counter: [u32; 4], key: [u32; 2]) -> [u32; 4] {
-    philox4x32_lanes(counter.map(|word| [word]), key).map(|[word]| word)
+    rounds(counter.map(u64::from), key).map(low)
 }
 
-/// L draws with one key, side by side: none waits for the products of another.
+/// All rounds on words of 32 bits, each the lower half of a word of 64 whose upper half means nothing, before and after:
+/// so the processor's wide multiplications take them as they are, and a loop over draws is one over its vectors.
 #[inline(always)]
-fn philox4x32_lanes<const L: usize>(counters: [[u32; L]; 4], key: [u32; 2]) -> [[u32; L]; 4] {
-    let [mut c0, mut c1, mut c2, mut c3] = counters;
-    let [mut k0, mut k1] = key;
+fn rounds([mut c0, mut c1, mut c2, mut c3]: [u64; 4], [mut k0, mut k1]: [u32; 2]) -> [u64; 4] {
     for _ in 0..ROUNDS {
-        for lane in 0..L {
-            let [low0, high0] = split(u64::from(MULTIPLIER[0]) * u64::from(c0[lane]));
-            let [low1, high1] = split(u64::from(MULTIPLIER[1]) * u64::from(c2[lane]));
-            [c0[lane], c1[lane], c2[lane], c3[lane]] =
-                [high1 ^ c1[lane] ^ k0, low1, high0 ^ c3[lane] ^ k1, low0];
-        }
+        let products =
+            [u64::from(MULTIPLIER[0]) * u64::from(low(c0)), u64::from(MULTIPLIER[1]) * u64::from(low(c2))];
+        [c0, c1, c2, c3] = [
+            (products[1] >> 32) ^ c1 ^ u64::from(k0),
+            products[1],
+            (products[0] >> 32) ^ c3 ^ u64::from(k1),
+            products[0],
+        ];
         k0 = k0.wrapping_add(WEYL[0]);
         k1 = k1.wrapping_add(WEYL[1]);
     }
@@ -182,7 +195,7 @@ fn philox4x32_lanes<const L: usize>(counters: [[u32; L]; 4], key: [u32; 2]) -> [
 }
 
 /// Draws that are made at once.
-const LANES: usize = 4;
+const LANES: usize = 16;
 
 /// The draws of packets that mostly come one after the other, [`LANES`] at a time, which takes little longer than one:
 /// each is that of [`Stream::bits`].
@@ -206,22 +219,20 @@ impl InTurn {
         let block = index / WIDTH;
         if self.block != Some(block) {
             self.block = Some(block);
-            let Stream { seed, id } = self.stream;
-            let indices: [[u32; 2]; LANES] = std::array::from_fn(|lane| split(block * WIDTH + lane as u64));
-            let [s0, s1] = split(id);
-            let counters =
-                [indices.map(|[low, _]| low), indices.map(|[_, high]| high), [s0; LANES], [s1; LANES]];
-            let [a, b, ..] = philox4x32_lanes(counters, split(seed));
-            self.bits = std::array::from_fn(|lane| join(a[lane], b[lane]));
+            self.bits = self.stream.side_by_side(block * WIDTH);
         }
         self.bits[usize::try_from(index % WIDTH).unwrap_or(0)]
     }
 }
 
 /// Low word, high word.
-#[expect(clippy::cast_possible_truncation, reason = "takes the word apart")]
 fn split(word: u64) -> [u32; 2] {
-    [word as u32, (word >> 32) as u32]
+    [low(word), low(word >> 32)]
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "takes the word apart")]
+fn low(word: u64) -> u32 {
+    word as u32
 }
 
 fn join(low: u32, high: u32) -> u64 {

@@ -137,7 +137,7 @@ pub struct Judgement<'a> {
     /// What becomes of the packet itself.
     pub verdict: Verdict,
     /// How its bytes change in transit.
-    pub damage: Damage,
+    pub damage: &'a Damage,
     /// What arrives beside it; a packet that somebody took may leave copies behind.
     pub extras: &'a [Extra],
 }

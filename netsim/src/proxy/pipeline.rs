@@ -120,7 +120,7 @@ impl DirectionPipeline {
             size: packet.size,
         };
         let verdict = match judgement.verdict {
-            Verdict::Deliver { at_ns } => match enqueue(at_ns, &judgement.damage, about) {
+            Verdict::Deliver { at_ns } => match enqueue(at_ns, judgement.damage, about) {
                 Ok(()) => judgement.verdict,
                 Err(cause) => Verdict::Drop { cause },
             },

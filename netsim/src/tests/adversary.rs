@@ -33,7 +33,7 @@ fn outcome(settings: &LinkSettings) -> (Option<Vec<u8>>, Vec<Beside>) {
     let itself = match judgement.verdict {
         Verdict::Deliver { at_ns } => {
             assert_eq!(at_ns, SENT_NS + 10_000_000);
-            Some(changed(judgement.damage))
+            Some(changed(*judgement.damage))
         }
         Verdict::Drop { cause } => {
             assert_eq!(cause, DropCause::Attack);

@@ -9,7 +9,7 @@ fn packet(index: u64, size: usize) -> Packet {
 
 fn judged(link: &mut Link, packet: &Packet) -> (Verdict, Damage, Vec<Extra>) {
     let judgement = link.judge(packet);
-    (judgement.verdict, judgement.damage, judgement.extras.to_vec())
+    (judgement.verdict, *judgement.damage, judgement.extras.to_vec())
 }
 
 fn check_binomial(count: u64, probability: f64) {

@@ -183,7 +183,7 @@ fn a_duplicate_leaves_every_verdict_as_it_was() {
         let packet = Packet { direction: Direction::Forward, sent_ns: index * 1_000_000, size: 64, index };
         let [one, other] = links.each_mut().map(|link| {
             let judgement = link.judge(&packet);
-            (judgement.verdict, judgement.damage)
+            (judgement.verdict, *judgement.damage)
         });
         assert_eq!(one, other, "packet {index}");
     }

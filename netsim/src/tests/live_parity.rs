@@ -139,7 +139,7 @@ fn expected(
             assert_eq!((number(2) - at_ns, line[3]), (number(4), ""), "out, never early");
         };
         if let Verdict::Deliver { at_ns } = judgement.verdict {
-            arrive(at_ns, &judgement.damage, "");
+            arrive(at_ns, judgement.damage, "");
         }
         for extra in judgement.extras {
             arrive(extra.at_ns, &extra.damage, extra.cause.name());

@@ -8,7 +8,7 @@ mod path;
 use std::{cell::RefCell, sync::Arc};
 
 use cells::Cells;
-use path::{Path, Place, Traversal};
+use path::{Path, Place};
 
 use crate::checks::{LinkSettingsError, MAX_DELAY_S, nanoseconds, within};
 use crate::impairments::Distribution;
@@ -116,12 +116,19 @@ fn shifted(at_ns: u64, delay_ns: u64, mean_ns: u64, sent_ns: u64) -> u64 {
     at_ns.saturating_add(delay_ns).saturating_sub(mean_ns).max(sent_ns)
 }
 
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "never negative; saturates")]
+/// As `round`, which is a call where the processor is not known to have an instruction for it.
+#[inline]
 fn whole(ns: f64) -> u64 {
-    // As `round`, which is a call where the processor is not known to have an instruction for it: what is cut off is
-    // exact.
-    let below = ns as u64;
-    below.saturating_add(u64::from(ns - below as f64 >= 0.5))
+    /// From here on up to its double, numbers are whole, and count with their bits.
+    const WHOLES: f64 = 4_503_599_627_370_496.0;
+    if (0.0..WHOLES).contains(&ns) {
+        // The sum is rounded to the nearest, and a half to an even one.
+        let nearest = ns + WHOLES;
+        return (nearest.to_bits() - WHOLES.to_bits()) + u64::from(ns - (nearest - WHOLES) >= 0.5);
+    }
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "never negative; saturates")]
+    let whole = ns as u64;
+    whole
 }
 
 /// A delay drawn for each packet by itself.
@@ -152,10 +159,11 @@ const BIN_TAUS: f64 = 16.0;
 struct Wander {
     path: Arc<Path>,
     mean_ns: u64,
-    runs: Stream,
+    lengths: Stream,
     beginnings: Stream,
     bin_ns: u64,
-    run: Option<Run>,
+    /// The run of the latest packet and the one after it: nothing then waits for what a run's draw decides.
+    runs: Option<[Run; 2]>,
     latest_ns: u64,
 }
 
@@ -172,27 +180,42 @@ struct Run {
 impl Wander {
     fn new(path: Arc<Path>, mean_ns: u64, stream: Stream) -> Self {
         let bin_ns = whole(BIN_TAUS * path.tau_ns);
-        Self { path, mean_ns, runs: stream, beginnings: stream.nth(1), bin_ns, run: None, latest_ns: 0 }
+        Self { path, mean_ns, lengths: stream, beginnings: stream.nth(1), bin_ns, runs: None, latest_ns: 0 }
     }
 
     /// The run of a time that is not before that of an earlier call.
+    #[inline]
     fn run_at(&mut self, time_ns: u64) -> Run {
-        // The run of the packet before it may not have ended.
-        if let Some(run) = &self.run
-            && time_ns < run.end_ns
-        {
-            return *run;
+        match &self.runs {
+            // The run of the packet before it has not ended.
+            Some([run, _]) if time_ns < run.end_ns => *run,
+            _ => {
+                let runs = self.later_runs(time_ns);
+                self.runs.insert(runs)[0]
+            }
         }
-        let bin = time_ns / self.bin_ns;
-        let mut run = match self.run {
-            Some(run) if bin <= run.end_ns / self.bin_ns + 1 => run,
-            _ => self.anew(bin * self.bin_ns),
+    }
+
+    /// The same where that one has.
+    #[inline(never)]
+    fn later_runs(&self, time_ns: u64) -> [Run; 2] {
+        let [mut run, mut next] = match self.runs {
+            Some(runs) if !self.forgets(runs[0].end_ns, time_ns) => runs,
+            _ => {
+                let first = self.anew(time_ns / self.bin_ns * self.bin_ns);
+                [first, self.next(&first)]
+            }
         };
         while run.end_ns <= time_ns && run.end_ns < u64::MAX {
-            run = self.next(run);
+            run = next;
+            next = self.next(&run);
         }
-        self.run = Some(run);
-        run
+        [run, next]
+    }
+
+    /// Whether a whole bin lies between those of two times.
+    fn forgets(&self, from_ns: u64, to_ns: u64) -> bool {
+        to_ns - from_ns > self.bin_ns && to_ns / self.bin_ns > from_ns / self.bin_ns + 1
     }
 
     /// The first run after a silence, from a place of the law.
@@ -200,38 +223,31 @@ impl Wander {
         let [place, direction] = self.beginnings.pair(begin_ns / self.bin_ns);
         let (cell, part) = Cells::place(gaussian::quantile(unit(place)));
         let rises = direction & 1 == 1;
-        let up = self.path.up.within(cell, part);
-        let from = if rises { up } else { self.path.up.mirrored(up) };
+        let up = self.path.traversal(true).within(cell, part);
+        let from = if rises { up } else { self.path.traversal(true).mirrored(up) };
         self.begin(rises, begin_ns, from)
     }
 
-    fn next(&self, run: Run) -> Run {
-        self.begin(!run.rises, run.end_ns, self.traversal(run.rises).mirrored(run.to))
+    fn next(&self, run: &Run) -> Run {
+        self.begin(!run.rises, run.end_ns, self.path.traversal(run.rises).mirrored(run.to))
     }
 
     fn begin(&self, rises: bool, begin_ns: u64, from: Place) -> Run {
-        let traversal = self.traversal(rises);
-        let to = traversal.switch(from, -libm::log(self.runs.unit(begin_ns)));
+        let traversal = self.path.traversal(rises);
+        let to = traversal.switch(from, -libm::log(self.lengths.unit(begin_ns)));
         // Time is whole: the run stops short of its end by less than 1 ns.
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            reason = "never negative; saturates"
-        )]
-        let length_ns = ((to.y_ns - from.y_ns) as u64).max(1);
+        #[expect(clippy::cast_possible_truncation, reason = "saturates")]
+        let length_ns = ((to.y_ns - from.y_ns) as i64).max(1);
         let y_ns = from.y_ns + length_ns as f64;
-        let to = Place { y_ns: y_ns.min(traversal.end_ns()), cell: traversal.cell(y_ns, from.cell, to.cell) };
-        Run { rises, begin_ns, end_ns: begin_ns.saturating_add(length_ns), from, to }
-    }
-
-    fn traversal(&self, rises: bool) -> &Traversal {
-        if rises { &self.path.up } else { &self.path.down }
+        let cell = traversal.cell_before(y_ns, from.cell, to.cell);
+        let to = Place { y_ns: y_ns.min(traversal.end_ns()), cell };
+        Run { rises, begin_ns, end_ns: begin_ns.saturating_add(length_ns.cast_unsigned()), from, to }
     }
 
     fn delay_ns(&mut self, time_ns: u64) -> u64 {
         let run = self.run_at(time_ns);
-        let traversal = self.traversal(run.rises);
-        let y_ns = run.from.y_ns + (time_ns - run.begin_ns) as f64;
+        let traversal = self.path.traversal(run.rises);
+        let y_ns = run.from.y_ns + (time_ns - run.begin_ns).cast_signed() as f64;
         let cell = traversal.cell(y_ns, run.from.cell, run.to.cell);
         whole(traversal.delay_ns(Place { y_ns, cell }))
     }

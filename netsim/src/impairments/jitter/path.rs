@@ -34,14 +34,11 @@ const MIN_TAU_NS: f64 = 20_000.0;
 const MIN_SWITCHES: f64 = 12.0;
 const MAX_SWITCHES: f64 = 50.0;
 
-/// Cells that a run often passes.
-const NEAR: usize = 16;
-
 /// The traversals up and down through the cells, and the memory of the path.
 #[derive(Debug)]
 pub(super) struct Path {
-    pub(super) up: Traversal,
-    pub(super) down: Traversal,
+    /// Down and up.
+    traversals: [Traversal; 2],
     /// Correlation time of z.
     pub(super) tau_ns: f64,
 }
@@ -83,7 +80,13 @@ impl Path {
         }
         let up = Traversal::through(cells.iter().copied());
         let down = Traversal::through(cells.iter().rev().copied().map(Cell::reversed));
-        Self { up, down, tau_ns }
+        Self { traversals: [down, up], tau_ns }
+    }
+
+    /// Through the cells the one way or the other.
+    #[inline]
+    pub(super) fn traversal(&self, rises: bool) -> &Traversal {
+        &self.traversals[usize::from(rises)]
     }
 }
 
@@ -103,17 +106,26 @@ impl Cell {
     }
 }
 
+/// Where a cell begins on a traversal.
+#[derive(Clone, Copy, Debug)]
+struct Border {
+    /// In ns of travel.
+    start_ns: f64,
+    /// Delay in ns there.
+    delay_ns: f64,
+    /// Switching rate summed up to just after it.
+    hazard: f64,
+    /// Switching rate in the cell, per ns.
+    switching_rate: f64,
+}
+
 /// The cells in the order in which one direction meets them.
 #[derive(Debug)]
 pub(super) struct Traversal {
-    /// Where each cell begins, in ns of travel, and last where the traversal ends.
-    starts_ns: Box<[f64]>,
-    /// Delay in ns there.
-    delays_ns: Box<[f64]>,
-    /// Switching rate summed up to just after each of these places.
-    hazard: Box<[f64]>,
-    /// Switching rate in each cell, per ns.
-    switching_rate: Box<[f64]>,
+    /// Of each cell, and last where the traversal ends.
+    borders: Box<[Border]>,
+    by_start: Bins,
+    by_hazard: Bins,
 }
 
 /// A place on a traversal, and the cell in which it lies.
@@ -126,30 +138,28 @@ pub(super) struct Place {
 impl Traversal {
     fn through(cells: impl Iterator<Item = Cell>) -> Self {
         let cells: Vec<Cell> = cells.collect();
-        let (mut start, mut sum) = (0.0, 0.0);
-        let (mut starts_ns, mut hazard, mut density) = (Vec::new(), Vec::new(), 0.0);
+        let (mut start_ns, mut hazard, mut density) = (0.0, 0.0, 0.0);
+        let mut delay_ns = cells.first().map_or(0.0, |cell| cell.from_ns);
+        let mut borders = Vec::with_capacity(COUNT + 1);
         for cell in &cells {
             // Into a thinner cell a run goes on with the probability of the quotient of their densities.
-            sum += libm::log(density / cell.density).max(0.0);
+            hazard += libm::log(density / cell.density).max(0.0);
             density = cell.density;
-            starts_ns.push(start);
-            hazard.push(sum);
-            start += cell.length_ns;
-            sum += cell.switching_rate * cell.length_ns;
+            borders.push(Border { start_ns, delay_ns, hazard, switching_rate: cell.switching_rate });
+            start_ns += cell.length_ns;
+            delay_ns = cell.to_ns;
+            hazard += cell.switching_rate * cell.length_ns;
         }
-        starts_ns.push(start);
-        let ends = cells.first().map(|cell| cell.from_ns).into_iter();
-        Self {
-            starts_ns: starts_ns.into(),
-            delays_ns: ends.chain(cells.iter().map(|cell| cell.to_ns)).collect(),
-            hazard: hazard.into(),
-            switching_rate: cells.iter().map(|cell| cell.switching_rate).collect(),
-        }
+        borders.push(Border { start_ns, delay_ns, hazard: f64::INFINITY, switching_rate: 0.0 });
+        let begins = |value: fn(&Border) -> f64| std::array::from_fn(|cell| value(&borders[cell]));
+        let by_start = Bins::of(&begins(|border| border.start_ns), start_ns);
+        let by_hazard = Bins::of(&begins(|border| border.hazard), hazard);
+        Self { borders: borders.into(), by_start, by_hazard }
     }
 
     /// The place a part into a cell.
     pub(super) fn within(&self, cell: usize, part: f64) -> Place {
-        let [start, end] = [self.starts_ns[cell], self.starts_ns[cell + 1]];
+        let [start, end] = [self.borders[cell].start_ns, self.borders[cell + 1].start_ns];
         Place { y_ns: start + (end - start) * part, cell }
     }
 
@@ -160,37 +170,139 @@ impl Traversal {
 
     /// Where a run from `from` ends whose summed rate reaches `exponential`.
     pub(super) fn switch(&self, from: Place, exponential: f64) -> Place {
-        let passed = self.switching_rate[from.cell] * (from.y_ns - self.starts_ns[from.cell]);
-        let target = self.hazard[from.cell] + passed + exponential;
-        // Most runs are short: look near first.
-        let mut end = (from.cell + NEAR).min(COUNT);
-        while end < COUNT && self.hazard[end] <= target {
-            end = (end + 4 * NEAR).min(COUNT);
-        }
-        let beyond = self.hazard[from.cell..end].partition_point(|&hazard| hazard <= target);
-        let cell = from.cell + beyond.max(1) - 1;
-        let end_ns = self.starts_ns[cell + 1];
-        let rate = self.switching_rate[cell];
+        let first = &self.borders[from.cell];
+        let passed = first.switching_rate * (from.y_ns - first.start_ns);
+        let target = first.hazard + passed + exponential;
+        let near = self.by_hazard.near(target).max(from.cell);
+        let cell = self.last(near, from.cell, COUNT - 1, |border| border.hazard <= target);
+        let [Border { start_ns, hazard, switching_rate: rate, .. }, Border { start_ns: end_ns, .. }] =
+            [self.borders[cell], self.borders[cell + 1]];
         // At the end of the cell the sum jumps.
-        let rest = target - self.hazard[cell];
-        let y_ns = if rate > 0.0 { (self.starts_ns[cell] + rest / rate).min(end_ns) } else { end_ns };
+        let rest = target - hazard;
+        let y_ns = if rate > 0.0 { (start_ns + rest / rate).min(end_ns) } else { end_ns };
         Place { y_ns, cell }
     }
 
     /// Where the traversal ends.
     pub(super) fn end_ns(&self) -> f64 {
-        self.starts_ns[COUNT]
+        self.borders[COUNT].start_ns
     }
 
     /// The cell of a place between two others.
+    #[inline]
     pub(super) fn cell(&self, y_ns: f64, first: usize, last: usize) -> usize {
-        first + self.starts_ns[first + 1..=last].partition_point(|&start| start <= y_ns)
+        let near = self.by_start.near(y_ns).clamp(first, last);
+        let [border, next] = [&self.borders[near], &self.borders[near + 1]];
+        if (border.start_ns..next.start_ns).contains(&y_ns) {
+            return near;
+        }
+        self.last(near, first, last, |border| border.start_ns <= y_ns)
+    }
+
+    /// The same of a place less than a ns before the last, or beyond it.
+    pub(super) fn cell_before(&self, y_ns: f64, first: usize, last: usize) -> usize {
+        self.last(last, first, last, |border| border.start_ns <= y_ns)
+    }
+
+    /// The last cell from `first` to `last` whose border something holds for, which does up to some border; `first` if
+    /// there is none. It is looked for from `near` on.
+    fn last(&self, near: usize, first: usize, last: usize, holds: impl Fn(&Border) -> bool) -> usize {
+        let mut cell = near;
+        while cell > first && !holds(&self.borders[cell]) {
+            cell -= 1;
+        }
+        while cell < last && holds(&self.borders[cell + 1]) {
+            cell += 1;
+        }
+        cell
     }
 
     /// The delay in ns at a place.
     pub(super) fn delay_ns(&self, Place { y_ns, cell }: Place) -> f64 {
-        let [start, end] = [self.starts_ns[cell], self.starts_ns[cell + 1]];
-        let [a, b] = [self.delays_ns[cell], self.delays_ns[cell + 1]];
+        let [Border { start_ns: start, delay_ns: a, .. }, Border { start_ns: end, delay_ns: b, .. }] =
+            [self.borders[cell], self.borders[cell + 1]];
         a + (b - a) * ((y_ns - start) / (end - start)).clamp(0.0, 1.0)
+    }
+}
+
+/// About which of the cells has a value, by bins of equal width: of cells of equal width it is the one.
+#[derive(Debug)]
+struct Bins {
+    per_unit: f64,
+    /// The cell of the middle of each bin.
+    cells: Box<[u16; COUNT]>,
+}
+
+impl Bins {
+    /// Of the values at which cells begin, which do not fall, from 0 to `end`.
+    fn of(begins: &[f64; COUNT], end: f64) -> Self {
+        let width = end / COUNT as f64;
+        let mut cells = Box::new([0; COUNT]);
+        for (bin, cell) in cells.iter_mut().enumerate() {
+            let middle = (bin as f64 + 0.5) * width;
+            let beyond = begins.partition_point(|&begin| begin <= middle);
+            *cell = u16::try_from(beyond.saturating_sub(1)).unwrap_or(0);
+        }
+        Self { per_unit: 1.0 / width, cells }
+    }
+
+    #[inline]
+    fn near(&self, value: f64) -> usize {
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "what is outside saturates"
+        )]
+        let bin = (value * self.per_unit) as u32 as usize;
+        usize::from(self.cells[bin.min(COUNT - 1)])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::impairments::law::DelayLaw;
+    use crate::{Distribution, LinkSettings};
+
+    /// Places and switches are those that a search through all cells finds, of cells of equal width and of others.
+    #[test]
+    fn a_cell_is_found_as_by_bisection() {
+        for (distribution, distribution_shape) in [
+            (Distribution::Normal, None),
+            (Distribution::Uniform, None),
+            (Distribution::Lognormal, None),
+            (Distribution::Pareto, Some(2.5)),
+        ] {
+            let base = LinkSettings { delay_s: 0.05, jitter_s: 0.02, ..LinkSettings::default() };
+            let settings = LinkSettings { distribution, distribution_shape, ..base };
+            let cells = Cells::of(&DelayLaw::new(&settings).unwrap());
+            for (keep_order, rises) in [(true, true), (true, false), (false, true)] {
+                let path = Path::new(&cells, 0.1, settings.jitter_s, keep_order);
+                let traversal = path.traversal(rises);
+                for step in 0..=4 * COUNT {
+                    for first in [0, step / 5, COUNT / 2 - 1] {
+                        let last = (first + step % 70).min(COUNT - 1);
+                        check(traversal, step, first, last);
+                    }
+                }
+            }
+        }
+    }
+
+    fn check(traversal: &Traversal, step: usize, first: usize, last: usize) {
+        let borders = &traversal.borders;
+        let begin = borders[step / 4].start_ns;
+        let inside = begin + 0.25 * (step % 4) as f64 * (borders[(step / 4 + 1).min(COUNT)].start_ns - begin);
+        for y_ns in [inside, inside.next_down().max(0.0)] {
+            let found = first + borders[first + 1..=last].partition_point(|border| border.start_ns <= y_ns);
+            assert_eq!(traversal.cell(y_ns, first, last), found, "{y_ns} from {first} to {last}");
+            assert_eq!(traversal.cell_before(y_ns, first, last), found);
+        }
+        let from = traversal.within(first, 0.25 * (step % 4) as f64);
+        let exponential = 1e-3 * (step % 97 * step % 89) as f64;
+        let passed = borders[first].switching_rate * (from.y_ns - borders[first].start_ns);
+        let target = borders[first].hazard + passed + exponential;
+        let beyond = borders[first..COUNT].partition_point(|border| border.hazard <= target);
+        assert_eq!(traversal.switch(from, exponential).cell, first + beyond.max(1) - 1, "{exponential}");
     }
 }
