@@ -1,5 +1,6 @@
 //! A simulated master: device and hand, advanced exactly under the force held since the last write.
 
+mod bend;
 mod events;
 mod one_step;
 #[cfg(test)]

@@ -1,12 +1,12 @@
 //! A whole tick of device and hand in one step: the linear map of [`Propagator`], where bounds on the motion say that no
 //! event falls into the tick.
 
-use super::{STOPPED, SimulatedMaster, across, add};
+use super::{STOPPED, SimulatedMaster, across, add, bend::MAX_CHANGE};
 use crate::{Axes, propagator::Propagator};
 
 impl<const N: usize> SimulatedMaster<N> {
     /// Moves over a tick of `duration` in one step, if bounds on the motion say that no event falls into it and all
-    /// laws are linear; else leaves everything as it is. A bound too many costs time, none costs accuracy.
+    /// laws are linear, or but for the direction of friction; else leaves everything as it is. A bound too many costs time, none costs accuracy.
     #[inline]
     pub(super) fn propagates(&mut self, duration: f64, past_ns: u64) -> bool {
         #[cfg(test)]
@@ -58,11 +58,21 @@ impl<const N: usize> SimulatedMaster<N> {
         let inverse_mass = Axes::<N>::from_fn(|axis, _| self.propagator.axes[axis].inverse_mass);
         let acceleration =
             (push - friction - self.device.viscous.component_mul(&v)).component_mul(&inverse_mass);
-        if let Some(speed) = along
-            && !self.goes_straight(&acceleration, speed, shakes, duration)
-        {
-            return false;
+        let mut bent = None;
+        if let Some(speed) = along {
+            match self.bend(&acceleration, speed, shakes, duration) {
+                Some(Bend::Straight) => {}
+                Some(Bend::Bends) => {
+                    bent = self.bent(&acceleration, speed, moves, trembles);
+                    if bent.is_none() {
+                        return false;
+                    }
+                }
+                None => return false,
+            }
         }
+        // However friction turns, it changes by no more than twice itself.
+        let turns = if bent.is_some() { 2.0 * self.device.coulomb[0] * inverse_mass[0] } else { 0.0 };
         let (lower, upper) = &self.device.stops;
         let (mut moved, mut gained) = (Axes::<N>::zeros(), Axes::<N>::zeros());
         let (mut most_moved, mut most_gained) = (Axes::<N>::zeros(), Axes::<N>::zeros());
@@ -74,21 +84,26 @@ impl<const N: usize> SimulatedMaster<N> {
                 continue;
             }
             let (map, a, v, x) = (&map.axes[axis], acceleration[axis], v[axis], x[axis]);
-            let path = moves.then(|| outlook.path_of(axis));
-            let e = map.change(a, v, path, trembles.then_some(outlook.wave));
-            let target = map.pull * shift[axis];
+            let target = map.pull * shift[axis] + turns;
             let [farther, faster] = map.bounds(a, v, target, duration);
+            (moved[axis], gained[axis]) = match &bent {
+                Some([moved, gained]) => (moved[axis], gained[axis]),
+                None => {
+                    let path = moves.then(|| outlook.path_of(axis));
+                    let e = map.change(a, v, path, trembles.then_some(outlook.wave));
+                    (v * duration + e[0], e[1])
+                }
+            };
             if friction[axis] != 0.0 && !rubs_along && v.abs() <= faster {
                 let bends = map.damping.abs() * faster + map.pull * farther + target;
                 let is_monotone = a.abs() * (1.0 - 1e-12) > bends;
-                if !is_monotone || (v + e[1]) * v.signum() <= 1e-12 * faster {
+                if !is_monotone || (v + gained[axis]) * v.signum() <= 1e-12 * faster {
                     return false;
                 }
             }
             if !(x - farther > lower[axis] && x + farther < upper[axis]) {
                 return false;
             }
-            (moved[axis], gained[axis]) = (v * duration + e[0], e[1]);
             (most_moved[axis], most_gained[axis]) = (farther, faster);
         }
         if !has_let_go && strength[0].is_finite() {
@@ -175,10 +190,12 @@ impl<const N: usize> SimulatedMaster<N> {
         Some(found)
     }
 
-    /// Whether friction along the motion keeps its direction over a tick, so far that rounding hides the rest.
+    /// How a motion under friction along it goes on over a tick; none where it may come to rest or turn back.
     ///
-    /// Across the motion the speed grows to at most P; friction turns by `P / |V|`, which moves V by `c dT P / (m |V|)`.
-    fn goes_straight(&self, acceleration: &Axes<N>, speed: f64, shakes: f64, duration: f64) -> bool {
+    /// It is straight where rounding hides the rest: across the motion the speed grows to at most P, friction turns by
+    /// `P / |V|`, which moves V by `c dT P / (m |V|)`.
+    #[inline]
+    fn bend(&self, acceleration: &Axes<N>, speed: f64, shakes: f64, duration: f64) -> Option<Bend> {
         let (map, one) = (&self.propagator, &self.propagator.axes[0]);
         let direction = self.velocity / speed;
         let aside = |along: &Axes<N>| across(&direction, along);
@@ -197,12 +214,25 @@ impl<const N: usize> SimulatedMaster<N> {
             }
         }
         debug_assert!(map.is_isotropic);
-        let faster = one.most * (acceleration.norm() + one.pull * (duration * speed + moved)) * (1.0 + 1e-12);
+        let friction = self.device.coulomb[0] * one.inverse_mass;
+        let most = acceleration.norm() + one.pull * (duration * speed + moved);
+        let faster = one.most * most * (1.0 + 1e-12);
         let least = speed - faster;
         let across = one.most * (aside(acceleration) + one.pull * moved_aside);
-        let slip = self.device.coulomb[0] * one.inverse_mass * duration * across;
-        least > STOPPED && slip <= f64::EPSILON / 16.0 * least
+        let slip = friction * duration * across;
+        if least > STOPPED && slip <= f64::EPSILON / 16.0 * least {
+            return Some(Bend::Straight);
+        }
+        (one.most * (most + 2.0 * friction) < MAX_CHANGE * speed).then_some(Bend::Bends)
     }
+}
+
+/// How a motion goes on over a tick.
+enum Bend {
+    /// On a straight line.
+    Straight,
+    /// In another direction at its end.
+    Bends,
 }
 
 /// What a hand does over a tick in which its grip neither changes nor begins to slip.
@@ -220,6 +250,6 @@ struct StandingFriction<const N: usize> {
     force: Axes<N>,
     /// Axes that stick throughout.
     stuck: [bool; N],
-    /// The speed in m/s, where the friction is along the motion, which must then stay straight.
+    /// The speed in m/s, where the friction is along the motion.
     along: Option<f64>,
 }
