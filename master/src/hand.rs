@@ -72,6 +72,8 @@ pub struct Hand<const N: usize> {
     path: Path<N>,
     release: Option<Release>,
     regrasp: Option<Regrasp>,
+    /// When the release has ended, the hand grips again and has its full strength again, in s; none without a release.
+    schedule: Option<[f64; 3]>,
     tremor: Option<Tremor>,
 }
 
@@ -100,7 +102,8 @@ impl<const N: usize> Hand<N> {
         }
         let release =
             release.map(|one| Release { at_s: whole_ns(one.at_s), decay_s: or_at_once(one.decay_s), ..one });
-        Ok(Self { stiffness, damping, strength_n, path, release, regrasp: None, tremor: None })
+        let schedule = release.map(|release| grip_times(release, None));
+        Ok(Self { stiffness, damping, strength_n, path, release, regrasp: None, schedule, tremor: None })
     }
 
     /// No hand at all: the device rests at `position` in m and nobody holds it.
@@ -113,14 +116,15 @@ impl<const N: usize> Hand<N> {
         let Regrasp { reaction_s, rise_s } = regrasp;
         require("reaction time", reaction_s, reaction_s >= 0.0, "finite and 0 or more")?;
         require("grip rise", rise_s, rise_s >= 0.0, "finite and 0 or more")?;
-        if self.release.is_none() {
+        let Some(release) = self.release else {
             return Err(ModelError {
                 name: "reaction time",
                 seen: reaction_s,
                 allowed: "given with a release",
             });
-        }
-        Ok(Self { regrasp: Some(Regrasp { reaction_s, rise_s: or_at_once(rise_s) }), ..self })
+        };
+        let regrasp = Some(Regrasp { reaction_s, rise_s: or_at_once(rise_s) });
+        Ok(Self { regrasp, schedule: Some(grip_times(release, regrasp)), ..self })
     }
 
     /// The same hand with a tremor.
@@ -150,7 +154,7 @@ impl<const N: usize> Hand<N> {
 
     /// When the release has ended, the hand grips again and has its full strength again, in s; none without a release.
     pub(crate) fn schedule(&self) -> Option<[f64; 3]> {
-        self.release.map(|release| self.grip_times(release.at_s, release.decay_s))
+        self.schedule
     }
 
     pub(crate) fn tremor(&self) -> Option<Tremor> {
@@ -193,8 +197,10 @@ impl<const N: usize> Hand<N> {
 
     /// The share of its grip that the hand has at time t, from 1 before the release to 0 after it and to 1 again.
     pub fn grip_at(&self, t: f64) -> f64 {
-        let Some(Release { at_s, decay_s, .. }) = self.release else { return 1.0 };
-        let [ends, begins, full] = self.grip_times(at_s, decay_s);
+        let (Some(Release { at_s, decay_s, .. }), Some([ends, begins, full])) = (self.release, self.schedule)
+        else {
+            return 1.0;
+        };
         let held = if t < at_s {
             1.0
         } else if t >= ends {
@@ -224,22 +230,15 @@ impl<const N: usize> Hand<N> {
 
     /// How fast the grip changes just after time t, in 1/s.
     fn grip_rate(&self, t: f64) -> f64 {
-        let Some(Release { at_s, decay_s, .. }) = self.release else { return 0.0 };
-        let [ends, begins, full] = self.grip_times(at_s, decay_s);
+        let (Some(Release { at_s, decay_s, .. }), Some([ends, begins, full])) = (self.release, self.schedule)
+        else {
+            return 0.0;
+        };
         if t >= at_s && t < ends {
             return -decay_s.recip();
         }
         self.regrasp
             .map_or(0.0, |Regrasp { rise_s, .. }| if t >= begins && t < full { rise_s.recip() } else { 0.0 })
-    }
-
-    /// When a release that begins at `at_s` has ended, the hand grips again, and has its full strength again, in s:
-    /// whole ns, so that a sudden grip falls on the tick that it is meant for.
-    fn grip_times(&self, at_s: f64, duration_s: f64) -> [f64; 3] {
-        let Regrasp { reaction_s, rise_s } = self.regrasp.unwrap_or(Regrasp { reaction_s: 0.0, rise_s: 0.0 });
-        let ends = whole_ns(at_s + duration_s);
-        let begins = whole_ns(ends + reaction_s);
-        [ends, begins, whole_ns(begins + rise_s)]
     }
 
     /// Gain and grip strength in N from t to the next kink, each as value and rate.
@@ -265,8 +264,9 @@ impl<const N: usize> Hand<N> {
     }
 
     fn kinks(&self) -> [Option<f64>; 4] {
-        let Some(Release { at_s, decay_s, .. }) = self.release else { return [None; 4] };
-        let [ends, begins, full] = self.grip_times(at_s, decay_s);
+        let (Some(Release { at_s, .. }), Some([ends, begins, full])) = (self.release, self.schedule) else {
+            return [None; 4];
+        };
         let again = |time: f64| self.regrasp.map(|_| time);
         [Some(at_s), Some(ends), again(begins), again(full)]
     }
@@ -281,6 +281,15 @@ impl<const N: usize> Hand<N> {
 /// A time in s in which a grip changes, or 0 where it is too short for a rate: powers of it would overflow.
 pub(crate) fn or_at_once(duration_s: f64) -> f64 {
     if duration_s < MIN_LEG_S { 0.0 } else { duration_s }
+}
+
+/// When a release has ended, the hand grips again, and has its full strength again, in s: whole ns, so that a sudden
+/// grip falls on the tick that it is meant for.
+fn grip_times(release: Release, regrasp: Option<Regrasp>) -> [f64; 3] {
+    let Regrasp { reaction_s, rise_s } = regrasp.unwrap_or(Regrasp { reaction_s: 0.0, rise_s: 0.0 });
+    let ends = whole_ns(release.at_s + release.decay_s);
+    let begins = whole_ns(ends + reaction_s);
+    [ends, begins, whole_ns(begins + rise_s)]
 }
 
 /// The number of s nearest to whole ns: a sum of decimal seconds lies a rounding beside the tick that it means.

@@ -7,12 +7,8 @@ mod live;
 mod path;
 mod polynomial;
 mod propagator;
-#[cfg(test)]
-mod propagator_tests;
 mod rotation;
 mod simulated;
-#[cfg(test)]
-mod simulated_tests;
 mod stepped;
 mod stepped_hand;
 #[cfg(test)]

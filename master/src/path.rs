@@ -57,6 +57,8 @@ pub struct Path<const N: usize> {
     legs: Vec<Leg<N>>,
     /// When each leg begins, and when the last one ends.
     begins: Vec<f64>,
+    /// The powers of `1 / duration_s` of each leg.
+    rates: Vec<[f64; DEGREE + 1]>,
 }
 
 impl<const N: usize> Path<N> {
@@ -65,7 +67,7 @@ impl<const N: usize> Path<N> {
         for x in &start {
             require("start", *x, true, "finite")?;
         }
-        let mut begins = vec![0.0];
+        let (mut begins, mut rates) = (vec![0.0], Vec::with_capacity(legs.len()));
         let mut time = 0.0;
         for leg in &legs {
             let allowed = "finite and at least 1e-9";
@@ -75,8 +77,13 @@ impl<const N: usize> Path<N> {
             }
             time += leg.duration_s;
             begins.push(time);
+            let mut powers = [1.0; DEGREE + 1];
+            for degree in 1..=DEGREE {
+                powers[degree] = powers[degree - 1] / leg.duration_s;
+            }
+            rates.push(powers);
         }
-        Ok(Self { start, legs, begins })
+        Ok(Self { start, legs, begins, rates })
     }
 
     /// Position in m where the path begins.
@@ -99,7 +106,7 @@ impl<const N: usize> Path<N> {
     }
 
     /// The leg travelled just after time t, if one is.
-    fn leg_at(&self, t: f64) -> Option<usize> {
+    pub(crate) fn leg_at(&self, t: f64) -> Option<usize> {
         let begun = self.begins.partition_point(|&begin| begin <= t);
         (begun > 0 && begun <= self.legs.len()).then(|| begun - 1)
     }
@@ -111,8 +118,14 @@ impl<const N: usize> Path<N> {
 
     /// The polynomial that the path is from time t in s to its next knot, in powers of the time since t.
     pub(crate) fn taylor(&self, t: f64) -> [Axes<N>; DEGREE + 1] {
+        self.taylor_in(self.leg_at(t), t)
+    }
+
+    /// The same, where the leg at that time is known.
+    #[inline]
+    pub(crate) fn taylor_in(&self, leg: Option<usize>, t: f64) -> [Axes<N>; DEGREE + 1] {
         let mut series = [Axes::zeros(); DEGREE + 1];
-        let Some(index) = self.leg_at(t) else {
+        let Some(index) = leg else {
             let after = t >= self.begins[self.legs.len()];
             series[0] = if after { *self.from(self.legs.len()) } else { self.start };
             return series;
@@ -120,10 +133,9 @@ impl<const N: usize> Path<N> {
         let (leg, from) = (&self.legs[index], self.from(index));
         let s = (t - self.begins[index]) / leg.duration_s;
         let shares = shifted(leg.shape.coefficients(), s);
-        let mut scale = 1.0;
-        for (term, share) in series.iter_mut().zip(shares) {
-            *term = (leg.end - from) * (share * scale);
-            scale /= leg.duration_s;
+        let way = leg.end - from;
+        for ((term, share), rate) in series.iter_mut().zip(shares).zip(self.rates[index]) {
+            *term = way * (share * rate);
         }
         series[0] += from;
         series

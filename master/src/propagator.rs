@@ -28,6 +28,8 @@ pub(crate) struct Propagator<const N: usize> {
     pub(crate) reaches: bool,
     /// Most by which `sin` and `cos` of a tremor move its target within the tick, in m per unit of each.
     pub(crate) shakes: [f64; 2],
+    /// Of a tremor, amplitude in m and by how much its phase grows within the tick, in rad.
+    pub(crate) tremor: [f64; 2],
 }
 
 /// The answers `(e, e')` in m and m/s of one axis to each part of the acceleration.
@@ -60,7 +62,13 @@ impl<const N: usize> Propagator<N> {
             is_isotropic: false,
             reaches: false,
             shakes: [0.0; 2],
+            tremor: [0.0; 2],
         }
+    }
+
+    /// The tick in s.
+    pub(crate) fn duration(&self) -> f64 {
+        self.duration
     }
 
     /// Whether this is the map of such a tick, under an impedance of K in N/m and B in N s/m.
@@ -118,6 +126,7 @@ impl<const N: usize> Propagator<N> {
             is_isotropic: same(&device.mass_kg) && same(&device.viscous),
             reaches,
             shakes: [amplitude * 0.5 * phase * phase, amplitude * phase],
+            tremor: [amplitude, phase],
         }
     }
 }
@@ -180,6 +189,8 @@ pub(crate) struct Outlook<const N: usize> {
     pub(crate) time: f64,
     /// The path from there, in powers of the time.
     pub(crate) path: [Axes<N>; DEGREE + 1],
+    /// Its leg there.
+    leg: Option<usize>,
     /// Whether the path is more than a point.
     pub(crate) moves: bool,
     /// Sine and cosine of the tremor.
@@ -196,9 +207,11 @@ impl<const N: usize> Outlook<N> {
     /// At time t in s.
     pub(crate) fn new(hand: &Hand<N>, t: f64) -> Self {
         let (gain, strength) = hand.grip_line(t);
+        let leg = hand.path().leg_at(t);
         let mut outlook = Self {
             time: t,
-            path: hand.path().taylor(t),
+            path: hand.path().taylor_in(leg, t),
+            leg,
             moves: false,
             wave: [0.0; 2],
             target: Axes::zeros(),
@@ -233,13 +246,20 @@ impl<const N: usize> Outlook<N> {
         if t == self.time {
             return;
         }
-        let is_constant = !self.moves && self.grip[0][1] == 0.0 && self.grip[1][1] == 0.0;
-        if is_constant && t >= self.time && t < self.until {
-            self.time = t;
-            self.shake(hand);
-        } else {
+        if t < self.time || t >= self.until {
             *self = Self::new(hand, t);
+            return;
         }
+        // The same leg, and the same of the grip's lines.
+        self.time = t;
+        if self.moves {
+            self.path = hand.path().taylor_in(self.leg, t);
+        }
+        if self.grip[0][1] != 0.0 || self.grip[1][1] != 0.0 {
+            let (gain, strength) = hand.grip_line(t);
+            self.grip = [gain, strength];
+        }
+        self.shake(hand);
     }
 
     #[inline]

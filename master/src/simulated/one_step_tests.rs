@@ -154,3 +154,45 @@ fn ticks_without_an_event_take_one_step() {
         assert!((950..=989).contains(&counted), "{counted}");
     }
 }
+
+/// A hand that strokes along edges in space, and trembles if `trembles`, against friction along the motion.
+fn stroking(trembles: bool) -> SimulatedMaster<3> {
+    let legs = (1..30)
+        .map(|n| {
+            let angle = f64::from(n) * 0.8;
+            let end = Axes::<3>::new(angle.cos(), angle.sin(), (0.7 * angle).sin()) * 0.03;
+            Leg { duration_s: 0.4, end, shape: LegShape::MinimumJerk }
+        })
+        .collect();
+    let hand = Hand::new(300.0, 8.0, 12.0, Path::new(Axes::zeros(), legs).unwrap(), None).unwrap();
+    let tremor = Tremor { amplitude: if trembles { 1e-4 } else { 0.0 }, frequency_hz: 5.0 };
+    let device = DeviceParameters::<3> { encoder_quantum: 0.0, ..DeviceParameters::phantom_desktop() };
+    SimulatedMaster::new(device, hand.with_tremor(tremor).unwrap(), 0).unwrap()
+}
+
+/// Friction along a motion that bends takes one step where the motion is not slow, and ends where a fifth of the tick
+/// after the other by series does.
+#[test]
+fn a_bending_motion_takes_one_step_and_errs_by_rounding() {
+    const SHARES: u64 = 5;
+    for trembles in [false, true] {
+        let (mut master, mut series) = (stroking(trembles), stroking(trembles));
+        series.follows_series_only = true;
+        let (mut worst, mut bent) = (0.0_f64, 0);
+        for tick in 1..=8000_u64 {
+            let swing = (tick as f64 * 0.01).sin();
+            for one in [&mut master, &mut series] {
+                one.write(&(Axes::<3>::new(0.3, -0.2, 0.4) * swing));
+            }
+            let before = master.propagated;
+            master.read(tick * TICK_NS);
+            bent += master.propagated - before;
+            for share in 1..=SHARES {
+                series.read((tick - 1) * TICK_NS + share * TICK_NS / SHARES);
+            }
+            worst = worst.max((master.position() - series.position()).norm());
+        }
+        assert!(worst < 1e-14, "{worst:e}");
+        assert!(bent > 6500, "{bent}");
+    }
+}

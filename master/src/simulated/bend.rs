@@ -1,0 +1,130 @@
+//! A tick under friction along a motion that bends: its Taylor series, no longer than rounding asks for.
+
+use super::SimulatedMaster;
+use crate::{Axes, path::DEGREE};
+
+/// Most terms; a tick that needs more is followed stretch by stretch.
+const MAX_TERMS: usize = 16;
+
+/// Fewest terms: the path has its share in each of these.
+const MIN_TERMS: usize = DEGREE + 1;
+
+/// Share of the speed by which V may change within the tick at most. The series of its direction then converges to
+/// twice the tick and farther: where two terms are within rounding, so is all that follows.
+pub(super) const MAX_CHANGE: f64 = 0.125;
+
+/// `1 / n`: a division takes longer than all else that a term needs.
+const INVERSE: [f64; MAX_TERMS + 1] = {
+    let mut inverse = [0.0; MAX_TERMS + 1];
+    let mut n = 1;
+    while n <= MAX_TERMS {
+        inverse[n] = 1.0 / n as f64;
+        n += 1;
+    }
+    inverse
+};
+
+impl<const N: usize> SimulatedMaster<N> {
+    /// By how much x in m and V in m/s change over the tick, from an acceleration in m/s² and a speed in m/s at its begin;
+    /// none where the series does not reach so far.
+    ///
+    /// The terms of V, its direction U and the target P, each times its power of dT, obey
+    /// `(n + 1) V_(n+1) = dT (k P_n - c V_n - k dT V_(n-1) / n - f U_n)` for n > 0, with `k = K/m`, `c = B/m` and f the
+    /// friction over m.
+    pub(super) fn bent(
+        &self,
+        acceleration: &Axes<N>,
+        speed: f64,
+        moves: bool,
+        trembles: bool,
+    ) -> Option<[Axes<N>; 2]> {
+        let (map, outlook) = (&self.propagator, &self.outlook);
+        let duration = map.duration();
+        let (pull, damping) = (map.axes[0].pull, map.axes[0].damping);
+        let friction = self.device.coulomb[0] * map.axes[0].inverse_mass;
+        let tolerance = f64::EPSILON / 16.0 * speed;
+        let mut v = [Axes::<N>::zeros(); MAX_TERMS];
+        (v[0], v[1]) = (self.velocity, acceleration * duration);
+        let mut direction = Direction::new(speed);
+        let (mut turns, mut last_turn, mut last) = (true, f64::INFINITY, f64::INFINITY);
+        let (mut power, mut shaken) = (1.0, map.tremor[0]);
+        for n in 1..MAX_TERMS - 1 {
+            let mut force = v[n] * -damping - v[n - 1] * (pull * duration * INVERSE[n]);
+            if moves && n <= DEGREE {
+                power *= duration;
+                force += outlook.path[n] * (pull * power);
+            }
+            if trembles {
+                shaken *= map.tremor[1] * INVERSE[n];
+                let [sine, cosine] = outlook.wave;
+                force.add_scalar_mut(pull * shaken * [sine, cosine, -sine, -cosine][n % 4]);
+            }
+            if turns {
+                let turn = direction.coefficient(&v, n) * friction;
+                force -= turn;
+                let size = turn.amax() * duration;
+                turns = n < MIN_TERMS || last_turn.max(size) > tolerance;
+                last_turn = size;
+            }
+            v[n + 1] = force * (duration * INVERSE[n + 1]);
+            let size = v[n + 1].amax();
+            if !turns && last.max(size) <= tolerance {
+                return Some(summed(&v[..n + 2], duration));
+            }
+            last = size;
+        }
+        None
+    }
+}
+
+/// The changes of x and V over the tick, of the terms of V; the smallest first.
+#[inline]
+fn summed<const N: usize>(v: &[Axes<N>], duration: f64) -> [Axes<N>; 2] {
+    let (mut moved, mut gained) = (Axes::zeros(), Axes::zeros());
+    for (n, term) in v.iter().enumerate().skip(1).rev() {
+        moved += term * INVERSE[n + 1];
+        gained += term;
+    }
+    [(v[0] + moved) * duration, gained]
+}
+
+/// The series of `V / |V|`.
+///
+/// Source: recursion for powers of series, Jorba and Zou 2005, section 2.
+struct Direction {
+    speed: f64,
+    inverse_square: f64,
+    /// `|V|²` over its first term.
+    square: [f64; MAX_TERMS],
+    /// `1 / |V|` times the speed at the begin.
+    inverse: [f64; MAX_TERMS],
+}
+
+impl Direction {
+    fn new(speed: f64) -> Self {
+        let (mut square, mut inverse) = ([0.0; MAX_TERMS], [0.0; MAX_TERMS]);
+        (square[0], inverse[0]) = (1.0, 1.0);
+        Self { speed: speed.recip(), inverse_square: (speed * speed).recip(), square, inverse }
+    }
+
+    /// Term n > 0, of the terms of V up to it; in order.
+    #[inline]
+    fn coefficient<const N: usize>(&mut self, v: &[Axes<N>; MAX_TERMS], n: usize) -> Axes<N> {
+        let mut square = if n.is_multiple_of(2) { 0.5 * v[n / 2].norm_squared() } else { 0.0 };
+        for i in 0..n.div_ceil(2) {
+            square += v[i].dot(&v[n - i]);
+        }
+        self.square[n] = 2.0 * square * self.inverse_square;
+        // y = s^p with p = -1/2, s_0 = 1: n y_n = sum_i (p i - (n - i)) s_i y_{n-i}.
+        let mut inverse = 0.0;
+        for i in 1..=n {
+            inverse += (0.5 * i as f64 - n as f64) * self.square[i] * self.inverse[n - i];
+        }
+        self.inverse[n] = inverse * INVERSE[n];
+        let mut direction = v[n];
+        for i in 1..=n {
+            direction += v[n - i] * self.inverse[i];
+        }
+        direction * self.speed
+    }
+}

@@ -1,0 +1,228 @@
+//! A simulated master: device and hand, advanced exactly under the force held since the last write.
+
+mod bend;
+mod events;
+mod one_step;
+#[cfg(test)]
+mod one_step_tests;
+#[cfg(test)]
+mod tests;
+
+use crate::{
+    Axes, ContinuousWall, DeviceParameters, Hand, ModelError,
+    device::{exerted, quantised},
+    propagator::{Outlook, Propagator},
+    require,
+};
+
+/// What a device measures at one tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MasterSample<const N: usize> {
+    /// x in m, as the encoder sees it.
+    pub position: Axes<N>,
+    /// V in m/s, only from a device that measures it.
+    pub velocity: Option<Axes<N>>,
+}
+
+/// Speed in m/s below which a device that friction can hold is taken to have stopped. On several axes friction
+/// rotates with the motion, and the last bit of the speed would take ever shorter stretches.
+const STOPPED: f64 = 1e-10;
+
+/// When the device last touched a continuous wall and last left one, in s since the clock's zero.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Touch {
+    /// Last contact made.
+    pub made_s: Option<f64>,
+    /// Last contact broken.
+    pub broke_s: Option<f64>,
+    /// How many contacts were made.
+    pub count: u64,
+}
+
+/// Device, hand and what walls act on the device by themselves.
+///
+/// Between two events (an axis reverses or sets off, the grip begins or ceases to slip, the release begins or ends, a
+/// stop or a wall is met or left) the motion is smooth and is followed by its Taylor series to rounding; the events
+/// themselves are located to rounding.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SimulatedMaster<const N: usize> {
+    device: DeviceParameters<N>,
+    hand: Hand<N>,
+    walls: Vec<ContinuousWall<N>>,
+    held_force: Axes<N>,
+    /// Time in s of the hand: 0 where its path begins.
+    time: f64,
+    /// The same at the last tick, in ns: a sum of ticks in s would drift by a rounding at each.
+    hand_ns: u64,
+    waits: bool,
+    now_ns: u64,
+    position: Axes<N>,
+    velocity: Axes<N>,
+    /// What rounding took from position and velocity: a constant force adds the same step at every tick, which
+    /// would be rounded the same way each time.
+    lost: [Axes<N>; 2],
+    /// Which walls push, a bit for each.
+    pushing: u64,
+    touch: Touch,
+    /// The hand from now on.
+    outlook: Outlook<N>,
+    propagator: Propagator<N>,
+    /// Length of the last tick in ns: a map is computed for the second of the same length.
+    last_ns: u64,
+    #[cfg(test)]
+    pub(crate) propagated: u64,
+    #[cfg(test)]
+    pub(crate) follows_series_only: bool,
+}
+
+impl<const N: usize> SimulatedMaster<N> {
+    /// Most continuous walls.
+    pub const MAX_WALLS: usize = 64;
+
+    /// A device at rest where the hand's path starts, at time `now_ns`.
+    pub fn new(device: DeviceParameters<N>, hand: Hand<N>, now_ns: u64) -> Result<Self, ModelError> {
+        device.check()?;
+        let position = hand.target_at(0.0);
+        Ok(Self {
+            outlook: Outlook::new(&hand, 0.0),
+            propagator: Propagator::none(),
+            last_ns: 0,
+            #[cfg(test)]
+            propagated: 0,
+            #[cfg(test)]
+            follows_series_only: false,
+            device,
+            hand,
+            walls: Vec::new(),
+            held_force: Axes::zeros(),
+            time: 0.0,
+            hand_ns: 0,
+            waits: false,
+            now_ns,
+            position,
+            velocity: Axes::zeros(),
+            lost: [Axes::zeros(); 2],
+            pushing: 0,
+            touch: Touch::default(),
+        })
+    }
+
+    /// The same device among walls that act at every instant.
+    pub fn among(self, walls: Vec<ContinuousWall<N>>) -> Result<Self, ModelError> {
+        require("walls", walls.len() as f64, walls.len() <= Self::MAX_WALLS, "at most 64")?;
+        Ok(Self { walls, ..self })
+    }
+
+    /// Whether the hand waits at the start of its path; once it no longer waits, its time runs from there.
+    pub fn set_waiting(&mut self, waits: bool) {
+        self.waits = waits;
+    }
+
+    /// Puts the device at x in m with V in m/s.
+    pub fn place(&mut self, position: Axes<N>, velocity: Axes<N>) -> Result<(), ModelError> {
+        for (x, v) in position.iter().zip(&velocity) {
+            require("position", *x, true, "finite")?;
+            require("velocity", *v, true, "finite")?;
+        }
+        (self.position, self.velocity) = (position, velocity);
+        self.lost = [Axes::zeros(); 2];
+        Ok(())
+    }
+
+    /// Sets the clock to `now_ns` without advancing: the device rests until then.
+    pub fn begin(&mut self, now_ns: u64) {
+        self.now_ns = now_ns;
+    }
+
+    /// Advances to `now_ns` (monotonic) and returns what the device measures there.
+    pub fn read(&mut self, now_ns: u64) -> MasterSample<N> {
+        if now_ns > self.now_ns {
+            let past_ns = now_ns - self.now_ns;
+            let duration = past_ns as f64 * 1e-9;
+            if !self.propagates(duration, past_ns) {
+                self.advance(duration);
+            }
+            self.last_ns = past_ns;
+            if !self.waits {
+                self.hand_ns += past_ns;
+                self.time = self.hand_ns as f64 / 1e9;
+            }
+            self.outlook.advance(&self.hand, self.time);
+            self.now_ns = now_ns;
+        }
+        self.measured()
+    }
+
+    /// What the device measures where it is.
+    pub fn measured(&self) -> MasterSample<N> {
+        let quantum = self.device.encoder_quantum;
+        MasterSample {
+            position: self.position.map(|x| quantised(x, quantum, quantum == 0.0)),
+            velocity: self.device.measures_velocity.then_some(self.velocity),
+        }
+    }
+
+    /// Holds this force in N from now on, as far as the motors exert it; what is not finite becomes no force.
+    pub fn write(&mut self, force: &Axes<N>) {
+        let commanded = if force.iter().all(|f| f.is_finite()) { *force } else { Axes::zeros() };
+        let quantum = self.device.force_quantum_n;
+        self.held_force = exerted(&commanded, self.device.max_force_n, quantum, quantum == 0.0, false);
+    }
+
+    /// True position in m, which no encoder measures.
+    pub fn position(&self) -> &Axes<N> {
+        &self.position
+    }
+
+    /// True velocity in m/s.
+    pub fn velocity(&self) -> &Axes<N> {
+        &self.velocity
+    }
+
+    /// True force of the hand on the device in N.
+    pub fn hand_force(&self) -> Axes<N> {
+        let [gain, strength] = self.outlook.grip.map(|line| line[0]);
+        let wish = ((self.outlook.target - self.position) * self.hand.stiffness()
+            - self.velocity * self.hand.damping())
+            * gain;
+        let norm = wish.norm();
+        if norm <= strength { wish } else { wish * (strength / norm) }
+    }
+
+    /// Force in N that the motors exert since the last write.
+    pub fn motor_force(&self) -> &Axes<N> {
+        &self.held_force
+    }
+
+    /// True force of the continuous walls on the device in N.
+    pub fn wall_force(&self) -> Axes<N> {
+        self.walls.iter().map(|wall| wall.force(&self.position, &self.velocity)).sum()
+    }
+
+    /// Contacts with continuous walls.
+    pub fn touch(&self) -> &Touch {
+        &self.touch
+    }
+
+    fn halt(&mut self, axis: usize) {
+        (self.velocity[axis], self.lost[1][axis]) = (0.0, 0.0);
+    }
+}
+
+/// What of `along` lies across a direction, a unit vector.
+fn across<const N: usize>(direction: &Axes<N>, along: &Axes<N>) -> f64 {
+    (along - direction * direction.dot(along)).norm()
+}
+
+/// Adds a small step and what earlier steps lost.
+///
+/// Source: Kahan 1965; the exact error of a sum, Knuth 1969, section 4.2.2.
+fn add<const N: usize>(sum: &mut Axes<N>, lost: &mut Axes<N>, step: &Axes<N>) {
+    for axis in 0..N {
+        let (before, step) = (sum[axis], step[axis] + lost[axis]);
+        let after = before + step;
+        let taken = after - before;
+        lost[axis] = (before - (after - taken)) + (step - taken);
+        sum[axis] = after;
+    }
+}

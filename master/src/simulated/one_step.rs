@@ -1,0 +1,255 @@
+//! A whole tick of device and hand in one step: the linear map of [`Propagator`], where bounds on the motion say that no
+//! event falls into the tick.
+
+use super::{STOPPED, SimulatedMaster, across, add, bend::MAX_CHANGE};
+use crate::{Axes, propagator::Propagator};
+
+impl<const N: usize> SimulatedMaster<N> {
+    /// Moves over a tick of `duration` in one step, if bounds on the motion say that no event falls into it and all
+    /// laws are linear, or but for the direction of friction; else leaves everything as it is. A bound too many costs time, none costs accuracy.
+    #[inline]
+    pub(super) fn propagates(&mut self, duration: f64, past_ns: u64) -> bool {
+        #[cfg(test)]
+        if self.follows_series_only {
+            return false;
+        }
+        let outlook = &self.outlook;
+        let [gain, strength] = outlook.grip;
+        if gain[1] != 0.0
+            || strength[1] != 0.0
+            || self.pushing != 0
+            || past_ns != self.last_ns
+            || duration > outlook.until - outlook.time
+        {
+            return false;
+        }
+        let (x, v) = (self.position, self.velocity);
+        let Some(StandingGrip { force: wish, impedance, has_let_go }) =
+            self.standing_grip(gain[0], strength[0])
+        else {
+            return false;
+        };
+        if !self.propagator.is_of(duration, impedance) {
+            self.propagator = Propagator::new(&self.device, &self.hand, impedance, duration);
+        }
+        let map = &self.propagator;
+        if !map.reaches {
+            return false;
+        }
+        let trembles = !self.waits && map.shakes[1] > 0.0;
+        let moves = !self.waits && outlook.moves;
+        let shakes = if trembles {
+            outlook.wave[0].abs() * map.shakes[0] + outlook.wave[1].abs() * map.shakes[1]
+        } else {
+            0.0
+        };
+        let mut shift = Axes::<N>::repeat(shakes);
+        if moves {
+            shift += outlook.most_moved(duration);
+        }
+        let push = self.held_force + wish;
+        let rubs_along = self.device.rubs_along_motion();
+        let most_pulled = shift * (impedance[0] * (1.0 + 1e-12));
+        let Some(StandingFriction { force: friction, stuck, along }) =
+            self.standing_friction(&push, &most_pulled)
+        else {
+            return false;
+        };
+        let inverse_mass = Axes::<N>::from_fn(|axis, _| self.propagator.axes[axis].inverse_mass);
+        let acceleration =
+            (push - friction - self.device.viscous.component_mul(&v)).component_mul(&inverse_mass);
+        let mut bent = None;
+        if let Some(speed) = along {
+            match self.bend(&acceleration, speed, shakes, duration) {
+                Some(Bend::Straight) => {}
+                Some(Bend::Bends) => {
+                    bent = self.bent(&acceleration, speed, moves, trembles);
+                    if bent.is_none() {
+                        return false;
+                    }
+                }
+                None => return false,
+            }
+        }
+        // However friction turns, it changes by no more than twice itself.
+        let turns = if bent.is_some() { 2.0 * self.device.coulomb[0] * inverse_mass[0] } else { 0.0 };
+        let (lower, upper) = &self.device.stops;
+        let (mut moved, mut gained) = (Axes::<N>::zeros(), Axes::<N>::zeros());
+        let (mut most_moved, mut most_gained) = (Axes::<N>::zeros(), Axes::<N>::zeros());
+        for axis in 0..N {
+            if stuck[axis] {
+                if x[axis] <= lower[axis] || x[axis] >= upper[axis] {
+                    return false;
+                }
+                continue;
+            }
+            let (map, a, v, x) = (&map.axes[axis], acceleration[axis], v[axis], x[axis]);
+            let target = map.pull * shift[axis] + turns;
+            let [farther, faster] = map.bounds(a, v, target, duration);
+            (moved[axis], gained[axis]) = match &bent {
+                Some([moved, gained]) => (moved[axis], gained[axis]),
+                None => {
+                    let path = moves.then(|| outlook.path_of(axis));
+                    let e = map.change(a, v, path, trembles.then_some(outlook.wave));
+                    (v * duration + e[0], e[1])
+                }
+            };
+            if friction[axis] != 0.0 && !rubs_along && v.abs() <= faster {
+                let bends = map.damping.abs() * faster + map.pull * farther + target;
+                let is_monotone = a.abs() * (1.0 - 1e-12) > bends;
+                if !is_monotone || (v + gained[axis]) * v.signum() <= 1e-12 * faster {
+                    return false;
+                }
+            }
+            if !(x - farther > lower[axis] && x + farther < upper[axis]) {
+                return false;
+            }
+            (most_moved[axis], most_gained[axis]) = (farther, faster);
+        }
+        if !has_let_go && strength[0].is_finite() {
+            let change = impedance[0] * (shift + most_moved).norm() + impedance[1] * most_gained.norm();
+            if (wish.norm() + change) * (1.0 + 1e-12) >= strength[0] {
+                return false;
+            }
+        }
+        if !self.stays_clear(&most_moved) {
+            return false;
+        }
+        self.move_by(&moved, &gained, &stuck);
+        #[cfg(test)]
+        {
+            self.propagated += 1;
+        }
+        true
+    }
+
+    /// Changes position and velocity, without what rounding loses, and holds the axes that stick.
+    #[inline]
+    fn move_by(&mut self, moved: &Axes<N>, gained: &Axes<N>, stuck: &[bool; N]) {
+        add(&mut self.position, &mut self.lost[0], moved);
+        add(&mut self.velocity, &mut self.lost[1], gained);
+        for (axis, is_stuck) in stuck.iter().enumerate() {
+            if *is_stuck {
+                self.halt(axis);
+            }
+        }
+    }
+
+    /// Whether no wall that acts at each instant is within reach of a motion of at most so much along each axis.
+    #[inline]
+    fn stays_clear(&self, most_moved: &Axes<N>) -> bool {
+        self.walls.iter().all(|wall| {
+            let room = -wall.depth(&self.position) - 1e-15 * (1.0 + wall.surface.abs());
+            !wall.is_two_sided && most_moved.norm() * (1.0 + 1e-12) < room
+        })
+    }
+
+    /// The force of a hand that holds or has let go; None where it lets go with nothing to hold, so that the series decides.
+    #[inline]
+    fn standing_grip(&self, gain: f64, strength: f64) -> Option<StandingGrip<N>> {
+        let (x, v) = (self.position, self.velocity);
+        let force = ((self.outlook.target - x) * self.hand.stiffness() - v * self.hand.damping()) * gain;
+        if strength != 0.0 {
+            let impedance = [gain * self.hand.stiffness(), gain * self.hand.damping()];
+            return Some(StandingGrip { force, impedance, has_let_go: false });
+        }
+        let is_free = self.hand.stiffness() + self.hand.damping() == 0.0 || force != Axes::<N>::zeros();
+        is_free.then_some(StandingGrip { force: Axes::zeros(), impedance: [0.0; 2], has_let_go: true })
+    }
+
+    /// The friction of a tick in which no axis that sticks is torn loose: `push` in N as it is now, `most_pulled` by how much
+    /// the hand's target may add to it; None where that cannot be said.
+    #[inline]
+    fn standing_friction(&self, push: &Axes<N>, most_pulled: &Axes<N>) -> Option<StandingFriction<N>> {
+        let mut found = StandingFriction { force: Axes::zeros(), stuck: [false; N], along: None };
+        let v = &self.velocity;
+        if self.device.rubs_along_motion() {
+            let coulomb = self.device.coulomb[0];
+            let speed = v.norm();
+            if speed == 0.0 {
+                found.stuck = [true; N];
+                return (push.norm() + most_pulled.norm() <= coulomb * (1.0 - 1e-12)).then_some(found);
+            }
+            found.force = v * (coulomb / speed);
+            found.along = Some(speed);
+            return (speed >= STOPPED && self.propagator.is_isotropic).then_some(found);
+        }
+        for axis in 0..N {
+            let coulomb = self.device.coulomb[axis];
+            if coulomb == 0.0 {
+                continue;
+            }
+            if v[axis] != 0.0 {
+                found.force[axis] = coulomb * v[axis].signum();
+            } else if push[axis].abs() + most_pulled[axis] <= coulomb * (1.0 - 1e-12) {
+                found.stuck[axis] = true;
+            } else {
+                return None;
+            }
+        }
+        Some(found)
+    }
+
+    /// How a motion under friction along it goes on over a tick; none where it may come to rest or turn back.
+    ///
+    /// It is straight where rounding hides the rest: across the motion the speed grows to at most P, friction turns by
+    /// `P / |V|`, which moves V by `c dT P / (m |V|)`.
+    #[inline]
+    fn bend(&self, acceleration: &Axes<N>, speed: f64, shakes: f64, duration: f64) -> Option<Bend> {
+        let (map, one) = (&self.propagator, &self.propagator.axes[0]);
+        let direction = self.velocity / speed;
+        let aside = |along: &Axes<N>| across(&direction, along);
+        let (mut moved, mut moved_aside) = (0.0, 0.0);
+        if shakes > 0.0 {
+            let all = Axes::<N>::repeat(1.0);
+            moved += shakes * (N as f64).sqrt();
+            moved_aside += shakes * aside(&all);
+        }
+        if !self.waits && self.outlook.moves {
+            let mut power = 1.0;
+            for term in &self.outlook.path[1..] {
+                power *= duration;
+                moved += term.norm() * power;
+                moved_aside += aside(term) * power;
+            }
+        }
+        debug_assert!(map.is_isotropic);
+        let friction = self.device.coulomb[0] * one.inverse_mass;
+        let most = acceleration.norm() + one.pull * (duration * speed + moved);
+        let faster = one.most * most * (1.0 + 1e-12);
+        let least = speed - faster;
+        let across = one.most * (aside(acceleration) + one.pull * moved_aside);
+        let slip = friction * duration * across;
+        if least > STOPPED && slip <= f64::EPSILON / 16.0 * least {
+            return Some(Bend::Straight);
+        }
+        (one.most * (most + 2.0 * friction) < MAX_CHANGE * speed).then_some(Bend::Bends)
+    }
+}
+
+/// How a motion goes on over a tick.
+enum Bend {
+    /// On a straight line.
+    Straight,
+    /// In another direction at its end.
+    Bends,
+}
+
+/// What a hand does over a tick in which its grip neither changes nor begins to slip.
+struct StandingGrip<const N: usize> {
+    /// In N, at the begin of the tick.
+    force: Axes<N>,
+    /// Stiffness and damping by which that changes with the motion.
+    impedance: [f64; 2],
+    has_let_go: bool,
+}
+
+/// Friction of a tick over which it stands.
+struct StandingFriction<const N: usize> {
+    /// In N, against the motion.
+    force: Axes<N>,
+    /// Axes that stick throughout.
+    stuck: [bool; N],
+    /// The speed in m/s, where the friction is along the motion.
+    along: Option<f64>,
+}
