@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         scene_loops,
         scene_times,
         stable_delays,
+        stable_together,
     )
     from haptether.studies.evaluation import (
         EVALUATED_CONTROLLERS,
@@ -156,6 +157,7 @@ __all__ = [
     "scene_loops",
     "scene_times",
     "stable_delays",
+    "stable_together",
     "summarise_link",
     "sweep_summary",
     "tune",
@@ -183,6 +185,7 @@ if not TYPE_CHECKING:  # else any name would do
                 "scene_loops",
                 "scene_times",
                 "stable_delays",
+                "stable_together",
             ),
             "evaluation": (
                 "EVALUATED_CONTROLLERS",

@@ -1,6 +1,7 @@
 """What a live run says of its loop and of the link: the lines at the end of `master`, `slave` and `check-link`."""
 
 import math
+from collections.abc import Sequence
 
 import msgspec
 import numpy as np
@@ -115,6 +116,8 @@ class LinkVerdict(msgspec.Struct, frozen=True, kw_only=True):
 
     bearable_delay_s: float | None
     """Least sum of both delays at which contact begins to oscillate while a hand holds; none if at none."""
+    stable_delays_s: list[tuple[float, float]]
+    """Intervals of that sum in which it does not; empty where they were not looked for."""
     delay_s: float | None
     """What the loop has: the p99 of the round trip, and half a period at each side that holds what it was sent."""
     bearable_gap_s: float
@@ -124,9 +127,20 @@ class LinkVerdict(msgspec.Struct, frozen=True, kw_only=True):
     good: bool
     complaints: list[str]
 
+    @property
+    def is_between(self) -> bool:
+        """Whether it is good enough at a delay beyond one at which contact oscillates."""
+        known = self.delay_s is not None and self.bearable_delay_s is not None
+        return self.good and known and (self.delay_s or 0.0) >= (self.bearable_delay_s or 0.0)
+
 
 def judge_link(
-    summary: LinkSummary, bearable_delay_s: float, bearable_gap_s: float, period_s: float = 1e-3
+    summary: LinkSummary,
+    bearable_delay_s: float,
+    bearable_gap_s: float,
+    period_s: float = 1e-3,
+    *,
+    stable_delays_s: Sequence[tuple[float, float]] = (),
 ) -> LinkVerdict:
     """Holds what a link has against what a coupling and the ladder bear.
 
@@ -135,6 +149,7 @@ def judge_link(
         bearable_delay_s: Of `largest_delay_s`.
         bearable_gap_s: Longest silence in s that the ladder bears.
         period_s: dT, the longer of the two sides' periods in s.
+        stable_delays_s: Of `stable_together`: a link whose median and 99 % lie in one of these is borne, too.
     """
     complaints = []
     delay_s = None
@@ -145,10 +160,12 @@ def judge_link(
         # At its tick the slave samples F_e and then commands x, so this answer shows the commands up to the one before:
         # a command is held for dT, which is dT / 2 late, and the force on the device is held for dT likewise.
         delay_s = summary.round_trip_p99_s + period_s
-        if delay_s >= bearable_delay_s:
+        usual_s = delay_s if summary.round_trip_p50_s is None else summary.round_trip_p50_s + period_s
+        is_between = any(low < usual_s and delay_s < high for low, high in stable_delays_s)
+        if delay_s >= bearable_delay_s and not is_between:
             complaints.append(
-                f"contact would oscillate: a delay of {delay_s * 1e3:.1f} ms, bearable is "
-                f"{bearable_delay_s * 1e3:.1f} ms"
+                f"contact would oscillate: a delay of {_range(usual_s, delay_s)}, bearable is "
+                f"{bearable_text(bearable_delay_s, stable_delays_s)}"
             )
     gap_s = None
     if summary.worst_gap_s is None or summary.silence_at_end_s is None:
@@ -161,9 +178,23 @@ def judge_link(
             )
     return LinkVerdict(
         bearable_delay_s=bearable_delay_s if math.isfinite(bearable_delay_s) else None,
+        stable_delays_s=list(stable_delays_s),
         delay_s=delay_s,
         bearable_gap_s=bearable_gap_s,
         gap_s=gap_s,
         good=not complaints,
         complaints=complaints,
     )
+
+
+def bearable_text(bearable_delay_s: float | None, stable_delays_s: Sequence[tuple[float, float]]) -> str:
+    """The delays that contact bears, in ms: up to the first at which it oscillates, and between later ones."""
+    if bearable_delay_s is None or math.isinf(bearable_delay_s):
+        return "any delay"
+    later = [f"{low * 1e3:.1f} to {high * 1e3:.1f} ms" for low, high in stable_delays_s if low >= bearable_delay_s]
+    return ", and ".join([f"{bearable_delay_s * 1e3:.1f} ms", *later])
+
+
+def _range(usual_s: float, late_s: float) -> str:
+    usual, late = f"{usual_s * 1e3:.1f}", f"{late_s * 1e3:.1f}"
+    return f"{late} ms" if usual == late else f"{usual} to {late} ms"

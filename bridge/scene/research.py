@@ -4,6 +4,7 @@ import hashlib
 import inspect
 import re
 import secrets
+import threading
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -74,11 +75,27 @@ class ControllerTime:
 
 
 _TAKEN = ControllerTime()
+_COUNTING = threading.Lock()
 
 
 def controller_time() -> ControllerTime:
     """What the controllers in Python of this process have taken until now."""
     return replace(_TAKEN)
+
+
+def count_controller_time(ticks: int, seconds: float) -> None:
+    """Adds what controllers in Python took: here, or in a worker that computed for this process."""
+    with _COUNTING:
+        _TAKEN.ticks += ticks
+        _TAKEN.seconds += seconds
+
+
+def uncounted_controller_time() -> ControllerTime:
+    """Takes away what was counted until now, for another process to count: each run is given away once."""
+    with _COUNTING:
+        taken = replace(_TAKEN)
+        _TAKEN.ticks, _TAKEN.seconds = 0, 0.0
+    return taken
 
 
 class Research:
@@ -96,8 +113,7 @@ class Research:
 
     def spent(self, ticks: int, seconds: float) -> None:
         """Counts what the controllers of a run or a sweep took."""
-        _TAKEN.ticks += ticks
-        _TAKEN.seconds += seconds
+        count_controller_time(ticks, seconds)
 
 
 def research_of(scene: Scene) -> Research | None:

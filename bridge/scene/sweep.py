@@ -28,6 +28,7 @@ from haptether.bridge.scene.run import named_scene
 from haptether.bridge.scene.sweeps.design import Values, design_of
 from haptether.bridge.scene.sweeps.limits import LARGEST_EXACT, as_typed, out_of_range
 from haptether.bridge.scene.sweeps.population import Population, with_population
+from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice, with_scenes
 from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import private_file, refuse_link
 
@@ -156,7 +157,8 @@ def sweep(
     Args:
         scene: A `Scene`, the name of one that comes with Haptether, or the path of a TOML file.
         grid: Values by dotted path ("safety.window"): every combination is run, the last path varies fastest. Values
-            are numbers, or whatever else the field takes: strings, booleans, lists, tables.
+            are numbers, or whatever else the field takes: strings, booleans, lists, tables. Of the path "scene" they
+            are scenes, given as the first is.
         samples: Values by dotted path, all of one length: row i takes the value i of each.
         population: As many hands as there are samples, drawn of a `Population`, of one of `population_names()` or of
             the path of a TOML file.
@@ -173,8 +175,10 @@ def sweep(
         ValueError: Neither or both of `grid` and `samples`, samples of different lengths, a tie to what does not vary,
             a population without samples, or one whose field is sampled, too.
     """
+    overrides = tuple(overrides)
     _, base = named_scene(scene, overrides)
-    samples = with_population(base.scene, samples, population, seed)
+    samples = with_scenes(with_population(base.scene, samples, population, seed), overrides)
+    grid = with_scenes(grid, overrides)
     if (grid is None) == (samples is None):
         message = "give grid or samples: exactly one of the two"
         raise ValueError(message)
@@ -252,10 +256,10 @@ def measured(base: Checked, varied: Mapping[str, npt.NDArray[Any]], threads: Thr
     for code in codes.values():
         chosen = np.flatnonzero(of_row == code)
         own = {path: column[chosen] for path, column in numbers.items()}
-        # Where no number varies all rows of a combination are alike, and the seed has to be given.
-        own = own or {"run.seed": np.full(len(chosen), float(base.scene.run.seed))}
         try:
             changed = _of_kind(base, {path: column[chosen[0]] for path, column in categories.items()})
+            # Where no number varies all rows of a combination are alike, and the seed has to be given.
+            own = own or {"run.seed": np.full(len(chosen), float(changed.scene.run.seed))}
             of_these = _metrics(changed, own, replace(threads, progress=shifted(threads.progress, done)))
         except SceneError as error:
             of_these = _refused(dict.fromkeys(range(len(chosen)), str(error)))
@@ -273,17 +277,22 @@ _KINDS: dict[tuple[bytes, bytes], Checked] = {}
 _MOST_KINDS = 256
 
 
-def _of_kind(base: Checked, values: Mapping[str, Raw]) -> Checked:
+def _of_kind(base: Checked, values: Mapping[str, "Raw | SceneChoice"]) -> Checked:
     """The scene with what is no number changed; the last ones are cached, for the batches of one sweep.
 
     Raises:
         SceneError: A scene that cannot be built.
     """
+    if isinstance(chosen := values.get(SCENE), SceneChoice):
+        base = chosen.checked
+    fields = cast("dict[str, Raw]", {path: value for path, value in values.items() if path != SCENE})
+    if not fields:
+        return base
     # By the scene as it was written, and not as it is resolved: a preset fills in what was left out.
-    key = (msgspec.msgpack.encode(base.scene), msgspec.msgpack.encode(dict(values)))
+    key = (msgspec.msgpack.encode(base.scene), msgspec.msgpack.encode(fields))
     if (cached := _KINDS.get(key)) is None:
         changed: Raw = cast("dict[str, Raw]", msgspec.to_builtins(base.scene))
-        for path, value in values.items():
+        for path, value in fields.items():
             changed = with_value(changed, path_of(path), value)
         scene = typed_scene(changed)
         cached = Checked(scene, checked_spec(scene))

@@ -1,7 +1,7 @@
 """What a set-up bears by design, before anything moves: delay, stiffness, thresholds, limits."""
 
 from haptether.studies.design.check import check_at_once, check_scene
-from haptether.studies.design.delay import ContactLoop, Follower, largest_delay_s, stable_delays
+from haptether.studies.design.delay import ContactLoop, Follower, largest_delay_s, stable_delays, stable_together
 from haptether.studies.design.finding import DesignCheck, Finding
 from haptether.studies.design.loops import scene_loops, scene_times
 from haptether.studies.design.wall import largest_wall_stiffness
@@ -18,4 +18,5 @@ __all__ = [
     "scene_loops",
     "scene_times",
     "stable_delays",
+    "stable_together",
 ]

@@ -8,16 +8,18 @@ from haptether.bridge import Scene
 from haptether.bridge.scene.research import research_of
 from haptether.safety import THROWN_SPEED, EjectionBound, ejection_bound
 from haptether.studies.design.contact import rendered, scene_numbers, touched
-from haptether.studies.design.delay import largest_delay_s, stable_delays
+from haptether.studies.design.delay import largest_delay_s, stable_together
 from haptether.studies.design.finding import MARGIN, DesignCheck, Finding, State, Units, link_delays_s
-from haptether.studies.design.idle import idle_link
+from haptether.studies.design.idle import idle_link, script_texts, scripted_link
 from haptether.studies.design.loops import scene_loops
-from haptether.studies.design.remedy import with_remedies
+from haptether.studies.design.remedy import OWN_CONTROLLER, with_remedies
 from haptether.studies.design.wall import largest_wall_stiffness
 
 SHOWN_DELAY_S = 0.5
 """Delays that are looked at, or twice what the link has."""
 MAX_HOLDS_PER_H = 1.0
+MOST_NAMED = 3
+"""Of what a link does once, and of when it makes the ladder hold."""
 PEAK_SPEED, PEAK_ACCELERATION = 1.875, 10.0 / sqrt(3.0)
 """Of a minimum-jerk stroke, in units of D/T and D/T² (Flash and Hogan 1985)."""
 
@@ -112,7 +114,7 @@ def _round_trip(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
     worst = min(loops, key=largest_delay_s)
     delays = link_delays_s(spec)
     up_to_s = SHOWN_DELAY_S if delays is None else max(SHOWN_DELAY_S, 2.0 * delays[1])
-    stable = stable_delays(worst, up_to_s)
+    stable = stable_together(loops, up_to_s)
     who = "held" if worst.hand_stiffness > 0.0 else "nobody holds"
     said = f"contact with {worst.environment_stiffness:g} {units.stiffness}, {who}: {_intervals(stable, up_to_s)}"
     if delays is None:
@@ -213,7 +215,9 @@ def _ejection(
         text = "nothing pushes the device, so that nothing can be thrown"
         yield Finding(name="ejection", state="note", text=text)
         return
-    if "force" in what:
+    if "force" in what and scene.safety.research is not None:
+        yield _unknown(scene.safety.research.controller, limit, Units.of(spec).speed)
+    elif "force" in what:
         yield _bounded(ejection_bound(scene) if bound is None else bound, limit, Units.of(spec).speed)
     safety = spec["safety"]
     for part, table, who in (("torque", "rotation", "the handle"), ("trigger", "gripper", "the trigger")):
@@ -225,6 +229,19 @@ def _ejection(
         if not watched:
             text += ": no controller watches"
         yield Finding(name=f"ejection of {who}", state="not judged" if watched else "bad", text=text)
+
+
+def _unknown(controller: str, limit: float | None, unit: str) -> Finding:
+    """Of a controller of one's own: its force is known by what it does alone."""
+    text = f"no bound on the speed after a release is known of {controller}, a controller of your own"
+    return Finding(
+        name="ejection",
+        state="not judged",
+        text=text,
+        limit=limit,
+        unit=unit,
+        remedy=OWN_CONTROLLER.format(name=controller),
+    )
 
 
 def _bounded(bound: EjectionBound, limit: float | None, unit: str) -> Finding:
@@ -393,4 +410,31 @@ def _idle(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
     yield Finding(
         name="link", state=state, text=f"while nobody moves this link makes the ladder hold {rate}{why}, of"
         f" {idle.seconds:g} s that were run", value=per_h, limit=MAX_HOLDS_PER_H, unit="1/h",
+    )  # fmt: skip
+    yield from _scripted(scene)
+
+
+def _scripted(scene: Scene) -> Iterator[Finding]:
+    """What the ladder makes of what this link does once: that has no rate."""
+    once = scripted_link(scene)
+    if once is None:
+        return
+    happens = script_texts(scene)
+    more = f" and {len(happens) - MOST_NAMED} more" if len(happens) > MOST_NAMED else ""
+    what = f"{', '.join(happens[:MOST_NAMED])}{more}"
+    times = ", ".join(f"{at_s:.3g} s" for at_s in once.holds_s[:MOST_NAMED])
+    times += ", ..." if once.holds > MOST_NAMED else ""
+    state: State = "warning"
+    if not once.coupled:
+        state = "bad"
+        when = f"the ladder holds at {times}, and the two are" if once.holds else "the two are"
+        said = f"{when} not coupled again within {once.seconds:.3g} s ({once.reason})"
+    elif once.holds or once.stops:
+        stops = ", and stops" if once.stops else ""
+        said = f"the ladder holds at {times}{stops} ({once.reason}), until the clutch is pressed again"
+    else:
+        state, said = "good", "the ladder bears it"
+    yield Finding(
+        name="outage", state=state, text=f"once, {what}: {said}", unit="holds or stops",
+        value=float(once.holds + once.stops),
     )  # fmt: skip

@@ -1,5 +1,6 @@
 """How much delay a position-force coupling bears."""
 
+from collections.abc import Iterable
 from typing import TypeAlias
 
 import msgspec
@@ -99,6 +100,20 @@ def stable_delays(loop: ContactLoop, up_to_s: float) -> tuple[tuple[float, float
     if begun is not None:
         found.append((begun, up_to_s))
     return tuple(found)
+
+
+def stable_together(loops: Iterable[ContactLoop], up_to_s: float) -> tuple[tuple[float, float], ...]:
+    """Intervals of the sum of both delays in s, from 0 to `up_to_s`, in which none of several loops oscillates.
+
+    Raises:
+        ValueError: A negative or infinite end.
+    """
+    common: tuple[tuple[float, float], ...] = ((0.0, up_to_s),)
+    for loop in loops:
+        own = stable_delays(loop, up_to_s)
+        both = ((max(low, begin), min(high, end)) for low, high in common for begin, end in own)
+        common = tuple((low, high) for low, high in both if low < high)
+    return common
 
 
 def _polynomials(loop: ContactLoop) -> tuple[Array, Array]:

@@ -37,9 +37,15 @@ ADVICE = {
     "wsc": "slower strokes; a larger |safety.energy_threshold_j| raises the bound on the speed after a release",
     "grip": "a firmer grip, or a lower safety.limiter.max_force_n",
     "losses": "a better link",
+    "outage": "a shorter one: safety.ladder.hold_after_s bears at most 0.1 s, and what is longer ends in HOLD",
     "link": "less delay, jitter and loss; a delay_s is in seconds: 0.05 is 50 ms",
 }
 """What helps besides, by what a finding is about: not all of it is a field."""
+OWN_CONTROLLER = (
+    "measure it: `haptether falsify` on this scene finds the release after which it is worst, `haptether evaluate"
+    " --controller none {name}` how often it throws and trips falsely"
+)
+"""What helps where no bound is known."""
 
 
 class Judge(Protocol):
@@ -98,7 +104,7 @@ def _mended(
     scene: Scene, finding: Finding, findings: tuple[Finding, ...], judge: Judge, limit: float | None
 ) -> Finding:
     before = {one.name: one for one in findings}
-    on_link = finding.name == "link"
+    on_link = finding.name in {"link", "outage"}
 
     def tried(changes: Changes) -> Finding | bool | None:
         """The finding with these changes, none if it is gone; false if they cannot be, or do not mend it."""
@@ -200,6 +206,8 @@ def _candidates(scene: Scene, finding: Finding, limit: float | None) -> Iterator
             yield from _blunter_wsc(safety, finding)
         case "grip":
             yield (f"safety.limiter.max_force_n={finding.limit:g}",)
+        case "outage":
+            yield from _longer_holds(safety)
         case "losses" | "link" if finding.name == "losses" or "silent" in finding.text:
             yield from _longer_holds(safety)
 

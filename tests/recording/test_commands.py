@@ -93,7 +93,18 @@ def test_what_cannot_be_done_is_refused(
     empty = write_recording(tmp_path / "empty.mcap", "master", [])
     for arguments, status, text in (
         (["info"], 2, "which file?"),
-        (["info", str(tmp_path / "none.mcap")], 1, "none.mcap: No such file"),
+        *(
+            ([name, str(tmp_path / "none.mcap"), *more], 2, "none.mcap: no such file: give what --")
+            for name, more in (
+                ("info", ()),
+                ("plot", ()),
+                ("export", ("--csv", str(tmp_path / "t.csv"))),
+                ("replay", ()),
+                ("playback", ()),
+                ("explain", ()),
+            )
+        ),
+        (["plot", str(master), str(tmp_path)], 2, "is a folder: give what --record of"),
         (["info", str(tmp_path / "other.mcap")], 2, "no recording of Haptether"),
         (["plot", str(master), "--out", "run.gif"], 2, "run.gif: must end in .png, .pdf, .svg"),
         (["plot", str(empty)], 2, "has no tick"),

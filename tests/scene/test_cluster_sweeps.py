@@ -1,5 +1,6 @@
 """Rows computed by a Dask cluster of real processes, one of which is killed at work, are those of this process."""
 
+import os
 import signal
 import threading
 import time
@@ -10,7 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from haptether.bridge import sweep_to_file
+from haptether.bridge import controller_time, register_controller, sweep_to_file
+from haptether.bridge.scene.load import loaded
+from haptether.bridge.scene.research import uncounted_controller_time
+from haptether.bridge.scene.sweep import Threads
 from haptether.bridge.scene.sweeps import cluster
 
 GRID: dict[str, list[Any]] = {"link.forward.delay_s": [0.01, 0.02], "safety.controllers": [["wsc"], []]}
@@ -57,6 +61,52 @@ def test_without_an_address_workers_are_processes_of_this_machine(local: bytes, 
     path = tmp_path / "own.csv"
     sweep_to_file("remote_push", path, GRID, SAMPLES, overrides=SHORT, engine="dask", threads=2)
     assert path.read_bytes() == local
+
+
+class Idle:
+    """A controller in Python that never intervenes."""
+
+    def step(self, tick: object) -> None:
+        """Nothing."""
+
+
+def test_a_batch_says_what_controllers_took_and_counts_it_no_second_time() -> None:
+    register_controller("idle-here", Idle)
+    base = loaded("paper_wall", ["run.duration_s=0.2", "safety.research.controller=idle-here"])
+    uncounted_controller_time()
+    columns = {"run.seed": np.array([1.0, 2.0])}
+    first, metrics, taken = cluster._batch(base, 4, columns, Threads(count=1))
+    assert first == 4
+    assert taken.ticks == metrics["ticks"].sum() > 0
+    assert taken.seconds > 0.0
+    assert controller_time().ticks == 0
+
+
+@pytest.mark.alone
+@pytest.mark.timeout(120)
+def test_what_controllers_in_python_take_on_workers_is_counted_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("distributed")
+    package = tmp_path / "installed"
+    (package / "idle-0.1.dist-info").mkdir(parents=True)
+    (package / "idle_controller.py").write_text("class Idle:\n    def step(self, tick):\n        return None\n")
+    (package / "idle-0.1.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: idle\nVersion: 0.1\n")
+    (package / "idle-0.1.dist-info" / "entry_points.txt").write_text(
+        "[haptether.controllers]\nidle = idle_controller:Idle\n"
+    )
+    monkeypatch.syspath_prepend(str(package))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(package), *filter(None, [os.environ.get("PYTHONPATH")])]))
+    monkeypatch.setattr(cluster, "BATCH", 2)
+    before = controller_time()
+    stored = sweep_to_file(
+        "paper_wall", tmp_path / "rows.csv", samples={"run.seed": np.arange(1.0, 7.0)}, engine="dask", threads=2,
+        overrides=["run.duration_s=0.2", "safety.research.controller=idle"], collect=True,
+    )  # fmt: skip
+    assert stored.whole is not None
+    after = controller_time()
+    assert after.ticks - before.ticks == sum(stored.whole["ticks"].tolist()) > 0
+    assert after.seconds > before.seconds
 
 
 def test_a_scheduler_that_does_not_answer_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

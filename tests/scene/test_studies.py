@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from haptether.bridge import SceneError, simulate, sweep
+from haptether.bridge import SceneError, load_scene, scene_toml, simulate, sweep
 from haptether.bridge.scene.sweep import label
 from haptether.bridge.scene.sweeps.laws import SampleLaw, sobol_points
 from haptether.cli.entry import main
@@ -157,3 +157,101 @@ def test_a_sobol_sequence_fills_its_law_evenly(law: SampleLaw, mean: float, with
     again = sobol_points(["a", "b"], 256, 1)
     assert all((points[name] == again[name]).all() for name in points)
     assert (sobol_points(["a"], 256, 2)["a"] != sobol_points(["a"], 256, 1)["a"]).any()
+
+
+# ---------------------------------------------------------------------------------------------------- whole scenes
+
+
+def test_rows_of_a_scene_that_is_a_choice_are_the_runs_of_that_scene() -> None:
+    given = ["run.duration_s=1.0"]
+    found = sweep("paper_wall", {"scene": ["paper_wall", "remote_push"], "operator.damping": [6.0, 12.0]},
+                  overrides=given, threads=2)  # fmt: skip
+    assert found["scene"].tolist() == ["paper_wall"] * 2 + ["remote_push"] * 2
+    for row in found.rows():
+        expected = simulate(row["scene"], overrides=[*given, f"operator.damping={row['operator.damping']}"]).metrics
+        assert {name: row[name] for name in METRICS} == {name: getattr(expected, name) for name in METRICS}
+    assert found["position_rmse_m"].tolist()[2:] != found["position_rmse_m"].tolist()[:2]
+    alone = sweep("remote_push", {"scene": ["remote_push"]}, overrides=[*given, "run.seed=7"])
+    assert (
+        alone["peak_device_force"][0]
+        == simulate("remote_push", overrides=[*given, "run.seed=7"]).metrics.peak_device_force
+    )
+
+
+def test_scenes_in_memory_are_choices_by_their_title() -> None:
+    scenes = [load_scene("paper_wall", [f"title={name}", f"operator.damping={damping}", "run.duration_s=0.5"])
+              for name, damping in (("light", 6), ("firm", 20))]  # fmt: skip
+    found = sweep(scenes[0], {"scene": scenes})
+    assert found["scene"].tolist() == ["light", "firm"]
+    assert len(set(found["peak_device_force"].tolist())) == 2
+    with pytest.raises(ValueError, match="two scenes have this name"):
+        sweep(scenes[0], {"scene": [scenes[0], load_scene("paper_wall", ["title=light"])]})
+    with pytest.raises(ValueError, match="must be a list of scenes"):
+        sweep("paper_wall", {"scene": "paper_wall"})
+    with pytest.raises(SceneError, match="no shipped scene and no such file"):
+        sweep("paper_wall", {"scene": ["paper_wal"]})
+
+
+def test_a_field_that_one_of_the_scenes_does_not_have_refuses_its_rows_alone() -> None:
+    found = sweep("remote_push", {"scene": ["paper_wall", "remote_push"], "link.forward.loss": [0.0]},
+                  overrides=["run.duration_s=0.5"])  # fmt: skip
+    assert found["outcome"].tolist()[0] == "refused"
+    assert found["outcome"].tolist()[1] != "refused"
+    assert "link" in found["reason"].tolist()[0]
+
+
+def test_scenes_are_compared_on_the_command_line_and_resumed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, out = tmp_path / "own.toml", tmp_path / "rows.csv"
+    file.write_text(scene_toml(load_scene("paper_wall", ["operator.damping=15"])))
+    command = ["sweep", "paper_wall", "--vary", f"scene=paper_wall,{file}", "--samples", "3", "--set",
+               "run.duration_s=0.5", "--out", str(out)]  # fmt: skip
+    summary = ["--summary", "peak_device_force", "--against", "scene=paper_wall"]
+    assert main([*command, *summary]) == 0
+    said = capsys.readouterr().out
+    assert "difference" in said
+    whole = out.read_bytes()
+    assert whole.count(str(file).encode()) == 3
+    out.unlink()
+    # What an interrupted sweep has kept is not that of a scene that was changed meanwhile.
+    monkeypatch.setattr("haptether.bridge.scene.sweeps.store._written", interrupted)
+    assert main(command) == 130
+    monkeypatch.undo()
+    before = file.read_text()
+    file.write_text(scene_toml(load_scene("paper_wall", ["operator.damping=16"])))
+    assert main([*command, "--resume"]) == 2
+    assert f"scenes.{file}" in " ".join(capsys.readouterr().err.split())
+    file.write_text(before)
+    assert main([*command, "--resume"]) == 0
+    assert out.read_bytes() == whole
+
+
+def interrupted(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
+
+
+# ---------------------------------------------------------------------------------------------------- what is refused
+
+
+def test_each_reason_is_shown_once_with_a_row_that_has_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """30 rows come first that are fine, and are all that the table shows."""
+    command = ["sweep", "remote_push", "--vary", "link.forward.delay_s=0.05,0.06,0.001", "--vary", "run.seed=1:30:30",
+               "--set", "run.duration_s=0.1"]  # fmt: skip
+    for more in ([], ["--out", str(tmp_path / "rows.csv")]):
+        assert main([*command, *more]) == 0
+        lines = [line for line in capsys.readouterr().out.splitlines() if ": refused: " in line]
+        (line,) = lines
+        assert line.startswith("row 60, link.forward.delay_s = 0.001, run.seed = 1: refused: [link.forward] jitter_s")
+        assert line.endswith("(30 rows)")
+
+
+def test_of_many_reasons_the_first_are_shown_and_the_others_counted(capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["sweep", "remote_push", "--vary", "operator.damping=-9:1:11", "--set", "run.duration_s=0.1"]
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    assert [line.partition(",")[0] for line in said.splitlines() if ": refused: " in line] == [
+        f"row {row}" for row in range(5)
+    ]
+    assert "and 4 more rows with other reasons; --out and --json have all" in said
+    assert "9 refused" in said

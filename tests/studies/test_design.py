@@ -12,7 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from haptether.bridge import Scene, load_scene, override_scene, scene_json, scene_names, simulate
+from haptether.bridge import (
+    Scene,
+    load_scene,
+    override_scene,
+    register_controller,
+    scene_json,
+    scene_names,
+    simulate,
+)
 from haptether.cli.entry import main
 from haptether.cli.shared.design import design_lines
 from haptether.cli.shared.ejection import bound_line
@@ -26,6 +34,7 @@ from haptether.studies import (
     largest_wall_stiffness,
     scene_loops,
     stable_delays,
+    stable_together,
 )
 from haptether.studies.design import remedy
 from haptether.studies.design.contact import scene_numbers, touched
@@ -433,6 +442,19 @@ def test_a_live_start_says_what_is_bad_and_names_the_command_for_the_rest() -> N
     assert list(design_lines(load_scene("paper_wall"), "paper_wall")) == []
 
 
+@pytest.mark.parametrize("with_scene", [True, False])
+def test_a_slave_with_a_scene_says_at_its_start_what_is_bad(
+    with_scene: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["slave", "--insecure", "--listen", "127.0.0.1:0", "--patience-s", "0.2"]
+    scene = ["--scene", "remote_push", "--set", "safety.controllers=[]"] if with_scene else []
+    # No master comes.
+    assert main([*command, *scene]) == 1
+    said = capsys.readouterr().err
+    assert ("BAD  ejection: no bound" in said) == with_scene
+    assert ("haptether check remote_push --set 'safety.controllers=[]'" in said) == with_scene
+
+
 def test_a_check_that_fails_at_a_live_start_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(_: Scene) -> None:
         message = "no\nnumber"
@@ -462,6 +484,93 @@ def test_a_link_that_holds_is_reported_with_rate_and_reason() -> None:
     # Six in a minute.
     assert finding.value == 360.0
     assert "silent" in finding.text
+
+
+def once(*times: tuple[float, float]) -> str:
+    """Outages of the way there, each when and for how long in s."""
+    listed = ", ".join(
+        f'{{ times = {{ kind = "once", at_s = {at_s}, duration_s = {duration_s} }} }}' for at_s, duration_s in times
+    )
+    return f"link.forward.outages=[{listed}]"
+
+
+@pytest.mark.parametrize(
+    ("times", "state", "said"),
+    [
+        ([(2.0, 0.01)], "good", "an outage of 10 ms at 2 s: the ladder bears it"),
+        ([(2.0, 0.04)], "warning", "the ladder holds at 2.07 s (slave: peer is silent)"),
+        ([(2.0, 0.3)], "warning", "the ladder holds at 2.07 s, and stops ("),
+        ([(2.0, 0.3), (70.0, 0.04)], "warning", "the ladder holds at 2.07 s, 70.1 s, and stops ("),
+        ([(2.0, 1e6)], "bad", "not coupled again within"),
+    ],
+)
+def test_what_a_link_does_once_is_no_rate(times: list[tuple[float, float]], state: str, said: str) -> None:
+    found = check_scene(load_scene("remote_push", [once(*times)]), remedies=False).findings
+    link, outage = of(found, "link"), of(found, "outage")
+    assert link is not None
+    assert outage is not None
+    assert (link.state, link.value) == ("good", 0.0)
+    assert (outage.state, outage.text.count("an hour")) == (state, 0)
+    assert said in outage.text
+
+
+def test_an_outage_that_is_longer_than_any_hold_after_has_advice_that_says_so() -> None:
+    short, long = (
+        of(check_scene(load_scene("remote_push", [once((2.0, duration_s))])).findings, "outage")
+        for duration_s in (0.04, 0.3)
+    )
+    assert short is not None
+    assert short.changes == ("safety.ladder.hold_after_s=0.05",)
+    assert long is not None
+    assert not any("hold_after_s=" in change for change in long.changes)
+    assert long.remedy is not None
+    assert "hold_after_s bears at most 0.1 s" in long.remedy
+
+
+def test_changes_of_delay_and_of_a_clock_are_looked_at_once() -> None:
+    overrides = [
+        "link.backward.timeline=[{ at_s = 3.0, delay_s = 0.4 }]",
+        "link.slave_clock={ step_s = 0.5, step_at_s = 6.0 }",
+    ]
+    outage = of(check_scene(load_scene("remote_push", overrides), remedies=False).findings, "outage")
+    assert outage is not None
+    assert outage.state == "warning"
+    assert "backward a delay of 400 ms from 3 s on, the slave's clock is set forward by 0.5 s at 6 s" in outage.text
+    assert of(check_scene(load_scene("remote_push"), remedies=False).findings, "outage") is None
+
+
+class Brake:
+    """Of one's own: nothing is known of it."""
+
+    def step(self, tick: object) -> None:
+        """Never intervenes."""
+
+
+@pytest.mark.parametrize("controllers", ["[]", "[wsc]", "[hsc,wsc]"])
+def test_of_a_controller_of_ones_own_no_bound_is_known_and_it_is_advised_to_measure(controllers: str) -> None:
+    register_controller("brake", Brake)
+    scene = load_scene(
+        "remote_push",
+        [f"safety.controllers={controllers}", "safety.research.controller=brake", "master.measures_velocity=true"],
+    )
+    ejection = of(check_scene(scene).findings, "ejection")
+    assert ejection is not None
+    assert (ejection.state, ejection.value, ejection.changes) == ("not judged", None, ())
+    assert "no bound on the speed after a release is known of brake" in ejection.text
+    assert ejection.remedy is not None
+    assert "haptether falsify" in ejection.remedy
+    assert "haptether evaluate --controller none brake" in ejection.remedy
+
+
+def test_axes_that_differ_are_stable_where_all_of_them_are() -> None:
+    scene = load_scene("pick_and_place", ["master.mass_kg=[0.05,0.4,0.4]"])
+    several = scene_loops(scene)
+    assert len({loop.mass_kg for loop in several}) == 2
+    together = stable_together(several, 0.4)
+    for delay_s in np.linspace(0.002, 0.398, 100):
+        inside = all(any(low <= delay_s <= high for low, high in stable_delays(loop, 0.4)) for loop in several)
+        assert inside == any(low <= delay_s <= high for low, high in together), delay_s
+    assert stable_together([], 0.4) == ((0.0, 0.4),)
 
 
 def test_losses_hold_as_often_as_a_chain_of_two_states_says() -> None:

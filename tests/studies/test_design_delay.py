@@ -188,11 +188,33 @@ def test_the_sampled_loop_is_later_than_its_round_trip_by_one_period(
     assert later_s == pytest.approx(longest_s, rel=0.06)
 
 
-def summary_of(round_trip_s: float) -> LinkSummary:
+def summary_of(round_trip_s: float, median_s: float | None = None) -> LinkSummary:
     fields: dict[str, Any] = dict.fromkeys(LinkSummary.__struct_fields__, 0)
     return msgspec.structs.replace(
-        LinkSummary(**fields), round_trip_p99_s=round_trip_s, worst_gap_s=1e-3, silence_at_end_s=0.0
-    )
+        LinkSummary(**fields), round_trip_p50_s=round_trip_s if median_s is None else median_s,
+        round_trip_p99_s=round_trip_s, worst_gap_s=1e-3, silence_at_end_s=0.0,
+    )  # fmt: skip
+
+
+POCKETS = ((0.0, 0.03), (0.057, 0.131))
+
+
+@pytest.mark.parametrize(
+    ("median_s", "late_s", "good", "between"),
+    [
+        (0.02, 0.025, True, False), (0.02, 0.035, False, False), (0.04, 0.05, False, False), (0.05, 0.07, False, False),
+        (0.06, 0.12, True, True), (0.06, 0.14, False, False), (0.2, 0.2, False, False), (0.02, 0.07, False, False),
+    ],
+)  # fmt: skip
+def test_a_link_is_borne_in_later_intervals_if_its_median_and_its_late_round_trips_are(
+    median_s: float, late_s: float, good: bool, between: bool
+) -> None:
+    verdict = judge_link(summary_of(late_s, median_s), 0.03, 0.02, 1e-3, stable_delays_s=POCKETS)
+    assert (verdict.good, verdict.is_between) == (good, between)
+    if not good:
+        assert "bearable is 30.0 ms, and 57.0 to 131.0 ms" in verdict.complaints[0]
+    # Without the intervals only the first counts.
+    assert judge_link(summary_of(late_s, median_s), 0.03, 0.02, 1e-3).good == (late_s + 1e-3 < 0.03)
 
 
 def test_the_verdict_counts_the_delay_of_the_sampled_loop() -> None:

@@ -441,7 +441,8 @@ def test_without_a_hand_in_the_scene_no_release_is_reported(held: list[Path]) ->
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
     [
-        (["nowhere.mcap"], 1, "nowhere.mcap: No such file"),
+        (["nowhere.mcap"], 2, "nowhere.mcap: no such file: give what --record of"),
+        (["."], 2, ".: is a folder: give what --record of"),
         ([__file__], 2, "no recording of Haptether"),
         (["nowhere.mcap", "--seed", "-1"], 2, "seed = -1: must be 0 or more"),
         (["nowhere.mcap", "--plot", "picture.txt"], 2, "must end in"),

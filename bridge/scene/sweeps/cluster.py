@@ -9,6 +9,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy.typing as npt
 
 from haptether.bridge.scene.load import Checked
+from haptether.bridge.scene.research import ControllerTime, count_controller_time, uncounted_controller_time
 from haptether.bridge.scene.sweep import Threads, measured
 from haptether.bridge.scene.sweeps.design import Design
 
@@ -27,7 +28,7 @@ ANSWER_S = "30 s"
 class _Future(Protocol):
     """What of a `distributed.Future` is used; Haptether does not depend on dask.distributed."""
 
-    def result(self) -> tuple[int, Metrics]:
+    def result(self) -> tuple[int, Metrics, ControllerTime]:
         """Waits for the rows of a batch."""
 
     def release(self) -> None:
@@ -92,11 +93,12 @@ def computed_by_cluster(
         future: _Future
         for future in waiting:
             try:
-                first, metrics = future.result()
+                first, metrics, taken = future.result()
             except distributed.KilledWorker as error:
                 message = f"workers of the cluster were lost with the same rows again and again: {error}"
                 raise RuntimeError(message) from None
             future.release()
+            count_controller_time(taken.ticks, taken.seconds)
             if (following := next(ranges, None)) is not None:
                 waiting.add(submit(*following))
             done += len(metrics["outcome"])
@@ -105,6 +107,9 @@ def computed_by_cluster(
                 progress(done)
 
 
-def _batch(base: Checked, first: int, columns: Mapping[str, npt.NDArray[Any]], threads: Threads) -> tuple[int, Metrics]:
-    """On a worker: the metrics of some rows."""
-    return first, measured(base, columns, threads)
+def _batch(
+    base: Checked, first: int, columns: Mapping[str, npt.NDArray[Any]], threads: Threads
+) -> tuple[int, Metrics, ControllerTime]:
+    """On a worker: the metrics of some rows, and what controllers in Python took since it last said so."""
+    metrics = measured(base, columns, threads)
+    return first, metrics, uncounted_controller_time()

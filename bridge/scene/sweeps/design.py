@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from haptether.bridge.scene.errors import Path, SceneError
 from haptether.bridge.scene.load import path_of
+from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice
 
 Values: TypeAlias = "Sequence[Any] | npt.NDArray[np.float64]"
 """Of one path: numbers, or whatever else a field takes."""
@@ -75,7 +76,7 @@ class Design:
     def described(self) -> dict[str, Any]:
         """The design as JSON types; long samples by their SHA-256."""
         return {
-            "vary": {path: levels.tolist() for path, levels in self.factors.items()},
+            "vary": {path: _written_out(levels) for path, levels in self.factors.items()},
             "samples": {path: _digest(values) for path, values in self.samples.items()},
             "ties": dict(self.ties),
         }
@@ -109,6 +110,8 @@ def _refuse_same_field(paths: Iterable[str]) -> None:
     """
     seen: dict[Path, str] = {}
     for path in paths:
+        if path == SCENE:
+            continue
         if (other := seen.setdefault(path_of(path), path)) != path:
             message = f"{path}: is the same field as {other}"
             raise ValueError(message)
@@ -120,7 +123,9 @@ def _values_of_path(path: str, values: Values) -> npt.NDArray[Any]:
     Raises:
         SceneError: What no field takes.
     """
-    if isinstance(values, str) or any(isinstance(value, bool | str | list | tuple | Mapping) for value in values):
+    if isinstance(values, str) or any(
+        isinstance(value, bool | str | list | tuple | Mapping | SceneChoice) for value in values
+    ):
         return _categories(path, values)
     try:
         numbers = np.array(values, dtype=np.float64)
@@ -152,5 +157,10 @@ MOST_WRITTEN_OUT = 64
 
 def _digest(values: npt.NDArray[Any]) -> dict[str, Any]:
     if values.dtype == object or len(values) <= MOST_WRITTEN_OUT:
-        return {"values": values.tolist()}
+        return {"values": _written_out(values)}
     return {"count": len(values), "sha256": hashlib.sha256(np.asarray(values, dtype="<f8").tobytes()).hexdigest()}
+
+
+def _written_out(values: npt.NDArray[Any]) -> list[Any]:
+    """As JSON types; scenes by their names."""
+    return [value.name if isinstance(value, SceneChoice) else value for value in values.tolist()]

@@ -33,6 +33,8 @@ from haptether.bridge.scene.sweeps.cluster import computed_by_cluster
 from haptether.bridge.scene.sweeps.design import Design, Values, design_of
 from haptether.bridge.scene.sweeps.journal import Journal
 from haptether.bridge.scene.sweeps.population import Population, with_population
+from haptether.bridge.scene.sweeps.reasons import RowReasons
+from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice, with_scenes
 from haptether.bridge.scene.sweeps.table_file import STREAMED, check_suffix, table_file
 from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import is_stream, refuse_link
@@ -60,6 +62,8 @@ class StoredSweep:
     """How many rows ended how, the most frequent first."""
     measured: frozenset[str]
     """Columns that have a value in some row."""
+    reasons: RowReasons = field(repr=False)
+    """Why rows were refused or diverged."""
     head: Sweep = field(repr=False)
     """The first `HEAD_ROWS` rows."""
     whole: Sweep | None = field(repr=False, default=None)
@@ -126,7 +130,9 @@ def sweep_to_file(
     if is_stream(path):
         message = f"{path}: is a pipe or a device, must be a file"
         raise ValueError(message)
+    overrides = tuple(overrides)
     name, base = named_scene(scene, overrides)
+    grid, samples = with_scenes(grid, overrides), with_scenes(samples, overrides)
     design = design_of(grid, with_population(base.scene, samples, population, seed), ties)
     threads = thread_count(threads)
     request = {
@@ -136,6 +142,8 @@ def sweep_to_file(
         **design.described(),
         "specification": json.loads(base.json),
     }
+    if scenes := _scenes(design):
+        request["scenes"] = {each.name: json.loads(each.checked.json) for each in scenes}
     if (sources := _controller_sources(base, design)) is not None:
         request["controllers in Python"] = sources
     journal = Journal(path, request, resume=resume)
@@ -157,9 +165,15 @@ def sweep_to_file(
     return stored
 
 
+def _scenes(design: Design) -> list[SceneChoice]:
+    """The scenes that a design chooses from, each once."""
+    levels = [values.tolist() for values in ({**design.factors, **design.samples}.get(SCENE),) if values is not None]
+    return list({choice.name: choice for choice in (levels[0] if levels else ())}.values())
+
+
 def _controller_sources(base: Checked, design: Design) -> dict[str, str] | None:
     """What the controllers in Python of a sweep are now: rows of one that was changed meanwhile are other rows."""
-    tables = [base.scene.safety.research]
+    tables = [scene.safety.research for scene in (base.scene, *(each.checked.scene for each in _scenes(design)))]
     names = {table.controller for table in tables if table is not None}
     for path, values in design.factors.items():
         if path.startswith("safety.research"):
@@ -204,6 +218,7 @@ def _written(
         refuse_empty(Sweep({**labelled(design.columns(0, len(metrics["outcome"]))), **metrics}))
     outcomes: Counter[str] = Counter()
     measured_columns: set[str] = set()
+    reasons = RowReasons()
     head: Sweep | None = None
     parts: list[Metrics] = []
     metadata = {
@@ -217,6 +232,7 @@ def _written(
             rows = len(metrics["outcome"])
             columns = {**labelled(design.columns(first, first + rows)), **_with_all(metrics, names, rows)}
             outcomes.update(metrics["outcome"].tolist())
+            reasons.add(first, columns)
             measured_columns |= {
                 name for name, column in columns.items() if column.dtype.kind != "f" or not np.isnan(column).all()
             }
@@ -236,7 +252,7 @@ def _written(
     assert head is not None, "a design has at least one row"
     return StoredSweep(
         path=journal.path, rows=design.rows, resumed=resumed, outcomes=dict(outcomes.most_common()),
-        measured=frozenset(measured_columns), head=head, whole=whole if collect else None,
+        measured=frozenset(measured_columns), reasons=reasons, head=head, whole=whole if collect else None,
     )  # fmt: skip
 
 

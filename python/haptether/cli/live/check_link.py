@@ -22,7 +22,8 @@ class CheckLink:
     back within 0.2 s. Fails if the link is not good enough.
 
     What is bearable follows from what is touched: the least sum of both delays at which device, hand, arm and wall
-    begin to oscillate, and the longest silence at which the ladder does not hold. Device, hand, arm, wall, coupling and
+    begin to oscillate, the intervals beyond it in which they do not, and the longest silence at which the ladder does
+    not hold. Device, hand, arm, wall, coupling and
     ladder are those of `--scene`, without it those of `master` and `slave` without a scene.
 
     Examples:
@@ -72,7 +73,15 @@ class CheckLink:
         from haptether.cli.live.sides import baseline_scene, live_scene
         from haptether.cli.shared.output import check_target
         from haptether.cli.shared.stop import Stopped, wait
-        from haptether.studies import judge_link, largest_delay_s, scene_loops, scene_times, summarise_link
+        from haptether.studies import (
+            judge_link,
+            largest_delay_s,
+            scene_loops,
+            scene_times,
+            stable_together,
+            summarise_link,
+        )
+        from haptether.studies.design.check import SHOWN_DELAY_S
         from haptether.studies.design.contact import scene_numbers, touched
 
         check_target(self.json)
@@ -125,7 +134,8 @@ class CheckLink:
             )
             raise RuntimeError(message)
         summary = summarise_link(trace, report, scene.run.period_s)
-        verdict = judge_link(summary, bearable_s, hold_s + period_s, period_s)
+        stable_s = stable_together(loops, max(SHOWN_DELAY_S, 2.0 * (summary.round_trip_p99_s or 0.0)))
+        verdict = judge_link(summary, bearable_s, hold_s + period_s, period_s, stable_delays_s=stable_s)
         self._report(summary, verdict, worst, beyond)
         return 0 if verdict.good else 1
 
@@ -135,6 +145,7 @@ class CheckLink:
         from haptether.cli.shared.link_table import link_table
         from haptether.cli.shared.output import write_report
         from haptether.cli.shared.screen import screen
+        from haptether.studies.link_summary import bearable_text
 
         console = screen(self.json)
         console.print(link_table(summary))
@@ -144,7 +155,7 @@ class CheckLink:
             f"{loop.environment_stiffness:g} N/m, "
             f"{'a hand that holds' if loop.hand_stiffness > 0.0 else 'nobody holds'}"
         )
-        bearable = "any delay" if verdict.bearable_delay_s is None else f"{verdict.bearable_delay_s * 1e3:.1f} ms"
+        bearable = bearable_text(verdict.bearable_delay_s, verdict.stable_delays_s)
         has = "-" if verdict.delay_s is None else f"{verdict.delay_s * 1e3:.1f} ms"
         gap = "-" if verdict.gap_s is None else f"{verdict.gap_s * 1e3:.1f} ms"
         lines = [
@@ -155,6 +166,8 @@ class CheckLink:
             *(f"NOT GOOD ENOUGH: {complaint}" for complaint in verdict.complaints),
             *(f"not judged, for it is not in that loop: {one}" for one in beyond),
         ]
+        if verdict.good and verdict.is_between:
+            lines.append("little room: that delay lies between others at which contact oscillates")
         if verdict.good:
             lines.append("good enough" if not beyond else "good enough for that loop")
         for line in lines:

@@ -42,6 +42,7 @@ class Explain:
             ValueError: The file is none of a flight recorder, and no recording.
         """
         from haptether.bridge import flight_of_file
+        from haptether.cli.recording.files import check_files
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
 
@@ -49,6 +50,7 @@ class Explain:
         if self.ticks < 0:
             message = f"ticks = {self.ticks}: must be 0 or more"
             raise ValueError(message)
+        check_files(self.file, what="what --flight or --record of master or slave wrote")
         flight = flight_of_file(self.file)
         self._print(flight, screen(self.json))
         write_report(self.json, flight)

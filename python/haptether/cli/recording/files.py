@@ -1,5 +1,6 @@
 """The files that commands of recordings take."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -7,15 +8,33 @@ if TYPE_CHECKING:
     from haptether.bridge import Run
 
 
+RECORDED = "what --record of master, slave or simulate wrote"
+
+
+def check_files(*files: Path | None, what: str = RECORDED) -> None:
+    """Refuses what is no file that can be read.
+
+    Raises:
+        ValueError: With what to give.
+    """
+    for file in files:
+        if file is None or (file.exists() and not file.is_dir() and os.access(file, os.R_OK)):
+            continue
+        problem = "is a folder" if file.is_dir() else "may not be read" if file.exists() else "no such file"
+        message = f"{file}: {problem}: give {what}"
+        raise ValueError(message)
+
+
 def read_run(file: Path, other: Path | None, slave_begun_s: float | None) -> "Run":
     """The run of one file or of both sides', with a line on standard error while it takes long.
 
     Raises:
-        ValueError: No recording, two of one side or of different runs, or one without a tick.
+        ValueError: No file, no recording, two of one side or of different runs, or one without a tick.
     """
     from haptether.bridge import load
     from haptether.cli.scene.simulate import spinner
 
+    check_files(file, other)
     names = " and ".join(str(path) for path in (file, other) if path is not None)
     with spinner(f"reading {names}"):
         run = load(file, other, slave_begun_s=slave_begun_s)

@@ -37,6 +37,7 @@ class Info:
             ValueError: A file is no recording.
         """
         from haptether.bridge import load, read_recording
+        from haptether.cli.recording.files import check_files
         from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
@@ -45,6 +46,7 @@ class Info:
         if not self.files:
             message = "which file? Name what --record of master or slave wrote"
             raise ValueError(message)
+        check_files(*self.files)
         check_target(self.json)
         console = screen(self.json)
         reports = []

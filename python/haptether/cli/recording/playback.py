@@ -56,6 +56,7 @@ class Playback:
             ValueError: No recording that can be played back, or options of the other way to do it.
         """
         from haptether.bridge import playback_scene
+        from haptether.cli.recording.files import check_files
         from haptether.cli.shared.output import check_distinct, check_target
 
         check_distinct(file=self.file, key=self.key, json=self.json, out=self.out)
@@ -67,6 +68,7 @@ class Playback:
             way = "without --listen there is no live side" if self.listen is None else "with --listen nothing is drawn"
             message = f"{', '.join(given)}: {way}: leave it out"
             raise ValueError(message)
+        check_files(self.file)
         scene = playback_scene(self.file, overrides=self.set)
         return self._simulate(scene) if self.listen is None else self._play(self.listen, scene)
 

@@ -71,6 +71,7 @@ class Tune(PictureOptions):
 
     def run(self) -> int:
         """Tunes; 0, or 1 where the recordings are too short."""
+        from haptether.cli.recording.files import check_files
         from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.numbers import check_random_seed
         from haptether.cli.shared.output import check_target, write_report
@@ -82,6 +83,7 @@ class Tune(PictureOptions):
         check_target(self.json)
         check_random_seed(self.seed)
         picture = None if self.plot is None else picture_file(self.plot, self.format)
+        check_files(*self.recording)
         with spinner("tune") as say:
             found = tune(
                 self.recording,

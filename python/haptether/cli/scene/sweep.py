@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from haptether.bridge.scene.errors import Raw
     from haptether.bridge.scene.sweeps.design import Design
     from haptether.bridge.scene.sweeps.laws import SampleLaw
+    from haptether.bridge.scene.sweeps.reasons import RowReasons
     from haptether.cli.shared.screen import Screen
     from haptether.studies import SummaryRow
 
@@ -29,7 +30,7 @@ MAX_ROWS = 10_000_000
 """Of what is in memory: rows, and samples of a combination."""
 MAX_STORED_ROWS = 10**12 - 1
 """What the names in a journal count."""
-SEED = "run.seed"
+SEED, SCENE = "run.seed", "scene"
 RANGE = re.compile(r"[^:,\[{'\"]*:[^:,]*:[^:,]*")
 
 
@@ -147,7 +148,7 @@ class Sweep(PictureOptions):
             check_varied(paths, labelled({**design.factors, **design.samples}))
             picture = picture_file(self.plot, self.format)
         console = screen(self.json)
-        with controller_timed(console):
+        with controller_timed(console, here=self.engine == "local"):
             whole, stored = self._run_rows(design, {"grid": varied, "samples": drawn, "ties": ties}, collect=collect)
         shown = whole if stored is None else stored.head
         assert shown is not None, "a sweep without a file is in memory"
@@ -352,9 +353,8 @@ class Sweep(PictureOptions):
         total = len(result) if stored is None else stored.rows
         if total > ROWS_SHOWN:
             console.print(f"and {total - ROWS_SHOWN} more rows; --out and --json have all")
-        for number, row in enumerate(rows):
-            if row.get("reason"):
-                console.print(f"row {number}: {row['outcome']}: {row['reason']}", soft_wrap=True)
+        for line in reason_lines(_reasons(result) if stored is None else stored.reasons):
+            console.print(line, soft_wrap=True)
         outcomes = Counter(result.columns["outcome"].tolist() if stored is None else stored.outcomes)
         counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common())
         console.print(f"{total} rows: {counts}")
@@ -369,6 +369,28 @@ class Sweep(PictureOptions):
         present = {name for name, column in floats.items() if not np.isnan(column).all()}
         absent = floats.keys() - (present if stored is None else stored.measured)
         return [name for name in result.columns if name not in absent | {"intervention_ticks", "reason"}]
+
+
+def _reasons(result: "SweepResult") -> "RowReasons":
+    """Why rows of a sweep in memory were refused or diverged."""
+    from haptether.bridge.scene.sweeps.reasons import RowReasons
+
+    found = RowReasons()
+    found.add(0, result.columns)
+    return found
+
+
+def reason_lines(found: "RowReasons") -> "Iterator[str]":
+    """Why rows were refused or diverged, each reason once, with the first row that has it."""
+    for each in found.first:
+        values = ", ".join(
+            f"{path} = {value:.10g}" if isinstance(value, float) else f"{path} = {value}"
+            for path, value in each.values.items()
+        )
+        also = f" ({each.rows} rows)" if each.rows > 1 else ""
+        yield f"row {each.row}, {values}: {each.outcome}: {each.reason}{also}"
+    if found.others:
+        yield f"and {found.others} more rows with other reasons; --out and --json have all"
 
 
 def values_of(text: str) -> tuple[str, list[Any]]:
@@ -393,7 +415,7 @@ def values_of(text: str) -> tuple[str, list[Any]]:
                 raise ValueError
             found = np.linspace(float(first), float(last), int(count)).tolist()
         else:
-            found = [_value_of(path, item) for item in _items(values)]
+            found = [item.strip() if path == SCENE else _value_of(path, item) for item in _items(values)]
         if not all(math.isfinite(value) for value in found if isinstance(value, float)):
             raise ValueError
     except SceneError:

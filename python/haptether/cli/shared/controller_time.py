@@ -10,8 +10,13 @@ if TYPE_CHECKING:
 
 
 @contextlib.contextmanager
-def controller_timed(console: "Console") -> Iterator[None]:
-    """Says at the end, where a controller in Python has run meanwhile, how much slower it has made that."""
+def controller_timed(console: "Console", *, here: bool = True) -> Iterator[None]:
+    """Says at the end, where a controller in Python has run meanwhile, how much slower it has made that.
+
+    Args:
+        console: Where it is said.
+        here: Whether it ran in this process alone: the time of several workers is no share of the one that passed.
+    """
     from haptether.bridge import controller_time
 
     before, begun_s = controller_time(), time.perf_counter()
@@ -21,6 +26,6 @@ def controller_timed(console: "Console") -> Iterator[None]:
     if not ticks:
         return
     line = f"controller in Python: {ticks} ticks of {1e6 * seconds / ticks:.1f} us each"
-    if took_s > seconds:
+    if here and took_s > seconds:
         line += f", {seconds / took_s:.0%} of the time"
     console.print(line)

@@ -1,0 +1,69 @@
+"""Whole scenes as values of a sweep, under the path "scene"."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from os import PathLike
+from typing import Any
+
+from haptether.bridge.scene.load import Checked
+from haptether.bridge.scene.run import named_scene
+from haptether.bridge.scene.tables.session import Scene
+
+SCENE = "scene"
+"""The path of a sweep whose values are scenes."""
+
+
+@dataclass(frozen=True)
+class SceneChoice:
+    """A scene that some rows have."""
+
+    name: str
+    """As it was given, or its title."""
+    checked: Checked = field(repr=False)
+
+    def __str__(self) -> str:
+        return self.name
+
+    def __hash__(self) -> int:
+        return hash(self.name)
+
+
+def with_scenes(varied: Mapping[str, Any] | None, overrides: Iterable[str]) -> Mapping[str, Any] | None:
+    """What varies, with the scenes that it names read and changed as the first one is.
+
+    Raises:
+        SceneError: A scene that cannot be built.
+        ValueError: Two of one name.
+    """
+    if varied is None or SCENE not in varied:
+        return varied
+    return {**varied, SCENE: scene_choices(varied[SCENE], overrides)}
+
+
+def scene_choices(
+    scenes: Sequence[Scene | SceneChoice | str | PathLike[str]], overrides: Iterable[str]
+) -> list[SceneChoice]:
+    """The scenes that are named, each read once.
+
+    Raises:
+        SceneError: A scene that cannot be built.
+        ValueError: No list, or two of one name.
+    """
+    if isinstance(scenes, str):
+        message = f"{SCENE} = {scenes!r}: must be a list of scenes"
+        raise ValueError(message)
+    overrides, known, found = tuple(overrides), dict[str, SceneChoice](), []
+    for scene in scenes:
+        if isinstance(scene, SceneChoice):
+            found.append(scene)
+            continue
+        if not isinstance(scene, Scene) and (choice := known.get(str(scene))) is not None:
+            found.append(choice)
+            continue
+        choice = SceneChoice(*named_scene(scene, overrides))
+        other = known.setdefault(choice.name, choice)
+        if other.checked.scene != choice.checked.scene:
+            message = f"{SCENE} = {choice.name}: two scenes have this name: give them titles of their own"
+            raise ValueError(message)
+        found.append(other)
+    return found
