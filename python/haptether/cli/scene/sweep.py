@@ -62,7 +62,7 @@ class Sweep(PictureOptions):
 
     haptether sweep remote_push --vary link.forward.delay_s=0.02:0.2:10 --tie link.backward.delay_s --plot delay.png
 
-    haptether sweep remote_push --vary scene=remote_push,my/scene.toml --samples 30 --summary max_ejection_velocity
+    haptether sweep remote_push --vary scene=remote_push,my/scene.toml --samples 30 --summary peak_device_force
 
     haptether sweep paper_wall --vary environment.objects.0.contact.stiffness=200:1000:9 --set safety.controllers=[hsc]
     """
