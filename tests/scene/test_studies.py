@@ -188,6 +188,8 @@ def test_scenes_in_memory_are_choices_by_their_title() -> None:
         sweep(scenes[0], {"scene": [scenes[0], load_scene("paper_wall", ["title=light"])]})
     with pytest.raises(ValueError, match="must be a list of scenes"):
         sweep("paper_wall", {"scene": "paper_wall"})
+    with pytest.raises(SceneError, match=r"scene = 1\.0: must be a scene"):
+        sweep("paper_wall", {"scene": [1.0]})
     with pytest.raises(SceneError, match="no shipped scene and no such file"):
         sweep("paper_wall", {"scene": ["paper_wal"]})
 

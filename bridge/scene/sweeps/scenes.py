@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any
 
+from haptether.bridge.scene.errors import SceneError
 from haptether.bridge.scene.load import Checked
 from haptether.bridge.scene.run import named_scene
 from haptether.bridge.scene.tables.session import Scene
@@ -60,6 +61,9 @@ def scene_choices(
         if not isinstance(scene, Scene) and (choice := known.get(str(scene))) is not None:
             found.append(choice)
             continue
+        if not isinstance(scene, Scene | str | PathLike):
+            message = f"{SCENE} = {scene}: must be a scene: a name, a path, or what `load_scene` gave"
+            raise SceneError(message)
         choice = SceneChoice(*named_scene(scene, overrides))
         other = known.setdefault(choice.name, choice)
         if other.checked.scene != choice.checked.scene:

@@ -23,8 +23,8 @@ class CheckLink:
 
     What is bearable follows from what is touched: the least sum of both delays at which device, hand, arm and wall
     begin to oscillate, the intervals beyond it in which they do not, and the longest silence at which the ladder does
-    not hold. Device, hand, arm, wall, coupling and
-    ladder are those of `--scene`, without it those of `master` and `slave` without a scene.
+    not hold. Device, hand, arm, wall, coupling and ladder are those of `--scene`, without it those of `master` and
+    `slave` without a scene.
 
     Examples:
 

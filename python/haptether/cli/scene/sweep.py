@@ -38,10 +38,11 @@ RANGE = re.compile(r"[^:,\[{'\"]*:[^:,]*:[^:,]*")
 class Sweep(PictureOptions):
     """Run a scene for many values of some of its fields, every combination once.
 
-    A range a:b:n is n values from a to b, both included; a list is v1,v2,... of numbers or of whatever else the field
-    takes, as --set has it (none is an empty list). The last path varies fastest. --samples runs each combination for so
-    many seeds and draws, the same for all combinations. Prints the first rows; --out and --json have all. Exit status 2
-    says that the scene cannot be, or no row of it.
+    scene=A.toml,B.toml are whole scenes, each with what --set changes. A range a:b:n is n values from a to b, both
+    included; a list is v1,v2,... of numbers or of whatever else the field takes, as --set has it (none is an empty
+    list). The last path varies fastest. --samples runs each combination for so many seeds and draws, the same for all
+    combinations. Prints the first rows; --out and --json have all. Exit status 2 says that the scene cannot be, or no
+    row of it.
 
     The outcome of a row is complete, settled, diverged, not-released (it ended before the release), never-engaged,
     refused (a scene that cannot be built: the reason is printed), or the state of the ladder where the two were coupled
@@ -60,6 +61,8 @@ class Sweep(PictureOptions):
     haptether sweep remote_push --vary link.forward.delay_s=0:0.2:5 --samples 64 --population stylus-arm
 
     haptether sweep remote_push --vary link.forward.delay_s=0.02:0.2:10 --tie link.backward.delay_s --plot delay.png
+
+    haptether sweep remote_push --vary scene=remote_push,my/scene.toml --samples 30 --summary peak_device_force
 
     haptether sweep paper_wall --vary environment.objects.0.contact.stiffness=200:1000:9 --set safety.controllers=[hsc]
     """
@@ -166,7 +169,7 @@ class Sweep(PictureOptions):
         """What each combination comes to, printed, where it was asked for."""
         from haptether.cli.scene.simulate import shown
         from haptether.cli.shared.table import Column, Rows
-        from haptether.studies import sweep_summary
+        from haptether.studies.sweep_summary import sweep_summary
 
         if not self.summary or whole is None:
             return ()
