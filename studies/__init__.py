@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from haptether.studies.raven import RavenReport, RavenRow, measure_attack, raven_suite
     from haptether.studies.raven_attacks import RAVEN_ATTACKS, RavenAttack
     from haptether.studies.remote_push import PushResult, measure_push, save_master_trace
-    from haptether.studies.sweep_summary import SummaryRow, sweep_summary
+    from haptether.studies.sampled import SummaryRow, sweep_summary
     from haptether.studies.task import THRESHOLD_TASKS, HandBounds, Network
     from haptether.studies.thresholds import (
         THRESHOLD_LAWS,
@@ -247,7 +247,7 @@ if not TYPE_CHECKING:  # else any name would do
                 "measure_push",
                 "save_master_trace",
             ),
-            "sweep_summary": ("SummaryRow", "sweep_summary"),
+            "sampled": ("SummaryRow", "sweep_summary"),
             "task": ("THRESHOLD_TASKS", "HandBounds", "Network"),
             "thresholds": (
                 "THRESHOLD_LAWS",

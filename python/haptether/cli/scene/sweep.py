@@ -169,7 +169,7 @@ class Sweep(PictureOptions):
         """What each combination comes to, printed, where it was asked for."""
         from haptether.cli.scene.simulate import shown
         from haptether.cli.shared.table import Column, Rows
-        from haptether.studies.sweep_summary import sweep_summary
+        from haptether.studies import sweep_summary
 
         if not self.summary or whole is None:
             return ()

@@ -6,7 +6,7 @@ import pytest
 from haptether.bridge import Sweep, sweep
 from haptether.studies import sweep_summary
 from haptether.studies.intervals import binomial_interval
-from haptether.studies.sweep_summary import bootstrap_interval
+from haptether.studies.sampled import bootstrap_interval
 
 
 def table() -> Sweep:
