@@ -354,6 +354,16 @@ impl haptether_safety::Real for Lanes {
     fn magnitude(self) -> Self {
         self.each(f64::abs)
     }
+
+    #[inline(always)]
+    fn larger(self, other: Self) -> Self {
+        self.with(other, |a, b| if a > b { a } else { b })
+    }
+
+    #[inline(always)]
+    fn lesser(self, other: Self) -> Self {
+        self.with(other, |a, b| if a < b { a } else { b })
+    }
 }
 
 impl haptether_master::Real for Lanes {

@@ -48,7 +48,9 @@ pub use ladder::{
     PeerCause, PeerFrame, PeerReport, Reason, Remedy, Step, Transition,
 };
 pub use link::{FrameLink, LinkStatistics, LinkTime, PortState, RejectReason, Status};
-pub use local::{DelayLine, LocalLoop, LocalTick, Rendering, SceneRendering, Watch, Watched};
+pub use local::{
+    DelayLine, LocalLoop, LocalTick, Rendering, SceneRendering, TrueWatch, Watch, Watched, Watcher,
+};
 pub use pace::TickTime;
 pub use path::{PathReport, PeerPath};
 pub use plant::{MasterPlant, ModelArm, ModelPlant, RotationTruth, SlavePlant, Truth, TurningMaster};

@@ -37,26 +37,25 @@ pub struct LocalTick<const N: usize, S: Real = f64> {
 ///
 /// Generic over the scalar: with a lane type each lane is a scenario of its own.
 #[derive(Clone, Debug)]
-pub struct LocalLoop<P, R, const N: usize, S: Real = f64> {
+pub struct LocalLoop<P, R, W, const N: usize, S: Real = f64> {
     plant: P,
     rendering: R,
     delay: DelayLine<N, S>,
-    watch: Watch<N, S>,
+    watch: W,
     period_ns: u64,
     period_s: f64,
     tick: u64,
     last_position: Axes<N, S>,
 }
 
-impl<P: ModelPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalLoop<P, R, N, S> {
+impl<P, R, W, const N: usize, S: Real> LocalLoop<P, R, W, N, S>
+where
+    P: ModelPlant<N, S>,
+    R: Rendering<N, S>,
+    W: Watcher<N, S>,
+{
     /// A loop at time 0 with a period of `period_ns`; what is rendered acts `delay` ticks late.
-    pub fn new(
-        mut plant: P,
-        rendering: R,
-        delay: DelayLine<N, S>,
-        watch: Watch<N, S>,
-        period_ns: u64,
-    ) -> Self {
+    pub fn new(mut plant: P, rendering: R, delay: DelayLine<N, S>, watch: W, period_ns: u64) -> Self {
         let (last_position, _) = plant.read(0);
         let period_s = period_ns as f64 * 1e-9;
         Self { plant, rendering, delay, watch, period_ns, period_s, tick: 0, last_position }
@@ -110,10 +109,11 @@ impl<P: ModelPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalLoop
     }
 }
 
-/// Scenarios side by side; none if they differ in what lanes must share.
-pub(crate) fn gather<const N: usize, S: Real + haptether_master::Real>(
-    of: &[&LocalLoop<SteppedMaster<N>, RenderedWalls<N>, N>],
-) -> Option<LocalLoop<SteppedMaster<N, S>, RenderedWalls<N, S>, N, S>> {
+/// Scenarios side by side, watched by those that `watch` gathers; none if they differ in what lanes must share.
+pub(crate) fn gather<W, const N: usize, S: Real + haptether_master::Real>(
+    of: &[&LocalLoop<SteppedMaster<N>, RenderedWalls<N>, Watch<N>, N>],
+    watch: impl FnOnce(&[&Watch<N>]) -> Option<W>,
+) -> Option<LocalLoop<SteppedMaster<N, S>, RenderedWalls<N, S>, W, N, S>> {
     let first = of.first()?;
     if of.iter().any(|one| (one.period_ns, one.tick) != (first.period_ns, first.tick)) {
         return None;
@@ -130,7 +130,7 @@ pub(crate) fn gather<const N: usize, S: Real + haptether_master::Real>(
         plant: SteppedMaster::gather(&plants)?,
         rendering: RenderedWalls::gather(&renderings)?,
         delay: DelayLine::gather(&delays)?,
-        watch: Watch::gather(&watches)?,
+        watch: watch(&watches)?,
         period_ns: first.period_ns,
         period_s: first.period_s,
         tick: first.tick,
@@ -209,19 +209,36 @@ impl<const N: usize> Rendering<N, f64> for SceneRendering<N> {
     }
 }
 
-/// Observers and controllers, which see either what a live master knows or the truth.
+/// Observers and controllers of a loop.
+pub trait Watcher<const N: usize, S: Real = f64> {
+    /// One tick: `position` in m and, from a device that measures it, `velocity` in m/s; `requested_force` in N.
+    fn step(
+        &mut self,
+        plant: &impl ModelPlant<N, S>,
+        position: &Axes<N, S>,
+        velocity: Option<&Axes<N, S>>,
+        requested_force: &Axes<N, S>,
+    ) -> Watched<N, S>;
+}
+
+/// Observers and controllers that see what the scene says.
 #[derive(Clone, Debug)]
 pub enum Watch<const N: usize, S: Real = f64> {
     /// What the estimator makes of the measured positions, as live.
     Estimated(Box<SafetyLayer<N, S>>),
-    /// The model's own velocity and force of the hand, for studies that leave estimation out.
-    True {
-        /// Observers and controllers.
-        controller: SafetyController<N, S>,
-        /// Bounds on the force, before the observers and after the controllers as in the layer; none where a study
-        /// switches them off.
-        limiters: Option<[Limiter<N, S>; 2]>,
-    },
+    /// The truth.
+    True(TrueWatch<N, S>),
+}
+
+/// Observers and controllers that see the model's own velocity and force of the hand, for studies that leave estimation
+/// out.
+#[derive(Clone, Debug)]
+pub struct TrueWatch<const N: usize, S: Real = f64> {
+    /// Observers and controllers.
+    pub controller: SafetyController<N, S>,
+    /// Bounds on the force, before the observers and after the controllers as in the layer; none where a study switches
+    /// them off.
+    pub limiters: Option<[Limiter<N, S>; 2]>,
 }
 
 /// What was seen and decided at one tick.
@@ -237,70 +254,90 @@ pub struct Watched<const N: usize, S: Real = f64> {
     pub response: Response<N, S>,
 }
 
-impl<const N: usize, S: Real> Watch<N, S> {
-    /// Several side by side; none if they see different things or are built differently.
-    pub(crate) fn gather(of: &[&Watch<N>]) -> Option<Self> {
-        let (mut layers, mut controllers) = (Vec::new(), Vec::new());
-        let mut bounds = [Vec::new(), Vec::new()];
-        for one in of {
-            match one {
-                Watch::Estimated(layer) => layers.push((**layer).clone()),
-                Watch::True { controller, limiters } => {
-                    controllers.push(controller.clone());
-                    if let Some(limiters) = limiters {
-                        for (bounds, limiter) in bounds.iter_mut().zip(limiters) {
-                            bounds.push(limiter.clone());
-                        }
-                    }
-                }
-            }
-        }
-        if layers.len() == of.len() {
-            return Some(Self::Estimated(Box::new(SafetyLayer::gather(&layers)?)));
-        }
-        let limiters = match bounds[0].len() {
-            0 => None,
-            _ => Some([Limiter::gather(&bounds[0])?, Limiter::gather(&bounds[1])?]),
-        };
-        Some(Self::True { controller: SafetyController::gather(&controllers)?, limiters })
-    }
+/// Layers side by side; none if not all of these are layers, or are built differently.
+pub(crate) fn gather_estimated<const N: usize, S: Real>(of: &[&Watch<N>]) -> Option<Box<SafetyLayer<N, S>>> {
+    let layer = |one: &&Watch<N>| match one {
+        Watch::Estimated(layer) => Some((**layer).clone()),
+        Watch::True(_) => None,
+    };
+    let layers: Vec<_> = of.iter().map(layer).collect::<Option<_>>()?;
+    SafetyLayer::gather(&layers).map(Box::new)
+}
 
-    /// One tick: `position` in m and, from a device that measures it, `velocity` in m/s; `requested_force` in N.
+/// Those that see the truth side by side; none if not all of these do, or are built differently.
+pub(crate) fn gather_true<const N: usize, S: Real>(of: &[&Watch<N>]) -> Option<TrueWatch<N, S>> {
+    let watch = |one: &&Watch<N>| match one {
+        Watch::Estimated(_) => None,
+        Watch::True(watch) => Some(watch.clone()),
+    };
+    let watches: Vec<_> = of.iter().map(watch).collect::<Option<_>>()?;
+    let controllers: Vec<_> = watches.iter().map(|one| one.controller.clone()).collect();
+    let bounds: Vec<_> = watches.iter().filter_map(|one| one.limiters.clone()).collect();
+    let limiter = |side: usize| {
+        let limiters: Vec<_> = bounds.iter().map(|limiters| limiters[side].clone()).collect();
+        Limiter::gather(&limiters)
+    };
+    let limiters = if bounds.is_empty() { None } else { Some([limiter(0)?, limiter(1)?]) };
+    Some(TrueWatch { controller: SafetyController::gather(&controllers)?, limiters })
+}
+
+impl<const N: usize, S: Real> Watcher<N, S> for Watch<N, S> {
     #[inline(always)]
-    pub fn step(
+    fn step(
         &mut self,
         plant: &impl ModelPlant<N, S>,
         position: &Axes<N, S>,
         velocity: Option<&Axes<N, S>>,
         requested_force: &Axes<N, S>,
     ) -> Watched<N, S> {
-        let all = S::splat(1.0);
         match self {
-            Self::Estimated(layer) => {
-                let tick = layer.advance(position, velocity, requested_force, all);
-                Watched {
-                    rendered_force: tick.rendered_force,
-                    grasp_force: tick.grasp_force,
-                    device_force: tick.device_force,
-                    response: tick.response,
-                }
-            }
-            Self::True { controller, limiters } => {
-                let Truth { velocity, hand_force: grasp_force, .. } = plant.state();
-                let rendered_force = match limiters {
-                    Some([rendering, _]) => rendering.limit(requested_force, &Axes::zeros()).force,
-                    None => *requested_force,
-                };
-                let response =
-                    controller.respond(&Observation::exact(velocity, rendered_force, grasp_force), all);
-                let sum = rendered_force + response.safety_force;
-                let device_force = match limiters {
-                    Some([_, limiter]) => limiter.limit(&sum, &velocity).force,
-                    None => sum,
-                };
-                Watched { rendered_force, grasp_force, device_force, response }
-            }
+            Self::Estimated(layer) => layer.step(plant, position, velocity, requested_force),
+            Self::True(watch) => watch.step(plant, position, velocity, requested_force),
         }
+    }
+}
+
+impl<const N: usize, S: Real> Watcher<N, S> for Box<SafetyLayer<N, S>> {
+    #[inline(always)]
+    fn step(
+        &mut self,
+        _: &impl ModelPlant<N, S>,
+        position: &Axes<N, S>,
+        velocity: Option<&Axes<N, S>>,
+        requested_force: &Axes<N, S>,
+    ) -> Watched<N, S> {
+        let tick = self.advance(position, velocity, requested_force, S::splat(1.0));
+        Watched {
+            rendered_force: tick.rendered_force,
+            grasp_force: tick.grasp_force,
+            device_force: tick.device_force,
+            response: tick.response,
+        }
+    }
+}
+
+impl<const N: usize, S: Real> Watcher<N, S> for TrueWatch<N, S> {
+    #[inline(always)]
+    fn step(
+        &mut self,
+        plant: &impl ModelPlant<N, S>,
+        _: &Axes<N, S>,
+        _: Option<&Axes<N, S>>,
+        requested_force: &Axes<N, S>,
+    ) -> Watched<N, S> {
+        let Truth { velocity, hand_force: grasp_force, .. } = plant.state();
+        let rendered_force = match &mut self.limiters {
+            Some([rendering, _]) => rendering.limit(requested_force, &Axes::zeros()).force,
+            None => *requested_force,
+        };
+        let seen = Observation::exact(velocity, rendered_force, grasp_force);
+        let response = self.controller.respond(&seen, S::splat(1.0));
+        let sum = rendered_force + response.safety_force;
+        let device_force = match &mut self.limiters {
+            Some([_, limiter]) => limiter.limit(&sum, &velocity).force,
+            None => sum,
+        };
+        Watched { rendered_force, grasp_force, device_force, response }
     }
 }
 

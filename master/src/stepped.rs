@@ -226,6 +226,9 @@ impl<const N: usize, S: Real> SteppedMaster<N, S> {
     /// x in m, as the encoder sees it.
     #[inline(always)]
     pub fn measured_position(&self) -> Axes<N, S> {
+        if self.is_exact[0] {
+            return self.position;
+        }
         self.position.map(|x| quantised(x, self.encoder_quantum, self.is_exact[0]))
     }
 
@@ -304,13 +307,19 @@ impl<const N: usize, S: Real> SteppedMaster<N, S> {
     #[inline(always)]
     fn friction_force(&self, velocity: &Axes<N, S>) -> Axes<N, S> {
         let one = S::splat(1.0);
+        let mut force = Axes::<N, S>::zeros();
         if N == 1 || self.friction == Friction::Axis {
-            return velocity.zip_map(&self.coulomb, |v, coulomb| {
-                coulomb * (v / self.friction_speed).simd_clamp(-one, one)
-            });
+            for axis in 0..N {
+                force[axis] =
+                    self.coulomb[axis] * (velocity[axis] / self.friction_speed).simd_clamp(-one, one);
+            }
+            return force;
         }
         let speed = velocity.dot(velocity).root().simd_max(self.friction_speed);
-        velocity.zip_map(&self.coulomb, |v, coulomb| coulomb * (v / speed))
+        for axis in 0..N {
+            force[axis] = self.coulomb[axis] * (velocity[axis] / speed);
+        }
+        force
     }
 
     /// a in m/s² under the hand's force.

@@ -45,6 +45,20 @@ pub trait Real:
     /// The absolute value of each lane.
     #[must_use]
     fn magnitude(self) -> Self;
+
+    /// The larger of two, the second where they are equal or cannot be compared: what one instruction does.
+    #[inline(always)]
+    #[must_use]
+    fn larger(self, other: Self) -> Self {
+        self.select(self.simd_gt(other), other)
+    }
+
+    /// The lesser of two, as [`larger`](Self::larger).
+    #[inline(always)]
+    #[must_use]
+    fn lesser(self, other: Self) -> Self {
+        self.select(self.simd_lt(other), other)
+    }
 }
 
 impl<S> Real for S

@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use haptether_master::SimulatedMaster;
-use haptether_safety::{Real, controller::ControllerKind};
+use haptether_safety::{Axes, Real, controller::ControllerKind};
 use nalgebra::SimdBool as _;
 
 use super::{
@@ -17,7 +17,7 @@ use super::{
     spec::{Integrator, SceneSpec},
 };
 use crate::{
-    local::{DelayLine, LocalLoop, LocalTick, Rendering, SceneRendering, Surfaces},
+    local::{DelayLine, LocalLoop, LocalTick, Rendering, SceneRendering, Surfaces, Watch, Watcher},
     plant::ModelPlant,
 };
 
@@ -69,7 +69,7 @@ pub(crate) fn simulate<const N: usize>(
 fn log_touch<P: ModelPlant<N>, R: Rendering<N, f64> + Surfaces<N>, const N: usize>(
     time_s: f64,
     tick: &LocalTick<N>,
-    looped: &LocalLoop<P, R, N>,
+    looped: &LocalLoop<P, R, Watch<N>, N>,
     log: &mut EventLog,
 ) {
     log.touches(time_s, looped.rendering().touches(&tick.position));
@@ -122,7 +122,7 @@ pub(crate) fn local_run<P: ModelPlant<N>, R: Rendering<N, f64>, const N: usize>(
     plant: P,
     rendering: R,
     research: Option<&dyn ResearchFactory>,
-) -> Result<LocalRun<P, R, N>, SceneError> {
+) -> Result<LocalRun<P, R, Watch<N>, N>, SceneError> {
     let period_ns = period_ns("run.period_s", scene.run.period_s)?;
     let judged = Measures::new(&MeasureSettings::of(scene), &plant.state().position);
     let delay = DelayLine::new(delay_ticks(scene)?);
@@ -134,10 +134,10 @@ pub(crate) fn local_run<P: ModelPlant<N>, R: Rendering<N, f64>, const N: usize>(
 }
 
 fn follow<P: ModelPlant<N>, R: Rendering<N, f64>, const N: usize>(
-    mut run: LocalRun<P, R, N>,
+    mut run: LocalRun<P, R, Watch<N>, N>,
     scene: &SceneSpec<N>,
     stop: &AtomicBool,
-    mut note: impl FnMut(f64, &LocalTick<N>, &LocalLoop<P, R, N>, &mut EventLog),
+    mut note: impl FnMut(f64, &LocalTick<N>, &LocalLoop<P, R, Watch<N>, N>, &mut EventLog),
 ) -> Result<SceneRun, SceneError> {
     let mut log = EventLog::default();
     let mut recorder = Recorder::new(scene.record.as_ref().map_or(0, |record| record.every), run.ticks);
@@ -170,13 +170,18 @@ fn follow<P: ModelPlant<N>, R: Rendering<N, f64>, const N: usize>(
 }
 
 /// A loop and what it is judged by.
-pub(crate) struct LocalRun<P, R, const N: usize, S: Real = f64> {
-    pub(crate) looped: LocalLoop<P, R, N, S>,
+pub(crate) struct LocalRun<P, R, W, const N: usize, S: Real = f64> {
+    pub(crate) looped: LocalLoop<P, R, W, N, S>,
     pub(crate) measures: Measures<N, S>,
     pub(crate) ticks: u64,
 }
 
-impl<P: ModelPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<P, R, N, S> {
+impl<P, R, W, const N: usize, S: Real> LocalRun<P, R, W, N, S>
+where
+    P: ModelPlant<N, S>,
+    R: Rendering<N, S>,
+    W: Watcher<N, S>,
+{
     /// Runs all scenarios to their ends, unless `stop` is set meanwhile.
     #[inline(always)]
     pub(crate) fn run(&mut self, stop: &AtomicBool, outcomes: &mut [Option<Outcome>]) {
@@ -191,7 +196,7 @@ impl<P: ModelPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<
     pub(crate) fn run_observed(
         &mut self,
         stop: &AtomicBool,
-        mut observe: impl FnMut(f64, &LocalTick<N, S>, &LocalLoop<P, R, N, S>),
+        mut observe: impl FnMut(f64, &LocalTick<N, S>, &LocalLoop<P, R, W, N, S>),
         outcomes: &mut [Option<Outcome>],
     ) {
         for tick in 0..self.ticks {
@@ -207,13 +212,13 @@ impl<P: ModelPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<
     fn step(
         &mut self,
         tick: u64,
-        observe: &mut impl FnMut(f64, &LocalTick<N, S>, &LocalLoop<P, R, N, S>),
+        observe: &mut impl FnMut(f64, &LocalTick<N, S>, &LocalLoop<P, R, W, N, S>),
         outcomes: &mut [Option<Outcome>],
     ) -> bool {
         let time_s = self.looped.time_s();
         let step = self.looped.step();
         if self.measures.may_have_diverged(&step.position, &step.velocity, &step.device_force)
-            && self.end_diverged(tick, time_s, &step, outcomes)
+            && self.end_diverged(tick, time_s, &[step.position, step.velocity, step.device_force], outcomes)
         {
             return true;
         }
@@ -251,18 +256,20 @@ impl<P: ModelPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<
         outcomes.iter().all(Option::is_some)
     }
 
+    /// Ends the lanes that x in m, V in m/s and `F_device` in N say have diverged. It gets copies: a tick whose address
+    /// went to a call would have to stand in memory, whole, at each tick.
     #[cold]
     fn end_diverged(
         &self,
         tick: u64,
         time_s: f64,
-        step: &LocalTick<N, S>,
+        [position, velocity, device_force]: &[Axes<N, S>; 3],
         outcomes: &mut [Option<Outcome>],
     ) -> bool {
-        let mask = self.measures.diverged(&step.position, &step.velocity, &step.device_force).bitmask();
+        let mask = self.measures.diverged(position, velocity, device_force).bitmask();
         for (lane, outcome) in outcomes.iter_mut().enumerate().take(S::LANES) {
             if mask >> lane & 1 == 1 && outcome.is_none() {
-                let cause = self.measures.cause(lane, &step.position, &step.velocity);
+                let cause = self.measures.cause(lane, position, velocity);
                 let divergence = Divergence { time_s, cause };
                 *outcome = Some(self.measures.outcome(lane, tick, Ending::Diverged, Some(divergence)));
             }

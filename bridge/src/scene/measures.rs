@@ -1,7 +1,5 @@
 //! What a run is judged by, for one scenario or for several side by side.
 
-use std::cmp::Ordering;
-
 use haptether_netsim::LinkSettings;
 use haptether_safety::{Axes, Fault, Real};
 use nalgebra::SimdBool as _;
@@ -314,10 +312,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
         // What is not finite stays so when multiplied by 0, and fails every comparison.
         let poison = device_force.dot(device_force) * S::splat(0.0);
         let excess = position.dot(position) * room + velocity.dot(velocity) * speed + poison;
-        // From memory, or the sum over lanes would take what it is made of apart into lanes.
-        let excess = std::hint::black_box(excess);
-        let sum = (0..S::LANES).fold(0.0, |sum, lane| sum + excess.extract(lane));
-        !matches!(sum.partial_cmp(&1.0), Some(Ordering::Less))
+        !excess.simd_lt(S::splat(1.0)).all()
     }
 
     /// Where the loop has diverged at this tick, which is then not to be taken.
@@ -366,10 +361,10 @@ impl<const N: usize, S: Real> Measures<N, S> {
         self.newest_s = t;
         // Work of the force that was held since the last tick.
         self.energy -= self.held.dot(&(position - self.last_position));
-        self.min_energy = self.min_energy.simd_min(self.energy);
+        self.min_energy = self.energy.lesser(self.min_energy);
         (self.held, self.last_position) = (*device_force, *position);
         let squared_force = device_force.dot(device_force);
-        self.peak_squared_force = self.peak_squared_force.simd_max(squared_force);
+        self.peak_squared_force = squared_force.larger(self.peak_squared_force);
 
         let squared_speed = velocity.dot(velocity);
         if t <= self.latest_release {
@@ -396,7 +391,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
                 let has_direction = self.direction.dot(&self.direction).simd_gt(zero);
                 along = along.select(has_direction, squared_speed.root());
             }
-            self.ejection = self.ejection.simd_max(along.select(has_begun, zero));
+            self.ejection = along.select(has_begun, zero).larger(self.ejection);
         }
         if is_on.any() {
             let on = one.select(is_on, zero);
@@ -410,15 +405,14 @@ impl<const N: usize, S: Real> Measures<N, S> {
             self.was_on = zero;
         }
 
-        self.quiet_after.map(|quiet_after| {
-            // A device that nobody holds and nothing pushes may drift: it has been ejected. One that rests because a
-            // controller holds the force back will move when that ends.
-            let moves = squared_speed.simd_gt(S::splat(AT_REST * AT_REST));
-            let forces = squared_force + hand_force.dot(hand_force) + rendered_force.dot(rendered_force);
-            let acts = (moves & forces.simd_gt(zero)) | is_on;
-            self.active = time.select(acts | time.simd_le(quiet_after), self.active);
-            (time - self.active).simd_gt(S::splat(SETTLED_S))
-        })
+        let quiet_after = self.quiet_after?;
+        // A device that nobody holds and nothing pushes may drift: it has been ejected. One that rests because a
+        // controller holds the force back will move when that ends.
+        let moves = squared_speed.simd_gt(S::splat(AT_REST * AT_REST));
+        let forces = squared_force + hand_force.dot(hand_force) + rendered_force.dot(rendered_force);
+        let acts = (moves & forces.simd_gt(zero)) | is_on;
+        self.active = time.select(acts | time.simd_le(quiet_after), self.active);
+        Some((time - self.active).simd_gt(S::splat(SETTLED_S)))
     }
 
     /// The outcome of one lane after `ticks` ticks.

@@ -3,6 +3,7 @@
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use haptether_master::SteppedMaster;
+use haptether_safety::SafetyLayer;
 use haptether_slave::RenderedWalls;
 use rayon::prelude::*;
 use serde::Deserialize;
@@ -16,7 +17,10 @@ use super::{
     research::ResearchFactory,
     spec::{Integrator, SceneSpec, of_axes, scene_axes},
 };
-use crate::lanes::{LANES, Lanes};
+use crate::{
+    lanes::{LANES, Lanes},
+    local::{TrueWatch, Watch, Watcher, gather, gather_estimated, gather_true},
+};
 
 /// One number of a scene that differs from scenario to scenario.
 #[derive(Clone, Debug, PartialEq)]
@@ -231,7 +235,17 @@ fn run_block<const N: usize>(
     rows.into_iter().collect::<Option<_>>().ok_or(SweepError::Stopped)
 }
 
-type SteppedRun<const N: usize, S> = LocalRun<SteppedMaster<N, S>, RenderedWalls<N, S>, N, S>;
+type SteppedRun<const N: usize, W, S> = LocalRun<SteppedMaster<N, S>, RenderedWalls<N, S>, W, N, S>;
+
+/// One scenario.
+type SingleRun<const N: usize> = SteppedRun<N, Watch<N>, f64>;
+
+/// Scenarios side by side. Who watches is known when the loop is compiled: two that are chosen between at each tick would
+/// leave all that they say in memory.
+enum LaneRun<const N: usize> {
+    Estimated(Box<SteppedRun<N, Box<SafetyLayer<N, Lanes>>, Lanes>>),
+    True(Box<SteppedRun<N, TrueWatch<N, Lanes>, Lanes>>),
+}
 
 /// Runs scenarios in steps, side by side if they may; returns that it did not if one of them cannot be: an arm, located
 /// events, or an environment of more than resting walls.
@@ -250,7 +264,7 @@ fn run_stepped<const N: usize>(
     if !specs.iter().all(can_share) {
         return false;
     }
-    let mut left: Vec<(usize, Box<SteppedRun<N, f64>>)> = Vec::with_capacity(specs.len());
+    let mut left: Vec<(usize, Box<SingleRun<N>>)> = Vec::with_capacity(specs.len());
     for (index, spec) in specs {
         match stepped_run(spec) {
             Ok(run) => left.push((*index, Box::new(run))),
@@ -262,7 +276,10 @@ fn run_stepped<const N: usize>(
         match taken {
             Block::Lanes(taken, mut run) => {
                 let mut ended = vec![None; taken.len()];
-                vectorised(&mut run, stop, &mut ended);
+                match &mut run {
+                    LaneRun::Estimated(run) => vectorised(run, stop, &mut ended),
+                    LaneRun::True(run) => vectorised(run, stop, &mut ended),
+                }
                 done.fetch_add(taken.len(), Ordering::Relaxed);
                 for (row, outcome) in taken.into_iter().zip(ended) {
                     rows[row] = outcome.map(Ok);
@@ -279,7 +296,7 @@ fn run_stepped<const N: usize>(
     true
 }
 
-fn stepped_run<const N: usize>(spec: &SceneSpec<N>) -> Result<SteppedRun<N, f64>, SceneError> {
+fn stepped_run<const N: usize>(spec: &SceneSpec<N>) -> Result<SingleRun<N>, SceneError> {
     check_local(spec)?;
     let Integrator::Stepped(stepping) = spec.run.integrator else {
         return contradiction("run.integrator: must have steps");
@@ -290,15 +307,12 @@ fn stepped_run<const N: usize>(spec: &SceneSpec<N>) -> Result<SteppedRun<N, f64>
 
 enum Block<const N: usize> {
     /// Rows, and their scenarios side by side.
-    Lanes(Vec<usize>, Box<SteppedRun<N, Lanes>>),
-    Single(usize, Box<SteppedRun<N, f64>>),
+    Lanes(Vec<usize>, LaneRun<N>),
+    Single(usize, Box<SingleRun<N>>),
 }
 
 /// Takes scenarios that can share lanes with the first one left; alone it is taken alone.
-fn take_block<const N: usize>(
-    left: &mut Vec<(usize, Box<SteppedRun<N, f64>>)>,
-    lanes: bool,
-) -> Option<Block<N>> {
+fn take_block<const N: usize>(left: &mut Vec<(usize, Box<SingleRun<N>>)>, lanes: bool) -> Option<Block<N>> {
     if !lanes {
         return left.pop().map(|(row, run)| Block::Single(row, run));
     }
@@ -326,17 +340,14 @@ fn take_block<const N: usize>(
             index += 1;
             !take.contains(&(index - 1))
         });
-        return Some(Block::Lanes(rows, Box::new(run)));
+        return Some(Block::Lanes(rows, run));
     }
     let (row, run) = left.remove(0);
     Some(Block::Single(row, run))
 }
 
 /// Some scenarios side by side; lanes that are left over repeat the last one.
-fn gathered<const N: usize>(
-    left: &[(usize, Box<SteppedRun<N, f64>>)],
-    take: &[usize],
-) -> Option<SteppedRun<N, Lanes>> {
+fn gathered<const N: usize>(left: &[(usize, Box<SingleRun<N>>)], take: &[usize]) -> Option<LaneRun<N>> {
     let padded = |lane: usize| &left[take[lane.min(take.len() - 1)]].1;
     let of: Vec<_> = (0..LANES).map(padded).collect();
     let ticks = of.first()?.ticks;
@@ -344,24 +355,29 @@ fn gathered<const N: usize>(
         return None;
     }
     let measures: Vec<_> = of.iter().map(|one| one.measures).collect();
+    let measures = super::measures::Measures::gather(&measures)?;
     let loops: Vec<_> = of.into_iter().map(|one| &one.looped).collect();
-    Some(LocalRun {
-        looped: crate::local::gather(&loops)?,
-        measures: super::measures::Measures::gather(&measures)?,
-        ticks,
-    })
+    if let Some(looped) = gather(&loops, gather_estimated) {
+        return Some(LaneRun::Estimated(Box::new(LocalRun { looped, measures, ticks })));
+    }
+    let looped = gather(&loops, gather_true)?;
+    Some(LaneRun::True(Box::new(LocalRun { looped, measures, ticks })))
 }
 
 /// Runs lanes with the widest instructions that this processor has. Their width changes no bit: there is no operation
 /// across lanes, and none is fused.
-fn vectorised<const N: usize>(
-    run: &mut SteppedRun<N, Lanes>,
+fn vectorised<W: Watcher<N, Lanes>, const N: usize>(
+    run: &mut SteppedRun<N, W, Lanes>,
     stop: &AtomicBool,
     ended: &mut [Option<Outcome>],
 ) {
-    struct Job<'a, const N: usize>(&'a mut SteppedRun<N, Lanes>, &'a AtomicBool, &'a mut [Option<Outcome>]);
+    struct Job<'a, W, const N: usize>(
+        &'a mut SteppedRun<N, W, Lanes>,
+        &'a AtomicBool,
+        &'a mut [Option<Outcome>],
+    );
 
-    impl<const N: usize> pulp::WithSimd for Job<'_, N> {
+    impl<W: Watcher<N, Lanes>, const N: usize> pulp::WithSimd for Job<'_, W, N> {
         type Output = ();
 
         #[inline(always)]

@@ -249,8 +249,13 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         let probe = self.probe.as_mut()?;
         let may_end = self.on_for.simd_ge(self.hold_off_ticks);
         let any = (is_unsafe | self.on_for.simd_gt(S::splat(0.0))).any();
-        Some(probe.step(seen, any, |lane| Intervening {
-            is_on: self.on_for.extract(lane) > 0.0,
+        if probe.rests(any) {
+            return Some(!nowhere::<S>());
+        }
+        // Copies: what a call gets the address of would have to stand in memory at each tick.
+        let (seen, on_for, authority) = (*seen, self.on_for, authority);
+        Some(probe.step(&seen, |lane| Intervening {
+            is_on: on_for.extract(lane) > 0.0,
             may_end: may_end.bitmask() >> lane & 1 == 1,
             is_unsafe: is_unsafe.bitmask() >> lane & 1 == 1,
             authority: authority.extract(lane),
@@ -288,18 +293,27 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         let gain = self.gain(judged);
         self.let_through = all - gain;
         let is_on = gain.simd_gt(nothing);
-        let safety_force = is_on.if_else(
-            || cancel_and_damp(seen, self.damping * authority) * gain,
-            Axes::zeros, // not -0.0: records stay clean
-        );
+        let mut safety_force = Axes::<N, S>::zeros();
+        // For one scenario at most ticks need no answer; for several the question costs as much.
+        if S::LANES > 1 || is_on.any() {
+            let answer = cancel_and_damp(seen, self.damping * authority) * gain;
+            for axis in 0..N {
+                // Not -0.0 where nothing is on: records stay clean.
+                safety_force[axis] = answer[axis].select(is_on, nothing);
+            }
+        }
         let held = is_on & !verdicts.is_unsafe();
-        let probe_force = self.probe.as_ref().map(|probe| probe.force * authority);
+        let mut withheld = nowhere::<S>();
+        if let Some(probe) = &self.probe {
+            safety_force += probe.force * authority;
+            withheld = probe.withheld();
+        }
         let mut response = Response {
-            safety_force: probe_force.map_or(safety_force, |force| safety_force + force),
+            safety_force,
             acts: is_on,
             tripped: verdicts.tripped(),
             held,
-            withheld: self.probe.as_ref().map_or_else(nowhere::<S>, GraspProbes::withheld),
+            withheld,
             research: nowhere::<S>(),
             observed: verdicts.observed(),
         };
@@ -328,7 +342,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         let Self { on_for, fading_for, hold_off_ticks, ramp_ticks, .. } = *self;
         let Judged { is_unsafe, felt } = judged;
         let stays = on_for.simd_lt(hold_off_ticks);
-        let stays = felt.map_or(stays, |felt| stays | !felt);
+        let stays = if let Some(felt) = felt { stays | !felt } else { stays };
         // For one scenario it is but one of the branches below.
         if S::LANES > 1 && (is_unsafe | on_for.simd_gt(nothing)).none() {
             return nothing;

@@ -339,21 +339,15 @@ impl<const N: usize, S: Real> GraspProbes<N, S> {
         (lanes.len() == S::LANES).then_some(Self { lanes, at_rest, force })
     }
 
-    /// Where the force may come back after this tick; `any` is whether an intervention is on, or begins, in any lane.
+    /// Whether there is nothing to do at this tick; `any` is whether an intervention is on, or begins, in any lane. Then the
+    /// force may come back everywhere.
     #[inline(always)]
-    pub(super) fn step(
-        &mut self,
-        seen: &Observation<N, S>,
-        any: bool,
-        intervening: impl FnMut(usize) -> Intervening,
-    ) -> S::SimdBool {
-        if self.at_rest && !any {
-            return S::splat(0.0).simd_eq(S::splat(0.0));
-        }
-        self.step_each(seen, intervening)
+    pub(super) fn rests(&self, any: bool) -> bool {
+        self.at_rest && !any
     }
 
-    fn step_each(
+    /// Where the force may come back after this tick.
+    pub(super) fn step(
         &mut self,
         seen: &Observation<N, S>,
         mut intervening: impl FnMut(usize) -> Intervening,

@@ -83,13 +83,12 @@ macro_rules! controllers {
             /// A controller that compares `F_v` with `F_h` sees but the share of it that a hand can have felt.
             #[inline(always)]
             fn step(&mut self, seen: &Observation<N, S>, felt_share: S) -> Verdicts<N, S> {
-                let felt = || {
-                    let aligned_rendered_force = seen.aligned_rendered_force * felt_share;
-                    Observation { aligned_rendered_force, ..*seen }
-                };
                 Verdicts {
                     $($file: match &mut self.$file {
-                        Some(controller) if $controller::<N, S>::READS_ALIGNED_FORCE => controller.step(&felt()),
+                        Some(controller) if $controller::<N, S>::READS_ALIGNED_FORCE => {
+                            let aligned_rendered_force = seen.aligned_rendered_force * felt_share;
+                            controller.step(&Observation { aligned_rendered_force, ..*seen })
+                        }
                         Some(controller) => controller.step(seen),
                         None => Verdict::without_force(S::splat(f64::NAN), nowhere::<S>()),
                     },)+

@@ -20,6 +20,8 @@ pub struct WindowedSafetyController<const N: usize, S = f64> {
     energy_threshold_j: S,
     /// `F_w`; 0 without.
     force_threshold_n: S,
+    /// Whether none has one.
+    is_printed: bool,
 }
 
 impl<const N: usize> WindowedSafetyController<N> {
@@ -33,13 +35,13 @@ impl<const N: usize> WindowedSafetyController<N> {
             -f64::MIN_POSITIVE,
             "finite and below 0",
         )?;
-        Ok(Self { observer, energy_threshold_j, force_threshold_n: 0.0 })
+        Ok(Self { observer, energy_threshold_j, force_threshold_n: 0.0, is_printed: true })
     }
 
     /// The same with a force threshold `F_w` in N (>= 0); 0 is Eq. 13 as printed.
     pub fn with_force_threshold(self, force_threshold_n: f64) -> Result<Self, ParameterError> {
         let force_threshold_n = non_negative("force_threshold_n", "F_w", force_threshold_n)?;
-        Ok(Self { force_threshold_n, ..self })
+        Ok(Self { force_threshold_n, is_printed: force_threshold_n == 0.0, ..self })
     }
 }
 
@@ -76,17 +78,22 @@ impl<const N: usize, S: Real> Controller<N, S> for WindowedSafetyController<N, S
             observer: part(of, |one| one.observer.clone(), WindowedSafetyObserver::gather)?,
             energy_threshold_j: pack(of, |one| one.energy_threshold_j)?,
             force_threshold_n: pack(of, |one| one.force_threshold_n)?,
+            is_printed: of.iter().all(|one| one.is_printed),
         })
     }
 
     #[inline(always)]
     fn step(&mut self, seen: &Observation<N, S>) -> Verdict<N, S> {
         let observed = self.observer.step(seen);
+        let is_low = observed.simd_lt(self.energy_threshold_j);
+        if self.is_printed {
+            return Verdict::without_force(observed, is_low);
+        }
         // Not "is above": what cannot be compared is no reason to let a push pass.
         let along = seen.rendered_force.dot(&seen.velocity);
         let pushed = !along.simd_le(self.force_threshold_n * norm(&seen.velocity));
         let pushed = pushed | self.force_threshold_n.simd_eq(S::splat(0.0));
-        Verdict::without_force(observed, observed.simd_lt(self.energy_threshold_j) & pushed)
+        Verdict::without_force(observed, is_low & pushed)
     }
 
     /// delta, of Eq. 10.

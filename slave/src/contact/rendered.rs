@@ -83,6 +83,8 @@ pub struct RenderedWall<const N: usize> {
 pub struct RenderedWalls<const N: usize, S = f64> {
     walls: Vec<Plane<N, S>>,
     pushes: Vec<Push<N, S>>,
+    /// Whether any wall is.
+    is_damped: bool,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -148,7 +150,9 @@ impl<const N: usize> RenderedWalls<N> {
             let Window { from_ns, until_ns } = Window::lasting(push.at_s, push.duration_s);
             Ok(Push { course, at: from_ns, ends: until_ns, rate, force: push.force_n })
         });
-        Ok(Self { walls: walls.collect::<Result<_, _>>()?, pushes: pushes.collect::<Result<_, _>>()? })
+        let walls = walls.collect::<Result<Vec<_>, _>>()?;
+        let is_damped = walls.iter().any(|wall| wall.is_damped);
+        Ok(Self { walls, pushes: pushes.collect::<Result<_, _>>()?, is_damped })
     }
 
     /// Whether a point at `position` in m is inside a wall; a two-sided one has no inside.
@@ -195,6 +199,7 @@ impl<const N: usize> RenderedWalls<N> {
         Some(RenderedWalls {
             walls: (0..first.walls.len()).map(wall).collect(),
             pushes: (0..first.pushes.len()).map(push).collect(),
+            is_damped: of.iter().any(|one| one.is_damped),
         })
     }
 }
@@ -203,7 +208,7 @@ impl<const N: usize, S: Real> RenderedWalls<N, S> {
     /// Whether any wall needs the velocity.
     #[inline(always)]
     pub fn is_damped(&self) -> bool {
-        self.walls.iter().any(|wall| wall.is_damped)
+        self.is_damped
     }
 
     /// Force in N at time t in s, x in m, V in m/s.

@@ -12,7 +12,7 @@ use super::{
     SceneError, contradiction,
     master::device_model,
 };
-use crate::local::Watch;
+use crate::local::{TrueWatch, Watch};
 
 /// Who watches a scene without an arm; with a controller of the caller's own if there is one.
 pub(crate) fn watch<const N: usize>(
@@ -32,7 +32,7 @@ pub(crate) fn watch<const N: usize>(
                 Limiter::new(period_s, LimiterSettings { ramp_in_s: 0.0, ..settings })?,
             ])
         });
-        return Ok(Watch::True { controller, limiters: limiters.transpose()? });
+        return Ok(Watch::True(TrueWatch { controller, limiters: limiters.transpose()? }));
     }
     let limiter = limiter(&scene.safety);
     let layer = SafetyLayer::new(&LayerSettings { device, period_s, estimator, safety, limiter })?;
