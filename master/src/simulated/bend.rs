@@ -62,12 +62,12 @@ impl<const N: usize> SimulatedMaster<N> {
             if turns {
                 let turn = direction.coefficient(&v, n) * friction;
                 force -= turn;
-                let size = turn.amax() * duration;
+                let size = magnitude(&turn) * duration;
                 turns = n < MIN_TERMS || last_turn.max(size) > tolerance;
                 last_turn = size;
             }
             v[n + 1] = force * (duration * INVERSE[n + 1]);
-            let size = v[n + 1].amax();
+            let size = magnitude(&v[n + 1]);
             if !turns && last.max(size) <= tolerance {
                 return Some(summed(&v[..n + 2], duration));
             }
@@ -75,6 +75,12 @@ impl<const N: usize> SimulatedMaster<N> {
         }
         None
     }
+}
+
+/// No less than the norm, without its root.
+#[inline]
+fn magnitude<const N: usize>(of: &Axes<N>) -> f64 {
+    of.iter().map(|x| x.abs()).sum()
 }
 
 /// The changes of x and V over the tick, of the terms of V; the smallest first.
@@ -111,19 +117,20 @@ impl Direction {
     #[inline]
     fn coefficient<const N: usize>(&mut self, v: &[Axes<N>; MAX_TERMS], n: usize) -> Axes<N> {
         let mut square = if n.is_multiple_of(2) { 0.5 * v[n / 2].norm_squared() } else { 0.0 };
-        for i in 0..n.div_ceil(2) {
-            square += v[i].dot(&v[n - i]);
+        for (early, late) in v[..n.div_ceil(2)].iter().zip(v[..=n].iter().rev()) {
+            square += early.dot(late);
         }
         self.square[n] = 2.0 * square * self.inverse_square;
         // y = s^p with p = -1/2, s_0 = 1: n y_n = sum_i (p i - (n - i)) s_i y_{n-i}.
-        let mut inverse = 0.0;
-        for i in 1..=n {
-            inverse += (0.5 * i as f64 - n as f64) * self.square[i] * self.inverse[n - i];
+        let (mut inverse, mut weight) = (0.0, -(n as f64));
+        for (square, before) in self.square[1..=n].iter().zip(self.inverse[..n].iter().rev()) {
+            weight += 0.5;
+            inverse += weight * square * before;
         }
         self.inverse[n] = inverse * INVERSE[n];
         let mut direction = v[n];
-        for i in 1..=n {
-            direction += v[n - i] * self.inverse[i];
+        for (inverse, v) in self.inverse[1..=n].iter().zip(v[..n].iter().rev()) {
+            direction += v * *inverse;
         }
         direction * self.speed
     }

@@ -38,15 +38,7 @@ impl<const N: usize> SimulatedMaster<N> {
         }
         let trembles = !self.waits && map.shakes[1] > 0.0;
         let moves = !self.waits && outlook.moves;
-        let shakes = if trembles {
-            outlook.wave[0].abs() * map.shakes[0] + outlook.wave[1].abs() * map.shakes[1]
-        } else {
-            0.0
-        };
-        let mut shift = Axes::<N>::repeat(shakes);
-        if moves {
-            shift += outlook.most_moved(duration);
-        }
+        let (shakes, shift) = self.target_shift(moves, trembles);
         let push = self.held_force + wish;
         let rubs_along = self.device.rubs_along_motion();
         let most_pulled = shift * (impedance[0] * (1.0 + 1e-12));
@@ -58,21 +50,15 @@ impl<const N: usize> SimulatedMaster<N> {
         let inverse_mass = Axes::<N>::from_fn(|axis, _| self.propagator.axes[axis].inverse_mass);
         let acceleration =
             (push - friction - self.device.viscous.component_mul(&v)).component_mul(&inverse_mass);
-        let mut bent = None;
-        if let Some(speed) = along {
-            match self.bend(&acceleration, speed, shakes, duration) {
-                Some(Bend::Straight) => {}
-                Some(Bend::Bends) => {
-                    bent = self.bent(&acceleration, speed, moves, trembles);
-                    if bent.is_none() {
-                        return false;
-                    }
-                }
-                None => return false,
-            }
-        }
+        let shaking = trembles.then_some(shakes);
+        let bend =
+            along.map_or(Some(Bend::Straight), |speed| self.bend(&acceleration, speed, shaking, duration));
+        let Some(bend) = bend else {
+            return false;
+        };
         // However friction turns, it changes by no more than twice itself.
-        let turns = if bent.is_some() { 2.0 * self.device.coulomb[0] * inverse_mass[0] } else { 0.0 };
+        let turns =
+            if matches!(bend, Bend::Bends(_)) { 2.0 * self.device.coulomb[0] * inverse_mass[0] } else { 0.0 };
         let (lower, upper) = &self.device.stops;
         let (mut moved, mut gained) = (Axes::<N>::zeros(), Axes::<N>::zeros());
         let (mut most_moved, mut most_gained) = (Axes::<N>::zeros(), Axes::<N>::zeros());
@@ -86,13 +72,12 @@ impl<const N: usize> SimulatedMaster<N> {
             let (map, a, v, x) = (&map.axes[axis], acceleration[axis], v[axis], x[axis]);
             let target = map.pull * shift[axis] + turns;
             let [farther, faster] = map.bounds(a, v, target, duration);
-            (moved[axis], gained[axis]) = match &bent {
-                Some([moved, gained]) => (moved[axis], gained[axis]),
-                None => {
-                    let path = moves.then(|| outlook.path_of(axis));
-                    let e = map.change(a, v, path, trembles.then_some(outlook.wave));
-                    (v * duration + e[0], e[1])
-                }
+            (moved[axis], gained[axis]) = if let Bend::Bends([moved, gained]) = &bend {
+                (moved[axis], gained[axis])
+            } else {
+                let path = moves.then(|| outlook.path_of(axis));
+                let e = map.change(a, v, path, trembles.then_some(outlook.wave));
+                (v * duration + e[0], e[1])
             };
             if friction[axis] != 0.0 && !rubs_along && v.abs() <= faster {
                 let bends = map.damping.abs() * faster + map.pull * farther + target;
@@ -121,6 +106,22 @@ impl<const N: usize> SimulatedMaster<N> {
             self.propagated += 1;
         }
         true
+    }
+
+    /// Most by which the tremor moves the target within the tick, and tremor and path along each axis, in m.
+    #[inline]
+    fn target_shift(&self, moves: bool, trembles: bool) -> (f64, Axes<N>) {
+        let (map, outlook) = (&self.propagator, &self.outlook);
+        let shakes = if trembles {
+            outlook.wave[0].abs() * map.shakes[0] + outlook.wave[1].abs() * map.shakes[1]
+        } else {
+            0.0
+        };
+        let mut shift = Axes::<N>::repeat(shakes);
+        if moves {
+            shift += outlook.most_moved(map.duration());
+        }
+        (shakes, shift)
     }
 
     /// Changes position and velocity, without what rounding loses, and holds the axes that stick.
@@ -190,12 +191,21 @@ impl<const N: usize> SimulatedMaster<N> {
         Some(found)
     }
 
-    /// How a motion under friction along it goes on over a tick; none where it may come to rest or turn back.
+    /// How a motion under friction along it goes on over a tick; none where it may come to rest or turn too
+    /// far.
     ///
     /// It is straight where rounding hides the rest: across the motion the speed grows to at most P, friction turns by
     /// `P / |V|`, which moves V by `c dT P / (m |V|)`.
     #[inline]
-    fn bend(&self, acceleration: &Axes<N>, speed: f64, shakes: f64, duration: f64) -> Option<Bend> {
+    fn bend(
+        &self,
+        acceleration: &Axes<N>,
+        speed: f64,
+        shaking: Option<f64>,
+        duration: f64,
+    ) -> Option<Bend<N>> {
+        let moves = !self.waits && self.outlook.moves;
+        let shakes = shaking.unwrap_or(0.0);
         let (map, one) = (&self.propagator, &self.propagator.axes[0]);
         let direction = self.velocity / speed;
         let aside = |along: &Axes<N>| across(&direction, along);
@@ -205,7 +215,7 @@ impl<const N: usize> SimulatedMaster<N> {
             moved += shakes * (N as f64).sqrt();
             moved_aside += shakes * aside(&all);
         }
-        if !self.waits && self.outlook.moves {
+        if moves {
             let mut power = 1.0;
             for term in &self.outlook.path[1..] {
                 power *= duration;
@@ -223,16 +233,19 @@ impl<const N: usize> SimulatedMaster<N> {
         if least > STOPPED && slip <= f64::EPSILON / 16.0 * least {
             return Some(Bend::Straight);
         }
-        (one.most * (most + 2.0 * friction) < MAX_CHANGE * speed).then_some(Bend::Bends)
+        if one.most * (most + 2.0 * friction) >= MAX_CHANGE * speed {
+            return None;
+        }
+        self.bent(acceleration, speed, moves, shaking.is_some()).map(Bend::Bends)
     }
 }
 
 /// How a motion goes on over a tick.
-enum Bend {
+enum Bend<const N: usize> {
     /// On a straight line.
     Straight,
-    /// In another direction at its end.
-    Bends,
+    /// In another direction at its end: by how much x in m and V in m/s change.
+    Bends([Axes<N>; 2]),
 }
 
 /// What a hand does over a tick in which its grip neither changes nor begins to slip.
