@@ -1,8 +1,8 @@
-"""Runs tests of real time beside each other, and those that failed once more with nothing beside them.
+"""Runs tests of real time, and those that failed once more, one after the other.
 
-They watch loops with a period of 1 ms as processes; a machine that its neighbours hold up for some tens of ms fails
-them, whoever is right. What fails alone as well has failed. What passes then is named at the end, so that nobody
-overlooks a test that needs it often.
+They watch loops with a period of 1 ms as processes; tests beside them, or others who use the machine, hold them up for
+tens of ms at times and fail them, whoever is right. What fails at the second try, too, has failed. What passes then is
+named at the end, so that nobody overlooks a test that needs it often.
 """
 
 import argparse
@@ -42,11 +42,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     again = failed()
     if status != FAILED or not again or len(again) > asked.most:
         return status
-    print(f"\n{len(again)} failed beside others; once more, alone:", *again, sep="\n  ", flush=True)
+    print(f"\n{len(again)} failed; once more, one after the other:", *again, sep="\n  ", flush=True)
     # Options of the first run are those of running side by side.
     status = run(["--last-failed", "--last-failed-no-failures", "none"], asked.markers)
     if status == 0:
-        print(f"{len(again)} passed alone only:", *again, sep="\n  ", flush=True)
+        print(f"{len(again)} passed at the second try only:", *again, sep="\n  ", flush=True)
     return status
 
 

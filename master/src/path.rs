@@ -133,9 +133,9 @@ impl<const N: usize> Path<N> {
         let (leg, from) = (&self.legs[index], self.from(index));
         let s = (t - self.begins[index]) / leg.duration_s;
         let shares = shifted(leg.shape.coefficients(), s);
-        let way = leg.end - from;
+        let displacement = leg.end - from;
         for ((term, share), rate) in series.iter_mut().zip(shares).zip(self.rates[index]) {
-            *term = way * (share * rate);
+            *term = displacement * (share * rate);
         }
         series[0] += from;
         series

@@ -22,14 +22,14 @@ const ROUNDS: usize = 7;
 
 /// The sum of the times of arrival, so that no change of a verdict passes unseen.
 fn run(settings: &LinkSettings, packets: u64) -> Result<u64, Box<dyn Error>> {
-    let mut ways = [Direction::Forward, Direction::Backward].map(|direction| {
+    let mut directions = [Direction::Forward, Direction::Backward].map(|direction| {
         Ok::<_, Box<dyn Error>>((Link::new(direction, 1, settings)?, InFlight::<usize>::growing(1 << 22)))
     });
     let mut sum = 0_u64;
     for index in 0..packets / 2 {
         let now_ns = index * PERIOD_NS;
-        for way in &mut ways {
-            let (link, in_flight) = way.as_mut().map_err(|error| error.to_string())?;
+        for one in &mut directions {
+            let (link, in_flight) = one.as_mut().map_err(|error| error.to_string())?;
             while let Some((at_ns, slot)) = in_flight.pop_due(now_ns) {
                 sum = sum.wrapping_add(at_ns ^ slot as u64);
             }
@@ -66,6 +66,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (name, packets) = (arguments.next(), arguments.next());
     let rounds = if packets.is_some() { 1 } else { ROUNDS };
     let packets = packets.map_or(Ok(PACKETS), |packets| packets.parse())?;
+    if name.as_ref().is_some_and(|name| links.iter().all(|(link, _)| link != name)) {
+        return Err(format!("LINK must be one of {}", links.map(|(link, _)| link).join(", ")).into());
+    }
     for (link, settings) in links.iter().filter(|(link, _)| name.as_deref().is_none_or(|name| name == *link))
     {
         let (mut least_ns, mut sum) = (f64::INFINITY, 0);

@@ -197,8 +197,8 @@ def measure_thresholds(
         if not several or len(set(several)) < len(several):
             message = f"{name} = {list(several)}: must be one or more, each once"
             raise ValueError(message)
-    if wrong := [value for value in round_trips_s if not 0.0 <= value <= 10.0]:
-        message = f"round_trips_s: {wrong[0]}: must be between 0 and 10 s"
+    if wrong := [value for value in round_trips_s if not 0.0 <= value <= 60.0]:
+        message = f"round_trips_s: {wrong[0]}: must be between 0 and 60 s"
         raise ValueError(message)
     bounds, overrides = bounds or HandBounds(), tuple(overrides)
     refuse_fixed(overrides, (*FIXED, *LAWS_OWN, "safety.research"), "is the same for every law here, or the law's own")

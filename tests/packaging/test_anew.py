@@ -1,4 +1,4 @@
-"""A test of real time that failed beside others is decided alone; one that fails alone has failed."""
+"""A test of real time that failed is decided by a second try, alone; one that fails there has failed."""
 
 import os
 import subprocess
@@ -32,13 +32,13 @@ def test_fails_always(number):
 @pytest.mark.parametrize(
     ("once", "always", "status", "said"),
     [
-        (0, 0, 0, "1 passed in"),
-        (2, 0, 0, "2 passed alone only:"),
-        (1, 1, 1, "2 failed beside others; once more, alone:"),
-        (0, 4, 1, "4 failed, 1 passed in"),  # more than are tried anew
+        (0, 0, 0, "1 passed"),
+        (2, 0, 0, "2 passed at the second try only:"),
+        (1, 1, 1, "2 failed; once more, one after the other:"),
+        (0, 4, 1, "4 failed, 1 passed"),  # more than are tried anew
     ],
 )
-def test_a_failure_counts_when_it_fails_alone(once: int, always: int, status: int, said: str, tmp_path: Path) -> None:
+def test_a_failure_counts_when_it_fails_twice(once: int, always: int, status: int, said: str, tmp_path: Path) -> None:
     (tmp_path / "test_some.py").write_text(TESTS.format(once=once, always=always), "utf-8")
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = live: of real time\n", "utf-8")
     ended = subprocess.run(
@@ -48,4 +48,4 @@ def test_a_failure_counts_when_it_fails_alone(once: int, always: int, status: in
     )  # fmt: skip
     assert ended.returncode == status, ended.stdout + ended.stderr
     assert said in ended.stdout
-    assert ("once more, alone" in ended.stdout) == (0 < once + always <= 3)
+    assert ("once more, one" in ended.stdout) == (0 < once + always <= 3)

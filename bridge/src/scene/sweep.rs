@@ -387,3 +387,34 @@ fn vectorised<W: Watcher<N, Lanes>, const N: usize>(
     }
     pulp::Arch::new().dispatch(Job(run, stop, ended));
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What lanes cannot share is run one by one, with the same outcomes: so nothing else would say that they are used.
+    #[test]
+    fn scenarios_that_differ_in_a_number_share_lanes() {
+        let scene: Value = serde_json::from_slice(include_bytes!("../../benches/work_unit.json")).unwrap();
+        for (signals, controllers) in
+            [("true", "wsc"), ("true", "hsc"), ("estimated", "wsc"), ("estimated", "vfc")]
+        {
+            let runs: Vec<_> = (0..LANES)
+                .map(|lane| {
+                    let mut scene = scene.clone();
+                    scene["safety"]["signals"] = signals.into();
+                    scene["safety"]["controllers"] = vec![controllers].into();
+                    scene["operator"]["legs"][0]["end"] = vec![-0.01 * (1.0 + lane as f64)].into();
+                    let spec = SceneSpec::<1>::deserialize(&scene).unwrap();
+                    (lane, Box::new(stepped_run(&spec).unwrap()))
+                })
+                .collect();
+            let found = match gathered(&runs, &std::array::from_fn::<_, LANES, _>(|lane| lane)) {
+                Some(LaneRun::Estimated(_)) => "estimated",
+                Some(LaneRun::True(_)) => "true",
+                None => "none",
+            };
+            assert_eq!(found, signals, "{controllers}");
+        }
+    }
+}

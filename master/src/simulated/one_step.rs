@@ -1,12 +1,13 @@
-//! A whole tick of device and hand in one step: the linear map of [`Propagator`], where bounds on the motion say that no
-//! event falls into the tick.
+//! A whole tick of device and hand in one step, where bounds on the motion say that no event falls into the tick: the
+//! linear map of [`Propagator`], or the series of a motion that friction along it bends (`bend.rs`).
 
 use super::{STOPPED, SimulatedMaster, across, add, bend::MAX_CHANGE};
 use crate::{Axes, propagator::Propagator};
 
 impl<const N: usize> SimulatedMaster<N> {
     /// Moves over a tick of `duration` in one step, if bounds on the motion say that no event falls into it and all
-    /// laws are linear, or but for the direction of friction; else leaves everything as it is. A bound too many costs time, none costs accuracy.
+    /// laws are linear, or but for the direction of friction; else leaves everything as it is. A bound too many costs
+    /// time, none costs accuracy.
     #[inline]
     pub(super) fn propagates(&mut self, duration: f64, past_ns: u64) -> bool {
         #[cfg(test)]

@@ -20,8 +20,8 @@ pub struct WindowedSafetyController<const N: usize, S = f64> {
     energy_threshold_j: S,
     /// `F_w`; 0 without.
     force_threshold_n: S,
-    /// Whether none has one.
-    is_printed: bool,
+    /// Whether `F_w` is 0 in every lane: Eq. 13 as printed.
+    has_no_force_threshold: bool,
 }
 
 impl<const N: usize> WindowedSafetyController<N> {
@@ -35,13 +35,13 @@ impl<const N: usize> WindowedSafetyController<N> {
             -f64::MIN_POSITIVE,
             "finite and below 0",
         )?;
-        Ok(Self { observer, energy_threshold_j, force_threshold_n: 0.0, is_printed: true })
+        Ok(Self { observer, energy_threshold_j, force_threshold_n: 0.0, has_no_force_threshold: true })
     }
 
     /// The same with a force threshold `F_w` in N (>= 0); 0 is Eq. 13 as printed.
     pub fn with_force_threshold(self, force_threshold_n: f64) -> Result<Self, ParameterError> {
         let force_threshold_n = non_negative("force_threshold_n", "F_w", force_threshold_n)?;
-        Ok(Self { force_threshold_n, is_printed: force_threshold_n == 0.0, ..self })
+        Ok(Self { force_threshold_n, has_no_force_threshold: force_threshold_n == 0.0, ..self })
     }
 }
 
@@ -78,7 +78,7 @@ impl<const N: usize, S: Real> Controller<N, S> for WindowedSafetyController<N, S
             observer: part(of, |one| one.observer.clone(), WindowedSafetyObserver::gather)?,
             energy_threshold_j: pack(of, |one| one.energy_threshold_j)?,
             force_threshold_n: pack(of, |one| one.force_threshold_n)?,
-            is_printed: of.iter().all(|one| one.is_printed),
+            has_no_force_threshold: of.iter().all(|one| one.has_no_force_threshold),
         })
     }
 
@@ -86,7 +86,7 @@ impl<const N: usize, S: Real> Controller<N, S> for WindowedSafetyController<N, S
     fn step(&mut self, seen: &Observation<N, S>) -> Verdict<N, S> {
         let observed = self.observer.step(seen);
         let is_low = observed.simd_lt(self.energy_threshold_j);
-        if self.is_printed {
+        if self.has_no_force_threshold {
             return Verdict::without_force(observed, is_low);
         }
         // Not "is above": what cannot be compared is no reason to let a push pass.

@@ -83,7 +83,7 @@ pub struct RenderedWall<const N: usize> {
 pub struct RenderedWalls<const N: usize, S = f64> {
     walls: Vec<Plane<N, S>>,
     pushes: Vec<Push<N, S>>,
-    /// Whether any wall is.
+    /// Whether any wall has damping.
     is_damped: bool,
 }
 
