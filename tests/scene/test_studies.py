@@ -240,7 +240,7 @@ def test_hands_of_a_population_are_drawn_for_all_scenes(tmp_path: Path, capsys: 
     stiffnesses = [row["operator.stiffness"] for row in rows]
     assert len(set(stiffnesses)) > 1
     assert stiffnesses[:3] == stiffnesses[3:]
-    samples = {"scene": ["remote_push", "paper_wall"], "run.seed": [1.0, 2.0]}
+    samples: dict[str, list[Any]] = {"scene": ["remote_push", "paper_wall"], "run.seed": [1.0, 2.0]}
     found = sweep("remote_push", samples=samples, population="stylus-arm", overrides=["run.duration_s=0.3"])
     assert len(found) == 2
 
