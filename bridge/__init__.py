@@ -55,6 +55,7 @@ from haptether.bridge.scene.sweeps.population import (
     load_population,
     population_names,
 )
+from haptether.bridge.scene.sweeps.reasons import RowReason
 from haptether.bridge.scene.sweeps.store import StoredSweep, sweep_to_file
 from haptether.bridge.scene.tables.master import (
     ButtonsTable,
@@ -203,6 +204,7 @@ __all__ = [
     "RotationLegTable",
     "RotationSafetyTable",
     "RotationTable",
+    "RowReason",
     "Run",
     "RunTable",
     "SafetyTable",

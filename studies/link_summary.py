@@ -23,6 +23,7 @@ class LinkSummary(msgspec.Struct, frozen=True, kw_only=True):
     overshoot_p99_s: float
     overshoot_max_s: float
     """How late the loop woke."""
+    round_trip_p01_s: float | None
     round_trip_p50_s: float | None
     round_trip_p99_s: float | None
     round_trip_max_s: float | None
@@ -86,6 +87,7 @@ def summarise_link(trace: MasterTrace | SlaveTrace, report: LoopReport, period_s
         overshoot_p50_s=late(0.5),
         overshoot_p99_s=late(0.99),
         overshoot_max_s=late(1.0),
+        round_trip_p01_s=round_trip(0.01),
         round_trip_p50_s=round_trip(0.5),
         round_trip_p99_s=round_trip(0.99),
         round_trip_max_s=round_trip(1.0),
@@ -125,13 +127,9 @@ class LinkVerdict(msgspec.Struct, frozen=True, kw_only=True):
     gap_s: float | None
     """What the link has."""
     good: bool
+    is_between: bool
+    """Whether it is good enough at a delay beyond one at which contact oscillates."""
     complaints: list[str]
-
-    @property
-    def is_between(self) -> bool:
-        """Whether it is good enough at a delay beyond one at which contact oscillates."""
-        known = self.delay_s is not None and self.bearable_delay_s is not None
-        return self.good and known and (self.delay_s or 0.0) >= (self.bearable_delay_s or 0.0)
 
 
 def judge_link(
@@ -149,10 +147,12 @@ def judge_link(
         bearable_delay_s: Of `largest_delay_s`.
         bearable_gap_s: Longest silence in s that the ladder bears.
         period_s: dT, the longer of the two sides' periods in s.
-        stable_delays_s: Of `stable_together`: a link whose median and 99 % lie in one of these is borne, too.
+        stable_delays_s: Of `stable_together`: a link is borne, too, whose round trips
+            lie in one of these, all but the shortest and the longest 1 %.
     """
     complaints = []
     delay_s = None
+    is_between = False
     if summary.round_trip_p99_s is None:
         complaints.append("no answer carried an echo")
     else:
@@ -160,11 +160,15 @@ def judge_link(
         # At its tick the slave samples F_e and then commands x, so this answer shows the commands up to the one before:
         # a command is held for dT, which is dT / 2 late, and the force on the device is held for dT likewise.
         delay_s = summary.round_trip_p99_s + period_s
-        usual_s = delay_s if summary.round_trip_p50_s is None else summary.round_trip_p50_s + period_s
-        is_between = any(low < usual_s and delay_s < high for low, high in stable_delays_s)
-        if delay_s >= bearable_delay_s and not is_between:
+        early_s = None if summary.round_trip_p01_s is None else summary.round_trip_p01_s + period_s
+        is_later = delay_s >= bearable_delay_s
+        is_between = (
+            is_later and early_s is not None and any(low < early_s and delay_s < high for low, high in stable_delays_s)
+        )
+        if is_later and not is_between:
+            has = _range(delay_s if early_s is None else early_s, delay_s)
             complaints.append(
-                f"contact would oscillate: a delay of {_range(usual_s, delay_s)}, bearable is "
+                f"contact would oscillate: a delay of {has}, bearable is "
                 f"{bearable_text(bearable_delay_s, stable_delays_s)}"
             )
     gap_s = None
@@ -183,6 +187,7 @@ def judge_link(
         bearable_gap_s=bearable_gap_s,
         gap_s=gap_s,
         good=not complaints,
+        is_between=is_between and not complaints,
         complaints=complaints,
     )
 
@@ -195,6 +200,6 @@ def bearable_text(bearable_delay_s: float | None, stable_delays_s: Sequence[tupl
     return ", and ".join([f"{bearable_delay_s * 1e3:.1f} ms", *later])
 
 
-def _range(usual_s: float, late_s: float) -> str:
-    usual, late = f"{usual_s * 1e3:.1f}", f"{late_s * 1e3:.1f}"
-    return f"{late} ms" if usual == late else f"{usual} to {late} ms"
+def _range(early_s: float, late_s: float) -> str:
+    early, late = f"{early_s * 1e3:.1f}", f"{late_s * 1e3:.1f}"
+    return f"{late} ms" if early == late else f"{early} to {late} ms"

@@ -78,6 +78,16 @@ _TAKEN = ControllerTime()
 _COUNTING = threading.Lock()
 
 
+class _OfThread(threading.local):
+    """What the runs and sweeps that a thread began have taken."""
+
+    ticks = 0
+    seconds = 0.0
+
+
+_TAKEN_BY_THREAD = _OfThread()
+
+
 def controller_time() -> ControllerTime:
     """What the controllers in Python of this process have taken until now."""
     return replace(_TAKEN)
@@ -88,14 +98,13 @@ def count_controller_time(ticks: int, seconds: float) -> None:
     with _COUNTING:
         _TAKEN.ticks += ticks
         _TAKEN.seconds += seconds
+    _TAKEN_BY_THREAD.ticks += ticks
+    _TAKEN_BY_THREAD.seconds += seconds
 
 
-def uncounted_controller_time() -> ControllerTime:
-    """Takes away what was counted until now, for another process to count: each run is given away once."""
-    with _COUNTING:
-        taken = replace(_TAKEN)
-        _TAKEN.ticks, _TAKEN.seconds = 0, 0.0
-    return taken
+def thread_controller_time() -> ControllerTime:
+    """What controllers in Python took until now in the runs and sweeps that this thread began."""
+    return ControllerTime(_TAKEN_BY_THREAD.ticks, _TAKEN_BY_THREAD.seconds)
 
 
 class Research:

@@ -10,7 +10,16 @@ from haptether.safety import THROWN_SPEED, EjectionBound, ejection_bound
 from haptether.studies.design.contact import rendered, scene_numbers, touched
 from haptether.studies.design.delay import largest_delay_s, stable_together
 from haptether.studies.design.finding import MARGIN, DesignCheck, Finding, State, Units, link_delays_s
-from haptether.studies.design.idle import idle_link, script_texts, scripted_link
+from haptether.studies.design.idle import (
+    MAX_ONCE_S,
+    MAX_RUN_S,
+    SETTLED_S,
+    SingleEvent,
+    idle_link,
+    link_with_single_events,
+    single_events,
+    single_events_on_link,
+)
 from haptether.studies.design.loops import scene_loops
 from haptether.studies.design.remedy import OWN_CONTROLLER, with_remedies
 from haptether.studies.design.wall import largest_wall_stiffness
@@ -411,30 +420,67 @@ def _idle(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
         name="link", state=state, text=f"while nobody moves this link makes the ladder hold {rate}{why}, of"
         f" {idle.seconds:g} s that were run", value=per_h, limit=MAX_HOLDS_PER_H, unit="1/h",
     )  # fmt: skip
-    yield from _scripted(scene)
+    yield from _once(scene)
 
 
-def _scripted(scene: Scene) -> Iterator[Finding]:
+def _once(scene: Scene) -> Iterator[Finding]:
     """What the ladder makes of what this link does once: that has no rate."""
-    once = scripted_link(scene)
+    events = single_events(scene)
+    if later := [event for event in events if event.begin_s >= MAX_ONCE_S]:
+        yield Finding(
+            name="later outage", state="not judged", text=f"once, {_named(later)}: it begins after the"
+            f" {MAX_ONCE_S:g} s that are looked at",
+        )  # fmt: skip
+    once = link_with_single_events(scene)
     if once is None:
         return
-    happens = script_texts(scene)
-    more = f" and {len(happens) - MOST_NAMED} more" if len(happens) > MOST_NAMED else ""
-    what = f"{', '.join(happens[:MOST_NAMED])}{more}"
+    earlier = [event for event in events if event.begin_s < MAX_ONCE_S]
+    lasts = max(event.end_s for event in earlier) + SETTLED_S > MAX_RUN_S
     times = ", ".join(f"{at_s:.3g} s" for at_s in once.holds_s[:MOST_NAMED])
     times += ", ..." if once.holds > MOST_NAMED else ""
+    count = once.holds + once.stops
     state: State = "warning"
-    if not once.coupled:
+    if once.stops:
+        state = "bad"
+        holds = f"holds at {times}, and stops" if once.holds else "stops"
+        said = f"the ladder {holds} ({once.reason}), and the arm stays stopped until a person acts"
+    elif lasts:
+        state, said = "not judged", f"it lasts longer than the {MAX_RUN_S:g} s that are run"
+    elif not once.coupled:
         state = "bad"
         when = f"the ladder holds at {times}, and the two are" if once.holds else "the two are"
         said = f"{when} not coupled again within {once.seconds:.3g} s ({once.reason})"
-    elif once.holds or once.stops:
-        stops = ", and stops" if once.stops else ""
-        said = f"the ladder holds at {times}{stops} ({once.reason}), until the clutch is pressed again"
+    elif once.holds:
+        said = f"the ladder holds at {times} ({once.reason}), until the clutch is pressed again"
     else:
-        state, said = "good", "the ladder bears it"
+        state, said, count = _once_on_link(scene)
     yield Finding(
-        name="outage", state=state, text=f"once, {what}: {said}", unit="holds or stops",
-        value=float(once.holds + once.stops),
+        name="outage", state=state, text=f"once, {_named(earlier)}: {said}", unit="holds or stops", value=float(count),
     )  # fmt: skip
+
+
+def _named(events: list[SingleEvent]) -> str:
+    more = f" and {len(events) - MOST_NAMED} more" if len(events) > MOST_NAMED else ""
+    return f"{', '.join(event.text for event in events[:MOST_NAMED])}{more}"
+
+
+def _once_on_link(scene: Scene) -> tuple[State, str, int]:
+    """State, text, and holds and stops, of what is borne over the delay alone, over the link with all that it does."""
+    both = single_events_on_link(scene)
+    assert both is not None, "something happens once"
+    found, without = both
+    count = found.holds + found.stops
+    runs = f"of {found.runs} runs over the whole link"
+    if found.stops > without.stops:
+        text = f"a side stops in {found.runs} runs over the whole link, and the arm stays stopped until a person acts"
+        return "bad", text, count
+    if found.uncoupled > without.uncoupled:
+        return "bad", f"in {found.uncoupled} {runs} the two are not coupled again", count
+    if found.holds > without.holds:
+        text = f"over its delay alone the ladder bears it, and holds in {found.held} {runs}"
+        return "warning", text + (f", without it in {without.held}" if without.held else ""), count
+    if found.holds or found.stops or found.uncoupled:
+        text = "over its delay alone the ladder bears it; over the whole link it holds as often without it,"
+        text += f" in {found.runs} runs"
+        return "not judged", text, count
+    return "good", f"the ladder bears it, over its delay alone and in {found.runs} runs over the whole link", 0

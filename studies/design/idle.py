@@ -1,5 +1,7 @@
 """The ladder of safe states on an idle link: both sides coupled while nobody moves."""
 
+from typing import Literal, TypeAlias
+
 from msgspec import Struct
 from msgspec.structs import replace
 
@@ -11,11 +13,27 @@ IDLE_S = 60.0
 """Simulated time in s."""
 EPISODE_S = 0.45
 """Holds closer than that in s are one: both sides hold in turn, and the simulated hand re-engages 0.5 s after."""
-SCRIPT_S = 600.0
-"""What a link does at a given time is looked at up to there, in s."""
+MAX_ONCE_S = 600.0
+"""What happens once is run if it begins before, in s."""
+MAX_RUN_S = 1200.0
+"""No run is longer, in s."""
+ONCE_SEEDS = 4
+"""Seeds with which what happens once is run over the whole link."""
 SETTLED_S = 3.0
 """Within that time in s after what happened once the two are coupled again: reaction, handshake and fade."""
 DIRECTIONS = ("forward", "backward")
+EventKind: TypeAlias = Literal["outage", "delay", "clock"]
+
+
+class SingleEvent(Struct, frozen=True, kw_only=True):
+    """What a link does once, at a given time."""
+
+    kind: EventKind
+    text: str
+    """In a few words."""
+    begin_s: float
+    end_s: float
+    """In s since the link began."""
 
 
 class IdleLink(Struct, frozen=True, kw_only=True):
@@ -49,33 +67,55 @@ def idle_link(scene: Scene, *, seconds: float = IDLE_S) -> IdleLink:
         scene: With an arm and a link.
         seconds: Simulated.
     """
-    return _run(scene, _unscripted(scene.link), seconds)
+    return _run(scene, _without_single_events(scene.link), seconds)
 
 
-def scripted_link(scene: Scene) -> IdleLink | None:
+class OnceOnLink(Struct, frozen=True, kw_only=True):
+    """Runs of the whole link with what it does once, against runs without it, over the same seeds."""
+
+    runs: int
+    held: int
+    """Runs in which the ladder holds between beginning and end of what happens, or until `SETTLED_S` later."""
+    holds: int
+    """Such holds, as episodes."""
+    stops: int
+    """How often a side went to STOP in the whole runs."""
+    uncoupled: int
+    """Runs at whose end the two were not coupled."""
+
+
+def link_with_single_events(scene: Scene) -> IdleLink | None:
     """The same of what the link does once: outages, changes of delay and of a clock, over a link that only delays.
 
     Args:
         scene: With an arm.
 
     Returns:
-        None where nothing happens at a given time within `SCRIPT_S`.
+        None where nothing happens once before `MAX_ONCE_S`.
     """
-    ends_s = [end_s for _, begin_s, end_s in _happenings(scene.link) if begin_s < SCRIPT_S]
-    if not ends_s:
+    if (seconds := _seconds_with(scene)) is None:
         return None
-    return _run(scene, _script_alone(scene), min(max(ends_s), SCRIPT_S) + SETTLED_S)
+    return _run(scene, _single_events_over_delay(scene), seconds)
 
 
-def script_texts(scene: Scene) -> tuple[str, ...]:
-    """What the link does once, each in a few words, as it happens within `SCRIPT_S`."""
-    found = sorted(_happenings(scene.link), key=lambda each: each[1])
-    return tuple(text for text, begin_s, _ in found if begin_s < SCRIPT_S)
+def single_events_on_link(scene: Scene) -> tuple[OnceOnLink, OnceOnLink] | None:
+    """The whole link, with its jitter, loss and order, with what it does once and without.
+
+    Args:
+        scene: With an arm.
+
+    Returns:
+        None where nothing happens once before `MAX_ONCE_S`.
+    """
+    if (seconds := _seconds_with(scene)) is None:
+        return None
+    events, without = _run_events(scene), _without_single_events(scene.link)
+    return _runs_with(scene, scene.link, events, seconds), _runs_with(scene, without, events, seconds)
 
 
-def _happenings(links: LinksTable | None) -> list[tuple[str, float, float]]:
-    """What happens once: in words, and when in s it begins and ends."""
-    found = []
+def single_events(scene: Scene) -> tuple[SingleEvent, ...]:
+    """What the link of a scene does once, in the order of time."""
+    links, found = scene.link, list[SingleEvent]()
     for direction in DIRECTIONS:
         settings: LinkSettings | None = getattr(links, direction, None)
         if settings is None:
@@ -83,19 +123,47 @@ def _happenings(links: LinksTable | None) -> list[tuple[str, float, float]]:
         for outage in settings.outages or ():
             if isinstance(times := outage.times, Once):
                 text = f"{direction} an outage of {times.duration_s * 1e3:.3g} ms at {times.at_s:g} s"
-                found.append((text, times.at_s, times.at_s + times.duration_s))
+                end_s = times.at_s + times.duration_s
+                found.append(SingleEvent(kind="outage", text=text, begin_s=times.at_s, end_s=end_s))
         for change in settings.timeline or ():
             text = f"{direction} a delay of {change.delay_s * 1e3:.3g} ms from {change.at_s:g} s on"
-            found.append((text, change.at_s, change.at_s + change.ramp_s + change.delay_s))
+            end_s = change.at_s + change.ramp_s + change.delay_s
+            found.append(SingleEvent(kind="delay", text=text, begin_s=change.at_s, end_s=end_s))
     for side in ("master", "slave"):
         clock = getattr(links, f"{side}_clock", None)
         if clock is not None and clock.step_s > 0.0:
             text = f"the {side}'s clock is set forward by {clock.step_s:g} s at {clock.step_at_s:g} s"
-            found.append((text, clock.step_at_s, clock.step_at_s))
-    return found
+            found.append(SingleEvent(kind="clock", text=text, begin_s=clock.step_at_s, end_s=clock.step_at_s))
+    return tuple(sorted(found, key=lambda event: event.begin_s))
 
 
-def _unscripted(links: LinksTable | None) -> LinksTable | None:
+def _run_events(scene: Scene) -> tuple[SingleEvent, ...]:
+    return tuple(event for event in single_events(scene) if event.begin_s < MAX_ONCE_S)
+
+
+def _seconds_with(scene: Scene) -> float | None:
+    """How long a run is that has what happens once, in s; none where nothing does."""
+    ends_s = [event.end_s for event in _run_events(scene)]
+    return min(max(ends_s) + SETTLED_S, MAX_RUN_S) if ends_s else None
+
+
+def _runs_with(scene: Scene, link: LinksTable | None, events: tuple[SingleEvent, ...], seconds: float) -> OnceOnLink:
+    """Runs of a link over `ONCE_SEEDS` seeds from the scene's on, with the holds while any of the events lasts."""
+    runs = [_run(scene, link, seconds, seed=scene.run.seed + more) for more in range(ONCE_SEEDS)]
+    holds = [
+        sum(1 for at_s in run.holds_s if any(one.begin_s <= at_s <= one.end_s + SETTLED_S for one in events))
+        for run in runs
+    ]
+    return OnceOnLink(
+        runs=len(runs),
+        held=sum(1 for count in holds if count),
+        holds=sum(holds),
+        stops=sum(run.stops for run in runs),
+        uncoupled=sum(1 for run in runs if not run.coupled),
+    )
+
+
+def _without_single_events(links: LinksTable | None) -> LinksTable | None:
     """The links without what they do once."""
     if links is None:
         return None
@@ -116,7 +184,7 @@ def _unscripted(links: LinksTable | None) -> LinksTable | None:
     return changed
 
 
-def _script_alone(scene: Scene) -> LinksTable:
+def _single_events_over_delay(scene: Scene) -> LinksTable:
     """Of the links their delay and what they do once."""
     changed = LinksTable() if scene.link is None else scene.link
     delays = scene_numbers(scene)["link"] or {}
@@ -130,14 +198,19 @@ def _script_alone(scene: Scene) -> LinksTable:
     return changed
 
 
-def _run(scene: Scene, link: LinksTable | None, seconds: float) -> IdleLink:
+def _run(scene: Scene, link: LinksTable | None, seconds: float, *, seed: int | None = None) -> IdleLink:
     resting = load_scene("remote_push", ["safety.controllers=[]"])
     assert resting.operator is not None
     assert resting.slave is not None
     period_s = scene.slave.period_s if scene.slave is not None else None
     pair = replace(
         resting,
-        run=replace(resting.run, duration_s=seconds, period_s=scene.run.period_s, seed=scene.run.seed),
+        run=replace(
+            resting.run,
+            duration_s=seconds,
+            period_s=scene.run.period_s,
+            seed=scene.run.seed if seed is None else seed,
+        ),
         slave=replace(resting.slave, period_s=period_s),
         operator=replace(resting.operator, legs=(), release=None),
         environment=None,

@@ -11,6 +11,7 @@ from haptether.safety import ejection_bound
 from haptether.studies.design.contact import scene_numbers
 from haptether.studies.design.delay import ContactLoop, largest_delay_s
 from haptether.studies.design.finding import MARGIN, Finding, State, link_delays_s
+from haptether.studies.design.idle import MAX_ONCE_S, EventKind, single_events
 from haptether.studies.design.loops import scene_loops
 
 Changes = tuple[str, ...]
@@ -37,10 +38,15 @@ ADVICE = {
     "wsc": "slower strokes; a larger |safety.energy_threshold_j| raises the bound on the speed after a release",
     "grip": "a firmer grip, or a lower safety.limiter.max_force_n",
     "losses": "a better link",
-    "outage": "a shorter one: safety.ladder.hold_after_s bears at most 0.1 s, and what is longer ends in HOLD",
     "link": "less delay, jitter and loss; a delay_s is in seconds: 0.05 is 50 ms",
 }
 """What helps besides, by what a finding is about: not all of it is a field."""
+ONCE_ADVICE: dict[EventKind, str] = {
+    "outage": "a shorter outage: safety.ladder.hold_after_s bears at most 0.1 s, and what is longer ends in HOLD",
+    "delay": "a smaller change of the delay, or a slower one (ramp_s)",
+    "clock": "a clock that is not set while the two are coupled",
+}
+"""What helps against what a link does once, by its kind."""
 OWN_CONTROLLER = (
     "measure it: `haptether falsify` on this scene finds the release after which it is worst, `haptether evaluate"
     " --controller none {name}` how often it throws and trips falsely"
@@ -128,7 +134,7 @@ def _mended(
             best = changes, after
         if _is_mended(after):
             break
-    advice = ADVICE.get(finding.name)
+    advice = _once_advice(scene) if finding.name == "outage" else ADVICE.get(finding.name)
     if best is None:
         return replace(finding, remedy=advice)
     changes, after = best
@@ -148,6 +154,11 @@ def _mended(
     if finding.name == "ejection" and any(one.startswith("safety.energy_threshold_j=") for one in changes):
         remedy += "; WSC then trips sooner while a hand holds, too (docs/thresholds.md)"
     return replace(finding, remedy=remedy, changes=changes)
+
+
+def _once_advice(scene: Scene) -> str:
+    kinds = dict.fromkeys(event.kind for event in single_events(scene) if event.begin_s < MAX_ONCE_S)
+    return "; ".join(ONCE_ADVICE[kind] for kind in kinds)
 
 
 def _is_mended(after: Finding | None) -> bool:

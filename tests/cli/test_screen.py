@@ -94,8 +94,9 @@ def test_the_table_of_a_link_fits() -> None:
     summary = LinkSummary(
         realtime="SCHED_FIFO 80, memory locked (12345 MiB), no deep sleep of processors; not granted: " + FAULT[:60],
         rate_hz=12345.6, late_cycles=123_456_789, skipped_ticks=123_456_789, overshoot_p50_s=0.123456,
-        overshoot_p99_s=1.23456, overshoot_max_s=12.3456, round_trip_p50_s=12.34567, round_trip_p99_s=12.34567,
-        round_trip_max_s=12.34567, jitter_s=1.2, sent=1, arrived=123_456_789, lost=123_456, loss=0.01, worst_gap_s=1.0,
+        overshoot_p99_s=1.23456, overshoot_max_s=12.3456, round_trip_p01_s=12.34567, round_trip_p50_s=12.34567,
+        round_trip_p99_s=12.34567, round_trip_max_s=12.34567, jitter_s=1.2, sent=1,
+        arrived=123_456_789, lost=123_456, loss=0.01, worst_gap_s=1.0,
         silence_at_end_s=None, interarrival_jitter_s=None, loss_bursts=123_456, longest_burst=123_456, reordered=0,
         usual_age_s=None, offset_s=None, offset_bound_s=None, clock_faults=123,
         last_clock_fault="the peer's clock was set back by 12.345 s", recorded=123_456_789, unrecorded=123_456_789,

@@ -1,5 +1,6 @@
 """Sweeps of what is no number, of tied fields and of samples: each row is the run of its own scene."""
 
+import csv
 import json
 from pathlib import Path
 from typing import Any
@@ -227,6 +228,37 @@ def test_scenes_are_compared_on_the_command_line_and_resumed(
     file.write_text(before)
     assert main([*command, "--resume"]) == 0
     assert out.read_bytes() == whole
+
+
+def test_hands_of_a_population_are_drawn_for_all_scenes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "rows.csv"
+    command = ["sweep", "remote_push", "--vary", "scene=remote_push,paper_wall", "--population", "stylus-arm",
+               "--samples", "3", "--set", "run.duration_s=0.3", "--out", str(out)]  # fmt: skip
+    assert main(command) == 0, capsys.readouterr().err
+    with out.open() as file:
+        rows = list(csv.DictReader(file))
+    stiffnesses = [row["operator.stiffness"] for row in rows]
+    assert len(set(stiffnesses)) > 1
+    assert stiffnesses[:3] == stiffnesses[3:]
+    samples: dict[str, list[Any]] = {"scene": ["remote_push", "paper_wall"], "run.seed": [1.0, 2.0]}
+    found = sweep("remote_push", samples=samples, population="stylus-arm", overrides=["run.duration_s=0.3"])
+    assert len(found) == 2
+
+
+def test_a_path_in_quotes_may_have_a_comma(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, out = tmp_path / "a,b.toml", tmp_path / "rows.csv"
+    file.write_text(scene_toml(load_scene("paper_wall", ["operator.damping=15"])))
+    command = ["sweep", "paper_wall", "--vary", f'scene=paper_wall,"{file}"', "--set", "run.duration_s=0.3"]
+    assert main([*command, "--out", str(out)]) == 0, capsys.readouterr().err
+    with out.open() as rows:
+        assert [row["scene"] for row in csv.DictReader(rows)] == ["paper_wall", str(file)]
+
+
+def test_scenes_are_read_before_anything_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sweep", "paper_wall", "--vary", "scene=paper_wall,there_is_none"]) == 2
+    said = capsys.readouterr().err
+    assert "there_is_none" in said
+    assert "0/2" not in said
 
 
 def interrupted(*_: object, **__: object) -> None:

@@ -499,9 +499,9 @@ def once(*times: tuple[float, float]) -> str:
     [
         ([(2.0, 0.01)], "good", "an outage of 10 ms at 2 s: the ladder bears it"),
         ([(2.0, 0.04)], "warning", "the ladder holds at 2.07 s (slave: peer is silent)"),
-        ([(2.0, 0.3)], "warning", "the ladder holds at 2.07 s, and stops ("),
-        ([(2.0, 0.3), (70.0, 0.04)], "warning", "the ladder holds at 2.07 s, 70.1 s, and stops ("),
-        ([(2.0, 1e6)], "bad", "not coupled again within"),
+        ([(2.0, 0.3)], "bad", "the ladder holds at 2.07 s, and stops ("),
+        ([(2.0, 0.3), (70.0, 0.04)], "bad", "the ladder holds at 2.07 s, 70.1 s, and stops ("),
+        ([(2.0, 1e6)], "bad", "the arm stays stopped until a person acts"),
     ],
 )
 def test_what_a_link_does_once_is_no_rate(times: list[tuple[float, float]], state: str, said: str) -> None:
@@ -527,6 +527,65 @@ def test_an_outage_that_is_longer_than_any_hold_after_has_advice_that_says_so() 
     assert "hold_after_s bears at most 0.1 s" in long.remedy
 
 
+@pytest.mark.parametrize(
+    ("link", "state", "said"),
+    [
+        ({"jitter_s": 0.0}, "good", "over its delay alone and in 4 runs over the whole link"),
+        ({"jitter_s": 0.004}, "warning", "over its delay alone the ladder bears it, and holds in 2 of 4 runs"),
+    ],
+)
+def test_an_outage_counts_with_jitter_and_loss_of_its_link(link: dict[str, float], state: str, said: str) -> None:
+    """20 ms of silence are borne for 20 ms of patience, but for jitter of 4 ms on top."""
+    overrides = [once((2.0, 0.02)), *(f"link.forward.{key}={value}" for key, value in link.items())]
+    outage = of(check_scene(load_scene("remote_push", overrides), remedies=False).findings, "outage")
+    assert outage is not None
+    assert outage.state == state
+    assert said in outage.text
+
+
+def test_where_the_link_itself_holds_as_often_an_outage_is_not_judged() -> None:
+    periodic = '{ times = { kind = "periodic", at_s = 2.5, period_s = 2.0, duration_s = 0.04 } }'
+    outage = '{ times = { kind = "once", at_s = 2.0, duration_s = 0.001 } }'
+    scene = load_scene("remote_push", [f"link.forward.outages=[{periodic}, {outage}]"])
+    found = of(check_scene(scene, remedies=False).findings, "outage")
+    assert found is not None
+    assert found.state == "not judged"
+    assert "holds as often without it" in found.text
+
+
+def test_what_begins_late_is_not_judged_and_what_ends_late_is_run_to_its_end() -> None:
+    late = check_scene(load_scene("remote_push", [once((600.0, 0.3))]), remedies=False).findings
+    later = of(late, "later outage")
+    assert later is not None
+    assert later.state == "not judged"
+    assert "an outage of 300 ms at 600 s: it begins after the 600 s" in later.text
+    assert of(late, "outage") is None
+    # 80 ms are a hold, and no stop: it ends after 600 s.
+    ending = of(check_scene(load_scene("remote_push", [once((599.95, 0.08))]), remedies=False).findings, "outage")
+    assert ending is not None
+    assert ending.state == "warning"
+    slow = "link.backward.timeline=[{ at_s = 1.0, delay_s = 0.06, ramp_s = 1e5 }]"
+    lasting = of(check_scene(load_scene("remote_push", [slow]), remedies=False).findings, "outage")
+    assert lasting is not None
+    assert lasting.state == "not judged"
+    assert "lasts longer than the 1200 s" in lasting.text
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("link.slave_clock={ step_s = 0.5, step_at_s = 6.0 }", "a clock that is not set while the two are coupled"),
+        ("link.backward.timeline=[{ at_s = 3.0, delay_s = 0.4 }]", "a smaller change of the delay, or a slower one"),
+    ],
+)
+def test_advice_is_of_what_happens(override: str, said: str) -> None:
+    found = of(check_scene(load_scene("remote_push", [override])).findings, "outage")
+    assert found is not None
+    assert found.remedy is not None
+    assert said in found.remedy
+    assert "a shorter" not in found.remedy
+
+
 def test_changes_of_delay_and_of_a_clock_are_looked_at_once() -> None:
     overrides = [
         "link.backward.timeline=[{ at_s = 3.0, delay_s = 0.4 }]",
@@ -534,7 +593,7 @@ def test_changes_of_delay_and_of_a_clock_are_looked_at_once() -> None:
     ]
     outage = of(check_scene(load_scene("remote_push", overrides), remedies=False).findings, "outage")
     assert outage is not None
-    assert outage.state == "warning"
+    assert outage.state == "bad"
     assert "backward a delay of 400 ms from 3 s on, the slave's clock is set forward by 0.5 s at 6 s" in outage.text
     assert of(check_scene(load_scene("remote_push"), remedies=False).findings, "outage") is None
 

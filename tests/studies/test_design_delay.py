@@ -1,6 +1,7 @@
 """How much delay a coupling bears, against the closed forms and tables of docs and literature."""
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -19,6 +20,7 @@ from haptether.studies import (
     largest_delay_s,
     scene_loops,
     scene_times,
+    summarise_link,
 )
 
 DELAYS_S = (1e-3, 10e-3, 20e-3, 50e-3, 100e-3, 200e-3, 500e-3)
@@ -188,11 +190,11 @@ def test_the_sampled_loop_is_later_than_its_round_trip_by_one_period(
     assert later_s == pytest.approx(longest_s, rel=0.06)
 
 
-def summary_of(round_trip_s: float, median_s: float | None = None) -> LinkSummary:
+def summary_of(round_trip_s: float, early_s: float | None = None) -> LinkSummary:
     fields: dict[str, Any] = dict.fromkeys(LinkSummary.__struct_fields__, 0)
     return msgspec.structs.replace(
-        LinkSummary(**fields), round_trip_p50_s=round_trip_s if median_s is None else median_s,
-        round_trip_p99_s=round_trip_s, worst_gap_s=1e-3, silence_at_end_s=0.0,
+        LinkSummary(**fields), round_trip_p01_s=round_trip_s if early_s is None else early_s,
+        round_trip_p50_s=round_trip_s, round_trip_p99_s=round_trip_s, worst_gap_s=1e-3, silence_at_end_s=0.0,
     )  # fmt: skip
 
 
@@ -200,21 +202,43 @@ POCKETS = ((0.0, 0.03), (0.057, 0.131))
 
 
 @pytest.mark.parametrize(
-    ("median_s", "late_s", "good", "between"),
+    ("early_s", "late_s", "good", "between"),
     [
         (0.02, 0.025, True, False), (0.02, 0.035, False, False), (0.04, 0.05, False, False), (0.05, 0.07, False, False),
         (0.06, 0.12, True, True), (0.06, 0.14, False, False), (0.2, 0.2, False, False), (0.02, 0.07, False, False),
     ],
 )  # fmt: skip
-def test_a_link_is_borne_in_later_intervals_if_its_median_and_its_late_round_trips_are(
-    median_s: float, late_s: float, good: bool, between: bool
+def test_a_link_is_borne_in_later_intervals_if_its_early_and_its_late_round_trips_are(
+    early_s: float, late_s: float, good: bool, between: bool
 ) -> None:
-    verdict = judge_link(summary_of(late_s, median_s), 0.03, 0.02, 1e-3, stable_delays_s=POCKETS)
+    verdict = judge_link(summary_of(late_s, early_s), 0.03, 0.02, 1e-3, stable_delays_s=POCKETS)
     assert (verdict.good, verdict.is_between) == (good, between)
+    # The JSON of `check-link` has it.
+    assert msgspec.to_builtins(verdict)["is_between"] == between
     if not good:
         assert "bearable is 30.0 ms, and 57.0 to 131.0 ms" in verdict.complaints[0]
     # Without the intervals only the first counts.
-    assert judge_link(summary_of(late_s, median_s), 0.03, 0.02, 1e-3).good == (late_s + 1e-3 < 0.03)
+    assert judge_link(summary_of(late_s, early_s), 0.03, 0.02, 1e-3).good == (late_s + 1e-3 < 0.03)
+
+
+def test_half_of_the_round_trips_below_a_later_interval_are_not_borne() -> None:
+    """Half at 50 ms, half at 120 ms: the median lies in 57 to 131 ms, as does what 1 % exceed."""
+    ticks = 1000
+    fields: dict[str, Any] = {"round_trip_s": np.where(np.arange(ticks) % 2, 0.05, 0.12), "age_s": np.zeros(ticks)}
+    fields |= {"time_s": 1e-3 * np.arange(ticks), "overshoot_s": np.zeros(ticks)}
+    zero = SimpleNamespace(sent=0, fresh=0, late=0, missing=0)
+    path = SimpleNamespace(
+        jitter_s=0.0, bursts=0, longest_burst=0, reordered=0, usual_age_s=None, offset_s=None, offset_bound_s=None,
+        clock_faults=0, last_clock_fault=None,
+    )  # fmt: skip
+    report: Any = SimpleNamespace(realtime="", link=zero, path=path, recording=None, skipped=0)
+    trace: Any = SimpleNamespace(**fields)
+    summary = summarise_link(trace, report)
+    assert summary.round_trip_p01_s == pytest.approx(0.05)
+    verdict = judge_link(summary, 0.03, 0.02, 1e-3, stable_delays_s=POCKETS)
+    assert not verdict.good
+    assert not verdict.is_between
+    assert "a delay of 51.0 to 121.0 ms" in verdict.complaints[0]
 
 
 def test_the_verdict_counts_the_delay_of_the_sampled_loop() -> None:

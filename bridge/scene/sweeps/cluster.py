@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy.typing as npt
 
 from haptether.bridge.scene.load import Checked
-from haptether.bridge.scene.research import ControllerTime, count_controller_time, uncounted_controller_time
+from haptether.bridge.scene.research import ControllerTime, count_controller_time, thread_controller_time
 from haptether.bridge.scene.sweep import Threads, measured
 from haptether.bridge.scene.sweeps.design import Design
 
@@ -110,6 +110,8 @@ def computed_by_cluster(
 def _batch(
     base: Checked, first: int, columns: Mapping[str, npt.NDArray[Any]], threads: Threads
 ) -> tuple[int, Metrics, ControllerTime]:
-    """On a worker: the metrics of some rows, and what controllers in Python took since it last said so."""
+    """On a worker: the metrics of some rows, and what controllers in Python took for them."""
+    before = thread_controller_time()
     metrics = measured(base, columns, threads)
-    return first, metrics, uncounted_controller_time()
+    after = thread_controller_time()
+    return first, metrics, ControllerTime(after.ticks - before.ticks, after.seconds - before.seconds)

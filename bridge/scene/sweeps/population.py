@@ -17,6 +17,7 @@ from haptether.bridge.scene.errors import Path, SceneError, closest, shown
 from haptether.bridge.scene.load import path_of
 from haptether.bridge.scene.sweeps.laws import SampleLaw, generator, law_of, sobol_points
 from haptether.bridge.scene.sweeps.limits import out_of_range
+from haptether.bridge.scene.sweeps.scenes import SCENE
 from haptether.bridge.scene.tables.session import Scene
 
 Array: TypeAlias = npt.NDArray[np.float64]
@@ -191,6 +192,8 @@ def with_population(
 ) -> Mapping[str, Any] | None:
     """Samples with as many hands of a population.
 
+    Where scenes vary, fields are drawn that the first scene has: what it lacks is not drawn for the others either.
+
     Raises:
         SceneError: A file that is no population, or a scene without a hand.
         ValueError: No samples, a negative seed, or a field of the population that is sampled, too.
@@ -213,12 +216,12 @@ def with_population(
 
 
 def refuse_both(drawn: Iterable[str], others: Iterable[str]) -> None:
-    """Refuses a field that a population draws, and something else gives.
+    """Refuses a field that a population draws, and something else gives; whole scenes that vary give none.
 
     Raises:
         ValueError: With the first.
     """
-    given = {path_of(path) for path in others}
+    given = {path_of(path) for path in others if path != SCENE}
     for path in drawn:
         if path_of(path) in given:
             message = f"{path}: is drawn from the population, and given: leave one out"

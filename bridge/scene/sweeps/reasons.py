@@ -53,7 +53,8 @@ class RowReasons:
             return
         self._rows += len(having)
         texts, at, counts = np.unique(columns["reason"][having], return_index=True, return_counts=True)
-        varied = [name for name in columns if name not in _measured(columns)]
+        names = list(columns)
+        varied = names[: names.index("outcome")]
         for place in np.argsort(at).tolist():
             text, row, count = str(texts[place]), int(having[at[place]]), int(counts[place])
             if (known := self._found.get(text)) is not None:
@@ -63,9 +64,3 @@ class RowReasons:
                 self._found[text] = RowReason(
                     outcome=str(columns["outcome"][row]), reason=text, row=first + row, values=values, rows=count
                 )
-
-
-def _measured(columns: Mapping[str, npt.NDArray[Any]]) -> set[str]:
-    """What stands behind what varies: the outcome and the metrics."""
-    names = list(columns)
-    return set(names[names.index("outcome") :])

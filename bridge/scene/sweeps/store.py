@@ -33,7 +33,7 @@ from haptether.bridge.scene.sweeps.cluster import computed_by_cluster
 from haptether.bridge.scene.sweeps.design import Design, Values, design_of
 from haptether.bridge.scene.sweeps.journal import Journal
 from haptether.bridge.scene.sweeps.population import Population, with_population
-from haptether.bridge.scene.sweeps.reasons import RowReasons
+from haptether.bridge.scene.sweeps.reasons import RowReason, RowReasons
 from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice, with_scenes
 from haptether.bridge.scene.sweeps.table_file import STREAMED, check_suffix, table_file
 from haptether.bridge.scene.tables.session import Scene
@@ -62,8 +62,10 @@ class StoredSweep:
     """How many rows ended how, the most frequent first."""
     measured: frozenset[str]
     """Columns that have a value in some row."""
-    reasons: RowReasons = field(repr=False)
-    """Why rows were refused or diverged."""
+    reasons: tuple[RowReason, ...] = field(repr=False)
+    """Why rows were refused or diverged: the first distinct ones, in the order of their rows."""
+    other_reasons: int = field(repr=False)
+    """How many rows have a reason that is none of these."""
     head: Sweep = field(repr=False)
     """The first `HEAD_ROWS` rows."""
     whole: Sweep | None = field(repr=False, default=None)
@@ -252,7 +254,8 @@ def _written(
     assert head is not None, "a design has at least one row"
     return StoredSweep(
         path=journal.path, rows=design.rows, resumed=resumed, outcomes=dict(outcomes.most_common()),
-        measured=frozenset(measured_columns), reasons=reasons, head=head, whole=whole if collect else None,
+        measured=frozenset(measured_columns), reasons=reasons.first, other_reasons=reasons.others, head=head,
+        whole=whole if collect else None,
     )  # fmt: skip
 
 

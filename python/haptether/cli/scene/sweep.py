@@ -11,17 +11,16 @@ import tyro
 from haptether.cli.shared.picture import PictureOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     import numpy as np
     import numpy.typing as npt
 
-    from haptether.bridge import StoredSweep
+    from haptether.bridge import RowReason, StoredSweep
     from haptether.bridge import Sweep as SweepResult
     from haptether.bridge.scene.errors import Raw
     from haptether.bridge.scene.sweeps.design import Design
     from haptether.bridge.scene.sweeps.laws import SampleLaw
-    from haptether.bridge.scene.sweeps.reasons import RowReasons
     from haptether.cli.shared.screen import Screen
     from haptether.studies import SummaryRow
 
@@ -30,7 +29,7 @@ MAX_ROWS = 10_000_000
 """Of what is in memory: rows, and samples of a combination."""
 MAX_STORED_ROWS = 10**12 - 1
 """What the names in a journal count."""
-SEED, SCENE = "run.seed", "scene"
+SEED = "run.seed"
 RANGE = re.compile(r"[^:,\[{'\"]*:[^:,]*:[^:,]*")
 
 
@@ -38,7 +37,7 @@ RANGE = re.compile(r"[^:,\[{'\"]*:[^:,]*:[^:,]*")
 class Sweep(PictureOptions):
     """Run a scene for many values of some of its fields, every combination once.
 
-    scene=A.toml,B.toml are whole scenes, each with what --set changes. A range a:b:n is n values from a to b, both
+    scene=A.toml,"B,1.toml" are whole scenes, each with what --set changes. A range a:b:n is n values from a to b, both
     included; a list is v1,v2,... of numbers or of whatever else the field takes, as --set has it (none is an empty
     list). The last path varies fastest. --samples runs each combination for so many seeds and draws, the same for all
     combinations. Prints the first rows; --out and --json have all. Exit status 2 says that the scene cannot be, or no
@@ -120,6 +119,7 @@ class Sweep(PictureOptions):
         from haptether import __version__
         from haptether.bridge.scene.sweep import labelled
         from haptether.bridge.scene.sweeps.design import design_of
+        from haptether.bridge.scene.sweeps.scenes import with_scenes
         from haptether.bridge.scene.sweeps.table_file import STREAMED, check_suffix
         from haptether.cli.shared.controller_time import controller_timed
         from haptether.cli.shared.output import check_distinct, check_target, write_report
@@ -137,6 +137,7 @@ class Sweep(PictureOptions):
             message = f"{option}: give --out, the file whose rows are kept"
             raise ValueError(message)
         varied, ties = self._varied()
+        varied = dict(with_scenes(varied, self.set) or {})
         drawn = self._drawn(varied)
         design = design_of(varied, drawn, ties)
         collect = self.json is not None or self.plot is not None or bool(self.summary)
@@ -356,7 +357,7 @@ class Sweep(PictureOptions):
         total = len(result) if stored is None else stored.rows
         if total > ROWS_SHOWN:
             console.print(f"and {total - ROWS_SHOWN} more rows; --out and --json have all")
-        for line in reason_lines(_reasons(result) if stored is None else stored.reasons):
+        for line in reason_lines(*(_reasons(result) if stored is None else (stored.reasons, stored.other_reasons))):
             console.print(line, soft_wrap=True)
         outcomes = Counter(result.columns["outcome"].tolist() if stored is None else stored.outcomes)
         counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common())
@@ -374,26 +375,26 @@ class Sweep(PictureOptions):
         return [name for name in result.columns if name not in absent | {"intervention_ticks", "reason"}]
 
 
-def _reasons(result: "SweepResult") -> "RowReasons":
-    """Why rows of a sweep in memory were refused or diverged."""
+def _reasons(result: "SweepResult") -> "tuple[tuple[RowReason, ...], int]":
+    """Why rows of a sweep in memory were refused or diverged, and how many rows have another reason."""
     from haptether.bridge.scene.sweeps.reasons import RowReasons
 
     found = RowReasons()
     found.add(0, result.columns)
-    return found
+    return found.first, found.others
 
 
-def reason_lines(found: "RowReasons") -> "Iterator[str]":
+def reason_lines(reasons: "Iterable[RowReason]", others: int) -> "Iterator[str]":
     """Why rows were refused or diverged, each reason once, with the first row that has it."""
-    for each in found.first:
+    for each in reasons:
         values = ", ".join(
             f"{path} = {value:.10g}" if isinstance(value, float) else f"{path} = {value}"
             for path, value in each.values.items()
         )
         also = f" ({each.rows} rows)" if each.rows > 1 else ""
         yield f"row {each.row}, {values}: {each.outcome}: {each.reason}{also}"
-    if found.others:
-        yield f"and {found.others} more rows with other reasons; --out and --json have all"
+    if others:
+        yield f"and {others} more rows with other reasons; --out and --json have all"
 
 
 def values_of(text: str) -> tuple[str, list[Any]]:
@@ -408,6 +409,7 @@ def values_of(text: str) -> tuple[str, list[Any]]:
     import numpy as np
 
     from haptether.bridge import SceneError
+    from haptether.bridge.scene.sweeps.scenes import SCENE
 
     path, _, values = text.partition("=")
     found: list[Any] = []
@@ -418,7 +420,7 @@ def values_of(text: str) -> tuple[str, list[Any]]:
                 raise ValueError
             found = np.linspace(float(first), float(last), int(count)).tolist()
         else:
-            found = [item.strip() if path == SCENE else _value_of(path, item) for item in _items(values)]
+            found = [_unquoted(item.strip()) if path == SCENE else _value_of(path, item) for item in _items(values)]
         if not all(math.isfinite(value) for value in found if isinstance(value, float)):
             raise ValueError
     except SceneError:
@@ -449,6 +451,12 @@ def _items(text: str) -> list[str]:
     if "" in map(str.strip, items):
         raise ValueError
     return items
+
+
+def _unquoted(item: str) -> str:
+    """Without a matching pair of quotes around all of it."""
+    quote = item[:1]
+    return item[1:-1] if quote in {"'", '"'} and len(item) > 2 and item.find(quote, 1) == len(item) - 1 else item
 
 
 def _value_of(path: str, item: str) -> "Raw":
