@@ -442,19 +442,6 @@ def test_a_live_start_says_what_is_bad_and_names_the_command_for_the_rest() -> N
     assert list(design_lines(load_scene("paper_wall"), "paper_wall")) == []
 
 
-@pytest.mark.parametrize("with_scene", [True, False])
-def test_a_slave_with_a_scene_says_at_its_start_what_is_bad(
-    with_scene: bool, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = ["slave", "--insecure", "--listen", "127.0.0.1:0", "--patience-s", "0.2"]
-    scene = ["--scene", "remote_push", "--set", "safety.controllers=[]"] if with_scene else []
-    # No master comes.
-    assert main([*command, *scene]) == 1
-    said = capsys.readouterr().err
-    assert ("BAD  ejection: no bound" in said) == with_scene
-    assert ("haptether check remote_push --set 'safety.controllers=[]'" in said) == with_scene
-
-
 def test_a_check_that_fails_at_a_live_start_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(_: Scene) -> None:
         message = "no\nnumber"

@@ -154,8 +154,6 @@ def start_slave(
                 message = f"{flag} = {getattr(command, flag):g}: nothing pushes: give --push-at-s, or leave it out"
                 raise ValueError(message)
     _say(unusual_numbers(scene))
-    # Without a scene device, hand and controllers are options of the master, of which this side knows nothing.
-    said = [] if command.scene is None else list(design_lines(scene, command.scene, command.set))
     assert scene.slave is not None
     jaws = scene.slave.gripper
     is_driven = jaws is not None and jaws.device != "simulated"
@@ -163,9 +161,7 @@ def start_slave(
         if jaws is not None and is_driven:
             message = f"[slave.gripper] device = {jaws.device}: [slave] device must name the driver of its arm, too"
             raise ValueError(message)
-        slave = stopped.attached(LiveSlave(scene_json(scene), **arguments))
-        _say(said)
-        return slave
+        return stopped.attached(LiveSlave(scene_json(scene), **arguments))
     if jaws is not None and not is_driven:
         message = (
             "[slave.gripper] device = simulated: beside an arm with a driver it must name one, too, or be left out"
@@ -176,7 +172,6 @@ def start_slave(
     spec = scene_json(_within(scene, device))
     period_s = scene.run.period_s if scene.slave.period_s is None else scene.slave.period_s
     loop = stopped.attached(SlaveLoop(spec, **arguments))
-    _say(said)
     _announce(f"[slave] device = {scene.slave.device}", device)
     run = SlaveRun(device, loop, period_s=period_s, gripper=gripper)
     return _opened(run, device, f"[slave] device = {scene.slave.device}", stopped)
