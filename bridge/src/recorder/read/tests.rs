@@ -166,6 +166,19 @@ fn is_sound(bytes: &[u8]) {
     }
 }
 
+/// Among them lengths that reach beyond what they are in.
+#[test]
+fn a_file_with_any_one_byte_changed_is_read_or_refused() {
+    let file = file(6);
+    for at in 0..file.len() {
+        for byte in [0, 3, 255] {
+            let mut bytes = file.clone();
+            bytes[at] = byte;
+            is_sound(&bytes);
+        }
+    }
+}
+
 proptest! {
     #[test]
     fn a_garbled_file_is_read_or_refused(changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8)) {
