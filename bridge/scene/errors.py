@@ -215,6 +215,8 @@ def explained(error: ValidationError, raw: Raw) -> SceneError:
     """The refusal of the schema, with the value that was seen and what the types allow there."""
     found = _WHERE.match(str(error))
     said, where = (found["said"], found["path"] or "") if found else (str(error), "")
+    if not where and not isinstance(raw, dict):
+        return SceneError(f"scene = {shown(raw)}: must be a Scene; load_scene makes one of a name or a file")
     path: Path = tuple(
         int(step[1:-1]) if step.startswith("[") else step.removeprefix(".")
         for step in re.findall(r"\.[^.\[]+|\[\d+\]", where)

@@ -115,12 +115,12 @@ pub struct TextPiece {
 impl TextPiece {
     /// Whether it has one encoding alone: no text is all zeros, and so is what lies after an end.
     pub fn is_canonical(&self) -> bool {
+        if self.number == 0 {
+            return *self == Self::default();
+        }
         let end = self.bytes.iter().position(|byte| *byte == 0);
         let ended = end.is_none_or(|end| self.bytes[end..].iter().all(|byte| *byte == 0));
-        match self.number {
-            0 => *self == Self::default(),
-            _ => ended && self.index < PIECES && (end.is_some() || self.index + 1 < PIECES),
-        }
+        ended && self.index < PIECES && (end.is_some() || self.index + 1 < PIECES)
     }
 }
 

@@ -87,6 +87,24 @@ pub struct PortState<const N: usize> {
     pub buttons: Option<u32>,
 }
 
+impl<const N: usize> PortState<N> {
+    /// Takes what a plant was measured at; the rest stays.
+    #[inline]
+    pub(crate) fn report(
+        &mut self,
+        position: &Axes<N>,
+        velocity: &Axes<N>,
+        force: &Axes<N>,
+        rotation: Option<RotationState>,
+    ) {
+        (self.position, self.velocity, self.force) = (*position, *velocity, *force);
+        // A point has none: nothing is written where there is none, and was none.
+        if rotation.is_some() || self.rotation.is_some() {
+            self.rotation = rotation;
+        }
+    }
+}
+
 impl<const N: usize> Default for PortState<N> {
     fn default() -> Self {
         let [position, velocity, force] = [Axes::zeros(); 3];
@@ -220,6 +238,7 @@ impl<const N: usize> FrameLink<N> {
         self.take(time, received.as_deref().map_err(|error| *error))
     }
 
+    #[inline(always)] // once a frame
     fn take(&mut self, time: LinkTime, frame: Result<&Frame<N>, WireError>) -> Result<bool, RejectReason> {
         let LinkTime { tick_ns: now_ns, by_ns } = time;
         let frame = frame.inspect_err(|_| self.statistics.refused += 1)?;
@@ -288,6 +307,7 @@ impl<const N: usize> FrameLink<N> {
     }
 
     /// Places a sequence of the living run: new, late or seen before.
+    #[inline]
     fn place(&mut self, sequence: u64) -> Result<(), RejectReason> {
         // What lies before the first frame of this run is not held by its counts.
         let arrival =
@@ -328,7 +348,6 @@ impl<const N: usize> FrameLink<N> {
 
     /// The next frame, not written.
     pub fn next_frame(&mut self, time: LinkTime, status: Status, port: &PortState<N>) -> Frame<N> {
-        let PortState { position, velocity, force, energy, rotation, gripper, buttons } = *port;
         let sent_ns = time.by_ns;
         let echo = self.newest.as_ref().map(|newest| Echo {
             run_id: newest.frame.run_id,
@@ -347,13 +366,13 @@ impl<const N: usize> FrameLink<N> {
             sequence: self.next_sequence,
             sent_ns,
             echo,
-            position,
-            velocity,
-            force,
-            rotation: rotation.filter(|_| kind == SideKind::Pose),
-            energy,
-            gripper: has_gripper.then(|| gripper.unwrap_or_default()),
-            buttons: has_buttons.then(|| buttons.unwrap_or_default()),
+            position: port.position,
+            velocity: port.velocity,
+            force: port.force,
+            rotation: if kind == SideKind::Pose { port.rotation } else { None },
+            energy: port.energy,
+            gripper: has_gripper.then(|| port.gripper.unwrap_or_default()),
+            buttons: has_buttons.then(|| port.buttons.unwrap_or_default()),
             ending: status.ending,
             reason: status.reason,
             fault: status.fault,

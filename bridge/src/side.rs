@@ -243,7 +243,9 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
             self.plant.write_torque(&of_torque.device_force);
         }
         self.plant.write(&tick.safety.device_force);
-        self.felt = tick.trigger;
+        if tick.trigger.is_some() || self.felt.is_some() {
+            self.felt = tick.trigger;
+        }
         if let (Some(trigger), Some(felt)) = (&mut self.trigger, &tick.trigger) {
             trigger.write(felt.device_force[0]);
         }
@@ -368,7 +370,10 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side<N> for SlaveSide<P, N,
         self.endpoint.set_braking(self.reference_point.map_or(brakes, |point| point.speeds(brakes)));
         let [position, velocity, environment_force] = self.plant.read(time.now_ns);
         let reading = SlaveReading { position, velocity, environment_force, rotation: self.plant.rotation() };
-        let reading = self.reference_point.map_or(reading, |point| point.measured(&reading));
+        let reading = match self.reference_point {
+            Some(point) => point.measured(&reading),
+            None => reading,
+        };
         if let Some(gripper) = &mut self.gripper {
             let measured = gripper.read(time.now_ns);
             if let Some(between) = self.plant.grip(&measured) {

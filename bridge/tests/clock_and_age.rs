@@ -153,8 +153,8 @@ fn run(settings: [ClockOf; 2], links: [LinkSettings; 2], seed: u64) -> (Vec<Meas
     let mut truth = Truth { clocks, steps, sent_ns: [vec![], vec![]], checked: [0; 2] };
     run_virtual(&run, &mut master, &mut slave, |event, _| {
         match event {
-            Event::Master(known) => truth.check(0, &known),
-            Event::Slave(known) => truth.check(1, &known),
+            Event::Master(known) => truth.check(0, known),
+            Event::Slave(known) => truth.check(1, known),
         }
         ControlFlow::Continue(())
     })

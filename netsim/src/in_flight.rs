@@ -22,6 +22,8 @@ pub struct InFlight<T> {
     in_turn: VecDeque<Entry<T>>,
     /// Due before one that came earlier.
     overtaking: BinaryHeap<Entry<T>>,
+    /// When the next packet arrives; `u64::MAX` if there is none.
+    next_ns: u64,
     capacity: usize,
     next_order: u64,
     overflowed: u64,
@@ -42,6 +44,7 @@ impl<T> InFlight<T> {
         Self {
             in_turn: VecDeque::with_capacity(reserved),
             overtaking: BinaryHeap::with_capacity(reserved),
+            next_ns: u64::MAX,
             capacity,
             next_order: 0,
             overflowed: 0,
@@ -57,6 +60,7 @@ impl<T> InFlight<T> {
         }
         let entry = Entry { due_ns, order: self.next_order, payload };
         self.next_order += 1;
+        self.next_ns = self.next_ns.min(due_ns);
         if self.in_turn.back().is_none_or(|last| last.due_ns <= due_ns) {
             self.in_turn.push_back(entry);
         } else {
@@ -76,25 +80,27 @@ impl<T> InFlight<T> {
     /// When the next packet arrives.
     #[inline]
     pub fn next_due(&self) -> Option<u64> {
-        let in_turn = self.in_turn.front().map(|next| next.due_ns);
-        match self.overtaking.peek() {
-            None => in_turn,
-            Some(next) => Some(in_turn.map_or(next.due_ns, |due_ns| due_ns.min(next.due_ns))),
-        }
+        (!self.is_empty()).then_some(self.next_ns)
     }
 
     /// The next packet that has arrived by `now_ns`, with its due time.
     #[inline]
     pub fn pop_due(&mut self, now_ns: u64) -> Option<(u64, T)> {
-        if self.overtaking.is_empty() {
-            self.in_turn.front().filter(|next| next.due_ns <= now_ns)?;
-            return self.in_turn.pop_front().map(|next| (next.due_ns, next.payload));
-        }
-        if self.next_due()? > now_ns {
+        if now_ns < self.next_ns {
             return None;
         }
-        let next = if self.first_overtakes() { self.overtaking.pop() } else { self.in_turn.pop_front() };
-        next.map(|next| (next.due_ns, next.payload))
+        self.pop()
+    }
+
+    /// The next packet, with its due time.
+    #[inline(always)] // once a packet
+    fn pop(&mut self) -> Option<(u64, T)> {
+        let overtakes = !self.overtaking.is_empty() && self.first_overtakes();
+        let next = if overtakes { self.overtaking.pop() } else { self.in_turn.pop_front() }?;
+        let (in_turn, overtaking) = (self.in_turn.front(), self.overtaking.peek());
+        let due_ns = |entry: Option<&Entry<T>>| entry.map_or(u64::MAX, |entry| entry.due_ns);
+        self.next_ns = due_ns(in_turn).min(due_ns(overtaking));
+        Some((next.due_ns, next.payload))
     }
 
     /// Packets in flight.

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -691,3 +691,10 @@ def run_python(code: str, *arguments: str) -> str:
 def test_a_run_that_never_engages_says_why(scene: str, change: str, why: str) -> None:
     (event,) = (event for event in simulate(scene, overrides=[change]).events if event.kind == "never-engaged")
     assert event.detail == why
+
+
+@pytest.mark.parametrize(("seen", "shown"), [("remote_push", '"remote_push"'), (3, "3"), (None, "nothing"), ([], "[]")])
+def test_what_is_no_scene_is_refused_with_what_makes_one(seen: object, shown: str) -> None:
+    with pytest.raises(SceneError) as refused:
+        scene_json(cast("Scene", seen))
+    assert str(refused.value) == f"scene = {shown}: must be a Scene; load_scene makes one of a name or a file"

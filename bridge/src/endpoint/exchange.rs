@@ -164,6 +164,7 @@ impl<const N: usize> Exchange<N> {
     }
 
     /// The link has taken a frame; `is_known`: not its first, `begins`: the first of a run.
+    #[inline(always)] // once a frame
     fn accepted(&mut self, time: LinkTime, is_known: bool, begins: bool) {
         let Some(frame) = self.link.newest() else { return };
         let (sequence, sent_ns) = (frame.sequence, frame.sent_ns);
@@ -240,16 +241,20 @@ impl<const N: usize> Exchange<N> {
     }
 
     /// Ends a tick: keeps measured position, command and force, and what controllers saw, in the flight recorder.
+    #[inline]
     pub(super) fn end_tick(
         &mut self,
         now_ns: u64,
         values: [&Axes<N>; 3],
-        observed: &[Observed; LAYERS.len()],
+        observed: impl FnOnce() -> [Observed; LAYERS.len()],
     ) {
         self.events = TickEvents::default();
-        if !self.keeps_flight {
-            return;
+        if self.keeps_flight {
+            self.keep_flight(now_ns, values, &observed());
         }
+    }
+
+    fn keep_flight(&mut self, now_ns: u64, values: [&Axes<N>; 3], observed: &[Observed; LAYERS.len()]) {
         let entry = FlightEntry {
             time_ns: now_ns,
             state: self.ladder.state(),

@@ -18,7 +18,6 @@ use crate::{
     command::OperatorCommand,
     coupling::{CouplingError, FrameMap, PositionForce, RotationCoupling, RotationLock, RotationState},
     ladder::{LAYERS, LadderSettings, LadderState, Observed, ROTATION, TRANSLATION, TRIGGER, thresholds},
-    link::PortState,
     wire::Role,
 };
 
@@ -190,16 +189,18 @@ impl<const N: usize> MasterEndpoint<N> {
                 self.exchange.ladder.withhold(now_ns);
             }
         }
-        let mut observed = [Observed::NOTHING; LAYERS.len()];
-        observed[TRANSLATION] = Observed::of(&safety.intervention);
-        if let Some(tick) = &rotation {
-            observed[ROTATION] = Observed::of(&tick.intervention);
-        }
-        if let Some(tick) = &trigger {
-            observed[TRIGGER] = Observed::of(&tick.intervention);
-        }
         let values = [&reading.position, &safety.device_force, &safety.rendered_force];
-        self.exchange.end_tick(now_ns, values, &observed);
+        self.exchange.end_tick(now_ns, values, || {
+            let mut observed = [Observed::NOTHING; LAYERS.len()];
+            observed[TRANSLATION] = Observed::of(&safety.intervention);
+            if let Some(tick) = &rotation {
+                observed[ROTATION] = Observed::of(&tick.intervention);
+            }
+            if let Some(tick) = &trigger {
+                observed[TRIGGER] = Observed::of(&tick.intervention);
+            }
+            observed
+        });
         MasterTick { input, safety, rotation, trigger, state: self.exchange.ladder.state(), age_ns }
     }
 
@@ -242,8 +243,7 @@ impl<const N: usize> MasterEndpoint<N> {
         });
         let outgoing = &mut self.exchange.outgoing;
         outgoing.energy.add(-power_w, self.period_s * (missed + 1) as f64);
-        let (position, force) = (reading.position, safety.device_force);
-        *outgoing = PortState { position, velocity, force, rotation, ..*outgoing };
+        outgoing.report(&reading.position, &velocity, &safety.device_force, rotation);
     }
 
     /// Carries out a command of the operator; returns whether it changed anything.

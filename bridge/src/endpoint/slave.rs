@@ -229,11 +229,9 @@ impl<const N: usize> SlaveEndpoint<N> {
         self.exchange.limited_ticks += u64::from(limited.any());
         self.report(reading, power_w, &turning, elapsed_s, turns);
         let command = self.command.unwrap_or(*position);
-        self.exchange.end_tick(
-            now_ns,
-            [position, &command, environment_force],
-            &[Observed::NOTHING; LAYERS.len()],
-        );
+        self.exchange.end_tick(now_ns, [position, &command, environment_force], || {
+            [Observed::NOTHING; LAYERS.len()]
+        });
         SlaveTick {
             command: self.command,
             command_velocity,
@@ -292,7 +290,7 @@ impl<const N: usize> SlaveEndpoint<N> {
         let SlaveReading { position, velocity, environment_force: force, rotation } = *reading;
         let turning = rotation.map_or(0.0, |measured| measured.torque.dot(angular_velocity));
         outgoing.energy.add(power_w + turning, elapsed_s);
-        *outgoing = PortState { position, velocity, force, rotation, ..*outgoing };
+        outgoing.report(&position, &velocity, &force, rotation);
         if turns {
             without_wrench(outgoing);
         }

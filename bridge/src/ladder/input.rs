@@ -118,6 +118,7 @@ impl LadderInputs {
     }
 
     /// Steps the ladder; `button` is the master's.
+    #[inline(always)] // once a tick
     pub fn step(&mut self, ladder: &mut Ladder, now_ns: u64, button: bool, link: &LinkView) -> LadderState {
         let input = self.read(ladder, button, link);
         let before = ladder.state();
@@ -129,11 +130,12 @@ impl LadderInputs {
     }
 
     /// The input at a tick.
+    #[inline(always)] // once a tick
     fn read(&mut self, ladder: &Ladder, button: bool, link: &LinkView) -> LadderInput {
         if self.closings != ladder.closings() {
             (self.closings, self.closed_sequence) = (ladder.closings(), link.next_sequence);
         }
-        let settings = *ladder.settings();
+        let settings = ladder.settings();
         let newest = link.newest;
         let (clutch, is_press, is_current) = match self.role {
             Role::Master => {

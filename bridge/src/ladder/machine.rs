@@ -61,6 +61,7 @@ impl Ladder {
     }
 
     /// One tick at `now_ns`.
+    #[inline(always)] // of one that is advanced at one place
     pub fn step(&mut self, now_ns: u64, input: &LadderInput) -> LadderState {
         let (facts, may_engage) = self.facts(now_ns, input);
         self.follow(now_ns, facts);
@@ -71,10 +72,12 @@ impl Ladder {
     }
 
     /// What is the case, and whether the peer says all that is needed to engage.
+    #[inline(always)] // once a tick
     fn facts(&mut self, now_ns: u64, input: &LadderInput) -> (Facts, bool) {
         let LadderSettings { stale_after_ns, hold_after_ns, stop_after_ns, align_ns, .. } = self.settings;
         self.excess_ns = input.age_ns.map(|age| age.saturating_sub(input.expected_age_ns));
-        let silent = self.excess_ns.is_none_or(|excess| excess > hold_after_ns);
+        let (is_heard_of, excess_ns) = (self.excess_ns.is_some(), self.excess_ns.unwrap_or(0));
+        let silent = !is_heard_of || excess_ns > hold_after_ns;
         let old = input.over_baseline_ns.is_some_and(|over| over > hold_after_ns);
         // What had arrived while this side was blind is as old as that.
         let seen = input
@@ -82,11 +85,12 @@ impl Ladder {
             .is_some_and(|age| self.blind_until_ns.is_none_or(|until| now_ns.saturating_sub(age) > until));
         self.hears = !silent && seen;
         let peer = input.peer;
-        let stands = |state| peer.is_some_and(|peer| peer.state == state);
+        let said = peer.map_or(Facts::default(), |peer| Facts::of_peer(peer.state));
         let heard = peer.is_some_and(|peer| peer.hears);
         let answered = peer.is_some_and(|peer| peer.answers);
         let both_hear = self.hears && heard;
-        let sound = heard && !stands(LadderState::Stop) && !stands(LadderState::Fault);
+        let failed = said.has(Reason::PeerFaulted);
+        let sound = heard && !said.has(Reason::PeerStopped) && !failed;
         if self.hears && sound || self.last_sound_ns.is_none() {
             self.last_sound_ns = Some(now_ns);
         }
@@ -101,18 +105,17 @@ impl Ladder {
 
         let held = matches!(self.state, LadderState::Hold | LadderState::Stop);
         self.opened |= !input.clutch && (answered || !(held || input.needs_answer));
-        self.ready = both_hear && !stands(LadderState::Fault) && (answered || !held);
+        self.ready = both_hear && !failed && (answered || !held);
         let pressed = input.is_press && self.opened && (self.ready || !held);
         let aligned = peer.is_some_and(|peer| peer.is_current && peer.state.is_aligned());
         let may_engage = both_hear && aligned;
         // An arm that is being turned follows nobody who might have let go: it waits no longer than one that is coupled.
         let is_cut = self.turns && !may_engage;
-        let facts = Facts::default()
+        // A peer that is disengaged is a reason for who has the clutch closed.
+        let said = if input.clutch { said } else { said.without(Reason::PeerDisengaged) };
+        let facts = said
             .with(Reason::PeerSilent, silent || !seen)
             .with(Reason::PeerDeaf, !heard)
-            .with(Reason::PeerHolds, stands(LadderState::Hold))
-            .with(Reason::PeerStopped, stands(LadderState::Stop))
-            .with(Reason::PeerFaulted, stands(LadderState::Fault))
             .with(Reason::PeerEnded, input.ended)
             // What it is used to is that of an engagement.
             .with(Reason::NewsOld, self.state.is_coupled() && old)
@@ -123,12 +126,11 @@ impl Ladder {
                 may_engage && matches!(input.alignment, AlignmentState::Any | AlignmentState::Reached),
             )
             .with(Reason::TurnRefused, may_engage && input.alignment == AlignmentState::TooFar)
-            .with(Reason::FramesLate, self.excess_ns.is_some_and(|excess| excess > stale_after_ns))
-            .with(Reason::FramesBack, self.excess_ns.is_some_and(|excess| excess <= stale_after_ns))
+            .with(Reason::FramesLate, is_heard_of && excess_ns > stale_after_ns)
+            .with(Reason::FramesBack, is_heard_of && excess_ns <= stale_after_ns)
             .with(Reason::SilentTooLong, silent_ns > stop_after_ns)
             .with(Reason::TurnCut, is_cut)
-            .with(Reason::AlignTimedOut, aligning && now_ns.saturating_sub(self.aligning_ns) >= align_ns)
-            .with(Reason::PeerDisengaged, stands(LadderState::Disengaged) && input.clutch);
+            .with(Reason::AlignTimedOut, aligning && now_ns.saturating_sub(self.aligning_ns) >= align_ns);
         (facts, may_engage)
     }
 
@@ -166,12 +168,16 @@ impl Ladder {
 
     /// Lets the share of the force follow the state.
     fn fade(&mut self, now_ns: u64) {
-        let elapsed = now_ns.saturating_sub(self.last_ns.unwrap_or(now_ns)) as f64;
+        let elapsed_ns = now_ns.saturating_sub(self.last_ns.unwrap_or(now_ns));
         self.last_ns = Some(now_ns);
-        // A loop that was late must not make up for the time in which it did not fade in.
-        let rising = elapsed.min(self.settings.hold_after_ns as f64 / 10.0);
+        let elapsed = elapsed_ns as f64;
         self.gain = match self.state {
-            LadderState::Engaged => (self.gain + rising / self.settings.fade_in_ns as f64).min(1.0),
+            LadderState::Engaged if self.gain >= 1.0 => 1.0,
+            LadderState::Engaged => {
+                // A loop that was late must not make up for the time in which it did not fade in.
+                let rising = elapsed.min(self.settings.hold_after_ns as f64 / 10.0);
+                (self.gain + rising / self.settings.fade_in_ns as f64).min(1.0)
+            }
             // Nothing new is known that would speak for more, or for less.
             LadderState::Stale => self.gain,
             LadderState::Stop | LadderState::Fault => 0.0,

@@ -284,13 +284,25 @@ impl Facts {
     /// These and, if `holds`, that one.
     #[must_use]
     pub const fn with(self, reason: Reason, holds: bool) -> Self {
-        if holds { Self(self.0 | 1 << reason.code()) } else { self }
+        Self(self.0 | (holds as u32) << reason.code())
     }
 
     /// These but that one.
     #[must_use]
     pub const fn without(self, reason: Reason) -> Self {
         Self(self.0 & !(1 << reason.code()))
+    }
+
+    /// What is the case by where the peer stands, as far as that is a reason.
+    pub(super) const fn of_peer(state: LadderState) -> Self {
+        let nothing = Self(0);
+        match state {
+            Disengaged => nothing.with(PeerDisengaged, true),
+            Hold => nothing.with(PeerHolds, true),
+            Stop => nothing.with(PeerStopped, true),
+            Fault => nothing.with(PeerFaulted, true),
+            Aligning | Engaged | Stale => nothing,
+        }
     }
 
     /// Whether it is the case.

@@ -132,6 +132,7 @@ impl AgeBaseline {
     }
 
     /// Takes the age `age_ns` that a packet had when it arrived at `now_ns`.
+    #[inline]
     pub fn take(&mut self, now_ns: u64, age_ns: u64) {
         let age = age_ns as f64;
         let Some(last_ns) = self.last_ns.replace(now_ns) else {

@@ -240,7 +240,7 @@ where
             return ControlFlow::Break(());
         }
         let (Event::Master(MasterRecord { time_ns, .. }) | Event::Slave(SlaveRecord { time_ns, .. })) = event;
-        match watched.change(time_ns) {
+        match watched.change(*time_ns) {
             // The slave goes on from where it is, so it is measured from there.
             Ok(changed) => watched.anchor = watched.anchor.filter(|_| !changed),
             Err(error) => refused = Err(error),
@@ -249,8 +249,8 @@ where
             kept.take(&event, master.side.felt(), master.exchange(), slave.exchange());
         }
         match event {
-            Event::Master(record) => watched.near(&record, &master.side),
-            Event::Slave(record) => watched.far(&record, &slave.side.plant),
+            Event::Master(record) => watched.near(record, &master.side),
+            Event::Slave(record) => watched.far(record, &slave.side.plant),
         }
     })?;
     refused.map_err(EndpointError::from)?;
@@ -367,7 +367,7 @@ impl<'a, M: Recorded, S: Recorded> Kept<'a, M, S> {
 
     fn take<const N: usize>(
         &mut self,
-        event: &Event<M, S>,
+        event: &Event<'_, M, S>,
         felt: Option<&SafetyTick<1>>,
         master: &Exchange<N>,
         slave: &Exchange<N>,
@@ -435,7 +435,11 @@ struct Watched<const N: usize> {
 
 impl<const N: usize> Watched<N> {
     /// Takes what the operator has changed by then; says whether anything was.
+    #[inline(always)] // at most ticks there is nothing
     fn change(&mut self, now_ns: u64) -> Result<bool, CouplingError> {
+        if !self.coupling.is_due(now_ns) {
+            return Ok(false);
+        }
         let before = self.coupling.done();
         let changed = self.coupling.advance(now_ns)?;
         if let Some(rotation) = &mut self.rotation {
@@ -459,14 +463,28 @@ impl<const N: usize> Watched<N> {
         }
     }
 
+    #[inline]
     fn ladder(&mut self, side: usize, time_ns: u64, state: LadderState, reason: u8) {
-        let time_s = time_ns as f64 / 1e9;
         let before = std::mem::replace(&mut self.states[side], state);
+        if before != state {
+            self.ladder_changed(side, time_ns, [before, state], reason);
+        }
+    }
+
+    #[inline(never)]
+    fn ladder_changed(
+        &mut self,
+        side: usize,
+        time_ns: u64,
+        [before, state]: [LadderState; 2],
+        reason: u8,
+    ) {
+        let time_s = time_ns as f64 / 1e9;
         if state.is_coupled() {
             self.engaged_ns[side] = self.engaged_ns[side].min(time_ns);
         }
         // Late frames may come and go a thousand times, and change little; the signals have them.
-        if before != state && !(before.is_coupled() && state.is_coupled()) {
+        if !(before.is_coupled() && state.is_coupled()) {
             let side = ["master", "slave"][side];
             let detail = match Reason::from_code(reason) {
                 Some(reason) => format!("{side}: {}", reason.text()),

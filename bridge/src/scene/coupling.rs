@@ -91,6 +91,12 @@ impl<const N: usize> Present<N> {
         self.commands[before..self.done].iter().map(|(_, command)| command)
     }
 
+    /// Whether a command is due by `now_ns`.
+    #[inline]
+    pub(crate) fn is_due(&self, now_ns: u64) -> bool {
+        self.commands.get(self.done).is_some_and(|(at_ns, _)| *at_ns <= now_ns)
+    }
+
     /// Takes the commands that are due by `now_ns`; says whether anything was.
     pub(crate) fn advance(&mut self, now_ns: u64) -> Result<bool, CouplingError> {
         let before = self.done;

@@ -16,6 +16,9 @@ pub struct Environment<const N: usize> {
     pub(crate) pushers: Vec<Pusher<N>>,
     /// When the time of the pushers begins; never, if infinite.
     push_from: f64,
+    /// Whether the push is linear in time between kinks.
+    is_push_linear: bool,
+    stretch: Stretch<N>,
     pub(crate) reach: Reach<N>,
     /// On which piece of its law each object is; apart, if it is not near.
     pub(crate) modes: Vec<Mode>,
@@ -37,6 +40,8 @@ impl<const N: usize> Environment<N> {
         let movers = (0..objects.len()).filter(|&index| objects[index].moves()).collect();
         Self {
             push_from: 0.0,
+            is_push_linear: pushers.iter().all(Pusher::is_piecewise_linear),
+            stretch: Stretch::NONE,
             reach: Reach::new(objects.len()),
             modes: vec![Mode::Apart; objects.len()],
             slots: vec![usize::MAX; objects.len()],
@@ -56,7 +61,10 @@ impl<const N: usize> Environment<N> {
 
     /// The time of the pushers begins at `time_s`; infinity is never.
     pub fn push_from(&mut self, time_s: f64) {
-        self.push_from = if time_s.is_nan() { f64::INFINITY } else { time_s };
+        let push_from = if time_s.is_nan() { f64::INFINITY } else { time_s };
+        if push_from != self.push_from {
+            (self.push_from, self.stretch) = (push_from, Stretch::NONE);
+        }
     }
 
     /// Force of objects and pushers on the tool in N at one instant; free bodies as they are now.
@@ -143,6 +151,32 @@ impl<const N: usize> Environment<N> {
         self.pushers.iter().map(|pusher| pusher.on(piece, t)).sum()
     }
 
+    /// The stretch of time that `time_s` lies in, in which the push has no kink; looked for once for each.
+    #[inline]
+    pub(crate) fn push_stretch(&mut self, time_s: f64) -> Stretch<N> {
+        if !self.stretch.holds(time_s) {
+            self.stretch = self.stretch_from(time_s);
+        }
+        self.stretch
+    }
+
+    fn stretch_from(&self, time_s: f64) -> Stretch<N> {
+        let until = self.next_push_kink(time_s);
+        let steady = if until.is_infinite() {
+            // All pushes are over, or none has begun.
+            Some(self.push(time_s, time_s))
+        } else if self.is_push_linear && until - time_s > 4.0 * ROUNDING {
+            let inside = 0.5 * (time_s + until);
+            let [now, then] = [time_s, until].map(|t| self.push(inside, t));
+            // Between two equal ends a line is level.
+            (now == then).then_some(now)
+        } else {
+            None
+        };
+        // A kink less than a ns ahead counts as passed.
+        Stretch { from: time_s + ROUNDING, until, steady }
+    }
+
     /// First time after `time_s` at which a push has a kink.
     pub(crate) fn next_push_kink(&self, time_s: f64) -> f64 {
         let mut next = f64::INFINITY;
@@ -172,7 +206,10 @@ impl<const N: usize> Environment<N> {
         velocity: &Axes<N>,
         time_s: f64,
     ) -> (Axes<N>, bool) {
-        let mut force = self.push(time_s, time_s);
+        let mut force = match self.stretch.steady {
+            Some(push) if self.stretch.holds(time_s) => push,
+            _ => self.push(time_s, time_s),
+        };
         let mut touches = false;
         for index in objects {
             let object = &self.objects[index];
@@ -237,6 +274,37 @@ impl<const N: usize> Environment<N> {
     }
 }
 
+/// Times in s that are closer than this may be the same tick: windows count in whole ns.
+const ROUNDING: f64 = 1e-9;
+
+/// A stretch of time without a kink of the push.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Stretch<const N: usize> {
+    from: f64,
+    /// The next kink.
+    pub(crate) until: f64,
+    /// The push in N, where it is the same all along.
+    pub(crate) steady: Option<Axes<N>>,
+}
+
+impl<const N: usize> Stretch<N> {
+    /// No time lies in it.
+    const NONE: Self = Self { from: f64::INFINITY, until: f64::NEG_INFINITY, steady: None };
+
+    /// Whether a time lies in it, clear of its ends.
+    #[inline]
+    fn holds(&self, time_s: f64) -> bool {
+        self.from <= time_s && time_s < self.until - ROUNDING
+    }
+}
+
+impl<const N: usize> PartialEq for Stretch<N> {
+    /// It follows from pushers and time, and is no part of a state.
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
 /// Distance in m within which an object is looked at in every step.
 const NEAR: f64 = 0.01;
 
@@ -290,5 +358,74 @@ impl<const N: usize> Reach<N> {
             // Distances carry rounding; what is near costs little.
             self.clearance -= 1e-9 * self.clearance + 1e-14 * place.norm();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::contact::pusher::{PushShape, Series};
+    use proptest::prelude::*;
+
+    fn pusher(kind: u8, at_s: f64, duration_s: f64, rise_s: f64) -> Pusher<1> {
+        let force = Axes::<1>::new(-3.0);
+        let shape = match kind {
+            0 => PushShape::Step,
+            1 => PushShape::Ramp { rise_s },
+            2 => PushShape::HalfSine,
+            _ => {
+                let rows = [0.0, 2.0, 2.0, -1.0].map(Axes::<1>::new).to_vec();
+                let series = Series::new(vec![0.0, 0.5 * rise_s, rise_s, 2.0 * rise_s], rows).unwrap();
+                return Pusher::recorded(series, at_s, duration_s).unwrap();
+            }
+        };
+        Pusher::shaped(shape, at_s, duration_s, force).unwrap()
+    }
+
+    proptest! {
+        /// Within a stretch the push is what it is where it is looked for at each instant, whenever time begins.
+        #[test]
+        fn a_push_that_stands_is_the_push_of_each_instant(
+            pushers in prop::collection::vec((0_u8..4, 0_u32..400, 0_u32..400, 1_u32..100), 0..4),
+            begins_ms in prop::option::of(-50_i32..50),
+            // Half of the cases at whole ms, as kinks are.
+            (unit_us, steps) in (prop::sample::select(vec![7, 1000]), prop::collection::vec(1_u32..30, 1..200)),
+            off_ns in prop::sample::select(vec![0.0, 0.4, -0.4, 10.0, -10.0]),
+        ) {
+            let ms = |ms: u32| f64::from(ms) * 1e-3;
+            let of = pushers.iter().map(|&(kind, at, lasts, rise)| pusher(kind, ms(at), ms(lasts), ms(rise)));
+            let mut environment = Environment::new(Vec::new(), of.collect());
+            environment.push_from(begins_ms.map_or(f64::INFINITY, |begins| f64::from(begins) * 1e-3));
+            let mut now = 0.0;
+            for step in steps {
+                now += f64::from(step * unit_us) * 1e-6;
+                let at = now + off_ns * 1e-9;
+                let stretch = environment.push_stretch(at);
+                prop_assert_eq!(stretch.until, environment.next_push_kink(at));
+                let [x, v] = [Axes::<1>::zeros(); 2];
+                prop_assert_eq!(environment.force(&x, &v, at), environment.push(at, at));
+                if let Some(push) = stretch.steady {
+                    let inside = 0.5 * (at + stretch.until.min(at + 1e-3));
+                    prop_assert_eq!(push, environment.push(inside, at));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn it_is_looked_for_once_for_each_stretch_and_anew_for_another_beginning() {
+        let mut environment = Environment::new(Vec::new(), vec![pusher(0, 0.1, 0.2, 0.0)]);
+        environment.push_from(1.0);
+        for (at, until, push) in
+            [(0.5, 1.1, 0.0), (1.0, 1.1, 0.0), (1.2, 1.3, -3.0), (1.4, f64::INFINITY, 0.0)]
+        {
+            let stretch = environment.push_stretch(at);
+            assert_eq!((stretch.until, stretch.steady.map(|push| push[0])), (until, Some(push)), "{at}");
+        }
+        assert_eq!(environment.push_stretch(9.0).from, 1.4 + ROUNDING);
+        environment.push_from(1.0);
+        assert_eq!(environment.push_stretch(9.0).from, 1.4 + ROUNDING);
+        environment.push_from(8.8);
+        assert_eq!(environment.push_stretch(9.0).steady, Some(Axes::<1>::new(-3.0)));
     }
 }

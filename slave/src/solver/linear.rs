@@ -2,7 +2,7 @@
 //! long as it stays clear of all other objects.
 
 use crate::{
-    Environment, Object,
+    Axes, Environment, Object,
     arm::drive::{ArmDrive, Tool},
     contact::law::Mode,
 };
@@ -20,7 +20,35 @@ struct Line {
     planes: Vec<LinePlane>,
     /// Sum of K in N/m, of B in N s/m and of K anchor in N of the springs.
     spring: [f64; 3],
+    regime: Regime,
     kept: Kept,
+}
+
+/// What follows from the arm, the springs and which planes are touched, and lasts as long as these.
+#[derive(Clone, Copy, Debug)]
+struct Regime {
+    /// M in kg, K in N/m and B in N s/m of the arm; not a number before the first.
+    arm: [f64; 3],
+    /// B and K x0 of all together, per kg.
+    c: f64,
+    pull: f64,
+    transition: Transition,
+    /// A contact without damping lasts pi / sqrt(k): half a radian cannot hide one.
+    longest: f64,
+}
+
+impl Default for Regime {
+    fn default() -> Self {
+        let transition = Transition::new(0.0, 0.0);
+        Self { arm: [f64::NAN; 3], c: 0.0, pull: 0.0, transition, longest: 0.0 }
+    }
+}
+
+impl PartialEq for Regime {
+    /// It follows from what it is asked for, and is no part of a state.
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
 }
 
 /// The map of the last whole piece, and of which transition and time it is: that of nearly every tick.
@@ -82,11 +110,18 @@ struct Course {
 }
 
 impl Course {
-    fn new(k: f64, c: f64, [u0, u1, u2]: [f64; 3], [x, v]: [f64; 2]) -> Self {
+    #[cfg(test)]
+    fn new(k: f64, c: f64, input: [f64; 3], state: [f64; 2]) -> Self {
+        Self::of(Transition::new(k, c), c, input, state)
+    }
+
+    #[inline]
+    fn of(transition: Transition, c: f64, [u0, u1, u2]: [f64; 3], [x, v]: [f64; 2]) -> Self {
+        let k = transition.k;
         let a2 = u2 / k;
         let a1 = (u1 - 2.0 * c * a2) / k;
         let a0 = (u0 - c * a1 - 2.0 * a2) / k;
-        Self { transition: Transition::new(k, c), particular: [a0, a1, a2], beside: [x - a0, v - a1] }
+        Self { transition, particular: [a0, a1, a2], beside: [x - a0, v - a1] }
     }
 
     fn at(&self, t: f64) -> [f64; 2] {
@@ -171,7 +206,7 @@ impl<const N: usize> LinearArm<N> {
     pub(crate) fn advance(
         &mut self,
         drive: &mut ArmDrive<N>,
-        environment: &Environment<N>,
+        environment: &mut Environment<N>,
         tool: &mut Tool<N>,
         from: f64,
         span: f64,
@@ -180,15 +215,21 @@ impl<const N: usize> LinearArm<N> {
         while done < span {
             let now = from + done;
             drive.plan();
-            let mut end =
-                (done + LONGEST).min(environment.next_push_kink(now) - from).min(done + drive.phase());
+            let stretch = environment.push_stretch(now);
+            let mut end = (done + LONGEST).min(stretch.until - from).min(done + drive.phase());
             end = end.max(done + SHORTEST);
             if span - end < SHORTEST {
                 end = span;
             }
-            let (step, inside) = (end - done, from + 0.5 * (done + end));
-            let push = environment.push(inside, now);
-            let growth = (environment.push(inside, from + end) - push) / step;
+            let step = end - done;
+            let (push, growth) = match stretch.steady {
+                Some(push) => (push, Axes::zeros()),
+                None => {
+                    let inside = from + 0.5 * (done + end);
+                    let push = environment.push(inside, now);
+                    (push, (environment.push(inside, from + end) - push) / step)
+                }
+            };
             let wanted = drive.command_velocity();
             let mass = drive.model().mass_kg();
             let (stiffness, damping, feed_forward) = drive.model().impedance();
@@ -241,34 +282,22 @@ impl Line {
     /// whether every contact was located.
     fn advance(
         &mut self,
-        [mass, arm_stiffness, arm_damping]: [f64; 3],
+        arm: [f64; 3],
         [u0, u1, u2]: [f64; 3],
         mut state: [f64; 2],
         step: f64,
     ) -> ([f64; 2], bool) {
         let mut done = 0.0;
         for _ in 0..MAX_STEPS {
-            let mut stiffness = arm_stiffness + self.spring[0];
-            let mut damping = arm_damping + self.spring[1];
-            let mut pull = self.spring[2];
-            for plane in &mut self.planes {
-                plane.mode = plane.mode(state);
-                if plane.mode == Mode::Touching {
-                    stiffness += plane.stiffness;
-                    damping += plane.damping;
-                    pull += plane.stiffness * plane.surface;
-                }
-            }
-            let input = [u0 + done * (u1 + done * u2) + pull / mass, u1 + 2.0 * u2 * done, u2];
-            let k = stiffness / mass;
-            let course = Course::new(k, damping / mass, input, state);
+            let Regime { c, pull, transition, longest, .. } = *self.regime(arm, state);
+            let input = [u0 + done * (u1 + done * u2) + pull, u1 + 2.0 * u2 * done, u2];
+            let course = Course::of(transition, c, input, state);
             let left = step - done;
             if self.planes.is_empty() {
                 return (course.by(&self.kept.over(course.transition, left), left), true);
             }
-            // A contact without damping lasts pi / sqrt(k): half a radian cannot hide one.
-            let longest = left.min(0.5 / k.sqrt());
-            if longest >= left && damping >= 0.0 && self.stays(&course, state[0], left) {
+            let longest = left.min(longest);
+            if longest >= left && c >= 0.0 && self.stays(&course, state[0], left) {
                 return (course.by(&self.kept.over(course.transition, left), left), true);
             }
             let taken = self.first_change(&course, longest).unwrap_or(longest);
@@ -279,6 +308,35 @@ impl Line {
             done += taken;
         }
         (state, false)
+    }
+
+    /// The regime of a state: the one before, unless the arm is another or a plane is touched anew or no longer.
+    #[inline]
+    fn regime(&mut self, arm: [f64; 3], state: [f64; 2]) -> &Regime {
+        let mut is_same = self.regime.arm == arm;
+        for plane in &mut self.planes {
+            let mode = plane.mode(state);
+            is_same &= (mode == Mode::Touching) == (plane.mode == Mode::Touching);
+            plane.mode = mode;
+        }
+        if !is_same {
+            self.regime = self.regime_of(arm);
+        }
+        &self.regime
+    }
+
+    fn regime_of(&self, arm: [f64; 3]) -> Regime {
+        let [mass, mut stiffness, mut damping] = arm;
+        stiffness += self.spring[0];
+        damping += self.spring[1];
+        let mut pull = self.spring[2];
+        for plane in self.planes.iter().filter(|plane| plane.mode == Mode::Touching) {
+            stiffness += plane.stiffness;
+            damping += plane.damping;
+            pull += plane.stiffness * plane.surface;
+        }
+        let (k, c) = (stiffness / mass, damping / mass);
+        Regime { arm, c, pull: pull / mass, transition: Transition::new(k, c), longest: 0.5 / k.sqrt() }
     }
 
     /// Whether bounds say that no contact changes within t in s of a course from x in m on.

@@ -162,8 +162,9 @@ struct Wander {
     lengths: Stream,
     beginnings: Stream,
     bin_ns: u64,
-    /// The run of the latest packet and the one after it: nothing then waits for what a run's draw decides.
-    runs: Option<[Run; 2]>,
+    /// The run of the latest packet and the one after it: nothing then waits for what a run's draw decides. Before the
+    /// first packet one that ended at 0, as no other does.
+    runs: [Run; 2],
     latest_ns: u64,
 }
 
@@ -177,34 +178,35 @@ struct Run {
     to: Place,
 }
 
+impl Run {
+    const NONE: Self = {
+        let place = Place { y_ns: 0.0, cell: 0 };
+        Self { rises: false, begin_ns: 0, end_ns: 0, from: place, to: place }
+    };
+}
+
 impl Wander {
     fn new(path: Arc<Path>, mean_ns: u64, stream: Stream) -> Self {
         let bin_ns = whole(BIN_TAUS * path.tau_ns);
-        Self { path, mean_ns, lengths: stream, beginnings: stream.nth(1), bin_ns, runs: None, latest_ns: 0 }
+        Self { path, mean_ns, lengths: stream, beginnings: stream.nth(1), bin_ns, runs: [Run::NONE; 2], latest_ns: 0 }
     }
 
-    /// The run of a time that is not before that of an earlier call.
+    /// Goes on to the run of a time that is not before that of an earlier call.
     #[inline]
-    fn run_at(&mut self, time_ns: u64) -> Run {
-        match &self.runs {
-            // The run of the packet before it has not ended.
-            Some([run, _]) if time_ns < run.end_ns => *run,
-            _ => {
-                let runs = self.later_runs(time_ns);
-                self.runs.insert(runs)[0]
-            }
+    fn go_on(&mut self, time_ns: u64) {
+        if self.runs[0].end_ns <= time_ns {
+            self.runs = self.later_runs(time_ns);
         }
     }
 
-    /// The same where that one has.
+    /// The run of a time at which the present one has ended, and the one after it.
     #[inline(never)]
     fn later_runs(&self, time_ns: u64) -> [Run; 2] {
-        let [mut run, mut next] = match self.runs {
-            Some(runs) if !self.forgets(runs[0].end_ns, time_ns) => runs,
-            _ => {
-                let first = self.anew(time_ns / self.bin_ns * self.bin_ns);
-                [first, self.next(&first)]
-            }
+        let [mut run, mut next] = if self.runs[0].end_ns > 0 && !self.forgets(self.runs[0].end_ns, time_ns) {
+            self.runs
+        } else {
+            let first = self.anew(time_ns / self.bin_ns * self.bin_ns);
+            [first, self.next(&first)]
         };
         while run.end_ns <= time_ns && run.end_ns < u64::MAX {
             run = next;
@@ -245,7 +247,8 @@ impl Wander {
     }
 
     fn delay_ns(&mut self, time_ns: u64) -> u64 {
-        let run = self.run_at(time_ns);
+        self.go_on(time_ns);
+        let [run, _] = &self.runs;
         let traversal = self.path.traversal(run.rises);
         let y_ns = run.from.y_ns + (time_ns - run.begin_ns).cast_signed() as f64;
         let cell = traversal.cell(y_ns, run.from.cell, run.to.cell);
