@@ -134,7 +134,15 @@ impl<const N: usize> OneWay<N> {
     ) -> Result<Self, LinkSettingsError> {
         let link = Link::new(direction, seed, settings)?;
         let in_flight = InFlight::growing(MAX_IN_FLIGHT);
-        Ok(Self { link, in_flight, frames: Slab::new(), datagrams: Slab::new(), index: 0, direction, frame_size })
+        Ok(Self {
+            link,
+            in_flight,
+            frames: Slab::new(),
+            datagrams: Slab::new(),
+            index: 0,
+            direction,
+            frame_size,
+        })
     }
 
     /// Takes a datagram; `back` leads to its sender.

@@ -229,9 +229,8 @@ impl<const N: usize> SlaveEndpoint<N> {
         self.exchange.limited_ticks += u64::from(limited.any());
         self.report(reading, power_w, &turning, elapsed_s, turns);
         let command = self.command.unwrap_or(*position);
-        self.exchange.end_tick(now_ns, [position, &command, environment_force], || {
-            [Observed::NOTHING; LAYERS.len()]
-        });
+        self.exchange
+            .end_tick(now_ns, [position, &command, environment_force], || [Observed::NOTHING; LAYERS.len()]);
         SlaveTick {
             command: self.command,
             command_velocity,

@@ -472,13 +472,7 @@ impl<const N: usize> Watched<N> {
     }
 
     #[inline(never)]
-    fn ladder_changed(
-        &mut self,
-        side: usize,
-        time_ns: u64,
-        [before, state]: [LadderState; 2],
-        reason: u8,
-    ) {
+    fn ladder_changed(&mut self, side: usize, time_ns: u64, [before, state]: [LadderState; 2], reason: u8) {
         let time_s = time_ns as f64 / 1e9;
         if state.is_coupled() {
             self.engaged_ns[side] = self.engaged_ns[side].min(time_ns);

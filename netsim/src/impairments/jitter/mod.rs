@@ -188,7 +188,15 @@ impl Run {
 impl Wander {
     fn new(path: Arc<Path>, mean_ns: u64, stream: Stream) -> Self {
         let bin_ns = whole(BIN_TAUS * path.tau_ns);
-        Self { path, mean_ns, lengths: stream, beginnings: stream.nth(1), bin_ns, runs: [Run::NONE; 2], latest_ns: 0 }
+        Self {
+            path,
+            mean_ns,
+            lengths: stream,
+            beginnings: stream.nth(1),
+            bin_ns,
+            runs: [Run::NONE; 2],
+            latest_ns: 0,
+        }
     }
 
     /// Goes on to the run of a time that is not before that of an earlier call.
