@@ -238,7 +238,7 @@ impl<const N: usize> FrameLink<N> {
         self.take(time, received.as_deref().map_err(|error| *error))
     }
 
-    #[inline(always)] // once a frame
+    #[inline(always)] // as all of what takes a frame: docs/architecture.md
     fn take(&mut self, time: LinkTime, frame: Result<&Frame<N>, WireError>) -> Result<bool, RejectReason> {
         let LinkTime { tick_ns: now_ns, by_ns } = time;
         let frame = frame.inspect_err(|_| self.statistics.refused += 1)?;

@@ -566,7 +566,7 @@ impl<const N: usize> Frame<N> {
             return Self::decode(self.encode(&mut [0; MAX_FRAME]), from, layout).map(Cow::Owned);
         }
         if self.gripper.is_none() && self.rotation.is_none() && self.kind != SideKind::Pose {
-            // Nothing else is read as other than what was written, nor are there flags that have no meaning.
+            // Nothing else is read as other than what was written, and without a gripper no flag is refused.
             self.check_energy()?;
             self.check_body()?;
             return Ok(Cow::Borrowed(self));
@@ -611,7 +611,7 @@ impl<const N: usize> Frame<N> {
     }
 
     /// What is checked after that.
-    #[inline(always)] // once a frame
+    #[inline(always)] // as all of what takes a frame: docs/architecture.md
     fn check_body(&self) -> Result<(), WireError> {
         let (sequence, from) = (self.sequence, self.role);
         if let (Role::Slave, Some(buttons @ 1..)) = (from, self.buttons) {

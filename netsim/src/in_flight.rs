@@ -181,6 +181,30 @@ mod tests {
         }
     }
 
+    proptest! {
+        /// Pushed and popped in any order, with times that overtake and the last there is, against a sorted list.
+        #[test]
+        fn the_next_is_known_at_any_time(
+            acts in prop::collection::vec(
+                (any::<bool>(), prop_oneof![0_u64..12, Just(u64::MAX)], prop_oneof![0_u64..12, Just(u64::MAX)]), 0..200
+            ),
+        ) {
+            let mut queue = InFlight::default();
+            let mut sorted: Vec<(u64, usize)> = Vec::new();
+            for (order, (is_push, due_ns, now_ns)) in acts.into_iter().enumerate() {
+                if is_push {
+                    queue.push(due_ns, order).unwrap();
+                    sorted.insert(sorted.partition_point(|&(other_ns, _)| other_ns <= due_ns), (due_ns, order));
+                } else {
+                    let due = sorted.first().is_some_and(|&(due_ns, _)| due_ns <= now_ns);
+                    prop_assert_eq!(queue.pop_due(now_ns), due.then(|| sorted.remove(0)));
+                }
+                prop_assert_eq!(queue.next_due(), sorted.first().map(|&(due_ns, _)| due_ns));
+                prop_assert_eq!(queue.len(), sorted.len());
+            }
+        }
+    }
+
     #[test]
     fn nothing_leaves_before_it_is_due() {
         let mut queue = InFlight::default();

@@ -181,6 +181,13 @@ impl Link {
         self.rules.direction
     }
 
+    /// Before which nothing arrives of packets that are judged from now on, in ns since the link began, whenever they are
+    /// sent; 0 where the order is not kept, or where more than the packets arrives.
+    pub fn earliest_later_ns(&self) -> u64 {
+        let Rules { reorder, on_arrival, keeps_order, .. } = &self.rules;
+        if *keeps_order && reorder.is_none() && on_arrival.is_empty() { self.latest_in_turn_ns } else { 0 }
+    }
+
     /// What was decided so far.
     pub fn counters(&self) -> LinkCounters {
         self.counters

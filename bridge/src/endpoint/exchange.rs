@@ -164,7 +164,7 @@ impl<const N: usize> Exchange<N> {
     }
 
     /// The link has taken a frame; `is_known`: not its first, `begins`: the first of a run.
-    #[inline(always)] // once a frame
+    #[inline(always)] // as all of what takes a frame: docs/architecture.md
     fn accepted(&mut self, time: LinkTime, is_known: bool, begins: bool) {
         let Some(frame) = self.link.newest() else { return };
         let (sequence, sent_ns) = (frame.sequence, frame.sent_ns);

@@ -118,7 +118,7 @@ impl LadderInputs {
     }
 
     /// Steps the ladder; `button` is the master's.
-    #[inline(always)] // once a tick
+    #[inline(always)] // else what it makes goes through memory
     pub fn step(&mut self, ladder: &mut Ladder, now_ns: u64, button: bool, link: &LinkView) -> LadderState {
         let input = self.read(ladder, button, link);
         let before = ladder.state();
@@ -130,7 +130,7 @@ impl LadderInputs {
     }
 
     /// The input at a tick.
-    #[inline(always)] // once a tick
+    #[inline(always)] // else what it makes goes through memory
     fn read(&mut self, ladder: &Ladder, button: bool, link: &LinkView) -> LadderInput {
         if self.closings != ladder.closings() {
             (self.closings, self.closed_sequence) = (ladder.closings(), link.next_sequence);

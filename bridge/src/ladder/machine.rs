@@ -61,7 +61,7 @@ impl Ladder {
     }
 
     /// One tick at `now_ns`.
-    #[inline(always)] // of one that is advanced at one place
+    #[inline(always)] // else what it is given goes through memory
     pub fn step(&mut self, now_ns: u64, input: &LadderInput) -> LadderState {
         let (facts, may_engage) = self.facts(now_ns, input);
         self.follow(now_ns, facts);
@@ -72,12 +72,12 @@ impl Ladder {
     }
 
     /// What is the case, and whether the peer says all that is needed to engage.
-    #[inline(always)] // once a tick
+    #[inline(always)] // as step
     fn facts(&mut self, now_ns: u64, input: &LadderInput) -> (Facts, bool) {
         let LadderSettings { stale_after_ns, hold_after_ns, stop_after_ns, align_ns, .. } = self.settings;
         self.excess_ns = input.age_ns.map(|age| age.saturating_sub(input.expected_age_ns));
-        let (is_heard_of, excess_ns) = (self.excess_ns.is_some(), self.excess_ns.unwrap_or(0));
-        let silent = !is_heard_of || excess_ns > hold_after_ns;
+        let (has_age, excess_ns) = (self.excess_ns.is_some(), self.excess_ns.unwrap_or(0));
+        let silent = !has_age || excess_ns > hold_after_ns;
         let old = input.over_baseline_ns.is_some_and(|over| over > hold_after_ns);
         // What had arrived while this side was blind is as old as that.
         let seen = input
@@ -89,8 +89,8 @@ impl Ladder {
         let heard = peer.is_some_and(|peer| peer.hears);
         let answered = peer.is_some_and(|peer| peer.answers);
         let both_hear = self.hears && heard;
-        let failed = said.has(Reason::PeerFaulted);
-        let sound = heard && !said.has(Reason::PeerStopped) && !failed;
+        let peer_faulted = said.has(Reason::PeerFaulted);
+        let sound = heard && !said.has(Reason::PeerStopped) && !peer_faulted;
         if self.hears && sound || self.last_sound_ns.is_none() {
             self.last_sound_ns = Some(now_ns);
         }
@@ -105,15 +105,14 @@ impl Ladder {
 
         let held = matches!(self.state, LadderState::Hold | LadderState::Stop);
         self.opened |= !input.clutch && (answered || !(held || input.needs_answer));
-        self.ready = both_hear && !failed && (answered || !held);
+        self.ready = both_hear && !peer_faulted && (answered || !held);
         let pressed = input.is_press && self.opened && (self.ready || !held);
         let aligned = peer.is_some_and(|peer| peer.is_current && peer.state.is_aligned());
         let may_engage = both_hear && aligned;
         // An arm that is being turned follows nobody who might have let go: it waits no longer than one that is coupled.
         let is_cut = self.turns && !may_engage;
-        // A peer that is disengaged is a reason for who has the clutch closed.
-        let said = if input.clutch { said } else { said.without(Reason::PeerDisengaged) };
-        let facts = said
+        // That the peer is disengaged counts while the clutch of this side is closed.
+        let facts = if input.clutch { said } else { said.without(Reason::PeerDisengaged) }
             .with(Reason::PeerSilent, silent || !seen)
             .with(Reason::PeerDeaf, !heard)
             .with(Reason::PeerEnded, input.ended)
@@ -126,8 +125,8 @@ impl Ladder {
                 may_engage && matches!(input.alignment, AlignmentState::Any | AlignmentState::Reached),
             )
             .with(Reason::TurnRefused, may_engage && input.alignment == AlignmentState::TooFar)
-            .with(Reason::FramesLate, is_heard_of && excess_ns > stale_after_ns)
-            .with(Reason::FramesBack, is_heard_of && excess_ns <= stale_after_ns)
+            .with(Reason::FramesLate, has_age && excess_ns > stale_after_ns)
+            .with(Reason::FramesBack, has_age && excess_ns <= stale_after_ns)
             .with(Reason::SilentTooLong, silent_ns > stop_after_ns)
             .with(Reason::TurnCut, is_cut)
             .with(Reason::AlignTimedOut, aligning && now_ns.saturating_sub(self.aligning_ns) >= align_ns);

@@ -91,7 +91,7 @@ impl PeerPath {
     ///
     /// It is taken at `now_ns` and had arrived by `by_ns`, which is later where the loop woke late. When ours left we
     /// know ourselves; of the echo only the counter and the time held are used.
-    #[inline(always)] // once a frame
+    #[inline(always)] // as all of what takes a frame: docs/architecture.md
     pub fn newest(&mut self, sent_ns: u64, echo: Option<&Echo>, now_ns: u64, by_ns: u64) {
         let aged = echo.map_or(Ok(()), |echo| self.age.received(by_ns, (echo.sequence, echo.held_ns)));
         if let Some(age_ns) = self.age.max_ns(now_ns) {

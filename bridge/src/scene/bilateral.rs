@@ -31,6 +31,7 @@ use crate::{
     record::WithFinger,
     recorder::{Recorded, RecorderSettings, SecurityMark, WaitingRecorder},
     run_virtual,
+    virtual_time::run_virtual_ahead,
 };
 use haptether_master::SimulatedMaster;
 use haptether_netsim::{ClockSettings, EndpointClock};
@@ -223,19 +224,17 @@ where
         rotation,
         turn_release_s: turn_release_s(scene),
     };
-    if files.is_none() {
-        master.exchange_mut().leave_out_flight();
-        slave.exchange_mut().leave_out_flight();
-    }
-    if kept.outcome_only {
-        master.exchange_mut().leave_out_path_reports();
-        slave.exchange_mut().leave_out_path_reports();
+    for exchange in [master.exchange_mut(), slave.exchange_mut()] {
+        leave_out(exchange, kept);
     }
     let mut refused = Ok(());
     let security = if settings.secure { SecurityMark::Secure } else { SecurityMark::Insecure };
     let is_felt = trigger_feedback(scene, coupled(scene)?.0)?.is_some();
+    // Of an outcome nobody looks at the sides as they were at a tick.
+    let runs_ahead = kept.outcome_only && files.is_none();
     let mut kept = files.map(|files| Kept::begin(files, security, is_felt)).transpose()?;
-    let counts = run_virtual(&settings, &mut master, &mut slave, |event, (master, slave)| {
+    let observe = |event: Event<'_, MasterRecord<N, R>, SlaveRecord<N, Q>>,
+                   (master, slave): Sides<'_, '_, P, A, R, Q, N>| {
         if stop.load(Ordering::Relaxed) {
             return ControlFlow::Break(());
         }
@@ -252,7 +251,12 @@ where
             Event::Master(record) => watched.near(record, &master.side),
             Event::Slave(record) => watched.far(record, &slave.side.plant),
         }
-    })?;
+    };
+    let counts = if runs_ahead {
+        run_virtual_ahead(&settings, &mut master, &mut slave, observe)
+    } else {
+        run_virtual(&settings, &mut master, &mut slave, observe)
+    }?;
     refused.map_err(EndpointError::from)?;
     if stop.load(Ordering::Relaxed) {
         return Err(SceneError::Stopped);
@@ -268,6 +272,20 @@ where
         report(slave.exchange(), &slave_counts, engaged_ns[1], settings.secure),
     ];
     Ok(watched.finish(scene, coarse, &reports))
+}
+
+/// Both sides as an observer of a run has them.
+type Sides<'m, 's, P, A, R, Q, const N: usize> =
+    (&'m Timed<MasterSide<P, N, R>>, &'s Timed<SlaveSide<A, N, Q>>);
+
+/// Leaves out what nobody will read.
+fn leave_out<const N: usize>(exchange: &mut Exchange<N>, kept: &Keeping<'_>) {
+    if kept.files.is_none() {
+        exchange.leave_out_flight();
+    }
+    if kept.outcome_only {
+        exchange.leave_out_path_reports();
+    }
 }
 
 /// When the hand lets go of the rotation, in s since engagement; without that, when it lets go of the device.
@@ -435,7 +453,7 @@ struct Watched<const N: usize> {
 
 impl<const N: usize> Watched<N> {
     /// Takes what the operator has changed by then; says whether anything was.
-    #[inline(always)] // at most ticks there is nothing
+    #[inline(always)] // most ticks have none due
     fn change(&mut self, now_ns: u64) -> Result<bool, CouplingError> {
         if !self.coupling.is_due(now_ns) {
             return Ok(false);

@@ -16,8 +16,6 @@ pub struct Environment<const N: usize> {
     pub(crate) pushers: Vec<Pusher<N>>,
     /// When the time of the pushers begins; never, if infinite.
     push_from: f64,
-    /// Whether the push is linear in time between kinks.
-    is_push_linear: bool,
     stretch: Stretch<N>,
     pub(crate) reach: Reach<N>,
     /// On which piece of its law each object is; apart, if it is not near.
@@ -40,7 +38,6 @@ impl<const N: usize> Environment<N> {
         let movers = (0..objects.len()).filter(|&index| objects[index].moves()).collect();
         Self {
             push_from: 0.0,
-            is_push_linear: pushers.iter().all(Pusher::is_piecewise_linear),
             stretch: Stretch::NONE,
             reach: Reach::new(objects.len()),
             modes: vec![Mode::Apart; objects.len()],
@@ -71,7 +68,11 @@ impl<const N: usize> Environment<N> {
     pub fn force(&mut self, position: &Axes<N>, velocity: &Axes<N>, time_s: f64) -> Axes<N> {
         self.keep_near(position, velocity, time_s);
         let near = self.reach.near.iter().copied();
-        let (force, touches) = self.force_of(near, position, velocity, time_s);
+        let push = match self.stretch.steady {
+            Some(push) if self.stretch.holds(time_s) => push,
+            _ => self.push(time_s, time_s),
+        };
+        let (force, touches) = self.force_of(push, near, position, velocity, time_s);
         self.touches = touches;
         force
     }
@@ -83,7 +84,8 @@ impl<const N: usize> Environment<N> {
 
     /// The same force from every object, near or not: what [`Environment::force`] is held to.
     pub fn force_of_all(&self, position: &Axes<N>, velocity: &Axes<N>, time_s: f64) -> Axes<N> {
-        self.force_of(0..self.objects.len(), position, velocity, time_s).0
+        let push = self.push(time_s, time_s);
+        self.force_of(push, 0..self.objects.len(), position, velocity, time_s).0
     }
 
     /// Where object `index` is in m, if it is a free body: its plane's point, its centre or its anchor.
@@ -162,17 +164,11 @@ impl<const N: usize> Environment<N> {
 
     fn stretch_from(&self, time_s: f64) -> Stretch<N> {
         let until = self.next_push_kink(time_s);
-        let steady = if until.is_infinite() {
-            // All pushes are over, or none has begun.
-            Some(self.push(time_s, time_s))
-        } else if self.is_push_linear && until - time_s > 4.0 * ROUNDING {
-            let inside = 0.5 * (time_s + until);
-            let [now, then] = [time_s, until].map(|t| self.push(inside, t));
-            // Between two equal ends a line is level.
-            (now == then).then_some(now)
-        } else {
-            None
-        };
+        // Any time of it clear of its ends; they count in whole ns.
+        let inside = 0.5 * (time_s + until.min(time_s + 1.0));
+        let level = |pusher: &Pusher<N>| pusher.level_on(self.push_time(inside));
+        let is_clear = until - time_s > 4.0 * ROUNDING;
+        let steady = if is_clear { self.pushers.iter().map(level).sum() } else { None };
         // A kink less than a ns ahead counts as passed.
         Stretch { from: time_s + ROUNDING, until, steady }
     }
@@ -198,18 +194,16 @@ impl<const N: usize> Environment<N> {
         next
     }
 
-    /// Force of pushers and of some objects, and whether the tool is inside one of these.
+    /// `push`, the force of the pushers, and that of some objects, and whether the tool is inside one of these.
     fn force_of(
         &self,
+        push: Axes<N>,
         objects: impl Iterator<Item = usize>,
         position: &Axes<N>,
         velocity: &Axes<N>,
         time_s: f64,
     ) -> (Axes<N>, bool) {
-        let mut force = match self.stretch.steady {
-            Some(push) if self.stretch.holds(time_s) => push,
-            _ => self.push(time_s, time_s),
-        };
+        let mut force = push;
         let mut touches = false;
         for index in objects {
             let object = &self.objects[index];
@@ -374,7 +368,7 @@ mod tests {
             1 => PushShape::Ramp { rise_s },
             2 => PushShape::HalfSine,
             _ => {
-                let rows = [0.0, 2.0, 2.0, -1.0].map(Axes::<1>::new).to_vec();
+                let rows = [0.0, 7.3, 7.3, -0.1].map(Axes::<1>::new).to_vec();
                 let series = Series::new(vec![0.0, 0.5 * rise_s, rise_s, 2.0 * rise_s], rows).unwrap();
                 return Pusher::recorded(series, at_s, duration_s).unwrap();
             }

@@ -45,6 +45,17 @@ impl<const N: usize> Series<N> {
         self.values[after - 1].lerp(&self.values[after], (t - from) / (to - from))
     }
 
+    /// The value before the first point or after the last.
+    fn level_on(&self, piece: f64) -> Option<Axes<N>> {
+        let after = self.time_s.partition_point(|&time| time <= piece);
+        match after {
+            0 => Some(self.values[0]),
+            _ if after == self.time_s.len() => Some(self.values[after - 1]),
+            // Between equal ones a line is level, but not to the last bit.
+            _ => None,
+        }
+    }
+
     fn next_kink(&self, t: f64) -> f64 {
         let after = self.time_s.partition_point(|&time| time <= t);
         self.time_s.get(after).copied().unwrap_or(f64::INFINITY)
@@ -150,6 +161,22 @@ impl<const N: usize> Pusher<N> {
                 force * (std::f64::consts::TAU * frequency_hz * since).sin()
             }
             Course::Recorded(series) => series.on(piece, since),
+        }
+    }
+
+    /// The force on the smooth piece that holds at time `piece`, if it is the same all along; none where it may change.
+    pub(crate) fn level_on(&self, piece: f64) -> Option<Axes<N>> {
+        if !self.window.contains(piece) {
+            return Some(Axes::zeros());
+        }
+        let since = piece - self.at_s;
+        match &self.course {
+            Course::Shaped(PushShape::Step, force) => Some(*force),
+            Course::Shaped(PushShape::Ramp { rise_s }, force) => {
+                (whole_ns(since) >= whole_ns(*rise_s)).then_some(*force)
+            }
+            Course::Shaped(PushShape::HalfSine | PushShape::Sine { .. }, _) => None,
+            Course::Recorded(series) => series.level_on(since),
         }
     }
 

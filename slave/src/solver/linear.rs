@@ -29,11 +29,12 @@ struct Line {
 struct Regime {
     /// M in kg, K in N/m and B in N s/m of the arm; not a number before the first.
     arm: [f64; 3],
-    /// B and K x0 of all together, per kg.
+    /// B of all together, per kg.
     c: f64,
+    /// K anchor and K surface of all together, per kg.
     pull: f64,
     transition: Transition,
-    /// A contact without damping lasts pi / sqrt(k): half a radian cannot hide one.
+    /// Longest piece in s in which no contact can hide: one without damping lasts pi / sqrt(k), this is half a radian.
     longest: f64,
 }
 
@@ -222,13 +223,12 @@ impl<const N: usize> LinearArm<N> {
                 end = span;
             }
             let step = end - done;
-            let (push, growth) = match stretch.steady {
-                Some(push) => (push, Axes::zeros()),
-                None => {
-                    let inside = from + 0.5 * (done + end);
-                    let push = environment.push(inside, now);
-                    (push, (environment.push(inside, from + end) - push) / step)
-                }
+            let (push, growth) = if let Some(push) = stretch.steady {
+                (push, Axes::zeros())
+            } else {
+                let inside = from + 0.5 * (done + end);
+                let push = environment.push(inside, now);
+                (push, (environment.push(inside, from + end) - push) / step)
             };
             let wanted = drive.command_velocity();
             let mass = drive.model().mass_kg();
@@ -514,6 +514,37 @@ mod tests {
         kept.0 = Some((of, t, other));
         assert_eq!(kept.over(of, t).apply([1.0, 1.0]), other.apply([1.0, 1.0]));
         assert_ne!(other.apply([1.0, 1.0]), of.apply(t, [1.0, 1.0]));
+    }
+
+    /// The regime is that of the arm and of what is touched, whatever was before.
+    #[test]
+    fn a_regime_follows_the_arm_and_what_is_touched() {
+        let plane = |surface: f64, normal: f64| LinePlane {
+            surface,
+            normal,
+            stiffness: 3000.0,
+            damping: 5.0,
+            mode: Mode::Apart,
+        };
+        let planes = vec![plane(0.0, 1.0), plane(0.1, -1.0)];
+        let mut line = Line { planes, spring: [10.0, 1.0, 0.3], ..Line::default() };
+        let arms = [[2.0, 2000.0, 100.0], [3.0, 2000.0, 100.0], [2.0, 2000.0, 90.0]];
+        for round in 0..2 {
+            for arm in arms {
+                for x in [0.05, -0.01, -0.02, 0.11, 0.05, -0.01] {
+                    let kept = *line.regime(arm, [x, 0.0]);
+                    let touched = line.planes.iter().filter(|plane| plane.mode == Mode::Touching).count();
+                    assert_eq!(touched, usize::from(x != 0.05), "{round} {x}");
+                    let fresh = line.regime_of(arm);
+                    assert_eq!(
+                        (kept.arm, kept.c, kept.pull, kept.longest, kept.transition),
+                        (fresh.arm, fresh.c, fresh.pull, fresh.longest, fresh.transition)
+                    );
+                    let stiffness = arm[1] + 10.0 + 3000.0 * f64::from(u8::from(x != 0.05));
+                    assert_eq!(kept.transition.k, stiffness / arm[0]);
+                }
+            }
+        }
     }
 
     /// The bounds are worth their while: of a tool that is clear of a wall, or rests on it, they say so.

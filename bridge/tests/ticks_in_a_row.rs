@@ -1,0 +1,121 @@
+//! Rows of a sweep let each side do some ticks in a row, as far as its link allows: no outcome may show it.
+#![allow(clippy::unwrap_used)] // a test may
+
+use std::sync::atomic::AtomicBool;
+
+use haptether_bridge::scene::{Outcome, Progress, SweepSettings, Variation, simulate, sweep};
+use proptest::prelude::*;
+use serde_json::{Value, json};
+
+/// A remote push in which the hand lets go after 1 s, with fields changed: `both` of both directions of its link.
+fn scene(both: &Value, others: &Value) -> Value {
+    let mut scene: Value = serde_json::from_slice(include_bytes!("remote_push.json")).unwrap();
+    scene["run"]["duration_s"] = 2.0.into();
+    scene["operator"]["release"]["at_s"] = 1.0.into();
+    for direction in ["forward", "backward"] {
+        for (key, value) in both.as_object().unwrap() {
+            scene["link"][direction][key] = value.clone();
+        }
+    }
+    for (path, value) in others.as_object().unwrap() {
+        *scene.pointer_mut(path).unwrap() = value.clone();
+    }
+    scene
+}
+
+/// What each seed comes to as a row of a sweep.
+fn rows(scene: &Value, seeds: &[u64]) -> Vec<Option<Outcome>> {
+    let values = seeds.iter().map(|seed| *seed as f64).collect();
+    let variations = [Variation { path: "run.seed".into(), values }];
+    let settings = SweepSettings { threads: 1, lanes: true };
+    let bytes = serde_json::to_vec(scene).unwrap();
+    let rows = sweep(&bytes, &variations, settings, &Progress::default(), None).unwrap();
+    rows.into_iter().map(Result::ok).collect()
+}
+
+/// The same of runs whose signals are kept, which let both sides tick in turn.
+fn runs(scene: &Value, seeds: &[u64]) -> Vec<Option<Outcome>> {
+    let mut scene = scene.clone();
+    scene["record"] = json!({ "every": 1 });
+    let run = |seed: &u64| {
+        scene["run"]["seed"] = (*seed).into();
+        simulate(&serde_json::to_vec(&scene).unwrap(), &AtomicBool::new(false)).ok().map(|run| run.outcome)
+    };
+    seeds.iter().map(run).collect()
+}
+
+/// As text, for numbers that are none differ from themselves.
+fn assert_same(name: &str, scene: &Value) {
+    let (rows, runs) = (rows(scene, &[1, 7]), runs(scene, &[1, 7]));
+    assert!(rows.iter().any(Option::is_some), "{name}: refused");
+    assert_eq!(format!("{rows:?}"), format!("{runs:?}"), "{name}");
+}
+
+#[test]
+fn an_outcome_is_that_of_a_run_in_turn() {
+    let none = json!({});
+    let cases = [
+        ("as it is", none.clone(), none.clone()),
+        ("without delay", json!({ "delay_s": 0.0, "jitter_s": 0.0 }), none.clone()),
+        ("less than a tick", json!({ "delay_s": 4e-4, "jitter_s": 0.0 }), none.clone()),
+        ("a whole number of ticks", json!({ "delay_s": 0.003, "jitter_s": 0.0 }), none.clone()),
+        ("far", json!({ "delay_s": 0.4, "jitter_s": 0.04 }), none.clone()),
+        (
+            "overtaking and repeated",
+            json!({ "keep_order": false, "jitter_correlation_s": 0.0, "duplicate": 0.1, "duplicate_gap_s": 0.003 }),
+            none.clone(),
+        ),
+        ("reordered", json!({ "reorder": 0.1, "reorder_depth": 3 }), none.clone()),
+        ("damaged", json!({ "corrupt": 0.05, "corrupt_bits": 2 }), none.clone()),
+        ("rate", json!({ "rate_bps": 1.4e6, "queue_packets": 20 }), none.clone()),
+        (
+            "outage",
+            json!({ "outages": [{ "times": { "kind": "once", "at_s": 1.2, "duration_s": 0.03 } }] }),
+            none.clone(),
+        ),
+        (
+            "shorter and longer again",
+            json!({ "jitter_s": 0.0, "timeline": [{ "at_s": 0.8, "delay_s": 0.005 }, { "at_s": 1.3, "delay_s": 0.06 }] }),
+            none.clone(),
+        ),
+        ("another rate of the slave", none.clone(), json!({ "/slave/period_s": 0.002 })),
+        ("periods without a common tick", none.clone(), json!({ "/slave/period_s": 0.0007 })),
+        (
+            "clocks",
+            none.clone(),
+            json!({
+                "/link/master_clock": { "offset_s": 3.0, "drift_ppm": 80.0, "step_s": 0.0, "step_at_s": 0.0 },
+                "/link/slave_clock": { "offset_s": 0.0, "drift_ppm": -90.0, "step_s": 0.004, "step_at_s": 1.1 },
+            }),
+        ),
+        ("it ends early", none.clone(), json!({ "/run/stop_early": true, "/run/duration_s": 6.0 })),
+        ("it diverges", none, json!({ "/run/diverged_speed": 0.3 })),
+    ];
+    for (name, both, others) in &cases {
+        assert_same(name, &scene(both, others));
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+
+    #[test]
+    fn an_outcome_is_that_of_a_run_in_turn_over_any_link(
+        (forward_ms, backward_ms) in (0_u32..120, 0_u32..120),
+        (jitter, loss) in (0_u32..30, 0_u32..10),
+        keep_order in prop::bool::weighted(0.8),
+        slave_us in prop::sample::select(vec![500_u32, 700, 1000, 1300, 4000]),
+    ) {
+        let jitter = f64::from(jitter) * 1e-2;
+        let link = |ms: u32| json!({
+            "delay_s": f64::from(ms) * 1e-3, "jitter_s": f64::from(ms) * 1e-3 * jitter,
+            "loss": f64::from(loss) * 1e-2, "keep_order": keep_order,
+        });
+        let mut scene = scene(&link(forward_ms), &json!({ "/slave/period_s": f64::from(slave_us) * 1e-6 }));
+        for (key, value) in link(backward_ms).as_object().unwrap() {
+            scene["link"]["backward"][key] = value.clone();
+        }
+        let (rows, runs) = (rows(&scene, &[3]), runs(&scene, &[3]));
+        prop_assert_eq!(format!("{rows:?}"), format!("{runs:?}"));
+    }
+}
