@@ -80,6 +80,12 @@ def sample(
         begins = next((place for place, frame in enumerate(frames) if ROOT_FRAME in frame), None)
         if begins is not None:
             stacks[tuple(frames[begins:])] += 1
+    if not stacks:
+        sys.exit(
+            f"no sample of {checkout} lies in {ROOT_FRAME}: its extension has no symbols; build it with "
+            "`cargo build --release -p haptether-python` and copy target/release/lib_core.so to "
+            "python/haptether/_core.abi3.so"
+        )
     return stacks, float(plain.stdout)
 
 
