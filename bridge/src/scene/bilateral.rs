@@ -230,8 +230,8 @@ where
     let mut refused = Ok(());
     let security = if settings.secure { SecurityMark::Secure } else { SecurityMark::Insecure };
     let is_felt = trigger_feedback(scene, coupled(scene)?.0)?.is_some();
-    // Of an outcome nobody looks at the sides as they were at a tick.
-    let runs_ahead = kept.outcome_only && files.is_none();
+    // Of an outcome nobody looks at the sides as they were at a tick; a controller of the caller's own sees no tick too many.
+    let runs_ahead = kept.outcome_only && files.is_none() && scene.safety.research.is_none();
     let mut kept = files.map(|files| Kept::begin(files, security, is_felt)).transpose()?;
     let observe = |event: Event<'_, MasterRecord<N, R>, SlaveRecord<N, Q>>,
                    (master, slave): Sides<'_, '_, P, A, R, Q, N>| {
