@@ -106,6 +106,23 @@ def test_a_failure_ends_a_sweep_at_once() -> None:
     assert steps == 6
 
 
+def test_a_row_that_ends_early_has_no_step_after_its_end() -> None:
+    steps = 0
+
+    class Counting:
+        def step(self, seen: ResearchObservation) -> Force:  # noqa: ARG002
+            nonlocal steps
+            steps += 1
+            return None
+
+    register_controller("counting", Counting)
+    asked = ['safety.research.controller="counting"', "run.diverged_speed=0.2"]
+    assert simulate("remote_push", overrides=asked).metrics.diverged
+    of_run, steps = steps, 0
+    sweep("remote_push", {"run.seed": [load_scene("remote_push").run.seed]}, overrides=asked)
+    assert steps == of_run > 100
+
+
 def test_others_run_beside_it() -> None:
     """As the one that waits for Ctrl-C does; also where no step is called any more."""
 
