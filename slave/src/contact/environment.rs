@@ -27,6 +27,8 @@ pub struct Environment<const N: usize> {
     movers: Vec<usize>,
     /// How many objects are free bodies.
     pub(crate) bodies: usize,
+    /// Whether every push is linear in time between its kinks.
+    pub(crate) is_push_linear: bool,
     touches: bool,
 }
 
@@ -44,6 +46,7 @@ impl<const N: usize> Environment<N> {
             slots: vec![usize::MAX; objects.len()],
             solver: Solver::new(bodies),
             bodies,
+            is_push_linear: pushers.iter().all(Pusher::is_piecewise_linear),
             movers,
             touches: false,
             objects,

@@ -164,6 +164,26 @@ impl<const N: usize> Shape<N> {
         }
     }
 
+    /// How far a point inside may move along each axis in m while the face that is the nearest stays it; none of a
+    /// shape without flat faces.
+    pub(crate) fn margin_of_face(&self, point: &Axes<N>) -> Option<f64> {
+        match &self.kind {
+            Kind::Plane { .. } => Some(f64::INFINITY),
+            Kind::Cuboid { centre, half_extents, .. } => {
+                let from_centre = point - centre;
+                let beyond = from_centre.abs() - half_extents;
+                let nearest = beyond.imax();
+                // To the opposite face it is as far as to the centre.
+                let mut margin = from_centre[nearest].abs();
+                for axis in (0..N).filter(|&axis| axis != nearest) {
+                    margin = margin.min(0.5 * (beyond[nearest] - beyond[axis]));
+                }
+                Some(margin)
+            }
+            Kind::Sphere { .. } | Kind::Spring { .. } => None,
+        }
+    }
+
     /// The point that moves with the object: on the plane, or the centre, or the anchor, in m.
     pub fn reference(&self) -> &Axes<N> {
         match &self.kind {

@@ -49,8 +49,11 @@ impl<const N: usize> Environment<N> {
             if span - end < 1e-12 {
                 end = span;
             }
-            let piece = Piece { origin: from, inside: from + 0.5 * (done + end) };
-            self.solve_piece(drive, tool, piece, done, end);
+            let piece = Piece { origin: from, inside: from + 0.5 * (done + end), planned: done };
+            let reached = if let Drive::Arm(arm) = drive { self.slide(arm, tool, piece, end) } else { done };
+            if reached < end {
+                self.solve_piece(drive, tool, piece, reached, end);
+            }
             if let Drive::Arm(arm) = drive {
                 arm.advance(end - done);
             }
@@ -65,7 +68,8 @@ impl<const N: usize> Environment<N> {
         let mut done = begin;
         let mut attempts = 0;
         // What was too stiff a moment ago will hardly be worth the whole trial again.
-        let limit = allowed_attempts(end - begin);
+        // Of the whole piece, however much of it is left.
+        let limit = allowed_attempts(end - piece.planned);
         let patience = limit / if std::mem::take(&mut solver.gave_up) { 200 } else { 10 };
         // Until when the bodies that nothing can touch have been moved.
         let mut coasted = begin;
@@ -83,13 +87,13 @@ impl<const N: usize> Environment<N> {
             known &= !self.settle(&mut solver, piece, now);
             let blocks = TOOL + 2 * self.near_bodies();
             if !known {
-                self.slopes(drive, &mut solver, 0, piece, now, done - begin);
+                self.slopes(drive, &mut solver, 0, piece, now, done - piece.planned);
             }
             let mut step = solver.step.clamp(SHORTEST, LONGEST).min(left);
             let mut proposed;
             loop {
                 attempts += 1;
-                self.stages(drive, &mut solver, blocks, piece, (now, done - begin), step);
+                self.stages(drive, &mut solver, blocks, piece, (now, done - piece.planned), step);
                 let error = solver.error(blocks, step);
                 proposed = step * (0.9 * error.powf(-0.2)).clamp(0.2, 5.0);
                 let short = step <= SHORTEST;
@@ -107,12 +111,12 @@ impl<const N: usize> Environment<N> {
             if attempts > limit
                 || (attempts > patience && slow(attempts, limit, (done - begin) / (end - begin)))
             {
-                coasted = self.coarsely(drive, &mut solver, piece, (done, end), (begin, coasted));
+                coasted = self.coarsely(drive, &mut solver, piece, (done, end), coasted);
                 break;
             }
             if let Some(share) = self.first_change(&mut solver, blocks, piece, now, step) {
                 step = (share * step).max(SHORTEST.min(left));
-                self.stages(drive, &mut solver, blocks, piece, (now, done - begin), step);
+                self.stages(drive, &mut solver, blocks, piece, (now, done - piece.planned), step);
                 known = false;
             } else {
                 solver.combine(blocks, step, STAGES[6]);
@@ -197,7 +201,7 @@ impl<const N: usize> Environment<N> {
         solver: &mut Solver<N>,
         piece: Piece,
         (mut done, end): (f64, f64),
-        (begin, mut coasted): (f64, f64),
+        mut coasted: f64,
     ) -> f64 {
         const COARSE: f64 = 2e-5;
         solver.gave_up = true;
@@ -215,7 +219,7 @@ impl<const N: usize> Environment<N> {
                 drive,
                 &mut solver.state,
                 (piece.inside, piece.origin + done),
-                done - begin,
+                done - piece.planned,
                 step,
             );
         }

@@ -169,7 +169,7 @@ impl<const N: usize> LinearArm<N> {
         if matches!(arm.control(), Velocity { .. }) || stiffness < arm.mass_kg() {
             return None;
         }
-        if !environment.pushers.iter().all(crate::Pusher::is_piecewise_linear) {
+        if !environment.is_push_linear {
             return None;
         }
         if environment.bodies > 0 {

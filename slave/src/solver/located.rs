@@ -143,23 +143,25 @@ impl<const N: usize> Environment<N> {
         if self.reach.near.is_empty() {
             return None;
         }
-        let mut before = 0.0;
-        let mut after = None;
-        for share in [0.25, 0.5, 0.75, 1.0] {
+        first_share(step, |share| {
             solver.combine(blocks, step, &dense(share));
-            if self.changed(solver, piece, now + share * step) {
-                after = Some(share);
-                break;
-            }
-            before = share;
-        }
-        let mut after = after?;
-        // To the rounding of the share, or to a time in which nothing moves.
-        while after - before > 1e-15 && (after - before) * step > 0.1 * SHORTEST {
-            let middle = 0.5 * (before + after);
-            solver.combine(blocks, step, &dense(middle));
-            if self.changed(solver, piece, now + middle * step) { after = middle } else { before = middle }
-        }
-        Some(after)
+            self.changed(solver, piece, now + share * step)
+        })
     }
+}
+
+/// Share of a step in s after which the first change has just happened, as far as quarters of the step show it.
+pub(crate) fn first_share(step: f64, mut changed: impl FnMut(f64) -> bool) -> Option<f64> {
+    let mut before = 0.0;
+    let mut after = [0.25, 0.5, 0.75, 1.0].into_iter().find(|&share| {
+        let found = changed(share);
+        before = if found { before } else { share };
+        found
+    })?;
+    // To the rounding of the share, or to a time in which nothing moves.
+    while after - before > 1e-15 && (after - before) * step > 0.1 * SHORTEST {
+        let middle = 0.5 * (before + after);
+        if changed(middle) { after = middle } else { before = middle }
+    }
+    Some(after)
 }

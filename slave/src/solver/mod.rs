@@ -4,4 +4,5 @@ pub(crate) mod adaptive;
 mod coarse;
 pub(crate) mod linear;
 mod located;
+mod sliding;
 pub(crate) mod state;

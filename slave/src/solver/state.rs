@@ -79,6 +79,8 @@ pub(crate) struct Piece {
     pub(crate) origin: f64,
     /// A time within the present smooth piece, in s.
     pub(crate) inside: f64,
+    /// When the phases of the drive were planned, in s since `origin`.
+    pub(crate) planned: f64,
 }
 
 /// Times of the stages, as shares of the step.

@@ -1,0 +1,571 @@
+//! A tool among flat faces with friction: between events the Taylor series of its motion, exact to rounding.
+//!
+//! `M x'' = K (x_set(t) - x) + B (V_cmd - V) + F_push(t) + sum F_face`, where each face that is touched presses with
+//! `p = K_f d + B_f d'` along its normal and rubs with `mu_f p s / max(|s|, 1 mm/s)` against the slip s across it
+//! ([`crate::Contact`]). All of it is linear but `s / |s|`, whose series follows from that of s. Events are a face that
+//! is touched or left, another face of a box that is the nearest, a slip that passes 1 mm/s: bounds from the
+//! coefficients exclude them, or they are located.
+//!
+//! Source: recursion for powers of series, A. Jorba, M. Zou, "A software package for the numerical integration of ODEs
+//! by means of high-order Taylor methods", Experimental Mathematics 14, 2005, section 2.
+
+use crate::{
+    Axes, Environment, FULL_SLIP, all_finite,
+    arm::drive::{ArmDrive, Tool},
+    contact::law::Mode,
+    solver::{adaptive::SHORTEST, located::first_share, state::Piece},
+};
+
+/// Most coefficients of a series, the constant one included.
+const TERMS: usize = 20;
+/// Most faces that may be touched at a time.
+const MAX_FACES: usize = 3;
+/// Steps for one piece before its rest is left to the adaptive integrator.
+const MAX_STEPS: u32 = 1000;
+/// Times that a step whose series does not converge is halved before it is left to the adaptive integrator.
+const MAX_HALVINGS: u32 = 6;
+/// Share of the largest coefficient of V below which one is none.
+const NEGLIGIBLE: f64 = f64::EPSILON / 16.0;
+/// Share of a place in m that bounds leave to its rounding.
+const ROUNDING: f64 = 1e-12;
+
+/// `1 / (n + 1)`: a division takes longer than all else that a term needs.
+const INVERSE: [f64; TERMS] = {
+    let mut inverse = [0.0; TERMS];
+    let mut n = 0;
+    while n < TERMS {
+        inverse[n] = 1.0 / (n + 1) as f64;
+        n += 1;
+    }
+    inverse
+};
+
+/// The course of a tool over a step: Taylor coefficients in shares of it.
+struct Course<const N: usize> {
+    /// x in m, its constant coefficient left out.
+    moved: [Axes<N>; TERMS],
+    /// V in m/s.
+    velocity: [Axes<N>; TERMS],
+    terms: usize,
+}
+
+impl<const N: usize> Course<N> {
+    /// How far it has moved in m, and V in m/s, at a share of the step.
+    fn at(&self, share: f64) -> (Axes<N>, Axes<N>) {
+        let sum = |series: &[Axes<N>; TERMS]| {
+            series[..self.terms].iter().rev().fold(Axes::zeros(), |sum, term| sum * share + term)
+        };
+        (sum(&self.moved), sum(&self.velocity))
+    }
+
+    /// Bound in m on how far it has moved along each axis at any time of the step.
+    fn swing(&self) -> Axes<N> {
+        self.moved[1..self.terms].iter().map(Axes::abs).sum()
+    }
+}
+
+/// A face that is touched.
+#[derive(Clone, Copy)]
+struct Face<const N: usize> {
+    index: usize,
+    normal: Axes<N>,
+    depth: f64,
+    stiffness: f64,
+    damping: f64,
+    friction: f64,
+    /// Whether the slip is above [`FULL_SLIP`].
+    glides: bool,
+    /// How far the tool may move along each axis in m while this face is the nearest.
+    margin: f64,
+    /// p in N.
+    pressing: [f64; TERMS],
+    /// s in m/s.
+    slip: [Axes<N>; TERMS],
+    /// |s| in m/s, of a face that the tool glides on.
+    speed: [f64; TERMS],
+    /// p over |s|, or over [`FULL_SLIP`].
+    drag: [f64; TERMS],
+}
+
+impl<const N: usize> Face<N> {
+    fn none() -> Self {
+        Self {
+            index: usize::MAX,
+            normal: Axes::zeros(),
+            depth: 0.0,
+            stiffness: 0.0,
+            damping: 0.0,
+            friction: 0.0,
+            glides: false,
+            margin: 0.0,
+            pressing: [0.0; TERMS],
+            slip: [Axes::zeros(); TERMS],
+            speed: [0.0; TERMS],
+            drag: [0.0; TERMS],
+        }
+    }
+
+    /// Coefficient n of its force in N, from those of the motion in shares of a step; requested in order.
+    #[inline]
+    fn force(&mut self, n: usize, moved: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
+        let along = self.normal.dot(velocity);
+        let depth = if n == 0 { self.depth } else { -self.normal.dot(moved) };
+        let pressing = self.stiffness * depth - self.damping * along;
+        self.pressing[n] = pressing;
+        let force = self.normal * pressing;
+        if self.friction == 0.0 {
+            return force;
+        }
+        self.slip[n] = velocity - self.normal * along;
+        self.drag[n] = if self.glides { self.drag_of_gliding(n) } else { pressing * FULL_SLIP.recip() };
+        let rubbing: Axes<N> = (0..=n).map(|i| self.slip[n - i] * self.drag[i]).sum();
+        force - rubbing * self.friction
+    }
+
+    /// Coefficient n of `p / |s|`: `|s|² = s s` gives that of |s|, `(p / |s|) |s| = p` the quotient.
+    #[inline]
+    fn drag_of_gliding(&mut self, n: usize) -> f64 {
+        let Self { pressing, slip, speed, drag, .. } = self;
+        if n == 0 {
+            speed[0] = slip[0].norm();
+            return pressing[0] / speed[0];
+        }
+        let inverse = speed[0].recip();
+        // Each product of two different coefficients counts twice.
+        let pairs = n.div_ceil(2);
+        let mut square: f64 = slip[0].dot(&slip[n]);
+        for i in 1..pairs {
+            square += slip[i].dot(&slip[n - i]) - speed[i] * speed[n - i];
+        }
+        if n.is_multiple_of(2) {
+            square += 0.5 * (slip[n / 2].norm_squared() - speed[n / 2] * speed[n / 2]);
+        }
+        speed[n] = square * inverse;
+        let carried: f64 = (1..=n).map(|i| speed[i] * drag[n - i]).sum();
+        (pressing[n] - carried) * inverse
+    }
+
+    /// Whether bounds say that over a whole step it is touched as it is, its tool no farther away than `swing` in m.
+    fn stays(&self, swing: &Axes<N>, rounding: f64, terms: usize) -> bool {
+        let released: f64 = self.pressing[1..terms].iter().map(|p| p.abs()).sum();
+        let is_pressed = self.depth > self.normal.abs().dot(swing) + rounding
+            && self.pressing[0] > released * (1.0 + ROUNDING)
+            && self.margin > swing.amax() + rounding;
+        if !is_pressed || self.friction == 0.0 {
+            return is_pressed;
+        }
+        let change = self.slip[1..terms].iter().map(Axes::abs).sum::<Axes<N>>().norm() * (1.0 + ROUNDING);
+        let slip = self.slip[0].norm();
+        if self.glides { slip - change > FULL_SLIP } else { slip + change <= FULL_SLIP }
+    }
+}
+
+/// What acts on the tool beside faces, linear in x and V.
+struct Pull<const N: usize> {
+    mass: f64,
+    /// K in N/m and B in N s/m of arm and springs.
+    stiffness: f64,
+    damping: f64,
+    /// Force in N at the beginning, and how it grows beside K and B, in N/s and in N/s² by halves.
+    force: Axes<N>,
+    growth: [Axes<N>; 2],
+}
+
+impl<const N: usize> Pull<N> {
+    /// The motion over `step` in s from V in m/s on; none, if its series does not converge over it.
+    fn course(&self, faces: &mut [Face<N>], velocity: &Axes<N>, step: f64) -> Option<Course<N>> {
+        let mut course = Course { moved: [Axes::zeros(); TERMS], velocity: [Axes::zeros(); TERMS], terms: 0 };
+        let Course { moved, velocity: v, .. } = &mut course;
+        v[0] = *velocity;
+        let mut largest = velocity.amax();
+        let mut negligible = 0;
+        for n in 0..TERMS - 1 {
+            let mut force = match n {
+                0 => self.force,
+                1 => self.growth[0] * step,
+                2 => self.growth[1] * (step * step),
+                _ => Axes::zeros(),
+            };
+            if n > 0 {
+                force -= moved[n] * self.stiffness + v[n] * self.damping;
+            }
+            for face in &mut *faces {
+                force += face.force(n, &moved[n], &v[n]);
+            }
+            let share = step * INVERSE[n];
+            v[n + 1] = force * (share / self.mass);
+            moved[n + 1] = v[n] * share;
+            let size = v[n + 1].amax();
+            largest = largest.max(size);
+            negligible = if size <= NEGLIGIBLE * largest { negligible + 1 } else { 0 };
+            // What grows with the square of time comes in with the third coefficient.
+            if negligible >= 2 && n >= 3 {
+                course.terms = n + 2;
+                return Some(course);
+            }
+        }
+        None
+    }
+}
+
+impl<const N: usize> Environment<N> {
+    /// Moves the tool over a piece without kinks, planned at its beginning, as far as its motion is such a series;
+    /// returns until when.
+    pub(crate) fn slide(&mut self, arm: &ArmDrive<N>, tool: &mut Tool<N>, piece: Piece, end: f64) -> f64 {
+        let mut done = piece.planned;
+        if self.bodies > 0 || arm.is_velocity_control() || !self.is_push_linear {
+            return done;
+        }
+        for _ in 0..MAX_STEPS {
+            let left = end - done;
+            let Some(taken) = self.slide_once(arm, tool, piece, done, left) else { return done };
+            if taken >= left {
+                return end;
+            }
+            done += taken;
+        }
+        done
+    }
+
+    /// Moves the tool up to the next event, over `left` in s at most; returns how long that took.
+    fn slide_once(
+        &mut self,
+        arm: &ArmDrive<N>,
+        tool: &mut Tool<N>,
+        piece: Piece,
+        done: f64,
+        left: f64,
+    ) -> Option<f64> {
+        let now = piece.origin + done;
+        let Tool { position, velocity, .. } = *tool;
+        if !self.reach.covers(&position, now + left, 2.0 * velocity.norm() * left + SHORTEST) {
+            self.look(&position, &velocity, now);
+        }
+        let mut pull = self.pull_of_arm(arm, tool, piece, (done, left));
+        let mut faces = [Face::none(); MAX_FACES];
+        let mut count = 0;
+        let (mut stiffest, mut strongest, mut clear, mut leaves) = (0.0, 0.0, f64::INFINITY, false);
+        for near in 0..self.reach.near.len() {
+            let index = self.reach.near[near];
+            let object = &self.objects[index];
+            if !object.is_fixed() {
+                return None;
+            }
+            if object.shape().is_spring() {
+                let (stiffness, damping) = object.contact().linear();
+                pull.stiffness += stiffness;
+                pull.damping += damping;
+                pull.force += (object.shape().reference() - position) * stiffness - velocity * damping;
+                continue;
+            }
+            let (distance, normal) = object.shape().surface(&position);
+            let along = normal.dot(&velocity);
+            let mode = object.contact().mode(-distance, -along);
+            self.modes[index] = mode;
+            match mode {
+                Mode::Apart => clear = distance.min(clear),
+                Mode::Leaving => leaves = true,
+                Mode::Touching => {
+                    let (stiffness, damping) = object.contact().kelvin_voigt()?;
+                    let margin = object.shape().margin_of_face(&position)?;
+                    let face = faces.get_mut(count)?;
+                    let slip = (velocity - normal * along).norm();
+                    let friction = if N == 1 { 0.0 } else { object.contact().friction() };
+                    (face.index, face.normal, face.depth, face.margin) = (index, normal, -distance, margin);
+                    (face.stiffness, face.damping, face.friction) = (stiffness, damping, friction);
+                    face.glides = slip > FULL_SLIP;
+                    count += 1;
+                    stiffest += stiffness;
+                    let pressing = stiffness * -distance - damping * along;
+                    strongest += damping + friction * pressing / slip.max(FULL_SLIP);
+                }
+            }
+        }
+        let faces = &mut faces[..count];
+        // The fastest that the motion relaxes or swings.
+        let rate = (pull.damping + strongest) / pull.mass + ((pull.stiffness + stiffest) / pull.mass).sqrt();
+        if rate.is_nan() || rate * left >= f64::from(MAX_STEPS) {
+            return None;
+        }
+        let mut step = if rate * left > 1.0 { rate.recip() } else { left };
+        let mut halvings = 0;
+        let course = loop {
+            match pull.course(faces, &velocity, step) {
+                Some(course) => break course,
+                None if halvings == MAX_HALVINGS => return None,
+                None => (step, halvings) = (0.5 * step, halvings + 1),
+            }
+        };
+        let swing = course.swing();
+        let farthest = swing.norm();
+        if !self.reach.covers(&position, now + step, farthest) {
+            return None;
+        }
+        let rounding = ROUNDING * position.amax();
+        let is_sure = !leaves
+            && clear > farthest + rounding
+            && faces.iter().all(|face| face.stays(&swing, rounding, course.terms));
+        let mut taken = step;
+        if !is_sure {
+            let changed = |share| {
+                let (moved, velocity) = course.at(share);
+                self.is_other(faces, &(position + moved), &velocity)
+            };
+            if let Some(share) = first_share(step, changed) {
+                taken = (share * step).max(SHORTEST.min(step));
+            }
+        }
+        let (moved, velocity) = course.at(taken / step);
+        let position = position + moved;
+        if !(all_finite(&position) && all_finite(&velocity)) {
+            return None;
+        }
+        (tool.position, tool.velocity) = (position, velocity);
+        Some(taken)
+    }
+
+    /// What arm and pushers do from `done` on.
+    fn pull_of_arm(
+        &mut self,
+        arm: &ArmDrive<N>,
+        tool: &Tool<N>,
+        piece: Piece,
+        (done, left): (f64, f64),
+    ) -> Pull<N> {
+        let (stiffness, damping, feed_forward) = arm.model().impedance();
+        let since = done - piece.planned;
+        let set = arm.set_points();
+        let speed = Axes::from_fn(|axis, _| set[axis].velocity + since * set[axis].acceleration);
+        let place = Axes::from_fn(|axis, _| {
+            set[axis].position + since * (set[axis].velocity + 0.5 * since * set[axis].acceleration)
+        });
+        let now = piece.origin + done;
+        let (push, push_growth) = if let Some(push) = self.push_stretch(now).steady {
+            (push, Axes::zeros())
+        } else {
+            let [push, later] = [now, now + left].map(|time| self.push(piece.inside, time));
+            (push, (later - push) / left)
+        };
+        let wanted = if feed_forward { arm.command_velocity() } else { Axes::zeros() };
+        let force = (place - tool.position) * stiffness + (wanted - tool.velocity) * damping + push;
+        let half = Axes::from_fn(|axis, _| 0.5 * stiffness * set[axis].acceleration);
+        Pull {
+            mass: arm.model().mass_kg(),
+            stiffness,
+            damping,
+            force,
+            growth: [speed * stiffness + push_growth, half],
+        }
+    }
+
+    /// Whether at another place and velocity an object is on another piece of its law than the modes and `faces` say.
+    fn is_other(&self, faces: &[Face<N>], position: &Axes<N>, velocity: &Axes<N>) -> bool {
+        self.reach.near.iter().any(|&index| {
+            let object = &self.objects[index];
+            if object.shape().is_spring() {
+                return false;
+            }
+            let (distance, normal) = object.shape().surface(position);
+            let along = normal.dot(velocity);
+            let mode = object.contact().mode(-distance, -along);
+            let glides = || (velocity - normal * along).norm() > FULL_SLIP;
+            mode != self.modes[index]
+                || faces.iter().find(|face| face.index == index).is_some_and(|face| {
+                    normal != face.normal || (face.friction > 0.0 && glides() != face.glides)
+                })
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        ArmControl, ArmModel, Contact, ContactLaw, Object, PushShape, Pusher, Shape, solver::adaptive::Drive,
+    };
+    use proptest::prelude::*;
+
+    const KG: f64 = 4.0;
+    const K: f64 = 2000.0;
+    const B: f64 = 60.0;
+
+    fn voigt(stiffness: f64, damping: f64, friction: f64) -> Contact {
+        Contact::new(ContactLaw::KelvinVoigt { stiffness, damping }, friction).unwrap()
+    }
+
+    fn plane<const N: usize>(normal: Axes<N>, contact: Contact) -> Environment<N> {
+        let shape = Shape::plane(Axes::zeros(), normal).unwrap();
+        Environment::new(vec![Object::fixed(shape, contact).unwrap()], Vec::new())
+    }
+
+    /// An arm with K and B that goes to `target` from where the tool is on.
+    fn arm<const N: usize>(tool: &Tool<N>, target: Axes<N>, speed: Option<f64>) -> ArmDrive<N> {
+        let control = ArmControl::Pd { stiffness: K, damping: B };
+        let mut drive = ArmDrive::new(ArmModel::new(control, KG, speed, None).unwrap(), &tool.position);
+        drive.command(Some(target), Axes::zeros());
+        drive
+    }
+
+    fn tool<const N: usize>(position: Axes<N>, velocity: Axes<N>) -> Tool<N> {
+        Tool { position, velocity, set_velocity: Axes::zeros() }
+    }
+
+    /// Steps of `span` in s, all of them by series.
+    fn slid<const N: usize>(
+        environment: &mut Environment<N>,
+        drive: &mut ArmDrive<N>,
+        tool: &mut Tool<N>,
+        span: f64,
+        steps: u32,
+    ) {
+        for step in 0..steps {
+            drive.plan();
+            let origin = f64::from(step) * span;
+            let piece = Piece { origin, inside: origin + 0.5 * span, planned: 0.0 };
+            assert_eq!(environment.slide(drive, tool, piece, span), span, "step {step}");
+            drive.advance(span);
+        }
+    }
+
+    /// A pressed tool that slides straight on under a constant friction: `M u'' = K (u_set - u) - B u' - mu_f p`, as
+    /// the exponential of its matrix has it.
+    #[test]
+    fn a_straight_slide_is_the_matrix_exponential() {
+        let (normal, along) = (Axes::<3>::new(0.6, 0.0, 0.8), Axes::<3>::new(0.8, 0.0, -0.6));
+        let (wall, rub) = (5000.0, 0.3);
+        // Where K (set - x) and the wall's force balance along the normal, the pressing stands.
+        let depth = 1e-3;
+        let pressing = wall * depth;
+        let set_along_normal = -depth - pressing / K;
+        let (u, u_set, v) = (0.01, 0.2, 0.05);
+        let start = normal * -depth + along * u;
+        let mut tool = tool(start, along * v);
+        let mut environment = plane(normal, voigt(wall, 10.0, rub));
+        let mut drive = arm(&tool, normal * set_along_normal + along * u_set, None);
+        slid(&mut environment, &mut drive, &mut tool, 1e-3, 100);
+        let rest = u_set - rub * pressing / K;
+        let matrix = nalgebra::Matrix2::new(0.0, 1.0, -K / KG, -B / KG);
+        let exact = (matrix * 0.1).exp() * nalgebra::Vector2::new(u - rest, v);
+        let moved = tool.position - normal * -depth;
+        // 100 steps, each with a few roundings of 0.2 m, and of what brings K (set - x) to zero.
+        assert!((moved.dot(&along) - rest - exact.x).abs() < 1e-14, "{}", moved.dot(&along) - rest - exact.x);
+        assert!(
+            (tool.velocity.dot(&along) - exact.y).abs() < 1e-13,
+            "{}",
+            tool.velocity.dot(&along) - exact.y
+        );
+        assert!(moved.dot(&normal).abs() < 1e-15 && tool.velocity.dot(&normal).abs() < 1e-13, "{moved}");
+    }
+
+    /// Below 1 mm/s friction is a damping of `mu_f p` over that speed.
+    #[test]
+    fn a_creeping_tool_is_damped_as_the_matrix_exponential_says() {
+        let (wall, rub, depth) = (5000.0, 0.3, 1e-3);
+        let pressing = wall * depth;
+        let normal = Axes::<2>::new(0.0, 1.0);
+        let mut tool = tool(Axes::<2>::new(0.0, -depth), Axes::<2>::new(9e-4, 0.0));
+        let mut environment = plane(normal, voigt(wall, 10.0, rub));
+        let mut drive = arm(&tool, Axes::<2>::new(2e-4, -depth - pressing / K), None);
+        slid(&mut environment, &mut drive, &mut tool, 1e-3, 50);
+        let damping = (B + rub * pressing / FULL_SLIP) / KG;
+        let matrix = nalgebra::Matrix2::new(0.0, 1.0, -K / KG, -damping);
+        let exact = (matrix * 0.05).exp() * nalgebra::Vector2::new(-2e-4, 9e-4);
+        assert!((tool.position[0] - 2e-4 - exact.x).abs() < 1e-17, "{}", tool.position[0] - 2e-4 - exact.x);
+        assert!((tool.velocity[0] - exact.y).abs() < 1e-15, "{}", tool.velocity[0] - exact.y);
+    }
+
+    /// A slide that bends comes out the same to rounding over long steps and over short ones, whose series end early.
+    #[test]
+    fn a_bending_slide_does_not_depend_on_the_step() {
+        let at = |span: f64, steps: u32| {
+            let mut tool = tool(Axes::<3>::new(0.0, 0.0, -1e-3), Axes::<3>::new(0.05, 0.0, 0.02));
+            let mut environment = plane(Axes::<3>::new(0.0, 0.1, 1.0), voigt(5000.0, 10.0, 0.4));
+            let mut drive = arm(&tool, Axes::<3>::new(-0.02, 0.05, -0.01), Some(0.5));
+            slid(&mut environment, &mut drive, &mut tool, span, steps);
+            tool
+        };
+        let [long, short] = [at(1e-3, 40), at(1.25e-4, 320)];
+        // It has turned.
+        assert!(long.velocity[1] > long.velocity[0].abs(), "{long:?}");
+        // 320 steps with a few roundings each, of 5 cm and of 1 m/s.
+        let errors = [(long.position - short.position).amax(), (long.velocity - short.velocity).amax()];
+        assert!(errors[0] < 1e-15 && errors[1] < 1e-13, "{errors:?}");
+    }
+
+    /// Series and bounds leave nothing out: any motion among planes, boxes and springs is that of the adaptive
+    /// integrator, whose error is 1e-10 of a step.
+    fn compare(
+        objects: &[Object<3>],
+        pushers: &[Pusher<3>],
+        start: Tool<3>,
+        target: Axes<3>,
+        control: ArmControl,
+        ms: u32,
+    ) -> Result<(), TestCaseError> {
+        let arm = ArmModel::new(control, KG, Some(1.0), None).unwrap();
+        let of = |by_series: bool| {
+            let mut environment = Environment::new(objects.to_vec(), pushers.to_vec());
+            environment.is_push_linear &= by_series;
+            let mut drive = ArmDrive::new(arm, &start.position);
+            drive.command(Some(target), Axes::zeros());
+            (environment, drive, start)
+        };
+        let (mut runs, mut largest) = ([of(true), of(false)], 0.0_f64);
+        for tick in 0..ms {
+            for (environment, drive, tool) in &mut runs {
+                environment.solve(&mut Drive::Arm(drive), tool, f64::from(tick) * 1e-3, 1e-3);
+            }
+            let [(_, _, series), (_, _, adaptive)] = &runs;
+            largest = largest.max(adaptive.velocity.amax());
+            let position = (series.position - adaptive.position).amax();
+            let velocity = (series.velocity - adaptive.velocity).amax();
+            prop_assert!(
+                position < 1e-9 && velocity < 1e-7 * (1.0 + largest),
+                "{tick}: {position:e} {velocity:e}"
+            );
+        }
+        prop_assert_eq!(runs[0].0.coarse_steps(), 0);
+        Ok(())
+    }
+
+    fn vector(size: f64) -> impl Strategy<Value = Axes<3>> {
+        prop::array::uniform3(-size..size).prop_map(Axes::<3>::from)
+    }
+
+    fn object() -> impl Strategy<Value = Object<3>> {
+        let contact = (100.0..5000.0_f64, 0.0..20.0_f64, prop_oneof![Just(0.0), 0.05..0.8_f64])
+            .prop_map(|(stiffness, damping, friction)| voigt(stiffness, damping, friction));
+        let shape =
+            prop_oneof![
+                (vector(1.0)).prop_filter_map("a normal", |normal| Shape::plane(Axes::zeros(), normal).ok()),
+                (vector(0.02), prop::array::uniform3(0.01..0.05_f64))
+                    .prop_map(|(centre, half)| Shape::cuboid(centre, Axes::from(half)).unwrap()),
+            ];
+        let spring =
+            (vector(0.05), 10.0..500.0_f64, 0.0..5.0_f64).prop_map(|(anchor, stiffness, damping)| {
+                Object::fixed(Shape::spring(anchor).unwrap(), voigt(stiffness, damping, 0.0)).unwrap()
+            });
+        prop_oneof![
+            5 => (shape, contact).prop_map(|(shape, contact)| Object::fixed(shape, contact).unwrap()),
+            1 => spring,
+        ]
+    }
+
+    proptest! {
+        #[test]
+        fn any_slide_is_that_of_the_adaptive_integrator(
+            objects in prop::collection::vec(object(), 1..4),
+            pushed in prop::option::of((vector(10.0), 0.0..0.02_f64)),
+            (position, velocity, target) in (vector(0.03), vector(0.3), vector(0.06)),
+            is_pd in any::<bool>(),
+        ) {
+            let pushers: Vec<_> = pushed
+                .map(|(force, rise_s)| Pusher::shaped(PushShape::Ramp { rise_s }, 0.005, 0.02, force).unwrap())
+                .into_iter()
+                .collect();
+            let control =
+                if is_pd { ArmControl::Pd { stiffness: K, damping: B } } else { ArmControl::Position { bandwidth_hz: 15.0 } };
+            compare(&objects, &pushers, tool(position, velocity), target, control, 40)?;
+        }
+    }
+}
