@@ -92,6 +92,7 @@ enum Sent {
 }
 
 /// A slab of what is in flight: each slot is used again once it is free.
+#[derive(Clone)]
 struct Slab<T> {
     slots: Vec<T>,
     free: Vec<usize>,
@@ -114,6 +115,7 @@ impl<T> Slab<T> {
 }
 
 /// The network in one direction.
+#[derive(Clone)]
 struct OneWay<const N: usize> {
     link: Link,
     in_flight: InFlight<Sent>,
@@ -380,23 +382,48 @@ const MAX_AHEAD: usize = 32;
 
 /// As [`run_virtual`], with the same records in the same order, for who does not look at what the sides have beside
 /// them: these may be some ticks ahead by then, and what they counted after a break goes further.
-///
-/// The code of both sides together is larger than the first cache of a processor. So each side does some ticks in a
-/// row, as far as the link says that nothing will arrive by then which has not been sent.
-///
-/// Source: K. M. Chandy, J. Misra, "Distributed simulation: a case study in design and verification of distributed
-/// programs", IEEE Trans. Softw. Eng. 5, 1979 (lookahead of a channel that keeps the order).
 pub(crate) fn run_virtual_ahead<M: Side<N>, S: Side<N>, const N: usize>(
     settings: &VirtualSettings,
     master: &mut M,
     slave: &mut S,
     mut observe: impl FnMut(Event<'_, M::Record, S::Record>, (&M, &S)) -> ControlFlow<()>,
 ) -> Result<VirtualCounts, VirtualError> {
-    let mut run = Run::new(settings, master, slave)?;
-    let mut near = VecDeque::with_capacity(MAX_AHEAD);
-    let mut far = VecDeque::with_capacity(MAX_AHEAD);
-    loop {
-        let Run { master, slave, forward, backward, end_ns } = &mut run;
+    let mut ahead = Ahead::new(settings, master, slave)?;
+    while ahead.advance(&mut observe).is_continue() {}
+    Ok(ahead.counts())
+}
+
+/// A run whose sides are some ticks ahead of what was observed of them.
+///
+/// The code of both sides together is larger than the first cache of a processor. So each side does some ticks in a
+/// row, as far as the link says that nothing will arrive by then which has not been sent.
+///
+/// Source: K. M. Chandy, J. Misra, "Distributed simulation: a case study in design and verification of distributed
+/// programs", IEEE Trans. Softw. Eng. 5, 1979 (lookahead of a channel that keeps the order).
+pub(crate) struct Ahead<'a, M: Side<N>, S: Side<N>, const N: usize> {
+    run: Run<'a, M, S, N>,
+    /// True time in ns and record of each tick that was not observed yet.
+    near: VecDeque<(u64, M::Record)>,
+    far: VecDeque<(u64, S::Record)>,
+}
+
+impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
+    /// A run before its first tick.
+    pub(crate) fn new(
+        settings: &VirtualSettings,
+        master: &'a mut M,
+        slave: &'a mut S,
+    ) -> Result<Self, VirtualError> {
+        let run = Run::new(settings, master, slave)?;
+        Ok(Self { run, near: VecDeque::with_capacity(MAX_AHEAD), far: VecDeque::with_capacity(MAX_AHEAD) })
+    }
+
+    /// Some ticks of each side, and what of them nothing earlier can follow to be observed; breaks where the run ends.
+    pub(crate) fn advance(
+        &mut self,
+        observe: &mut impl FnMut(Event<'_, M::Record, S::Record>, (&M, &S)) -> ControlFlow<()>,
+    ) -> ControlFlow<()> {
+        let Self { run: Run { master, slave, forward, backward, end_ns }, near, far } = self;
         // What is sent later arrives later than it is sent. At the same instant the master is first.
         while master.goes_on(*end_ns)
             && near.len() < MAX_AHEAD
@@ -419,9 +446,9 @@ pub(crate) fn run_virtual_ahead<M: Side<N>, S: Side<N>, const N: usize>(
                 (Some((near_ns, _)), None) if *near_ns <= slave.pace.true_ns => true,
                 (None, Some((far_ns, _))) if *far_ns < master.pace.true_ns => false,
                 (None, None) if !master.goes_on(*end_ns) && !slave.goes_on(*end_ns) => {
-                    return Ok(run.counts());
+                    return ControlFlow::Break(());
                 }
-                _ => break,
+                _ => return ControlFlow::Continue(()),
             };
             let sides = (&*master.side, &*slave.side);
             let flow = if is_near {
@@ -430,10 +457,68 @@ pub(crate) fn run_virtual_ahead<M: Side<N>, S: Side<N>, const N: usize>(
                 far.pop_front().map(|(_, record)| observe(Event::Slave(&record), sides))
             };
             if flow.is_some_and(|flow| flow.is_break()) {
-                return Ok(run.counts());
+                return ControlFlow::Break(());
             }
         }
     }
+
+    pub(crate) fn counts(&self) -> VirtualCounts {
+        self.run.counts()
+    }
+
+    /// The run as it stands; none where sessions have a part in it: with security, frames as bytes, or a network that
+    /// changes what it carries.
+    pub(crate) fn snapshot(&self) -> Option<Snapshot<M, S, N>>
+    where
+        M: Clone,
+        S: Clone,
+        M::Record: Clone,
+        S::Record: Clone,
+    {
+        let Self { run: Run { master, slave, forward, backward, .. }, near, far } = self;
+        let has_sessions = master.encodes || slave.encodes;
+        if has_sessions || forward.link.changes_packets() || backward.link.changes_packets() {
+            return None;
+        }
+        Some(Snapshot {
+            master: master.side.clone(),
+            slave: slave.side.clone(),
+            paces: [master.pace, slave.pace],
+            counts: [master.counts, slave.counts],
+            network: [forward.clone(), backward.clone()],
+            near: near.clone(),
+            far: far.clone(),
+        })
+    }
+
+    /// Goes on from a snapshot of a run of the same settings, with sides that are to stand as those in it.
+    pub(crate) fn resume(
+        settings: &VirtualSettings,
+        snapshot: Snapshot<M, S, N>,
+        master: &'a mut M,
+        slave: &'a mut S,
+    ) -> Result<Self, VirtualError> {
+        let Snapshot { paces, counts, network: [forward, backward], near, far, .. } = snapshot;
+        let mut run = Run::of(settings, master, slave, [forward, backward])?;
+        (run.master.pace, run.slave.pace) = (paces[0], paces[1]);
+        (run.master.counts, run.slave.counts) = (counts[0], counts[1]);
+        Ok(Self { run, near, far })
+    }
+}
+
+/// A run between two ticks, to go on from more than once.
+#[derive(Clone)]
+pub(crate) struct Snapshot<M: Side<N>, S: Side<N>, const N: usize> {
+    /// The side of the hand.
+    pub(crate) master: M,
+    /// The side of the robot.
+    pub(crate) slave: S,
+    paces: [Pace; 2],
+    counts: [LoopCounts; 2],
+    /// Forward and backward.
+    network: [OneWay<N>; 2],
+    near: VecDeque<(u64, M::Record)>,
+    far: VecDeque<(u64, S::Record)>,
 }
 
 /// Both loops and the network between them.
@@ -447,12 +532,22 @@ struct Run<'a, M, S, const N: usize> {
 
 impl<'a, M: Side<N>, S: Side<N>, const N: usize> Run<'a, M, S, N> {
     fn new(settings: &VirtualSettings, master: &'a mut M, slave: &'a mut S) -> Result<Self, VirtualError> {
-        let end_ns = settings.ticks * settings.period_ns;
         master.begin(0);
         slave.begin(0);
         let sizes = [master.exchange(), slave.exchange()].map(|of| of.link().frame_length());
         let forward = OneWay::new(Direction::Forward, settings.seed, &settings.forward, sizes[0])?;
         let backward = OneWay::new(Direction::Backward, settings.seed, &settings.backward, sizes[1])?;
+        Self::of(settings, master, slave, [forward, backward])
+    }
+
+    /// Of sides that have begun.
+    fn of(
+        settings: &VirtualSettings,
+        master: &'a mut M,
+        slave: &'a mut S,
+        [forward, backward]: [OneWay<N>; 2],
+    ) -> Result<Self, VirtualError> {
+        let end_ns = settings.ticks * settings.period_ns;
         let periods_ns = [settings.period_ns, settings.slave_period_ns];
         let paces =
             [Pace::new(settings.master_clock, periods_ns[0]), Pace::new(settings.slave_clock, periods_ns[1])];

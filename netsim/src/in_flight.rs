@@ -16,7 +16,7 @@ const FIRST_CAPACITY: usize = 256;
 /// Most packets are due after all before them and wait in a line; those that overtake wait in a heap. Unless it is one
 /// that grows, memory is reserved once; pushing and popping allocate nothing. Payloads move within the heap, so a large
 /// one should be a handle.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct InFlight<T> {
     /// In the order of their due times and of entry, both.
     in_turn: VecDeque<Entry<T>>,
@@ -125,7 +125,7 @@ impl<T> Default for InFlight<T> {
     }
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Entry<T> {
     due_ns: u64,
     order: u64,

@@ -26,7 +26,7 @@ pub struct LinkCounters {
 }
 
 /// The rules that settings describe, built and checked, for a link to take up.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Rules {
     direction: Direction,
     path: Vec<Box<dyn Rule>>,
@@ -74,7 +74,7 @@ impl Rules {
 ///
 /// The verdict on a packet depends on settings, seed and the packets up to it alone; packets are judged in the order
 /// of their indices, with sending times that do not decrease.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Link {
     seed: u64,
     rules: Rules,
@@ -186,6 +186,11 @@ impl Link {
     pub fn earliest_later_ns(&self) -> u64 {
         let Rules { reorder, on_arrival, keeps_order, .. } = &self.rules;
         if *keeps_order && reorder.is_none() && on_arrival.is_empty() { self.latest_in_turn_ns } else { 0 }
+    }
+
+    /// Whether a packet may arrive changed, or beside others that were not sent.
+    pub fn changes_packets(&self) -> bool {
+        !self.rules.on_arrival.is_empty()
     }
 
     /// What was decided so far.

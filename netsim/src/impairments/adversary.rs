@@ -126,7 +126,7 @@ impl Default for Target {
     }
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Adversary(Vec<(Aim, Box<dyn ArrivalRule>)>);
 
 pub(crate) fn build(

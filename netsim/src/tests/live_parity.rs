@@ -187,7 +187,7 @@ fn the_live_driver_does_what_the_virtual_one_says() {
 }
 
 /// For every packet: a damaged copy, one that goes back, one from elsewhere, and one 30 ms later.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Copies;
 
 impl ArrivalRule for Copies {

@@ -9,6 +9,8 @@
 //! Source: recursion for powers of series, A. Jorba, M. Zou, "A software package for the numerical integration of ODEs
 //! by means of high-order Taylor methods", Experimental Mathematics 14, 2005, section 2.
 
+use arrayvec::ArrayVec;
+
 use crate::{
     Axes, Environment, FULL_SLIP, all_finite,
     arm::drive::{ArmDrive, Tool},
@@ -41,31 +43,29 @@ const INVERSE: [f64; TERMS] = {
 };
 
 /// The course of a tool over a step: Taylor coefficients in shares of it.
+#[derive(Default)]
 struct Course<const N: usize> {
     /// x in m, its constant coefficient left out.
-    moved: [Axes<N>; TERMS],
+    moved: ArrayVec<Axes<N>, TERMS>,
     /// V in m/s.
-    velocity: [Axes<N>; TERMS],
-    terms: usize,
+    velocity: ArrayVec<Axes<N>, TERMS>,
 }
 
 impl<const N: usize> Course<N> {
     /// How far it has moved in m, and V in m/s, at a share of the step.
     fn at(&self, share: f64) -> (Axes<N>, Axes<N>) {
-        let sum = |series: &[Axes<N>; TERMS]| {
-            series[..self.terms].iter().rev().fold(Axes::zeros(), |sum, term| sum * share + term)
-        };
+        let sum =
+            |series: &[Axes<N>]| series.iter().rev().fold(Axes::zeros(), |sum, term| sum * share + term);
         (sum(&self.moved), sum(&self.velocity))
     }
 
     /// Bound in m on how far it has moved along each axis at any time of the step.
     fn swing(&self) -> Axes<N> {
-        self.moved[1..self.terms].iter().map(Axes::abs).sum()
+        self.moved.iter().map(Axes::abs).sum()
     }
 }
 
 /// A face that is touched.
-#[derive(Clone, Copy)]
 struct Face<const N: usize> {
     index: usize,
     normal: Axes<N>,
@@ -78,83 +78,87 @@ struct Face<const N: usize> {
     /// How far the tool may move along each axis in m while this face is the nearest.
     margin: f64,
     /// p in N.
-    pressing: [f64; TERMS],
+    pressing: ArrayVec<f64, TERMS>,
     /// s in m/s.
-    slip: [Axes<N>; TERMS],
+    slip: ArrayVec<Axes<N>, TERMS>,
     /// |s| in m/s, of a face that the tool glides on.
-    speed: [f64; TERMS],
+    speed: ArrayVec<f64, TERMS>,
     /// p over |s|, or over [`FULL_SLIP`].
-    drag: [f64; TERMS],
+    drag: ArrayVec<f64, TERMS>,
 }
 
 impl<const N: usize> Face<N> {
-    fn none() -> Self {
-        Self {
-            index: usize::MAX,
-            normal: Axes::zeros(),
-            depth: 0.0,
-            stiffness: 0.0,
-            damping: 0.0,
-            friction: 0.0,
-            glides: false,
-            margin: 0.0,
-            pressing: [0.0; TERMS],
-            slip: [Axes::zeros(); TERMS],
-            speed: [0.0; TERMS],
-            drag: [0.0; TERMS],
-        }
+    /// Before the first coefficient of another step.
+    fn begin(&mut self) {
+        self.pressing.clear();
+        self.slip.clear();
+        self.speed.clear();
+        self.drag.clear();
     }
 
-    /// Coefficient n of its force in N, from those of the motion in shares of a step; requested in order.
+    /// The next coefficient of its force in N, from that of the motion in shares of a step.
     #[inline]
-    fn force(&mut self, n: usize, moved: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
+    fn force(&mut self, moved: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
         let along = self.normal.dot(velocity);
-        let depth = if n == 0 { self.depth } else { -self.normal.dot(moved) };
+        let depth = if self.pressing.is_empty() { self.depth } else { -self.normal.dot(moved) };
         let pressing = self.stiffness * depth - self.damping * along;
-        self.pressing[n] = pressing;
+        self.pressing.push(pressing);
         let force = self.normal * pressing;
         if self.friction == 0.0 {
             return force;
         }
-        self.slip[n] = velocity - self.normal * along;
-        self.drag[n] = if self.glides { self.drag_of_gliding(n) } else { pressing * FULL_SLIP.recip() };
-        let rubbing: Axes<N> = (0..=n).map(|i| self.slip[n - i] * self.drag[i]).sum();
+        self.slip.push(velocity - self.normal * along);
+        let drag = if self.glides { self.drag_of_gliding() } else { pressing * FULL_SLIP.recip() };
+        self.drag.push(drag);
+        let mut rubbing = Axes::zeros();
+        for (drag, slip) in self.drag.iter().zip(self.slip.iter().rev()) {
+            rubbing += slip * *drag;
+        }
         force - rubbing * self.friction
     }
 
-    /// Coefficient n of `p / |s|`: `|s|² = s s` gives that of |s|, `(p / |s|) |s| = p` the quotient.
+    /// The next coefficient of `p / |s|`: `|s|² = s s` gives that of |s|, `(p / |s|) |s| = p` the quotient.
     #[inline]
-    fn drag_of_gliding(&mut self, n: usize) -> f64 {
+    fn drag_of_gliding(&mut self) -> f64 {
         let Self { pressing, slip, speed, drag, .. } = self;
+        let n = drag.len();
         if n == 0 {
-            speed[0] = slip[0].norm();
-            return pressing[0] / speed[0];
+            let first = slip[0].norm();
+            speed.push(first);
+            return pressing[0] / first;
         }
         let inverse = speed[0].recip();
         // Each product of two different coefficients counts twice.
         let pairs = n.div_ceil(2);
-        let mut square: f64 = slip[0].dot(&slip[n]);
-        for i in 1..pairs {
-            square += slip[i].dot(&slip[n - i]) - speed[i] * speed[n - i];
+        let mut square = if n.is_multiple_of(2) {
+            0.5 * (slip[pairs].norm_squared() - speed[pairs] * speed[pairs])
+        } else {
+            0.0
+        };
+        for (early, late) in slip[..pairs].iter().zip(slip.iter().rev()) {
+            square += early.dot(late);
         }
-        if n.is_multiple_of(2) {
-            square += 0.5 * (slip[n / 2].norm_squared() - speed[n / 2] * speed[n / 2]);
+        for (early, late) in speed[1..].iter().zip(speed.iter().rev()).take(pairs - 1) {
+            square -= early * late;
         }
-        speed[n] = square * inverse;
-        let carried: f64 = (1..=n).map(|i| speed[i] * drag[n - i]).sum();
-        (pressing[n] - carried) * inverse
+        speed.push(square * inverse);
+        let mut rest = pressing[n];
+        for (speed, drag) in speed[1..].iter().zip(drag.iter().rev()) {
+            rest -= speed * drag;
+        }
+        rest * inverse
     }
 
     /// Whether bounds say that over a whole step it is touched as it is, its tool no farther away than `swing` in m.
-    fn stays(&self, swing: &Axes<N>, rounding: f64, terms: usize) -> bool {
-        let released: f64 = self.pressing[1..terms].iter().map(|p| p.abs()).sum();
+    fn stays(&self, swing: &Axes<N>, rounding: f64) -> bool {
+        let released: f64 = self.pressing[1..].iter().map(|p| p.abs()).sum();
         let is_pressed = self.depth > self.normal.abs().dot(swing) + rounding
             && self.pressing[0] > released * (1.0 + ROUNDING)
             && self.margin > swing.amax() + rounding;
         if !is_pressed || self.friction == 0.0 {
             return is_pressed;
         }
-        let change = self.slip[1..terms].iter().map(Axes::abs).sum::<Axes<N>>().norm() * (1.0 + ROUNDING);
+        let change = self.slip[1..].iter().map(Axes::abs).sum::<Axes<N>>().norm() * (1.0 + ROUNDING);
         let slip = self.slip[0].norm();
         if self.glides { slip - change > FULL_SLIP } else { slip + change <= FULL_SLIP }
     }
@@ -172,11 +176,14 @@ struct Pull<const N: usize> {
 }
 
 impl<const N: usize> Pull<N> {
-    /// The motion over `step` in s from V in m/s on; none, if its series does not converge over it.
-    fn course(&self, faces: &mut [Face<N>], velocity: &Axes<N>, step: f64) -> Option<Course<N>> {
-        let mut course = Course { moved: [Axes::zeros(); TERMS], velocity: [Axes::zeros(); TERMS], terms: 0 };
-        let Course { moved, velocity: v, .. } = &mut course;
-        v[0] = *velocity;
+    /// The motion over `step` in s from V in m/s on; whether its series converges over it.
+    fn follow(&self, course: &mut Course<N>, faces: &mut [Face<N>], velocity: &Axes<N>, step: f64) -> bool {
+        let Course { moved, velocity: v } = course;
+        moved.clear();
+        v.clear();
+        faces.iter_mut().for_each(Face::begin);
+        moved.push(Axes::zeros());
+        v.push(*velocity);
         let mut largest = velocity.amax();
         let mut negligible = 0;
         for n in 0..TERMS - 1 {
@@ -190,21 +197,21 @@ impl<const N: usize> Pull<N> {
                 force -= moved[n] * self.stiffness + v[n] * self.damping;
             }
             for face in &mut *faces {
-                force += face.force(n, &moved[n], &v[n]);
+                force += face.force(&moved[n], &v[n]);
             }
             let share = step * INVERSE[n];
-            v[n + 1] = force * (share / self.mass);
-            moved[n + 1] = v[n] * share;
-            let size = v[n + 1].amax();
+            moved.push(v[n] * share);
+            let next = force * (share / self.mass);
+            v.push(next);
+            let size = next.amax();
             largest = largest.max(size);
             negligible = if size <= NEGLIGIBLE * largest { negligible + 1 } else { 0 };
             // What grows with the square of time comes in with the third coefficient.
             if negligible >= 2 && n >= 3 {
-                course.terms = n + 2;
-                return Some(course);
+                return true;
             }
         }
-        None
+        false
     }
 }
 
@@ -242,8 +249,7 @@ impl<const N: usize> Environment<N> {
             self.look(&position, &velocity, now);
         }
         let mut pull = self.pull_of_arm(arm, tool, piece, (done, left));
-        let mut faces = [Face::none(); MAX_FACES];
-        let mut count = 0;
+        let mut faces = ArrayVec::<Face<N>, MAX_FACES>::new();
         let (mut stiffest, mut strongest, mut clear, mut leaves) = (0.0, 0.0, f64::INFINITY, false);
         for near in 0..self.reach.near.len() {
             let index = self.reach.near[near];
@@ -268,20 +274,29 @@ impl<const N: usize> Environment<N> {
                 Mode::Touching => {
                     let (stiffness, damping) = object.contact().kelvin_voigt()?;
                     let margin = object.shape().margin_of_face(&position)?;
-                    let face = faces.get_mut(count)?;
                     let slip = (velocity - normal * along).norm();
                     let friction = if N == 1 { 0.0 } else { object.contact().friction() };
-                    (face.index, face.normal, face.depth, face.margin) = (index, normal, -distance, margin);
-                    (face.stiffness, face.damping, face.friction) = (stiffness, damping, friction);
-                    face.glides = slip > FULL_SLIP;
-                    count += 1;
+                    let face = Face {
+                        index,
+                        normal,
+                        depth: -distance,
+                        stiffness,
+                        damping,
+                        friction,
+                        glides: slip > FULL_SLIP,
+                        margin,
+                        pressing: ArrayVec::new(),
+                        slip: ArrayVec::new(),
+                        speed: ArrayVec::new(),
+                        drag: ArrayVec::new(),
+                    };
+                    faces.try_push(face).ok()?;
                     stiffest += stiffness;
                     let pressing = stiffness * -distance - damping * along;
                     strongest += damping + friction * pressing / slip.max(FULL_SLIP);
                 }
             }
         }
-        let faces = &mut faces[..count];
         // The fastest that the motion relaxes or swings.
         let rate = (pull.damping + strongest) / pull.mass + ((pull.stiffness + stiffest) / pull.mass).sqrt();
         if rate.is_nan() || rate * left >= f64::from(MAX_STEPS) {
@@ -289,27 +304,26 @@ impl<const N: usize> Environment<N> {
         }
         let mut step = if rate * left > 1.0 { rate.recip() } else { left };
         let mut halvings = 0;
-        let course = loop {
-            match pull.course(faces, &velocity, step) {
-                Some(course) => break course,
-                None if halvings == MAX_HALVINGS => return None,
-                None => (step, halvings) = (0.5 * step, halvings + 1),
+        let mut course = Course::default();
+        while !pull.follow(&mut course, &mut faces, &velocity, step) {
+            if halvings == MAX_HALVINGS {
+                return None;
             }
-        };
+            (step, halvings) = (0.5 * step, halvings + 1);
+        }
         let swing = course.swing();
         let farthest = swing.norm();
         if !self.reach.covers(&position, now + step, farthest) {
             return None;
         }
         let rounding = ROUNDING * position.amax();
-        let is_sure = !leaves
-            && clear > farthest + rounding
-            && faces.iter().all(|face| face.stays(&swing, rounding, course.terms));
+        let is_sure =
+            !leaves && clear > farthest + rounding && faces.iter().all(|face| face.stays(&swing, rounding));
         let mut taken = step;
         if !is_sure {
             let changed = |share| {
                 let (moved, velocity) = course.at(share);
-                self.is_other(faces, &(position + moved), &velocity)
+                self.is_other(&faces, &(position + moved), &velocity)
             };
             if let Some(share) = first_share(step, changed) {
                 taken = (share * step).max(SHORTEST.min(step));

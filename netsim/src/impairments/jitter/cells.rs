@@ -17,7 +17,7 @@ const FIRST: f64 = -8.25;
 static POINTS: LazyLock<Box<[Tails]>> =
     LazyLock::new(|| (0..=COUNT).map(|k| Tails::of_normal(FIRST + k as f64 * WIDTH)).collect());
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Cells {
     /// Delay in ns where the cells meet, ascending.
     pub(super) delay_ns: Box<[f64]>,

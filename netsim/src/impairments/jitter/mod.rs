@@ -132,7 +132,7 @@ fn whole(ns: f64) -> u64 {
 }
 
 /// A delay drawn for each packet by itself.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Independent {
     cells: Cells,
     mean_ns: u64,
@@ -155,7 +155,7 @@ const BIN_TAUS: f64 = 16.0;
 /// A run is keyed by the time at which it begins, so the path is the same at any packet rate. After a silence that the
 /// path does not remember it begins anew from its law, keyed by the bin of time, so that no silence costs more than
 /// about a thousand runs.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Wander {
     path: Arc<Path>,
     mean_ns: u64,

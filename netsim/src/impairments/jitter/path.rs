@@ -35,7 +35,7 @@ const MIN_SWITCHES: f64 = 12.0;
 const MAX_SWITCHES: f64 = 50.0;
 
 /// The traversals up and down through the cells, and the memory of the path.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Path {
     /// Down and up.
     traversals: [Traversal; 2],
@@ -120,7 +120,7 @@ struct Border {
 }
 
 /// The cells in the order in which one direction meets them.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Traversal {
     /// Of each cell, and last where the traversal ends.
     borders: Box<[Border]>,
@@ -226,7 +226,7 @@ impl Traversal {
 }
 
 /// About which of the cells has a value, by bins of equal width: of cells of equal width it is the one.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Bins {
     per_unit: f64,
     /// The cell of the middle of each bin.

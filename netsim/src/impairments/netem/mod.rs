@@ -165,7 +165,7 @@ fn four_state(state: u8, uniform: u32, [p13, p31, p32, p23, p14]: [u32; 5]) -> u
 }
 
 /// netem as the only rule of a path.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Netem {
     limit: usize,
     latency_ns: i64,

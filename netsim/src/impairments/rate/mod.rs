@@ -79,7 +79,7 @@ struct Waiting {
 }
 
 /// The queue and the line behind it.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Bottleneck {
     server: Server,
     bounds: Bounds,
@@ -124,7 +124,7 @@ impl Bottleneck {
 }
 
 /// The bottleneck as a link's packets meet it, beside other traffic.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Rate {
     bottleneck: Bottleneck,
     overhead_bytes: u64,

@@ -28,7 +28,7 @@ pub struct Opportunities {
 }
 
 /// What carries packets, one after the other.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) enum Server {
     /// Every byte takes the same time.
     Rate { rate_bps: f64, free_ns: u64 },
@@ -112,7 +112,7 @@ fn transmission_ns(wire_bytes: u64, rate_bps: f64) -> u64 {
 /// at the very time of an opportunity has missed it.
 ///
 /// Source: R. Netravali et al., "Mahimahi: accurate record-and-replay for HTTP", USENIX ATC 2015; `mm-link(1)`.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Schedule {
     /// Not decreasing, the last above 0.
     time_ns: Vec<u64>,

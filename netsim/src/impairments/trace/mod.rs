@@ -73,7 +73,7 @@ impl Playback {
 }
 
 /// The loss of a recording.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct TraceLoss {
     playback: Playback,
     starts_lost: bool,
@@ -110,7 +110,7 @@ impl Rule for TraceLoss {
 }
 
 /// The delays of a recording.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct TraceDelay {
     playback: Playback,
     time_ns: Vec<u64>,
