@@ -8,7 +8,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from os import PathLike
 from pathlib import Path as FilePath
@@ -23,7 +23,7 @@ from haptether import _core
 from haptether.bridge.scene.checks import checked_spec
 from haptether.bridge.scene.errors import Path, Raw, SceneError, place, shown
 from haptether.bridge.scene.load import Checked, Leaf, leaf_values, path_of, typed_scene, with_value
-from haptether.bridge.scene.research import research_of
+from haptether.bridge.scene.research import Research, research_of
 from haptether.bridge.scene.run import named_scene
 from haptether.bridge.scene.sweeps.design import Values, design_of
 from haptether.bridge.scene.sweeps.limits import LARGEST_EXACT, as_typed, out_of_range
@@ -246,26 +246,23 @@ def measured(base: Checked, varied: Mapping[str, npt.NDArray[Any]], threads: Thr
     """The outcome and the metrics of each row; of rows of which none can be built only `outcome` and `reason`."""
     categories = {path: column for path, column in varied.items() if column.dtype == object}
     if not categories:
-        return in_order(_metrics(base, varied, threads))
+        return in_order(_metrics([_plan(base, varied)], threads)[0])
     numbers = {path: column for path, column in varied.items() if path not in categories}
     labels = [[label(value) for value in column.tolist()] for column in categories.values()]
     codes: dict[tuple[str, ...], int] = {}
     of_row = np.array([codes.setdefault(kind, len(codes)) for kind in zip(*labels, strict=True)])
-    parts: list[tuple[npt.NDArray[np.intp], dict[str, npt.NDArray[Any]]]] = []
-    done = 0
-    for code in codes.values():
-        chosen = np.flatnonzero(of_row == code)
+    rows = [np.flatnonzero(of_row == code) for code in codes.values()]
+    plans = []
+    for chosen in rows:
         own = {path: column[chosen] for path, column in numbers.items()}
         try:
             changed = _of_kind(base, {path: column[chosen[0]] for path, column in categories.items()})
             # Where no number varies all rows of a combination are alike, and the seed has to be given.
             own = own or {"run.seed": np.full(len(chosen), float(changed.scene.run.seed))}
-            of_these = _metrics(changed, own, replace(threads, progress=shifted(threads.progress, done)))
+            plans.append(_plan(changed, own))
         except SceneError as error:
-            of_these = _refused(dict.fromkeys(range(len(chosen)), str(error)))
-        parts.append((chosen, of_these))
-        done += len(chosen)
-    return in_order(joined(parts, len(of_row)))
+            plans.append(_Plan(base=base, rows=len(chosen), refused=dict.fromkeys(range(len(chosen)), str(error))))
+    return in_order(joined(list(zip(rows, _metrics(plans, threads), strict=True)), len(of_row)))
 
 
 def in_order(metrics: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
@@ -327,16 +324,63 @@ def unmeasured(kind: "np.dtype[Any]", rows: int) -> npt.NDArray[Any]:
     return np.full(rows, np.nan if kind.kind == "f" else "" if kind.kind == "U" else 0, kind)
 
 
-def _metrics(base: Checked, varied: Mapping[str, Array], threads: Threads) -> dict[str, npt.NDArray[Any]]:
-    """What is measured of rows of numbers."""
+@dataclass(frozen=True, kw_only=True)
+class _Plan:
+    """Rows of numbers of one scene, those that cannot be built set apart."""
+
+    base: Checked
+    rows: int
+    columns: list[tuple[str, Array]] = field(default_factory=list)
+    """Of the rows that can be built."""
+    built: "Array | slice | None" = None
+    """Which rows these are; none where none can."""
+    refused: dict[int, str]
+
+
+def _plan(base: Checked, varied: Mapping[str, Array]) -> _Plan:
+    """What the extension is to run.
+
+    Raises:
+        SceneError: A path that the scene does not have.
+    """
     columns, refused = _columns(base, varied)
     rows = len(next(iter(varied.values())))
     if len(refused) == rows:
-        return _refused(refused)
+        return _Plan(base=base, rows=rows, refused=refused)
     built = np.array([row for row in range(rows) if row not in refused]) if refused else slice(None)
     columns = [(path, np.ascontiguousarray(column[built])) for path, column in columns]
-    research = research_of(base.scene)
-    found = _core.sweep_scenes(base.json, columns, threads.count, threads.lanes, threads.progress, research)
+    return _Plan(base=base, rows=rows, columns=columns, built=built, refused=refused)
+
+
+def _metrics(plans: Sequence[_Plan], threads: Threads) -> list[dict[str, npt.NDArray[Any]]]:
+    """What is measured of the rows of each plan; rows that begin alike are run together, whichever plan they are of."""
+    found: dict[int, Mapping[str, Any]] = {}
+    together: list[int] = []
+    calls: list[tuple[list[int], Research | None]] = [(together, None)]
+    for index, plan in enumerate(plans):
+        if not plan.columns:
+            continue
+        # A controller in Python has a call of its own.
+        if (research := research_of(plan.base.scene)) is None:
+            together.append(index)
+        else:
+            calls.append(([index], research))
+    done = sum(plan.rows for plan in plans if not plan.columns)
+    for indices, research in calls:
+        if indices:
+            parts = [(plans[index].base.json, plans[index].columns) for index in indices]
+            progress = shifted(threads.progress, done)
+            tables = _core.sweep_scenes(parts, threads.count, threads.lanes, progress, research)
+            found |= dict(zip(indices, tables, strict=True))
+            done += sum(plans[index].rows for index in indices)
+    return [_of_plan(plan, found.get(index)) for index, plan in enumerate(plans)]
+
+
+def _of_plan(plan: _Plan, found: Mapping[str, Any] | None) -> dict[str, npt.NDArray[Any]]:
+    """Its rows in full, from what the extension has found."""
+    built, rows, refused = plan.built, plan.rows, plan.refused
+    if found is None or built is None:
+        return _refused(refused)
     of_rows = {name: _of_rows(name, np.asarray(column), built, rows, refused) for name, column in found.items()}
     if (of_rows["outcome"] == "refused").all():
         return _refused(dict(enumerate(of_rows["reason"].tolist())))

@@ -466,6 +466,16 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
         self.run.counts()
     }
 
+    /// The side of the hand as it stands, which may be ahead of what was observed of it.
+    pub(crate) fn master(&self) -> &M {
+        self.run.master.side
+    }
+
+    /// Ticks of the master that were not observed yet.
+    pub(crate) fn unseen_of_master(&self) -> impl Iterator<Item = &M::Record> {
+        self.near.iter().map(|(_, record)| record)
+    }
+
     /// The run as it stands; none where sessions have a part in it: with security, frames as bytes, or a network that
     /// changes what it carries.
     pub(crate) fn snapshot(&self) -> Option<Snapshot<M, S, N>>

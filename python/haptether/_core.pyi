@@ -2828,29 +2828,28 @@ def replay_recording(
     """
 
 def sweep_scenes(
-    scene_json: bytes,
-    columns: list[tuple[str, _Array]],
+    parts: list[tuple[bytes, list[tuple[str, _Array]]]],
     threads: int,
     lanes: bool,
     progress: Callable[[int], None] | None,
     research: _ResearchFactory | None = None,
-) -> dict[str, npt.NDArray[Any] | list[str]]:
-    """Runs a scene once per row, without the interpreter's lock. Threads and lanes change no number.
+) -> list[dict[str, npt.NDArray[Any] | list[str]]]:
+    """Runs each scene once per row of its own, without the interpreter's lock. Threads and lanes change no number.
 
-    With a controller in Python there is one thread, and no lanes.
+    Rows that differ in their controllers alone, of one scene or of several, are run once as long as none of these acts,
+    which changes no number either. With a controller in Python there is one thread, and nothing is shared.
 
     Args:
-        scene_json: The scene that all rows share, as for `simulate_scene`.
-        columns: Numbers that differ, by their dotted path in the JSON ("operator.legs.0.end.0"), with one value
-            per row; whole numbers for fields that count.
+        parts: Scenes as for `simulate_scene`, each with the numbers that differ between its rows: by their dotted path
+            in the JSON ("operator.legs.0.end.0"), with one value per row; whole numbers for fields that count.
         threads: How many threads, 1 or more.
         lanes: Whether rows may be advanced side by side in one thread.
         progress: Called from time to time with the number of rows that are done; what it raises ends the sweep.
         research: Makes the controllers of a scene with `[safety.research]`, one a row; without it each row is refused.
 
     Returns:
-        How each ended, the metrics, and why a row was refused or diverged, by name, one value per row; NaN where a
-        metric does not apply or was not measured.
+        Of each scene how its rows ended, the metrics, and why a row was refused or diverged, by name, one value per
+        row; NaN where a metric does not apply or was not measured.
 
     Raises:
         ValueError: JSON that is no scene; columns of different lengths, or a path that is not there.

@@ -13,12 +13,13 @@ use std::{
 
 use haptether_bridge::scene::{
     self, Outcome, Progress, RecordingFiles, Refused, ResearchFactory, SceneError, SceneRun, SceneSpec,
-    Signal, SweepSettings, Variation, simulate_recorded, sweep,
+    Signal, SweepPart, SweepSettings, Variation, simulate_recorded, sweep_parts,
 };
 use haptether_bridge::{SideKind, coupling::ROUND_TRIP_S, ladder::PRESS_NS};
 use numpy::{PyArrayMethods, PyReadonlyArray1, ToPyArray};
 use pyo3::{
     prelude::*,
+    pybacked::PyBackedBytes,
     types::{PyDict, PyList},
 };
 
@@ -222,40 +223,51 @@ fn interruptibly<T: Send>(
     })
 }
 
-/// Runs a scene once per row.
+/// Runs each scene once per row of its columns.
 #[pyfunction]
-#[pyo3(signature = (scene_json, columns, threads, lanes, progress, research=None))]
+#[pyo3(signature = (parts, threads, lanes, progress, research=None))]
 fn sweep_scenes(
     py: Python<'_>,
-    scene_json: &[u8],
-    columns: Vec<(String, PyReadonlyArray1<'_, f64>)>,
+    parts: Vec<(PyBackedBytes, Vec<(String, PyReadonlyArray1<'_, f64>)>)>,
     threads: usize,
     lanes: bool,
     progress: Option<Py<PyAny>>,
     research: Option<Py<PyAny>>,
-) -> PyResult<Py<PyDict>> {
-    let columns: Vec<(String, Vec<f64>)> =
-        columns.into_iter().map(|(path, values)| (path, values.as_array().to_vec())).collect();
+) -> PyResult<Vec<Py<PyDict>>> {
+    let parts: Vec<(PyBackedBytes, Vec<Variation>)> = parts
+        .into_iter()
+        .map(|(scene, columns)| {
+            let columns = columns.into_iter();
+            let values = |values: PyReadonlyArray1<'_, f64>| values.as_array().to_vec();
+            (scene, columns.map(|(path, of)| Variation { path, values: values(of) }).collect())
+        })
+        .collect();
     // Controllers in Python would wait for one another.
     let threads = if research.is_some() { 1 } else { threads };
     let settings = SweepSettings { threads, lanes };
     let shared = Arc::new(Progress::default());
     let research = research.map(|factory| PyResearch::new(factory, &shared));
     let factory = research.as_ref().map(|factory| factory as &dyn ResearchFactory);
-    let (period_s, kind) = of_axes!(scene_axes(scene_json)?, N => {
-        let scene = scene_spec::<N>(scene_json)?;
-        (scene.run.period_s, scene.master.kind)
-    });
-    let variations: Vec<_> = columns
-        .iter()
-        .map(|(path, values)| Variation { path: path.clone(), values: values.clone() })
-        .collect();
+    let of_parts: Vec<_> = parts.iter().map(|(scene, variations)| SweepPart { scene, variations }).collect();
     let swept = interruptibly(py, progress.as_ref(), &shared, |progress| {
-        attached(factory.is_some(), || sweep(scene_json, &variations, settings, progress, factory))
+        attached(factory.is_some(), || sweep_parts(&of_parts, settings, progress, factory))
     })?;
     research.as_ref().map_or(Ok(()), |factory| factory.finish(py))?;
     let rows = swept.map_err(refuse)?;
-    let periods = columns.iter().find(|(path, _)| path == "run.period_s").map(|(_, values)| values);
+    of_parts.iter().zip(&rows).map(|(part, rows)| outcome_table(py, part, rows)).collect()
+}
+
+/// The outcomes of one part as columns.
+fn outcome_table(
+    py: Python<'_>,
+    part: &SweepPart<'_>,
+    rows: &[Result<Outcome, Refused>],
+) -> PyResult<Py<PyDict>> {
+    let (period_s, kind) = of_axes!(scene_axes(part.scene)?, N => {
+        let scene = scene_spec::<N>(part.scene)?;
+        (scene.run.period_s, scene.master.kind)
+    });
+    let periods = part.variations.iter().find(|one| one.path == "run.period_s").map(|one| &one.values);
     let period = |row: usize| periods.map_or(period_s, |periods| periods[row]);
     let table = PyDict::new(py);
     let names: Vec<_> =

@@ -43,22 +43,24 @@ def given(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         return Played(diverged=scenes[-1]["run"]["seed"] == 13)
 
     def sweep_scenes(
-        scene: bytes,
-        columns: list[tuple[str, npt.NDArray[np.float64]]],
+        parts: list[tuple[bytes, list[tuple[str, npt.NDArray[np.float64]]]]],
         threads: int,
         lanes: bool,
         progress: Callable[[int], None],
         _research: object = None,
-    ) -> dict[str, npt.NDArray[Any]]:
+    ) -> list[dict[str, npt.NDArray[Any]]]:
         assert threads >= 1
         assert lanes
-        scenes.append(json.loads(scene))
-        rows = len(columns[0][1])
-        progress(rows)
-        return {
-            "outcome": np.array(["complete"] * rows), "peak_device_force": np.arange(rows) * 1.0,
-            "time_to_trip_s": np.full(rows, np.nan), "ticks": np.full(rows, 4000, np.uint64),
-        }  # fmt: skip
+        tables = []
+        for scene, columns in parts:
+            scenes.append(json.loads(scene))
+            rows = len(columns[0][1])
+            tables.append({
+                "outcome": np.array(["complete"] * rows), "peak_device_force": np.arange(rows) * 1.0,
+                "time_to_trip_s": np.full(rows, np.nan), "ticks": np.full(rows, 4000, np.uint64),
+            })  # fmt: skip
+        progress(sum(len(table["outcome"]) for table in tables))
+        return tables
 
     monkeypatch.setattr("haptether._core.simulate_scene", simulate_scene, raising=False)
     monkeypatch.setattr("haptether._core.sweep_scenes", sweep_scenes, raising=False)

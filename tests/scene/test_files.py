@@ -552,21 +552,21 @@ def sweeps_run(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     given: list[dict[str, Any]] = []
 
     def sweep_scenes(
-        scene: bytes,
-        columns: list[tuple[str, npt.NDArray[np.float64]]],
+        parts: list[tuple[bytes, list[tuple[str, npt.NDArray[np.float64]]]]],
         threads: int,
         lanes: bool,
         progress: Callable[[int], None] | None,
         _research: object = None,
-    ) -> dict[str, npt.NDArray[Any]]:
+    ) -> list[dict[str, npt.NDArray[Any]]]:
+        ((scene, columns),) = parts
         given.append({"scene": scene, "columns": dict(columns), "threads": threads, "lanes": lanes})
         rows = len(columns[0][1])
         if progress is not None:
             progress(rows)
-        return {
+        return [{
             "outcome": np.array(["complete"] * rows), "max_ejection_velocity": np.linspace(0, 1, rows),
             "time_to_trip_s": np.full(rows, np.nan),
-        }  # fmt: skip
+        }]  # fmt: skip
 
     monkeypatch.setattr("haptether._core.sweep_scenes", sweep_scenes, raising=False)
     return given

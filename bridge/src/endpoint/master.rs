@@ -110,6 +110,22 @@ impl<const N: usize> MasterEndpoint<N> {
         Some(self)
     }
 
+    /// What decides over its force, by itself.
+    pub(crate) fn into_hand(self) -> Hand<N> {
+        self.hand
+    }
+
+    /// What decides over its force.
+    pub(crate) fn hand(&self) -> &Hand<N> {
+        &self.hand
+    }
+
+    /// Lets another decide over its force from now on, in a simulated run: what it has seen so far must be what this one
+    /// has.
+    pub(crate) fn set_hand(&mut self, hand: Hand<N>) {
+        self.hand = hand;
+    }
+
     fn with_rotation(
         settings: &MasterSettings<N>,
         rotation: Option<&MasterRotationSettings>,

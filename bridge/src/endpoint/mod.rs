@@ -9,6 +9,7 @@ mod slave;
 mod trigger;
 
 pub use exchange::{Exchange, SideCounts};
+pub(crate) use hand::Hand;
 pub use hand::{HandInput, Past};
 pub use layer::{MasterReading, MasterRotationSettings};
 pub use master::{MasterEndpoint, MasterSettings, MasterTick};

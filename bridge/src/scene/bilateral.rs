@@ -12,22 +12,19 @@ use super::{
         SceneError, clutch, contradiction, exact_master, is_continuous, period_ns, stepped_master, ticks,
         trigger_feedback,
     },
-    coupling::{Present, commands},
-    measures::{Divergence, DivergenceCause, Ending, MeasureSettings, Measures},
-    pose::{self, RotationMeasures},
-    record::{EventLog, Recorder, Sample, SceneRun},
+    coupling::commands,
+    pose,
+    record::SceneRun,
     research::ResearchFactory,
     sides::{coupled, master_endpoint, simulated_arm, simulated_gripper, slave_endpoint, trigger},
     spec::{Integrator, SceneSpec, SignalsSpec},
     timed::Timed,
+    watched::Watched,
 };
 use crate::{
-    EndpointError, Event, Exchange, LadderState, LoopCounts, MasterPlant, MasterRecord, MasterSide,
-    MasterTurn, ModelArm, Reason, Side, SideKind, SlavePlant, SlaveRecord, SlaveSide, SlaveTurn,
-    VirtualSettings,
-    coupling::CouplingError,
+    Event, Exchange, MasterPlant, MasterRecord, MasterSide, MasterTurn, ModelArm, Side as _, SlavePlant,
+    SlaveRecord, SlaveSide, SlaveTurn, VirtualSettings,
     ladder::Diagnosis,
-    live::LoopReport,
     record::WithFinger,
     recorder::{Recorded, RecorderSettings, SecurityMark, WaitingRecorder},
     run_virtual,
@@ -35,13 +32,10 @@ use crate::{
 };
 use haptether_master::SimulatedMaster;
 use haptether_netsim::{ClockSettings, EndpointClock};
-use haptether_safety::{
-    Axes, Fault, SafetyTick,
-    controller::{ControllerKind, Tripped},
-};
+use haptether_safety::{Axes, SafetyTick};
 
 /// Sessions of the two sides: constants, for nobody listens in.
-const SESSIONS: (u64, u64) = (1, 2);
+pub(super) const SESSIONS: (u64, u64) = (1, 2);
 
 /// What a run keeps, and how its frames travel; none of it changes an outcome.
 #[derive(Clone, Copy, Debug, Default)]
@@ -108,7 +102,7 @@ pub(crate) fn simulate_pose(
 }
 
 /// What no scene with an arm has.
-fn check<const N: usize>(scene: &SceneSpec<N>) -> Result<(), SceneError> {
+pub(super) fn check<const N: usize>(scene: &SceneSpec<N>) -> Result<(), SceneError> {
     if scene.safety.signals == SignalsSpec::True {
         return contradiction("safety.signals = \"true\": an endpoint knows only what is measured");
     }
@@ -118,12 +112,12 @@ fn check<const N: usize>(scene: &SceneSpec<N>) -> Result<(), SceneError> {
     Ok(())
 }
 
-fn waiting<const N: usize>(mut plant: SimulatedMaster<N>) -> SimulatedMaster<N> {
+pub(super) fn waiting<const N: usize>(mut plant: SimulatedMaster<N>) -> SimulatedMaster<N> {
     plant.set_waiting(true);
     plant
 }
 
-fn master<P: MasterPlant<N>, const N: usize>(
+pub(super) fn master<P: MasterPlant<N>, const N: usize>(
     scene: &SceneSpec<N>,
     plant: P,
     kept: &Keeping<'_>,
@@ -144,7 +138,7 @@ fn clock(name: &str, settings: Option<ClockSettings>) -> Result<Option<EndpointC
     EndpointClock::new(&settings).map(Some).or_else(|error| refuse(error.to_string()))
 }
 
-fn settings<const N: usize>(scene: &SceneSpec<N>) -> Result<VirtualSettings, SceneError> {
+pub(super) fn settings<const N: usize>(scene: &SceneSpec<N>) -> Result<VirtualSettings, SceneError> {
     let (slave, _) = coupled(scene)?;
     let links = scene.link.as_ref();
     Ok(VirtualSettings {
@@ -181,53 +175,11 @@ where
     let start = master.plant.truth().map_or(Axes::zeros(), |truth| truth.position);
     let mut master = Timed::new(master, commands.clone());
     let mut slave = Timed::new(slave, commands.clone());
-    let rotation = match scene.master.kind {
-        SideKind::Pose => {
-            let lock = pose::rotation_lock(coupling).map_err(EndpointError::from)?;
-            Some(RotationMeasures::new(coupling, lock).map_err(EndpointError::from)?)
-        }
-        SideKind::Linear | SideKind::Joints => None,
-    };
-    let coupling = Present::new(coupling, commands);
-    let every = scene.record.as_ref().map_or(0, |record| record.every);
-    // The recording keeps about the same rate on both sides.
-    let far_every = (every * settings.period_ns).div_ceil(settings.slave_period_ns);
-    let judged = MeasureSettings::of(scene);
-    // Until the two engage, a release that is scheduled lies ahead.
-    let ahead = MeasureSettings { release_s: judged.release_s.map(|_| f64::INFINITY), ..judged };
-    let mut watched = Watched {
-        has_gripper: slave.side.gripper.is_some(),
-        judged,
-        measures: Measures::new(&ahead, &start),
-        max_distance: scene.run.diverged_position * coupling.max_position_scale().max(1.0),
-        log: EventLog::default(),
-        near: Recorder::new(every, settings.ticks),
-        far: Recorder::new(
-            far_every,
-            (settings.ticks * settings.period_ns).div_ceil(settings.slave_period_ns),
-        ),
-        coupling,
-        states: [LadderState::Disengaged; 2],
-        engaged_s: None,
-        ended_by: None,
-        engaged_ns: [u64::MAX; 2],
-        newest: None,
-        far_force: Axes::zeros(),
-        far_position: Axes::zeros(),
-        anchor: None,
-        squares: [0.0; 2],
-        samples: [0; 2],
-        ticks: 0,
-        diverged: None,
-        settled: false,
-        overflowed: 0,
-        rotation,
-        turn_release_s: turn_release_s(scene),
-    };
+    let has_gripper = slave.side.gripper.is_some();
+    let mut watched = Watched::new(scene, &settings, commands, &start, has_gripper)?;
     for exchange in [master.exchange_mut(), slave.exchange_mut()] {
         leave_out(exchange, kept);
     }
-    let mut refused = Ok(());
     let security = if settings.secure { SecurityMark::Secure } else { SecurityMark::Insecure };
     let is_felt = trigger_feedback(scene, coupled(scene)?.0)?.is_some();
     // Of an outcome nobody looks at the sides as they were at a tick; a controller of the caller's own sees no tick too many.
@@ -238,83 +190,36 @@ where
         if stop.load(Ordering::Relaxed) {
             return ControlFlow::Break(());
         }
-        let (Event::Master(MasterRecord { time_ns, .. }) | Event::Slave(SlaveRecord { time_ns, .. })) = event;
-        match watched.change(*time_ns) {
-            // The slave goes on from where it is, so it is measured from there.
-            Ok(changed) => watched.anchor = watched.anchor.filter(|_| !changed),
-            Err(error) => refused = Err(error),
-        }
         if let Some(kept) = &mut kept {
             kept.take(&event, master.side.felt(), master.exchange(), slave.exchange());
         }
-        match event {
-            Event::Master(record) => watched.near(record, &master.side),
-            Event::Slave(record) => watched.far(record, &slave.side.plant),
-        }
+        watched.take(&event, &master.side, &slave.side.plant)
     };
     let counts = if runs_ahead {
         run_virtual_ahead(&settings, &mut master, &mut slave, observe)
     } else {
         run_virtual(&settings, &mut master, &mut slave, observe)
     }?;
-    refused.map_err(EndpointError::from)?;
     if stop.load(Ordering::Relaxed) {
         return Err(SceneError::Stopped);
     }
     if let Some(kept) = kept {
         kept.finish(master.exchange(), slave.exchange())?;
     }
-    let coarse = slave.side.plant.coarse_steps();
-    watched.overflowed = counts.overflowed;
-    let ([master_counts, slave_counts], engaged_ns) = (counts.loops, watched.engaged_ns);
-    let reports = [
-        report(master.exchange(), &master_counts, engaged_ns[0], settings.secure),
-        report(slave.exchange(), &slave_counts, engaged_ns[1], settings.secure),
-    ];
-    Ok(watched.finish(scene, coarse, &reports))
+    watched.finish(scene, &settings, &master, &slave, &counts)
 }
 
 /// Both sides as an observer of a run has them.
-type Sides<'m, 's, P, A, R, Q, const N: usize> =
+pub(super) type Sides<'m, 's, P, A, R, Q, const N: usize> =
     (&'m Timed<MasterSide<P, N, R>>, &'s Timed<SlaveSide<A, N, Q>>);
 
 /// Leaves out what nobody will read.
-fn leave_out<const N: usize>(exchange: &mut Exchange<N>, kept: &Keeping<'_>) {
+pub(super) fn leave_out<const N: usize>(exchange: &mut Exchange<N>, kept: &Keeping<'_>) {
     if kept.files.is_none() {
         exchange.leave_out_flight();
     }
     if kept.outcome_only {
         exchange.leave_out_path_reports();
-    }
-}
-
-/// When the hand lets go of the rotation, in s since engagement; without that, when it lets go of the device.
-fn turn_release_s<const N: usize>(scene: &SceneSpec<N>) -> Option<f64> {
-    let operator = scene.operator.as_ref()?;
-    let of_turn = operator.rotation.as_ref().and_then(|rotation| rotation.release);
-    of_turn.or(operator.release).map(|release| release.at_s)
-}
-
-/// How a loop went, as it is reported live.
-fn report<const N: usize>(
-    exchange: &Exchange<N>,
-    counts: &LoopCounts,
-    engaged_ns: u64,
-    secure: bool,
-) -> LoopReport {
-    let LoopCounts { ticks, skipped, clock_ns, rejections } = *counts;
-    let of_side = exchange.counts();
-    LoopReport {
-        ticks,
-        skipped,
-        link: of_side.link.with(&rejections),
-        path: exchange.link().path().report(clock_ns),
-        holds: of_side.holds,
-        limited: of_side.limited,
-        secure,
-        rejections,
-        engaged_ns,
-        ..LoopReport::default()
     }
 }
 
@@ -411,331 +316,4 @@ impl<'a, M: Recorded, S: Recorded> Kept<'a, M, S> {
 
 fn refused(path: &Path, error: &io::Error) -> SceneError {
     SceneError::Contradiction(format!("{}: cannot be written: {error}", path.display()))
-}
-
-/// What is seen of both sides as they run.
-struct Watched<const N: usize> {
-    has_gripper: bool,
-    judged: MeasureSettings,
-    measures: Measures<N>,
-    /// Of the arm in m, beyond which the loop has diverged.
-    max_distance: f64,
-    log: EventLog,
-    near: Recorder,
-    far: Recorder,
-    coupling: Present<N>,
-    /// Of the master and the slave.
-    states: [LadderState; 2],
-    engaged_s: Option<f64>,
-    /// What ended the first try to engage, of a side that aligned.
-    ended_by: Option<Reason>,
-    /// When each side first was coupled, in ns since the start; `u64::MAX` if never.
-    engaged_ns: [u64; 2],
-    /// Time in ns and true position in m of the master at its newest tick.
-    newest: Option<(u64, Axes<N>)>,
-    far_force: Axes<N>,
-    far_position: Axes<N>,
-    /// Where master and slave were when both had engaged.
-    anchor: Option<[Axes<N>; 2]>,
-    /// Sums of the squared differences of position and force, and how many.
-    squares: [f64; 2],
-    samples: [u64; 2],
-    ticks: u64,
-    diverged: Option<Divergence>,
-    settled: bool,
-    /// Frames that were dropped because too many were in flight.
-    overflowed: u64,
-    /// Of a hand that turns.
-    rotation: Option<RotationMeasures>,
-    /// When that lets go of it, in s since engagement.
-    turn_release_s: Option<f64>,
-}
-
-impl<const N: usize> Watched<N> {
-    /// Takes what the operator has changed by then; says whether anything was.
-    #[inline(always)] // most ticks have none due
-    fn change(&mut self, now_ns: u64) -> Result<bool, CouplingError> {
-        if !self.coupling.is_due(now_ns) {
-            return Ok(false);
-        }
-        let before = self.coupling.done();
-        let changed = self.coupling.advance(now_ns)?;
-        if let Some(rotation) = &mut self.rotation {
-            for command in self.coupling.since(before) {
-                rotation.change(command)?;
-            }
-        }
-        Ok(changed)
-    }
-
-    /// The hand's schedule begins when the two engage, and so do the measures that hang on it.
-    fn engage(&mut self, time_s: f64, start: &Axes<N>) {
-        self.engaged_s = Some(time_s);
-        // Whole ns, as the ticks that are held against it.
-        let since = |release: f64| ((release + time_s) * 1e9).round() / 1e9;
-        self.judged.release_s = self.judged.release_s.map(since);
-        self.judged.quiet_after_s = self.judged.quiet_after_s.map(|quiet| quiet + time_s);
-        self.measures = Measures::new(&self.judged, start);
-        if let Some(rotation) = &mut self.rotation {
-            rotation.engage(time_s + self.turn_release_s.unwrap_or(0.0));
-        }
-    }
-
-    #[inline]
-    fn ladder(&mut self, side: usize, time_ns: u64, state: LadderState, reason: u8) {
-        let before = std::mem::replace(&mut self.states[side], state);
-        if before != state {
-            self.ladder_changed(side, time_ns, [before, state], reason);
-        }
-    }
-
-    #[inline(never)]
-    fn ladder_changed(&mut self, side: usize, time_ns: u64, [before, state]: [LadderState; 2], reason: u8) {
-        let time_s = time_ns as f64 / 1e9;
-        if state.is_coupled() {
-            self.engaged_ns[side] = self.engaged_ns[side].min(time_ns);
-        }
-        // Late frames may come and go a thousand times, and change little; the signals have them.
-        if !(before.is_coupled() && state.is_coupled()) {
-            let side = ["master", "slave"][side];
-            let detail = match Reason::from_code(reason) {
-                Some(reason) => format!("{side}: {}", reason.text()),
-                None => side.to_owned(),
-            };
-            self.log.add(time_s, state.name(), detail);
-            // The side that ends a try knows why; the other one hears it after that.
-            if before == LadderState::Aligning && !state.is_coupled() {
-                self.ended_by = self.ended_by.or(Reason::from_code(reason));
-            }
-        }
-    }
-
-    fn diverge(&mut self, time_s: f64, cause: DivergenceCause) -> ControlFlow<()> {
-        self.diverged = Some(Divergence { time_s, cause });
-        ControlFlow::Break(())
-    }
-
-    /// Numbers that a model cannot have are those of a loop that has diverged: its two sides stay apart.
-    fn faults(&mut self, side: &'static str, time_s: f64, code: u8) -> ControlFlow<()> {
-        match Fault::from_code(code) {
-            Some(fault) => self.diverge(time_s, DivergenceCause::Fault(side, fault)),
-            None => ControlFlow::Continue(()),
-        }
-    }
-
-    fn near<P: MasterPlant<N>, R: MasterTurn>(
-        &mut self,
-        record: &MasterRecord<N, R>,
-        side: &MasterSide<P, N, R>,
-    ) -> ControlFlow<()> {
-        let time_s = record.time_ns as f64 / 1e9;
-        self.ladder(0, record.time_ns, record.state, record.reason);
-        self.faults("master", time_s, record.fault)?;
-        if record.state.is_coupled() && self.engaged_s.is_none() {
-            self.engage(time_s, &record.true_position);
-        }
-        let (x, v, force) = (&record.true_position, &record.velocity, &record.device_force);
-        if self.measures.diverged(x, v, force) {
-            return self.diverge(time_s, self.measures.cause(0, x, v));
-        }
-        let turn = record.rotation.rotation();
-        let tripped = record.tripped | turn.map_or(0, |turn| turn.tripped);
-        let settled =
-            self.measures.take(time_s, x, v, &record.rendered_force, force, &record.hand_force, tripped != 0);
-        self.settled = settled == Some(true) && self.engaged_s.is_some();
-        self.ticks += 1;
-        self.log.tripped(time_s, Tripped::from_bits(tripped));
-        if let Some(felt) = side.felt() {
-            self.log.trigger_tripped(time_s, felt.intervention.tripped);
-        }
-        let coupled = self.states.iter().all(|state| state.is_coupled());
-        if let (Some(rotation), Some(turn)) = (&mut self.rotation, turn) {
-            rotation.near(time_s, turn, coupled);
-        }
-        if self.states.iter().all(|state| state.is_coupled()) {
-            let difference = force - self.coupling.to_master(&self.far_force);
-            self.squares[1] += difference.norm_squared();
-            self.samples[1] += 1;
-        }
-        if self.near.begin_tick() {
-            self.record_near(record, side, time_s);
-        }
-        self.newest = Some((record.time_ns, record.true_position));
-        if self.settled { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    }
-
-    /// The signals of a tick of the master.
-    #[inline(never)]
-    fn record_near<P: MasterPlant<N>, R: MasterTurn>(
-        &mut self,
-        record: &MasterRecord<N, R>,
-        side: &MasterSide<P, N, R>,
-        time_s: f64,
-    ) {
-        let age_s = if record.age_ns == u64::MAX { f64::NAN } else { record.age_ns as f64 * 1e-9 };
-        let signals = [
-            ("time_s", Sample::Scalar(time_s)),
-            ("position", Sample::Vector(&record.true_position)),
-            ("measured_position", Sample::Vector(&record.position)),
-            ("velocity", Sample::Vector(&record.velocity)),
-            ("hand_force", Sample::Vector(&record.hand_force)),
-            ("rendered_force", Sample::Vector(&record.rendered_force)),
-            ("grasp_force", Sample::Vector(&record.grasp_force)),
-            ("safety_force", Sample::Vector(&record.safety_force)),
-            ("device_force", Sample::Vector(&record.device_force)),
-        ];
-        let trigger = self.has_gripper.then_some(("trigger", Sample::Scalar(record.trigger)));
-        let observed =
-            ControllerKind::ALL.map(|kind| (kind.observed().column, Sample::Scalar(record.observers[kind])));
-        let state = [
-            ("tripped", Sample::Scalar(f64::from(record.tripped))),
-            ("state", Sample::Scalar(f64::from(record.state.code()))),
-            ("age_s", Sample::Scalar(age_s)),
-        ];
-        self.near.take(signals.into_iter().chain(observed).chain(state).chain(trigger));
-        if let Some(turn) = record.rotation.rotation() {
-            self.near.also(|add| turn.signals(add));
-        }
-        if side.felt().is_some() {
-            self.near.also(|add| side.finger_signals(add));
-        }
-    }
-
-    fn far<Q: SlaveTurn>(&mut self, record: &SlaveRecord<N, Q>, arm: &impl ModelArm) -> ControlFlow<()> {
-        let time_s = record.time_ns as f64 / 1e9;
-        self.ladder(1, record.time_ns, record.state, record.reason);
-        self.faults("slave", time_s, record.fault)?;
-        let distance = record.position.norm();
-        if distance.is_nan() || distance > self.max_distance {
-            return self.diverge(time_s, DivergenceCause::Arm(distance));
-        }
-        (self.far_force, self.far_position) = (record.environment_force, record.position);
-        self.log.touches(time_s, arm.touches());
-        self.log.grips(time_s, record.holds_object);
-        if !self.states.iter().all(|state| state.is_coupled()) {
-            // They engage anew from where both are then.
-            self.anchor = None;
-        } else if let Some((_, position)) = &self.newest {
-            let [near, far] = self.anchor.get_or_insert([*position, record.position]);
-            let wanted = self.coupling.to_slave(&(position - *near));
-            self.squares[0] += (record.position - *far - wanted).norm_squared();
-            self.samples[0] += 1;
-        }
-        let turn = record.rotation.rotation();
-        if let (Some(turn), Some(rotation)) = (turn, &mut self.rotation) {
-            rotation.far(turn);
-        }
-        if self.far.begin_tick() {
-            self.record_far(record, arm, time_s);
-        }
-        ControlFlow::Continue(())
-    }
-
-    /// The signals of a tick of the slave.
-    #[inline(never)]
-    fn record_far<Q: SlaveTurn>(&mut self, record: &SlaveRecord<N, Q>, arm: &impl ModelArm, time_s: f64) {
-        let gripper = self.has_gripper.then_some([
-            ("gripper", Sample::Scalar(record.gripper)),
-            ("gripper_command", Sample::Scalar(record.gripper_command)),
-            ("gripper_force", Sample::Scalar(record.gripper_force)),
-            ("holds_object", Sample::Scalar(f64::from(u8::from(record.holds_object)))),
-        ]);
-        self.far.take(
-            [
-                ("slave_time_s", Sample::Scalar(time_s)),
-                ("slave_position", Sample::Vector(&record.position)),
-                ("slave_command", Sample::Vector(&record.command)),
-                ("environment_force", Sample::Vector(&record.environment_force)),
-                ("slave_state", Sample::Scalar(f64::from(record.state.code()))),
-            ]
-            .into_iter()
-            .chain(gripper.into_iter().flatten()),
-        );
-        if let Some(turn) = record.rotation.rotation() {
-            self.far.also(|add| {
-                turn.signals(add);
-                arm.world(add);
-            });
-        }
-    }
-
-    /// Why the two never engaged.
-    fn never_engaged(&self, heard: bool) -> &'static str {
-        match self.ended_by {
-            _ if !heard => "master and slave did not hear each other",
-            Some(reason) => reason.text(),
-            None if self.states.contains(&LadderState::Aligning) => {
-                "the run ended before both sides had aligned"
-            }
-            None => "the clutch was not pressed",
-        }
-    }
-
-    fn ending(&self) -> Ending {
-        if self.diverged.is_some() {
-            Ending::Diverged
-        } else if let Some(apart) = self.states.iter().find(|state| !state.is_coupled()) {
-            Ending::Uncoupled(*apart)
-        } else if self.settled {
-            Ending::Settled
-        } else {
-            Ending::Complete
-        }
-    }
-
-    fn finish(mut self, scene: &SceneSpec<N>, coarse: u64, reports: &[LoopReport; 2]) -> SceneRun {
-        let links = reports.map(|report| report.link);
-        let mut outcome = self.measures.outcome(0, self.ticks, self.ending(), self.diverged);
-        let mean = |which: usize| {
-            (self.samples[which] > 0).then(|| (self.squares[which] / self.samples[which] as f64).sqrt())
-        };
-        // What overflows says nothing beyond that it did.
-        outcome.position_rmse_m = mean(0).filter(|rmse| rmse.is_finite());
-        outcome.force_rmse_n = mean(1).filter(|rmse| rmse.is_finite());
-        if let Some(rotation) = &self.rotation {
-            outcome = rotation.complete(outcome);
-        }
-        if self.engaged_s.is_none() {
-            outcome = outcome.never_engaged();
-        }
-        // A clock that is not right does not tick once in each period of true time.
-        let newest_ns = self.newest.map_or(0, |(time_ns, _)| time_ns);
-        let end_s = newest_ns as f64 / 1e9 + scene.run.period_s;
-        self.log.schedule(scene, self.engaged_s.unwrap_or(f64::INFINITY), &outcome);
-        if self.engaged_s.is_none() && self.diverged.is_none() {
-            let heard = reports.iter().all(|report| report.link.fresh > 0);
-            self.log.add(end_s, "never-engaged", self.never_engaged(heard));
-        }
-        if self.settled {
-            self.log.add(end_s, "settled", "nothing more happens");
-        }
-        self.log.coarse(end_s, coarse);
-        let missing: u64 = links.iter().map(|link| link.missing).sum();
-        if missing > 0 {
-            let sent: u64 = links.iter().map(|link| link.sent).sum();
-            self.log.add(end_s, "lost", format!("{missing} of {sent} frames did not arrive"));
-        }
-        for (side, link) in ["master", "slave"].into_iter().zip(&links) {
-            if link.refused > 0 {
-                self.log.add(
-                    end_s,
-                    "refused",
-                    format!("{side}: {} datagrams were none of the peer's", link.refused),
-                );
-            }
-        }
-        if self.overflowed > 0 {
-            let detail = format!("{} frames were dropped: too many were under way", self.overflowed);
-            self.log.add(end_s, "overflow", detail);
-        }
-        let mut signals = self.near.into_signals();
-        signals.extend(self.far.into_signals());
-        SceneRun {
-            signals,
-            events: self.log.into_events(),
-            outcome,
-            period_s: scene.run.period_s,
-            reports: Some(*reports),
-        }
-    }
 }

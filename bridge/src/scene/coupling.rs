@@ -66,6 +66,7 @@ pub(crate) fn commands<const N: usize>(
 }
 
 /// The coupling as it is at a time: what a run is measured against.
+#[derive(Clone)]
 pub(crate) struct Present<const N: usize> {
     map: FrameMap<N>,
     position_scale: f64,

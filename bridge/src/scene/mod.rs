@@ -9,10 +9,12 @@ mod pose;
 mod record;
 mod replay;
 mod research;
+mod shared;
 mod sides;
 mod spec;
 mod sweep;
 mod timed;
+mod watched;
 
 use std::sync::atomic::AtomicBool;
 
@@ -30,7 +32,7 @@ pub use sides::{
     simulated_pose_slave, simulated_slave,
 };
 pub use spec::{ResearchSpec, SceneSpec, scene_axes, scene_schema};
-pub use sweep::{Progress, Refused, SweepError, SweepSettings, Variation, sweep};
+pub use sweep::{Progress, Refused, SweepError, SweepPart, SweepSettings, Variation, sweep, sweep_parts};
 pub use timed::Timed;
 
 /// Runs a scene as JSON, in the form of [`SceneSpec`], unless `stop` is set meanwhile.

@@ -1,9 +1,12 @@
 //! Many scenarios of one scene, over threads and in lanes.
 
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::{
+    collections::{BTreeMap, HashMap},
+    sync::atomic::{AtomicBool, AtomicUsize, Ordering},
+};
 
 use haptether_master::SteppedMaster;
-use haptether_safety::SafetyLayer;
+use haptether_safety::{SafetyLayer, controller::SafetySettings};
 use haptether_slave::RenderedWalls;
 use rayon::prelude::*;
 use serde::Deserialize;
@@ -15,6 +18,7 @@ use super::{
     measures::Outcome,
     outcome,
     research::ResearchFactory,
+    shared,
     spec::{Integrator, SceneSpec, of_axes, scene_axes},
 };
 use crate::{
@@ -86,10 +90,16 @@ type Row = Result<Outcome, Refused>;
 /// Scenarios that a thread takes at once, at most: enough to fill most lanes, few enough for all threads to have some.
 const BLOCK: usize = 64;
 
-/// Runs every scenario; `scene` is the scene as JSON, in the form of [`SceneSpec`].
-///
-/// Which scenarios share a thread or lanes changes nothing, to the last bit: no operation mixes lanes. With a controller
-/// of the caller's own none shares lanes.
+/// Scenarios of one scene.
+#[derive(Clone, Copy, Debug)]
+pub struct SweepPart<'a> {
+    /// The scene as JSON, in the form of [`SceneSpec`].
+    pub scene: &'a [u8],
+    /// What differs from scenario to scenario; one scenario without any.
+    pub variations: &'a [Variation],
+}
+
+/// Runs every scenario of one scene, as [`sweep_parts`].
 pub fn sweep(
     scene: &[u8],
     variations: &[Variation],
@@ -97,49 +107,195 @@ pub fn sweep(
     progress: &Progress,
     research: Option<&dyn ResearchFactory>,
 ) -> Result<Vec<Row>, SweepError> {
-    let unread = |error: serde_json::Error| SweepError::Scene(error.to_string());
-    let run_block = of_axes!(
-        scene_axes(scene).map_err(unread)?,
-        N => run_block::<N>,
-        axes => return Err(SweepError::Scene(format!("master.axes = {axes}: must be 1 to 7")))
-    );
-    let base: Value = serde_json::from_slice(scene).map_err(unread)?;
-    let rows = variations.first().map_or(1, |first| first.values.len());
-    let mut columns = Vec::with_capacity(variations.len());
-    for Variation { path, values } in variations {
-        if values.len() != rows {
-            return Err(SweepError::Length { path: path.clone(), seen: values.len(), allowed: rows });
-        }
-        let pointer = format!("/{}", path.replace('.', "/"));
-        let is_whole = match base.pointer(&pointer) {
-            Some(Value::Number(number)) => number.is_u64(),
-            // What is not bounded may be bounded, but what is not built has no numbers.
-            Some(Value::Null) => false,
-            _ => return Err(SweepError::Path(path.clone())),
-        };
-        columns.push((pointer, is_whole, values.as_slice()));
-    }
-    // A scenario with an arm fills no lanes and takes milliseconds: small blocks keep all threads busy to the end.
-    let is_remote = base.get("slave").is_some_and(|slave| !slave.is_null());
+    let parts = sweep_parts(&[SweepPart { scene, variations }], settings, progress, research)?;
+    Ok(parts.into_iter().flatten().collect())
+}
+
+/// Runs every scenario of each part.
+///
+/// Which scenarios share a thread, lanes or the beginning of a run changes nothing, to the last bit: no operation mixes
+/// lanes, and runs share a beginning only as long as they are the same. With a controller of the caller's own none
+/// shares either.
+pub fn sweep_parts(
+    parts: &[SweepPart<'_>],
+    settings: SweepSettings,
+    progress: &Progress,
+    research: Option<&dyn ResearchFactory>,
+) -> Result<Vec<Vec<Row>>, SweepError> {
+    let plans = parts.iter().map(Plan::new).collect::<Result<Vec<_>, _>>()?;
     let threads = if settings.threads == 0 { rayon::current_num_threads() } else { settings.threads };
-    let size = if is_remote { rows.div_ceil(8 * threads).clamp(1, BLOCK) } else { BLOCK };
-    let blocks: Vec<_> = (0..rows).step_by(size).map(|first| first..rows.min(first + size)).collect();
-    let run = |block| run_block(&base, &columns, block, settings.lanes, progress, research);
-    let results: Vec<_> = if settings.threads == 1 || blocks.len() == 1 {
+    let jobs = jobs(&plans, threads, research.is_some());
+    let run = |job: Job| {
+        let found = match &job {
+            Job::Block(part, rows) => {
+                let plan = &plans[*part];
+                let run = of_axes!(plan.axes, N => run_block::<N>, axes => return Err(bad_axes(axes)));
+                run(plan, rows.clone(), settings.lanes, progress, research)?
+            }
+            Job::Groups(axes, groups) => {
+                let run = of_axes!(*axes, N => run_groups::<N>, axes => return Err(bad_axes(axes)));
+                run(&plans, groups, progress)?
+            }
+        };
+        Ok((job, found))
+    };
+    let results: Vec<Result<(Job, Vec<Row>), SweepError>> = if settings.threads == 1 || jobs.len() == 1 {
         // Making a thread takes longer than many a scenario.
-        blocks.into_iter().map(run).collect()
+        jobs.into_iter().map(run).collect()
     } else {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(settings.threads)
             .build()
             .map_err(|error| SweepError::Threads(error.to_string()))?;
-        pool.install(|| blocks.into_par_iter().map(run).collect())
+        pool.install(|| jobs.into_par_iter().map(run).collect())
     };
-    let mut outcomes = Vec::with_capacity(rows);
+    let mut outcomes: Vec<Vec<Option<Row>>> = plans.iter().map(|plan| vec![None; plan.rows]).collect();
     for result in results {
-        outcomes.extend(result?);
+        let (job, found) = result?;
+        for ((part, row), outcome) in job.places().into_iter().zip(found) {
+            outcomes[part][row] = Some(outcome);
+        }
     }
-    Ok(outcomes)
+    // Every row is in a job.
+    let whole = outcomes.into_iter().map(|rows| rows.into_iter().collect::<Option<Vec<_>>>());
+    whole.collect::<Option<_>>().ok_or(SweepError::Stopped)
+}
+
+fn bad_axes(axes: usize) -> SweepError {
+    SweepError::Scene(format!("master.axes = {axes}: must be 1 to 7"))
+}
+
+/// A part as it was read.
+struct Plan<'a> {
+    base: Value,
+    axes: usize,
+    rows: usize,
+    /// Where a number is, whether it is a whole one, and its values.
+    columns: Vec<(String, bool, &'a [f64])>,
+}
+
+impl<'a> Plan<'a> {
+    fn new(part: &SweepPart<'a>) -> Result<Self, SweepError> {
+        let unread = |error: serde_json::Error| SweepError::Scene(error.to_string());
+        let axes = scene_axes(part.scene).map_err(unread)?;
+        if !(1..=7).contains(&axes) {
+            return Err(bad_axes(axes));
+        }
+        let mut base: Value = serde_json::from_slice(part.scene).map_err(unread)?;
+        let rows = part.variations.first().map_or(1, |first| first.values.len());
+        let mut columns = Vec::with_capacity(part.variations.len());
+        for Variation { path, values } in part.variations {
+            if values.len() != rows {
+                return Err(SweepError::Length { path: path.clone(), seen: values.len(), allowed: rows });
+            }
+            let pointer = format!("/{}", path.replace('.', "/"));
+            let is_whole = match base.pointer(&pointer) {
+                Some(Value::Number(number)) => number.is_u64(),
+                // What is not bounded may be bounded, but what is not built has no numbers.
+                Some(Value::Null) => false,
+                _ => return Err(SweepError::Path(path.clone())),
+            };
+            columns.push((pointer, is_whole, values.as_slice()));
+        }
+        // Outcomes need no recording.
+        base["record"] = Value::Null;
+        Ok(Self { base, axes, rows, columns })
+    }
+
+    fn is_remote(&self) -> bool {
+        self.base.get("slave").is_some_and(|slave| !slave.is_null())
+    }
+
+    /// What all scenarios have in common that may begin alike: all of the base but the controllers.
+    fn common(&self, of_controllers: &[String]) -> String {
+        let mut base = self.base.clone();
+        if let Some(safety) = base.get_mut("safety").and_then(Value::as_object_mut) {
+            safety.retain(|key, _| !of_controllers.iter().any(|one| one == key));
+        }
+        for (pointer, ..) in self.decisive(of_controllers) {
+            if let Some(place) = base.pointer_mut(pointer) {
+                *place = Value::Null;
+            }
+        }
+        base.to_string()
+    }
+
+    /// The columns that decide how a run begins, in one order.
+    fn decisive(&self, of_controllers: &[String]) -> Vec<&(String, bool, &'a [f64])> {
+        let decides = |pointer: &str| {
+            let key = pointer.strip_prefix("/safety/");
+            key.is_none_or(|key| !of_controllers.iter().any(|one| one == key))
+        };
+        let mut found: Vec<_> = self.columns.iter().filter(|(pointer, ..)| decides(pointer)).collect();
+        found.sort_by(|one, other| one.0.cmp(&other.0));
+        found
+    }
+}
+
+/// The keys of `[safety]` that say which controllers watch, and how they do.
+fn controller_keys() -> Vec<String> {
+    let schema = schemars::schema_for!(SafetySettings);
+    let fields = schema.get("properties").and_then(Value::as_object);
+    fields.map(|fields| fields.keys().cloned().collect()).unwrap_or_default()
+}
+
+/// A part, and a row of it.
+type Place = (usize, usize);
+
+/// What a thread does in one go.
+enum Job {
+    /// Rows of a part.
+    Block(usize, std::ops::Range<usize>),
+    /// Rows of parts of so many axes that begin alike.
+    Groups(usize, Vec<Vec<Place>>),
+}
+
+impl Job {
+    fn places(&self) -> Vec<Place> {
+        match self {
+            Self::Block(part, rows) => rows.clone().map(|row| (*part, row)).collect(),
+            Self::Groups(_, groups) => groups.concat(),
+        }
+    }
+}
+
+fn jobs(plans: &[Plan<'_>], threads: usize, has_research: bool) -> Vec<Job> {
+    let mut jobs = Vec::new();
+    // By their axes, in the order of their first rows.
+    let mut groups = BTreeMap::<usize, Vec<Vec<Place>>>::new();
+    let mut known = HashMap::<(usize, Vec<u64>), (usize, usize)>::new();
+    let mut commons = HashMap::<String, usize>::new();
+    let of_controllers = controller_keys();
+    for (part, plan) in plans.iter().enumerate() {
+        if has_research || !plan.is_remote() {
+            let size = if plan.is_remote() { block_size(plan.rows, threads) } else { BLOCK };
+            let blocks = (0..plan.rows).step_by(size);
+            jobs.extend(blocks.map(|first| Job::Block(part, first..plan.rows.min(first + size))));
+            continue;
+        }
+        let next = commons.len();
+        let common = *commons.entry(plan.common(&of_controllers)).or_insert(next);
+        let columns = plan.decisive(&of_controllers);
+        let of_axes = groups.entry(plan.axes).or_default();
+        for row in 0..plan.rows {
+            let key = columns.iter().map(|(_, _, values)| values[row].to_bits()).collect();
+            let (_, group) = *known.entry((common, key)).or_insert_with(|| {
+                of_axes.push(Vec::new());
+                (plan.axes, of_axes.len() - 1)
+            });
+            of_axes[group].push((part, row));
+        }
+    }
+    for (axes, groups) in groups {
+        let size = block_size(groups.len(), threads);
+        jobs.extend(groups.chunks(size).map(|some| Job::Groups(axes, some.to_vec())));
+    }
+    jobs
+}
+
+/// A scenario with an arm fills no lanes and takes milliseconds: small blocks keep all threads busy to the end.
+fn block_size(rows: usize, threads: usize) -> usize {
+    rows.div_ceil(8 * threads).clamp(1, BLOCK)
 }
 
 /// Sets the numbers of one row, and reads again the tables that they are in.
@@ -194,9 +350,55 @@ fn read_table<const N: usize>(
     Ok(())
 }
 
+/// The scene of a part as numbers, and the scene as JSON that rows are set in.
+fn spec_of<const N: usize>(plan: &Plan<'_>) -> Result<(SceneSpec<N>, Value), SweepError> {
+    let spec = SceneSpec::deserialize(&plan.base).map_err(|error| SweepError::Scene(error.to_string()))?;
+    Ok((spec, plan.base.clone()))
+}
+
+/// Runs groups of rows that may begin alike.
+fn run_groups<const N: usize>(
+    plans: &[Plan<'_>],
+    groups: &[Vec<Place>],
+    Progress { done, stop }: &Progress,
+) -> Result<Vec<Row>, SweepError> {
+    let mut read = HashMap::<usize, (SceneSpec<N>, Value)>::new();
+    let mut rows = Vec::new();
+    for group in groups {
+        if stop.load(Ordering::Relaxed) {
+            return Err(SweepError::Stopped);
+        }
+        let mut specs = Vec::with_capacity(group.len());
+        for (part, row) in group {
+            let plan = &plans[*part];
+            if !read.contains_key(part) {
+                read.insert(*part, spec_of(plan)?);
+            }
+            let set = read
+                .get_mut(part)
+                .map(|(spec, scene)| set_row(spec, scene, &plan.columns, *row).map(|()| spec.clone()));
+            specs.push(set.ok_or(SweepError::Stopped)?);
+        }
+        let built: Vec<_> = specs.iter().filter_map(|spec| spec.as_ref().ok()).collect();
+        let outcomes = shared::outcomes(&built, stop).map_err(|_| SweepError::Stopped)?;
+        let mut outcomes = outcomes.into_iter();
+        for spec in &specs {
+            rows.push(match spec {
+                Err(refused) => Err(refused.clone()),
+                Ok(_) => match outcomes.next() {
+                    Some(Ok(outcome)) => Ok(outcome),
+                    Some(Err(error)) => Err(Refused(error.to_string())),
+                    None => return Err(SweepError::Stopped),
+                },
+            });
+        }
+        done.fetch_add(group.len(), Ordering::Relaxed);
+    }
+    Ok(rows)
+}
+
 fn run_block<const N: usize>(
-    base: &Value,
-    columns: &[(String, bool, &[f64])],
+    plan: &Plan<'_>,
     block: std::ops::Range<usize>,
     lanes: bool,
     progress: &Progress,
@@ -206,15 +408,11 @@ fn run_block<const N: usize>(
     if stop.load(Ordering::Relaxed) {
         return Err(SweepError::Stopped);
     }
-    let mut scene = base.clone();
-    // Outcomes need no recording.
-    scene["record"] = Value::Null;
-    let mut spec =
-        SceneSpec::<N>::deserialize(&scene).map_err(|error| SweepError::Scene(error.to_string()))?;
+    let (mut spec, mut scene) = spec_of::<N>(plan)?;
     let mut rows: Vec<Option<Row>> = vec![None; block.len()];
     let mut specs = Vec::with_capacity(block.len());
     for (index, row) in block.enumerate() {
-        match set_row(&mut spec, &mut scene, columns, row) {
+        match set_row(&mut spec, &mut scene, &plan.columns, row) {
             Ok(()) => specs.push((index, spec.clone())),
             Err(refused) => rows[index] = Some(Err(refused)),
         }

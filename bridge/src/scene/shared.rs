@@ -1,0 +1,290 @@
+//! Runs that differ in their controllers alone, side by side as long as none of them acts.
+//!
+//! Until the first controller acts, the hand feels the same in all of them: device, arm, network and ladder go the same
+//! way, to the bit. So one run leads, and of the others only what decides over their force follows it, tick by tick.
+//! Whoever acts, or sees the leader act, goes on by itself from a snapshot of the run that lies before that.
+
+use std::{
+    ops::ControlFlow,
+    sync::atomic::{AtomicBool, Ordering},
+};
+
+use super::{
+    assemble::{SceneError, exact_master, stepped_master},
+    bilateral::{self, Keeping, SESSIONS, Sides},
+    coupling::commands,
+    measures::Outcome,
+    pose,
+    sides::{coupled, master_endpoint, simulated_arm, slave_endpoint},
+    spec::{Integrator, SceneSpec},
+    timed::Timed,
+    watched::Watched,
+};
+use crate::{
+    Event, MasterPlant, MasterRecord, MasterSide, ModelArm, Side, SlavePlant, SlaveSide, VirtualSettings,
+    endpoint::{Hand, HandInput, MasterReading},
+    virtual_time::{Ahead, Snapshot},
+};
+use haptether_safety::{Axes, Fault};
+use haptether_slave::SimulatedSlave;
+
+/// Ticks of the master between two snapshots: so few that little is done twice, so many that what is in flight is
+/// seldom copied.
+const MAX_SINCE_SNAPSHOT: u64 = 400;
+
+/// Whether two scenes differ in nothing but their controllers.
+pub(super) fn begins_as<const N: usize>(one: &SceneSpec<N>, other: &SceneSpec<N>) -> bool {
+    let mut same = other.clone();
+    same.safety.settings = one.safety.settings;
+    same == *one
+}
+
+/// Whether what differs between scenes with other controllers is what decides over the force alone. A trigger that the
+/// finger feels has controllers that follow from those of the hand; who turns, and sessions, are not followed.
+pub(super) fn can_share<const N: usize>(scene: &SceneSpec<N>) -> bool {
+    scene.slave.as_ref().is_some_and(|slave| slave.gripper.is_none())
+        && scene.master.gripper.is_none()
+        && scene.safety.gripper.is_none()
+        && scene.safety.research.is_none()
+        && !scene.security.is_some_and(|security| security.secure)
+        && pose::as_pose(scene).is_ok_and(|scene| scene.is_none())
+}
+
+/// The outcomes of scenes that begin as the first one, each as if it were run alone.
+///
+/// # Errors
+///
+/// [`SceneError::Stopped`].
+pub(super) fn outcomes<const N: usize>(
+    scenes: &[&SceneSpec<N>],
+    stop: &AtomicBool,
+) -> Result<Vec<Result<Outcome, SceneError>>, SceneError> {
+    let alone = |scene: &&SceneSpec<N>| match super::outcome(scene, stop, None) {
+        Err(SceneError::Stopped) => Err(SceneError::Stopped),
+        outcome => Ok(outcome),
+    };
+    let Some(&first) = scenes.first() else { return Ok(Vec::new()) };
+    if scenes.len() == 1 || !can_share(first) || !scenes.iter().all(|other| begins_as(first, other)) {
+        return scenes.iter().map(alone).collect();
+    }
+    let mut outcomes: Vec<Option<Result<Outcome, SceneError>>> = vec![None; scenes.len()];
+    let mut members = Vec::with_capacity(scenes.len());
+    for (row, scene) in scenes.iter().enumerate() {
+        match master_endpoint(scene, SESSIONS.0, None) {
+            Ok(endpoint) => members.push(Member { row, hand: endpoint.into_hand() }),
+            Err(error) => outcomes[row] = Some(Err(error)),
+        }
+    }
+    let shared = match first.run.integrator {
+        Integrator::Exact => exact_master(first)
+            .and_then(|plant| begun(first, bilateral::waiting(plant), members))
+            .and_then(|group| run(first, group, stop, &mut outcomes)),
+        Integrator::Stepped(stepping) => stepped_master::<N>(first, stepping).and_then(|mut plant| {
+            plant.set_waiting(true);
+            run(first, begun(first, plant, members)?, stop, &mut outcomes)
+        }),
+    };
+    match shared {
+        Err(SceneError::Stopped) => return Err(SceneError::Stopped),
+        // What cannot be built is refused once for each, as alone.
+        Err(_) => return scenes.iter().map(alone).collect(),
+        Ok(()) => {}
+    }
+    // All have been run; who has not has no network that can be copied.
+    let whole =
+        outcomes.into_iter().zip(scenes).map(|(outcome, scene)| outcome.map_or_else(|| alone(scene), Ok));
+    whole.collect()
+}
+
+/// One of the runs.
+#[derive(Clone)]
+struct Member<const N: usize> {
+    row: usize,
+    /// What decides over its force.
+    hand: Hand<N>,
+}
+
+impl<const N: usize> Member<N> {
+    /// Lets it decide on a tick of the leader; says whether it does anything that the leader, which does not act, has
+    /// not done.
+    fn acts(&mut self, record: &MasterRecord<N>) -> bool {
+        let measured = record.measured_velocity;
+        let velocity = measured.iter().all(|v| !v.is_nan()).then_some(measured);
+        let input = HandInput {
+            received_force: record.received_force,
+            requested_force: record.requested_force,
+            gain: record.gain,
+            missed: record.missed,
+            past: record.past,
+            fault: Fault::from_code(record.given_fault),
+            ..HandInput::idle()
+        };
+        let (tick, _) = self.hand.tick(&MasterReading::point(record.position, velocity), &input);
+        tick.intervention.tripped.bits() != 0
+            || tick.intervention.withheld
+            || tick.fault.is_some()
+            || !is_same(&tick.rendered_force, &record.rendered_force)
+            || !is_same(&tick.device_force, &record.device_force)
+    }
+}
+
+/// To the bit: a zero of another sign would make others.
+fn is_same<const N: usize>(one: &Axes<N>, other: &Axes<N>) -> bool {
+    one.iter().zip(other).all(|(one, other)| one.to_bits() == other.to_bits())
+}
+
+/// Whether the leader does what depends on its controllers.
+fn leader_acts<const N: usize>(record: &MasterRecord<N>) -> bool {
+    record.tripped != 0 || record.fault != 0
+}
+
+/// Runs that have been the same so far, from where they stand.
+#[derive(Clone)]
+struct Group<M: Side<N>, S: Side<N>, const N: usize> {
+    run: Snapshot<M, S, N>,
+    watched: Watched<N>,
+    /// As far as the master of the snapshot; the first one leads.
+    members: Vec<Member<N>>,
+    /// Ticks of the master that are not observed yet, in which nobody acts.
+    unseen: usize,
+}
+
+type Master<P, const N: usize> = Timed<MasterSide<P, N>>;
+type Slave<A, const N: usize> = Timed<SlaveSide<A, N>>;
+type Running<P, A, const N: usize> = Group<Master<P, N>, Slave<A, N>, N>;
+
+/// The group of all, before the first tick; none where a run cannot be copied.
+fn begun<P: MasterPlant<N> + Clone, const N: usize>(
+    scene: &SceneSpec<N>,
+    plant: P,
+    members: Vec<Member<N>>,
+) -> Result<Option<Running<P, SimulatedSlave<N>, N>>, SceneError> {
+    let kept = Keeping { outcome_only: true, ..Keeping::default() };
+    bilateral::check(scene)?;
+    let settings = bilateral::settings(scene)?;
+    let commands = commands::<N>(coupled(scene)?.1)?;
+    let master = bilateral::master(scene, plant, &kept)?;
+    let slave = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, SESSIONS.1)?);
+    let start = master.plant.truth().map_or(Axes::zeros(), |truth| truth.position);
+    let mut master = Timed::new(master, commands.clone());
+    let mut slave = Timed::new(slave, commands.clone());
+    for exchange in [master.exchange_mut(), slave.exchange_mut()] {
+        bilateral::leave_out(exchange, &kept);
+    }
+    let watched = Watched::new(scene, &settings, commands, &start, false)?;
+    let run = Ahead::new(&settings, &mut master, &mut slave)?.snapshot();
+    Ok(run.map(|run| Group { run, watched, members, unseen: 0 }))
+}
+
+/// Runs a group, and whoever leaves it, to the end.
+fn run<P, A, const N: usize>(
+    scene: &SceneSpec<N>,
+    group: Option<Running<P, A, N>>,
+    stop: &AtomicBool,
+    outcomes: &mut [Option<Result<Outcome, SceneError>>],
+) -> Result<(), SceneError>
+where
+    P: MasterPlant<N> + Clone,
+    A: SlavePlant<N> + ModelArm + Clone,
+{
+    let settings = bilateral::settings(scene)?;
+    let mut waiting = Vec::from_iter(group);
+    while let Some(group) = waiting.pop() {
+        follow(scene, &settings, group, &mut waiting, stop, outcomes)?;
+    }
+    Ok(())
+}
+
+/// Follows the leader of a group to its end; who leaves it waits then.
+fn follow<P, A, const N: usize>(
+    scene: &SceneSpec<N>,
+    settings: &VirtualSettings,
+    mut kept: Running<P, A, N>,
+    waiting: &mut Vec<Running<P, A, N>>,
+    stop: &AtomicBool,
+    outcomes: &mut [Option<Result<Outcome, SceneError>>],
+) -> Result<(), SceneError>
+where
+    P: MasterPlant<N> + Clone,
+    A: SlavePlant<N> + ModelArm + Clone,
+{
+    let mut watched = kept.watched.clone();
+    let mut followers = kept.members.clone();
+    if followers.is_empty() {
+        return Ok(());
+    }
+    let leader = followers.remove(0);
+    let row = leader.row;
+    let (mut master, mut slave) = (kept.run.master.clone(), kept.run.slave.clone());
+    master.side.endpoint.set_hand(leader.hand);
+    let mut ahead = Ahead::resume(settings, kept.run.clone(), &mut master, &mut slave)?;
+    let (mut unseen, mut since) = (kept.unseen, 0);
+    loop {
+        let mut acts = false;
+        let mut gone = vec![false; followers.len()];
+        let flow = ahead.advance(&mut |event, (master, slave): Sides<'_, '_, P, A, (), (), N>| {
+            if stop.load(Ordering::Relaxed) {
+                return ControlFlow::Break(());
+            }
+            if let Event::Master(record) = &event
+                && !followers.is_empty()
+                && !acts
+            {
+                since += 1;
+                if unseen > 0 {
+                    unseen -= 1;
+                } else {
+                    acts = leader_acts(record);
+                    for (follower, gone) in followers.iter_mut().zip(&mut gone) {
+                        *gone = *gone || follower.acts(record);
+                    }
+                }
+            }
+            watched.take(&event, &master.side, &slave.side.plant)
+        });
+        if stop.load(Ordering::Relaxed) {
+            return Err(SceneError::Stopped);
+        }
+        if acts || gone.contains(&true) {
+            let of = |row: &dyn Fn(&Member<N>) -> bool| Group {
+                members: kept.members.iter().filter(|member| row(member)).cloned().collect(),
+                ..kept.clone()
+            };
+            let mut left = Vec::new();
+            for (follower, gone) in followers.iter().zip(&gone) {
+                if *gone {
+                    waiting.push(of(&|member| member.row == follower.row));
+                } else {
+                    left.push(follower.row);
+                }
+            }
+            if acts && !left.is_empty() {
+                waiting.push(of(&|member| left.contains(&member.row)));
+                left.clear();
+            }
+            followers.retain(|follower| left.contains(&follower.row));
+        }
+        if flow.is_break() {
+            break;
+        }
+        if since >= MAX_SINCE_SNAPSHOT && !followers.is_empty() {
+            let mut members = vec![Member { row, hand: ahead.master().side.endpoint.hand().clone() }];
+            members.extend(followers.iter().cloned());
+            let quiet = ahead.unseen_of_master().all(|record| {
+                !leader_acts(record) && !members[1..].iter_mut().any(|member| member.acts(record))
+            });
+            if let (true, Some(run)) = (quiet, ahead.snapshot()) {
+                let unseen = ahead.unseen_of_master().count();
+                kept = Group { run, watched: watched.clone(), members, unseen };
+                since = 0;
+            }
+        }
+    }
+    let counts = ahead.counts();
+    let outcome = watched.finish(scene, settings, &master, &slave, &counts).map(|run| run.outcome);
+    for same in followers {
+        outcomes[same.row] = Some(outcome.clone());
+    }
+    outcomes[row] = Some(outcome);
+    Ok(())
+}
