@@ -1,10 +1,10 @@
 //! A tool among flat faces with friction: between events the Taylor series of its motion, exact to rounding.
 //!
-//! `M x'' = K (x_set(t) - x) + B (V_cmd - V) + F_push(t) + sum F_face`, where each face that is touched presses with
-//! `p = K_f d + B_f d'` along its normal and rubs with `mu_f p s / max(|s|, 1 mm/s)` against the slip s across it
-//! ([`crate::Contact`]). All of it is linear but `s / |s|`, whose series follows from that of s. Events are a face that
-//! is touched or left, another face of a box that is the nearest, a slip that passes 1 mm/s: bounds from the
-//! coefficients exclude them, or they are located.
+//! `M x'' = K (x_set(t) - x) + B (V_cmd - V) + F_push(t) + sum F_face`, where each face that is touched presses by its
+//! law, `p = K_f d + B_f d'` or `p = K_f d^n (1 + chi d')`, along its normal and rubs with
+//! `mu_f p s / max(|s|, 1 mm/s)` against the slip s across it ([`crate::Contact`]). What is not linear in it, `s / |s|`
+//! and `d^n`, has a series that follows from that of s or d. Events are a face that is touched or left, another face of
+//! a box that is the nearest, a slip that passes 1 mm/s: bounds from the coefficients exclude them, or they are located.
 //!
 //! Source: recursion for powers of series, A. Jorba, M. Zou, "A software package for the numerical integration of ODEs
 //! by means of high-order Taylor methods", Experimental Mathematics 14, 2005, section 2.
@@ -12,7 +12,7 @@
 use arrayvec::ArrayVec;
 
 use crate::{
-    Axes, Environment, FULL_SLIP, all_finite,
+    Axes, ContactLaw, Environment, FULL_SLIP, all_finite,
     arm::drive::{ArmDrive, Tool},
     contact::law::Mode,
     solver::{adaptive::SHORTEST, located::first_share, state::Piece},
@@ -69,14 +69,18 @@ impl<const N: usize> Course<N> {
 struct Face<const N: usize> {
     index: usize,
     normal: Axes<N>,
-    depth: f64,
-    stiffness: f64,
-    damping: f64,
+    law: ContactLaw,
     friction: f64,
+    /// d in m at the beginning.
+    first_depth: f64,
     /// Whether the slip is above [`FULL_SLIP`].
     glides: bool,
     /// How far the tool may move along each axis in m while this face is the nearest.
     margin: f64,
+    /// d in m, its power, and d' in m/s; of a law with a power.
+    depth: ArrayVec<f64, TERMS>,
+    power: ArrayVec<f64, TERMS>,
+    rate: ArrayVec<f64, TERMS>,
     /// p in N.
     pressing: ArrayVec<f64, TERMS>,
     /// s in m/s.
@@ -90,18 +94,24 @@ struct Face<const N: usize> {
 impl<const N: usize> Face<N> {
     /// Before the first coefficient of another step.
     fn begin(&mut self) {
-        self.pressing.clear();
-        self.slip.clear();
-        self.speed.clear();
-        self.drag.clear();
+        let Self { depth, power, rate, pressing, slip, speed, drag, .. } = self;
+        [depth, power, rate, pressing, speed, drag].into_iter().for_each(ArrayVec::clear);
+        slip.clear();
     }
 
     /// The next coefficient of its force in N, from that of the motion in shares of a step.
     #[inline]
     fn force(&mut self, moved: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
         let along = self.normal.dot(velocity);
-        let depth = if self.pressing.is_empty() { self.depth } else { -self.normal.dot(moved) };
-        let pressing = self.stiffness * depth - self.damping * along;
+        let depth = if self.pressing.is_empty() { self.first_depth } else { -self.normal.dot(moved) };
+        let pressing = match self.law {
+            ContactLaw::KelvinVoigt { stiffness, damping } => stiffness * depth - damping * along,
+            ContactLaw::HuntCrossley { stiffness, exponent, damping } => {
+                self.depth.push(depth);
+                self.rate.push(-along);
+                stiffness * self.power_with_rate(exponent, damping)
+            }
+        };
         self.pressing.push(pressing);
         let force = self.normal * pressing;
         if self.friction == 0.0 {
@@ -115,6 +125,26 @@ impl<const N: usize> Face<N> {
             rubbing += slip * *drag;
         }
         force - rubbing * self.friction
+    }
+
+    /// The next coefficient of `d^n (1 + chi d')`. Of the power `q = d^n`, with k for its coefficients:
+    /// `k d_0 q_k = sum_i (n i - (k - i)) d_i q_(k-i)`.
+    fn power_with_rate(&mut self, exponent: f64, damping: f64) -> f64 {
+        let Self { depth, power, rate, .. } = self;
+        let k = power.len();
+        let next = if k == 0 {
+            depth[0].powf(exponent)
+        } else {
+            let (mut sum, mut weight) = (0.0, -(k as f64));
+            for (depth, before) in depth[1..].iter().zip(power.iter().rev()) {
+                weight += exponent + 1.0;
+                sum += weight * depth * before;
+            }
+            sum / (k as f64 * depth[0])
+        };
+        power.push(next);
+        let damped: f64 = power.iter().zip(rate.iter().rev()).map(|(power, rate)| power * rate).sum();
+        next + damping * damped
     }
 
     /// The next coefficient of `p / |s|`: `|s|² = s s` gives that of |s|, `(p / |s|) |s| = p` the quotient.
@@ -152,7 +182,7 @@ impl<const N: usize> Face<N> {
     /// Whether bounds say that over a whole step it is touched as it is, its tool no farther away than `swing` in m.
     fn stays(&self, swing: &Axes<N>, rounding: f64) -> bool {
         let released: f64 = self.pressing[1..].iter().map(|p| p.abs()).sum();
-        let is_pressed = self.depth > self.normal.abs().dot(swing) + rounding
+        let is_pressed = self.first_depth > self.normal.abs().dot(swing) + rounding
             && self.pressing[0] > released * (1.0 + ROUNDING)
             && self.margin > swing.amax() + rounding;
         if !is_pressed || self.friction == 0.0 {
@@ -272,28 +302,28 @@ impl<const N: usize> Environment<N> {
                 Mode::Apart => clear = distance.min(clear),
                 Mode::Leaving => leaves = true,
                 Mode::Touching => {
-                    let (stiffness, damping) = object.contact().kelvin_voigt()?;
+                    let contact = object.contact();
                     let margin = object.shape().margin_of_face(&position)?;
-                    let slip = (velocity - normal * along).norm();
-                    let friction = if N == 1 { 0.0 } else { object.contact().friction() };
+                    let reaction = contact.reaction(distance, &normal, &velocity)?;
                     let face = Face {
                         index,
                         normal,
-                        depth: -distance,
-                        stiffness,
-                        damping,
-                        friction,
-                        glides: slip > FULL_SLIP,
+                        law: contact.law(),
+                        friction: if N == 1 { 0.0 } else { contact.friction() },
+                        first_depth: -distance,
+                        glides: (velocity - normal * along).norm() > FULL_SLIP,
                         margin,
+                        depth: ArrayVec::new(),
+                        power: ArrayVec::new(),
+                        rate: ArrayVec::new(),
                         pressing: ArrayVec::new(),
                         slip: ArrayVec::new(),
                         speed: ArrayVec::new(),
                         drag: ArrayVec::new(),
                     };
                     faces.try_push(face).ok()?;
-                    stiffest += stiffness;
-                    let pressing = stiffness * -distance - damping * along;
-                    strongest += damping + friction * pressing / slip.max(FULL_SLIP);
+                    stiffest += reaction.stiffness;
+                    strongest += reaction.damping + reaction.drag;
                 }
             }
         }
@@ -488,6 +518,28 @@ mod tests {
         assert!((tool.velocity[0] - exact.y).abs() < 1e-15, "{}", tool.velocity[0] - exact.y);
     }
 
+    /// On a Hertzian face nothing is lost: `M v² / 2 + K d^(n+1) / (n+1)` stands.
+    #[test]
+    fn a_hertzian_press_conserves_energy() {
+        let (stiffness, exponent) = (1e6, 1.5);
+        let law = ContactLaw::HuntCrossley { stiffness, exponent, damping: 0.0 };
+        let mut environment = plane(Axes::<2>::new(0.0, 1.0), Contact::new(law, 0.0).unwrap());
+        let mut tool = tool(Axes::<2>::new(0.0, -2e-4), Axes::<2>::new(0.1, -0.05));
+        let free = ArmModel::new(ArmControl::Pd { stiffness: 0.0, damping: 0.0 }, KG, None, None).unwrap();
+        let mut drive = ArmDrive::new(free, &tool.position);
+        let energy = |tool: &Tool<2>| {
+            let depth = -tool.position[1];
+            0.5 * KG * tool.velocity.norm_squared()
+                + stiffness * depth.powf(exponent + 1.0) / (exponent + 1.0)
+        };
+        let before = energy(&tool);
+        slid(&mut environment, &mut drive, &mut tool, 1e-3, 20);
+        // It has turned.
+        assert!(tool.velocity[1] > 0.0 && tool.position[1] < 0.0, "{tool:?}");
+        // 20 ticks of some steps each, a few roundings a step.
+        assert!((energy(&tool) / before - 1.0).abs() < 5e-15, "{:e}", energy(&tool) / before - 1.0);
+    }
+
     /// A slide that bends comes out the same to rounding over long steps and over short ones, whose series end early.
     #[test]
     fn a_bending_slide_does_not_depend_on_the_step() {
@@ -547,8 +599,15 @@ mod tests {
     }
 
     fn object() -> impl Strategy<Value = Object<3>> {
-        let contact = (100.0..5000.0_f64, 0.0..20.0_f64, prop_oneof![Just(0.0), 0.05..0.8_f64])
+        let friction = || prop_oneof![Just(0.0), 0.05..0.8_f64];
+        let hertz = (3e3..3e5_f64, 1.0..2.5_f64, 0.0..2.0_f64, friction()).prop_map(
+            |(stiffness, exponent, damping, friction)| {
+                Contact::new(ContactLaw::HuntCrossley { stiffness, exponent, damping }, friction).unwrap()
+            },
+        );
+        let linear = (100.0..5000.0_f64, 0.0..20.0_f64, friction())
             .prop_map(|(stiffness, damping, friction)| voigt(stiffness, damping, friction));
+        let contact = prop_oneof![2 => linear, 1 => hertz];
         let shape =
             prop_oneof![
                 (vector(1.0)).prop_filter_map("a normal", |normal| Shape::plane(Axes::zeros(), normal).ok()),
