@@ -151,8 +151,8 @@ def sweep(
 ) -> Sweep:
     """Runs a scene for many values of some of its fields. The same arguments yield the same bytes.
 
-    A row that cannot be built is refused, with its reason, and the others are run. Of a field that is no number the
-    rows of each value are run one after the other; all of them have the same seeds, unless `run.seed` varies.
+    A row that cannot be built is refused, with its reason, and the others are run. Of a field that is no number all
+    values have the same seeds, unless `run.seed` varies.
 
     Args:
         scene: A `Scene`, the name of one that comes with Haptether, or the path of a TOML file.
@@ -335,21 +335,23 @@ class _Plan:
     built: "Array | slice | None" = None
     """Which rows these are; none where none can."""
     refused: dict[int, str]
+    research: Research | None = None
 
 
 def _plan(base: Checked, varied: Mapping[str, Array]) -> _Plan:
     """What the extension is to run.
 
     Raises:
-        SceneError: A path that the scene does not have.
+        SceneError: A path that the scene does not have, or a controller that cannot be made.
     """
+    research = research_of(base.scene)
     columns, refused = _columns(base, varied)
     rows = len(next(iter(varied.values())))
     if len(refused) == rows:
         return _Plan(base=base, rows=rows, refused=refused)
     built = np.array([row for row in range(rows) if row not in refused]) if refused else slice(None)
     columns = [(path, np.ascontiguousarray(column[built])) for path, column in columns]
-    return _Plan(base=base, rows=rows, columns=columns, built=built, refused=refused)
+    return _Plan(base=base, rows=rows, columns=columns, built=built, refused=refused, research=research)
 
 
 def _metrics(plans: Sequence[_Plan], threads: Threads) -> list[dict[str, npt.NDArray[Any]]]:
@@ -361,18 +363,18 @@ def _metrics(plans: Sequence[_Plan], threads: Threads) -> list[dict[str, npt.NDA
         if not plan.columns:
             continue
         # A controller in Python has a call of its own.
-        if (research := research_of(plan.base.scene)) is None:
+        if plan.research is None:
             together.append(index)
         else:
-            calls.append(([index], research))
-    done = sum(plan.rows for plan in plans if not plan.columns)
+            calls.append(([index], plan.research))
+    done = sum(len(plan.refused) for plan in plans)
     for indices, research in calls:
         if indices:
             parts = [(plans[index].base.json, plans[index].columns) for index in indices]
             progress = shifted(threads.progress, done)
             tables = _core.sweep_scenes(parts, threads.count, threads.lanes, progress, research)
             found |= dict(zip(indices, tables, strict=True))
-            done += sum(plans[index].rows for index in indices)
+            done += sum(plans[index].rows - len(plans[index].refused) for index in indices)
     return [_of_plan(plan, found.get(index)) for index, plan in enumerate(plans)]
 
 

@@ -179,15 +179,17 @@ impl<const N: usize> OneWay<N> {
         let Self { link, in_flight, frames, datagrams, .. } = self;
         let Judgement { verdict, damage, extras } = link.judge(&packet);
         let mut forward = Arrivals { in_flight, frames, datagrams };
+        // At one instant the master is first: whenever the slave does that tick, the master hears of it in its next.
+        let earliest_ns = if self.direction == Direction::Backward { now_ns + 1 } else { now_ns };
         if let Verdict::Deliver { at_ns } = verdict {
-            push(&mut forward, at_ns, damage);
+            push(&mut forward, at_ns.max(earliest_ns), damage);
         }
         for extra in extras {
             if extra.cause == ExtraCause::Mirror {
                 let Self { in_flight, frames, datagrams, .. } = &mut *back;
                 push(&mut Arrivals { in_flight, frames, datagrams }, extra.at_ns, &extra.damage);
             } else {
-                push(&mut forward, extra.at_ns, &extra.damage);
+                push(&mut forward, extra.at_ns.max(earliest_ns), &extra.damage);
             }
         }
     }

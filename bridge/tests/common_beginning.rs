@@ -72,22 +72,32 @@ fn rows_with_other_controllers_are_those_of_runs_of_their_own() {
         ("damaged", json!({ "/link/forward/corrupt": 0.05, "/link/backward/corrupt": 0.05 })),
         ("reordered", json!({ "/link/forward/reorder": 0.1, "/link/forward/reorder_depth": 3 })),
         ("measured", json!({ "/master/measures_velocity": true })),
+        ("diverges", json!({ "/run/diverged_speed": 0.02 })),
+        (
+            "clocks",
+            json!({
+                "/link/master_clock": { "offset_s": 3.0, "drift_ppm": 80.0, "step_s": 0.03, "step_at_s": 0.9 },
+                "/link/slave_clock": { "offset_s": 0.0, "drift_ppm": -90.0, "step_s": 0.004, "step_at_s": 1.1 },
+            }),
+        ),
         ("changed", json!({ "/coupling/changes": [{ "at_s": 0.7, "force_scale": 0.5 }] })),
     ] {
         let different = assert_same(name, &scene(&fields), &sets, &[1, 7]);
-        assert!(different > 6, "{name}: {different} outcomes");
+        assert!(different > 6 || name == "diverges", "{name}: {different} outcomes");
     }
 }
 
 #[test]
 fn rows_with_other_thresholds_are_those_of_runs_of_their_own() {
     let scene = scene(&json!({}));
-    let safeties: Vec<_> = [0.02, -0.03, -0.05, -0.1, -0.3, -10.0]
+    let safeties: Vec<_> = [-0.02, -0.03, -0.05, -0.1, -0.3, -10.0]
         .iter()
-        .map(|threshold| json!({ "controllers": ["wsc"], "energy_threshold_j": -f64::abs(*threshold) }))
+        .map(|threshold| json!({ "controllers": ["wsc"], "energy_threshold_j": threshold }))
         .chain([
             json!({ "controllers": ["wsc"], "window": 40 }),
             json!({ "controllers": ["wsc"], "damping": 2.0 }),
+            json!({ "controllers": ["hsc"], "hold_off_s": 0.02, "release_ramp_s": 0.05 }),
+            json!({ "controllers": ["hsc"], "release_tries": 1 }),
             // Nobody watches, and nobody ever acts.
             json!({ "controllers": [] }),
             json!({ "controllers": ["hsc"], "grasp_threshold": 1e3 }),
@@ -115,14 +125,19 @@ fn rows_of_one_part_share_a_beginning_too() {
 fn a_row_that_cannot_be_is_refused_and_the_others_are_run() {
     let base = scene(&json!({}));
     let scene = with(&base, &json!({ "controllers": ["wsc"] }));
-    let values = vec![-0.03, 0.5, f64::NAN, -0.1];
-    let column = |values: Vec<f64>| [Variation { path: "safety.energy_threshold_j".into(), values }];
-    let rows = sweep(&scene, &column(values.clone()), SETTINGS, &Progress::default(), None).unwrap();
-    for (row, value) in values.into_iter().enumerate() {
-        let alone = sweep(&scene, &column(vec![value]), SETTINGS, &Progress::default(), None).unwrap();
-        assert_eq!(format!("{:?}", rows[row]), format!("{:?}", alone[0]), "{value}");
+    for (path, values) in [
+        ("safety.damping", vec![-1.0, 2.0, f64::NAN, 5.0]),
+        ("safety.energy_threshold_j", vec![-0.03, f64::INFINITY, -0.1]),
+    ] {
+        let column = |values: Vec<f64>| [Variation { path: path.into(), values }];
+        let rows = sweep(&scene, &column(values.clone()), SETTINGS, &Progress::default(), None).unwrap();
+        for (row, value) in values.iter().enumerate() {
+            let alone = sweep(&scene, &column(vec![*value]), SETTINGS, &Progress::default(), None).unwrap();
+            assert_eq!(format!("{:?}", rows[row]), format!("{:?}", alone[0]), "{path} {value}");
+        }
+        let refused = values.iter().filter(|value| !value.is_finite() || **value == -1.0).count();
+        assert_eq!(rows.iter().filter(|row| row.is_err()).count(), refused, "{path}");
     }
-    assert!(rows[0].is_ok() && rows[2].is_err() && rows[3].is_ok());
 }
 
 proptest! {
@@ -134,7 +149,8 @@ proptest! {
             (prop::sample::subsequence(vec!["wsc", "hsc", "vfc", "pc"], 0..=4), 0.5..8.0_f64, -0.2..-0.01_f64, 20_u32..150),
             2..6,
         ),
-        (delay_s, seed, push_n) in (0.002..0.2_f64, 0_u64..1000, 0.5..5.0_f64),
+        // Jitter of 5 ms asks for a delay of 13 ms.
+        (delay_s, seed, push_n) in (0.013..0.2_f64, 0_u64..1000, 0.5..5.0_f64),
     ) {
         let safeties: Vec<_> = settings
             .iter()

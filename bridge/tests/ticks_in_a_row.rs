@@ -78,6 +78,21 @@ fn an_outcome_is_that_of_a_run_in_turn() {
             json!({ "jitter_s": 0.0, "timeline": [{ "at_s": 0.8, "delay_s": 0.005 }, { "at_s": 1.3, "delay_s": 0.06 }] }),
             none.clone(),
         ),
+        (
+            "back without delay",
+            none.clone(),
+            json!({ "/link/backward/delay_s": 0.0, "/link/backward/jitter_s": 0.0 }),
+        ),
+        (
+            "there without delay",
+            none.clone(),
+            json!({ "/link/forward/delay_s": 0.0, "/link/forward/jitter_s": 0.0 }),
+        ),
+        (
+            "back without delay, at twice the rate",
+            none.clone(),
+            json!({ "/link/backward/delay_s": 0.0, "/link/backward/jitter_s": 0.0, "/run/period_s": 0.0005 }),
+        ),
         ("another rate of the slave", none.clone(), json!({ "/slave/period_s": 0.002 })),
         ("periods without a common tick", none.clone(), json!({ "/slave/period_s": 0.0007 })),
         (
@@ -96,12 +111,17 @@ fn an_outcome_is_that_of_a_run_in_turn() {
     }
 }
 
+/// None at all as often as not.
+fn delay_ms() -> impl Strategy<Value = u32> {
+    prop_oneof![Just(0), 0_u32..120]
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(40))]
 
     #[test]
     fn an_outcome_is_that_of_a_run_in_turn_over_any_link(
-        (forward_ms, backward_ms) in (0_u32..120, 0_u32..120),
+        (forward_ms, backward_ms) in (delay_ms(), delay_ms()),
         (jitter, loss) in (0_u32..30, 0_u32..10),
         keep_order in prop::bool::weighted(0.8),
         slave_us in prop::sample::select(vec![500_u32, 700, 1000, 1300, 4000]),

@@ -223,12 +223,15 @@ fn interruptibly<T: Send>(
     })
 }
 
+/// Numbers that differ between rows, by where they are.
+type Columns<'py> = Vec<(String, PyReadonlyArray1<'py, f64>)>;
+
 /// Runs each scene once per row of its columns.
 #[pyfunction]
 #[pyo3(signature = (parts, threads, lanes, progress, research=None))]
 fn sweep_scenes(
     py: Python<'_>,
-    parts: Vec<(PyBackedBytes, Vec<(String, PyReadonlyArray1<'_, f64>)>)>,
+    parts: Vec<(PyBackedBytes, Columns<'_>)>,
     threads: usize,
     lanes: bool,
     progress: Option<Py<PyAny>>,

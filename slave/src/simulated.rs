@@ -26,7 +26,7 @@ pub struct SlaveSample<const N: usize = 1> {
 /// Commands are held until the next. Where arm and environment are linear between contacts (control of position or
 /// pd, fixed Kelvin-Voigt planes across the axes without friction, springs, pushes that are linear in time), the
 /// motion is exact between located contacts, to the bit that of an arm without the other objects while none of these
-/// is in reach. Among flat faces with friction (fixed Kelvin-Voigt planes and boxes) it is a Taylor series, exact to
+/// is in reach. Among flat faces with friction (fixed planes and boxes) it is a Taylor series, exact to
 /// rounding between located events; otherwise it follows an adaptive integrator between located contacts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimulatedSlave<const N: usize = 1> {

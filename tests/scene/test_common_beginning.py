@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from haptether.bridge import load_scene, override_scene, simulate, sweep
+from haptether.bridge.scene.sweeps.design import design_of
 
 CHOICES: list[Any] = [[], ["wsc"], ["hsc"], ["wsc", "hsc", "vfc", "pc"]]
 METRICS = (
@@ -51,3 +52,24 @@ def test_progress_grows_to_the_rows_at_most() -> None:
     assert done
     assert done == sorted(done)
     assert done[-1] <= 400
+
+
+@pytest.mark.parametrize(
+    ("grid", "samples", "first", "size", "end"),
+    [
+        # Three choices of 20 samples are 60 rows.
+        ({"link.forward.delay_s": [0.1, 0.2, 0.3], "safety.controllers": [[], ["wsc"], ["hsc"]]}, 20, 0, 64, 120),
+        ({"link.forward.delay_s": [0.1, 0.2, 0.3], "safety.controllers": [[], ["wsc"], ["hsc"]]}, 20, 120, 64, 180),
+        # Too many to keep together.
+        ({"link.forward.delay_s": [0.1, 0.2], "safety.controllers": [[], ["wsc"], ["hsc"]]}, 100, 0, 64, 64),
+        # All of them may.
+        ({"safety.window": [50, 60], "link.forward.delay_s": [0.1, 0.2]}, 50, 0, 64, 200),
+        # None may.
+        ({"link.forward.delay_s": [0.1, 0.2]}, 100, 0, 64, 64),
+    ],
+)
+def test_batches_part_no_rows_that_may_begin_alike(
+    grid: dict[str, Any], samples: int, first: int, size: int, end: int
+) -> None:
+    design = design_of(grid, {"run.seed": [float(seed) for seed in range(samples)]})
+    assert design.end_of_batch(first, size) == end

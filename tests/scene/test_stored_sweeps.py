@@ -31,7 +31,8 @@ def stored(path: Path, **how: Any) -> StoredSweep:  # noqa: ANN401  # of sweep_t
 
 @pytest.fixture
 def small_batches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Batches of five rows, and row groups of seven: neither divides the other, nor the rows."""
+    """Batches of five rows, whatever begins alike, and row groups of seven: neither divides the other, nor the rows."""
+    monkeypatch.setattr("haptether.bridge.scene.sweeps.design.MOST_SPANNED", 0)
     monkeypatch.setattr(store, "SMALLEST_BATCH", 5)
     monkeypatch.setattr(store, "LARGEST_BATCH", 5)
     monkeypatch.setattr(table_file, "ROW_GROUP", 7)

@@ -66,7 +66,7 @@ def computed_by_cluster(
         message = "the engine dask needs dask.distributed: install distributed beside haptether"
         raise ImportError(message)
     distributed = importlib.import_module("distributed")
-    ranges = ((first, min(first + BATCH, end)) for start, end in gaps for first in range(start, end, BATCH))
+    ranges = _ranges(design, gaps)
     with contextlib.ExitStack() as stack:
         if address is None:
             # Each worker is a process: one that dies takes no other with it.
@@ -105,6 +105,16 @@ def computed_by_cluster(
             yield first, metrics
             if progress is not None:
                 progress(done)
+
+
+def _ranges(design: Design, gaps: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+    """First row and end of each batch."""
+    for start, end in gaps:
+        first = start
+        while first < end:
+            after = min(design.end_of_batch(first, BATCH), end)
+            yield first, after
+            first = after
 
 
 def _batch(

@@ -16,6 +16,9 @@ from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice
 Values: TypeAlias = "Sequence[Any] | npt.NDArray[np.float64]"
 """Of one path: numbers, or whatever else a field takes."""
 
+MOST_SPANNED = 4
+"""A batch grows to at most so many times its size to keep rows together that may begin alike."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
@@ -60,6 +63,22 @@ class Design:
     def rows(self) -> int:
         """Rows of all combinations."""
         return self.sampled * math.prod(len(levels) for levels in self.factors.values())
+
+    @property
+    def span(self) -> int:
+        """Rows after which a field outside `[safety]` changes its level: rows that may begin alike are among them."""
+        paths = list(self.factors)
+        first = next((place for place, path in enumerate(paths) if path.startswith("safety.")), len(paths))
+        if first == len(paths):
+            return 1
+        return self.sampled * math.prod(len(self.factors[path]) for path in paths[first:])
+
+    def end_of_batch(self, first: int, size: int) -> int:
+        """The row after a batch of about `size`, which parts no rows that may begin alike unless they are many more."""
+        end = first + size
+        if self.span <= MOST_SPANNED * size:
+            end = -(-end // self.span) * self.span
+        return min(end, self.rows)
 
     def columns(self, first: int, end: int) -> dict[str, npt.NDArray[Any]]:
         """The value of each path in the rows `first` to `end` - 1, shape `(end - first,)`."""

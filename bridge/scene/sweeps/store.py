@@ -196,7 +196,7 @@ def computed(
     for start, stop in gaps:
         first = start
         while first < stop:
-            end = min(first + size, stop)
+            end = min(design.end_of_batch(first, size), stop)
             start_s = time.perf_counter()
             metrics = measured(base, design.columns(first, end), replace(threads, progress=shifted(progress, done)))
             elapsed_s = max(time.perf_counter() - start_s, 1e-9)

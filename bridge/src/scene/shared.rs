@@ -6,7 +6,10 @@
 
 use std::{
     ops::ControlFlow,
-    sync::atomic::{AtomicBool, Ordering},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
 };
 
 use super::{
@@ -39,10 +42,16 @@ pub(super) fn begins_as<const N: usize>(one: &SceneSpec<N>, other: &SceneSpec<N>
     same == *one
 }
 
-/// Whether what differs between scenes with other controllers is what decides over the force alone. A trigger that the
-/// finger feels has controllers that follow from those of the hand; who turns, and sessions, are not followed.
+/// Whether controllers change nothing but the force on the hand, of a run that is worth being copied. A trigger that the
+/// finger feels has controllers that follow from those of the hand; who turns, and sessions, are not followed; what was
+/// recorded is long.
 pub(super) fn can_share<const N: usize>(scene: &SceneSpec<N>) -> bool {
-    scene.slave.as_ref().is_some_and(|slave| slave.gripper.is_none())
+    let links = scene.link.iter().flat_map(|links| [&links.forward, &links.backward]).flatten();
+    let is_recorded = links.clone().any(|link| link.trace.is_some() || link.opportunities.is_some())
+        || scene.operator.as_ref().is_some_and(|operator| operator.recorded.is_some())
+        || scene.environment.iter().flat_map(|one| &one.pushers).any(|pusher| pusher.recorded.is_some());
+    !is_recorded
+        && scene.slave.as_ref().is_some_and(|slave| slave.gripper.is_none())
         && scene.master.gripper.is_none()
         && scene.safety.gripper.is_none()
         && scene.safety.research.is_none()
@@ -75,13 +84,17 @@ pub(super) fn outcomes<const N: usize>(
             Err(error) => outcomes[row] = Some(Err(error)),
         }
     }
-    let shared = match first.run.integrator {
-        Integrator::Exact => exact_master(first)
-            .and_then(|plant| begun(first, bilateral::waiting(plant), members))
-            .and_then(|group| run(first, group, stop, &mut outcomes)),
-        Integrator::Stepped(stepping) => stepped_master::<N>(first, stepping).and_then(|mut plant| {
+    // Of one that can be built; the others differ in nothing that this makes use of.
+    let Some(built) = members.first().map(|member| scenes[member.row]) else {
+        return scenes.iter().map(alone).collect();
+    };
+    let shared = match built.run.integrator {
+        Integrator::Exact => exact_master(built)
+            .and_then(|plant| begun(built, bilateral::waiting(plant), members))
+            .and_then(|group| run(built, group, stop, &mut outcomes)),
+        Integrator::Stepped(stepping) => stepped_master::<N>(built, stepping).and_then(|mut plant| {
             plant.set_waiting(true);
-            run(first, begun(first, plant, members)?, stop, &mut outcomes)
+            run(built, begun(built, plant, members)?, stop, &mut outcomes)
         }),
     };
     match shared {
@@ -138,15 +151,19 @@ fn leader_acts<const N: usize>(record: &MasterRecord<N>) -> bool {
     record.tripped != 0 || record.fault != 0
 }
 
-/// Runs that have been the same so far, from where they stand.
-#[derive(Clone)]
-struct Group<M: Side<N>, S: Side<N>, const N: usize> {
+/// Where runs stand that have been the same so far.
+struct Start<M: Side<N>, S: Side<N>, const N: usize> {
     run: Snapshot<M, S, N>,
     watched: Watched<N>,
-    /// As far as the master of the snapshot; the first one leads.
-    members: Vec<Member<N>>,
     /// Ticks of the master that are not observed yet, in which nobody acts.
     unseen: usize,
+}
+
+/// Runs that have been the same so far.
+struct Group<M: Side<N>, S: Side<N>, const N: usize> {
+    start: Arc<Start<M, S, N>>,
+    /// As far as the master of the snapshot; the first one leads.
+    members: Vec<Member<N>>,
 }
 
 type Master<P, const N: usize> = Timed<MasterSide<P, N>>;
@@ -173,7 +190,7 @@ fn begun<P: MasterPlant<N> + Clone, const N: usize>(
     }
     let watched = Watched::new(scene, &settings, commands, &start, false)?;
     let run = Ahead::new(&settings, &mut master, &mut slave)?.snapshot();
-    Ok(run.map(|run| Group { run, watched, members, unseen: 0 }))
+    Ok(run.map(|run| Group { start: Arc::new(Start { run, watched, unseen: 0 }), members }))
 }
 
 /// Runs a group, and whoever leaves it, to the end.
@@ -208,17 +225,16 @@ where
     P: MasterPlant<N> + Clone,
     A: SlavePlant<N> + ModelArm + Clone,
 {
-    let mut watched = kept.watched.clone();
     let mut followers = kept.members.clone();
     if followers.is_empty() {
         return Ok(());
     }
-    let leader = followers.remove(0);
-    let row = leader.row;
-    let (mut master, mut slave) = (kept.run.master.clone(), kept.run.slave.clone());
-    master.side.endpoint.set_hand(leader.hand);
-    let mut ahead = Ahead::resume(settings, kept.run.clone(), &mut master, &mut slave)?;
-    let (mut unseen, mut since) = (kept.unseen, 0);
+    let Member { row, hand } = followers.remove(0);
+    let (mut watched, run) = (kept.start.watched.clone(), kept.start.run.clone());
+    let (mut master, mut slave) = (run.master.clone(), run.slave.clone());
+    master.side.endpoint.set_hand(hand);
+    let mut ahead = Ahead::resume(settings, run, &mut master, &mut slave)?;
+    let (mut unseen, mut since) = (kept.start.unseen, 0);
     loop {
         let mut acts = false;
         let mut gone = vec![false; followers.len()];
@@ -226,6 +242,8 @@ where
             if stop.load(Ordering::Relaxed) {
                 return ControlFlow::Break(());
             }
+            #[cfg(test)]
+            tests::count(&event);
             if let Event::Master(record) = &event
                 && !followers.is_empty()
                 && !acts
@@ -246,28 +264,30 @@ where
             return Err(SceneError::Stopped);
         }
         if acts || gone.contains(&true) {
-            let of = |row: &dyn Fn(&Member<N>) -> bool| Group {
-                members: kept.members.iter().filter(|member| row(member)).cloned().collect(),
-                ..kept.clone()
-            };
             let mut left = Vec::new();
+            let mut leave = |members| waiting.push(Group { start: kept.start.clone(), members });
             for (follower, gone) in followers.iter().zip(&gone) {
+                let member = kept.members.iter().find(|member| member.row == follower.row).cloned();
                 if *gone {
-                    waiting.push(of(&|member| member.row == follower.row));
+                    leave(Vec::from_iter(member));
                 } else {
-                    left.push(follower.row);
+                    left.extend(member);
                 }
             }
-            if acts && !left.is_empty() {
-                waiting.push(of(&|member| left.contains(&member.row)));
-                left.clear();
+            if acts {
+                followers.clear();
+                if !left.is_empty() {
+                    leave(left);
+                }
+            } else {
+                let mut gone = gone.iter();
+                followers.retain(|_| gone.next() == Some(&false));
             }
-            followers.retain(|follower| left.contains(&follower.row));
         }
         if flow.is_break() {
             break;
         }
-        if since >= MAX_SINCE_SNAPSHOT && !followers.is_empty() {
+        if since >= MAX_SINCE_SNAPSHOT && !followers.is_empty() && unseen == 0 {
             let mut members = vec![Member { row, hand: ahead.master().side.endpoint.hand().clone() }];
             members.extend(followers.iter().cloned());
             let quiet = ahead.unseen_of_master().all(|record| {
@@ -275,7 +295,8 @@ where
             });
             if let (true, Some(run)) = (quiet, ahead.snapshot()) {
                 let unseen = ahead.unseen_of_master().count();
-                kept = Group { run, watched: watched.clone(), members, unseen };
+                let start = Start { run, watched: watched.clone(), unseen };
+                kept = Group { start: Arc::new(start), members };
                 since = 0;
             }
         }
@@ -287,4 +308,50 @@ where
     }
     outcomes[row] = Some(outcome);
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde::Deserialize as _;
+    use std::cell::Cell;
+
+    thread_local! {
+        static MASTER_TICKS: Cell<u64> = const { Cell::new(0) };
+    }
+
+    pub(super) fn count<M, S>(event: &Event<'_, M, S>) {
+        if matches!(event, Event::Master(_)) {
+            MASTER_TICKS.with(|ticks| ticks.set(ticks.get() + 1));
+        }
+    }
+
+    /// Outcomes do not say whether a beginning is shared: the ticks that were done do.
+    #[test]
+    fn three_runs_take_less_than_three() {
+        let mut scene: serde_json::Value =
+            serde_json::from_slice(include_bytes!("../../tests/remote_push.json")).unwrap();
+        scene["run"]["duration_s"] = 2.0.into();
+        scene["operator"]["release"]["at_s"] = 1.0.into();
+        let ticks = |sets: &[&[&str]]| {
+            let of = |set: &&[&str]| {
+                let mut scene = scene.clone();
+                scene["safety"]["controllers"] = (*set).into();
+                SceneSpec::<1>::deserialize(&scene).unwrap()
+            };
+            let scenes: Vec<_> = sets.iter().map(of).collect();
+            MASTER_TICKS.with(|ticks| ticks.set(0));
+            let all = outcomes(&scenes.iter().collect::<Vec<_>>(), &AtomicBool::new(false)).unwrap();
+            assert!(all.iter().all(Result::is_ok));
+            MASTER_TICKS.with(Cell::get)
+        };
+        let three = ticks(&[&[], &["wsc"], &["hsc"]]);
+        // Each acts a little after the release, some 1.1 s after the start, and goes on from at most 432 ticks before.
+        assert!((2000 + 2 * 700..2000 + 2 * 1350).contains(&three), "{three}");
+        // PC acts from the start, so it shares nothing with the others; these share with one another.
+        let four = ticks(&[&["pc"], &[], &["wsc"], &["hsc"]]);
+        assert!((three + 1900..=three + 2500).contains(&four), "{four}");
+        // Alone each would be counted by nobody.
+        assert_eq!(ticks(&[&["wsc"]]), 0);
+    }
 }

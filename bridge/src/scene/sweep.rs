@@ -99,6 +99,9 @@ pub struct SweepPart<'a> {
     pub variations: &'a [Variation],
 }
 
+/// Most scenarios that share a beginning.
+const MAX_GROUP: usize = 32;
+
 /// Runs every scenario of one scene, as [`sweep_parts`].
 pub fn sweep(
     scene: &[u8],
@@ -206,18 +209,29 @@ impl<'a> Plan<'a> {
         self.base.get("slave").is_some_and(|slave| !slave.is_null())
     }
 
+    /// Whether scenarios that differ in their controllers alone may share a beginning.
+    fn can_share(&self) -> bool {
+        fn of<const N: usize>(base: &Value) -> bool {
+            SceneSpec::<N>::deserialize(base).is_ok_and(|scene| shared::can_share(&scene))
+        }
+        let of = of_axes!(self.axes, N => of::<N>, _axes => return false);
+        of(&self.base)
+    }
+
     /// What all scenarios have in common that may begin alike: all of the base but the controllers.
     fn common(&self, of_controllers: &[String]) -> String {
         let mut base = self.base.clone();
         if let Some(safety) = base.get_mut("safety").and_then(Value::as_object_mut) {
             safety.retain(|key, _| !of_controllers.iter().any(|one| one == key));
         }
+        let mut pointers = String::new();
         for (pointer, ..) in self.decisive(of_controllers) {
             if let Some(place) = base.pointer_mut(pointer) {
                 *place = Value::Null;
             }
+            pointers = pointers + pointer + " ";
         }
-        base.to_string()
+        pointers + &base.to_string()
     }
 
     /// The columns that decide how a run begins, in one order.
@@ -263,11 +277,14 @@ fn jobs(plans: &[Plan<'_>], threads: usize, has_research: bool) -> Vec<Job> {
     let mut jobs = Vec::new();
     // By their axes, in the order of their first rows.
     let mut groups = BTreeMap::<usize, Vec<Vec<Place>>>::new();
-    let mut known = HashMap::<(usize, Vec<u64>), (usize, usize)>::new();
+    let mut known = HashMap::<(usize, Vec<u64>), usize>::new();
     let mut commons = HashMap::<String, usize>::new();
     let of_controllers = controller_keys();
+    // Rows of a group are run one after the other: not so many that a thread is left without any.
+    let rows: usize = plans.iter().map(|plan| plan.rows).sum();
+    let most = rows.div_ceil(2 * threads).clamp(1, MAX_GROUP);
     for (part, plan) in plans.iter().enumerate() {
-        if has_research || !plan.is_remote() {
+        if has_research || !plan.is_remote() || !plan.can_share() {
             let size = if plan.is_remote() { block_size(plan.rows, threads) } else { BLOCK };
             let blocks = (0..plan.rows).step_by(size);
             jobs.extend(blocks.map(|first| Job::Block(part, first..plan.rows.min(first + size))));
@@ -279,16 +296,26 @@ fn jobs(plans: &[Plan<'_>], threads: usize, has_research: bool) -> Vec<Job> {
         let of_axes = groups.entry(plan.axes).or_default();
         for row in 0..plan.rows {
             let key = columns.iter().map(|(_, _, values)| values[row].to_bits()).collect();
-            let (_, group) = *known.entry((common, key)).or_insert_with(|| {
+            let group = known.entry((common, key)).or_insert(usize::MAX);
+            if of_axes.get(*group).is_none_or(|rows| rows.len() >= most) {
+                *group = of_axes.len();
                 of_axes.push(Vec::new());
-                (plan.axes, of_axes.len() - 1)
-            });
-            of_axes[group].push((part, row));
+            }
+            of_axes[*group].push((part, row));
         }
     }
     for (axes, groups) in groups {
-        let size = block_size(groups.len(), threads);
-        jobs.extend(groups.chunks(size).map(|some| Job::Groups(axes, some.to_vec())));
+        let size = block_size(groups.iter().map(Vec::len).sum(), threads);
+        let mut some: Vec<Vec<Place>> = Vec::new();
+        for group in groups {
+            some.push(group);
+            if some.iter().map(Vec::len).sum::<usize>() >= size {
+                jobs.push(Job::Groups(axes, std::mem::take(&mut some)));
+            }
+        }
+        if !some.is_empty() {
+            jobs.push(Job::Groups(axes, some));
+        }
     }
     jobs
 }
@@ -589,6 +616,36 @@ fn vectorised<W: Watcher<N, Lanes>, const N: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Rows that share nothing have the same outcomes: so nothing else would say that they do.
+    #[test]
+    fn rows_that_differ_in_their_controllers_are_a_group() {
+        let scene: Value = serde_json::from_slice(include_bytes!("../../tests/remote_push.json")).unwrap();
+        let with = |controllers: &[&str], corrupt: f64| {
+            let mut scene = scene.clone();
+            scene["safety"]["controllers"] = controllers.into();
+            scene["link"]["forward"]["loss"] = corrupt.into();
+            serde_json::to_vec(&scene).unwrap()
+        };
+        let scenes = [with(&[], 0.01), with(&["wsc"], 0.01), with(&["hsc"], 0.02)];
+        let column = |path: &str, values: &[f64]| Variation { path: path.into(), values: values.to_vec() };
+        let variations = [column("run.seed", &[1.0, 2.0, 1.0]), column("safety.window", &[50.0, 60.0, 70.0])];
+        let parts = scenes.each_ref().map(|scene| SweepPart { scene, variations: &variations });
+        let plans = parts.each_ref().map(|part| Plan::new(part).unwrap());
+        let groups = |threads: usize, has_research: bool| {
+            let jobs = jobs(&plans, threads, has_research);
+            let rows: usize = jobs.iter().map(|job| job.places().len()).sum();
+            assert_eq!(rows, 9);
+            let of = |job: Job| if let Job::Groups(1, groups) = job { groups } else { Vec::new() };
+            jobs.into_iter().flat_map(of).collect::<Vec<_>>()
+        };
+        let expected =
+            [vec![(0, 0), (0, 2), (1, 0), (1, 2)], vec![(0, 1), (1, 1)], vec![(2, 0), (2, 2)], vec![(2, 1)]];
+        assert_eq!(groups(1, false), expected);
+        assert!(groups(1, true).is_empty());
+        // More threads, smaller groups: nobody is idle.
+        assert!(groups(4, false).iter().all(|group| group.len() <= 2));
+    }
 
     /// What lanes cannot share is run one by one, with the same outcomes: so nothing else would say that they are used.
     #[test]

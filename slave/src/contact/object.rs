@@ -184,6 +184,17 @@ impl<const N: usize> Shape<N> {
         }
     }
 
+    /// How far from the origin it stands and reaches along any axis in m, of a plane how far its point: what places on it
+    /// are rounded to.
+    pub(crate) fn extent(&self) -> f64 {
+        let size = match &self.kind {
+            Kind::Plane { .. } | Kind::Spring { .. } => 0.0,
+            Kind::Sphere { radius, .. } => *radius,
+            Kind::Cuboid { half_extents, .. } => half_extents.amax(),
+        };
+        self.reference().amax() + size
+    }
+
     /// The point that moves with the object: on the plane, or the centre, or the anchor, in m.
     pub fn reference(&self) -> &Axes<N> {
         match &self.kind {

@@ -67,9 +67,9 @@ impl<const N: usize> Environment<N> {
         let mut solver = std::mem::take(&mut self.solver);
         let mut done = begin;
         let mut attempts = 0;
-        // What was too stiff a moment ago will hardly be worth the whole trial again.
         // Of the whole piece, however much of it is left.
         let limit = allowed_attempts(end - piece.planned);
+        // What was too stiff a moment ago will hardly be worth the whole trial again.
         let patience = limit / if std::mem::take(&mut solver.gave_up) { 200 } else { 10 };
         // Until when the bodies that nothing can touch have been moved.
         let mut coasted = begin;

@@ -22,8 +22,10 @@ use crate::{
 const TERMS: usize = 20;
 /// Most faces that may be touched at a time.
 const MAX_FACES: usize = 3;
-/// Steps for one piece before its rest is left to the adaptive integrator.
-const MAX_STEPS: u32 = 1000;
+/// Series for one piece, those that do not converge included, before its rest is left to the adaptive integrator; and
+/// where the last piece had to be left.
+const MAX_SERIES: u32 = 1000;
+const MAX_SERIES_AGAIN: u32 = 20;
 /// Times that a step whose series does not converge is halved before it is left to the adaptive integrator.
 const MAX_HALVINGS: u32 = 6;
 /// Share of the largest coefficient of V below which one is none.
@@ -194,6 +196,20 @@ impl<const N: usize> Face<N> {
     }
 }
 
+/// What the tool touches.
+struct Touched<const N: usize> {
+    faces: ArrayVec<Face<N>, MAX_FACES>,
+    /// Sums of their `dF / dd` in N/m, and of their `dF / dd'` and what friction damps in N s/m.
+    stiffness: f64,
+    damping: f64,
+    /// Least distance in m of what it is clear of.
+    clear: f64,
+    /// Whether it leaves something faster than that follows.
+    leaves: bool,
+    /// Farthest that an object reaches from the origin, in m.
+    extent: f64,
+}
+
 /// What acts on the tool beside faces, linear in x and V.
 struct Pull<const N: usize> {
     mass: f64,
@@ -253,14 +269,17 @@ impl<const N: usize> Environment<N> {
         if self.bodies > 0 || arm.is_velocity_control() || !self.is_push_linear {
             return done;
         }
-        for _ in 0..MAX_STEPS {
-            let left = end - done;
-            let Some(taken) = self.slide_once(arm, tool, piece, done, left) else { return done };
-            if taken >= left {
+        let gave_up = std::mem::take(&mut self.solver.series_gave_up);
+        let mut left = if gave_up { MAX_SERIES_AGAIN } else { MAX_SERIES };
+        // Of the whole piece, which has no kink: a step within it may begin as near to its end as rounding lets it.
+        let steady = self.push_stretch(piece.origin + done).steady;
+        while let Some(taken) = self.slide_once(arm, tool, (piece, steady), (done, end - done), &mut left) {
+            if taken >= end - done {
                 return end;
             }
             done += taken;
         }
+        self.solver.series_gave_up = left == 0;
         done
     }
 
@@ -269,18 +288,76 @@ impl<const N: usize> Environment<N> {
         &mut self,
         arm: &ArmDrive<N>,
         tool: &mut Tool<N>,
-        piece: Piece,
-        done: f64,
-        left: f64,
+        (piece, steady): (Piece, Option<Axes<N>>),
+        (done, left): (f64, f64),
+        series: &mut u32,
     ) -> Option<f64> {
         let now = piece.origin + done;
         let Tool { position, velocity, .. } = *tool;
         if !self.reach.covers(&position, now + left, 2.0 * velocity.norm() * left + SHORTEST) {
             self.look(&position, &velocity, now);
         }
-        let mut pull = self.pull_of_arm(arm, tool, piece, (done, left));
-        let mut faces = ArrayVec::<Face<N>, MAX_FACES>::new();
-        let (mut stiffest, mut strongest, mut clear, mut leaves) = (0.0, 0.0, f64::INFINITY, false);
+        let mut pull = self.pull_of_arm(arm, tool, (piece, steady), (done, left));
+        let mut touched = self.touch(tool, &mut pull)?;
+        // The fastest that the motion relaxes or swings.
+        let rate = (pull.damping + touched.damping) / pull.mass
+            + ((pull.stiffness + touched.stiffness) / pull.mass).sqrt();
+        if rate.is_nan() || rate * left >= f64::from(MAX_SERIES) {
+            return None;
+        }
+        let mut step = if rate * left > 1.0 { rate.recip() } else { left };
+        let mut halvings = 0;
+        let mut course = Course::default();
+        loop {
+            if *series == 0 || halvings > MAX_HALVINGS {
+                return None;
+            }
+            *series -= 1;
+            if pull.follow(&mut course, &mut touched.faces, &velocity, step) {
+                break;
+            }
+            (step, halvings) = (0.5 * step, halvings + 1);
+        }
+        let swing = course.swing();
+        let farthest = swing.norm();
+        if !self.reach.covers(&position, now + step, farthest) {
+            return None;
+        }
+        let Touched { faces, clear, leaves, extent, .. } = &touched;
+        let rounding = ROUNDING * (position.amax() + extent);
+        let is_sure =
+            !leaves && *clear > farthest + rounding && faces.iter().all(|face| face.stays(&swing, rounding));
+        let mut taken = step;
+        if !is_sure {
+            let changed = |share| {
+                let (moved, velocity) = course.at(share);
+                self.is_other(faces, &(position + moved), &velocity)
+            };
+            if let Some(share) = first_share(step, changed) {
+                taken = (share * step).max(SHORTEST.min(step));
+            }
+        }
+        let (moved, velocity) = course.at(taken / step);
+        let position = position + moved;
+        if !(all_finite(&position) && all_finite(&velocity)) {
+            return None;
+        }
+        (tool.position, tool.velocity) = (position, velocity);
+        Some(taken)
+    }
+
+    /// On which piece of its law each near object is, where the tool is; springs add to `pull`. None where one moves, is
+    /// round and touched, or where too many are.
+    fn touch(&mut self, tool: &Tool<N>, pull: &mut Pull<N>) -> Option<Touched<N>> {
+        let Tool { position, velocity, .. } = *tool;
+        let mut touched = Touched {
+            faces: ArrayVec::new(),
+            stiffness: 0.0,
+            damping: 0.0,
+            clear: f64::INFINITY,
+            leaves: false,
+            extent: 0.0,
+        };
         for near in 0..self.reach.near.len() {
             let index = self.reach.near[near];
             let object = &self.objects[index];
@@ -295,12 +372,13 @@ impl<const N: usize> Environment<N> {
                 continue;
             }
             let (distance, normal) = object.shape().surface(&position);
+            touched.extent = object.shape().extent().max(touched.extent);
             let along = normal.dot(&velocity);
             let mode = object.contact().mode(-distance, -along);
             self.modes[index] = mode;
             match mode {
-                Mode::Apart => clear = distance.min(clear),
-                Mode::Leaving => leaves = true,
+                Mode::Apart => touched.clear = distance.min(touched.clear),
+                Mode::Leaving => touched.leaves = true,
                 Mode::Touching => {
                     let contact = object.contact();
                     let margin = object.shape().margin_of_face(&position)?;
@@ -321,59 +399,24 @@ impl<const N: usize> Environment<N> {
                         speed: ArrayVec::new(),
                         drag: ArrayVec::new(),
                     };
-                    faces.try_push(face).ok()?;
-                    stiffest += reaction.stiffness;
-                    strongest += reaction.damping + reaction.drag;
+                    touched.faces.try_push(face).ok()?;
+                    touched.stiffness += reaction.stiffness;
+                    touched.damping += reaction.damping;
+                    if N > 1 {
+                        touched.damping += reaction.drag;
+                    }
                 }
             }
         }
-        // The fastest that the motion relaxes or swings.
-        let rate = (pull.damping + strongest) / pull.mass + ((pull.stiffness + stiffest) / pull.mass).sqrt();
-        if rate.is_nan() || rate * left >= f64::from(MAX_STEPS) {
-            return None;
-        }
-        let mut step = if rate * left > 1.0 { rate.recip() } else { left };
-        let mut halvings = 0;
-        let mut course = Course::default();
-        while !pull.follow(&mut course, &mut faces, &velocity, step) {
-            if halvings == MAX_HALVINGS {
-                return None;
-            }
-            (step, halvings) = (0.5 * step, halvings + 1);
-        }
-        let swing = course.swing();
-        let farthest = swing.norm();
-        if !self.reach.covers(&position, now + step, farthest) {
-            return None;
-        }
-        let rounding = ROUNDING * position.amax();
-        let is_sure =
-            !leaves && clear > farthest + rounding && faces.iter().all(|face| face.stays(&swing, rounding));
-        let mut taken = step;
-        if !is_sure {
-            let changed = |share| {
-                let (moved, velocity) = course.at(share);
-                self.is_other(&faces, &(position + moved), &velocity)
-            };
-            if let Some(share) = first_share(step, changed) {
-                taken = (share * step).max(SHORTEST.min(step));
-            }
-        }
-        let (moved, velocity) = course.at(taken / step);
-        let position = position + moved;
-        if !(all_finite(&position) && all_finite(&velocity)) {
-            return None;
-        }
-        (tool.position, tool.velocity) = (position, velocity);
-        Some(taken)
+        Some(touched)
     }
 
     /// What arm and pushers do from `done` on.
     fn pull_of_arm(
-        &mut self,
+        &self,
         arm: &ArmDrive<N>,
         tool: &Tool<N>,
-        piece: Piece,
+        (piece, steady): (Piece, Option<Axes<N>>),
         (done, left): (f64, f64),
     ) -> Pull<N> {
         let (stiffness, damping, feed_forward) = arm.model().impedance();
@@ -384,7 +427,7 @@ impl<const N: usize> Environment<N> {
             set[axis].position + since * (set[axis].velocity + 0.5 * since * set[axis].acceleration)
         });
         let now = piece.origin + done;
-        let (push, push_growth) = if let Some(push) = self.push_stretch(now).steady {
+        let (push, push_growth) = if let Some(push) = steady {
             (push, Axes::zeros())
         } else {
             let [push, later] = [now, now + left].map(|time| self.push(piece.inside, time));

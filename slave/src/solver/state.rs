@@ -24,6 +24,8 @@ pub(crate) struct Solver<const N: usize> {
     pub(crate) step: f64,
     /// Whether the last piece ended coarsely.
     pub(crate) gave_up: bool,
+    /// Whether the last piece was too stiff for series.
+    pub(crate) series_gave_up: bool,
     pub(crate) coarse_steps: u64,
 }
 
@@ -36,6 +38,7 @@ impl<const N: usize> Solver<N> {
             slopes: std::array::from_fn(|_| room()),
             step: 1e-4,
             gave_up: false,
+            series_gave_up: false,
             coarse_steps: 0,
         }
     }
