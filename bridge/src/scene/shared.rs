@@ -28,7 +28,7 @@ use crate::{
     endpoint::{Hand, HandInput, MasterReading},
     virtual_time::{Ahead, Snapshot},
 };
-use haptether_safety::{Axes, Fault};
+use haptether_safety::{Axes, Fault, controller::Intervention};
 use haptether_slave::SimulatedSlave;
 
 /// Ticks of the master between two snapshots: so few that little is done twice, so many that what is in flight is
@@ -118,8 +118,7 @@ struct Member<const N: usize> {
 }
 
 impl<const N: usize> Member<N> {
-    /// Lets it decide on a tick of the leader; says whether it does anything that the leader, which does not act, has
-    /// not done.
+    /// Lets it decide on a tick of the leader; says whether it acts, or does anything else than a leader that does not.
     fn acts(&mut self, record: &MasterRecord<N>) -> bool {
         let measured = record.measured_velocity;
         let velocity = measured.iter().all(|v| !v.is_nan()).then_some(measured);
@@ -133,11 +132,16 @@ impl<const N: usize> Member<N> {
             ..HandInput::idle()
         };
         let (tick, _) = self.hand.tick(&MasterReading::point(record.position, velocity), &input);
-        tick.intervention.tripped.bits() != 0
-            || tick.intervention.withheld
+        let Intervention { tripped, withheld, safety_force, .. } = &tick.intervention;
+        let is_same = || {
+            is_same(&tick.rendered_force, &record.rendered_force)
+                && is_same(&tick.device_force, &record.device_force)
+        };
+        tripped.bits() != 0
+            || *withheld
             || tick.fault.is_some()
-            || !is_same(&tick.rendered_force, &record.rendered_force)
-            || !is_same(&tick.device_force, &record.device_force)
+            || *safety_force != Axes::<N>::zeros()
+            || (!leader_acts(record) && !is_same())
     }
 }
 
@@ -146,9 +150,9 @@ fn is_same<const N: usize>(one: &Axes<N>, other: &Axes<N>) -> bool {
     one.iter().zip(other).all(|(one, other)| one.to_bits() == other.to_bits())
 }
 
-/// Whether the leader does what depends on its controllers.
+/// Whether the leader does what depends on its controllers; PC damps without a trip.
 fn leader_acts<const N: usize>(record: &MasterRecord<N>) -> bool {
-    record.tripped != 0 || record.fault != 0
+    record.tripped != 0 || record.fault != 0 || record.safety_force != Axes::<N>::zeros()
 }
 
 /// Where runs stand that have been the same so far.
