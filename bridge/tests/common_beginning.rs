@@ -98,7 +98,7 @@ fn rows_with_other_thresholds_are_those_of_runs_of_their_own() {
             json!({ "controllers": ["wsc"], "damping": 2.0 }),
             json!({ "controllers": ["hsc"], "hold_off_s": 0.02, "release_ramp_s": 0.05 }),
             json!({ "controllers": ["hsc"], "release_tries": 1 }),
-            // Nobody watches, and nobody ever acts.
+            // Nobody watches, and nobody ever intervenes.
             json!({ "controllers": [] }),
             json!({ "controllers": ["hsc"], "grasp_threshold": 1e3 }),
         ])

@@ -3,6 +3,7 @@
 use std::fmt::Debug;
 
 use arrayvec::ArrayVec;
+use dyn_clone::{DynClone, clone_trait_object};
 
 use crate::damage::Damage;
 use crate::packet::Packet;
@@ -14,7 +15,7 @@ use crate::verdict::{Extra, ExtraCause, Verdict};
 /// or drops the packet, which ends the matter. A rule may keep state over the packets it has seen, but draws only
 /// from its own stream, at the packet's index or a bin of time; so a rule that comes or goes shifts no draw of
 /// another.
-pub(crate) trait Rule: Debug + Send + CloneRule {
+pub(crate) trait Rule: Debug + DynClone + Send {
     /// Decides on a packet that would arrive at `at_ns`, which is never before it was sent.
     fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict;
 }
@@ -32,43 +33,11 @@ pub(crate) fn add_extra(extras: &mut Extras, at_ns: u64, cause: ExtraCause, dama
 }
 
 /// What happens to a packet on arrival: its bytes change, it is copied, an attacker takes it.
-pub(crate) trait ArrivalRule: Debug + Send + CloneArrivalRule {
+pub(crate) trait ArrivalRule: Debug + DynClone + Send {
     /// Changes what becomes of a packet that arrives at `at_ns`, and of what arrives beside it.
     fn end(&mut self, packet: &Packet, at_ns: u64, damage: &mut Damage, extras: &mut Extras) -> Verdict;
 }
 
-/// A rule with its state once more: a link that is copied goes on as the first.
-pub(crate) trait CloneRule {
-    /// A copy behind a pointer of its own.
-    fn boxed(&self) -> Box<dyn Rule>;
-}
-
-impl<R: Rule + Clone + 'static> CloneRule for R {
-    fn boxed(&self) -> Box<dyn Rule> {
-        Box::new(self.clone())
-    }
-}
-
-impl Clone for Box<dyn Rule> {
-    fn clone(&self) -> Self {
-        (**self).boxed()
-    }
-}
-
-/// The same of a rule on arrival.
-pub(crate) trait CloneArrivalRule {
-    /// A copy behind a pointer of its own.
-    fn boxed(&self) -> Box<dyn ArrivalRule>;
-}
-
-impl<R: ArrivalRule + Clone + 'static> CloneArrivalRule for R {
-    fn boxed(&self) -> Box<dyn ArrivalRule> {
-        Box::new(self.clone())
-    }
-}
-
-impl Clone for Box<dyn ArrivalRule> {
-    fn clone(&self) -> Self {
-        (**self).boxed()
-    }
-}
+// A link that is copied goes on as the first, with the state of its rules.
+clone_trait_object!(Rule);
+clone_trait_object!(ArrivalRule);

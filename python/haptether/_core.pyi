@@ -2836,8 +2836,8 @@ def sweep_scenes(
 ) -> list[dict[str, npt.NDArray[Any] | list[str]]]:
     """Runs each scene once per row of its own, without the interpreter's lock. Threads and lanes change no number.
 
-    Rows that differ in their controllers alone, of one scene or of several, are run once as long as none of these acts,
-    which changes no number either. With a controller in Python there is one thread, and nothing is shared.
+    Rows that differ in their controllers alone, of one scene or of several, are run once as long as none of these
+    intervenes, which changes no number either. With a controller in Python there is one thread, and nothing is shared.
 
     Args:
         parts: Scenes as for `simulate_scene`, each with the numbers that differ between its rows: by their dotted path

@@ -1,4 +1,4 @@
-"""Rows that differ in their controllers alone are run together as long as none acts: no number may show it."""
+"""Rows that differ in their controllers alone are run together as long as none intervenes: no number may show it."""
 
 from typing import Any
 
@@ -31,7 +31,7 @@ def test_a_sweep_of_controllers_is_its_simulations(scene: str) -> None:
     for name in METRICS:
         one_by_one = np.array([np.nan if (value := getattr(one, name)) is None else value for one in alone])
         np.testing.assert_array_equal(found[name], one_by_one, err_msg=name)
-    # Something is compared: controllers act, each in its way.
+    # Something is compared: controllers intervene, each in its way.
     different = {tuple(found[name][row] for name in METRICS) for row in range(len(found))}
     assert len(different) >= 2 * len(seeds) or scene == "torque_release"
 

@@ -170,16 +170,7 @@ where
 {
     let settings = VirtualSettings { encoded: kept.encoded, ..settings(scene)? };
     let files = kept.files;
-    let (_, coupling) = coupled(scene)?;
-    let commands = commands::<N>(coupling)?;
-    let start = master.plant.truth().map_or(Axes::zeros(), |truth| truth.position);
-    let mut master = Timed::new(master, commands.clone());
-    let mut slave = Timed::new(slave, commands.clone());
-    let has_gripper = slave.side.gripper.is_some();
-    let mut watched = Watched::new(scene, &settings, commands, &start, has_gripper)?;
-    for exchange in [master.exchange_mut(), slave.exchange_mut()] {
-        leave_out(exchange, kept);
-    }
+    let (mut master, mut slave, mut watched) = prepared(scene, &settings, master, slave, kept)?;
     let security = if settings.secure { SecurityMark::Secure } else { SecurityMark::Insecure };
     let is_felt = trigger_feedback(scene, coupled(scene)?.0)?.is_some();
     // Of an outcome nobody looks at the sides as they were at a tick; a controller of the caller's own sees no tick too many.
@@ -209,12 +200,40 @@ where
     watched.finish(scene, &settings, &master, &slave, &counts)
 }
 
+/// Both sides under the commands of their operators, and what is to be seen of them, before the first tick.
+pub(super) fn prepared<P, A, R, Q, const N: usize>(
+    scene: &SceneSpec<N>,
+    settings: &VirtualSettings,
+    master: MasterSide<P, N, R>,
+    slave: SlaveSide<A, N, Q>,
+    kept: &Keeping<'_>,
+) -> Result<Prepared<P, A, R, Q, N>, SceneError>
+where
+    P: MasterPlant<N>,
+    A: SlavePlant<N>,
+    R: MasterTurn,
+    Q: SlaveTurn,
+{
+    let commands = commands::<N>(coupled(scene)?.1)?;
+    let start = master.plant.truth().map_or(Axes::zeros(), |truth| truth.position);
+    let mut master = Timed::new(master, commands.clone());
+    let mut slave = Timed::new(slave, commands.clone());
+    let watched = Watched::new(scene, settings, commands, &start, slave.side.gripper.is_some())?;
+    for exchange in [master.exchange_mut(), slave.exchange_mut()] {
+        leave_out(exchange, kept);
+    }
+    Ok((master, slave, watched))
+}
+
+type Prepared<P, A, R, Q, const N: usize> =
+    (Timed<MasterSide<P, N, R>>, Timed<SlaveSide<A, N, Q>>, Watched<N>);
+
 /// Both sides as an observer of a run has them.
 pub(super) type Sides<'m, 's, P, A, R, Q, const N: usize> =
     (&'m Timed<MasterSide<P, N, R>>, &'s Timed<SlaveSide<A, N, Q>>);
 
 /// Leaves out what nobody will read.
-pub(super) fn leave_out<const N: usize>(exchange: &mut Exchange<N>, kept: &Keeping<'_>) {
+fn leave_out<const N: usize>(exchange: &mut Exchange<N>, kept: &Keeping<'_>) {
     if kept.files.is_none() {
         exchange.leave_out_flight();
     }

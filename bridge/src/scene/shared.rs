@@ -1,8 +1,8 @@
-//! Runs that differ in their controllers alone, side by side as long as none of them acts.
+//! Runs that differ in their controllers alone, side by side as long as none of them intervenes.
 //!
-//! Until the first controller acts, the hand feels the same in all of them: device, arm, network and ladder go the same
+//! Until the first controller intervenes, the hand feels the same in all of them: device, arm, network and ladder go the same
 //! way, to the bit. So one run leads, and of the others only what decides over their force follows it, tick by tick.
-//! Whoever acts, or sees the leader act, goes on by itself from a snapshot of the run that lies before that.
+//! Whoever intervenes, or sees the leader intervene, goes on by itself from a snapshot of the run that lies before that.
 
 use std::{
     ops::ControlFlow,
@@ -15,10 +15,9 @@ use std::{
 use super::{
     assemble::{SceneError, exact_master, stepped_master},
     bilateral::{self, Keeping, SESSIONS, Sides},
-    coupling::commands,
     measures::Outcome,
     pose,
-    sides::{coupled, master_endpoint, simulated_arm, slave_endpoint},
+    sides::{master_endpoint, simulated_arm, slave_endpoint},
     spec::{Integrator, SceneSpec},
     timed::Timed,
     watched::Watched,
@@ -118,8 +117,9 @@ struct Member<const N: usize> {
 }
 
 impl<const N: usize> Member<N> {
-    /// Lets it decide on a tick of the leader; says whether it acts, or does anything else than a leader that does not.
-    fn acts(&mut self, record: &MasterRecord<N>) -> bool {
+    /// Lets it decide on a tick of the leader; says whether it intervenes, or does anything else than a leader
+    /// that does not.
+    fn intervenes(&mut self, record: &MasterRecord<N>) -> bool {
         let measured = record.measured_velocity;
         let velocity = measured.iter().all(|v| !v.is_nan()).then_some(measured);
         let input = HandInput {
@@ -141,7 +141,7 @@ impl<const N: usize> Member<N> {
             || *withheld
             || tick.fault.is_some()
             || *safety_force != Axes::<N>::zeros()
-            || (!leader_acts(record) && !is_same())
+            || (!leader_intervenes(record) && !is_same())
     }
 }
 
@@ -151,7 +151,7 @@ fn is_same<const N: usize>(one: &Axes<N>, other: &Axes<N>) -> bool {
 }
 
 /// Whether the leader does what depends on its controllers; PC damps without a trip.
-fn leader_acts<const N: usize>(record: &MasterRecord<N>) -> bool {
+fn leader_intervenes<const N: usize>(record: &MasterRecord<N>) -> bool {
     record.tripped != 0 || record.fault != 0 || record.safety_force != Axes::<N>::zeros()
 }
 
@@ -159,7 +159,7 @@ fn leader_acts<const N: usize>(record: &MasterRecord<N>) -> bool {
 struct Start<M: Side<N>, S: Side<N>, const N: usize> {
     run: Snapshot<M, S, N>,
     watched: Watched<N>,
-    /// Ticks of the master that are not observed yet, in which nobody acts.
+    /// Ticks of the master that are not observed yet, in which nobody intervenes.
     unseen: usize,
 }
 
@@ -183,16 +183,9 @@ fn begun<P: MasterPlant<N> + Clone, const N: usize>(
     let kept = Keeping { outcome_only: true, ..Keeping::default() };
     bilateral::check(scene)?;
     let settings = bilateral::settings(scene)?;
-    let commands = commands::<N>(coupled(scene)?.1)?;
     let master = bilateral::master(scene, plant, &kept)?;
     let slave = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, SESSIONS.1)?);
-    let start = master.plant.truth().map_or(Axes::zeros(), |truth| truth.position);
-    let mut master = Timed::new(master, commands.clone());
-    let mut slave = Timed::new(slave, commands.clone());
-    for exchange in [master.exchange_mut(), slave.exchange_mut()] {
-        bilateral::leave_out(exchange, &kept);
-    }
-    let watched = Watched::new(scene, &settings, commands, &start, false)?;
+    let (mut master, mut slave, watched) = bilateral::prepared(scene, &settings, master, slave, &kept)?;
     let run = Ahead::new(&settings, &mut master, &mut slave)?.snapshot();
     Ok(run.map(|run| Group { start: Arc::new(Start { run, watched, unseen: 0 }), members }))
 }
@@ -209,109 +202,132 @@ where
     A: SlavePlant<N> + ModelArm + Clone,
 {
     let settings = bilateral::settings(scene)?;
-    let mut waiting = Vec::from_iter(group);
-    while let Some(group) = waiting.pop() {
-        follow(scene, &settings, group, &mut waiting, stop, outcomes)?;
-    }
-    Ok(())
+    Groups { scene, settings, waiting: Vec::from_iter(group), stop, outcomes }.run()
 }
 
-/// Follows the leader of a group to its end; who leaves it waits then.
-fn follow<P, A, const N: usize>(
-    scene: &SceneSpec<N>,
-    settings: &VirtualSettings,
-    mut kept: Running<P, A, N>,
-    waiting: &mut Vec<Running<P, A, N>>,
-    stop: &AtomicBool,
-    outcomes: &mut [Option<Result<Outcome, SceneError>>],
-) -> Result<(), SceneError>
+/// Groups that are to be run, and what became of those that were.
+struct Groups<'a, P: MasterPlant<N>, A: SlavePlant<N>, const N: usize> {
+    scene: &'a SceneSpec<N>,
+    settings: VirtualSettings,
+    waiting: Vec<Running<P, A, N>>,
+    stop: &'a AtomicBool,
+    outcomes: &'a mut [Option<Result<Outcome, SceneError>>],
+}
+
+impl<P, A, const N: usize> Groups<'_, P, A, N>
 where
     P: MasterPlant<N> + Clone,
     A: SlavePlant<N> + ModelArm + Clone,
 {
-    let mut followers = kept.members.clone();
-    if followers.is_empty() {
-        return Ok(());
+    /// Runs all, and whoever leaves one, to the end.
+    fn run(mut self) -> Result<(), SceneError> {
+        while let Some(group) = self.waiting.pop() {
+            self.follow(group)?;
+        }
+        Ok(())
     }
-    let Member { row, hand } = followers.remove(0);
-    let (mut watched, run) = (kept.start.watched.clone(), kept.start.run.clone());
-    let (mut master, mut slave) = (run.master.clone(), run.slave.clone());
-    master.side.endpoint.set_hand(hand);
-    let mut ahead = Ahead::resume(settings, run, &mut master, &mut slave)?;
-    let (mut unseen, mut since) = (kept.start.unseen, 0);
-    loop {
-        let mut acts = false;
-        let mut gone = vec![false; followers.len()];
-        let flow = ahead.advance(&mut |event, (master, slave): Sides<'_, '_, P, A, (), (), N>| {
-            if stop.load(Ordering::Relaxed) {
-                return ControlFlow::Break(());
-            }
-            #[cfg(test)]
-            tests::count(&event);
-            if let Event::Master(record) = &event
-                && !followers.is_empty()
-                && !acts
-            {
-                since += 1;
-                if unseen > 0 {
-                    unseen -= 1;
-                } else {
-                    acts = leader_acts(record);
-                    for (follower, gone) in followers.iter_mut().zip(&mut gone) {
-                        *gone = *gone || follower.acts(record);
+
+    /// Follows the leader of a group to its end; who leaves it waits then.
+    fn follow(&mut self, mut kept: Running<P, A, N>) -> Result<(), SceneError> {
+        let stop = self.stop;
+        let mut followers = kept.members.clone();
+        if followers.is_empty() {
+            return Ok(());
+        }
+        let Member { row, hand } = followers.remove(0);
+        let (mut watched, run) = (kept.start.watched.clone(), kept.start.run.clone());
+        let (mut master, mut slave) = (run.master.clone(), run.slave.clone());
+        master.side.endpoint.set_hand(hand);
+        let mut ahead = Ahead::resume(&self.settings, run, &mut master, &mut slave)?;
+        let (mut unseen, mut since) = (kept.start.unseen, 0);
+        loop {
+            let mut intervenes = false;
+            let mut gone = vec![false; followers.len()];
+            let flow = ahead.advance(&mut |event, (master, slave): Sides<'_, '_, P, A, (), (), N>| {
+                if stop.load(Ordering::Relaxed) {
+                    return ControlFlow::Break(());
+                }
+                #[cfg(test)]
+                tests::count(&event);
+                if let Event::Master(record) = &event
+                    && !followers.is_empty()
+                    && !intervenes
+                {
+                    since += 1;
+                    if unseen > 0 {
+                        unseen -= 1;
+                    } else {
+                        intervenes = leader_intervenes(record);
+                        for (follower, gone) in followers.iter_mut().zip(&mut gone) {
+                            *gone = *gone || follower.intervenes(record);
+                        }
                     }
                 }
-            }
-            watched.take(&event, &master.side, &slave.side.plant)
-        });
-        if stop.load(Ordering::Relaxed) {
-            return Err(SceneError::Stopped);
-        }
-        if acts || gone.contains(&true) {
-            let mut left = Vec::new();
-            let mut leave = |members| waiting.push(Group { start: kept.start.clone(), members });
-            for (follower, gone) in followers.iter().zip(&gone) {
-                let member = kept.members.iter().find(|member| member.row == follower.row).cloned();
-                if *gone {
-                    leave(Vec::from_iter(member));
-                } else {
-                    left.extend(member);
-                }
-            }
-            if acts {
-                followers.clear();
-                if !left.is_empty() {
-                    leave(left);
-                }
-            } else {
-                let mut gone = gone.iter();
-                followers.retain(|_| gone.next() == Some(&false));
-            }
-        }
-        if flow.is_break() {
-            break;
-        }
-        if since >= MAX_SINCE_SNAPSHOT && !followers.is_empty() && unseen == 0 {
-            let mut members = vec![Member { row, hand: ahead.master().side.endpoint.hand().clone() }];
-            members.extend(followers.iter().cloned());
-            let quiet = ahead.unseen_of_master().all(|record| {
-                !leader_acts(record) && !members[1..].iter_mut().any(|member| member.acts(record))
+                watched.take(&event, &master.side, &slave.side.plant)
             });
-            if let (true, Some(run)) = (quiet, ahead.snapshot()) {
-                let unseen = ahead.unseen_of_master().count();
-                let start = Start { run, watched: watched.clone(), unseen };
-                kept = Group { start: Arc::new(start), members };
-                since = 0;
+            if stop.load(Ordering::Relaxed) {
+                return Err(SceneError::Stopped);
+            }
+            if intervenes || gone.contains(&true) {
+                self.part(&kept, &mut followers, &gone, intervenes);
+            }
+            if flow.is_break() {
+                break;
+            }
+            if since >= MAX_SINCE_SNAPSHOT && !followers.is_empty() && unseen == 0 {
+                let mut members = vec![Member { row, hand: ahead.master().side.endpoint.hand().clone() }];
+                members.extend(followers.iter().cloned());
+                let quiet = ahead.unseen_of_master().all(|record| {
+                    !leader_intervenes(record)
+                        && !members[1..].iter_mut().any(|member| member.intervenes(record))
+                });
+                if let (true, Some(run)) = (quiet, ahead.snapshot()) {
+                    let unseen = ahead.unseen_of_master().count();
+                    let start = Start { run, watched: watched.clone(), unseen };
+                    kept = Group { start: Arc::new(start), members };
+                    since = 0;
+                }
             }
         }
+        let counts = ahead.counts();
+        let outcome = watched.finish(self.scene, &self.settings, &master, &slave, &counts);
+        let outcome = outcome.map(|run| run.outcome);
+        for same in followers {
+            self.outcomes[same.row] = Some(outcome.clone());
+        }
+        self.outcomes[row] = Some(outcome);
+        Ok(())
     }
-    let counts = ahead.counts();
-    let outcome = watched.finish(scene, settings, &master, &slave, &counts).map(|run| run.outcome);
-    for same in followers {
-        outcomes[same.row] = Some(outcome.clone());
+
+    /// Lets followers go on from where `kept` stands: those that are `gone` each alone, and all others together where the
+    /// leader intervenes.
+    fn part(
+        &mut self,
+        kept: &Running<P, A, N>,
+        followers: &mut Vec<Member<N>>,
+        gone: &[bool],
+        leader_intervenes: bool,
+    ) {
+        let mut left = Vec::new();
+        let mut leave = |members| self.waiting.push(Group { start: kept.start.clone(), members });
+        for (follower, gone) in followers.iter().zip(gone) {
+            let member = kept.members.iter().find(|member| member.row == follower.row).cloned();
+            if *gone {
+                leave(Vec::from_iter(member));
+            } else {
+                left.extend(member);
+            }
+        }
+        if leader_intervenes {
+            followers.clear();
+            if !left.is_empty() {
+                leave(left);
+            }
+        } else {
+            let mut gone = gone.iter();
+            followers.retain(|_| gone.next() == Some(&false));
+        }
     }
-    outcomes[row] = Some(outcome);
-    Ok(())
 }
 
 #[cfg(test)]
@@ -350,9 +366,9 @@ mod tests {
             MASTER_TICKS.with(Cell::get)
         };
         let three = ticks(&[&[], &["wsc"], &["hsc"]]);
-        // Each acts a little after the release, some 1.1 s after the start, and goes on from at most 432 ticks before.
+        // Each intervenes a little after the release, some 1.1 s after the start, and goes on from at most 432 ticks before.
         assert!((2000 + 2 * 700..2000 + 2 * 1350).contains(&three), "{three}");
-        // PC acts from the start, so it shares nothing with the others; these share with one another.
+        // PC intervenes from the start, so it shares nothing with the others; these share with one another.
         let four = ticks(&[&["pc"], &[], &["wsc"], &["hsc"]]);
         assert!((three + 1900..=three + 2500).contains(&four), "{four}");
         // Alone each would be counted by nobody.

@@ -1,13 +1,16 @@
 //! Many scenarios of one scene, over threads and in lanes.
 
+mod plan;
+
 use std::{
-    collections::{BTreeMap, HashMap},
+    collections::HashMap,
     sync::atomic::{AtomicBool, AtomicUsize, Ordering},
 };
 
 use haptether_master::SteppedMaster;
-use haptether_safety::{SafetyLayer, controller::SafetySettings};
+use haptether_safety::SafetyLayer;
 use haptether_slave::RenderedWalls;
+use plan::{Job, Place, Plan, bad_axes, jobs};
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::Value;
@@ -19,7 +22,7 @@ use super::{
     outcome,
     research::ResearchFactory,
     shared,
-    spec::{Integrator, SceneSpec, of_axes, scene_axes},
+    spec::{Integrator, SceneSpec, of_axes},
 };
 use crate::{
     lanes::{LANES, Lanes},
@@ -87,9 +90,6 @@ pub struct Refused(pub String);
 
 type Row = Result<Outcome, Refused>;
 
-/// Scenarios that a thread takes at once, at most: enough to fill most lanes, few enough for all threads to have some.
-const BLOCK: usize = 64;
-
 /// Scenarios of one scene.
 #[derive(Clone, Copy, Debug)]
 pub struct SweepPart<'a> {
@@ -99,10 +99,11 @@ pub struct SweepPart<'a> {
     pub variations: &'a [Variation],
 }
 
-/// Most scenarios that share a beginning.
-const MAX_GROUP: usize = 32;
-
 /// Runs every scenario of one scene, as [`sweep_parts`].
+///
+/// # Errors
+///
+/// As there.
 pub fn sweep(
     scene: &[u8],
     variations: &[Variation],
@@ -119,6 +120,11 @@ pub fn sweep(
 /// Which scenarios share a thread, lanes or the beginning of a run changes nothing, to the last bit: no operation mixes
 /// lanes, and runs share a beginning only as long as they are the same. With a controller of the caller's own none
 /// shares either.
+///
+/// # Errors
+///
+/// A part that is no scene, columns of different length or of a path that is not there, threads that cannot be made, or
+/// [`SweepError::Stopped`]. A row that cannot be is refused in its place.
 pub fn sweep_parts(
     parts: &[SweepPart<'_>],
     settings: SweepSettings,
@@ -162,167 +168,6 @@ pub fn sweep_parts(
     // Every row is in a job.
     let whole = outcomes.into_iter().map(|rows| rows.into_iter().collect::<Option<Vec<_>>>());
     whole.collect::<Option<_>>().ok_or(SweepError::Stopped)
-}
-
-fn bad_axes(axes: usize) -> SweepError {
-    SweepError::Scene(format!("master.axes = {axes}: must be 1 to 7"))
-}
-
-/// A part as it was read.
-struct Plan<'a> {
-    base: Value,
-    axes: usize,
-    rows: usize,
-    /// Where a number is, whether it is a whole one, and its values.
-    columns: Vec<(String, bool, &'a [f64])>,
-}
-
-impl<'a> Plan<'a> {
-    fn new(part: &SweepPart<'a>) -> Result<Self, SweepError> {
-        let unread = |error: serde_json::Error| SweepError::Scene(error.to_string());
-        let axes = scene_axes(part.scene).map_err(unread)?;
-        if !(1..=7).contains(&axes) {
-            return Err(bad_axes(axes));
-        }
-        let mut base: Value = serde_json::from_slice(part.scene).map_err(unread)?;
-        let rows = part.variations.first().map_or(1, |first| first.values.len());
-        let mut columns = Vec::with_capacity(part.variations.len());
-        for Variation { path, values } in part.variations {
-            if values.len() != rows {
-                return Err(SweepError::Length { path: path.clone(), seen: values.len(), allowed: rows });
-            }
-            let pointer = format!("/{}", path.replace('.', "/"));
-            let is_whole = match base.pointer(&pointer) {
-                Some(Value::Number(number)) => number.is_u64(),
-                // What is not bounded may be bounded, but what is not built has no numbers.
-                Some(Value::Null) => false,
-                _ => return Err(SweepError::Path(path.clone())),
-            };
-            columns.push((pointer, is_whole, values.as_slice()));
-        }
-        // Outcomes need no recording.
-        base["record"] = Value::Null;
-        Ok(Self { base, axes, rows, columns })
-    }
-
-    fn is_remote(&self) -> bool {
-        self.base.get("slave").is_some_and(|slave| !slave.is_null())
-    }
-
-    /// Whether scenarios that differ in their controllers alone may share a beginning.
-    fn can_share(&self) -> bool {
-        fn of<const N: usize>(base: &Value) -> bool {
-            SceneSpec::<N>::deserialize(base).is_ok_and(|scene| shared::can_share(&scene))
-        }
-        let of = of_axes!(self.axes, N => of::<N>, _axes => return false);
-        of(&self.base)
-    }
-
-    /// What all scenarios have in common that may begin alike: all of the base but the controllers.
-    fn common(&self, of_controllers: &[String]) -> String {
-        let mut base = self.base.clone();
-        if let Some(safety) = base.get_mut("safety").and_then(Value::as_object_mut) {
-            safety.retain(|key, _| !of_controllers.iter().any(|one| one == key));
-        }
-        let mut pointers = String::new();
-        for (pointer, ..) in self.decisive(of_controllers) {
-            if let Some(place) = base.pointer_mut(pointer) {
-                *place = Value::Null;
-            }
-            pointers = pointers + pointer + " ";
-        }
-        pointers + &base.to_string()
-    }
-
-    /// The columns that decide how a run begins, in one order.
-    fn decisive(&self, of_controllers: &[String]) -> Vec<&(String, bool, &'a [f64])> {
-        let decides = |pointer: &str| {
-            let key = pointer.strip_prefix("/safety/");
-            key.is_none_or(|key| !of_controllers.iter().any(|one| one == key))
-        };
-        let mut found: Vec<_> = self.columns.iter().filter(|(pointer, ..)| decides(pointer)).collect();
-        found.sort_by(|one, other| one.0.cmp(&other.0));
-        found
-    }
-}
-
-/// The keys of `[safety]` that say which controllers watch, and how they do.
-fn controller_keys() -> Vec<String> {
-    let schema = schemars::schema_for!(SafetySettings);
-    let fields = schema.get("properties").and_then(Value::as_object);
-    fields.map(|fields| fields.keys().cloned().collect()).unwrap_or_default()
-}
-
-/// A part, and a row of it.
-type Place = (usize, usize);
-
-/// What a thread does in one go.
-enum Job {
-    /// Rows of a part.
-    Block(usize, std::ops::Range<usize>),
-    /// Rows of parts of so many axes that begin alike.
-    Groups(usize, Vec<Vec<Place>>),
-}
-
-impl Job {
-    fn places(&self) -> Vec<Place> {
-        match self {
-            Self::Block(part, rows) => rows.clone().map(|row| (*part, row)).collect(),
-            Self::Groups(_, groups) => groups.concat(),
-        }
-    }
-}
-
-fn jobs(plans: &[Plan<'_>], threads: usize, has_research: bool) -> Vec<Job> {
-    let mut jobs = Vec::new();
-    // By their axes, in the order of their first rows.
-    let mut groups = BTreeMap::<usize, Vec<Vec<Place>>>::new();
-    let mut known = HashMap::<(usize, Vec<u64>), usize>::new();
-    let mut commons = HashMap::<String, usize>::new();
-    let of_controllers = controller_keys();
-    // Rows of a group are run one after the other: not so many that a thread is left without any.
-    let rows: usize = plans.iter().map(|plan| plan.rows).sum();
-    let most = rows.div_ceil(2 * threads).clamp(1, MAX_GROUP);
-    for (part, plan) in plans.iter().enumerate() {
-        if has_research || !plan.is_remote() || !plan.can_share() {
-            let size = if plan.is_remote() { block_size(plan.rows, threads) } else { BLOCK };
-            let blocks = (0..plan.rows).step_by(size);
-            jobs.extend(blocks.map(|first| Job::Block(part, first..plan.rows.min(first + size))));
-            continue;
-        }
-        let next = commons.len();
-        let common = *commons.entry(plan.common(&of_controllers)).or_insert(next);
-        let columns = plan.decisive(&of_controllers);
-        let of_axes = groups.entry(plan.axes).or_default();
-        for row in 0..plan.rows {
-            let key = columns.iter().map(|(_, _, values)| values[row].to_bits()).collect();
-            let group = known.entry((common, key)).or_insert(usize::MAX);
-            if of_axes.get(*group).is_none_or(|rows| rows.len() >= most) {
-                *group = of_axes.len();
-                of_axes.push(Vec::new());
-            }
-            of_axes[*group].push((part, row));
-        }
-    }
-    for (axes, groups) in groups {
-        let size = block_size(groups.iter().map(Vec::len).sum(), threads);
-        let mut some: Vec<Vec<Place>> = Vec::new();
-        for group in groups {
-            some.push(group);
-            if some.iter().map(Vec::len).sum::<usize>() >= size {
-                jobs.push(Job::Groups(axes, std::mem::take(&mut some)));
-            }
-        }
-        if !some.is_empty() {
-            jobs.push(Job::Groups(axes, some));
-        }
-    }
-    jobs
-}
-
-/// A scenario with an arm fills no lanes and takes milliseconds: small blocks keep all threads busy to the end.
-fn block_size(rows: usize, threads: usize) -> usize {
-    rows.div_ceil(8 * threads).clamp(1, BLOCK)
 }
 
 /// Sets the numbers of one row, and reads again the tables that they are in.
@@ -616,36 +461,6 @@ fn vectorised<W: Watcher<N, Lanes>, const N: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Rows that share nothing have the same outcomes: so nothing else would say that they do.
-    #[test]
-    fn rows_that_differ_in_their_controllers_are_a_group() {
-        let scene: Value = serde_json::from_slice(include_bytes!("../../tests/remote_push.json")).unwrap();
-        let with = |controllers: &[&str], corrupt: f64| {
-            let mut scene = scene.clone();
-            scene["safety"]["controllers"] = controllers.into();
-            scene["link"]["forward"]["loss"] = corrupt.into();
-            serde_json::to_vec(&scene).unwrap()
-        };
-        let scenes = [with(&[], 0.01), with(&["wsc"], 0.01), with(&["hsc"], 0.02)];
-        let column = |path: &str, values: &[f64]| Variation { path: path.into(), values: values.to_vec() };
-        let variations = [column("run.seed", &[1.0, 2.0, 1.0]), column("safety.window", &[50.0, 60.0, 70.0])];
-        let parts = scenes.each_ref().map(|scene| SweepPart { scene, variations: &variations });
-        let plans = parts.each_ref().map(|part| Plan::new(part).unwrap());
-        let groups = |threads: usize, has_research: bool| {
-            let jobs = jobs(&plans, threads, has_research);
-            let rows: usize = jobs.iter().map(|job| job.places().len()).sum();
-            assert_eq!(rows, 9);
-            let of = |job: Job| if let Job::Groups(1, groups) = job { groups } else { Vec::new() };
-            jobs.into_iter().flat_map(of).collect::<Vec<_>>()
-        };
-        let expected =
-            [vec![(0, 0), (0, 2), (1, 0), (1, 2)], vec![(0, 1), (1, 1)], vec![(2, 0), (2, 2)], vec![(2, 1)]];
-        assert_eq!(groups(1, false), expected);
-        assert!(groups(1, true).is_empty());
-        // More threads, smaller groups: nobody is idle.
-        assert!(groups(4, false).iter().all(|group| group.len() <= 2));
-    }
 
     /// What lanes cannot share is run one by one, with the same outcomes: so nothing else would say that they are used.
     #[test]
