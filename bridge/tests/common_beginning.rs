@@ -110,7 +110,8 @@ fn rows_with_other_thresholds_are_those_of_runs_of_their_own() {
 #[test]
 fn rows_of_one_part_share_a_beginning_too() {
     let scene = with(&scene(&json!({})), &json!({ "controllers": ["wsc"] }));
-    let values = vec![-0.01, -0.03, -0.1, -0.03];
+    // The first one leads, and intervenes last.
+    let values = vec![-0.1, -0.03, -0.01, -0.03];
     let column = |values: Vec<f64>| [Variation { path: "safety.energy_threshold_j".into(), values }];
     let rows = sweep(&scene, &column(values.clone()), SETTINGS, &Progress::default(), None).unwrap();
     for (row, value) in values.into_iter().enumerate() {
