@@ -123,10 +123,16 @@ def _share_interval(values: Array) -> tuple[float, float] | None:
     return binomial_interval(int(values.sum()), len(values)) if len(values) else None
 
 
+def metric_of(quantity: str) -> str:
+    """The column that a quantity of `sweep_summary` is of."""
+    condition = SHARE.fullmatch(quantity.strip())
+    return condition["metric"] if condition else quantity.strip()
+
+
 def _values(sweep: Sweep, quantity: str) -> tuple[Array, bool]:
     """A quantity in each row, NaN where it was not measured; and whether it is a share."""
     condition = SHARE.fullmatch(quantity.strip())
-    name = condition["metric"] if condition else quantity.strip()
+    name = metric_of(quantity)
     try:
         column = sweep[name]
     except KeyError as error:

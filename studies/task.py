@@ -470,6 +470,11 @@ def held_run(run: Run, period_s: float, lever_m: float) -> HeldRun:
     )
 
 
+def ejection_metrics(scene: Scene) -> list[str]:
+    """What `ejection_speeds` needs of a sweep."""
+    return ["max_ejection_velocity", *(["max_ejection_rate"] if scene.master.kind == "pose" else [])]
+
+
 def ejection_speeds(scene: Scene, found: Sweep) -> Array:
     """Largest speed in m/s after each release of a sweep: of the device, or of a handle that turns at its lever."""
     speed = np.nan_to_num(np.asarray(found["max_ejection_velocity"], dtype=np.float64))

@@ -6,7 +6,7 @@
 use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use haptether_bridge::scene::{Progress, SweepSettings, Variation, sweep};
+use haptether_bridge::scene::{Metrics, Progress, SweepSettings, Variation, sweep};
 
 const SCENE: &[u8] = include_bytes!("work_unit.json");
 const TICKS: u64 = 2000;
@@ -28,7 +28,7 @@ fn batch(criterion: &mut Criterion) {
         for (name, threads, lanes) in
             [("lanes", 1, true), ("lanes, 2 threads", 2, true), ("single", 1, false)]
         {
-            let settings = SweepSettings { threads, lanes };
+            let settings = SweepSettings { threads, lanes, metrics: Metrics::ALL };
             group.bench_with_input(BenchmarkId::new(name, scenarios), &settings, |bencher, settings| {
                 bencher.iter(|| {
                     black_box(sweep(SCENE, &variations, *settings, &Progress::default(), None).unwrap())

@@ -50,6 +50,8 @@ METRICS = (
     "orientation_rmse_rad", "torque_rmse_n_m", "passivity_min_j", "diverged", "ticks", "reason",
 )  # fmt: skip
 """Columns of what is measured, in their order; a scene of poses has those of rotation."""
+_ENDING = frozenset({"outcome", "diverged", "ticks", "reason"})
+"""Those of how a row ended, which every table has."""
 _UNMEASURED = {"never-engaged", "refused"}
 """Outcomes of rows in which nothing was measured."""
 MAX_ROWS = 2_000_000
@@ -148,6 +150,7 @@ def sweep(
     threads: int | None = None,
     lanes: bool = True,
     progress: Callable[[int], None] | None = None,
+    metrics: Iterable[str] | None = None,
 ) -> Sweep:
     """Runs a scene for many values of some of its fields. The same arguments yield the same bytes.
 
@@ -168,13 +171,16 @@ def sweep(
         threads: How many threads; by default as many as there are processors.
         lanes: Whether rows may be advanced side by side in one thread; the numbers are the same.
         progress: Called from time to time with the number of rows that are done.
+        metrics: Columns to measure, beside how each row ended; by default all. Each has the values that it has beside
+            all others, and what is not measured takes no time.
 
     Raises:
         SceneError: A scene that cannot be built, a path that it does not have, no row that can be built, or a file that
             is no population.
         ValueError: Neither or both of `grid` and `samples`, samples of different lengths, a tie to what does not vary,
-            a population without samples, or one whose field is sampled, too.
+            a population without samples, or one whose field is sampled, too; a metric that there is not.
     """
+    asked = asked_metrics(metrics)
     overrides = tuple(overrides)
     _, base = named_scene(scene, overrides)
     samples = with_scenes(with_population(base.scene, samples, population, seed), overrides)
@@ -188,22 +194,25 @@ def sweep(
         raise ValueError(message)
     varied = design.columns(0, design.rows)
     threads = thread_count(threads)
-    found = measured(base, varied, Threads(count=threads, lanes=lanes, progress=progress))
+    settings = SweepSettings(threads=threads, lanes=lanes, progress=progress, metrics=asked)
+    found = measured(base, varied, settings)
     whole = Sweep({**labelled(varied), **found})
     refuse_empty(whole)
     return whole
 
 
 @dataclass(frozen=True, kw_only=True)
-class Threads:
-    """How rows are run on this machine."""
+class SweepSettings:
+    """How rows are run on this machine, and what is measured of them."""
 
-    count: int
+    threads: int
     """How many threads."""
     lanes: bool = True
     """Whether rows may be advanced side by side in one thread."""
     progress: Callable[[int], None] | None = None
     """Called from time to time with the number of rows that are done."""
+    metrics: tuple[str, ...] | None = None
+    """The columns of `asked_metrics`."""
 
 
 def thread_count(threads: int | None) -> int:
@@ -242,11 +251,28 @@ def refuse_empty(rows: Sweep) -> None:
     raise SceneError(message)
 
 
-def measured(base: Checked, varied: Mapping[str, npt.NDArray[Any]], threads: Threads) -> dict[str, npt.NDArray[Any]]:
+def asked_metrics(metrics: Iterable[str] | None) -> tuple[str, ...] | None:
+    """The columns that are asked for, in the order of tables; none for all.
+
+    Raises:
+        ValueError: A column that there is not, or none at all.
+    """
+    if metrics is None:
+        return None
+    names = [metrics] if isinstance(metrics, str) else list(metrics)
+    if unknown := [name for name in names if name not in METRICS] or ([] if names else [""]):
+        message = f"metrics: {unknown[0]!r}: must be of {', '.join(METRICS)}"
+        raise ValueError(message)
+    return tuple(name for name in METRICS if name in names or name in _ENDING)
+
+
+def measured(
+    base: Checked, varied: Mapping[str, npt.NDArray[Any]], settings: SweepSettings
+) -> dict[str, npt.NDArray[Any]]:
     """The outcome and the metrics of each row; of rows of which none can be built only `outcome` and `reason`."""
     categories = {path: column for path, column in varied.items() if column.dtype == object}
     if not categories:
-        return in_order(_metrics([_plan(base, varied)], threads)[0])
+        return in_order(_metrics([_plan(base, varied)], settings)[0])
     numbers = {path: column for path, column in varied.items() if path not in categories}
     labels = [[label(value) for value in column.tolist()] for column in categories.values()]
     codes: dict[tuple[str, ...], int] = {}
@@ -262,7 +288,7 @@ def measured(base: Checked, varied: Mapping[str, npt.NDArray[Any]], threads: Thr
             plans.append(_plan(changed, own))
         except SceneError as error:
             plans.append(_Plan(base=base, rows=len(chosen), refused=dict.fromkeys(range(len(chosen)), str(error))))
-    return in_order(joined(list(zip(rows, _metrics(plans, threads), strict=True)), len(of_row)))
+    return in_order(joined(list(zip(rows, _metrics(plans, settings), strict=True)), len(of_row)))
 
 
 def in_order(metrics: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
@@ -354,8 +380,9 @@ def _plan(base: Checked, varied: Mapping[str, Array]) -> _Plan:
     return _Plan(base=base, rows=rows, columns=columns, built=built, refused=refused, research=research)
 
 
-def _metrics(plans: Sequence[_Plan], threads: Threads) -> list[dict[str, npt.NDArray[Any]]]:
+def _metrics(plans: Sequence[_Plan], settings: SweepSettings) -> list[dict[str, npt.NDArray[Any]]]:
     """What is measured of the rows of each plan; rows that begin alike are run together, whichever plan they are of."""
+    metrics = None if settings.metrics is None else [name for name in settings.metrics if name not in _ENDING]
     found: dict[int, Mapping[str, Any]] = {}
     together: list[int] = []
     calls: list[tuple[list[int], Research | None]] = [(together, None)]
@@ -371,8 +398,8 @@ def _metrics(plans: Sequence[_Plan], threads: Threads) -> list[dict[str, npt.NDA
     for indices, research in calls:
         if indices:
             parts = [(plans[index].base.json, plans[index].columns) for index in indices]
-            progress = shifted(threads.progress, done)
-            tables = _core.sweep_scenes(parts, threads.count, threads.lanes, progress, research)
+            progress = shifted(settings.progress, done)
+            tables = _core.sweep_scenes(parts, settings.threads, settings.lanes, progress, research, metrics)
             found |= dict(zip(indices, tables, strict=True))
             done += sum(plans[index].rows - len(plans[index].refused) for index in indices)
     return [_of_plan(plan, found.get(index)) for index, plan in enumerate(plans)]

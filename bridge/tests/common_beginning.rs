@@ -1,11 +1,13 @@
 //! Rows of sweeps that differ in their controllers alone share a beginning: no outcome may show it.
 #![allow(clippy::unwrap_used)] // a test may
 
-use haptether_bridge::scene::{Outcome, Progress, SweepPart, SweepSettings, Variation, sweep, sweep_parts};
+use haptether_bridge::scene::{
+    Metrics, Outcome, Progress, SweepPart, SweepSettings, Variation, sweep, sweep_parts,
+};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
-const SETTINGS: SweepSettings = SweepSettings { threads: 1, lanes: true };
+const SETTINGS: SweepSettings = SweepSettings { threads: 1, lanes: true, metrics: Metrics::ALL };
 
 /// A remote push in which the hand lets go after 1 s, with fields changed.
 fn scene(fields: &Value) -> Value {

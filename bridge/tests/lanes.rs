@@ -1,7 +1,7 @@
 //! Scenarios side by side have, to the last bit, the outcomes that they have one by one.
 #![allow(clippy::unwrap_used, missing_docs)] // a test may
 
-use haptether_bridge::scene::{Outcome, Progress, SweepSettings, Variation, sweep};
+use haptether_bridge::scene::{Metrics, Outcome, Progress, SweepSettings, Variation, sweep};
 use serde_json::Value;
 
 const SCENE: &[u8] = include_bytes!("../benches/work_unit.json");
@@ -10,7 +10,7 @@ fn outcomes(scene: &Value, lanes: bool) -> Vec<Outcome> {
     // One full block of lanes, and some that are left over.
     let values = (0..11).map(|i| -0.01 - 0.005 * f64::from(i)).collect();
     let variations = [Variation { path: "operator.legs.0.end.0".into(), values }];
-    let settings = SweepSettings { threads: 1, lanes };
+    let settings = SweepSettings { threads: 1, lanes, metrics: Metrics::ALL };
     let scene = serde_json::to_vec(scene).unwrap();
     let rows = sweep(&scene, &variations, settings, &Progress::default(), None).unwrap();
     rows.into_iter().map(Result::unwrap).collect()

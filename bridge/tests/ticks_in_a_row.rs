@@ -3,7 +3,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use haptether_bridge::scene::{Outcome, Progress, SweepSettings, Variation, simulate, sweep};
+use haptether_bridge::scene::{Metrics, Outcome, Progress, SweepSettings, Variation, simulate, sweep};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -27,7 +27,7 @@ fn scene(both: &Value, others: &Value) -> Value {
 fn rows(scene: &Value, seeds: &[u64]) -> Vec<Option<Outcome>> {
     let values = seeds.iter().map(|seed| *seed as f64).collect();
     let variations = [Variation { path: "run.seed".into(), values }];
-    let settings = SweepSettings { threads: 1, lanes: true };
+    let settings = SweepSettings { threads: 1, lanes: true, metrics: Metrics::ALL };
     let bytes = serde_json::to_vec(scene).unwrap();
     let rows = sweep(&bytes, &variations, settings, &Progress::default(), None).unwrap();
     rows.into_iter().map(Result::ok).collect()

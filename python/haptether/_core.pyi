@@ -2833,6 +2833,7 @@ def sweep_scenes(
     lanes: bool,
     progress: Callable[[int], None] | None,
     research: _ResearchFactory | None = None,
+    metrics: list[str] | None = None,
 ) -> list[dict[str, npt.NDArray[Any] | list[str]]]:
     """Runs each scene once per row of its own, without the interpreter's lock. Threads and lanes change no number.
 
@@ -2846,12 +2847,13 @@ def sweep_scenes(
         lanes: Whether rows may be advanced side by side in one thread.
         progress: Called from time to time with the number of rows that are done; what it raises ends the sweep.
         research: Makes the controllers of a scene with `[safety.research]`, one a row; without it each row is refused.
+        metrics: Which to measure; none for all, of which those of rotation are of scenes of poses.
 
     Returns:
         Of each scene how its rows ended, the metrics, and why a row was refused or diverged, by name, one value per
         row; NaN where a metric does not apply or was not measured.
 
     Raises:
-        ValueError: JSON that is no scene; columns of different lengths, or a path that is not there.
+        ValueError: A metric that there is not; JSON that is no scene; columns of different lengths, or a path that is not there.
         RuntimeError: A controller in Python has raised; that is its cause.
     """

@@ -12,12 +12,13 @@ use std::{
 };
 
 use haptether_bridge::scene::{
-    self, Outcome, Progress, RecordingFiles, Refused, ResearchFactory, SceneError, SceneRun, SceneSpec,
-    Signal, SweepPart, SweepSettings, Variation, simulate_recorded, sweep_parts,
+    self, Metric, Metrics, Outcome, Progress, RecordingFiles, Refused, ResearchFactory, SceneError, SceneRun,
+    SceneSpec, Signal, SweepPart, SweepSettings, Variation, simulate_recorded, sweep_parts,
 };
 use haptether_bridge::{SideKind, coupling::ROUND_TRIP_S, ladder::PRESS_NS};
 use numpy::{PyArrayMethods, PyReadonlyArray1, ToPyArray};
 use pyo3::{
+    exceptions::PyValueError,
     prelude::*,
     pybacked::PyBackedBytes,
     types::{PyDict, PyList},
@@ -228,7 +229,7 @@ type Columns<'py> = Vec<(String, PyReadonlyArray1<'py, f64>)>;
 
 /// Runs each scene once per row of its columns.
 #[pyfunction]
-#[pyo3(signature = (parts, threads, lanes, progress, research=None))]
+#[pyo3(signature = (parts, threads, lanes, progress, research=None, metrics=None))]
 fn sweep_scenes(
     py: Python<'_>,
     parts: Vec<(PyBackedBytes, Columns<'_>)>,
@@ -236,7 +237,9 @@ fn sweep_scenes(
     lanes: bool,
     progress: Option<Py<PyAny>>,
     research: Option<Py<PyAny>>,
+    metrics: Option<Vec<String>>,
 ) -> PyResult<Vec<Py<PyDict>>> {
+    let asked = metrics.map(|names| asked_metrics(&names)).transpose()?;
     let parts: Vec<(PyBackedBytes, Vec<Variation>)> = parts
         .into_iter()
         .map(|(scene, columns)| {
@@ -247,7 +250,8 @@ fn sweep_scenes(
         .collect();
     // Controllers in Python would wait for one another.
     let threads = if research.is_some() { 1 } else { threads };
-    let settings = SweepSettings { threads, lanes };
+    let measured = asked.as_ref().map_or(Metrics::ALL, |asked| asked.iter().copied().collect());
+    let settings = SweepSettings { threads, lanes, metrics: measured };
     let shared = Arc::new(Progress::default());
     let research = research.map(|factory| PyResearch::new(factory, &shared));
     let factory = research.as_ref().map(|factory| factory as &dyn ResearchFactory);
@@ -257,14 +261,24 @@ fn sweep_scenes(
     })?;
     research.as_ref().map_or(Ok(()), |factory| factory.finish(py))?;
     let rows = swept.map_err(refuse)?;
-    of_parts.iter().zip(&rows).map(|(part, rows)| outcome_table(py, part, rows)).collect()
+    of_parts.iter().zip(&rows).map(|(part, rows)| outcome_table(py, part, rows, asked.as_deref())).collect()
 }
 
-/// The outcomes of one part as columns.
+/// Metrics by their names, in the order of tables.
+fn asked_metrics(names: &[String]) -> PyResult<Vec<Metric>> {
+    let known = Metric::ALL.map(Metric::name);
+    if let Some(unknown) = names.iter().find(|name| !known.contains(&name.as_str())) {
+        return Err(PyValueError::new_err(format!("metrics: {unknown:?}: must be of {}", known.join(", "))));
+    }
+    Ok(Metric::ALL.into_iter().filter(|metric| names.iter().any(|name| name == metric.name())).collect())
+}
+
+/// The outcomes of one part as columns, of metrics those that were asked for.
 fn outcome_table(
     py: Python<'_>,
     part: &SweepPart<'_>,
     rows: &[Result<Outcome, Refused>],
+    asked: Option<&[Metric]>,
 ) -> PyResult<Py<PyDict>> {
     let (period_s, kind) = of_axes!(scene_axes(part.scene)?, N => {
         let scene = scene_spec::<N>(part.scene)?;
@@ -276,30 +290,15 @@ fn outcome_table(
     let names: Vec<_> =
         rows.iter().map(|row| row.as_ref().map_or("refused", |outcome| outcome.ending.name())).collect();
     table.set_item("outcome", names)?;
-    // NaN stands for what was not measured.
-    let numbers = |of: &dyn Fn(&Outcome) -> Option<f64>| {
-        let value = |row: &Result<Outcome, Refused>| row.as_ref().ok().and_then(of).unwrap_or(f64::NAN);
-        column(py, rows.iter().map(value).collect::<Vec<f64>>())
-    };
-    table.set_item("max_ejection_velocity", numbers(&|one| one.max_ejection_velocity))?;
-    table.set_item("peak_device_force", numbers(&|one| one.peak_device_force))?;
-    table.set_item("time_to_trip_s", numbers(&|one| one.time_to_trip_s))?;
-    table.set_item("false_trips", numbers(&|one| one.false_trips.map(|count| count as f64)))?;
-    let ticks = |row: &Result<Outcome, Refused>| {
-        row.as_ref().ok().and_then(|one| one.intervention_ticks).map_or(f64::NAN, |ticks| ticks as f64)
-    };
-    let intervention = rows.iter().enumerate().map(|(index, row)| ticks(row) * period(index));
-    table.set_item("intervention_s", column(py, intervention.collect::<Vec<f64>>()))?;
-    table.set_item("intervention_ticks", column(py, rows.iter().map(ticks).collect::<Vec<f64>>()))?;
-    table.set_item("position_rmse_m", numbers(&|one| one.position_rmse_m))?;
-    table.set_item("force_rmse_n", numbers(&|one| one.force_rmse_n))?;
-    if kind == SideKind::Pose {
-        table.set_item("max_ejection_rate", numbers(&|one| one.max_ejection_rate))?;
-        table.set_item("peak_device_torque", numbers(&|one| one.peak_device_torque))?;
-        table.set_item("orientation_rmse_rad", numbers(&|one| one.orientation_rmse_rad))?;
-        table.set_item("torque_rmse_n_m", numbers(&|one| one.torque_rmse_n_m))?;
+    // NaN stands for what was not measured. What turns is measured of poses alone, but for who asks for it.
+    let of_all = Metric::ALL.into_iter().filter(|metric| kind == SideKind::Pose || !metric.is_of_rotation());
+    let asked = asked.map_or_else(|| of_all.collect(), <[Metric]>::to_vec);
+    for metric in asked {
+        let of = |(index, row): (usize, &Result<Outcome, Refused>)| {
+            row.as_ref().ok().and_then(|one| metric.of(one, period(index))).unwrap_or(f64::NAN)
+        };
+        table.set_item(metric.name(), column(py, rows.iter().enumerate().map(of).collect::<Vec<f64>>()))?;
     }
-    table.set_item("passivity_min_j", numbers(&|one| one.passivity_min_j))?;
     let diverged = |row: &Result<Outcome, Refused>| row.as_ref().is_ok_and(|one| one.diverged.is_some());
     table.set_item("diverged", column(py, rows.iter().map(diverged).collect::<Vec<bool>>()))?;
     let ticks = |row: &Result<Outcome, Refused>| row.as_ref().map_or(0, |one| one.ticks);

@@ -29,6 +29,7 @@ from haptether.studies.task import (
     Network,
     Releases,
     Task,
+    ejection_metrics,
     ejection_speeds,
     refuse_fixed,
 )
@@ -183,7 +184,8 @@ class _Runs:
     def _speeds(self, releases: Releases, controllers: str | None) -> tuple[Array, Array]:
         """After each release the largest speed in m/s, NaN if the run did not come to it, and the time to a trip."""
         scene = self.task.with_controllers(releases.scene, controllers, {})
-        found = sweep(scene, samples=releases.rows, threads=self.threads)
+        metrics = [*ejection_metrics(scene), "time_to_trip_s"]
+        found = sweep(scene, samples=releases.rows, threads=self.threads, metrics=metrics)
         speeds = ejection_speeds(scene, found)
         speeds[~np.isfinite(np.asarray(found["max_ejection_velocity"], dtype=np.float64))] = np.nan
         trip = np.asarray(found["time_to_trip_s"], dtype=np.float64)

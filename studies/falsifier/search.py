@@ -148,7 +148,8 @@ class _Search:
     def speeds(self, tried: list[Release]) -> Array:
         """The speed that each leads to, in m/s; 0 where nothing was measured."""
         base = self.releases.scene_of(tried[0], whole=True)
-        seen = sweep(base, samples=self.releases.samples(tried), threads=self.threads)["max_ejection_velocity"]
+        wanted = "max_ejection_velocity"
+        seen = sweep(base, samples=self.releases.samples(tried), threads=self.threads, metrics=[wanted])[wanted]
         found: Array = np.nan_to_num(np.asarray(seen, dtype=np.float64))
         self.tried += len(tried)
         place = int(np.argmax(found))

@@ -18,6 +18,7 @@ from haptether.studies.task import (
     HandBounds,
     Releases,
     Task,
+    ejection_metrics,
     ejection_speeds,
     refuse_fixed,
 )
@@ -242,7 +243,7 @@ class TaskRuns:
         """Largest speed in m/s after each release, by threshold and hand."""
         watched = self.task.with_controllers(releases.scene, law.controller if law else None, law.fixed if law else {})
         samples = self._over(law, releases.rows) if law else releases.rows
-        found = sweep(watched, samples=samples, threads=self.threads)
+        found = sweep(watched, samples=samples, threads=self.threads, metrics=ejection_metrics(watched))
         return ejection_speeds(releases.scene, found).reshape(len(law.values) if law else 1, -1)
 
     def released(self, law: ThresholdLaw) -> list[tuple[int, int, Array]]:
@@ -264,6 +265,7 @@ class TaskRuns:
                 self.task.with_controllers(self.lasting, law.controller, law.fixed),
                 samples=self._over(law, self.hands),
                 threads=self.threads,
+                metrics=["false_trips"],
             )
             trips = np.nan_to_num(np.asarray(held["false_trips"], dtype=np.float64)).reshape(len(law.values), -1)
             for threshold, false_trips, (releases, missed, speeds) in zip(

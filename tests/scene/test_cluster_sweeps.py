@@ -14,7 +14,7 @@ import pytest
 from haptether.bridge import controller_time, register_controller, sweep_to_file
 from haptether.bridge.scene.load import loaded
 from haptether.bridge.scene.research import count_controller_time
-from haptether.bridge.scene.sweep import Threads
+from haptether.bridge.scene.sweep import SweepSettings
 from haptether.bridge.scene.sweeps import cluster
 
 GRID: dict[str, list[Any]] = {"link.forward.delay_s": [0.01, 0.02], "safety.controllers": [["wsc"], []]}
@@ -76,11 +76,11 @@ def test_a_batch_says_what_its_controllers_took_and_no_more() -> None:
     # Earlier work of the same process.
     count_controller_time(1_000_000, 1e3)
     columns = {"run.seed": np.array([1.0, 2.0])}
-    first, metrics, taken = cluster._batch(base, 4, columns, Threads(count=1))
+    first, metrics, taken = cluster._batch(base, 4, columns, SweepSettings(threads=1))
     assert first == 4
     assert taken.ticks == metrics["ticks"].sum() > 0
     assert 0.0 < taken.seconds < 1e3
-    _, _, again = cluster._batch(base, 4, columns, Threads(count=1))
+    _, _, again = cluster._batch(base, 4, columns, SweepSettings(threads=1))
     assert again.ticks == taken.ticks
 
 

@@ -4,13 +4,14 @@ import contextlib
 import importlib
 import importlib.util
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any, Protocol, TypeAlias
 
 import numpy.typing as npt
 
 from haptether.bridge.scene.load import Checked
 from haptether.bridge.scene.research import ControllerTime, count_controller_time, thread_controller_time
-from haptether.bridge.scene.sweep import Threads, measured
+from haptether.bridge.scene.sweep import SweepSettings, measured
 from haptether.bridge.scene.sweeps.design import Design
 
 Metrics: TypeAlias = "dict[str, npt.NDArray[Any]]"
@@ -40,9 +41,8 @@ def computed_by_cluster(
     design: Design,
     gaps: Iterable[tuple[int, int]],
     address: str | None,
+    settings: SweepSettings,
     *,
-    threads: int,
-    lanes: bool,
     progress: Callable[[int], None] | None,
 ) -> Iterator[tuple[int, Metrics]]:
     """The first row and the metrics of batches that fill the gaps, as they are done: in any order.
@@ -52,9 +52,8 @@ def computed_by_cluster(
         design: Which value has which row.
         gaps: Ranges of rows, each first and end.
         address: Of a scheduler, "tcp://host:8786", whose workers have this version of Haptether; none for as many
-            processes of this machine as `threads`.
-        threads: Threads of each worker's batch; with processes of this machine one each.
-        lanes: As of `sweep`.
+            processes of this machine as there are threads in `settings`.
+        settings: How each worker runs a batch; with processes of this machine on one thread each.
         progress: Called with the number of rows that are done.
 
     Raises:
@@ -71,18 +70,17 @@ def computed_by_cluster(
         if address is None:
             # Each worker is a process: one that dies takes no other with it.
             local = distributed.LocalCluster(
-                n_workers=threads, threads_per_worker=1, processes=True, dashboard_address=None
+                n_workers=settings.threads, threads_per_worker=1, processes=True, dashboard_address=None
             )
-            cluster, threads = stack.enter_context(local), 1
+            cluster, settings = stack.enter_context(local), replace(settings, threads=1)
         else:
             cluster = address
         client = stack.enter_context(distributed.Client(cluster, timeout=ANSWER_S, set_as_default=False))
         shared = client.scatter(base, broadcast=True)
-        on_worker = Threads(count=threads, lanes=lanes)
 
         def submit(first: int, end: int) -> _Future:
             columns = design.columns(first, end)
-            future: _Future = client.submit(_batch, shared, first, columns, on_worker, pure=False, retries=RETRIES)
+            future: _Future = client.submit(_batch, shared, first, columns, settings, pure=False, retries=RETRIES)
             return future
 
         waiting = distributed.as_completed(loop=client.loop)
@@ -118,10 +116,10 @@ def _ranges(design: Design, gaps: Iterable[tuple[int, int]]) -> Iterator[tuple[i
 
 
 def _batch(
-    base: Checked, first: int, columns: Mapping[str, npt.NDArray[Any]], threads: Threads
+    base: Checked, first: int, columns: Mapping[str, npt.NDArray[Any]], settings: SweepSettings
 ) -> tuple[int, Metrics, ControllerTime]:
     """On a worker: the metrics of some rows, and what controllers in Python took for them."""
     before = thread_controller_time()
-    metrics = measured(base, columns, threads)
+    metrics = measured(base, columns, settings)
     after = thread_controller_time()
     return first, metrics, ControllerTime(after.ticks - before.ticks, after.seconds - before.seconds)

@@ -20,7 +20,8 @@ from haptether.bridge.scene.run import named_scene
 from haptether.bridge.scene.save import scene_toml
 from haptether.bridge.scene.sweep import (
     Sweep,
-    Threads,
+    SweepSettings,
+    asked_metrics,
     in_order,
     labelled,
     measured,
@@ -89,6 +90,7 @@ def sweep_to_file(
     engine: Literal["local", "dask"] = "local",
     address: str | None = None,
     progress: Callable[[int], None] | None = None,
+    metrics: Iterable[str] | None = None,
 ) -> StoredSweep:
     """Runs every combination of `grid` with all `samples`, and writes a file that is the same however often it resumed.
 
@@ -115,11 +117,12 @@ def sweep_to_file(
         address: Of the scheduler of a cluster, "tcp://host:8786", whose workers have this version; none for worker
             processes on this machine.
         progress: Called from time to time with the number of rows that are done, those kept before included.
+        metrics: Columns to measure, as of `sweep`; by default all.
 
     Raises:
         SceneError: A scene that cannot be built, a path that it does not have, or no row that can be built.
-        ValueError: Another suffix; rows of an interrupted sweep and not `resume`; a resume of another scene, design or
-            version, with what differs; a tie to what does not vary.
+        ValueError: Another suffix; rows of an interrupted sweep and not `resume`; a resume of another scene, design,
+            version or other metrics, with what differs; a tie to what does not vary; a metric that there is not.
         ImportError: Parquet without PyArrow, or the engine dask without dask.distributed.
         OSError: A file cannot be written.
     """
@@ -128,6 +131,7 @@ def sweep_to_file(
         message = f"engine = {engine!r}, address = {address!r}: must be local without an address, or dask"
         raise ValueError(message)
     check_suffix(path)
+    asked = asked_metrics(metrics)
     refuse_link(path)
     if is_stream(path):
         message = f"{path}: is a pipe or a device, must be a file"
@@ -136,7 +140,7 @@ def sweep_to_file(
     name, base = named_scene(scene, overrides)
     grid, samples = with_scenes(grid, overrides), with_scenes(samples, overrides)
     design = design_of(grid, with_population(base.scene, samples, population, seed), ties)
-    threads = thread_count(threads)
+    settings = SweepSettings(threads=thread_count(threads), lanes=lanes, metrics=asked)
     request = {
         "version": __version__,
         "scene": name,
@@ -144,6 +148,8 @@ def sweep_to_file(
         **design.described(),
         "specification": json.loads(base.json),
     }
+    if asked is not None:
+        request["metrics"] = list(asked)
     if scenes := _scenes(design):
         request["scenes"] = {each.name: json.loads(each.checked.json) for each in scenes}
     if (sources := _controller_sources(base, design)) is not None:
@@ -155,11 +161,11 @@ def sweep_to_file(
         if progress is not None:
             progress(resumed)
         if engine == "dask":
-            batches = computed_by_cluster(base, design, gaps, address, threads=threads, lanes=lanes, progress=report)
+            batches = computed_by_cluster(base, design, gaps, address, settings, progress=report)
         else:
-            batches = computed(base, design, gaps, Threads(count=threads, lanes=lanes), report)
-        for first, metrics in batches:
-            journal.add(first, metrics)
+            batches = computed(base, design, gaps, settings, report)
+        for first, rows in batches:
+            journal.add(first, rows)
         stored = _written(journal, base, design, request, resumed=resumed, collect=collect)
         journal.remove()
     finally:
@@ -188,7 +194,7 @@ def computed(
     base: Checked,
     design: Design,
     gaps: Iterable[tuple[int, int]],
-    threads: Threads,
+    settings: SweepSettings,
     progress: Callable[[int], None] | None,
 ) -> Iterator[tuple[int, Metrics]]:
     """The first row and the metrics of batches that fill the gaps, one after the other on this machine."""
@@ -198,7 +204,8 @@ def computed(
         while first < stop:
             end = min(design.end_of_batch(first, size), stop)
             start_s = time.perf_counter()
-            metrics = measured(base, design.columns(first, end), replace(threads, progress=shifted(progress, done)))
+            counted = replace(settings, progress=shifted(progress, done))
+            metrics = measured(base, design.columns(first, end), counted)
             elapsed_s = max(time.perf_counter() - start_s, 1e-9)
             yield first, metrics
             done += end - first

@@ -4,7 +4,10 @@ use haptether_netsim::LinkSettings;
 use haptether_safety::{Axes, Fault, Real};
 use nalgebra::SimdBool as _;
 
-use super::spec::SceneSpec;
+use super::{
+    metrics::{Metric, Metrics},
+    spec::SceneSpec,
+};
 use crate::LadderState;
 
 /// What left its bounds when a loop diverged.
@@ -80,7 +83,7 @@ impl Ending {
     }
 }
 
-/// What is measured of a run; none where it was not measured, which is not 0.
+/// What is measured of a run; none where it was not, or where nobody asked for it, which is not 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outcome {
     /// How it ended.
@@ -127,6 +130,8 @@ pub(crate) struct MeasureSettings {
     pub(crate) diverged_speed: f64,
     /// From when on, in s, a device at rest says that nothing more will happen; none to run to the end.
     pub(crate) quiet_after_s: Option<f64>,
+    /// What is measured.
+    pub(crate) metrics: Metrics,
 }
 
 impl MeasureSettings {
@@ -181,6 +186,7 @@ impl MeasureSettings {
             diverged_position: scene.run.diverged_position,
             diverged_speed: scene.run.diverged_speed,
             quiet_after_s: scene.run.stop_early.then_some(quiet_after),
+            metrics: scene.metrics,
         }
     }
 }
@@ -197,6 +203,7 @@ const MIN_SQUARED_FORCE: f64 = 1e-6;
 /// The measures of a run as they grow.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Measures<const N: usize, S: Real = f64> {
+    metrics: Metrics,
     release: S,
     has_release: bool,
     /// Before the first of these times in s none has let go, after the second all have.
@@ -229,6 +236,7 @@ impl<const N: usize> Measures<N> {
     /// Nothing measured yet, of a device that starts at `position` in m.
     pub(crate) fn new(settings: &MeasureSettings, position: &Axes<N>) -> Self {
         Self {
+            metrics: settings.metrics,
             release: settings.release_s.unwrap_or(0.0),
             has_release: settings.release_s.is_some(),
             earliest_release: settings.release_s.unwrap_or(f64::NEG_INFINITY),
@@ -254,12 +262,13 @@ impl<const N: usize> Measures<N> {
         }
     }
 
-    /// Several scenarios side by side, before their first tick; none if some have a release, or an early end, and
-    /// others have not.
+    /// Several scenarios side by side, before their first tick; none if some have a release, an early end or a metric,
+    /// and others have not.
     pub(crate) fn gather<S: Real>(of: &[Self]) -> Option<Measures<N, S>> {
         let first = of.first()?;
         let shares = |one: &Self| {
-            (one.has_release, one.quiet_after.is_some()) == (first.has_release, first.quiet_after.is_some())
+            let kinds = |one: &Self| (one.metrics, one.has_release, one.quiet_after.is_some());
+            kinds(one) == kinds(first)
         };
         if of.len() != S::LANES || !of.iter().all(shares) {
             return None;
@@ -273,6 +282,7 @@ impl<const N: usize> Measures<N> {
         };
         let zero = S::splat(0.0);
         Some(Measures {
+            metrics: first.metrics,
             release: number(&|one| one.release),
             has_release: first.has_release,
             earliest_release: of.iter().map(|one| one.earliest_release).fold(f64::INFINITY, f64::min),
@@ -359,15 +369,20 @@ impl<const N: usize, S: Real> Measures<N, S> {
     ) -> Option<S::SimdBool> {
         let (zero, one, time) = (S::splat(0.0), S::splat(1.0), S::splat(t));
         self.newest_s = t;
-        // Work of the force that was held since the last tick.
-        self.energy -= self.held.dot(&(position - self.last_position));
-        self.min_energy = self.energy.lesser(self.min_energy);
-        (self.held, self.last_position) = (*device_force, *position);
+        if self.metrics.has(Metric::PassivityMin) {
+            // Work of the force that was held since the last tick.
+            self.energy -= self.held.dot(&(position - self.last_position));
+            self.min_energy = self.energy.lesser(self.min_energy);
+            (self.held, self.last_position) = (*device_force, *position);
+        }
         let squared_force = device_force.dot(device_force);
-        self.peak_squared_force = squared_force.larger(self.peak_squared_force);
+        if self.metrics.has(Metric::PeakDeviceForce) {
+            self.peak_squared_force = squared_force.larger(self.peak_squared_force);
+        }
 
         let squared_speed = velocity.dot(velocity);
-        if t <= self.latest_release {
+        let has_ejection = self.metrics.has(Metric::MaxEjectionVelocity);
+        if has_ejection && t <= self.latest_release {
             let squared = rendered_force.dot(rendered_force);
             let points = squared.simd_gt(S::splat(MIN_SQUARED_FORCE));
             let points = if self.has_release { points & time.simd_le(self.release) } else { points };
@@ -385,7 +400,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
             }
         }
         let has_begun = time.simd_ge(self.release);
-        if t >= self.earliest_release {
+        if has_ejection && t >= self.earliest_release {
             let mut along = velocity.dot(&self.direction);
             if !self.all_directed {
                 let has_direction = self.direction.dot(&self.direction).simd_gt(zero);
@@ -393,7 +408,9 @@ impl<const N: usize, S: Real> Measures<N, S> {
             }
             self.ejection = along.select(has_begun, zero).larger(self.ejection);
         }
-        if is_on.any() {
+        if !self.metrics.has_interventions() {
+            // Nobody asks for them.
+        } else if is_on.any() {
             let on = one.select(is_on, zero);
             let begins = on * (one - self.was_on);
             let is_false = if self.has_release { zero.select(has_begun, begins) } else { begins };
@@ -424,6 +441,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
         diverged: Option<Divergence>,
     ) -> Outcome {
         let of = |value: S| value.extract(lane);
+        let has = |metric| self.metrics.has(metric);
         let trip = of(self.trip);
         let has_begun = self.newest_s >= of(self.release);
         let ending = match ending {
@@ -435,12 +453,16 @@ impl<const N: usize, S: Real> Measures<N, S> {
         let count = |value: S| measured(value).map(|value| value as u64);
         Outcome {
             ending,
-            max_ejection_velocity: measured(self.ejection).filter(|_| has_begun),
-            peak_device_force: measured(self.peak_squared_force).map(f64::sqrt),
-            time_to_trip_s: (self.has_release && trip.is_finite()).then(|| trip - of(self.release)),
-            false_trips: count(self.false_trips),
-            intervention_ticks: count(self.on),
-            passivity_min_j: measured(self.min_energy),
+            max_ejection_velocity: measured(self.ejection)
+                .filter(|_| has_begun && has(Metric::MaxEjectionVelocity)),
+            peak_device_force: measured(self.peak_squared_force)
+                .filter(|_| has(Metric::PeakDeviceForce))
+                .map(f64::sqrt),
+            time_to_trip_s: (self.has_release && trip.is_finite() && has(Metric::TimeToTrip))
+                .then(|| trip - of(self.release)),
+            false_trips: count(self.false_trips).filter(|_| has(Metric::FalseTrips)),
+            intervention_ticks: count(self.on).filter(|_| self.metrics.has_intervention_ticks()),
+            passivity_min_j: measured(self.min_energy).filter(|_| has(Metric::PassivityMin)),
             position_rmse_m: None,
             force_rmse_n: None,
             max_ejection_rate: None,

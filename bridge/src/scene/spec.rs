@@ -25,6 +25,7 @@ use serde::Deserialize;
 use crate::{
     ButtonSettings, LadderSettings, SideKind,
     coupling::{AlignmentSettings, CommandBounds, RotationBounds},
+    scene::metrics::Metrics,
 };
 
 /// Runs an expression for the number of axes of a device; `$n` is that number as a constant, `$other` what any other
@@ -90,6 +91,9 @@ pub struct SceneSpec<const N: usize> {
     pub safety: SafetySpec,
     /// What is recorded; without it only metrics and events are kept.
     pub record: Option<RecordSpec>,
+    /// What is measured: all, unless a sweep asks for less. No part of a scene as JSON.
+    #[serde(skip)]
+    pub metrics: Metrics,
 }
 
 /// The number of axes of a scene as JSON, for which its [`SceneSpec`] is read; the rest of it is not looked at.

@@ -19,6 +19,7 @@ use super::{
     assemble::{SceneError, contradiction, is_continuous, is_formula, rendered_walls, stepped_master},
     local::{LocalRun, check_local, local_run},
     measures::Outcome,
+    metrics::Metrics,
     outcome,
     research::ResearchFactory,
     shared,
@@ -38,13 +39,15 @@ pub struct Variation {
     pub values: Vec<f64>,
 }
 
-/// How a sweep is run; the results do not depend on it.
+/// How a sweep is run, and what it measures; nothing that is measured depends on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SweepSettings {
     /// Threads; 0 for as many as there are processors.
     pub threads: usize,
     /// Whether scenarios that can be are advanced side by side.
     pub lanes: bool,
+    /// What is measured of each scenario; the rest is none in its outcome.
+    pub metrics: Metrics,
 }
 
 /// What another thread sees of a sweep, and how it ends one.
@@ -139,11 +142,11 @@ pub fn sweep_parts(
             Job::Block(part, rows) => {
                 let plan = &plans[*part];
                 let run = of_axes!(plan.axes, N => run_block::<N>, axes => return Err(bad_axes(axes)));
-                run(plan, rows.clone(), settings.lanes, progress, research)?
+                run(plan, rows.clone(), settings, progress, research)?
             }
             Job::Groups(axes, groups) => {
                 let run = of_axes!(*axes, N => run_groups::<N>, axes => return Err(bad_axes(axes)));
-                run(&plans, groups, progress)?
+                run(&plans, groups, settings.metrics, progress)?
             }
         };
         Ok((job, found))
@@ -217,21 +220,22 @@ fn read_table<const N: usize>(
         "link" => spec.link = Deserialize::deserialize(value)?,
         "coupling" => spec.coupling = Deserialize::deserialize(value)?,
         "safety" => spec.safety = Deserialize::deserialize(value)?,
-        _ => *spec = Deserialize::deserialize(scene)?,
+        _ => *spec = SceneSpec { metrics: spec.metrics, ..Deserialize::deserialize(scene)? },
     }
     Ok(())
 }
 
 /// The scene of a part as numbers, and the scene as JSON that rows are set in.
-fn spec_of<const N: usize>(plan: &Plan<'_>) -> Result<(SceneSpec<N>, Value), SweepError> {
+fn spec_of<const N: usize>(plan: &Plan<'_>, metrics: Metrics) -> Result<(SceneSpec<N>, Value), SweepError> {
     let spec = SceneSpec::deserialize(&plan.base).map_err(|error| SweepError::Scene(error.to_string()))?;
-    Ok((spec, plan.base.clone()))
+    Ok((SceneSpec { metrics, ..spec }, plan.base.clone()))
 }
 
 /// Runs groups of rows that may begin alike.
 fn run_groups<const N: usize>(
     plans: &[Plan<'_>],
     groups: &[Vec<Place>],
+    metrics: Metrics,
     Progress { done, stop }: &Progress,
 ) -> Result<Vec<Row>, SweepError> {
     let mut read = HashMap::<usize, (SceneSpec<N>, Value)>::new();
@@ -244,7 +248,7 @@ fn run_groups<const N: usize>(
         for (part, row) in group {
             let plan = &plans[*part];
             if !read.contains_key(part) {
-                read.insert(*part, spec_of(plan)?);
+                read.insert(*part, spec_of(plan, metrics)?);
             }
             let set = read
                 .get_mut(part)
@@ -272,7 +276,7 @@ fn run_groups<const N: usize>(
 fn run_block<const N: usize>(
     plan: &Plan<'_>,
     block: std::ops::Range<usize>,
-    lanes: bool,
+    SweepSettings { lanes, metrics, .. }: SweepSettings,
     progress: &Progress,
     research: Option<&dyn ResearchFactory>,
 ) -> Result<Vec<Row>, SweepError> {
@@ -280,7 +284,7 @@ fn run_block<const N: usize>(
     if stop.load(Ordering::Relaxed) {
         return Err(SweepError::Stopped);
     }
-    let (mut spec, mut scene) = spec_of::<N>(plan)?;
+    let (mut spec, mut scene) = spec_of::<N>(plan, metrics)?;
     let mut rows: Vec<Option<Row>> = vec![None; block.len()];
     let mut specs = Vec::with_capacity(block.len());
     for (index, row) in block.enumerate() {

@@ -6,6 +6,7 @@ use super::{
     assemble::SceneError,
     coupling::Present,
     measures::{Divergence, DivergenceCause, Ending, MeasureSettings, Measures},
+    metrics::Metric,
     pose::{self, RotationMeasures},
     record::{EventLog, Recorder, Sample, SceneRun},
     sides::coupled,
@@ -242,10 +243,12 @@ impl<const N: usize> Watched<N> {
             self.log.trigger_tripped(time_s, felt.intervention.tripped);
         }
         let coupled = self.states.iter().all(|state| state.is_coupled());
-        if let (Some(rotation), Some(turn)) = (&mut self.rotation, turn) {
+        if let (Some(rotation), Some(turn)) = (&mut self.rotation, turn)
+            && self.judged.metrics.has_rotation()
+        {
             rotation.near(time_s, turn, coupled);
         }
-        if self.states.iter().all(|state| state.is_coupled()) {
+        if coupled && self.judged.metrics.has(Metric::ForceError) {
             let difference = force - self.coupling.to_master(&self.far_force);
             self.squares[1] += difference.norm_squared();
             self.samples[1] += 1;
@@ -305,7 +308,9 @@ impl<const N: usize> Watched<N> {
         (self.far_force, self.far_position) = (record.environment_force, record.position);
         self.log.touches(time_s, arm.touches());
         self.log.grips(time_s, record.holds_object);
-        if !self.states.iter().all(|state| state.is_coupled()) {
+        if !self.judged.metrics.has(Metric::PositionError) {
+            // Nobody asks for it.
+        } else if !self.states.iter().all(|state| state.is_coupled()) {
             // They engage anew from where both are then.
             self.anchor = None;
         } else if let Some((_, position)) = &self.newest {
@@ -411,7 +416,7 @@ impl<const N: usize> Watched<N> {
         outcome.position_rmse_m = mean(0).filter(|rmse| rmse.is_finite());
         outcome.force_rmse_n = mean(1).filter(|rmse| rmse.is_finite());
         if let Some(rotation) = &self.rotation {
-            outcome = rotation.complete(outcome);
+            outcome = rotation.complete(outcome, self.judged.metrics);
         }
         if self.engaged_s.is_none() {
             outcome = outcome.never_engaged();

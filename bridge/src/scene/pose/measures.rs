@@ -7,7 +7,11 @@ use crate::{
     MasterRotation, SlaveRotation,
     command::OperatorCommand,
     coupling::{CouplingError, RotationCoupling, RotationLock},
-    scene::{measures::Outcome, spec::CouplingSpec},
+    scene::{
+        measures::Outcome,
+        metrics::{Metric, Metrics},
+        spec::CouplingSpec,
+    },
 };
 
 /// Peaks, and how far the slave's rotation lies from the master's, scaled.
@@ -89,19 +93,21 @@ impl RotationMeasures {
         self.far = Some(*record);
     }
 
-    /// Adds what was measured.
-    pub(crate) fn complete(&self, outcome: Outcome) -> Outcome {
-        let mean = |which: usize| {
+    /// Adds what was measured of `metrics`.
+    pub(crate) fn complete(&self, outcome: Outcome, metrics: Metrics) -> Outcome {
+        let mean = |which: usize, metric: Metric| {
             let samples = self.samples[which];
-            (samples > 0)
+            (samples > 0 && metrics.has(metric))
                 .then(|| (self.squares[which] / samples as f64).sqrt())
                 .filter(|mean| mean.is_finite())
         };
         Outcome {
-            max_ejection_rate: (self.newest_s >= self.release_s).then_some(self.peak_rate),
-            peak_device_torque: (self.newest_s >= 0.0).then_some(self.peak_torque),
-            orientation_rmse_rad: mean(0),
-            torque_rmse_n_m: mean(1),
+            max_ejection_rate: (self.newest_s >= self.release_s && metrics.has(Metric::MaxEjectionRate))
+                .then_some(self.peak_rate),
+            peak_device_torque: (self.newest_s >= 0.0 && metrics.has(Metric::PeakDeviceTorque))
+                .then_some(self.peak_torque),
+            orientation_rmse_rad: mean(0, Metric::OrientationError),
+            torque_rmse_n_m: mean(1, Metric::TorqueError),
             ..outcome
         }
     }

@@ -63,6 +63,8 @@ class Sweep(PictureOptions):
 
     haptether sweep remote_push --vary scene=remote_push,my/scene.toml --samples 30 --summary peak_device_force
 
+    haptether sweep remote_push --vary run.seed=1:1000:1000 --metrics max_ejection_velocity false_trips --out small.csv
+
     haptether sweep paper_wall --vary environment.objects.0.contact.stiffness=200:1000:9 --set safety.controllers=[hsc]
     """
 
@@ -93,6 +95,9 @@ class Sweep(PictureOptions):
         tyro.conf.arg(metavar="TABLE.KEY=VALUE"),
     ] = ()
     """Change a field in all rows; may be given often."""
+    metrics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC [METRIC ...]")] = ()
+    """Measure these columns alone, beside how each row ended: what is not measured takes no time and no place. By
+    default all."""
     threads: int | None = None
     """Threads to run in; as many as there are processors if not given."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -136,6 +141,7 @@ class Sweep(PictureOptions):
             option = "--resume" if self.resume else "--engine"
             message = f"{option}: give --out, the file whose rows are kept"
             raise ValueError(message)
+        self._check_metrics()
         varied, ties = self._varied()
         varied = dict(with_scenes(varied, self.set) or {})
         drawn = self._drawn(varied)
@@ -231,6 +237,7 @@ class Sweep(PictureOptions):
                         engine=self.engine,
                         address=self.address,
                         progress=progress,
+                        metrics=self.metrics or None,
                     )
                 whole = stored.whole
             else:
@@ -241,6 +248,7 @@ class Sweep(PictureOptions):
                     overrides=self.set,
                     threads=self.threads,
                     progress=progress,
+                    metrics=self.metrics or None,
                 )
             progress(design.rows)
         return whole, stored
@@ -321,6 +329,17 @@ class Sweep(PictureOptions):
                 message = f"--draw {path}: varies by itself"
                 raise ValueError(message)
         return drawn
+
+    def _check_metrics(self) -> None:
+        """Refuses what cannot be measured, or summed up without being measured, before a row is run."""
+        from haptether.bridge.scene.sweep import METRICS, asked_metrics
+        from haptether.studies.sampled import metric_of
+
+        asked = asked_metrics(self.metrics or None) or METRICS
+        for quantity in self.summary:
+            if (name := metric_of(quantity)) in METRICS and name not in asked:
+                message = f"--summary {quantity}: {name} is not measured: name it with --metrics, too"
+                raise ValueError(message)
 
     def _check_samples(self) -> None:
         """Refuses a number of samples or a seed that cannot be, and what is drawn without samples."""

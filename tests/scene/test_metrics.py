@@ -1,0 +1,112 @@
+"""A sweep measures the columns that it is asked for, with the numbers that they have beside all others."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from haptether.bridge import load_scene, sweep, sweep_to_file
+from haptether.bridge.scene.sweep import METRICS
+from haptether.cli.entry import main
+
+ENDING = ["outcome", "diverged", "ticks", "reason"]
+MEASURED = [name for name in METRICS if name not in ENDING]
+OF_ROTATION = {"max_ejection_rate", "peak_device_torque", "orientation_rmse_rad", "torque_rmse_n_m"}
+STEPPED = ("run.integrator=semi-implicit-euler", "run.step_s=0.001")
+CASES = {
+    "paper_wall": ("paper_wall", ()),
+    "in lanes": ("paper_wall", STEPPED),
+    "remote_push": ("remote_push", ("run.duration_s=3.5",)),
+    "three_axis_box": ("three_axis_box", ("run.duration_s=1",)),
+    "valve": ("valve", ("run.duration_s=1",)),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_column_alone_has_the_numbers_that_it_has_beside_all_others(case: str) -> None:
+    name, overrides = CASES[case]
+    grid: dict[str, Any] = {"safety.controllers": [[], ["wsc"]], "run.seed": [1, 2]}
+    whole = sweep(name, grid, overrides=overrides)
+    is_pose = load_scene(name).master.kind == "pose"
+    assert (OF_ROTATION & whole.columns.keys() != set()) == is_pose
+    for metric in MEASURED:
+        alone = sweep(name, grid, overrides=overrides, metrics=[metric])
+        assert list(alone.columns) == [*grid, "outcome", metric, "diverged", "ticks", "reason"]
+        for column in [*ENDING, metric]:
+            if column in whole.columns:
+                np.testing.assert_array_equal(alone[column], whole[column], err_msg=f"{metric}: {column}")
+            else:
+                assert np.isnan(alone[column]).all(), column
+    assert np.isfinite(whole["peak_device_force"]).all()
+
+
+def test_which_columns_there_are_and_in_which_order() -> None:
+    def columns(metrics: Any) -> list[str]:  # noqa: ANN401  # also what is none
+        return list(sweep("paper_wall", {"run.seed": [1]}, metrics=metrics).columns)[1:]
+
+    forces = ["outcome", "max_ejection_velocity", "peak_device_force", "diverged", "ticks", "reason"]
+    for metrics in (
+        ["peak_device_force", "max_ejection_velocity"],
+        ("max_ejection_velocity", "peak_device_force", "outcome", "peak_device_force"),
+        iter(forces),
+    ):
+        assert columns(metrics) == forces
+    assert columns("outcome") == columns(["reason"]) == ENDING
+    every = columns(None)
+    assert [name for name in columns(METRICS) if name not in OF_ROTATION] == every
+    for wrong, said in (([], "''"), (["peak"], "'peak'"), (["ticks", "speed"], "'speed'"), ("", "''")):
+        with pytest.raises(ValueError, match=rf"metrics: {said}: must be of outcome, max_ejection_velocity, "):
+            columns(wrong)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz"])
+def test_a_file_has_the_columns_that_are_asked_for(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"rows{suffix}"
+    found = sweep_to_file(
+        "remote_push", path, {"run.seed": [1, 2]}, overrides=["run.duration_s=1"], collect=True,
+        metrics=["peak_device_force"],
+    ).whole  # fmt: skip
+    columns = ["run.seed", "outcome", "peak_device_force", "diverged", "ticks", "reason"]
+    assert found is not None
+    assert list(found.columns) == columns
+    if suffix == ".csv":
+        assert path.read_text().splitlines()[0] == ",".join(columns)
+    else:
+        with np.load(path) as arrays:
+            assert list(arrays) == columns
+
+
+def test_a_sweep_of_other_columns_is_no_resume(tmp_path: Path) -> None:
+    path = tmp_path / "rows.csv"
+
+    def run(metrics: list[str] | None, *, resume: bool) -> int:
+        def interrupt(done: int) -> None:
+            if done and not resume:
+                raise KeyboardInterrupt
+
+        return sweep_to_file(
+            "paper_wall", path, {"run.seed": np.arange(1.0, 41.0)}, metrics=metrics, resume=resume, progress=interrupt
+        ).rows
+
+    with pytest.raises(KeyboardInterrupt):
+        run(["false_trips", "outcome"], resume=False)
+    for others in (None, ["peak_device_force"]):
+        with pytest.raises(ValueError, match="metrics"):
+            run(others, resume=True)
+    # How they are named makes no other columns.
+    assert run(["false_trips"], resume=True) == 40
+
+
+def test_the_command_measures_what_it_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "rows.csv"
+    command = ["sweep", "paper_wall", "--vary", "run.seed=1,2"]
+    asked = ["--metrics", "false_trips", "max_ejection_velocity"]
+    assert main([*command, *asked, "--out", str(out), "--summary", "max_ejection_velocity>0.1"]) == 0
+    assert out.read_text().splitlines()[0].split(",")[1:4] == ["outcome", "max_ejection_velocity", "false_trips"]
+    assert "peak" not in capsys.readouterr().out
+    # Before a row is run.
+    assert main([*command, *asked, "--summary", "peak_device_force>1"]) == 2
+    assert "peak_device_force is not measured: name it with --metrics" in capsys.readouterr().err
+    assert main([*command, "--metrics", "speed"]) == 2
+    assert "metrics: 'speed': must be of outcome, " in " ".join(capsys.readouterr().err.split())
