@@ -17,8 +17,11 @@ const SENT_KEPT: usize = 4096;
 pub struct PacketAge {
     /// Greatest drift of the peer's clock, with which it measures how long it held a packet.
     max_drift_ppb: u64,
-    /// Counter and time, at the place of the counter modulo the length.
-    sent: Box<[Option<(u64, u64)>]>,
+    /// Times in ns, each at the place of its counter modulo the length.
+    sent: Box<[u64]>,
+    /// The counter sent last, and how many up to it are known, at most as many as are kept.
+    newest: Option<u64>,
+    known: u64,
     /// The newest packet left the peer no earlier.
     sent_after_ns: Option<u64>,
 }
@@ -26,12 +29,16 @@ pub struct PacketAge {
 impl PacketAge {
     /// Nothing sent yet; healthy clocks part by at most `max_drift_ppb`.
     pub fn new(max_drift_ppb: u64) -> Self {
-        Self { max_drift_ppb, sent: vec![None; SENT_KEPT].into_boxed_slice(), sent_after_ns: None }
+        let sent = vec![0; SENT_KEPT].into_boxed_slice();
+        Self { max_drift_ppb, sent, newest: None, known: 0, sent_after_ns: None }
     }
 
-    /// Notes that our packet `counter` left at `now_ns`.
+    /// Notes that our packet `counter` left at `now_ns`. Counters rise by one: at any other those before are forgotten.
     pub fn sent(&mut self, counter: u64, now_ns: u64) {
-        self.sent[slot(counter)] = Some((counter, now_ns));
+        let follows = self.newest.and_then(|newest| newest.checked_add(1)) == Some(counter);
+        self.known = if follows { (self.known + 1).min(SENT_KEPT as u64) } else { 1 };
+        self.newest = Some(counter);
+        self.sent[slot(counter)] = now_ns;
     }
 
     /// Takes the echo of a packet newer than all before that arrived at `now_ns`: our counter, and for how long in ns
@@ -53,7 +60,8 @@ impl PacketAge {
 
     /// When our packet `counter` left, in ns; none if it is not known any more.
     pub fn sent_at(&self, counter: u64) -> Option<u64> {
-        self.sent[slot(counter)].and_then(|(kept, sent_ns)| (kept == counter).then_some(sent_ns))
+        let before = self.newest?.checked_sub(counter)?;
+        (before < self.known).then(|| self.sent[slot(counter)])
     }
 
     /// Largest age in ns that the newest packet can have at `now_ns`; none until the peer has echoed anything that we

@@ -26,14 +26,19 @@ pub(crate) const BILLION: u64 = 1_000_000_000;
 /// [`Self::newest`] with each of them that is newer than all before. Times are those of one monotonic clock.
 #[derive(Clone, Debug)]
 pub struct PeerPath {
-    clock: PeerClock,
     age: PacketAge,
     baseline: AgeBaseline,
+    /// What decides nothing; none where nobody reads it.
+    reported: Option<Box<Reported>>,
+}
+
+/// What of the path is followed for reports alone.
+#[derive(Clone, Debug)]
+struct Reported {
+    clock: PeerClock,
     meter: PathMeter,
     clock_faults: u64,
     last_fault: Option<ClockFault>,
-    /// Whether clock and counts are followed, which decide nothing.
-    reports: bool,
 }
 
 /// The path to the peer, for records and the summary of a run.
@@ -57,13 +62,14 @@ pub struct PathReport {
 impl Default for PeerPath {
     fn default() -> Self {
         Self {
-            clock: PeerClock::new(MAX_DRIFT_PPB),
             age: PacketAge::new(MAX_DRIFT_PPB),
             baseline: AgeBaseline::new(),
-            meter: PathMeter::new(),
-            clock_faults: 0,
-            last_fault: None,
-            reports: true,
+            reported: Some(Box::new(Reported {
+                clock: PeerClock::new(MAX_DRIFT_PPB),
+                meter: PathMeter::new(),
+                clock_faults: 0,
+                last_fault: None,
+            })),
         }
     }
 }
@@ -76,15 +82,14 @@ impl PeerPath {
 
     /// Follows the age of frames alone, by which the ladder holds.
     pub(crate) fn leave_out_reports(&mut self) {
-        self.reports = false;
+        self.reported = None;
     }
 
     /// Counts a frame that arrived by `now_ns`, be it late or there before.
     pub fn arrived(&mut self, sequence: u64, sent_ns: u64, now_ns: u64) {
-        if !self.reports {
-            return;
+        if let Some(reported) = &mut self.reported {
+            reported.meter.arrived(sequence, sent_ns, now_ns);
         }
-        self.meter.arrived(sequence, sent_ns, now_ns);
     }
 
     /// Takes a frame newer than all before that the peer sent at `sent_ns` on its clock; `echo` is of our run.
@@ -97,12 +102,10 @@ impl PeerPath {
         if let Some(age_ns) = self.age.max_ns(now_ns) {
             self.baseline.take(now_ns, age_ns);
         }
-        if !self.reports {
-            return;
-        }
+        let Some(reported) = &mut self.reported else { return };
         let exchanged = echo.and_then(|echo| Some((self.age.sent_at(echo.sequence)?, echo.held_ns)));
         let clocked = match exchanged {
-            Some((own_sent_ns, held_ns)) => self
+            Some((own_sent_ns, held_ns)) => reported
                 .clock
                 .take(&TimestampExchange {
                     sent_ns: own_sent_ns,
@@ -111,20 +114,22 @@ impl PeerPath {
                     received_ns: by_ns,
                 })
                 .map(|_| ()),
-            None => self.clock.check_arrival(sent_ns, by_ns),
+            None => reported.clock.check_arrival(sent_ns, by_ns),
         };
         if let Err(fault) = clocked.and(aged) {
-            self.clock_faults += 1;
-            self.last_fault = Some(fault);
+            reported.clock_faults += 1;
+            reported.last_fault = Some(fault);
         }
     }
 
     /// The peer began a new run: its clock, its sequences and the age of its frames begin anew.
     pub fn begin(&mut self) {
-        self.clock.restart();
         self.age.restart();
         self.baseline.restart();
-        self.meter.restart();
+        if let Some(reported) = &mut self.reported {
+            reported.clock.restart();
+            reported.meter.restart();
+        }
     }
 
     /// The two sides engage: ages are measured against what they are now.
@@ -146,13 +151,15 @@ impl PeerPath {
 
     /// What is known at `now_ns`.
     pub fn report(&self, now_ns: u64) -> PathReport {
+        let of_age = PathReport { baseline_age_ns: self.baseline.level_ns(), ..PathReport::default() };
+        let Some(reported) = &self.reported else { return of_age };
         PathReport {
-            statistics: self.meter.statistics(now_ns),
-            offset: self.clock.offset(now_ns),
-            steps: self.clock.steps(),
-            clock_faults: self.clock_faults,
-            last_fault: self.last_fault,
-            baseline_age_ns: self.baseline.level_ns(),
+            statistics: reported.meter.statistics(now_ns),
+            offset: reported.clock.offset(now_ns),
+            steps: reported.clock.steps(),
+            clock_faults: reported.clock_faults,
+            last_fault: reported.last_fault,
+            ..of_age
         }
     }
 }

@@ -281,6 +281,53 @@ fn the_age_is_the_round_trip_and_the_silence_since() {
 }
 
 #[test]
+fn a_sending_time_is_known_for_as_many_counters_as_are_kept() {
+    let mut age = PacketAge::new(MAX_DRIFT_PPB);
+    let known = |age: &PacketAge, counters: [u64; 4]| counters.map(|counter| age.sent_at(counter));
+    assert_eq!(known(&age, [0, 1, 4096, u64::MAX]), [None; 4]);
+    for n in 0..=4096 {
+        age.sent(n, n * MS);
+    }
+    assert_eq!(known(&age, [0, 1, 4096, 4097]), [None, Some(MS), Some(4096 * MS), None]);
+    // One out of turn stands alone, at either end of 64 bits.
+    age.sent(9_000, 5 * S);
+    age.sent(9_001, 6 * S);
+    assert_eq!(known(&age, [4096, 8_999, 9_000, 9_001]), [None, None, Some(5 * S), Some(6 * S)]);
+    for (counter, before) in [(u64::MAX, 9_001), (0, u64::MAX), (0, 1)] {
+        age.sent(counter, 7 * S);
+        assert_eq!([age.sent_at(before), age.sent_at(counter)], [None, Some(7 * S)]);
+    }
+}
+
+/// What decides is the same whether or not anybody reads the reports, across a run of the peer that begins anew.
+#[test]
+fn ages_are_those_of_a_path_whose_reports_are_read() {
+    let (mut read, mut unread) = (PeerPath::default(), PeerPath::default());
+    unread.leave_out_reports();
+    for n in 0..3_000_u64 {
+        for path in [&mut read, &mut unread] {
+            path.sent(n, n * MS);
+            if n == 1_000 {
+                path.begin();
+            }
+            if n == 1_500 {
+                path.anchor();
+            }
+            if let Some(echoed) = n.checked_sub(40 + n % 7) {
+                let echo = Echo { run_id: 1, sequence: echoed, sent_ns: echoed * MS, held_ns: MS };
+                path.arrived(n, n * MS, n * MS);
+                path.newest(n * MS, Some(&echo), n * MS, n * MS);
+            }
+        }
+        let of = |path: &PeerPath| (path.max_age_ns(n * MS + 3), path.over_baseline_ns(n * MS + 3));
+        assert_eq!(of(&read), of(&unread));
+    }
+    let (read, unread) = (read.report(3 * S), unread.report(3 * S));
+    assert!(read.statistics.received > 1_000 && read.baseline_age_ns.is_some());
+    assert_eq!(unread, PathReport { baseline_age_ns: read.baseline_age_ns, ..PathReport::default() });
+}
+
+#[test]
 fn while_our_direction_is_dead_the_age_grows() {
     let mut age = PacketAge::new(MAX_DRIFT_PPB);
     age.sent(0, 0);

@@ -1,5 +1,7 @@
 //! Steady-state Kalman filter for a device whose jerk is white noise.
 
+use std::cell::Cell;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::{Estimator, Motion};
@@ -140,8 +142,21 @@ impl<const N: usize, S: Real> Estimator<N, S> for Kalman<N, S> {
     }
 }
 
+thread_local! {
+    /// A bandwidth and its gain, those of this thread's last estimator: the scenarios of a sweep ask for the same.
+    static LAST_GAIN: Cell<Option<(f64, Vector3<f64>)>> = const { Cell::new(None) };
+}
+
 /// K for dT = 1 and R = 1, where q = (`omega` dT)⁶ is all that is left of the parameters.
 fn steady_gain(bandwidth: f64) -> Vector3<f64> {
+    #[allow(clippy::float_cmp)] // the very same
+    let last = LAST_GAIN.get().filter(|(of, _)| *of == bandwidth);
+    let gain = last.map_or_else(|| converged_gain(bandwidth), |(_, gain)| gain);
+    LAST_GAIN.set(Some((bandwidth, gain)));
+    gain
+}
+
+fn converged_gain(bandwidth: f64) -> Vector3<f64> {
     let mut covariance = Matrix3::identity();
     let mut gain = Vector3::zeros();
     // The slowest error pole lies at exp(-bandwidth / 2) and the covariance converges with its square, so this

@@ -122,6 +122,7 @@ class Sweep(PictureOptions):
     def run(self) -> int:
         """Runs all rows."""
         from haptether import __version__
+        from haptether.bridge import load_scene
         from haptether.bridge.scene.sweep import labelled
         from haptether.bridge.scene.sweeps.design import design_of
         from haptether.bridge.scene.sweeps.scenes import with_scenes
@@ -157,6 +158,8 @@ class Sweep(PictureOptions):
         if self.plot is not None:
             check_varied(paths, labelled({**design.factors, **design.samples}))
             picture = picture_file(self.plot, self.format)
+        # One that cannot be is refused before a bar begins.
+        load_scene(self.scene, self.set)
         console = screen(self.json)
         with controller_timed(console, here=self.engine == "local"):
             whole, stored = self._run_rows(design, {"grid": varied, "samples": drawn, "ties": ties}, collect=collect)
