@@ -453,10 +453,15 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
                 _ => return ControlFlow::Continue(()),
             };
             let sides = (&*master.side, &*slave.side);
+            // Where it stands: a record is large.
             let flow = if is_near {
-                near.pop_front().map(|(_, record)| observe(Event::Master(&record), sides))
+                let flow = near.front().map(|(_, record)| observe(Event::Master(record), sides));
+                near.pop_front();
+                flow
             } else {
-                far.pop_front().map(|(_, record)| observe(Event::Slave(&record), sides))
+                let flow = far.front().map(|(_, record)| observe(Event::Slave(record), sides));
+                far.pop_front();
+                flow
             };
             if flow.is_some_and(|flow| flow.is_break()) {
                 return ControlFlow::Break(());
