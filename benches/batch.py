@@ -257,13 +257,21 @@ def main() -> int:
     console.print(table)
     if not numba:
         console.print("Numba is not installed: `make bench` installs it (tools/bench.txt)")
-    best = min(cost.ns_per_scenario_tick for cost in costs if cost.name == "haptether, lanes, 1 thread")
+    best, every = (
+        min(cost.ns_per_scenario_tick for cost in costs if cost.name == f"haptether, lanes, {which}1 thread")
+        for which in ("", "all metrics, ")
+    )
     bare = min((cost.ns_per_scenario_tick for cost in costs if cost.name == KERNEL_NAME), default=None)
-    over = None if bare is None else best / bare
-    compared = "no C++ compiler, so no bare kernel" if bare is None else f"bare kernel {bare:.2f} ns, ratio {over:.2f}"
-    console.print(f"best of ours on one thread: {best:.2f} ns; {compared}, required {REQUIRED_RATIO}")
+    over, over_every = (None, None) if bare is None else (best / bare, every / bare)
+    compared = "no C++ compiler, so no bare kernel"
+    if bare is not None:
+        compared = f"bare kernel {bare:.2f} ns, ratio {over:.2f}, of all metrics {over_every:.2f}"
+    console.print(f"best of ours on one thread, of two metrics: {best:.2f} ns; {compared}; required {REQUIRED_RATIO}")
     console.print(f"{os.cpu_count()} processors")
-    report = {"required_ratio": REQUIRED_RATIO, "best_ns": best, "bare_ns": bare, "ratio": over}
+    report = {
+        "required_ratio": REQUIRED_RATIO, "metrics": COMPARED, "best_ns": best, "bare_ns": bare, "ratio": over,
+        "all_metrics_ns": every, "all_metrics_ratio": over_every,
+    }  # fmt: skip
     write_json(arguments.json, report | {"costs": [asdict(cost) for cost in costs]})
     return 0 if over is not None and over <= REQUIRED_RATIO and all(cost.agrees for cost in costs) else 1
 

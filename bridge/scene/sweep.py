@@ -44,13 +44,9 @@ _ALONE = re.compile(
 )
 COUNTS = frozenset({"false_trips", "intervention_ticks"})
 """Columns of whole numbers that are float64, so that NaN can stand for what was not measured."""
-METRICS = (
-    "outcome", "max_ejection_velocity", "peak_device_force", "time_to_trip_s", "false_trips", "intervention_s",
-    "intervention_ticks", "position_rmse_m", "force_rmse_n", "max_ejection_rate", "peak_device_torque",
-    "orientation_rmse_rad", "torque_rmse_n_m", "passivity_min_j", "diverged", "ticks", "reason",
-)  # fmt: skip
+METRICS = ("outcome", *_core.METRICS, "diverged", "ticks", "reason")
 """Columns of what is measured, in their order; a scene of poses has those of rotation."""
-_ENDING = frozenset({"outcome", "diverged", "ticks", "reason"})
+ENDING = frozenset(METRICS) - frozenset(_core.METRICS)
 """Those of how a row ended, which every table has."""
 _UNMEASURED = {"never-engaged", "refused"}
 """Outcomes of rows in which nothing was measured."""
@@ -203,7 +199,7 @@ def sweep(
 
 @dataclass(frozen=True, kw_only=True)
 class SweepSettings:
-    """How rows are run on this machine, and what is measured of them."""
+    """How rows are run, and what is measured of them."""
 
     threads: int
     """How many threads."""
@@ -212,7 +208,7 @@ class SweepSettings:
     progress: Callable[[int], None] | None = None
     """Called from time to time with the number of rows that are done."""
     metrics: tuple[str, ...] | None = None
-    """The columns of `asked_metrics`."""
+    """Columns to measure, in the order of tables; none for all."""
 
 
 def thread_count(threads: int | None) -> int:
@@ -260,10 +256,11 @@ def asked_metrics(metrics: Iterable[str] | None) -> tuple[str, ...] | None:
     if metrics is None:
         return None
     names = [metrics] if isinstance(metrics, str) else list(metrics)
-    if unknown := [name for name in names if name not in METRICS] or ([] if names else [""]):
-        message = f"metrics: {unknown[0]!r}: must be of {', '.join(METRICS)}"
+    unknown = next((repr(name) for name in names if name not in METRICS), None if names else "none given")
+    if unknown is not None:
+        message = f"metrics: {unknown}: must be one or more of {', '.join(METRICS)}"
         raise ValueError(message)
-    return tuple(name for name in METRICS if name in names or name in _ENDING)
+    return tuple(name for name in METRICS if name in names or name in ENDING)
 
 
 def measured(
@@ -382,7 +379,7 @@ def _plan(base: Checked, varied: Mapping[str, Array]) -> _Plan:
 
 def _metrics(plans: Sequence[_Plan], settings: SweepSettings) -> list[dict[str, npt.NDArray[Any]]]:
     """What is measured of the rows of each plan; rows that begin alike are run together, whichever plan they are of."""
-    metrics = None if settings.metrics is None else [name for name in settings.metrics if name not in _ENDING]
+    metrics = None if settings.metrics is None else [name for name in settings.metrics if name not in ENDING]
     found: dict[int, Mapping[str, Any]] = {}
     together: list[int] = []
     calls: list[tuple[list[int], Research | None]] = [(together, None)]

@@ -453,7 +453,7 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
                 _ => return ControlFlow::Continue(()),
             };
             let sides = (&*master.side, &*slave.side);
-            // Where it stands: a record is large.
+            // Observed in the queue: a record is large to move.
             let flow = if is_near {
                 let flow = near.front().map(|(_, record)| observe(Event::Master(record), sides));
                 near.pop_front();

@@ -26,6 +26,7 @@ __all__ = [
     "CONTROLLERS",
     "ESTIMATORS",
     "LADDER_STATES",
+    "METRICS",
     "OBSERVED",
     "OBSERVERS",
     "PRESS_S",
@@ -104,6 +105,8 @@ _Rows: TypeAlias = tuple[Sequence[float], Sequence[float], Sequence[float], Sequ
 
 __version__: str
 
+METRICS: tuple[str, ...]
+"""What a run measures, by name, in the order of tables."""
 PRESS_S: float
 """For how long in s a press of the clutch counts, and waits in ALIGNING."""
 ROUND_TRIP_S: float
@@ -2847,13 +2850,14 @@ def sweep_scenes(
         lanes: Whether rows may be advanced side by side in one thread.
         progress: Called from time to time with the number of rows that are done; what it raises ends the sweep.
         research: Makes the controllers of a scene with `[safety.research]`, one a row; without it each row is refused.
-        metrics: Which to measure; none for all, of which those of rotation are of scenes of poses.
+        metrics: Names of the metrics to measure, of `METRICS`; by default all, those of rotation for poses only.
 
     Returns:
         Of each scene how its rows ended, the metrics, and why a row was refused or diverged, by name, one value per
         row; NaN where a metric does not apply or was not measured.
 
     Raises:
-        ValueError: A metric that there is not; JSON that is no scene; columns of different lengths, or a path that is not there.
+        ValueError: A metric that there is not; JSON that is no scene; columns of different lengths, or a path that is
+            not there.
         RuntimeError: A controller in Python has raised; that is its cause.
     """

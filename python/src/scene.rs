@@ -21,7 +21,7 @@ use pyo3::{
     exceptions::PyValueError,
     prelude::*,
     pybacked::PyBackedBytes,
-    types::{PyDict, PyList},
+    types::{PyDict, PyList, PyTuple},
 };
 
 use crate::{
@@ -37,6 +37,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyObservation>()?;
     module.add("PRESS_S", PRESS_NS as f64 / 1e9)?;
     module.add("ROUND_TRIP_S", ROUND_TRIP_S)?;
+    module.add("METRICS", PyTuple::new(module.py(), Metric::ALL.map(Metric::name))?)?;
     module.add_function(wrap_pyfunction!(scene_schema, module)?)?;
     module.add_function(wrap_pyfunction!(simulate_scene, module)?)?;
     module.add_function(wrap_pyfunction!(sweep_scenes, module)?)
@@ -290,7 +291,7 @@ fn outcome_table(
     let names: Vec<_> =
         rows.iter().map(|row| row.as_ref().map_or("refused", |outcome| outcome.ending.name())).collect();
     table.set_item("outcome", names)?;
-    // NaN stands for what was not measured. What turns is measured of poses alone, but for who asks for it.
+    // NaN stands for what was not measured. Columns of rotation are there for poses, or where they are asked for.
     let of_all = Metric::ALL.into_iter().filter(|metric| kind == SideKind::Pose || !metric.is_of_rotation());
     let asked = asked.map_or_else(|| of_all.collect(), <[Metric]>::to_vec);
     for metric in asked {

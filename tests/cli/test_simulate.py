@@ -48,7 +48,9 @@ def given(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         lanes: bool,
         progress: Callable[[int], None],
         _research: object = None,
+        metrics: list[str] | None = None,
     ) -> list[dict[str, npt.NDArray[Any]]]:
+        assert metrics in (None, ["max_ejection_velocity", "false_trips"])  # one example of the help asks for these
         assert threads >= 1
         assert lanes
         tables = []
@@ -402,7 +404,7 @@ def test_the_examples_in_the_help_work(
     (tmp_path / "my" / "scene.toml").write_text('schema = 1\nmaster = { device = "touch" }\nrecord = {}\n')
     lines = [line for command in (Simulate, Sweep) for line in (inspect.getdoc(command) or "").splitlines()]
     examples = [shlex.split(line)[1:] for line in lines if line.startswith("haptether ")]
-    assert len(examples) == 13
+    assert len(examples) == 14
     for example in examples:
         assert main(example) == 0, example
     # Of a sweep with a file there is a run for each batch.

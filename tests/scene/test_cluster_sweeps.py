@@ -61,6 +61,10 @@ def test_without_an_address_workers_are_processes_of_this_machine(local: bytes, 
     path = tmp_path / "own.csv"
     sweep_to_file("remote_push", path, GRID, SAMPLES, overrides=SHORT, engine="dask", threads=2)
     assert path.read_bytes() == local
+    here, there, asked = tmp_path / "here.csv", tmp_path / "there.csv", ["peak_device_force"]
+    sweep_to_file("remote_push", here, GRID, SAMPLES, overrides=SHORT, threads=2, metrics=asked)
+    sweep_to_file("remote_push", there, GRID, SAMPLES, overrides=SHORT, engine="dask", threads=2, metrics=asked)
+    assert here.read_bytes() == there.read_bytes() != local
 
 
 class Idle:

@@ -557,8 +557,10 @@ def sweeps_run(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         lanes: bool,
         progress: Callable[[int], None] | None,
         _research: object = None,
+        metrics: list[str] | None = None,
     ) -> list[dict[str, npt.NDArray[Any]]]:
         ((scene, columns),) = parts
+        assert metrics is None
         given.append({"scene": scene, "columns": dict(columns), "threads": threads, "lanes": lanes})
         rows = len(columns[0][1])
         if progress is not None:

@@ -6,21 +6,25 @@ from typing import Any
 import numpy as np
 import pytest
 
+from haptether import _core
 from haptether.bridge import load_scene, sweep, sweep_to_file
+from haptether.bridge.scene.sweep import ENDING as OF_ENDING
 from haptether.bridge.scene.sweep import METRICS
 from haptether.cli.entry import main
 
-ENDING = ["outcome", "diverged", "ticks", "reason"]
-MEASURED = [name for name in METRICS if name not in ENDING]
+ENDING = [name for name in METRICS if name in OF_ENDING]
+MEASURED = list(_core.METRICS)
 OF_ROTATION = {"max_ejection_rate", "peak_device_torque", "orientation_rmse_rad", "torque_rmse_n_m"}
 STEPPED = ("run.integrator=semi-implicit-euler", "run.step_s=0.001")
 CASES = {
     "paper_wall": ("paper_wall", ()),
     "in lanes": ("paper_wall", STEPPED),
     "remote_push": ("remote_push", ("run.duration_s=3.5",)),
-    "three_axis_box": ("three_axis_box", ("run.duration_s=1",)),
+    "three_axis_box": ("three_axis_box", ("run.duration_s=1.5", "operator.release.at_s=0.8")),
     "valve": ("valve", ("run.duration_s=1",)),
 }
+NEVER = {"max_ejection_velocity", "time_to_trip_s", "false_trips", "intervention_s", "intervention_ticks", *OF_ROTATION}
+"""What may be the same in all rows of a case, 0 or not measured."""
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -38,7 +42,16 @@ def test_a_column_alone_has_the_numbers_that_it_has_beside_all_others(case: str)
                 np.testing.assert_array_equal(alone[column], whole[column], err_msg=f"{metric}: {column}")
             else:
                 assert np.isnan(alone[column]).all(), column
-    assert np.isfinite(whole["peak_device_force"]).all()
+    # Something is compared.
+    for metric in set(whole.columns) & set(MEASURED) - NEVER:
+        if np.isnan(whole[metric]).all():
+            assert load_scene(name).slave is None, metric
+        elif case != "valve":  # whose handle turns in one place
+            assert (whole[metric] != 0.0).any(), metric
+    if case == "valve":
+        assert all((whole[metric] > 0.0).any() for metric in OF_ROTATION)
+    else:
+        assert (whole["max_ejection_velocity"] > 0.0).all()
 
 
 def test_which_columns_there_are_and_in_which_order() -> None:
@@ -55,9 +68,23 @@ def test_which_columns_there_are_and_in_which_order() -> None:
     assert columns("outcome") == columns(["reason"]) == ENDING
     every = columns(None)
     assert [name for name in columns(METRICS) if name not in OF_ROTATION] == every
-    for wrong, said in (([], "''"), (["peak"], "'peak'"), (["ticks", "speed"], "'speed'"), ("", "''")):
-        with pytest.raises(ValueError, match=rf"metrics: {said}: must be of outcome, max_ejection_velocity, "):
+    for wrong, said in (([], "none given"), (["peak"], "'peak'"), (["ticks", "speed"], "'speed'"), ("", "''")):
+        with pytest.raises(
+            ValueError, match=rf"metrics: {said}: must be one or more of outcome, max_ejection_velocity, "
+        ):
             columns(wrong)
+
+
+def test_what_cannot_be_built_or_has_no_rotation_has_the_columns_as_well() -> None:
+    asked = ["peak_device_force", "max_ejection_rate"]
+    columns = ["outcome", *asked, "diverged", "ticks", "reason"]
+    refused = sweep("paper_wall", {"safety.window": [50, 0]}, metrics=asked)
+    assert list(refused.columns) == ["safety.window", *columns]
+    assert refused["outcome"].tolist() == ["complete", "refused"]
+    assert np.isnan(refused["peak_device_force"]).tolist() == [False, True]
+    mixed = sweep("valve", {"scene": ["paper_wall", "valve"]}, overrides=["run.duration_s=0.5"], metrics=asked)
+    assert list(mixed.columns) == ["scene", *columns]
+    assert np.isnan(mixed["max_ejection_rate"]).tolist()[0]
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
@@ -105,8 +132,29 @@ def test_the_command_measures_what_it_is_asked_for(tmp_path: Path, capsys: pytes
     assert main([*command, *asked, "--out", str(out), "--summary", "max_ejection_velocity>0.1"]) == 0
     assert out.read_text().splitlines()[0].split(",")[1:4] == ["outcome", "max_ejection_velocity", "false_trips"]
     assert "peak" not in capsys.readouterr().out
-    # Before a row is run.
-    assert main([*command, *asked, "--summary", "peak_device_force>1"]) == 2
-    assert "peak_device_force is not measured: name it with --metrics" in capsys.readouterr().err
-    assert main([*command, "--metrics", "speed"]) == 2
-    assert "metrics: 'speed': must be of outcome, " in " ".join(capsys.readouterr().err.split())
+    assert main([*command, "--metrics", "intervention_ticks"]) == 0
+    assert "ticks" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ("--metrics false_trips --summary peak_device_force>1", "peak_device_force is not measured: name it with"),
+        ("--summary peak_force>1", "'peak_force': must be of run.seed, outcome, max_ejection_velocity, "),
+        ("--metrics speed", "metrics: 'speed': must be one or more of outcome, "),
+        ("--metrics", "metrics"),
+        ("--metrics ticks --plot PLACE/a.png", "--plot: nothing to draw: name with --metrics one or more of "),
+    ],
+)
+def test_what_the_command_cannot_do_is_refused_before_a_row_is_run(
+    options: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("haptether._core.sweep_scenes", None)
+    words = options.replace("PLACE", str(tmp_path)).split()
+    assert main(["sweep", "paper_wall", "--vary", "run.seed=1,2", *words]) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_scene_that_cannot_be_is_refused_before_a_bar_begins(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sweep", "no-such-scene", "--vary", "run.seed=1,2"]) == 2
+    assert capsys.readouterr().err.startswith("haptether: no-such-scene: no shipped scene")

@@ -65,6 +65,7 @@ def computed_by_cluster(
         message = "the engine dask needs dask.distributed: install distributed beside haptether"
         raise ImportError(message)
     distributed = importlib.import_module("distributed")
+    settings = replace(settings, progress=None)
     ranges = _ranges(design, gaps)
     with contextlib.ExitStack() as stack:
         if address is None:

@@ -19,8 +19,9 @@ pub struct PacketAge {
     max_drift_ppb: u64,
     /// Times in ns, each at the place of its counter modulo the length.
     sent: Box<[u64]>,
-    /// The counter sent last, and how many up to it are known, at most as many as are kept.
+    /// The counter sent last.
     newest: Option<u64>,
+    /// How many up to it are known, at most as many as are kept.
     known: u64,
     /// The newest packet left the peer no earlier.
     sent_after_ns: Option<u64>,
@@ -33,7 +34,8 @@ impl PacketAge {
         Self { max_drift_ppb, sent, newest: None, known: 0, sent_after_ns: None }
     }
 
-    /// Notes that our packet `counter` left at `now_ns`. Counters rise by one: at any other those before are forgotten.
+    /// Notes that our packet `counter` left at `now_ns`. Counters rise by one; one that does not follow
+    /// the last forgets all before it.
     pub fn sent(&mut self, counter: u64, now_ns: u64) {
         let follows = self.newest.and_then(|newest| newest.checked_add(1)) == Some(counter);
         self.known = if follows { (self.known + 1).min(SENT_KEPT as u64) } else { 1 };

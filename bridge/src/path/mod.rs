@@ -151,15 +151,17 @@ impl PeerPath {
 
     /// What is known at `now_ns`.
     pub fn report(&self, now_ns: u64) -> PathReport {
-        let of_age = PathReport { baseline_age_ns: self.baseline.level_ns(), ..PathReport::default() };
-        let Some(reported) = &self.reported else { return of_age };
+        let baseline_age_ns = self.baseline.level_ns();
+        let Some(reported) = &self.reported else {
+            return PathReport { baseline_age_ns, ..PathReport::default() };
+        };
         PathReport {
             statistics: reported.meter.statistics(now_ns),
             offset: reported.clock.offset(now_ns),
             steps: reported.clock.steps(),
             clock_faults: reported.clock_faults,
             last_fault: reported.last_fault,
-            ..of_age
+            baseline_age_ns,
         }
     }
 }

@@ -289,7 +289,7 @@ fn a_sending_time_is_known_for_as_many_counters_as_are_kept() {
         age.sent(n, n * MS);
     }
     assert_eq!(known(&age, [0, 1, 4096, 4097]), [None, Some(MS), Some(4096 * MS), None]);
-    // One out of turn stands alone, at either end of 64 bits.
+    // A counter that does not follow forgets those before, also at 0 and 2^64 - 1.
     age.sent(9_000, 5 * S);
     age.sent(9_001, 6 * S);
     assert_eq!(known(&age, [4096, 8_999, 9_000, 9_001]), [None, None, Some(5 * S), Some(6 * S)]);

@@ -116,9 +116,31 @@ impl FromIterator<Metric> for Metrics {
     }
 }
 
+/// A metric that [`Metric::ALL`] leaves out, or has in another place, would never be measured.
+const _: () = {
+    let mut place = 0;
+    while place < Metric::ALL.len() {
+        assert!(Metric::ALL[place] as usize == place);
+        place += 1;
+    }
+    assert!(Metric::PassivityMin as usize + 1 == place);
+};
+
 impl Metrics {
     /// All metrics.
     pub const ALL: Self = Self((1 << Metric::ALL.len()) - 1);
+
+    const OF_ROTATION: Self = {
+        let mut bits = 0;
+        let mut place = 0;
+        while place < Metric::ALL.len() {
+            if Metric::ALL[place].is_of_rotation() {
+                bits |= 1 << place;
+            }
+            place += 1;
+        }
+        Self(bits)
+    };
 
     /// Whether it is measured.
     #[inline(always)]
@@ -126,23 +148,21 @@ impl Metrics {
         self.0 & 1 << metric as u8 != 0
     }
 
-    /// Whether anything of interventions is.
+    /// Whether anything of interventions is measured.
     #[inline(always)]
     pub(super) const fn has_interventions(self) -> bool {
         self.has(Metric::TimeToTrip) | self.has(Metric::FalseTrips) | self.has_intervention_ticks()
     }
 
+    /// Whether ticks under intervention are counted.
     pub(super) const fn has_intervention_ticks(self) -> bool {
         self.has(Metric::InterventionTime) | self.has(Metric::InterventionTicks)
     }
 
-    /// Whether anything of a hand that turns is.
+    /// Whether anything of a hand that turns is measured.
     #[inline(always)]
     pub(super) const fn has_rotation(self) -> bool {
-        self.has(Metric::MaxEjectionRate)
-            | self.has(Metric::PeakDeviceTorque)
-            | self.has(Metric::OrientationError)
-            | self.has(Metric::TorqueError)
+        self.0 & Self::OF_ROTATION.0 != 0
     }
 }
 

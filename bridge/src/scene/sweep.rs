@@ -39,7 +39,7 @@ pub struct Variation {
     pub values: Vec<f64>,
 }
 
-/// How a sweep is run, and what it measures; nothing that is measured depends on it.
+/// How a sweep is run and which metrics it measures; no value depends on either.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SweepSettings {
     /// Threads; 0 for as many as there are processors.

@@ -320,7 +320,9 @@ impl<const N: usize> Watched<N> {
             self.samples[0] += 1;
         }
         let turn = record.rotation.rotation();
-        if let (Some(turn), Some(rotation)) = (turn, &mut self.rotation) {
+        if let (Some(turn), Some(rotation)) = (turn, &mut self.rotation)
+            && self.judged.metrics.has_rotation()
+        {
             rotation.far(turn);
         }
         if self.far.begin_tick() {

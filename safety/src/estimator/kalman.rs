@@ -142,20 +142,28 @@ impl<const N: usize, S: Real> Estimator<N, S> for Kalman<N, S> {
     }
 }
 
+/// Bandwidths and their gains, the newest first: those of an estimator of two filters, of translation and of rotation.
+type Gains = [Option<(f64, Vector3<f64>)>; 4];
+
 thread_local! {
-    /// A bandwidth and its gain, those of this thread's last estimator: the scenarios of a sweep ask for the same.
-    static LAST_GAIN: Cell<Option<(f64, Vector3<f64>)>> = const { Cell::new(None) };
+    /// What this thread's last estimators have found: the scenarios of a sweep ask for the same.
+    static LAST_GAINS: Cell<Gains> = const { Cell::new([None; 4]) };
 }
 
 /// K for dT = 1 and R = 1, where q = (`omega` dT)⁶ is all that is left of the parameters.
 fn steady_gain(bandwidth: f64) -> Vector3<f64> {
-    #[allow(clippy::float_cmp)] // the very same
-    let last = LAST_GAIN.get().filter(|(of, _)| *of == bandwidth);
-    let gain = last.map_or_else(|| converged_gain(bandwidth), |(_, gain)| gain);
-    LAST_GAIN.set(Some((bandwidth, gain)));
+    let mut last = LAST_GAINS.get();
+    if let Some((_, gain)) = last.iter().flatten().find(|(of, _)| of.to_bits() == bandwidth.to_bits()) {
+        return *gain;
+    }
+    let gain = converged_gain(bandwidth);
+    last.rotate_right(1);
+    last[0] = Some((bandwidth, gain));
+    LAST_GAINS.set(last);
     gain
 }
 
+/// The same, found by iterating.
 fn converged_gain(bandwidth: f64) -> Vector3<f64> {
     let mut covariance = Matrix3::identity();
     let mut gain = Vector3::zeros();
@@ -217,13 +225,24 @@ mod tests {
             for _ in 0..200_000 {
                 (covariance, gain) = riccati_step(&covariance, bandwidth);
             }
-            let found = steady_gain(bandwidth);
+            let found = converged_gain(bandwidth);
             for axis in 0..3 {
                 // Rounding of a step, 1e-16, is kept for 1/bandwidth steps.
                 let tolerance = 1e-14 + 1e-15 / bandwidth;
                 assert!((found[axis] / gain[axis] - 1.0).abs() < tolerance, "{bandwidth} {axis}");
             }
         }
+    }
+
+    #[test]
+    fn a_gain_that_was_found_before_is_that_of_its_bandwidth() {
+        let known = |bandwidth: f64| LAST_GAINS.get().iter().flatten().any(|(of, _)| *of == bandwidth);
+        for bandwidth in [0.3, 0.1, 0.3, 0.3, 0.1, 0.2, 0.5, 0.7, 0.3, 0.1, 0.9] {
+            assert_eq!(steady_gain(bandwidth), converged_gain(bandwidth), "{bandwidth}");
+            assert!(known(bandwidth), "{bandwidth}");
+        }
+        // Four are kept: 0.9, 0.1, 0.3 and 0.7.
+        assert_eq!([0.9, 0.1, 0.3, 0.7, 0.5, 0.2].map(known), [true, true, true, true, false, false]);
     }
 
     #[test]

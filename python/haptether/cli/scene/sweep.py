@@ -95,9 +95,9 @@ class Sweep(PictureOptions):
         tyro.conf.arg(metavar="TABLE.KEY=VALUE"),
     ] = ()
     """Change a field in all rows; may be given often."""
-    metrics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC [METRIC ...]")] = ()
-    """Measure these columns alone, beside how each row ended: what is not measured takes no time and no place. By
-    default all."""
+    metrics: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="METRIC [METRIC ...]")] = None
+    """Measure these columns alone, beside how each row ended: what is not measured takes no time and no column. Names
+    are those of the columns of --out; by default all."""
     threads: int | None = None
     """Threads to run in; as many as there are processors if not given."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -122,7 +122,6 @@ class Sweep(PictureOptions):
     def run(self) -> int:
         """Runs all rows."""
         from haptether import __version__
-        from haptether.bridge import load_scene
         from haptether.bridge.scene.sweep import labelled
         from haptether.bridge.scene.sweeps.design import design_of
         from haptether.bridge.scene.sweeps.scenes import with_scenes
@@ -142,11 +141,11 @@ class Sweep(PictureOptions):
             option = "--resume" if self.resume else "--engine"
             message = f"{option}: give --out, the file whose rows are kept"
             raise ValueError(message)
-        self._check_metrics()
         varied, ties = self._varied()
         varied = dict(with_scenes(varied, self.set) or {})
         drawn = self._drawn(varied)
         design = design_of(varied, drawn, ties)
+        self._check_metrics([*varied, *drawn, *ties])
         collect = self.json is not None or self.plot is not None or bool(self.summary)
         streamed = self.out is not None and self.out.suffix in STREAMED and not collect
         most = MAX_STORED_ROWS if streamed else MAX_ROWS
@@ -158,8 +157,6 @@ class Sweep(PictureOptions):
         if self.plot is not None:
             check_varied(paths, labelled({**design.factors, **design.samples}))
             picture = picture_file(self.plot, self.format)
-        # One that cannot be is refused before a bar begins.
-        load_scene(self.scene, self.set)
         console = screen(self.json)
         with controller_timed(console, here=self.engine == "local"):
             whole, stored = self._run_rows(design, {"grid": varied, "samples": drawn, "ties": ties}, collect=collect)
@@ -208,10 +205,12 @@ class Sweep(PictureOptions):
         """All rows, or the file that has them."""
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-        from haptether.bridge import sweep, sweep_to_file
+        from haptether.bridge import load_scene, sweep, sweep_to_file
         from haptether.cli.shared.rate import RateColumn
         from haptether.cli.shared.screen import Screen
 
+        # One that cannot be is refused before a bar begins.
+        load_scene(self.scene, self.set)
         bar = Progress(
             BarColumn(), MofNCompleteColumn(), RateColumn(), TimeRemainingColumn(), console=Screen(stderr=True)
         )
@@ -240,7 +239,7 @@ class Sweep(PictureOptions):
                         engine=self.engine,
                         address=self.address,
                         progress=progress,
-                        metrics=self.metrics or None,
+                        metrics=self.metrics,
                     )
                 whole = stored.whole
             else:
@@ -251,7 +250,7 @@ class Sweep(PictureOptions):
                     overrides=self.set,
                     threads=self.threads,
                     progress=progress,
-                    metrics=self.metrics or None,
+                    metrics=self.metrics,
                 )
             progress(design.rows)
         return whole, stored
@@ -333,16 +332,24 @@ class Sweep(PictureOptions):
                 raise ValueError(message)
         return drawn
 
-    def _check_metrics(self) -> None:
-        """Refuses what cannot be measured, or summed up without being measured, before a row is run."""
+    def _check_metrics(self, paths: list[str]) -> None:
+        """Refuses what cannot be measured, and what cannot be summed up or drawn of it, before a row is run."""
         from haptether.bridge.scene.sweep import METRICS, asked_metrics
         from haptether.studies.sampled import metric_of
+        from haptether.view.figures.sweep import METRICS as DRAWN
 
-        asked = asked_metrics(self.metrics or None) or METRICS
+        asked = asked_metrics(self.metrics) or METRICS
         for quantity in self.summary:
-            if (name := metric_of(quantity)) in METRICS and name not in asked:
+            name = metric_of(quantity)
+            if name not in METRICS and name not in paths:
+                message = f"--summary {quantity}: {name!r}: must be of {', '.join([*paths, *asked])}"
+                raise ValueError(message)
+            if name in METRICS and name not in asked:
                 message = f"--summary {quantity}: {name} is not measured: name it with --metrics, too"
                 raise ValueError(message)
+        if self.plot is not None and not DRAWN.keys() & set(asked):
+            message = f"--plot: nothing to draw: name with --metrics one or more of {', '.join(DRAWN)}"
+            raise ValueError(message)
 
     def _check_samples(self) -> None:
         """Refuses a number of samples or a seed that cannot be, and what is drawn without samples."""
@@ -394,7 +401,9 @@ class Sweep(PictureOptions):
         floats = {name: column for name, column in result.columns.items() if column.dtype.kind == "f"}
         present = {name for name, column in floats.items() if not np.isnan(column).all()}
         absent = floats.keys() - (present if stored is None else stored.measured)
-        return [name for name in result.columns if name not in absent | {"intervention_ticks", "reason"}]
+        if "intervention_s" in result.columns:
+            absent |= {"intervention_ticks"}
+        return [name for name in result.columns if name not in absent | {"reason"}]
 
 
 def _reasons(result: "SweepResult") -> "tuple[tuple[RowReason, ...], int]":
