@@ -72,7 +72,8 @@ def sweep_summary(
             raise ValueError(message)
     labels = {name: sweep[name].tolist() for name in by}
     groups: dict[tuple[Any, ...], list[int]] = {}
-    for row, key in enumerate(zip(*labels.values(), strict=True)):
+    # Where nothing but samples varies all rows are one combination.
+    for row, key in enumerate(zip(*labels.values(), strict=True) if by else [()] * len(sweep)):
         groups.setdefault(key, []).append(row)
     others = [name for name in sweep.columns if name not in METRICS and name not in by]
     samples = list(zip(*(sweep[name].tolist() for name in others), strict=True)) or [()] * len(sweep)
@@ -123,33 +124,66 @@ def _share_interval(values: Array) -> tuple[float, float] | None:
     return binomial_interval(int(values.sum()), len(values)) if len(values) else None
 
 
+def check_summary(
+    quantities: Sequence[str],
+    metrics: Sequence[str],
+    columns: Mapping[str, npt.NDArray[Any]],
+    by: Mapping[str, Sequence[Any]],
+    baseline: tuple[str, Any] | None = None,
+) -> None:
+    """Refuses before a sweep what `sweep_summary` would refuse after it.
+
+    Args:
+        quantities: As of `sweep_summary`.
+        metrics: What is measured.
+        columns: Some values of what varies.
+        by: All values of each column that makes a combination.
+        baseline: As of `sweep_summary`.
+
+    Raises:
+        ValueError: A column that there is not, a condition that cannot be, a baseline that is no combination.
+    """
+    kinds: dict[str, str] = {name: column.dtype.kind for name, column in columns.items()}
+    kinds |= {name: _KINDS.get(name, "f") for name in metrics}
+    for quantity in quantities:
+        _parsed(quantity, kinds)
+    if baseline is not None:
+        column, value = baseline
+        _level(column, value, list(by), by.get(column, ()))
+
+
+_KINDS = {"outcome": "U", "reason": "U", "diverged": "b", "ticks": "u"}
+"""Kinds of the columns of what is measured that are no floating-point numbers."""
+
+
 def metric_of(quantity: str) -> str:
     """The column that a quantity of `sweep_summary` is of."""
     condition = SHARE.fullmatch(quantity.strip())
     return condition["metric"] if condition else quantity.strip()
 
 
-def _values(sweep: Sweep, quantity: str) -> tuple[Array, bool]:
-    """A quantity in each row, NaN where it was not measured; and whether it is a share."""
+def _parsed(quantity: str, kinds: Mapping[str, str]) -> tuple[str, str | None, Any]:
+    """The column of a quantity, and of a condition its relation and limit."""
     condition = SHARE.fullmatch(quantity.strip())
     name = metric_of(quantity)
-    try:
-        column = sweep[name]
-    except KeyError as error:
-        message = f"{quantity!r}: {error.args[0]}"
-        raise ValueError(message) from None
+    if name not in kinds:
+        message = f"{quantity!r}: no column {name!r}: there is {', '.join(kinds)}"
+        raise ValueError(message)
+    kind = kinds[name]
     if condition is None:
-        if column.dtype.kind not in "fiub":
+        if kind not in "fiub":
             message = f"{quantity!r}: is text: give a share, {name} = VALUE"
             raise ValueError(message)
-        values = np.array([np.nan if value is None else value for value in sweep.values_of(name)], dtype=np.float64)
-        return values, column.dtype.kind == "b"
+        return name, None, None
     relation, text = condition["relation"], condition["value"]
-    if column.dtype.kind == "U":
+    if kind == "U":
         if relation != "=":
             message = f"{quantity!r}: is text: must be {name} = VALUE"
             raise ValueError(message)
-        return (column == text).astype(np.float64), True
+        return name, relation, text
+    if text.startswith("="):
+        message = f"{quantity!r}: must be {name} > NUMBER, {name} < NUMBER or {name} = NUMBER"
+        raise ValueError(message)
     try:
         limit = float(text)
     except ValueError:
@@ -158,7 +192,30 @@ def _values(sweep: Sweep, quantity: str) -> tuple[Array, bool]:
     if not np.isfinite(limit):
         message = f"{quantity!r}: {text} must be a finite number"
         raise ValueError(message)
+    return name, relation, limit
+
+
+def _level(column: str, value: object, by: Sequence[str], known: Sequence[Any]) -> Any:  # noqa: ANN401  # as columns are
+    """The value of a column that a baseline means."""
+    if column not in by:
+        message = f"baseline: {column} is none of {', '.join(by) or 'what varies: nothing but samples does'}"
+        raise ValueError(message)
+    chosen = next((one for one in known if one == value or str(one) == str(value)), None)
+    if chosen is None:
+        message = f"baseline: {column} = {value}: must be of {', '.join(map(str, known))}"
+        raise ValueError(message)
+    return chosen
+
+
+def _values(sweep: Sweep, quantity: str) -> tuple[Array, bool]:
+    """A quantity in each row, NaN where it was not measured; and whether it is a share."""
+    name, relation, limit = _parsed(quantity, {name: column.dtype.kind for name, column in sweep.columns.items()})
+    column = sweep[name]
+    if column.dtype.kind == "U":
+        return (column == limit).astype(np.float64), True
     measured = np.array([np.nan if value is None else value for value in sweep.values_of(name)], dtype=np.float64)
+    if relation is None:
+        return measured, column.dtype.kind == "b"
     met = {"<": measured < limit, ">": measured > limit, "=": measured == limit}[relation].astype(np.float64)
     return np.where(np.isfinite(measured), met, np.nan), True
 
@@ -168,15 +225,8 @@ def _beside(
 ) -> dict[tuple[Any, ...], tuple[Any, ...]]:
     """The combination that each is compared with."""
     column, value = baseline
-    if column not in by:
-        message = f"baseline: {column} is none of {', '.join(by) or 'nothing'}"
-        raise ValueError(message)
-    place = list(by).index(column)
-    known = list(dict.fromkeys(key[place] for key in groups))
-    chosen = next((one for one in known if one == value or str(one) == str(value)), None)
-    if chosen is None:
-        message = f"baseline: {column} = {value}: must be of {', '.join(map(str, known))}"
-        raise ValueError(message)
+    place = list(by).index(column) if column in by else 0
+    chosen = _level(column, value, by, list(dict.fromkeys(key[place] for key in groups if key)))
     beside = {key: (*key[:place], chosen, *key[place + 1 :]) for key in groups}
     if alone := [key for key in beside.values() if key not in groups]:
         message = f"baseline: there is no {dict(zip(by, alone[0], strict=True))} to compare with"

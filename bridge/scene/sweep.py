@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from haptether import _core
 from haptether.bridge.scene.checks import checked_spec
-from haptether.bridge.scene.errors import Path, Raw, SceneError, place, shown
+from haptether.bridge.scene.errors import Path, Raw, SceneError, closest, place, shown
 from haptether.bridge.scene.load import Checked, Leaf, leaf_values, path_of, typed_scene, with_value
 from haptether.bridge.scene.research import Research, research_of
 from haptether.bridge.scene.run import named_scene
@@ -50,6 +50,8 @@ ENDING = frozenset(METRICS) - frozenset(_core.METRICS)
 """Those of how a row ended, which every table has."""
 _UNMEASURED = {"never-engaged", "refused"}
 """Outcomes of rows in which nothing was measured."""
+MAX_THREADS = 1024
+"""Of a sweep: more take longer to be made than the rows that they run."""
 MAX_ROWS = 2_000_000
 """Scenarios of a grid: more would not fit into memory."""
 
@@ -167,8 +169,8 @@ def sweep(
         threads: How many threads; by default as many as there are processors.
         lanes: Whether rows may be advanced side by side in one thread; the numbers are the same.
         progress: Called from time to time with the number of rows that are done.
-        metrics: Columns to measure, beside how each row ended; by default all. Each has the values that it has beside
-            all others, and what is not measured takes no time.
+        metrics: Columns to measure, beside how each row ended (`outcome`, `diverged`, `ticks`, `reason`); by default
+            all, those of rotation for poses only. Each has the values that it has beside all others.
 
     Raises:
         SceneError: A scene that cannot be built, a path that it does not have, no row that can be built, or a file that
@@ -215,12 +217,12 @@ def thread_count(threads: int | None) -> int:
     """So many threads, or as many as there are processors.
 
     Raises:
-        ValueError: Fewer than 1.
+        ValueError: Fewer than 1, or more than `MAX_THREADS`.
     """
     if threads is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if threads < 1:
-        message = f"threads = {threads}: must be 1 or more"
+    if not 1 <= threads <= MAX_THREADS:
+        message = f"threads = {threads}: must be 1 to {MAX_THREADS}"
         raise ValueError(message)
     return threads
 
@@ -256,9 +258,11 @@ def asked_metrics(metrics: Iterable[str] | None) -> tuple[str, ...] | None:
     if metrics is None:
         return None
     names = [metrics] if isinstance(metrics, str) else list(metrics)
-    unknown = next((repr(name) for name in names if name not in METRICS), None if names else "none given")
-    if unknown is not None:
-        message = f"metrics: {unknown}: must be one or more of {', '.join(METRICS)}"
+    if not names:
+        message = f"metrics: none given: must be one or more of {', '.join(METRICS)}"
+        raise ValueError(message)
+    if unknown := [name for name in names if name not in METRICS]:
+        message = f"metrics: {unknown[0]!r}: {closest(str(unknown[0]), METRICS)}"
         raise ValueError(message)
     return tuple(name for name in METRICS if name in names or name in ENDING)
 
@@ -396,7 +400,9 @@ def _metrics(plans: Sequence[_Plan], settings: SweepSettings) -> list[dict[str, 
         if indices:
             parts = [(plans[index].base.json, plans[index].columns) for index in indices]
             progress = shifted(settings.progress, done)
-            tables = _core.sweep_scenes(parts, settings.threads, settings.lanes, progress, research, metrics)
+            rows = sum(len(columns[0][1]) for _, columns in parts)
+            threads = min(settings.threads, max(1, rows))
+            tables = _core.sweep_scenes(parts, threads, settings.lanes, progress, research, metrics)
             found |= dict(zip(indices, tables, strict=True))
             done += sum(plans[index].rows - len(plans[index].refused) for index in indices)
     return [_of_plan(plan, found.get(index)) for index, plan in enumerate(plans)]

@@ -611,7 +611,7 @@ def test_samples_are_taken_row_by_row(sweeps_run: list[dict[str, Any]]) -> None:
             {"samples": {"safety.window": [1], "operator.damping": [1, 2]}},
             "window has 1, operator.damping has 2",
         ),
-        ({"grid": {"safety.window": [1]}, "threads": 0}, "threads = 0: must be 1 or more"),
+        ({"grid": {"safety.window": [1]}, "threads": 0}, "threads = 0: must be 1 to 1024"),
     ],
 )
 def test_a_sweep_of_nothing_is_refused(arguments: dict[str, Any], said: str) -> None:

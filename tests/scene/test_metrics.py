@@ -1,5 +1,6 @@
 """A sweep measures the columns that it is asked for, with the numbers that they have beside all others."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -64,10 +65,13 @@ def test_which_columns_there_are_and_in_which_order() -> None:
     assert columns("outcome") == columns(["reason"]) == ENDING
     every = columns(None)
     assert [name for name in columns(METRICS) if name not in OF_ROTATION] == every
-    for wrong, said in (([], "none given"), (["peak"], "'peak'"), (["ticks", "speed"], "'speed'"), ("", "''")):
-        with pytest.raises(
-            ValueError, match=rf"metrics: {said}: must be one or more of outcome, max_ejection_velocity, "
-        ):
+    for wrong, said in (
+        ([], "none given: must be one or more of outcome, max_ejection_velocity, "),
+        (["peak_force"], r"'peak_force': did you mean peak_device_force\?"),
+        (["ticks", "xyz"], "'xyz': there is diverged, false_trips, "),
+        ("", "'': there is diverged, "),
+    ):
+        with pytest.raises(ValueError, match=rf"metrics: {said}"):
             columns(wrong)
 
 
@@ -124,7 +128,7 @@ def test_a_sweep_of_other_columns_is_no_resume(tmp_path: Path) -> None:
 def test_the_command_measures_what_it_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "rows.csv"
     command = ["sweep", "paper_wall", "--vary", "run.seed=1,2"]
-    asked = ["--metrics", "false_trips", "max_ejection_velocity"]
+    asked = ["--metrics", "false_trips, outcome", "--metrics", "max_ejection_velocity"]
     assert main([*command, *asked, "--out", str(out), "--summary", "max_ejection_velocity>0.1"]) == 0
     assert out.read_text().splitlines()[0].split(",")[1:4] == ["outcome", "max_ejection_velocity", "false_trips"]
     assert "peak" not in capsys.readouterr().out
@@ -136,9 +140,19 @@ def test_the_command_measures_what_it_is_asked_for(tmp_path: Path, capsys: pytes
     ("options", "said"),
     [
         ("--metrics false_trips --summary peak_device_force>1", "peak_device_force is not measured: name it with"),
-        ("--summary peak_force>1", "'peak_force': must be of run.seed, outcome, max_ejection_velocity, "),
-        ("--metrics speed", "metrics: 'speed': must be one or more of outcome, "),
-        ("--metrics", "metrics"),
+        ("--summary peak_force>1", "no column 'peak_force': there is run.seed, outcome, max_ejection_velocity, "),
+        ("--summary peak_device_force>=1", "must be peak_device_force > NUMBER, peak_device_force < NUMBER or"),
+        ("--summary outcome", "--summary 'outcome': is text: give a share, outcome = VALUE"),
+        (
+            "--summary ticks --against run.seed=1",
+            "--against: run.seed is none of what varies: nothing but samples does",
+        ),
+        ("--vary safety.window=50,70 --summary ticks --against safety.window=60", "must be of 50.0, 70.0"),
+        ("--vary safety.window=50,70,50", "--vary safety.window: 50.0 is there more than once"),
+        ("--vary safety.window=50,70 --set safety.window=60", "--set safety.window: varies by itself"),
+        ("--threads 100000", "threads = 100000: must be 1 to 1024"),
+        ("--address tcp://127.0.0.1:1", "--address tcp://127.0.0.1:1: give --engine dask, too"),
+        ("--metrics peak_force", "metrics: 'peak_force': did you mean peak_device_force?"),
         ("--metrics ticks --plot PLACE/a.png", "--plot: nothing to draw: name with --metrics one or more of "),
     ],
 )
@@ -149,6 +163,23 @@ def test_what_the_command_cannot_do_is_refused_before_a_row_is_run(
     words = options.replace("PLACE", str(tmp_path)).split()
     assert main(["sweep", "paper_wall", "--vary", "run.seed=1,2", *words]) == 2
     assert said in " ".join(capsys.readouterr().err.split())
+
+
+def test_samples_alone_are_one_combination(capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["sweep", "paper_wall", "--samples", "3", "--metrics", "ticks", "--summary", "ticks", "--json", "-"]
+    assert main([*command, "--set", "run.stop_early=false", "--set", "run.duration_s=3"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["summary"]
+    assert (row["group"], row["rows"], row["mean"]) == ({}, 3, 3000.0)
+
+
+@pytest.mark.parametrize("named", ["[wsc]", "wsc", "[ wsc ]"])
+def test_a_baseline_is_named_as_it_is_varied_or_as_tables_show_it(
+    named: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    vary = ["--vary", "safety.controllers=[wsc],[hsc]", "--vary", "run.seed=1,2"]
+    summary = ["--summary", "ticks", "--against", f"safety.controllers={named}"]
+    assert main(["sweep", "paper_wall", *vary, *summary]) == 0
+    assert "difference" in capsys.readouterr().out
 
 
 def test_a_scene_that_cannot_be_is_refused_before_a_bar_begins(capsys: pytest.CaptureFixture[str]) -> None:

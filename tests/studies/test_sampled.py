@@ -36,6 +36,11 @@ def test_means_leave_out_what_was_not_measured() -> None:
     assert first.pairs is None
 
 
+def test_where_nothing_but_samples_varies_all_rows_are_one_combination() -> None:
+    (row,) = sweep_summary(table(), ["false_trips"], [])
+    assert (row.group, row.rows, row.measured, row.mean) == ({}, 16, 15, 36 / 15)
+
+
 def test_shares_are_counted_and_their_interval_is_exact() -> None:
     quantities = ["max_ejection_velocity > 2", "outcome = complete", "false_trips<2"]
     found = {(row.quantity, *row.group.values()): row for row in sweep_summary(table(), quantities, BY)}

@@ -55,7 +55,7 @@ class Sweep(PictureOptions):
 
     haptether sweep remote_push --vary link.forward.delay_s=0:0.3:31 --samples 100 --out delay.csv --resume
 
-    haptether sweep remote_push --vary safety.controllers=none,[hsc] --samples 9 --draw operator.damping=normal:9:1
+    haptether sweep remote_push --vary 'safety.controllers=none,[hsc]' --samples 9 --draw operator.damping=normal:9:1
 
     haptether sweep remote_push --vary link.forward.delay_s=0:0.2:5 --samples 64 --population stylus-arm
 
@@ -63,9 +63,9 @@ class Sweep(PictureOptions):
 
     haptether sweep remote_push --vary scene=remote_push,my/scene.toml --samples 30 --summary peak_device_force
 
-    haptether sweep remote_push --vary run.seed=1:1000:1000 --metrics max_ejection_velocity false_trips --out small.csv
+    haptether sweep remote_push --vary run.seed=1:1000:1000 --metrics max_ejection_velocity,false_trips --out a.csv
 
-    haptether sweep paper_wall --vary environment.objects.0.contact.stiffness=200:1000:9 --set safety.controllers=[hsc]
+    haptether sweep paper_wall --vary environment.objects.0.contact.stiffness=200:800:7 --set 'safety.controllers=[hsc]'
     """
 
     scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
@@ -95,9 +95,9 @@ class Sweep(PictureOptions):
         tyro.conf.arg(metavar="TABLE.KEY=VALUE"),
     ] = ()
     """Change a field in all rows; may be given often."""
-    metrics: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="METRIC [METRIC ...]")] = None
+    metrics: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="METRIC,METRIC")] = ()
     """Measure these columns alone, beside how each row ended: what is not measured takes no time and no column. Names
-    are those of the columns of --out; by default all."""
+    are those of the columns of --out; by default all. May be given often."""
     threads: int | None = None
     """Threads to run in; as many as there are processors if not given."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -115,7 +115,7 @@ class Sweep(PictureOptions):
     two paths as maps."""
 
     summary: tuple[str, ...] = ()
-    """What the samples of each combination come to, with 95 %: metrics, or conditions: max_ejection_velocity>0.5."""
+    """What the samples of each combination come to, with 95 %: metrics, or conditions: 'max_ejection_velocity>0.5'."""
     against: Annotated[str | None, tyro.conf.arg(metavar="PATH=VALUE")] = None
     """With --summary: each combination less that with this value, sample by sample, as safety.controllers=none."""
 
@@ -125,27 +125,20 @@ class Sweep(PictureOptions):
         from haptether.bridge.scene.sweep import labelled
         from haptether.bridge.scene.sweeps.design import design_of
         from haptether.bridge.scene.sweeps.scenes import with_scenes
-        from haptether.bridge.scene.sweeps.table_file import STREAMED, check_suffix
+        from haptether.bridge.scene.sweeps.table_file import STREAMED
         from haptether.cli.shared.controller_time import controller_timed
-        from haptether.cli.shared.output import check_distinct, check_target, write_report
+        from haptether.cli.shared.output import write_report
         from haptether.cli.shared.picture import picture_file
         from haptether.cli.shared.screen import screen
         from haptether.view.figures.sweep import check_varied, draw_sweep
         from haptether.view.style.figure import write_figure
 
-        check_distinct(json=self.json, out=self.out, plot=self.plot)
-        check_target(self.json, self.out)
-        if self.out is not None:
-            check_suffix(self.out)
-        elif self.resume or self.engine != "local":
-            option = "--resume" if self.resume else "--engine"
-            message = f"{option}: give --out, the file whose rows are kept"
-            raise ValueError(message)
+        self._check_files()
         varied, ties = self._varied()
         varied = dict(with_scenes(varied, self.set) or {})
         drawn = self._drawn(varied)
         design = design_of(varied, drawn, ties)
-        self._check_metrics([*varied, *drawn, *ties])
+        self._check_columns(design)
         collect = self.json is not None or self.plot is not None or bool(self.summary)
         streamed = self.out is not None and self.out.suffix in STREAMED and not collect
         most = MAX_STORED_ROWS if streamed else MAX_ROWS
@@ -180,8 +173,7 @@ class Sweep(PictureOptions):
 
         if not self.summary or whole is None:
             return ()
-        path, _, value = (self.against or "").partition("=")
-        baseline = None if self.against is None else (path.replace("-", "_"), value)
+        baseline = self._baseline()
         summary = sweep_summary(whole, self.summary, by, baseline=baseline)
 
         def interval(pair: tuple[float, float] | None) -> str:
@@ -239,7 +231,7 @@ class Sweep(PictureOptions):
                         engine=self.engine,
                         address=self.address,
                         progress=progress,
-                        metrics=self.metrics,
+                        metrics=self._asked(),
                     )
                 whole = stored.whole
             else:
@@ -250,7 +242,7 @@ class Sweep(PictureOptions):
                     overrides=self.set,
                     threads=self.threads,
                     progress=progress,
-                    metrics=self.metrics,
+                    metrics=self._asked(),
                 )
             progress(design.rows)
         return whole, stored
@@ -276,12 +268,19 @@ class Sweep(PictureOptions):
         if not self.vary and self.samples is None:
             message = "nothing to vary: give --vary path=a:b:n or path=v1,v2, or --samples"
             raise ValueError(message)
+        from collections import Counter
+
+        from haptether.bridge.scene.sweep import label
+
         varied: dict[str, list[Any]] = {}
         for text in self.vary:
             path, values = values_of(text)
             path = path.replace("-", "_")
             if path in varied:
                 message = f"--vary {path}: given twice: give all its values at once, as {path}=v1,v2"
+                raise ValueError(message)
+            if again := [one for one, times in Counter(map(label, values)).items() if times > 1]:
+                message = f"--vary {path}: {again[0]} is there more than once"
                 raise ValueError(message)
             varied[path] = values
         ties: dict[str, str] = {}
@@ -292,6 +291,9 @@ class Sweep(PictureOptions):
                 message = f"--tie {path}: {len(alike)} paths of that name vary: give {path}=PATH"
                 raise ValueError(message)
             ties[path] = leading if given else alike[0]
+        if twice := [path for text in self.set if (path := text.partition("=")[0].strip()) in {*varied, *ties}]:
+            message = f"--set {twice[0]}: varies by itself: leave one of the two out"
+            raise ValueError(message)
         return varied, ties
 
     def _drawn(self, varied: dict[str, list[Any]]) -> dict[str, "npt.NDArray[np.float64]"]:
@@ -332,29 +334,71 @@ class Sweep(PictureOptions):
                 raise ValueError(message)
         return drawn
 
-    def _check_metrics(self, paths: list[str]) -> None:
+    def _check_files(self) -> None:
+        """Refuses files that cannot be written, and options that need another, before a row is run."""
+        from haptether.bridge.scene.sweeps.table_file import check_suffix
+        from haptether.cli.shared.output import check_distinct, check_target
+
+        check_distinct(json=self.json, out=self.out, plot=self.plot)
+        check_target(self.json, self.out)
+        if self.out is not None:
+            check_suffix(self.out)
+        if self.address is not None and self.engine != "dask":
+            message = f"--address {self.address}: give --engine dask, too"
+            raise ValueError(message)
+        if self.out is None and (self.resume or self.engine != "local"):
+            option = "--resume" if self.resume else "--engine"
+            message = f"{option}: give --out, the file whose rows are kept"
+            raise ValueError(message)
+
+    def _asked(self) -> tuple[str, ...] | None:
+        """The columns that are measured; none for all."""
+        from haptether.bridge.scene.sweep import asked_metrics
+
+        names = [name.strip() for text in self.metrics for name in text.split(",")]
+        return asked_metrics(names or None)
+
+    def _baseline(self) -> tuple[str, Any] | None:
+        """What --against names: a value as --vary takes it, or as tables show it."""
+        from haptether.bridge import SceneError
+        from haptether.bridge.scene.sweep import label
+
+        if self.against is None:
+            return None
+        path, _, text = self.against.partition("=")
+        path, value = path.replace("-", "_"), text
+        with contextlib.suppress(ValueError, SceneError):
+            _, values = values_of(f"{path}={text}")
+            value = values[0] if len(values) == 1 else text
+        return path, value if isinstance(value, float) else label(value)
+
+    def _check_columns(self, design: "Design") -> None:
         """Refuses what cannot be measured, and what cannot be summed up or drawn of it, before a row is run."""
-        from haptether.bridge.scene.sweep import METRICS, asked_metrics
-        from haptether.studies.sampled import metric_of
+        from haptether.bridge.scene.sweep import METRICS, labelled
+        from haptether.studies.sampled import check_summary, metric_of
         from haptether.view.figures.sweep import METRICS as DRAWN
 
-        asked = asked_metrics(self.metrics) or METRICS
+        asked = self._asked() or METRICS
         for quantity in self.summary:
-            name = metric_of(quantity)
-            if name not in METRICS and name not in paths:
-                message = f"--summary {quantity}: {name!r}: must be of {', '.join([*paths, *asked])}"
-                raise ValueError(message)
-            if name in METRICS and name not in asked:
+            if (name := metric_of(quantity)) in METRICS and name not in asked:
                 message = f"--summary {quantity}: {name} is not measured: name it with --metrics, too"
                 raise ValueError(message)
+        by = {path: values.tolist() for path, values in labelled(design.factors).items() if path != SEED}
+        try:
+            check_summary(self.summary, asked, labelled(design.columns(0, 1)), by, self._baseline())
+        except ValueError as error:
+            message = f"--summary {error}" if "baseline: " not in str(error) else str(error)
+            raise ValueError(message.replace("baseline: ", "--against: ", 1)) from None
         if self.plot is not None and not DRAWN.keys() & set(asked):
             message = f"--plot: nothing to draw: name with --metrics one or more of {', '.join(DRAWN)}"
             raise ValueError(message)
 
     def _check_samples(self) -> None:
         """Refuses a number of samples or a seed that cannot be, and what is drawn without samples."""
+        from haptether.bridge.scene.sweep import thread_count
         from haptether.cli.shared.numbers import check_random_seed
 
+        thread_count(self.threads)
         if self.against is not None and not self.summary:
             message = "--against: give --summary, what is compared"
             raise ValueError(message)
