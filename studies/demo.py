@@ -12,7 +12,15 @@ import msgspec
 import numpy as np
 
 from haptether.bridge import write_key
-from haptether.studies.processes import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, Process, StopRequest, child_process
+from haptether.studies.processes import (
+    END_TIMEOUT_S,
+    START_TIMEOUT_S,
+    Interrupted,
+    Process,
+    StopRequest,
+    child_process,
+    failure_of,
+)
 from haptether.studies.remote_push import PushResult
 from haptether.view.style.colours import controller_look, controller_title
 from haptether.view.style.events import EventMark, name_events
@@ -95,8 +103,7 @@ def run_demo(
             # Ctrl-C of a terminal reaches all of them.
             raise Interrupted
         if master.process.returncode != 0 or not result.exists():
-            message = f"the master ended with status {master.process.returncode}: {master.last()}; {slave.last()}"
-            raise RuntimeError(message)
+            raise RuntimeError(failure_of(master, slave))
         return msgspec.json.decode(result.read_bytes(), type=PushResult)
 
 

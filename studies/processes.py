@@ -102,6 +102,17 @@ class Process:
             self.process.stdout.close()
 
 
+def failure_of(master: Process, slave: Process) -> str:
+    """What the two sides of a demonstration said last, and whether the machine was too busy for them."""
+    said = f"the master ended with status {master.process.returncode}: {master.last()}; {slave.last()}"
+    load, processors = os.getloadavg()[0], os.cpu_count() or 1
+    if load <= processors:
+        return said
+    return (
+        f"{said}; this machine is busy (load {load:.1f} on {processors} processors): run it again with less beside it"
+    )
+
+
 @contextlib.contextmanager
 def child_process(name: str, *arguments: str, says: str | None = None) -> Iterator[Process]:
     """One of our own commands as a child process, which is ended with the block; `says` begins its first line.
