@@ -265,13 +265,13 @@ class Sweep(PictureOptions):
 
     def _varied(self) -> tuple[dict[str, list[Any]], dict[str, str]]:
         """The values of each path that varies, and which path takes whose."""
-        if not self.vary and self.samples is None:
-            message = "nothing to vary: give --vary path=a:b:n or path=v1,v2, or --samples"
-            raise ValueError(message)
         from collections import Counter
 
         from haptether.bridge.scene.sweep import label
 
+        if not self.vary and self.samples is None:
+            message = "nothing to vary: give --vary path=a:b:n or path=v1,v2, or --samples"
+            raise ValueError(message)
         varied: dict[str, list[Any]] = {}
         for text in self.vary:
             path, values = values_of(text)
@@ -279,7 +279,10 @@ class Sweep(PictureOptions):
             if path in varied:
                 message = f"--vary {path}: given twice: give all its values at once, as {path}=v1,v2"
                 raise ValueError(message)
-            if again := [one for one, times in Counter(map(label, values)).items() if times > 1]:
+            # Of what is no number, as tables show it: lists have no hash.
+            names = values if all(isinstance(one, float) for one in values) else [label(one) for one in values]
+            if len(set(names)) < len(names):
+                again = [one for one, times in Counter(names).items() if times > 1]
                 message = f"--vary {path}: {again[0]} is there more than once"
                 raise ValueError(message)
             varied[path] = values
