@@ -53,7 +53,12 @@ PARTS = (
     ("sides, loops and what is inlined there", r"^<?haptether_bridge::"),
 )
 """By the function that a sample was taken in, with what was inlined into it; the first that fits."""
-ROOT_FRAME = "run_virtual"
+ROOT_FRAMES = (
+    "haptether_bridge::virtual_time::run_virtual",
+    "haptether_bridge::virtual_time::run_virtual_ahead",
+    "haptether_bridge::scene::bilateral::run",
+)
+"""The run of a scene: the compiler may put the first two into the last."""
 Stack = tuple[str, ...]
 
 
@@ -77,12 +82,12 @@ def sample(
     for block in printed.split("\n\n"):
         frames = [function_name(line) for line in block.splitlines() if line.strip()]
         frames.reverse()
-        begins = next((place for place, frame in enumerate(frames) if ROOT_FRAME in frame), None)
-        if begins is not None:
-            stacks[tuple(frames[begins:])] += 1
+        of_run = [place for place, frame in enumerate(frames) if frame in ROOT_FRAMES]
+        if of_run:
+            stacks[(ROOT_FRAMES[0], *frames[of_run[-1] + 1 :])] += 1
     if not stacks:
         sys.exit(
-            f"no sample of {checkout} lies in {ROOT_FRAME}: its extension has no symbols; build it with "
+            f"no sample of {checkout} lies in {' or '.join(ROOT_FRAMES)}: its extension has no symbols; build it with "
             "`cargo build --release -p haptether-python` and copy target/release/lib_core.so to "
             "python/haptether/_core.abi3.so"
         )
