@@ -12,15 +12,7 @@ import msgspec
 import numpy as np
 
 from haptether.bridge import write_key
-from haptether.studies.processes import (
-    END_TIMEOUT_S,
-    START_TIMEOUT_S,
-    Interrupted,
-    Process,
-    StopRequest,
-    child_process,
-    failure_of,
-)
+from haptether.studies.processes import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, Process, StopRequest, child_process
 from haptether.studies.remote_push import PushResult
 from haptether.view.style.colours import controller_look, controller_title
 from haptether.view.style.events import EventMark, name_events
@@ -103,7 +95,7 @@ def run_demo(
             # Ctrl-C of a terminal reaches all of them.
             raise Interrupted
         if master.process.returncode != 0 or not result.exists():
-            raise RuntimeError(failure_of(master, slave))
+            raise RuntimeError(master.failure(slave))
         return msgspec.json.decode(result.read_bytes(), type=PushResult)
 
 

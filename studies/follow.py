@@ -17,15 +17,7 @@ from haptether.dynamixel.description import ArmDescription, Trigger
 from haptether.dynamixel.emulator import JointSettings, servos_of
 from haptether.master.dynamixel.options import LeaderOptions, arm_settings
 from haptether.studies.leader import CLUTCH, LEADER, ROW_S, Leader, along, emulated_arm
-from haptether.studies.processes import (
-    END_TIMEOUT_S,
-    START_TIMEOUT_S,
-    Interrupted,
-    Process,
-    StopRequest,
-    child_process,
-    failure_of,
-)
+from haptether.studies.processes import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, Process, StopRequest, child_process
 from haptether.view.style.colours import AXES, SIGNALS, controller_look, controller_title
 from haptether.view.style.figure import Columns, letter, new_figure, styled, write_figure
 from haptether.view.style.legend import legend_above, legend_below
@@ -209,7 +201,7 @@ def run_follow(
         if stopped:
             raise Interrupted
         if master.process.returncode != 0 or not whole:
-            raise RuntimeError(failure_of(master, slave))
+            raise RuntimeError(master.failure(slave))
         # Its recording is whole once it has ended.
         slave.end()
         far = read_recording(recording).signals

@@ -15,14 +15,7 @@ import numpy.typing as npt
 
 from haptether.bridge import load_scene, read_recording, write_key
 from haptether.studies.leader import LEADER_S, led_leader
-from haptether.studies.processes import (
-    END_TIMEOUT_S,
-    START_TIMEOUT_S,
-    Interrupted,
-    StopRequest,
-    child_process,
-    failure_of,
-)
+from haptether.studies.processes import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, StopRequest, child_process
 from haptether.view.style.colours import SIGNALS
 from haptether.view.style.figure import Columns, letter, new_figure, styled, write_figure
 from haptether.view.style.legend import legend_above
@@ -127,7 +120,7 @@ def run_pick(scene: PickScene, folder: Path, show: Callable[[str, float], None],
         if stopped:
             raise Interrupted
         if master.process.returncode != 0:
-            raise RuntimeError(failure_of(master, slave))
+            raise RuntimeError(master.failure(slave))
         # Its recording is whole once it has ended.
         slave.end()
         signals = read_recording(recording).signals

@@ -88,6 +88,15 @@ class Process:
         """All that it has said so far, in one line."""
         return " / ".join(line for line in self._all if line)
 
+    def failure(self, other: "Process") -> str:
+        """What it and the other side said last, and whether the machine was too busy for them."""
+        said = f"the {self.name} ended with status {self.process.returncode}: {self.last()}; {other.last()}"
+        load, processors = os.getloadavg()[0], os.cpu_count() or 1
+        if load <= processors:
+            return said
+        busy = f"this machine is busy (load {load:.1f} on {processors} processors)"
+        return f"{said}; {busy}: run it again with less beside it"
+
     def end(self) -> None:
         """Requests it to end cleanly, and ends it by force if it does not."""
         if self.process.poll() is None:
@@ -100,17 +109,6 @@ class Process:
         self._reader.join(END_TIMEOUT_S)
         if self.process.stdout is not None:
             self.process.stdout.close()
-
-
-def failure_of(master: Process, slave: Process) -> str:
-    """What the two sides of a demonstration said last, and whether the machine was too busy for them."""
-    said = f"the master ended with status {master.process.returncode}: {master.last()}; {slave.last()}"
-    load, processors = os.getloadavg()[0], os.cpu_count() or 1
-    if load <= processors:
-        return said
-    return (
-        f"{said}; this machine is busy (load {load:.1f} on {processors} processors): run it again with less beside it"
-    )
 
 
 @contextlib.contextmanager

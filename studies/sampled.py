@@ -148,8 +148,7 @@ def check_summary(
     for quantity in quantities:
         _parsed(quantity, kinds)
     if baseline is not None:
-        column, value = baseline
-        _level(column, value, list(by), by.get(column, ()))
+        _level(baseline, by)
 
 
 _KINDS = {"outcome": "U", "reason": "U", "diverged": "b", "ticks": "u"}
@@ -195,16 +194,17 @@ def _parsed(quantity: str, kinds: Mapping[str, str]) -> tuple[str, str | None, A
     return name, relation, limit
 
 
-def _level(column: str, value: object, by: Sequence[str], known: Sequence[Any]) -> Any:  # noqa: ANN401  # as columns are
-    """The value of a column that a baseline means."""
-    if column not in by:
-        message = f"baseline: {column} is none of {', '.join(by) or 'what varies: nothing but samples does'}"
+def _level(baseline: tuple[str, Any], levels: Mapping[str, Sequence[Any]]) -> tuple[int, Any]:
+    """The place of the column that a baseline names, and its value of that column."""
+    column, value = baseline
+    if column not in levels:
+        message = f"baseline: {column} is none of {', '.join(levels) or 'what varies: nothing but samples does'}"
         raise ValueError(message)
-    chosen = next((one for one in known if one == value or str(one) == str(value)), None)
+    chosen = next((one for one in levels[column] if one == value or str(one) == str(value)), None)
     if chosen is None:
-        message = f"baseline: {column} = {value}: must be of {', '.join(map(str, known))}"
+        message = f"baseline: {column} = {value}: must be of {', '.join(map(str, levels[column]))}"
         raise ValueError(message)
-    return chosen
+    return list(levels).index(column), chosen
 
 
 def _values(sweep: Sweep, quantity: str) -> tuple[Array, bool]:
@@ -224,9 +224,8 @@ def _beside(
     baseline: tuple[str, Any], by: Sequence[str], groups: Mapping[tuple[Any, ...], list[int]]
 ) -> dict[tuple[Any, ...], tuple[Any, ...]]:
     """The combination that each is compared with."""
-    column, value = baseline
-    place = list(by).index(column) if column in by else 0
-    chosen = _level(column, value, by, list(dict.fromkeys(key[place] for key in groups if key)))
+    levels = {name: list(dict.fromkeys(key[place] for key in groups)) for place, name in enumerate(by)}
+    place, chosen = _level(baseline, levels)
     beside = {key: (*key[:place], chosen, *key[place + 1 :]) for key in groups}
     if alone := [key for key in beside.values() if key not in groups]:
         message = f"baseline: there is no {dict(zip(by, alone[0], strict=True))} to compare with"

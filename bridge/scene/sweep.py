@@ -400,11 +400,12 @@ def _metrics(plans: Sequence[_Plan], settings: SweepSettings) -> list[dict[str, 
         if indices:
             parts = [(plans[index].base.json, plans[index].columns) for index in indices]
             progress = shifted(settings.progress, done)
-            rows = sum(len(columns[0][1]) for _, columns in parts)
-            threads = min(settings.threads, max(1, rows))
+            rows = sum(plans[index].rows - len(plans[index].refused) for index in indices)
+            # No more threads than rows.
+            threads = min(settings.threads, rows)
             tables = _core.sweep_scenes(parts, threads, settings.lanes, progress, research, metrics)
             found |= dict(zip(indices, tables, strict=True))
-            done += sum(plans[index].rows - len(plans[index].refused) for index in indices)
+            done += rows
     return [_of_plan(plan, found.get(index)) for index, plan in enumerate(plans)]
 
 

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from haptether.studies.processes import Process, failure_of
+from haptether.studies.processes import Process
 
 
 def ended(name: str, says: str, status: int) -> Process:
@@ -26,7 +26,7 @@ def test_a_failure_has_what_both_sides_said_and_whether_the_machine_is_busy(
 ) -> None:
     monkeypatch.setattr(os, "getloadavg", lambda: (load, 0.0, 0.0))
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
-    text = failure_of(ended("master", "hold: its own loop was late", 1), ended("slave", "nothing is wrong", 0))
+    text = ended("master", "hold: its own loop was late", 1).failure(ended("slave", "nothing is wrong", 0))
     begin = "the master ended with status 1: hold: its own loop was late; nothing is wrong"
     assert text.startswith(begin + said)
     assert (text == begin) == (not said)

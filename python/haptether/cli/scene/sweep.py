@@ -96,8 +96,8 @@ class Sweep(PictureOptions):
     ] = ()
     """Change a field in all rows; may be given often."""
     metrics: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="METRIC,METRIC")] = ()
-    """Measure these columns alone, beside how each row ended: what is not measured takes no time and no column. Names
-    are those of the columns of --out; by default all. May be given often."""
+    """Measure these columns alone, beside how each row ended; names are those of the columns of --out. By default all.
+    May be given often."""
     threads: int | None = None
     """Threads to run in; as many as there are processors if not given."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
