@@ -11,6 +11,7 @@ long and whose subject other tests have, too, and of a test with `sampled(n)` al
 import os
 import re
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -47,6 +48,10 @@ def ordinary_scheduling() -> Iterator[None]:
     """Real time that a test leaves to its thread is a fault of what it tests: all later ones would starve others."""
     before = _scheduling()
     yield
+    if "haptether.bridge.devices.loop" in sys.modules:
+        from tests.left_runs import end_left_runs  # most tests have no driver
+
+        end_left_runs()
     if (left := _scheduling()) != before:
         policy, parameter = before
         os.sched_setscheduler(0, policy, os.sched_param(parameter))

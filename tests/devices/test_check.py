@@ -116,7 +116,7 @@ def test_an_arm_is_read_and_stopped_and_never_moved(axes: int) -> None:
 @pytest.mark.parametrize(
     ("make", "check", "said"),
     [
-        (drivers.Drifting, "velocity", "at rest it says 0.5 m/s"),
+        (drivers.Drifting, "velocity", "at rest it says 0.5"),
         (drivers.RaisesInStop, "stop at the end", "KEEPS ITS LAST COMMAND"),
         (drivers.OtherAxes, "axes", "axes = 3, but a sample has 1"),
     ],

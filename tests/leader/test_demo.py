@@ -29,7 +29,7 @@ class Never:
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.live
+@pytest.mark.alone
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("slave", ["simulated", "ur"])
 def test_a_led_arm_picks_something_up(slave: Literal["simulated", "ur"], tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.left_runs import end_left_runs
 from tests.ur.stalls import STALL_S, anew_after_stalls
 
 from haptether.bridge import (
@@ -519,6 +520,17 @@ def test_a_collector_that_was_off_stays_off() -> None:
         gc.enable()
 
 
+def test_what_a_failed_test_leaves_running_is_ended() -> None:
+    before = gc.isenabled()
+    master = MasterRun(Hand(1), MasterLoop(ONE, peer="127.0.0.1:9", patience_s=60.0, **how()))
+    until(master.ready)
+    assert not gc.isenabled()
+    assert end_left_runs() == 1
+    assert master.finished
+    assert gc.isenabled() == before
+    assert end_left_runs() == 0
+
+
 # ------------------------------------------------------------------------------------------- entry points
 
 
@@ -573,13 +585,14 @@ def packaged(folder: Path, driver: str) -> dict[str, str]:
     """The environment of a process that finds a driver `bench` of another package."""
     (folder / "bench_arm.py").write_text(textwrap.dedent(driver))
     package = folder / "bench_arm-1.0.dist-info"
-    package.mkdir()
+    package.mkdir(exist_ok=True)
     (package / "METADATA").write_text("Metadata-Version: 2.1\nName: bench-arm\nVersion: 1.0\n")
     (package / "entry_points.txt").write_text("[haptether.slaves]\nbench = bench_arm:Arm\n")
     before = os.environ.get("PYTHONPATH")
     return {"PYTHONPATH": os.pathsep.join([str(folder), *([before] if before else [])]), "PATH": "/usr/bin:/bin"}
 
 
+@anew_after_stalls
 def test_a_driver_of_another_package_is_driven_by_the_command_and_its_exception_reported(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "haptether"]
     environment = packaged(tmp_path, DRIVER)
@@ -604,7 +617,7 @@ def test_a_driver_of_another_package_is_driven_by_the_command_and_its_exception_
     finally:
         slave.kill()
         slave.wait()
-    assert "Arm: OSError: the arm was unplugged" in said
+    assert "Arm: OSError: the arm was unplugged" in said, master.stderr
     assert slave.returncode == 1
     assert master.returncode == 1
     assert "the run ended in" in master.stderr

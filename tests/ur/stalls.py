@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable
 from typing import ParamSpec, Self
 
+from tests.left_runs import end_left_runs
+
 P = ParamSpec("P")
 SLEEP_S = 0.002
 STALL_S = 0.015
@@ -55,6 +57,7 @@ def anew_after_stalls(test: Callable[P, None]) -> Callable[P, None]:
                 except (AssertionError, subprocess.TimeoutExpired):
                     if left == 0 or stalls.worst_s < STALL_S:
                         raise
+                    end_left_runs()
                 else:
                     return
 
