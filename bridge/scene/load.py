@@ -196,7 +196,7 @@ def scene_json(scene: Scene) -> bytes:
 
 _KEPT: dict[bytes, Checked] = {}
 _MOST_KEPT = 8
-_LONGEST_KEPT = 1 << 16
+_LONGEST_KEPT = 1 << 20
 """Bytes of a scene that is kept: not one of long recordings."""
 
 

@@ -121,6 +121,11 @@ struct OneWay<const N: usize> {
     in_flight: InFlight<Sent>,
     frames: Slab<Frame<N>>,
     datagrams: Slab<Datagram>,
+    /// Frames that are sent and not judged yet, and the slots where they are.
+    sent: Vec<Packet>,
+    sent_slots: Vec<usize>,
+    /// What becomes of them.
+    verdicts: Vec<Verdict>,
     index: u64,
     direction: Direction,
     /// Bytes of a frame of the sender.
@@ -141,6 +146,9 @@ impl<const N: usize> OneWay<N> {
             in_flight,
             frames: Slab::new(),
             datagrams: Slab::new(),
+            sent: Vec::new(),
+            sent_slots: Vec::new(),
+            verdicts: Vec::new(),
             index: 0,
             direction,
             frame_size,
@@ -149,14 +157,56 @@ impl<const N: usize> OneWay<N> {
 
     /// Takes a datagram; `back` leads to its sender.
     fn carry(&mut self, now_ns: u64, datagram: &[u8], back: &mut Self) {
+        self.carry_sent();
         self.judged(now_ns, datagram.len(), back, |to, at_ns, damage| {
             to.push_bytes(at_ns, &damaged(datagram, damage));
         });
     }
 
-    /// The same of a frame that is its datagram: it has bytes only where somebody changes them.
+    /// The same of a frame that is its datagram: it has bytes only where somebody changes them. Where nobody does, it
+    /// waits for [`carry_sent`](Self::carry_sent).
+    #[inline(always)] // as all of what takes a frame: docs/architecture.md
     fn carry_frame(&mut self, now_ns: u64, frame: &Frame<N>, back: &mut Self) {
         debug_assert_eq!(frame.layout().length(N), self.frame_size, "what stands in a frame never changes");
+        if self.link.changes_packets() {
+            self.carry_changing(now_ns, frame, back);
+        } else {
+            let packet = self.next_packet(now_ns, self.frame_size);
+            self.sent.push(packet);
+            self.sent_slots.push(self.frames.insert(*frame));
+        }
+    }
+
+    /// Judges the frames that wait. The sides tick some times in a row meanwhile: neither is then in the way of the
+    /// other's code in the processor's cache.
+    fn carry_sent(&mut self) {
+        if self.sent.is_empty() {
+            return;
+        }
+        let Self { link, in_flight, frames, sent, sent_slots, verdicts, direction, .. } = self;
+        link.judge_all(sent, verdicts);
+        for ((packet, slot), verdict) in sent.drain(..).zip(sent_slots.drain(..)).zip(&*verdicts) {
+            let is_taken = match *verdict {
+                Verdict::Deliver { at_ns } => {
+                    let at_ns = at_ns.max(earliest_ns(*direction, packet.sent_ns));
+                    in_flight.push(at_ns, Sent::Frame(slot)).is_ok()
+                }
+                Verdict::Drop { .. } => false,
+            };
+            if !is_taken {
+                frames.free.push(slot);
+            }
+        }
+    }
+
+    fn next_packet(&mut self, sent_ns: u64, size: usize) -> Packet {
+        let packet = Packet { direction: self.direction, sent_ns, size, index: self.index };
+        self.index += 1;
+        packet
+    }
+
+    #[cold]
+    fn carry_changing(&mut self, now_ns: u64, frame: &Frame<N>, back: &mut Self) {
         self.judged(now_ns, self.frame_size, back, |to, at_ns, damage| {
             if damage.is_none() {
                 to.push_frame(at_ns, frame);
@@ -174,13 +224,11 @@ impl<const N: usize> OneWay<N> {
         back: &mut Self,
         push: impl Fn(&mut Arrivals<'_, N>, u64, &Damage),
     ) {
-        let packet = Packet { direction: self.direction, sent_ns: now_ns, size, index: self.index };
-        self.index += 1;
+        let packet = self.next_packet(now_ns, size);
         let Self { link, in_flight, frames, datagrams, .. } = self;
         let Judgement { verdict, damage, extras } = link.judge(&packet);
         let mut forward = Arrivals { in_flight, frames, datagrams };
-        // At one instant the master is first: whenever the slave does that tick, the master hears of it in its next.
-        let earliest_ns = if self.direction == Direction::Backward { now_ns + 1 } else { now_ns };
+        let earliest_ns = earliest_ns(self.direction, now_ns);
         if let Verdict::Deliver { at_ns } = verdict {
             push(&mut forward, at_ns.max(earliest_ns), damage);
         }
@@ -195,6 +243,12 @@ impl<const N: usize> OneWay<N> {
     }
 }
 
+/// When the earliest of what is sent at `now_ns` arrives. At one instant the master is first: whenever the slave does that
+/// tick, the master hears of it in its next.
+fn earliest_ns(direction: Direction, now_ns: u64) -> u64 {
+    if direction == Direction::Backward { now_ns + 1 } else { now_ns }
+}
+
 /// Where a direction keeps what is on its way.
 struct Arrivals<'a, const N: usize> {
     in_flight: &'a mut InFlight<Sent>,
@@ -205,7 +259,6 @@ struct Arrivals<'a, const N: usize> {
 impl<const N: usize> Arrivals<'_, N> {
     // A full queue drops, as the network would, and counts it.
 
-    #[inline(always)] // as all of what takes a frame: docs/architecture.md
     fn push_frame(&mut self, at_ns: u64, frame: &Frame<N>) {
         let slot = self.frames.insert(*frame);
         if self.in_flight.push(at_ns, Sent::Frame(slot)).is_err() {
@@ -260,7 +313,7 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
         self.pace.true_ns < end_ns
     }
 
-    /// The tick that is due: it takes what `inward` delivers and sends `outward`.
+    /// The tick that is due: it takes what `inward` delivers and sends `outward`, which judges its frames in `carry_sent`.
     fn step(&mut self, inward: &mut OneWay<N>, outward: &mut OneWay<N>) -> S::Record {
         let (now_ns, wake) = (self.pace.true_ns, self.pace.wake());
         let clock_ns = wake.deadline_ns;
@@ -366,9 +419,11 @@ pub fn run_virtual<M: Side<N>, S: Side<N>, const N: usize>(
         let Run { master, slave, forward, backward, .. } = &mut run;
         let flow = if master.pace.true_ns <= slave.pace.true_ns {
             let record = master.step(backward, forward);
+            forward.carry_sent();
             observe(Event::Master(&record), (master.side, slave.side))
         } else {
             let record = slave.step(forward, backward);
+            backward.carry_sent();
             observe(Event::Slave(&record), (master.side, slave.side))
         };
         if flow.is_break() {
@@ -380,7 +435,7 @@ pub fn run_virtual<M: Side<N>, S: Side<N>, const N: usize>(
 
 /// Most ticks that a side does in a row: so many that its code is in the processor's cache for most of them, so few
 /// that their records are, too.
-const MAX_AHEAD: usize = 32;
+const MAX_AHEAD: usize = 64;
 
 /// As [`run_virtual`], with the same records in the same order, for who does not look at what the sides have beside
 /// them: these may be some ticks ahead by then, and what they counted after a break goes further.
@@ -434,6 +489,7 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
         {
             near.push_back((master.pace.true_ns, master.step(backward, forward)));
         }
+        forward.carry_sent();
         while slave.goes_on(*end_ns)
             && far.len() < MAX_AHEAD
             && (slave.pace.true_ns < master.pace.true_ns
@@ -441,6 +497,7 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
         {
             far.push_back((slave.pace.true_ns, slave.step(forward, backward)));
         }
+        backward.carry_sent();
         // As far as neither side has anything to say of before.
         loop {
             let is_near = match (near.front(), far.front()) {

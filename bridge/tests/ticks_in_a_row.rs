@@ -93,6 +93,11 @@ fn an_outcome_is_that_of_a_run_in_turn() {
             none.clone(),
             json!({ "/link/backward/delay_s": 0.0, "/link/backward/jitter_s": 0.0, "/run/period_s": 0.0005 }),
         ),
+        (
+            "there damaged, at four times the rate of the slave",
+            none.clone(),
+            json!({ "/link/forward/corrupt": 0.05, "/link/forward/duplicate": 0.1, "/slave/period_s": 0.00025 }),
+        ),
         ("another rate of the slave", none.clone(), json!({ "/slave/period_s": 0.002 })),
         ("periods without a common tick", none.clone(), json!({ "/slave/period_s": 0.0007 })),
         (

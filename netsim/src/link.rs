@@ -131,6 +131,26 @@ impl Link {
         Judgement { verdict, damage: &Damage::NONE, extras: &[] }
     }
 
+    /// Decides on packets in turn, on each as [`judge`](Self::judge) does, into `verdicts`; of a link that does not
+    /// [change](Self::changes_packets) them. Rule by rule, so that the code of each is fetched once for all.
+    pub fn judge_all(&mut self, packets: &[Packet], verdicts: &mut Vec<Verdict>) {
+        debug_assert!(
+            !self.changes_packets(),
+            "what arrives beside packets has no place in a list of verdicts"
+        );
+        verdicts.clear();
+        verdicts.extend(packets.iter().map(|packet| Verdict::Deliver { at_ns: packet.sent_ns }));
+        for rule in &mut self.rules.path {
+            rule.judge_all(packets, verdicts);
+        }
+        for (packet, verdict) in packets.iter().zip(verdicts) {
+            if let Verdict::Deliver { at_ns } = *verdict {
+                *verdict = self.in_turn(packet, at_ns);
+            }
+            self.count(*verdict, 0);
+        }
+    }
+
     /// What becomes of a packet up to its arrival.
     fn travel(&mut self, packet: &Packet) -> Verdict {
         let mut at_ns = packet.sent_ns;
@@ -140,6 +160,12 @@ impl Link {
                 drop @ Verdict::Drop { .. } => return drop,
             }
         }
+        self.in_turn(packet, at_ns)
+    }
+
+    /// Keeps the order, where it is kept, and reorders, where that is asked for.
+    #[inline]
+    fn in_turn(&mut self, packet: &Packet, mut at_ns: u64) -> Verdict {
         self.latest_in_turn_ns = self.latest_in_turn_ns.max(at_ns);
         if self.rules.keeps_order {
             at_ns = self.latest_in_turn_ns;

@@ -18,6 +18,15 @@ use crate::verdict::{Extra, ExtraCause, Verdict};
 pub(crate) trait Rule: Debug + DynClone + Send {
     /// Decides on a packet that would arrive at `at_ns`, which is never before it was sent.
     fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict;
+
+    /// Decides on several in turn, of each as far as the rules before have let it come: one call for all of them.
+    fn judge_all(&mut self, packets: &[Packet], verdicts: &mut [Verdict]) {
+        for (packet, verdict) in packets.iter().zip(verdicts) {
+            if let Verdict::Deliver { at_ns } = *verdict {
+                *verdict = self.judge(packet, at_ns);
+            }
+        }
+    }
 }
 
 /// Most that arrives beside one packet.

@@ -1,6 +1,7 @@
 //! Tests of the crate as a whole, through its public names.
 
 mod adversary;
+mod batches;
 mod chains;
 mod changes;
 mod endings;

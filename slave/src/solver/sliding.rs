@@ -79,6 +79,10 @@ struct Face<const N: usize> {
     glides: bool,
     /// How far the tool may move along each axis in m while this face is the nearest.
     margin: f64,
+}
+
+/// Taylor coefficients of what happens on a face, in shares of the step. Beside the faces, for they are long to move.
+struct FaceSeries<const N: usize> {
     /// d in m, its power, and d' in m/s; of a law with a power.
     depth: ArrayVec<f64, TERMS>,
     power: ArrayVec<f64, TERMS>,
@@ -93,40 +97,25 @@ struct Face<const N: usize> {
     drag: ArrayVec<f64, TERMS>,
 }
 
-impl<const N: usize> Face<N> {
-    /// Before the first coefficient of another step.
-    fn begin(&mut self) {
-        let Self { depth, power, rate, pressing, slip, speed, drag, .. } = self;
-        [depth, power, rate, pressing, speed, drag].into_iter().for_each(ArrayVec::clear);
-        slip.clear();
+impl<const N: usize> FaceSeries<N> {
+    #[inline]
+    const fn new() -> Self {
+        Self {
+            depth: ArrayVec::new_const(),
+            power: ArrayVec::new_const(),
+            rate: ArrayVec::new_const(),
+            pressing: ArrayVec::new_const(),
+            slip: ArrayVec::new_const(),
+            speed: ArrayVec::new_const(),
+            drag: ArrayVec::new_const(),
+        }
     }
 
-    /// The next coefficient of its force in N, from that of the motion in shares of a step.
-    #[inline]
-    fn force(&mut self, moved: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
-        let along = self.normal.dot(velocity);
-        let depth = if self.pressing.is_empty() { self.first_depth } else { -self.normal.dot(moved) };
-        let pressing = match self.law {
-            ContactLaw::KelvinVoigt { stiffness, damping } => stiffness * depth - damping * along,
-            ContactLaw::HuntCrossley { stiffness, exponent, damping } => {
-                self.depth.push(depth);
-                self.rate.push(-along);
-                stiffness * self.power_with_rate(exponent, damping)
-            }
-        };
-        self.pressing.push(pressing);
-        let force = self.normal * pressing;
-        if self.friction == 0.0 {
-            return force;
-        }
-        self.slip.push(velocity - self.normal * along);
-        let drag = if self.glides { self.drag_of_gliding() } else { pressing * FULL_SLIP.recip() };
-        self.drag.push(drag);
-        let mut rubbing = Axes::zeros();
-        for (drag, slip) in self.drag.iter().zip(self.slip.iter().rev()) {
-            rubbing += slip * *drag;
-        }
-        force - rubbing * self.friction
+    /// Before the first coefficient of another step.
+    fn begin(&mut self) {
+        let Self { depth, power, rate, pressing, slip, speed, drag } = self;
+        [depth, power, rate, pressing, speed, drag].into_iter().for_each(ArrayVec::clear);
+        slip.clear();
     }
 
     /// The next coefficient of `d^n (1 + chi d')`. Of the power `q = d^n`, with k for its coefficients:
@@ -180,18 +169,48 @@ impl<const N: usize> Face<N> {
         }
         rest * inverse
     }
+}
+
+impl<const N: usize> Face<N> {
+    /// The next coefficient of its force in N, from that of the motion in shares of a step.
+    #[inline]
+    fn force(&self, series: &mut FaceSeries<N>, moved: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
+        let along = self.normal.dot(velocity);
+        let depth = if series.pressing.is_empty() { self.first_depth } else { -self.normal.dot(moved) };
+        let pressing = match self.law {
+            ContactLaw::KelvinVoigt { stiffness, damping } => stiffness * depth - damping * along,
+            ContactLaw::HuntCrossley { stiffness, exponent, damping } => {
+                series.depth.push(depth);
+                series.rate.push(-along);
+                stiffness * series.power_with_rate(exponent, damping)
+            }
+        };
+        series.pressing.push(pressing);
+        let force = self.normal * pressing;
+        if self.friction == 0.0 {
+            return force;
+        }
+        series.slip.push(velocity - self.normal * along);
+        let drag = if self.glides { series.drag_of_gliding() } else { pressing * FULL_SLIP.recip() };
+        series.drag.push(drag);
+        let mut rubbing = Axes::zeros();
+        for (drag, slip) in series.drag.iter().zip(series.slip.iter().rev()) {
+            rubbing += slip * *drag;
+        }
+        force - rubbing * self.friction
+    }
 
     /// Whether bounds say that over a whole step it is touched as it is, its tool no farther away than `swing` in m.
-    fn stays(&self, swing: &Axes<N>, rounding: f64) -> bool {
-        let released: f64 = self.pressing[1..].iter().map(|p| p.abs()).sum();
+    fn stays(&self, series: &FaceSeries<N>, swing: &Axes<N>, rounding: f64) -> bool {
+        let released: f64 = series.pressing[1..].iter().map(|p| p.abs()).sum();
         let is_pressed = self.first_depth > self.normal.abs().dot(swing) + rounding
-            && self.pressing[0] > released * (1.0 + ROUNDING)
+            && series.pressing[0] > released * (1.0 + ROUNDING)
             && self.margin > swing.amax() + rounding;
         if !is_pressed || self.friction == 0.0 {
             return is_pressed;
         }
-        let change = self.slip[1..].iter().map(Axes::abs).sum::<Axes<N>>().norm() * (1.0 + ROUNDING);
-        let slip = self.slip[0].norm();
+        let change = series.slip[1..].iter().map(Axes::abs).sum::<Axes<N>>().norm() * (1.0 + ROUNDING);
+        let slip = series.slip[0].norm();
         if self.glides { slip - change > FULL_SLIP } else { slip + change <= FULL_SLIP }
     }
 }
@@ -199,6 +218,8 @@ impl<const N: usize> Face<N> {
 /// What the tool touches.
 struct Touched<const N: usize> {
     faces: ArrayVec<Face<N>, MAX_FACES>,
+    /// Of each face.
+    series: [FaceSeries<N>; MAX_FACES],
     /// Sums of their `dF / dd` in N/m, and of their `dF / dd'` and what friction damps in N s/m.
     stiffness: f64,
     damping: f64,
@@ -208,6 +229,22 @@ struct Touched<const N: usize> {
     leaves: bool,
     /// Farthest that an object reaches from the origin, in m.
     extent: f64,
+}
+
+impl<const N: usize> Touched<N> {
+    /// Nothing.
+    #[inline]
+    fn new() -> Self {
+        Self {
+            faces: ArrayVec::new(),
+            series: std::array::from_fn(|_| FaceSeries::new()),
+            stiffness: 0.0,
+            damping: 0.0,
+            clear: f64::INFINITY,
+            leaves: false,
+            extent: 0.0,
+        }
+    }
 }
 
 /// What acts on the tool beside faces, linear in x and V.
@@ -223,11 +260,18 @@ struct Pull<const N: usize> {
 
 impl<const N: usize> Pull<N> {
     /// The motion over `step` in s from V in m/s on; whether its series converges over it.
-    fn follow(&self, course: &mut Course<N>, faces: &mut [Face<N>], velocity: &Axes<N>, step: f64) -> bool {
+    fn follow(
+        &self,
+        course: &mut Course<N>,
+        touched: &mut Touched<N>,
+        velocity: &Axes<N>,
+        step: f64,
+    ) -> bool {
+        let Touched { faces, series, .. } = touched;
         let Course { moved, velocity: v } = course;
         moved.clear();
         v.clear();
-        faces.iter_mut().for_each(Face::begin);
+        series.iter_mut().for_each(FaceSeries::begin);
         moved.push(Axes::zeros());
         v.push(*velocity);
         let mut largest = velocity.amax();
@@ -242,8 +286,8 @@ impl<const N: usize> Pull<N> {
             if n > 0 {
                 force -= moved[n] * self.stiffness + v[n] * self.damping;
             }
-            for face in &mut *faces {
-                force += face.force(&moved[n], &v[n]);
+            for (face, series) in faces.iter().zip(&mut *series) {
+                force += face.force(series, &moved[n], &v[n]);
             }
             let share = step * INVERSE[n];
             moved.push(v[n] * share);
@@ -290,7 +334,7 @@ impl<const N: usize> Environment<N> {
         tool: &mut Tool<N>,
         (piece, steady): (Piece, Option<Axes<N>>),
         (done, left): (f64, f64),
-        series: &mut u32,
+        trials: &mut u32,
     ) -> Option<f64> {
         let now = piece.origin + done;
         let Tool { position, velocity, .. } = *tool;
@@ -298,7 +342,8 @@ impl<const N: usize> Environment<N> {
             self.look(&position, &velocity, now);
         }
         let mut pull = self.pull_of_arm(arm, tool, (piece, steady), (done, left));
-        let mut touched = self.touch(tool, &mut pull)?;
+        let mut touched = Touched::new();
+        self.touch(tool, &mut pull, &mut touched)?;
         // The fastest that the motion relaxes or swings.
         let rate = (pull.damping + touched.damping) / pull.mass
             + ((pull.stiffness + touched.stiffness) / pull.mass).sqrt();
@@ -309,11 +354,11 @@ impl<const N: usize> Environment<N> {
         let mut halvings = 0;
         let mut course = Course::default();
         loop {
-            if *series == 0 || halvings > MAX_HALVINGS {
+            if *trials == 0 || halvings > MAX_HALVINGS {
                 return None;
             }
-            *series -= 1;
-            if pull.follow(&mut course, &mut touched.faces, &velocity, step) {
+            *trials -= 1;
+            if pull.follow(&mut course, &mut touched, &velocity, step) {
                 break;
             }
             (step, halvings) = (0.5 * step, halvings + 1);
@@ -323,10 +368,10 @@ impl<const N: usize> Environment<N> {
         if !self.reach.covers(&position, now + step, farthest) {
             return None;
         }
-        let Touched { faces, clear, leaves, extent, .. } = &touched;
+        let Touched { faces, series, clear, leaves, extent, .. } = &touched;
         let rounding = ROUNDING * (position.amax() + extent);
-        let is_sure =
-            !leaves && *clear > farthest + rounding && faces.iter().all(|face| face.stays(&swing, rounding));
+        let stays = |(face, series): (&Face<N>, &FaceSeries<N>)| face.stays(series, &swing, rounding);
+        let is_sure = !leaves && *clear > farthest + rounding && faces.iter().zip(series).all(stays);
         let mut taken = step;
         if !is_sure {
             let changed = |share| {
@@ -346,18 +391,10 @@ impl<const N: usize> Environment<N> {
         Some(taken)
     }
 
-    /// On which piece of its law each near object is, where the tool is; springs add to `pull`. None where one moves, is
-    /// round and touched, or where too many are.
-    fn touch(&mut self, tool: &Tool<N>, pull: &mut Pull<N>) -> Option<Touched<N>> {
+    /// On which piece of its law each near object is, where the tool is: what it touches adds to `touched`, springs to
+    /// `pull`. None where one moves, is round and touched, or where too many are.
+    fn touch(&mut self, tool: &Tool<N>, pull: &mut Pull<N>, touched: &mut Touched<N>) -> Option<()> {
         let Tool { position, velocity, .. } = *tool;
-        let mut touched = Touched {
-            faces: ArrayVec::new(),
-            stiffness: 0.0,
-            damping: 0.0,
-            clear: f64::INFINITY,
-            leaves: false,
-            extent: 0.0,
-        };
         for near in 0..self.reach.near.len() {
             let index = self.reach.near[near];
             let object = &self.objects[index];
@@ -391,13 +428,6 @@ impl<const N: usize> Environment<N> {
                         first_depth: -distance,
                         glides: (velocity - normal * along).norm() > FULL_SLIP,
                         margin,
-                        depth: ArrayVec::new(),
-                        power: ArrayVec::new(),
-                        rate: ArrayVec::new(),
-                        pressing: ArrayVec::new(),
-                        slip: ArrayVec::new(),
-                        speed: ArrayVec::new(),
-                        drag: ArrayVec::new(),
                     };
                     touched.faces.try_push(face).ok()?;
                     touched.stiffness += reaction.stiffness;
@@ -408,7 +438,7 @@ impl<const N: usize> Environment<N> {
                 }
             }
         }
-        Some(touched)
+        Some(())
     }
 
     /// What arm and pushers do from `done` on.
