@@ -129,6 +129,11 @@ pub trait SlavePlant<const N: usize> {
     fn grip(&mut self, _jaws: &GripperSample) -> Option<Option<f64>> {
         None
     }
+
+    /// Whether it touches something, as of the last read; false of an arm that does not know.
+    fn touches(&self) -> bool {
+        false
+    }
 }
 
 impl<P: MasterPlant<N> + ?Sized, const N: usize> MasterPlant<N> for Box<P> {
@@ -295,9 +300,6 @@ impl<const N: usize, S: Real + haptether_master::Real> ModelPlant<N, S> for Step
 
 /// What a model of an arm knows beyond its sensors.
 pub trait ModelArm {
-    /// Whether it touches something.
-    fn touches(&self) -> bool;
-
     /// Steps of its environment that were too stiff to be followed to full accuracy.
     fn coarse_steps(&self) -> u64 {
         0
@@ -308,20 +310,12 @@ pub trait ModelArm {
 }
 
 impl<const N: usize> ModelArm for SimulatedSlave<N> {
-    fn touches(&self) -> bool {
-        SimulatedSlave::touches(self)
-    }
-
     fn coarse_steps(&self) -> u64 {
         SimulatedSlave::coarse_steps(self)
     }
 }
 
 impl ModelArm for SimulatedTool {
-    fn touches(&self) -> bool {
-        SimulatedTool::touches(self)
-    }
-
     fn world(&self, take: &mut dyn FnMut(&'static str, &[f64])) {
         SimulatedTool::world(self, take);
     }
@@ -371,6 +365,10 @@ impl SlavePlant<3> for SimulatedTool {
         // Where there is nothing that could be taken, the gripper's own settings say what is between the jaws.
         self.has_things_to_hold().then(|| self.between_jaws())
     }
+
+    fn touches(&self) -> bool {
+        SimulatedTool::touches(self)
+    }
 }
 
 impl<const N: usize> SlavePlant<N> for SimulatedSlave<N> {
@@ -393,5 +391,9 @@ impl<const N: usize> SlavePlant<N> for SimulatedSlave<N> {
 
     fn engaged(&mut self, now_ns: u64) {
         self.start(now_ns);
+    }
+
+    fn touches(&self) -> bool {
+        SimulatedSlave::touches(self)
     }
 }

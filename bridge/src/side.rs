@@ -420,7 +420,7 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side<N> for SlaveSide<P, N,
             self.endpoint.exchange.report_gripper(state);
         }
         let snapshot = LadderSnapshot::of(&self.endpoint.exchange);
-        SlaveRecord::new(time, &reading, self.gripper.as_ref(), &tick, snapshot)
+        SlaveRecord::new(time, &reading, self.gripper.as_ref(), self.plant.touches(), &tick, snapshot)
     }
 
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {

@@ -1,9 +1,12 @@
-//! Rows of a sweep let each side do some ticks in a row, as far as its link allows: no outcome may show it.
+//! Runs whose signals nobody keeps, rows of a sweep among them, let each side do some ticks in a row, as far as its link
+//! allows: nothing of them may show it.
 #![allow(clippy::unwrap_used)] // a test may
 
 use std::sync::atomic::AtomicBool;
 
-use haptether_bridge::scene::{Metrics, Outcome, Progress, SweepSettings, Variation, simulate, sweep};
+use haptether_bridge::scene::{
+    Metrics, Outcome, Progress, SceneRun, SweepSettings, Variation, simulate, sweep,
+};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -33,26 +36,32 @@ fn rows(scene: &Value, seeds: &[u64]) -> Vec<Option<Outcome>> {
     rows.into_iter().map(Result::ok).collect()
 }
 
-/// The same of runs whose signals are kept, which let both sides tick in turn.
-fn runs(scene: &Value, seeds: &[u64]) -> Vec<Option<Outcome>> {
+/// Runs of these seeds, with the signals of every tick or without any.
+fn runs(scene: &Value, seeds: &[u64], record: &Value) -> Vec<Option<SceneRun>> {
     let mut scene = scene.clone();
-    scene["record"] = json!({ "every": 1 });
+    scene["record"] = record.clone();
     let run = |seed: &u64| {
         scene["run"]["seed"] = (*seed).into();
-        simulate(&serde_json::to_vec(&scene).unwrap(), &AtomicBool::new(false)).ok().map(|run| run.outcome)
+        simulate(&serde_json::to_vec(&scene).unwrap(), &AtomicBool::new(false)).ok()
     };
     seeds.iter().map(run).collect()
 }
 
-/// As text, for numbers that are none differ from themselves.
-fn assert_same(name: &str, scene: &Value) {
-    let (rows, runs) = (rows(scene, &[1, 7]), runs(scene, &[1, 7]));
-    assert!(rows.iter().any(Option::is_some), "{name}: refused");
-    assert_eq!(format!("{rows:?}"), format!("{runs:?}"), "{name}");
+/// Rows of a sweep, and runs without signals, as against runs whose signals are kept, which let both sides tick in turn. As
+/// text, for numbers that are none differ from themselves.
+fn compare(name: &str, scene: &Value, seeds: &[u64]) {
+    let in_turn = runs(scene, seeds, &json!({ "every": 1 }));
+    assert!(in_turn.iter().any(Option::is_some), "{name}: refused");
+    let outcomes = in_turn.iter().map(|run| run.as_ref().map(|run| run.outcome.clone()));
+    assert_eq!(format!("{:?}", rows(scene, seeds)), format!("{:?}", Vec::from_iter(outcomes)), "{name}");
+    let without_signals =
+        in_turn.into_iter().map(|run| run.map(|run| SceneRun { signals: Vec::new(), ..run }));
+    let in_a_row = runs(scene, seeds, &Value::Null);
+    assert_eq!(format!("{in_a_row:?}"), format!("{:?}", Vec::from_iter(without_signals)), "{name}");
 }
 
 #[test]
-fn an_outcome_is_that_of_a_run_in_turn() {
+fn a_run_is_that_of_both_sides_in_turn() {
     let none = json!({});
     let cases = [
         ("as it is", none.clone(), none.clone()),
@@ -112,7 +121,7 @@ fn an_outcome_is_that_of_a_run_in_turn() {
         ("it diverges", none, json!({ "/run/diverged_speed": 0.3 })),
     ];
     for (name, both, others) in &cases {
-        assert_same(name, &scene(both, others));
+        compare(name, &scene(both, others), &[1, 7]);
     }
 }
 
@@ -125,7 +134,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(40))]
 
     #[test]
-    fn an_outcome_is_that_of_a_run_in_turn_over_any_link(
+    fn a_run_is_that_of_both_sides_in_turn_over_any_link(
         (forward_ms, backward_ms) in (delay_ms(), delay_ms()),
         (jitter, loss) in (0_u32..30, 0_u32..10),
         keep_order in prop::bool::weighted(0.8),
@@ -140,7 +149,6 @@ proptest! {
         for (key, value) in link(backward_ms).as_object().unwrap() {
             scene["link"]["backward"][key] = value.clone();
         }
-        let (rows, runs) = (rows(&scene, &[3]), runs(&scene, &[3]));
-        prop_assert_eq!(format!("{rows:?}"), format!("{runs:?}"));
+        compare("over any link", &scene, &[3]);
     }
 }

@@ -116,6 +116,10 @@ def test_what_cannot_be_done_is_refused(
         (["export", str(master), "--csv", str(tmp_path / "link.csv")], 2, "is a symbolic link"),
         (["export", str(master), "--csv", str(master)], 2, "give two files"),
         (["export", str(master), "--npz", str(tmp_path / "a.csv")], 2, "must end in .npz"),
+        (["export", str(master), "--parquet", str(tmp_path / "a.csv")], 2, "must end in .parquet"),
+        (["export", str(master), "--csv", str(tmp_path / "a.mcap")], 2, "must end in .csv"),
+        (["export", str(master), "--foxglove", str(tmp_path / "a.parquet")], 2, "must end in .mcap"),
+        (["replay", str(master), "--format", "pdf"], 2, "--format pdf: no picture is asked for: give --plot, too"),
     ):
         assert main(arguments) == status, arguments
         said = capfd.readouterr().err

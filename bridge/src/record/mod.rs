@@ -210,6 +210,8 @@ pub struct SlaveRecord<const N: usize, R = ()> {
     pub gripper_force: f64,
     /// Whether something stops its jaws.
     pub holds_object: bool,
+    /// Whether a simulated tool touches something; false of an arm. In no recording.
+    pub touches: bool,
     /// State of the ladder.
     pub state: LadderState,
     /// Why it stands there, [`crate::Reason::code`]; 0 where it began.
@@ -245,6 +247,7 @@ impl<const N: usize, R: SlaveTurn> SlaveRecord<N, R> {
             gripper_command: f64::NAN,
             gripper_force: f64::NAN,
             holds_object: false,
+            touches: false,
             state: LadderState::Disengaged,
             reason: 0,
             peer: NO_PEER,
@@ -262,6 +265,7 @@ impl<const N: usize, R: SlaveTurn> SlaveRecord<N, R> {
         time: TickTime,
         reading: &SlaveReading<N>,
         gripper: Option<&LedGripper>,
+        touches: bool,
         tick: &SlaveTick<N>,
         snapshot: LadderSnapshot,
     ) -> Self {
@@ -277,6 +281,7 @@ impl<const N: usize, R: SlaveTurn> SlaveRecord<N, R> {
             gripper_command: gripper_command.unwrap_or(f64::NAN),
             gripper_force: jaws.map_or(f64::NAN, |jaws| jaws.force_n),
             holds_object: jaws.is_some_and(|jaws| jaws.holds_object),
+            touches,
             state: tick.state,
             reason: snapshot.reason,
             peer: snapshot.peer,

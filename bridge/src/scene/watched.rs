@@ -306,7 +306,7 @@ impl<const N: usize> Watched<N> {
             return self.diverge(time_s, DivergenceCause::Arm(distance));
         }
         (self.far_force, self.far_position) = (record.environment_force, record.position);
-        self.log.touches(time_s, arm.touches());
+        self.log.touches(time_s, record.touches);
         self.log.grips(time_s, record.holds_object);
         if !self.judged.metrics.has(Metric::PositionError) {
             // Nobody asks for it.

@@ -63,6 +63,11 @@ class Export:
         if self.npz is not None and self.npz.suffix != ".npz":
             message = f"{self.npz}: must end in .npz"
             raise ValueError(message)
+        formats = {".parquet": self.parquet, ".csv": self.csv, ".npz": self.npz, ".mcap": self.foxglove}
+        for suffix, target in formats.items():
+            if target is not None and target.suffix != suffix and target.suffix in formats:
+                message = f"{target}: would not be what its name says: must end in {suffix}"
+                raise ValueError(message)
         run = read_run(self.file, self.other, self.slave_begun_s)
         if self.parquet is not None or self.csv is not None:
             self._write_tables(run)

@@ -55,13 +55,13 @@ class Replay(PictureOptions):
         from haptether.cli.recording.files import check_files
         from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.output import check_distinct, check_target, write_report
-        from haptether.cli.shared.picture import picture_file
+        from haptether.cli.shared.picture import asked_picture
         from haptether.cli.shared.screen import screen
 
         check_distinct(file=self.file, plot=self.plot, json=self.json)
         check_files(self.file)
         check_target(self.json)
-        picture = None if self.plot is None else picture_file(self.plot, self.format)
+        picture = asked_picture(self.plot, self.format)
         with spinner(f"replaying {self.file}"):
             recording = read_recording(self.file)
             try:

@@ -75,14 +75,14 @@ class Tune(PictureOptions):
         from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.numbers import check_random_seed
         from haptether.cli.shared.output import check_target, write_report
-        from haptether.cli.shared.picture import picture_file
+        from haptether.cli.shared.picture import asked_picture
         from haptether.cli.shared.screen import screen
         from haptether.studies import HandBounds, draw_tuning, tune
         from haptether.view.style.figure import write_figure
 
         check_target(self.json)
         check_random_seed(self.seed)
-        picture = None if self.plot is None else picture_file(self.plot, self.format)
+        picture = asked_picture(self.plot, self.format)
         check_files(*self.recording)
         with spinner("tune") as say:
             found = tune(

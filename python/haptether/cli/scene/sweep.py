@@ -128,7 +128,7 @@ class Sweep(PictureOptions):
         from haptether.bridge.scene.sweeps.table_file import STREAMED
         from haptether.cli.shared.controller_time import controller_timed
         from haptether.cli.shared.output import write_report
-        from haptether.cli.shared.picture import picture_file
+        from haptether.cli.shared.picture import asked_picture
         from haptether.cli.shared.screen import screen
         from haptether.view.figures.sweep import check_varied, draw_sweep
         from haptether.view.style.figure import write_figure
@@ -145,11 +145,10 @@ class Sweep(PictureOptions):
         if design.rows > most:
             message = f"{design.rows} rows: must be at most {most}"
             raise ValueError(message)
-        picture = None
         paths = [*varied, *([SEED] if self.samples is not None and SEED not in varied else [])]
         if self.plot is not None:
             check_varied(paths, labelled({**design.factors, **design.samples}))
-            picture = picture_file(self.plot, self.format)
+        picture = asked_picture(self.plot, self.format)
         console = screen(self.json)
         with controller_timed(console, here=self.engine == "local"):
             whole, stored = self._run_rows(design, {"grid": varied, "samples": drawn, "ties": ties}, collect=collect)

@@ -59,7 +59,7 @@ class Thresholds(PictureOptions):
         from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.numbers import check_random_seed
         from haptether.cli.shared.output import check_target, write_report
-        from haptether.cli.shared.picture import picture_file
+        from haptether.cli.shared.picture import asked_picture
         from haptether.cli.shared.screen import screen
         from haptether.studies import THRESHOLD_LAWS, THRESHOLD_TASKS, HandBounds, draw_trade_off, measure_thresholds
         from haptether.studies.task import HANDS, RELEASES, ROUND_TRIPS_S
@@ -72,7 +72,7 @@ class Thresholds(PictureOptions):
         if unknown := [name for name in names if name not in known]:
             message = f"--controller {self.controller}: {unknown[0]!r} is none of {', '.join(known)}"
             raise ValueError(message)
-        picture = None if self.plot is None else picture_file(self.plot, self.format)
+        picture = asked_picture(self.plot, self.format)
         with spinner("thresholds") as say:
             found = measure_thresholds(
                 tasks=self.task or THRESHOLD_TASKS,

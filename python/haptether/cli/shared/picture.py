@@ -44,6 +44,21 @@ def picture_file(path: Path, form: "PictureFormat | None") -> Path:
     return path
 
 
+def asked_picture(path: Path | None, form: "PictureFormat | None") -> Path | None:
+    """As `picture_file`, of a command that draws where it is asked to with `--plot`; none where it is not.
+
+    Raises:
+        ValueError: As `picture_file`; a format of no picture.
+        OSError, ImportError: As `picture_file`.
+    """
+    if path is not None:
+        return picture_file(path, form)
+    if form is not None:
+        message = f"--format {form}: no picture is asked for: give --plot, too"
+        raise ValueError(message)
+    return None
+
+
 def picture_in(place: Path, name: str, form: "PictureFormat | None") -> Path:
     """Where the one picture of a command goes: into a folder, under a name, or to a path that ends in what it is.
 
