@@ -244,6 +244,10 @@ impl<const N: usize> SlavePlant<N> for DrivenSlave<N> {
     fn rest_orientation(&self) -> Option<UnitQuaternion<f64>> {
         self.braking.and_then(|braking| braking.rotation).map(|turning| turning.rest)
     }
+
+    fn touches(&self) -> bool {
+        false
+    }
 }
 
 #[cfg(test)]

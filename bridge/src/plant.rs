@@ -131,9 +131,7 @@ pub trait SlavePlant<const N: usize> {
     }
 
     /// Whether it touches something, as of the last read; false of an arm that does not know.
-    fn touches(&self) -> bool {
-        false
-    }
+    fn touches(&self) -> bool;
 }
 
 impl<P: MasterPlant<N> + ?Sized, const N: usize> MasterPlant<N> for Box<P> {

@@ -205,7 +205,8 @@ impl<const N: usize> OneWay<N> {
         packet
     }
 
-    #[cold]
+    // Out of the way of the many links that change nothing.
+    #[inline(never)]
     fn carry_changing(&mut self, now_ns: u64, frame: &Frame<N>, back: &mut Self) {
         self.judged(now_ns, self.frame_size, back, |to, at_ns, damage| {
             if damage.is_none() {
@@ -435,7 +436,7 @@ pub fn run_virtual<M: Side<N>, S: Side<N>, const N: usize>(
 
 /// Most ticks that a side does in a row: so many that its code is in the processor's cache for most of them, so few
 /// that their records are, too.
-const MAX_AHEAD: usize = 64;
+pub(crate) const MAX_AHEAD: usize = 64;
 
 /// As [`run_virtual`], with the same records in the same order, for who does not look at what the sides have beside
 /// them: these may be some ticks ahead by then, and what they counted after a break goes further.

@@ -5,7 +5,7 @@
 use std::sync::atomic::AtomicBool;
 
 use haptether_bridge::scene::{
-    Metrics, Outcome, Progress, SceneRun, SweepSettings, Variation, simulate, sweep,
+    Ending, Metrics, Outcome, Progress, SceneRun, SweepSettings, Variation, simulate, sweep,
 };
 use proptest::prelude::*;
 use serde_json::{Value, json};
@@ -52,12 +52,12 @@ fn runs(scene: &Value, seeds: &[u64], record: &Value) -> Vec<Option<SceneRun>> {
 fn compare(name: &str, scene: &Value, seeds: &[u64]) {
     let in_turn = runs(scene, seeds, &json!({ "every": 1 }));
     assert!(in_turn.iter().any(Option::is_some), "{name}: refused");
-    let outcomes = in_turn.iter().map(|run| run.as_ref().map(|run| run.outcome.clone()));
-    assert_eq!(format!("{:?}", rows(scene, seeds)), format!("{:?}", Vec::from_iter(outcomes)), "{name}");
-    let without_signals =
-        in_turn.into_iter().map(|run| run.map(|run| SceneRun { signals: Vec::new(), ..run }));
+    let outcomes: Vec<_> = in_turn.iter().map(|run| run.as_ref().map(|run| run.outcome)).collect();
+    assert_eq!(format!("{:?}", rows(scene, seeds)), format!("{outcomes:?}"), "{name}");
+    let without = |run: Option<SceneRun>| run.map(|run| SceneRun { signals: Vec::new(), ..run });
+    let without_signals: Vec<_> = in_turn.into_iter().map(without).collect();
     let in_a_row = runs(scene, seeds, &Value::Null);
-    assert_eq!(format!("{in_a_row:?}"), format!("{:?}", Vec::from_iter(without_signals)), "{name}");
+    assert_eq!(format!("{in_a_row:?}"), format!("{without_signals:?}"), "{name}");
 }
 
 #[test]
@@ -103,7 +103,7 @@ fn a_run_is_that_of_both_sides_in_turn() {
             json!({ "/link/backward/delay_s": 0.0, "/link/backward/jitter_s": 0.0, "/run/period_s": 0.0005 }),
         ),
         (
-            "there damaged, at four times the rate of the slave",
+            "there damaged, the slave at four times the rate",
             none.clone(),
             json!({ "/link/forward/corrupt": 0.05, "/link/forward/duplicate": 0.1, "/slave/period_s": 0.00025 }),
         ),
@@ -117,11 +117,27 @@ fn a_run_is_that_of_both_sides_in_turn() {
                 "/link/slave_clock": { "offset_s": 0.0, "drift_ppm": -90.0, "step_s": 0.004, "step_at_s": 1.1 },
             }),
         ),
-        ("it ends early", none.clone(), json!({ "/run/stop_early": true, "/run/duration_s": 6.0 })),
-        ("it diverges", none, json!({ "/run/diverged_speed": 0.3 })),
+        (
+            "mirrored",
+            json!({ "attacks": [{ "action": { "kind": "mirror" }, "target": { "every": 7 } }] }),
+            json!({ "/slave/period_s": 0.00025 }),
+        ),
+        ("secure", none.clone(), json!({ "/security": { "secure": true } })),
+        ("stepped", none.clone(), json!({ "/run/integrator": "rk4", "/run/step_s": 1e-4 })),
+        ("it ends early", none, json!({ "/run/stop_early": true, "/run/duration_s": 6.0 })),
     ];
     for (name, both, others) in &cases {
         compare(name, &scene(both, others), &[1, 7]);
+    }
+}
+
+/// Who diverges is ahead of what was observed of it: a single run is done again in turn, for its reports.
+#[test]
+fn a_run_that_diverges_is_that_of_both_sides_in_turn() {
+    let scene = scene(&json!({}), &json!({ "/run/diverged_speed": 0.3 }));
+    compare("it diverges", &scene, &[1, 7]);
+    for run in runs(&scene, &[1, 7], &Value::Null) {
+        assert_eq!(run.unwrap().outcome.ending, Ending::Diverged);
     }
 }
 

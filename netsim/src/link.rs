@@ -133,10 +133,15 @@ impl Link {
 
     /// Decides on packets in turn, on each as [`judge`](Self::judge) does, into `verdicts`; of a link that does not
     /// [change](Self::changes_packets) them. Rule by rule, so that the code of each is fetched once for all.
+    ///
+    /// # Panics
+    ///
+    /// Where the link changes packets: what arrives beside them has no place in a list of verdicts.
     pub fn judge_all(&mut self, packets: &[Packet], verdicts: &mut Vec<Verdict>) {
+        assert!(!self.changes_packets(), "a link that changes packets judges them one by one");
         debug_assert!(
-            !self.changes_packets(),
-            "what arrives beside packets has no place in a list of verdicts"
+            packets.iter().all(|packet| packet.direction == self.rules.direction),
+            "packet on the wrong link"
         );
         verdicts.clear();
         verdicts.extend(packets.iter().map(|packet| Verdict::Deliver { at_ns: packet.sent_ns }));

@@ -136,15 +136,18 @@ fn whole<const N: usize>(
     kept: &Keeping<'_>,
 ) -> Result<SceneRun, SceneError> {
     // A controller of the caller's own sees no tick too many.
-    let is_observed = kept.files.is_some() || scene.safety.research.is_some();
-    let is_measured = !kept.outcome_only && (scene.record.is_some() || scene.run.stop_early);
-    if !is_observed
-        && !is_measured
+    let is_bound = kept.files.is_some() || scene.safety.research.is_some();
+    // Signals, and the events of a trigger that the finger feels, are those of a side at its tick. Who ends early would
+    // be run twice.
+    let is_read = scene.record.is_some() || scene.master.gripper.is_some() || scene.run.stop_early;
+    if !is_bound
+        && (kept.outcome_only || !is_read)
         && let Some(run) = simulate(Order::InARow)?
     {
         return Ok(run);
     }
-    simulate(Order::InTurn)?.ok_or(SceneError::Stopped)
+    // In turn no run is ahead of what was observed of it.
+    simulate(Order::InTurn).map(|run| run.unwrap_or_else(|| unreachable!("a run in turn is whole")))
 }
 
 /// What no scene with an arm has.

@@ -333,6 +333,7 @@ where
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::virtual_time::MAX_AHEAD;
     use serde::Deserialize as _;
     use std::cell::Cell;
 
@@ -366,8 +367,10 @@ mod tests {
             MASTER_TICKS.with(Cell::get)
         };
         let three = ticks(&[&[], &["wsc"], &["hsc"]]);
-        // Each intervenes a little after the release, some 1.1 s after the start, and goes on from at most 432 ticks before.
-        assert!((2000 + 2 * 700..2000 + 2 * 1350).contains(&three), "{three}");
+        // Each intervenes a little after the release, some 1.1 s after the start, and goes on from a snapshot that lies no
+        // further back than two lie apart and a side is ahead.
+        let back = MAX_SINCE_SNAPSHOT + MAX_AHEAD as u64;
+        assert!((2000 + 2 * 700..2000 + 2 * (900 + back)).contains(&three), "{three}");
         // PC intervenes from the start, so it shares nothing with the others; these share with one another.
         let four = ticks(&[&["pc"], &[], &["wsc"], &["hsc"]]);
         assert!((three + 1900..=three + 2500).contains(&four), "{four}");

@@ -196,4 +196,8 @@ impl<P: SlavePlant<N>, const N: usize> SlavePlant<N> for Plant<P, N> {
     fn grip(&mut self, jaws: &GripperSample) -> Option<Option<f64>> {
         self.model.grip(jaws)
     }
+
+    fn touches(&self) -> bool {
+        self.model.touches()
+    }
 }

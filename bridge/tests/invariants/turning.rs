@@ -336,4 +336,8 @@ impl SlavePlant<3> for Arm {
     fn grip(&mut self, jaws: &GripperSample) -> Option<Option<f64>> {
         self.plant().grip(jaws)
     }
+
+    fn touches(&self) -> bool {
+        self.as_plant().touches()
+    }
 }

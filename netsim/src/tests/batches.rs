@@ -59,3 +59,11 @@ proptest! {
         }
     }
 }
+
+#[test]
+#[should_panic(expected = "judges them one by one")]
+fn a_link_that_changes_packets_is_refused() {
+    let settings = LinkSettings { corrupt: 0.1, ..rough() };
+    let mut link = Link::new(Direction::Forward, 1, &settings).unwrap();
+    link.judge_all(&[], &mut Vec::new());
+}
