@@ -50,7 +50,7 @@ demo: $(EXTENSION) ## run `haptether demo`
 NOT_THOROUGH = $() and not thorough
 LIVE_AT_ONCE := 4
 
-# Tests of real time: which options, which markers. What fails is decided by a further try with no other test beside it,
+# Tests of real time: which options, which markers. What fails is decided by further tries with no other test beside it,
 # which is said: a machine that others use fails them at times. More than so many are no coincidence.
 MAX_ANEW := 16
 anew = $(BIN)/python -m tests.anew --most $(MAX_ANEW) -m '$(2)' -- $(1)

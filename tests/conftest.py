@@ -48,11 +48,12 @@ def ordinary_scheduling() -> Iterator[None]:
     """Real time that a test leaves to its thread is a fault of what it tests: all later ones would starve others."""
     before = _scheduling()
     yield
+    left = _scheduling()
     if "haptether.bridge.devices.loop" in sys.modules:
         from tests.left_runs import end_left_runs  # most tests have no driver
 
         end_left_runs()
-    if (left := _scheduling()) != before:
+    if left != before:
         policy, parameter = before
         os.sched_setscheduler(0, policy, os.sched_param(parameter))
         pytest.fail(f"the thread of the tests was left under scheduling policy and priority {left}, not {before}")

@@ -133,11 +133,12 @@ def replayed_session(limits: Limits) -> Row:
         relay.close()
         time.sleep(0.3)
         again_at_s = time.monotonic()
-        answers = send_all(slave.address, relay.recorded)
+        # Slowly: a busy system drops of a burst what does not fit into the socket's buffer.
+        answers = send_all(slave.address, relay.recorded, every=5)
         slave.end()
         since_s = time.monotonic() - again_at_s
         fresh = stage.slave("fresh")
-        fresh_answers = send_all(fresh.address, relay.recorded)
+        fresh_answers = send_all(fresh.address, relay.recorded, every=5)
         fresh.end()
         at_slave, at_fresh = stage.ticks("slave"), stage.ticks("fresh")
         reports = [stage.report("slave"), stage.report("fresh")]
@@ -153,8 +154,7 @@ def replayed_session(limits: Limits) -> Row:
     # First messages of handshakes are answered, within their budget: without the key an answer is of no use.
     judged.wrong.check(answers + fresh_answers <= 16, f"{answers} + {fresh_answers} answers")
     refused = [sum(report["rejections"].values()) for report in reports]
-    # A busy system drops of a burst what does not fit into the socket's buffer: nobody refuses that.
-    judged.wrong.check(min(refused) >= 0.5 * len(relay.recorded), f"{refused} of {len(relay.recorded)} refused")
+    judged.wrong.check(min(refused) >= 0.9 * len(relay.recorded), f"{refused} of {len(relay.recorded)} refused")
     judged.say(
         f"{len(relay.recorded)} datagrams: {refused[0]} and {refused[1]} refused, {answers} and {fresh_answers} answers"
     )

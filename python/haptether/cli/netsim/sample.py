@@ -55,13 +55,13 @@ class Sample(LinkOptions, PictureOptions):
     def run(self) -> int:
         """Judges all packets."""
         from haptether.cli.shared.output import check_target, table_goes_to_stderr, write_report
-        from haptether.cli.shared.picture import picture_file
+        from haptether.cli.shared.picture import asked_picture
         from haptether.cli.shared.screen import screen
         from haptether.netsim import asked, judge_all, realised
 
         self._check()
         check_target(self.csv, self.json)
-        picture = None if self.plot is None else picture_file(self.plot, self.format)
+        picture = asked_picture(self.plot, self.format)
         links = self.links(self.scene)
         settings = getattr(links, self.direction)
         sent_ns = sending_times(self.packets, self.rate)

@@ -65,7 +65,8 @@ class Export:
             raise ValueError(message)
         formats = {".parquet": self.parquet, ".csv": self.csv, ".npz": self.npz, ".mcap": self.foxglove}
         for suffix, target in formats.items():
-            if target is not None and target.suffix != suffix and target.suffix in formats:
+            ending = "" if target is None else target.suffix.lower()
+            if ending != suffix and ending in formats:
                 message = f"{target}: would not be what its name says: must end in {suffix}"
                 raise ValueError(message)
         run = read_run(self.file, self.other, self.slave_begun_s)
