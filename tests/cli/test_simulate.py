@@ -367,8 +367,10 @@ def test_a_folder_that_cannot_be_is_refused_before_the_run(
         assert status == (1 if "none" in picture else 2)
         assert why in capsys.readouterr().err
         assert not (tmp_path / picture).exists()
-    assert main(["simulate", "remote_push", "--format", "pdf"]) == 2
-    assert "no picture is asked for: give --plot, too" in capsys.readouterr().err
+    for command in (["simulate", "remote_push"], ["sweep", "remote_push", "--vary", "run.seed=1,2"], ["paper"],
+                    ["thresholds"], ["netsim", "sample", "--delay-s", "0.1"]):  # fmt: skip
+        assert main([*command, "--format", "pdf"]) == 2
+        assert "no picture is asked for: give --plot, too" in capsys.readouterr().err
     assert not given
 
 

@@ -46,14 +46,13 @@ class Paper(PictureOptions):
     def run(self) -> int:
         """Runs the experiments (about a second) and prints them."""
         from haptether.cli.shared.output import check_target, make_folder, require_matplotlib, write_json
-        from haptether.cli.shared.picture import asked_picture
+        from haptether.cli.shared.picture import check_format
         from haptether.cli.shared.screen import screen
         from haptether.studies import draw_paper, paper_sensitivity, reproduce_paper
 
         check_target(self.json)
-        if self.plot is None:
-            asked_picture(None, self.format)
-        else:
+        check_format(self.plot, self.format)
+        if self.plot is not None:
             require_matplotlib()
             make_folder(self.plot)
         report = reproduce_paper(encoder_quantum=self.encoder_quantum)

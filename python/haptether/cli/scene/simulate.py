@@ -63,7 +63,7 @@ class Simulate(PictureOptions):
         from haptether.bridge import SceneError, load_scene, simulate, unusual_numbers
         from haptether.cli.shared.controller_time import controller_timed
         from haptether.cli.shared.output import check_target, make_folder
-        from haptether.cli.shared.picture import asked_picture, picture_in
+        from haptether.cli.shared.picture import check_format, picture_in
         from haptether.cli.shared.screen import screen
 
         console = screen(self.json)
@@ -77,9 +77,9 @@ class Simulate(PictureOptions):
         if self.out is not None and self.out.suffix != ".npz":
             message = f"{self.out}: must end in .npz"
             raise ValueError(message)
-        if self.plot is None:
-            picture = asked_picture(None, self.format)
-        else:
+        check_format(self.plot, self.format)
+        picture = None
+        if self.plot is not None:
             picture = picture_in(self.plot, Path(self.scene).stem, self.format)
         scene = load_scene(self.scene, self.set)
         files = None

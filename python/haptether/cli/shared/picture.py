@@ -44,19 +44,26 @@ def picture_file(path: Path, form: "PictureFormat | None") -> Path:
     return path
 
 
-def asked_picture(path: Path | None, form: "PictureFormat | None") -> Path | None:
-    """As `picture_file`, of a command that draws where it is asked to with `--plot`; none where it is not.
+def check_format(plot: Path | None, form: "PictureFormat | None") -> None:
+    """Refuses a format where `--plot` asks for no picture.
+
+    Raises:
+        ValueError: It is there without one.
+    """
+    if plot is None and form is not None:
+        message = f"--format {form}: no picture is asked for: give --plot, too"
+        raise ValueError(message)
+
+
+def asked_picture(plot: Path | None, form: "PictureFormat | None") -> Path | None:
+    """As `picture_file`, of a command that draws one where `--plot` asks for it; none where it does not.
 
     Raises:
         ValueError: As `picture_file`; a format of no picture.
         OSError, ImportError: As `picture_file`.
     """
-    if path is not None:
-        return picture_file(path, form)
-    if form is not None:
-        message = f"--format {form}: no picture is asked for: give --plot, too"
-        raise ValueError(message)
-    return None
+    check_format(plot, form)
+    return None if plot is None else picture_file(plot, form)
 
 
 def picture_in(place: Path, name: str, form: "PictureFormat | None") -> Path:
