@@ -114,10 +114,12 @@ pub struct TextPiece {
 
 impl TextPiece {
     /// Whether it has one encoding alone: no text is all zeros, and so is what lies after an end.
+    #[inline]
     pub fn is_canonical(&self) -> bool {
-        if self.number == 0 {
-            return *self == Self::default();
-        }
+        if self.number == 0 { *self == Self::default() } else { self.is_canonical_piece() }
+    }
+
+    fn is_canonical_piece(&self) -> bool {
         let end = self.bytes.iter().position(|byte| *byte == 0);
         let ended = end.is_none_or(|end| self.bytes[end..].iter().all(|byte| *byte == 0));
         ended && self.index < PIECES && (end.is_some() || self.index + 1 < PIECES)
@@ -179,7 +181,15 @@ impl Default for HeardText {
 
 impl HeardText {
     /// Takes a piece of a frame; pieces of a text before do not mix with those of another.
+    #[inline]
     pub fn take(&mut self, piece: &TextPiece) {
+        // Nearly all frames have none.
+        if piece.number != 0 || self.number != 0 {
+            self.take_piece(piece);
+        }
+    }
+
+    fn take_piece(&mut self, piece: &TextPiece) {
         if piece.number != self.number {
             *self = Self { number: piece.number, ..Self::default() };
         }

@@ -51,6 +51,7 @@ pub trait Side<const N: usize> {
     }
 
     /// The frame of this tick, not written.
+    #[inline(always)] // as all that makes a frame: docs/architecture.md
     fn next_frame(&mut self, time: LinkTime) -> Frame<N> {
         self.exchange_mut().next_frame(time)
     }

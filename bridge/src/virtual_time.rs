@@ -1,6 +1,6 @@
 //! The virtual-time runner: both sides and the network between them, without socket, sleep or clock.
 
-use std::{collections::VecDeque, ops::ControlFlow};
+use std::ops::ControlFlow;
 
 use haptether_netsim::{
     Damage, Direction, EndpointClock, ExtraCause, InFlight, Judgement, Link, LinkSettings, LinkSettingsError,
@@ -163,18 +163,29 @@ impl<const N: usize> OneWay<N> {
         });
     }
 
-    /// The same of a frame that is its datagram: it has bytes only where somebody changes them. Where nobody does, it
-    /// waits for [`carry_sent`](Self::carry_sent).
+    /// The same of the next frame of a side, which is its datagram: it has bytes only where somebody changes them. Where
+    /// nobody does, it waits for [`carry_sent`](Self::carry_sent).
     #[inline(always)] // as all of what takes a frame: docs/architecture.md
-    fn carry_frame(&mut self, now_ns: u64, frame: &Frame<N>, back: &mut Self) {
-        debug_assert_eq!(frame.layout().length(N), self.frame_size, "what stands in a frame never changes");
+    fn carry_frame_of(&mut self, side: &mut impl Side<N>, time: LinkTime, now_ns: u64, back: &mut Self) {
         if self.link.changes_packets() {
-            self.carry_changing(now_ns, frame, back);
-        } else {
-            let packet = self.next_packet(now_ns, self.frame_size);
-            self.sent.push(packet);
-            self.sent_slots.push(self.frames.insert(*frame));
+            self.carry_changing(now_ns, &made(side, time), back);
+            return;
         }
+        let packet = self.next_packet(now_ns, self.frame_size);
+        self.sent.push(packet);
+        let slot = if let Some(slot) = self.frames.free.pop() {
+            // In place: a frame is large.
+            self.frames.slots[slot] = side.next_frame(time);
+            slot
+        } else {
+            self.frames.insert(made(side, time))
+        };
+        self.check_length(&self.frames.slots[slot]);
+        self.sent_slots.push(slot);
+    }
+
+    fn check_length(&self, frame: &Frame<N>) {
+        debug_assert_eq!(frame.layout().length(N), self.frame_size, "what stands in a frame never changes");
     }
 
     /// Judges the frames that wait. The sides tick some times in a row meanwhile: neither is then in the way of the
@@ -185,7 +196,7 @@ impl<const N: usize> OneWay<N> {
         }
         let Self { link, in_flight, frames, sent, sent_slots, verdicts, direction, .. } = self;
         link.judge_all(sent, verdicts);
-        for ((packet, slot), verdict) in sent.drain(..).zip(sent_slots.drain(..)).zip(&*verdicts) {
+        for ((packet, &slot), verdict) in sent.iter().zip(&*sent_slots).zip(&*verdicts) {
             let is_taken = match *verdict {
                 Verdict::Deliver { at_ns } => {
                     let at_ns = at_ns.max(earliest_ns(*direction, packet.sent_ns));
@@ -197,6 +208,8 @@ impl<const N: usize> OneWay<N> {
                 frames.free.push(slot);
             }
         }
+        sent.clear();
+        sent_slots.clear();
     }
 
     fn next_packet(&mut self, sent_ns: u64, size: usize) -> Packet {
@@ -208,6 +221,7 @@ impl<const N: usize> OneWay<N> {
     // Out of the way of the many links that change nothing.
     #[inline(never)]
     fn carry_changing(&mut self, now_ns: u64, frame: &Frame<N>, back: &mut Self) {
+        self.check_length(frame);
         self.judged(now_ns, self.frame_size, back, |to, at_ns, damage| {
             if damage.is_none() {
                 to.push_frame(at_ns, frame);
@@ -242,6 +256,12 @@ impl<const N: usize> OneWay<N> {
             }
         }
     }
+}
+
+/// The next frame of a side where it is not made in place.
+#[inline(never)]
+fn made<const N: usize>(side: &mut impl Side<N>, time: LinkTime) -> Frame<N> {
+    side.next_frame(time)
 }
 
 /// When the earliest of what is sent at `now_ns` arrives. At one instant the master is first: whenever the slave does that
@@ -356,7 +376,7 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
             }
         } else {
             // A session without security is open at any time, and seals nothing.
-            outward.carry_frame(now_ns, &self.side.next_frame(time), inward);
+            outward.carry_frame_of(self.side, time, now_ns, inward);
         }
         self.pace.wait_after(&wake);
         self.counts.ticks += 1;
@@ -460,9 +480,48 @@ pub(crate) fn run_virtual_ahead<M: Side<N>, S: Side<N>, const N: usize>(
 /// programs", IEEE Trans. Softw. Eng. 5, 1979 (lookahead of a channel that keeps the order).
 pub(crate) struct Ahead<'a, M: Side<N>, S: Side<N>, const N: usize> {
     run: Run<'a, M, S, N>,
-    /// True time in ns and record of each tick that was not observed yet.
-    near: VecDeque<(u64, M::Record)>,
-    far: VecDeque<(u64, S::Record)>,
+    near: Unseen<M::Record>,
+    far: Unseen<S::Record>,
+}
+
+/// True time in ns and record of each tick that was not observed yet, the oldest first.
+///
+/// Most times all are observed before there are more, so they need not go in a circle.
+struct Unseen<R> {
+    ticks: Vec<(u64, R)>,
+    /// How many of these were observed.
+    seen: usize,
+}
+
+impl<R> Unseen<R> {
+    fn new() -> Self {
+        Self { ticks: Vec::with_capacity(MAX_AHEAD), seen: 0 }
+    }
+
+    /// Lets go of those that were observed; before more are kept.
+    fn forget_seen(&mut self) {
+        self.ticks.drain(..self.seen);
+        self.seen = 0;
+        self.ticks.reserve(MAX_AHEAD - self.ticks.len());
+    }
+
+    /// Whether there is room for one more, before any of these was observed.
+    fn has_room(&self) -> bool {
+        debug_assert_eq!(self.seen, 0, "forget_seen comes first");
+        self.ticks.len() < MAX_AHEAD
+    }
+
+    fn first(&self) -> Option<&(u64, R)> {
+        self.ticks.get(self.seen)
+    }
+
+    /// A copy without those that were observed, which takes no more memory than it needs.
+    fn copied(&self) -> Self
+    where
+        R: Clone,
+    {
+        Self { ticks: self.ticks[self.seen..].to_vec(), seen: 0 }
+    }
 }
 
 impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
@@ -473,7 +532,7 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
         slave: &'a mut S,
     ) -> Result<Self, VirtualError> {
         let run = Run::new(settings, master, slave)?;
-        Ok(Self { run, near: VecDeque::with_capacity(MAX_AHEAD), far: VecDeque::with_capacity(MAX_AHEAD) })
+        Ok(Self { run, near: Unseen::new(), far: Unseen::new() })
     }
 
     /// Some ticks of each side, and what of them nothing earlier can follow to be observed; breaks where the run ends.
@@ -482,26 +541,28 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
         observe: &mut impl FnMut(Event<'_, M::Record, S::Record>, (&M, &S)) -> ControlFlow<()>,
     ) -> ControlFlow<()> {
         let Self { run: Run { master, slave, forward, backward, end_ns }, near, far } = self;
+        near.forget_seen();
+        far.forget_seen();
         // What is sent later arrives later than it is sent. At the same instant the master is first.
         while master.goes_on(*end_ns)
-            && near.len() < MAX_AHEAD
+            && near.has_room()
             && (master.pace.true_ns <= slave.pace.true_ns
                 || master.pace.true_ns < backward.link.earliest_later_ns())
         {
-            near.push_back((master.pace.true_ns, master.step(backward, forward)));
+            near.ticks.push((master.pace.true_ns, master.step(backward, forward)));
         }
         forward.carry_sent();
         while slave.goes_on(*end_ns)
-            && far.len() < MAX_AHEAD
+            && far.has_room()
             && (slave.pace.true_ns < master.pace.true_ns
                 || slave.pace.true_ns < forward.link.earliest_later_ns())
         {
-            far.push_back((slave.pace.true_ns, slave.step(forward, backward)));
+            far.ticks.push((slave.pace.true_ns, slave.step(forward, backward)));
         }
         backward.carry_sent();
         // As far as neither side has anything to say of before.
         loop {
-            let is_near = match (near.front(), far.front()) {
+            let is_near = match (near.first(), far.first()) {
                 (Some((near_ns, _)), Some((far_ns, _))) => near_ns <= far_ns,
                 (Some((near_ns, _)), None) if *near_ns <= slave.pace.true_ns => true,
                 (None, Some((far_ns, _))) if *far_ns < master.pace.true_ns => false,
@@ -511,14 +572,14 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
                 _ => return ControlFlow::Continue(()),
             };
             let sides = (&*master.side, &*slave.side);
-            // Observed in the queue: a record is large to move.
+            // Observed where it is: a record is large to move.
             let flow = if is_near {
-                let flow = near.front().map(|(_, record)| observe(Event::Master(record), sides));
-                near.pop_front();
+                let flow = near.first().map(|(_, record)| observe(Event::Master(record), sides));
+                near.seen += 1;
                 flow
             } else {
-                let flow = far.front().map(|(_, record)| observe(Event::Slave(record), sides));
-                far.pop_front();
+                let flow = far.first().map(|(_, record)| observe(Event::Slave(record), sides));
+                far.seen += 1;
                 flow
             };
             if flow.is_some_and(|flow| flow.is_break()) {
@@ -538,7 +599,7 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
 
     /// Ticks of the master that were not observed yet.
     pub(crate) fn unseen_of_master(&self) -> impl Iterator<Item = &M::Record> {
-        self.near.iter().map(|(_, record)| record)
+        self.near.ticks[self.near.seen..].iter().map(|(_, record)| record)
     }
 
     /// The run as it stands; none where sessions have a part in it: with security, frames as bytes, or a network that
@@ -561,28 +622,31 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
             paces: [master.pace, slave.pace],
             counts: [master.counts, slave.counts],
             network: [forward.clone(), backward.clone()],
-            near: near.clone(),
-            far: far.clone(),
+            near: near.copied(),
+            far: far.copied(),
         })
     }
 
     /// Goes on from a snapshot of a run of the same settings, with sides that are to stand as those in it.
     pub(crate) fn resume(
         settings: &VirtualSettings,
-        snapshot: Snapshot<M, S, N>,
+        snapshot: &Snapshot<M, S, N>,
         master: &'a mut M,
         slave: &'a mut S,
-    ) -> Result<Self, VirtualError> {
-        let Snapshot { paces, counts, network: [forward, backward], near, far, .. } = snapshot;
-        let mut run = Run::of(settings, master, slave, [forward, backward])?;
+    ) -> Result<Self, VirtualError>
+    where
+        M::Record: Clone,
+        S::Record: Clone,
+    {
+        let Snapshot { paces, counts, network, near, far, .. } = snapshot;
+        let mut run = Run::of(settings, master, slave, network.clone())?;
         (run.master.pace, run.slave.pace) = (paces[0], paces[1]);
         (run.master.counts, run.slave.counts) = (counts[0], counts[1]);
-        Ok(Self { run, near, far })
+        Ok(Self { run, near: near.copied(), far: far.copied() })
     }
 }
 
 /// A run between two ticks, to go on from more than once.
-#[derive(Clone)]
 pub(crate) struct Snapshot<M: Side<N>, S: Side<N>, const N: usize> {
     /// The side of the hand.
     pub(crate) master: M,
@@ -592,8 +656,8 @@ pub(crate) struct Snapshot<M: Side<N>, S: Side<N>, const N: usize> {
     counts: [LoopCounts; 2],
     /// Forward and backward.
     network: [OneWay<N>; 2],
-    near: VecDeque<(u64, M::Record)>,
-    far: VecDeque<(u64, S::Record)>,
+    near: Unseen<M::Record>,
+    far: Unseen<S::Record>,
 }
 
 /// Both loops and the network between them.

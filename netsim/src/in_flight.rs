@@ -52,7 +52,7 @@ impl<T> InFlight<T> {
     }
 
     /// Takes a packet that arrives at `due_ns`, or drops it with [`DropCause::InFlight`].
-    #[inline]
+    #[inline(always)] // into the loop over packets
     pub fn push(&mut self, due_ns: u64, payload: T) -> Result<(), DropCause> {
         if self.len() >= self.capacity {
             self.overflowed += 1;

@@ -104,6 +104,7 @@ impl<const N: usize> SafetyLayer<N> {
     }
 
     /// As [`tick`](Self::tick), with the controllers' damping in the share `authority` (0 to 1) only.
+    #[inline(always)] // what it returns is large, and not all of it is looked at
     pub fn tick_with_authority(
         &mut self,
         position: &Axes<N>,

@@ -193,6 +193,10 @@ pub(crate) fn decayed(late_ns: u64, decay_ns: u64) -> (f64, f64) {
     if whole == 0.0 {
         return (0.0, 0.0);
     }
+    if late_ns == 0 {
+        // To the bit what the formula gives.
+        return (0.0, 1.0);
+    }
     (t - t * t / (2.0 * whole), 1.0 - t / whole)
 }
 

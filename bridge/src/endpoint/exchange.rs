@@ -1,6 +1,8 @@
 //! What both endpoints have: a link, a ladder, and what goes out next.
 
-use haptether_safety::{Axes, Fault};
+use std::sync::Arc;
+
+use haptether_safety::{Axes, Fault, controller::SafetySettings};
 
 use crate::{
     SideKind,
@@ -9,6 +11,7 @@ use crate::{
     ladder::{
         AlignmentState, Diagnosis, FlightEntry, FlightRecorder, FlightValues, LAYERS, Ladder, LadderError,
         LadderInputs, LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame, Reason,
+        thresholds,
     },
     link::{FrameLink, LinkStatistics, LinkTime, PortState, RejectReason, Status},
     wire::{Frame, FrameLayout, MAX_FRAME, Role},
@@ -37,6 +40,15 @@ pub(super) struct TickEvents {
     pub(super) device_failed: bool,
 }
 
+/// The flight recorder of a side.
+#[derive(Clone, Debug)]
+enum Flight {
+    /// It is kept.
+    Kept(Box<FlightRecorder>),
+    /// Nobody will read it, so that it stays as it was; a side that is copied does not copy it.
+    LeftOut(Arc<FlightRecorder>),
+}
+
 /// The part of an endpoint that talks to the peer.
 #[derive(Clone, Debug)]
 pub struct Exchange<const N: usize> {
@@ -54,9 +66,7 @@ pub struct Exchange<const N: usize> {
     /// Its own, which stands for the peer's until that is known.
     period_ns: u64,
     inputs: LadderInputs,
-    pub(super) flight: Box<FlightRecorder>,
-    /// Whether somebody may read it.
-    keeps_flight: bool,
+    flight: Flight,
     /// Ticks at which a bound acted on the remote command.
     pub(super) limited_ticks: u64,
     pub(super) events: TickEvents,
@@ -98,8 +108,7 @@ impl<const N: usize> Exchange<N> {
             counted: (0, 0),
             period_ns,
             inputs: LadderInputs::new(role),
-            flight: Box::new(FlightRecorder::new(role.name())),
-            keeps_flight: true,
+            flight: Flight::Kept(Box::new(FlightRecorder::new(role.name()))),
             limited_ticks: 0,
             events: TickEvents::default(),
             fault: 0,
@@ -188,12 +197,13 @@ impl<const N: usize> Exchange<N> {
         } else if sequence > self.counted.0 {
             // By the peer's own clock and count: neither jitter nor loss is in it.
             let frames = sequence - self.counted.0;
-            let interval_ns = (sent_ns.saturating_sub(self.counted.1) / frames).min(MAX_INTERVAL_NS);
+            let interval_ns = || (sent_ns.saturating_sub(self.counted.1) / frames).min(MAX_INTERVAL_NS);
             if frames >= COUNTED {
+                let interval_ns = interval_ns();
                 self.interval_ns = Some(self.interval_ns.map_or(interval_ns, |min| min.min(interval_ns)));
                 self.counted = (sequence, sent_ns);
             } else if self.interval_ns.is_none() {
-                self.first_interval_ns = Some(interval_ns);
+                self.first_interval_ns = Some(interval_ns());
             }
         }
     }
@@ -249,11 +259,12 @@ impl<const N: usize> Exchange<N> {
         observed: impl FnOnce() -> [Observed; LAYERS.len()],
     ) {
         self.events = TickEvents::default();
-        if self.keeps_flight {
+        if matches!(self.flight, Flight::Kept(_)) {
             self.keep_flight(now_ns, values, &observed());
         }
     }
 
+    #[inline(never)]
     fn keep_flight(&mut self, now_ns: u64, values: [&Axes<N>; 3], observed: &[Observed; LAYERS.len()]) {
         let entry = FlightEntry {
             time_ns: now_ns,
@@ -266,13 +277,22 @@ impl<const N: usize> Exchange<N> {
             values: FlightValues::new(values),
         };
         let diagnosis = self.diagnosis(now_ns);
-        self.flight.observe(now_ns, observed);
-        self.flight.take(entry, self.ladder.history(), diagnosis.as_ref());
+        if let Flight::Kept(flight) = &mut self.flight {
+            flight.observe(now_ns, observed);
+            flight.take(entry, self.ladder.history(), diagnosis.as_ref());
+        }
     }
 
     /// Keeps nothing in the flight recorder: of a run in virtual time that nobody records, for it decides nothing.
     pub(crate) fn leave_out_flight(&mut self) {
-        self.keeps_flight = false;
+        self.flight = Flight::LeftOut(Arc::new(*self.flight()));
+    }
+
+    /// What the observers of a layer are held against, which the flight recorder keeps beside what they see.
+    pub(super) fn hold_against(&mut self, layer: usize, settings: &SafetySettings) {
+        if let Flight::Kept(flight) = &mut self.flight {
+            flight.hold_against(layer, thresholds(settings));
+        }
     }
 
     /// Measures of the path to the peer only what decides: of a run in virtual time whose reports nobody reads.
@@ -354,6 +374,7 @@ impl<const N: usize> Exchange<N> {
     }
 
     /// The frame of this tick, not written.
+    #[inline(always)] // as all that makes a frame: docs/architecture.md
     pub fn next_frame(&mut self, time: LinkTime) -> Frame<N> {
         // Who ends follows and leads no more, whatever its ladder says.
         let state = match self.ladder.state() {
@@ -426,6 +447,9 @@ impl<const N: usize> Exchange<N> {
 
     /// The last states and commands.
     pub fn flight(&self) -> &FlightRecorder {
-        &self.flight
+        match &self.flight {
+            Flight::Kept(flight) => flight,
+            Flight::LeftOut(flight) => flight,
+        }
     }
 }

@@ -101,7 +101,9 @@ impl<const N: usize> Hand<N> {
                 if let Err(fault) = self.check_jump(input.missed, reading) {
                     self.layer.fail(fault);
                 }
-                self.carry_over(input.missed, reading);
+                if input.missed > 0 {
+                    self.carry_over(input.missed, reading);
+                }
             }
         }
         if let Some(fault) = input.fault {
@@ -122,10 +124,8 @@ impl<const N: usize> Hand<N> {
     }
 
     /// Carries estimator and observers over missed ticks, along a straight line.
+    #[inline(never)] // a loop is seldom late
     fn carry_over(&mut self, missed: u64, reading: &MasterReading<N>) {
-        if missed == 0 {
-            return;
-        }
         if let Some(before) = self.last {
             for tick in 1..=missed {
                 self.layer.missed(&before.towards(reading, tick as f64 / (missed + 1) as f64));

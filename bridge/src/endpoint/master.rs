@@ -17,7 +17,7 @@ use crate::{
     SideKind,
     command::OperatorCommand,
     coupling::{CouplingError, FrameMap, PositionForce, RotationCoupling, RotationLock, RotationState},
-    ladder::{LAYERS, LadderSettings, LadderState, Observed, ROTATION, TRANSLATION, TRIGGER, thresholds},
+    ladder::{LAYERS, LadderSettings, LadderState, Observed, ROTATION, TRANSLATION, TRIGGER},
     wire::Role,
 };
 
@@ -97,7 +97,7 @@ impl<const N: usize> MasterEndpoint<N> {
 
     /// The same with a trigger that the finger feels.
     pub fn with_trigger(mut self, settings: &TriggerSettings) -> Result<Self, EndpointError> {
-        self.exchange.flight.hold_against(TRIGGER, thresholds(&settings.safety));
+        self.exchange.hold_against(TRIGGER, &settings.safety);
         let fade_in_s = period_s(self.exchange.ladder.settings().fade_in_ns);
         self.trigger = Some(Box::new(TriggerFeedback::new(settings, self.period_s, fade_in_s)?));
         Ok(self)
@@ -140,9 +140,9 @@ impl<const N: usize> MasterEndpoint<N> {
         };
         let layer = Layer::new(translation, rotation)?;
         let mut exchange = Exchange::new(Role::Master, settings.run_id, settings.period_ns, settings.ladder)?;
-        exchange.flight.hold_against(TRANSLATION, thresholds(&settings.safety));
+        exchange.hold_against(TRANSLATION, &settings.safety);
         if let Some(rotation) = rotation {
-            exchange.flight.hold_against(ROTATION, thresholds(&rotation.safety));
+            exchange.hold_against(ROTATION, &rotation.safety);
         }
         Ok(Self {
             hand: Hand::new(layer, period_s(settings.period_ns)),
@@ -175,7 +175,6 @@ impl<const N: usize> MasterEndpoint<N> {
         let received_torque =
             newest.and_then(|frame| frame.rotation.as_ref()).map_or(Axes::zeros(), |slave| slave.torque);
         let is_heard = newest.is_some();
-        let jaws = newest.and_then(|frame| frame.gripper);
         let (gain, state) = (self.exchange.ladder.gain(), self.exchange.ladder.state());
         let past = if std::mem::take(&mut self.acknowledged) {
             self.trigger.iter_mut().for_each(|trigger| trigger.reset());
@@ -186,10 +185,10 @@ impl<const N: usize> MasterEndpoint<N> {
         } else {
             Past::Kept
         };
-        let mut trigger = self
-            .trigger
-            .as_mut()
-            .map(|trigger| trigger.tick(reading.trigger, jaws, state.is_coupled(), gain, missed));
+        let mut trigger = self.trigger.as_mut().map(|trigger| {
+            let jaws = self.exchange.peer_gripper();
+            trigger.tick(reading.trigger, jaws, state.is_coupled(), gain, missed)
+        });
         // One person holds both: a fault of either stops both.
         let fault = device_failed.then_some(Fault::Device).or(trigger.and_then(|tick| tick.fault));
         let input =
@@ -221,6 +220,7 @@ impl<const N: usize> MasterEndpoint<N> {
     }
 
     /// The same with what the coupling requests of what was received.
+    #[inline(always)] // what it is given and returns is large
     pub(crate) fn requested(&self, input: &HandInput<N>) -> HandInput<N> {
         HandInput {
             requested_force: self.coupling.rendered_force(&input.received_force),

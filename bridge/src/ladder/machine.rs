@@ -63,7 +63,39 @@ impl Ladder {
     /// One tick at `now_ns`.
     #[inline(always)] // else what it is given goes through memory
     pub fn step(&mut self, now_ns: u64, input: &LadderInput) -> LadderState {
-        let (facts, may_engage) = self.facts(now_ns, input);
+        if self.stays_engaged(now_ns, input) { self.state } else { self.step_by_table(now_ns, *input) }
+    }
+
+    /// At a tick like nearly all, does what [`step_by_table`](Self::step_by_table) does, and returns true; else changes
+    /// nothing: engaged with all of the force, the clutch closed, the peer coupled as well, heard in time, hearing, and
+    /// about as old as it used to be. No row of ENGAGED is the case then, which `table.rs` holds it to.
+    #[inline(always)] // as step
+    fn stays_engaged(&mut self, now_ns: u64, input: &LadderInput) -> bool {
+        let (Some(age_ns), Some(peer)) = (input.age_ns, input.peer) else { return false };
+        let LadderSettings { stale_after_ns, hold_after_ns, .. } = self.settings;
+        let excess_ns = age_ns.saturating_sub(input.expected_age_ns);
+        let stays = self.state == LadderState::Engaged
+            && self.gain >= 1.0
+            && !self.turns
+            && excess_ns <= stale_after_ns
+            && self.blind_until_ns.is_none_or(|until| now_ns.saturating_sub(age_ns) > until)
+            && input.over_baseline_ns.is_none_or(|over| over <= hold_after_ns)
+            && peer.hears
+            && peer.state.is_aligned()
+            && input.clutch
+            && !input.ended;
+        if stays {
+            (self.excess_ns, self.last_sound_ns, self.last_ns) =
+                (Some(excess_ns), Some(now_ns), Some(now_ns));
+            (self.hears, self.ready) = (true, true);
+        }
+        stays
+    }
+
+    /// One tick by what is the case, whatever that is.
+    #[inline(never)] // and the input by value: one that is referred to would be in memory at every tick
+    fn step_by_table(&mut self, now_ns: u64, input: LadderInput) -> LadderState {
+        let (facts, may_engage) = self.facts(now_ns, &input);
         self.follow(now_ns, facts);
         self.turns =
             self.state == LadderState::Aligning && may_engage && input.alignment == AlignmentState::Remaining;
@@ -72,7 +104,6 @@ impl Ladder {
     }
 
     /// What is the case, and whether the peer says all that is needed to engage.
-    #[inline(always)] // as step
     fn facts(&mut self, now_ns: u64, input: &LadderInput) -> (Facts, bool) {
         let LadderSettings { stale_after_ns, hold_after_ns, stop_after_ns, align_ns, .. } = self.settings;
         self.excess_ns = input.age_ns.map(|age| age.saturating_sub(input.expected_age_ns));
@@ -406,11 +437,13 @@ const KEPT: usize = 32;
 pub struct History {
     ring: [Option<Transition>; KEPT],
     count: usize,
+    /// What [`cause`](Self::cause) returns, found once a transition: every frame says it.
+    cause: Option<Reason>,
 }
 
 impl Default for History {
     fn default() -> Self {
-        Self { ring: [None; KEPT], count: 0 }
+        Self { ring: [None; KEPT], count: 0, cause: None }
     }
 }
 
@@ -419,6 +452,7 @@ impl History {
     pub(super) fn push(&mut self, transition: Transition) {
         self.ring[self.count % KEPT] = Some(transition);
         self.count += 1;
+        self.cause = self.found_cause();
     }
 
     /// How many there were.
@@ -433,6 +467,10 @@ impl History {
 
     /// Why it stands where it does: of a hold that became a stop, why it first held.
     pub fn cause(&self) -> Option<Reason> {
+        self.cause
+    }
+
+    fn found_cause(&self) -> Option<Reason> {
         let last = self.last()?;
         if !matches!(last.to, LadderState::Hold | LadderState::Stop) {
             return Some(last.reason);

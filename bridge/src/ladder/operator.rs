@@ -113,7 +113,19 @@ impl ClutchOperator {
     }
 
     /// Whether the clutch is pressed at `now_ns`, seeing where the ladder stands and whether a press would count.
+    #[inline]
     pub fn at(&mut self, now_ns: u64, state: LadderState, ready: bool) -> bool {
+        let is_asked = self.requested || self.requested_ns.is_some();
+        let stays = self.pressed && self.has_begun && state.is_coupled() && !is_asked;
+        if stays && !matches!(self.clutch, Clutch::Schedule(_)) {
+            // As at nearly all ticks: nobody has asked for anything else than to hold it.
+            self.ready_ns = if ready { self.ready_ns.or(Some(now_ns)) } else { None };
+            return true;
+        }
+        self.decide(now_ns, state, ready)
+    }
+
+    fn decide(&mut self, now_ns: u64, state: LadderState, ready: bool) -> bool {
         let reaction_ns = match &self.clutch {
             Clutch::Schedule(times) => {
                 self.requested = false;
@@ -228,6 +240,7 @@ impl Button {
 mod tests {
     use super::*;
     use LadderState::{Aligning, Engaged, Hold};
+    use proptest::prelude::*;
 
     const MS: u64 = 1_000_000;
 
@@ -281,6 +294,37 @@ mod tests {
         let pressed: Vec<_> = (2000..2500).filter(|now| operator.at(now * MS, Hold, true)).collect();
         assert_eq!(pressed.first(), Some(&2002));
         assert!(ClutchOperator::new(Clutch::Auto { reaction_ns: 1 }).is_err());
+    }
+
+    proptest! {
+        /// What a tick at which nobody asks for anything does by itself is what is decided at any other.
+        #[test]
+        fn a_clutch_that_is_held_is_decided_as_any_other(
+            kind in 0_u8..3,
+            ticks in prop::collection::vec((0_u8..14, any::<bool>(), 0_u8..40, 1_u64..300), 1..200),
+        ) {
+            let mut operator = ClutchOperator::new(match kind {
+                0 => Clutch::Auto { reaction_ns: 500 * MS },
+                1 => Clutch::Once,
+                _ => Clutch::Schedule(vec![(0, 900 * MS), (2000 * MS, 9000 * MS)]),
+            }).unwrap();
+            operator.begin(0);
+            let mut now = 0;
+            for (state, ready, act, wait) in ticks {
+                now += wait * MS;
+                match act {
+                    0 => operator.press_again(),
+                    1 => operator.reset(),
+                    2 => _ = operator.release_clutch(),
+                    _ => {}
+                }
+                let state = LadderState::from_code(state).unwrap_or(Engaged);
+                let mut decided = operator.clone();
+                let pressed = decided.decide(now, state, ready);
+                prop_assert_eq!(operator.at(now, state, ready), pressed);
+                prop_assert_eq!(&operator, &decided);
+            }
+        }
     }
 
     #[test]

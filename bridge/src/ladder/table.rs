@@ -323,6 +323,34 @@ const LEAVING: [Facts; LadderState::ALL.len()] = {
     leaving
 };
 
+/// [`Ladder::stays_engaged`](super::Ladder) asks for the opposite of the first ones by itself, and no tick brings the last
+/// four, which acts and the peer's runs do: a row more of ENGAGED has to be asked for there.
+const _: () = {
+    let reasons = [
+        PeerFaulted,
+        PeerEnded,
+        PeerSilent,
+        PeerStopped,
+        PeerHolds,
+        PeerDeaf,
+        NewsOld,
+        PeerDisengaged,
+        ClutchReleased,
+        FramesLate,
+        BadNumber,
+        OwnDelay,
+        HandGone,
+        PeerRestarted,
+    ];
+    let mut known = Facts(0);
+    let mut index = 0;
+    while index < reasons.len() {
+        known = known.with(reasons[index], true);
+        index += 1;
+    }
+    assert!(LEAVING[Engaged as usize].0 == known.0);
+};
+
 /// Where `facts` lead from `state`, and which of them.
 #[inline]
 pub fn next(state: LadderState, facts: Facts) -> Option<Row> {

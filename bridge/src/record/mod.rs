@@ -142,6 +142,7 @@ impl<const N: usize, R: MasterTurn> MasterRecord<N, R> {
         }
     }
 
+    #[inline(always)] // what it is made of need not be in memory
     pub(crate) fn new(
         time: TickTime,
         reading: &MasterReading<N>,
@@ -261,6 +262,7 @@ impl<const N: usize, R: SlaveTurn> SlaveRecord<N, R> {
         }
     }
 
+    #[inline(always)] // as of the master
     pub(crate) fn new(
         time: TickTime,
         reading: &SlaveReading<N>,

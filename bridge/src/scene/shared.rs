@@ -235,11 +235,11 @@ where
             return Ok(());
         }
         let Member { row, hand } = followers.remove(0);
-        let (mut watched, run) = (kept.start.watched.clone(), kept.start.run.clone());
+        let Start { run, watched, unseen } = &*kept.start;
+        let (mut watched, mut unseen, mut since) = (watched.clone(), *unseen, 0);
         let (mut master, mut slave) = (run.master.clone(), run.slave.clone());
         master.side.endpoint.set_hand(hand);
         let mut ahead = Ahead::resume(&self.settings, run, &mut master, &mut slave)?;
-        let (mut unseen, mut since) = (kept.start.unseen, 0);
         loop {
             let mut intervenes = false;
             let mut gone = vec![false; followers.len()];

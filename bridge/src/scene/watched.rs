@@ -217,6 +217,7 @@ impl<const N: usize> Watched<N> {
         }
     }
 
+    #[inline(always)] // as take
     fn near<P: MasterPlant<N>, R: MasterTurn>(
         &mut self,
         record: &MasterRecord<N, R>,
@@ -297,6 +298,7 @@ impl<const N: usize> Watched<N> {
         }
     }
 
+    #[inline(always)] // as take
     fn far<Q: SlaveTurn>(&mut self, record: &SlaveRecord<N, Q>, arm: &impl ModelArm) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 / 1e9;
         self.ladder(1, record.time_ns, record.state, record.reason);

@@ -73,6 +73,8 @@ pub struct ArmModel {
     control: ArmControl,
     mass_kg: f64,
     limits: Limits,
+    /// Of control and mass: it is asked for in every step.
+    impedance: (f64, f64, bool),
 }
 
 /// How fast a set value may move along each axis; infinite without a bound.
@@ -109,7 +111,7 @@ impl ArmModel {
             speed: bound("arm speed", max_speed)?,
             acceleration: bound("arm acceleration", max_acceleration)?,
         };
-        Ok(Self { control, mass_kg, limits })
+        Ok(Self { control, mass_kg, limits, impedance: control.impedance(mass_kg) })
     }
 
     /// What its controller takes.
@@ -130,16 +132,22 @@ impl ArmModel {
     ///
     /// Of a velocity control with positions, where its set velocity is within its limits.
     pub(crate) fn impedance(&self) -> (f64, f64, bool) {
-        match self.control {
-            ArmControl::Position { bandwidth_hz } => {
+        self.impedance
+    }
+}
+
+impl ArmControl {
+    fn impedance(self, mass_kg: f64) -> (f64, f64, bool) {
+        match self {
+            Self::Position { bandwidth_hz } => {
                 let pole = TAU * bandwidth_hz;
-                (self.mass_kg * pole * pole, 2.0 * self.mass_kg * pole, false)
+                (mass_kg * pole * pole, 2.0 * mass_kg * pole, false)
             }
-            ArmControl::Velocity { bandwidth_hz } => {
+            Self::Velocity { bandwidth_hz } => {
                 let pole = TAU * bandwidth_hz;
-                (0.25 * self.mass_kg * pole * pole, self.mass_kg * pole, true)
+                (0.25 * mass_kg * pole * pole, mass_kg * pole, true)
             }
-            ArmControl::Pd { stiffness, damping } => (stiffness, damping, true),
+            Self::Pd { stiffness, damping } => (stiffness, damping, true),
         }
     }
 }

@@ -280,6 +280,7 @@ fn sort<const N: usize>(lines: &mut [Line; N], object: &Object<N>) -> bool {
 impl Line {
     /// Advances (x, V) by `step` in s under an arm of M, K, B and an input per kg that is quadratic in time; returns
     /// whether every contact was located.
+    #[inline(always)] // has one caller
     fn advance(
         &mut self,
         arm: [f64; 3],

@@ -406,6 +406,65 @@ fn any_input() -> impl Strategy<Value = LadderInput> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
+    /// What a tick that changes nothing does by itself is what the table does, whatever comes before and after.
+    #[test]
+    fn a_tick_that_stays_engaged_is_one_by_the_table(
+        steps in prop::collection::vec((any_input(), 0_u8..22, 0_u64..12, 0_u8..80), 1..120),
+        (expected_age_ns, was_blind) in (prop::sample::select(vec![MS, 300 * MS]), any::<bool>()),
+    ) {
+        let mut ladder = engaged();
+        let mut now = 300 * MS;
+        prop_assert!(ladder.clone().stays_engaged(now + MS, &sound(1)));
+        if was_blind {
+            // A stall while the press waits: what is older than that counts as silence, also once it is engaged.
+            ladder = Ladder::new(LadderSettings::default()).unwrap();
+            let waiting = PeerReport { state: Disengaged, hears: true, answers: true, is_current: false };
+            ladder.step(0, &LadderInput { peer: Some(waiting), ..press() });
+            ladder.stalled(now);
+            for tick in 2..=210 {
+                ladder.step(now + tick * MS, &sound(1));
+            }
+            now += 210 * MS;
+            prop_assert_eq!((ladder.state(), ladder.gain() >= 1.0), (Engaged, true));
+        }
+        for (any, which, wait, act) in steps {
+            now += wait * MS / 4;
+            match act {
+                0 => ladder.fault(now),
+                1 => ladder.stalled(now),
+                2 => ladder.new_run(now, true),
+                3 => ladder.new_run(now, false),
+                4 => ladder.withhold(now),
+                5 => ladder.acknowledge(now),
+                _ => {}
+            }
+            // Mostly sound, so that it often stays; otherwise sound but for one thing, or anything.
+            let input = match which {
+                0 => any,
+                1 => LadderInput { age_ns: any.age_ns, ..sound(1) },
+                2 => LadderInput { over_baseline_ns: any.over_baseline_ns, ..sound(1) },
+                3 => LadderInput { peer: any.peer, ..sound(1) },
+                4 => LadderInput { clutch: any.clutch, ..sound(1) },
+                5 => LadderInput { ended: any.ended, alignment: any.alignment, ..sound(1) },
+                6 => LadderInput { is_press: true, needs_answer: any.clutch, ..sound(1) },
+                7 => LadderInput { over_baseline_ns: None, ..sound(6) },
+                8 => press(),
+                // About as old as leads to STALE.
+                9..12 => sound(u64::from(which) - 4),
+                12 => LadderInput { age_ns: Some(u64::MAX), ..sound(1) },
+                13 => LadderInput { over_baseline_ns: Some(u64::MAX), ..sound(1) },
+                // By a long way, and as old as that.
+                14 => LadderInput { age_ns: Some(expected_age_ns), ..sound(1) },
+                _ => sound(1),
+            };
+            let input = LadderInput { expected_age_ns, ..input };
+            let mut by_table = ladder.clone();
+            let state = by_table.step_by_table(now, input);
+            prop_assert_eq!(ladder.step(now, &input), state);
+            prop_assert_eq!(&ladder, &by_table);
+        }
+    }
+
     /// Whatever the inputs and their times: the force is a share that never jumps up, and nobody engages but by a
     /// press.
     #[test]

@@ -254,6 +254,7 @@ impl Wander {
         Run { rises, begin_ns, end_ns: begin_ns.saturating_add(length_ns.cast_unsigned()), from, to }
     }
 
+    #[inline(always)] // as judge
     fn delay_ns(&mut self, time_ns: u64) -> u64 {
         self.go_on(time_ns);
         let [run, _] = &self.runs;
@@ -265,6 +266,7 @@ impl Wander {
 }
 
 impl Rule for Wander {
+    #[inline(always)] // into the loop over packets
     fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict {
         // The path at the packet's place in the flow so far: as it falls by less than 1 s/s, what comes in order
         // leaves in order. One that comes before an earlier one meets the path where that one did.
