@@ -2,8 +2,9 @@
 
 Each checkout runs the scene with its own built extension (a release build says what users have), so that a tree can
 be compared with another, `--before CHECKOUT`, or with stacks that were written before, `--keep FILE` and `--before
-FILE`. Times are shares of the samples times the processor time of a tick, least of some runs. Needs `perf` (package
-linux-perf) and leave to sample (`kernel.perf_event_paranoid` at most 2).
+FILE`. Times are shares of the samples times the processor time of a tick, least of some runs. A function that was
+compiled into another is one of its own here, as the extension's line tables name it. Needs `perf` (package linux-perf),
+`addr2line` (binutils) and leave to sample (`kernel.perf_event_paranoid` at most 2).
 """
 
 import json
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 EXAMPLE = "example: python benches/flame_graph.py --before benches/profiles/remote_push_before.json --plot flame.png"
 ROOT = Path(__file__).resolve().parents[1]
+EXTENSION = Path("python", "haptether", "_core.abi3.so")
 RUN = """
 import sys, time
 import haptether
@@ -52,7 +54,7 @@ PARTS = (
     ("copies of memory", r"^_*mem(cpy|move|set)"),
     ("sides, loops and what is inlined there", r"^<?haptether_bridge::"),
 )
-"""By the function that a sample was taken in, with what was inlined into it; the first that fits."""
+"""By the innermost function of ours that a sample was taken in; the first that fits."""
 ROOT_FRAMES = (
     "haptether_bridge::virtual_time::run_virtual",
     "haptether_bridge::virtual_time::run_virtual_ahead",
@@ -76,11 +78,15 @@ def sample(
         environment = {"PYTHONPATH": str(checkout / "python"), "PATH": "/usr/bin:/bin"}
         plain = subprocess.run(run, check=True, capture_output=True, text=True, env=environment, timeout=300)
         subprocess.run(perf, check=True, capture_output=True, text=True, env=environment, timeout=300)
-        script = ["perf", "script", "--no-inline", "-i", recorded, "-F", "ip,sym"]
+        script = ["perf", "script", "--no-inline", "-i", recorded, "-F", "ip,sym,dso"]
         printed = subprocess.run(script, check=True, capture_output=True, text=True, timeout=600).stdout
+    blocks = [[line for line in block.splitlines() if line.strip()] for block in printed.split("\n\n")]
+    inlined = inlined_at({place for block in blocks for place in addresses(block)}, checkout / EXTENSION)
     stacks: Counter[Stack] = Counter()
-    for block in printed.split("\n\n"):
-        frames = [function_name(line) for line in block.splitlines() if line.strip()]
+    for block in blocks:
+        frames = []
+        for line, place in zip(block, addresses(block), strict=True):
+            frames += inlined.get(place) or [function_name(line.split(None, 1)[1].rpartition(" (")[0])]
         frames.reverse()
         of_run = [place for place, frame in enumerate(frames) if frame in ROOT_FRAMES]
         if of_run:
@@ -94,9 +100,35 @@ def sample(
     return stacks, float(plain.stdout)
 
 
-def function_name(line: str) -> str:
-    """The function of a line of `perf script`, without its address, hash and parameters of type."""
-    name = line.split(None, 1)[1] if " " in line.strip() else "?"
+def addresses(block: list[str]) -> list[int]:
+    """Addresses of the frames of a sample in the extension, -1 of those elsewhere, the innermost first."""
+    of_lines = [int(line.split(None, 1)[0], 16) if f"/{EXTENSION.name})" in line else -1 for line in block]
+    # A caller stands at what follows its call.
+    return [place - 1 if index and place > 0 else place for index, place in enumerate(of_lines)]
+
+
+def inlined_at(places: set[int], extension: Path) -> dict[int, list[str]]:
+    """The functions at each address of the extension, the innermost first."""
+    asked = sorted(place for place in places if place > 0)
+    command = ["addr2line", "--inlines", "--functions", "--demangle", "--addresses", "--exe", str(extension)]
+    lines = "\n".join(f"{place:#x}" for place in asked)
+    printed = subprocess.run(command, input=lines, check=True, capture_output=True, text=True, timeout=600).stdout
+    found: dict[int, list[str]] = {}
+    place, is_function = -1, True
+    for line in printed.splitlines():
+        if re.fullmatch(r"0x[0-9a-f]{16}", line):
+            place, is_function = int(line, 16), True
+            found[place] = []
+        else:
+            # A function, and then where it is.
+            if is_function and line != "??":
+                found[place].append(function_name(line))
+            is_function = not is_function
+    return found
+
+
+def function_name(name: str) -> str:
+    """A function without its hash and parameters of type."""
     name = re.sub(r"::h[0-9a-f]{16}$", "", name.strip())
     depth, letters = 0, []
     for place, letter in enumerate(name):
@@ -110,13 +142,18 @@ def function_name(line: str) -> str:
 
 
 def by_part(stacks: Counter[Stack], ns: float) -> dict[str, float]:
-    """Time of a tick in ns by part, without that of the functions it calls."""
+    """Time of a tick in ns by part, without that of functions of other parts that it calls."""
     total = sum(stacks.values())
     spent = dict.fromkeys([*(name for name, _ in PARTS), "else"], 0.0)
     for stack, count in stacks.items():
-        part = next((name for name, pattern in PARTS if re.search(pattern, stack[-1])), "else")
-        spent[part] += count / total * ns
+        spent[part_of(stack)] += count / total * ns
     return spent
+
+
+def part_of(stack: Stack) -> str:
+    """The part of the innermost function that is of one: what is of the standard library is its caller's."""
+    fits = (name for frame in reversed(stack) for name, pattern in PARTS if re.search(pattern, frame))
+    return next(fits, "else")
 
 
 def draw(drawn: dict[str, tuple[Counter[Stack], float]], path: Path) -> None:
@@ -171,8 +208,9 @@ def main() -> int:
     options.add_argument("--repeats", type=int, default=5, help="runs whose least counts; default %(default)s")
     options.add_argument("--plot", type=Path, metavar="FILE", help="the flame graphs as a picture")
     chosen = options.parse_args()
-    if shutil.which("perf") is None:
-        options.error("perf is not there: install linux-perf")
+    for program, package in (("perf", "linux-perf"), ("addr2line", "binutils")):
+        if shutil.which(program) is None:
+            options.error(f"{program} is not there: install {package}")
     if chosen.repeats < 1:
         options.error("--repeats must be 1 or more")
     if not 1.0 <= chosen.seconds <= 3600.0:

@@ -175,14 +175,15 @@ def sweep(
     Raises:
         SceneError: A scene that cannot be built, a path that it does not have, no row that can be built, or a file that
             is no population.
-        ValueError: Neither or both of `grid` and `samples`, samples of different lengths, a tie to what does not vary,
-            a population without samples, or one whose field is sampled, too; a metric that there is not.
+        ValueError: Neither or both of `grid` and `samples`, no values by path, samples of different lengths, a tie to
+            what does not vary, a population without samples, or one whose field is sampled, too; a metric that there is
+            not.
     """
     asked = asked_metrics(metrics)
     overrides = tuple(overrides)
     _, base = named_scene(scene, overrides)
-    samples = with_scenes(with_population(base.scene, samples, population, seed), overrides)
-    grid = with_scenes(grid, overrides)
+    grid, samples = with_scenes("grid", grid, overrides), with_scenes("samples", samples, overrides)
+    samples = with_population(base.scene, samples, population, seed)
     if (grid is None) == (samples is None):
         message = "give grid or samples: exactly one of the two"
         raise ValueError(message)

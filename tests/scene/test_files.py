@@ -601,6 +601,8 @@ def test_samples_are_taken_row_by_row(sweeps_run: list[dict[str, Any]]) -> None:
     ("arguments", "said"),
     [
         ({}, "give grid or samples"),
+        ({"samples": 3}, "samples = 3: must be values by path"),
+        ({"grid": ["safety.window"]}, "grid = ['safety.window']: must be values by path"),
         ({"grid": {"safety.window": [1]}, "samples": {"safety.window": [1]}}, "give grid or samples"),
         ({"grid": {}}, "nothing to vary"),
         ({"grid": {"safety.window": []}}, "safety.window: values of shape (0,)"),

@@ -29,13 +29,16 @@ class SceneChoice:
         return hash(self.name)
 
 
-def with_scenes(varied: Mapping[str, Any] | None, overrides: Iterable[str]) -> Mapping[str, Any] | None:
-    """What varies, with the scenes that it names read and changed as the first one is.
+def with_scenes(argument: str, varied: Mapping[str, Any] | None, overrides: Iterable[str]) -> Mapping[str, Any] | None:
+    """What varies, with its scenes read and changed as the first one is; `argument` is what it is given as.
 
     Raises:
         SceneError: A scene that cannot be built.
-        ValueError: Two of one name.
+        ValueError: No values by path, or two scenes of one name.
     """
+    if varied is not None and not isinstance(varied, Mapping):
+        message = f'{argument} = {varied!r}: must be values by path, such as {{"run.seed": [1, 2, 3]}}'
+        raise ValueError(message)
     if varied is None or SCENE not in varied:
         return varied
     return {**varied, SCENE: scene_choices(varied[SCENE], overrides)}

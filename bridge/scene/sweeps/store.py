@@ -138,7 +138,7 @@ def sweep_to_file(
         raise ValueError(message)
     overrides = tuple(overrides)
     name, base = named_scene(scene, overrides)
-    grid, samples = with_scenes(grid, overrides), with_scenes(samples, overrides)
+    grid, samples = with_scenes("grid", grid, overrides), with_scenes("samples", samples, overrides)
     design = design_of(grid, with_population(base.scene, samples, population, seed), ties)
     settings = SweepSettings(threads=thread_count(threads), lanes=lanes, metrics=asked)
     request = {

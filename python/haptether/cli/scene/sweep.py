@@ -135,7 +135,7 @@ class Sweep(PictureOptions):
 
         self._check_files()
         varied, ties = self._varied()
-        varied = dict(with_scenes(varied, self.set) or {})
+        varied = dict(with_scenes("--vary", varied, self.set) or {})
         drawn = self._drawn(varied)
         design = design_of(varied, drawn, ties)
         self._check_columns(design)
