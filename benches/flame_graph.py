@@ -10,6 +10,7 @@ compiled into another is one of its own here, as the extension's line tables nam
 import json
 import re
 import shutil
+import struct
 import subprocess
 import sys
 import tempfile
@@ -46,11 +47,11 @@ PARTS = (
     ("verdicts of the network", r"^(<?haptether_netsim::|libm::)"),
     ("device and hand", r"^haptether_master::"),
     ("observers, controllers, limiter", r"^haptether_safety::"),
-    ("ladder", r"^haptether_bridge::ladder::"),
-    ("frames and link", r"^haptether_bridge::(wire|link|session|endpoint::exchange)::"),
-    ("age, clock and counts of the path", r"^haptether_bridge::path::"),
+    ("ladder", r"^haptether_bridge::ladder(::|$)"),
+    ("frames and link", r"^haptether_bridge::(wire|link|session|endpoint::exchange)(::|$)"),
+    ("age, clock and counts of the path", r"^haptether_bridge::path(::|$)"),
     ("endpoints and coupling", r"^haptether_bridge::(endpoint|coupling|hand)"),
-    ("measures, events, signals", r"^haptether_bridge::scene::"),
+    ("measures, events, signals", r"^haptether_bridge::scene(::|$)"),
     ("copies of memory", r"^_*mem(cpy|move|set)"),
     ("sides, loops and what is inlined there", r"^<?haptether_bridge::"),
 )
@@ -84,7 +85,7 @@ def sample(
     inlined = inlined_at({place for block in blocks for place in addresses(block)}, checkout / EXTENSION)
     stacks: Counter[Stack] = Counter()
     for block in blocks:
-        frames = []
+        frames: list[str] = []
         for line, place in zip(block, addresses(block), strict=True):
             frames += inlined.get(place) or [function_name(line.split(None, 1)[1].rpartition(" (")[0])]
         frames.reverse()
@@ -110,21 +111,40 @@ def addresses(block: list[str]) -> list[int]:
 def inlined_at(places: set[int], extension: Path) -> dict[int, list[str]]:
     """The functions at each address of the extension, the innermost first."""
     asked = sorted(place for place in places if place > 0)
+    shift = code_shift(extension)
     command = ["addr2line", "--inlines", "--functions", "--demangle", "--addresses", "--exe", str(extension)]
-    lines = "\n".join(f"{place:#x}" for place in asked)
+    lines = "\n".join(f"{place + shift:#x}" for place in asked)
     printed = subprocess.run(command, input=lines, check=True, capture_output=True, text=True, timeout=600).stdout
     found: dict[int, list[str]] = {}
-    place, is_function = -1, True
-    for line in printed.splitlines():
-        if re.fullmatch(r"0x[0-9a-f]{16}", line):
-            place, is_function = int(line, 16), True
-            found[place] = []
-        else:
-            # A function, and then where it is.
-            if is_function and line != "??":
-                found[place].append(function_name(line))
-            is_function = not is_function
+    for block in re.split(r"^0x", printed, flags=re.MULTILINE)[1:]:
+        # The address, and then a function and where it is of each.
+        place, *named = block.splitlines()
+        pairs = [pair for pair in zip(named[::2], named[1::2], strict=True) if pair[0] != "??"]
+        found[int(place, 16) - shift] = [function_at(*pair) for pair in pairs]
     return found
+
+
+def code_shift(extension: Path) -> int:
+    """Addresses of the code less its places in the file, which `perf` prints below a stack."""
+    image = extension.read_bytes()
+    (table,) = struct.unpack_from("<Q", image, 32)
+    size, count = struct.unpack_from("<HH", image, 54)
+    for entry in range(count):
+        kind, flags, offset, address = struct.unpack_from("<IIQQ", image, table + entry * size)
+        if (kind, flags & 1) == (1, 1):
+            return int(address - offset)
+    sys.exit(f"{extension}: has no code")
+
+
+def function_at(function: str, location: str) -> str:
+    """A function with the module of its file, where that is one of ours: line tables have no modules."""
+    ours = re.search(r"/(bridge|master|netsim|safety|slave)/src/(.+)\.rs:", location)
+    name = function_name(function)
+    if ours is None:
+        return name
+    module = f"haptether_{ours[1]}::{ours[2].removesuffix('/mod').replace('/', '::')}"
+    # Of a function that is compiled into another, the name of that one may be all that there is.
+    return module if "::" in name else f"{module}::{name}"
 
 
 def function_name(name: str) -> str:

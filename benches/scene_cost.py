@@ -120,9 +120,13 @@ def rows() -> Iterator[Row]:
 def processor_s(scene: Scene) -> float:
     """Time of a run in s, of a scene that was checked before: of 1000 objects that takes longer than 10 000 ticks."""
     scene_json(scene)
-    begun = time.process_time()
-    simulate(scene)
-    return time.process_time() - begun
+    times = []
+    # The first one after another scene asks for the memory anew that the run before gave back.
+    for _ in range(2):
+        begun = time.process_time()
+        simulate(scene)
+        times.append(time.process_time() - begun)
+    return min(times)
 
 
 def ticks_ns(found: list[Row], repeats: int) -> Iterator[list[float]]:
