@@ -166,9 +166,9 @@ impl<const N: usize> OneWay<N> {
     /// The same of the next frame of a side, which is its datagram: it has bytes only where somebody changes them. Where
     /// nobody does, it waits for [`carry_sent`](Self::carry_sent).
     #[inline(always)] // as all of what takes a frame: docs/architecture.md
-    fn carry_frame_of(&mut self, side: &mut impl Side<N>, time: LinkTime, now_ns: u64, back: &mut Self) {
+    fn carry_next_frame(&mut self, side: &mut impl Side<N>, time: LinkTime, now_ns: u64, back: &mut Self) {
         if self.link.changes_packets() {
-            self.carry_changing(now_ns, &made(side, time), back);
+            self.carry_changing(now_ns, &build_frame(side, time), back);
             return;
         }
         let packet = self.next_packet(now_ns, self.frame_size);
@@ -178,7 +178,7 @@ impl<const N: usize> OneWay<N> {
             self.frames.slots[slot] = side.next_frame(time);
             slot
         } else {
-            self.frames.insert(made(side, time))
+            self.frames.insert(build_frame(side, time))
         };
         self.check_length(&self.frames.slots[slot]);
         self.sent_slots.push(slot);
@@ -260,7 +260,7 @@ impl<const N: usize> OneWay<N> {
 
 /// The next frame of a side where it is not made in place.
 #[inline(never)]
-fn made<const N: usize>(side: &mut impl Side<N>, time: LinkTime) -> Frame<N> {
+fn build_frame<const N: usize>(side: &mut impl Side<N>, time: LinkTime) -> Frame<N> {
     side.next_frame(time)
 }
 
@@ -376,7 +376,7 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
             }
         } else {
             // A session without security is open at any time, and seals nothing.
-            outward.carry_frame_of(self.side, time, now_ns, inward);
+            outward.carry_next_frame(self.side, time, now_ns, inward);
         }
         self.pace.wait_after(&wake);
         self.counts.ticks += 1;

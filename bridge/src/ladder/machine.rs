@@ -452,7 +452,7 @@ impl History {
     pub(super) fn push(&mut self, transition: Transition) {
         self.ring[self.count % KEPT] = Some(transition);
         self.count += 1;
-        self.cause = self.found_cause();
+        self.cause = self.find_cause();
     }
 
     /// How many there were.
@@ -470,7 +470,7 @@ impl History {
         self.cause
     }
 
-    fn found_cause(&self) -> Option<Reason> {
+    fn find_cause(&self) -> Option<Reason> {
         let last = self.last()?;
         if !matches!(last.to, LadderState::Hold | LadderState::Stop) {
             return Some(last.reason);
