@@ -118,10 +118,11 @@ pub(crate) fn gather<W, const N: usize, S: Real + haptether_master::Real>(
     if of.iter().any(|one| (one.period_ns, one.tick) != (first.period_ns, first.tick)) {
         return None;
     }
-    let plants: Vec<_> = of.iter().map(|one| one.plant.clone()).collect();
-    let renderings: Vec<_> = of.iter().map(|one| one.rendering.clone()).collect();
-    let delays: Vec<_> = of.iter().map(|one| &one.delay).collect();
     let watches: Vec<_> = of.iter().map(|one| &one.watch).collect();
+    let watch = watch(&watches)?;
+    let plants: Vec<_> = of.iter().map(|one| &one.plant).collect();
+    let renderings: Vec<_> = of.iter().map(|one| &one.rendering).collect();
+    let delays: Vec<_> = of.iter().map(|one| &one.delay).collect();
     let mut last_position = Axes::<N, S>::zeros();
     for (lane, one) in of.iter().enumerate() {
         last_position.replace(lane, one.last_position);
@@ -130,7 +131,7 @@ pub(crate) fn gather<W, const N: usize, S: Real + haptether_master::Real>(
         plant: SteppedMaster::gather(&plants)?,
         rendering: RenderedWalls::gather(&renderings)?,
         delay: DelayLine::gather(&delays)?,
-        watch: watch(&watches)?,
+        watch,
         period_ns: first.period_ns,
         period_s: first.period_s,
         tick: first.tick,
@@ -266,11 +267,13 @@ pub(crate) fn gather_estimated<const N: usize, S: Real>(of: &[&Watch<N>]) -> Opt
 
 /// Those that see the truth side by side; none if not all of these do, or are built differently.
 pub(crate) fn gather_true<const N: usize, S: Real>(of: &[&Watch<N>]) -> Option<TrueWatch<N, S>> {
-    let watch = |one: &&Watch<N>| match one {
-        Watch::Estimated(_) => None,
-        Watch::True(watch) => Some(watch.clone()),
-    };
-    let watches: Vec<_> = of.iter().map(watch).collect::<Option<_>>()?;
+    let watches: Vec<_> = of
+        .iter()
+        .map(|one| match one {
+            Watch::Estimated(_) => None,
+            Watch::True(watch) => Some(watch),
+        })
+        .collect::<Option<_>>()?;
     let controllers: Vec<_> = watches.iter().map(|one| one.controller.clone()).collect();
     let bounds: Vec<_> = watches.iter().filter_map(|one| one.limiters.clone()).collect();
     let limiter = |side: usize| {

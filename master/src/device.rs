@@ -154,7 +154,17 @@ pub(crate) fn quantised<S: Real>(value: S, quantum: S, is_exact: bool) -> S {
     let count = value / quantum;
     // Numbers of that many quanta are whole as they are, and more are infinite.
     let has_parts = count.magnitude().simd_lt(S::splat(WHOLE));
-    (count.rounded() * quantum).select(quantum.simd_gt(S::splat(0.0)) & has_parts, value)
+    let whole = if S::LANES == 1 { S::splat(nearest_whole(count.extract(0))) } else { count.rounded() };
+    (whole * quantum).select(quantum.simd_gt(S::splat(0.0)) & has_parts, value)
+}
+
+/// The whole number nearest to one below 2^52 in absolute value, halves away from zero: [`f64::round`] without a call.
+#[inline(always)]
+#[allow(clippy::cast_possible_truncation, clippy::cast_precision_loss)] // what is cut off are the parts
+fn nearest_whole(number: f64) -> f64 {
+    // Half would carry 0.49999999999999994 to 1.
+    let shifted = number + (0.5_f64).next_down().copysign(number);
+    (shifted as i64 as f64).copysign(number)
 }
 
 /// The force that the motors exert of the commanded one: bounded as a vector, then rounded per axis.
@@ -182,6 +192,7 @@ pub(crate) fn exerted<const N: usize, S: Real>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     #[test]
     fn a_quantum_below_rounding_is_none() {
@@ -191,6 +202,26 @@ mod tests {
             }
         }
         assert_eq!(quantised(0.26, 0.5, false), 0.5);
+    }
+
+    proptest! {
+        #[test]
+        fn the_nearest_whole_number_is_that_of_the_library(
+            number in prop_oneof![
+                -4e15..4e15f64,
+                -10.0..10.0f64,
+                (-1_000_000..1_000_000i32, -2..=2i32).prop_map(|(halves, ulps)| {
+                    let half = f64::from(halves) / 2.0;
+                    (0..ulps.abs()).fold(half, |at, _| if ulps > 0 { at.next_up() } else { at.next_down() })
+                }),
+                Just(-0.0),
+                Just(5e-324),
+                Just(WHOLE.next_down()),
+                Just(-WHOLE.next_down()),
+            ],
+        ) {
+            prop_assert_eq!(nearest_whole(number).to_bits(), number.round().to_bits(), "{}", number);
+        }
     }
 
     #[test]

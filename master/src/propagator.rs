@@ -8,6 +8,9 @@ const TERMS: usize = 32;
 /// Largest rate times dT: the first term left out is below `2^32 / 32! = 2e-26` of the first.
 const REACH: f64 = 2.0;
 
+/// Ticks over which a tremor is turned on before its sine and cosine are computed anew: each turn rounds by up to 3e-16.
+const MAX_TURNS: u32 = 16;
+
 /// What a tick of `dT` does to a device under a linear law, with nothing but numbers in which rounding is all that is
 /// left out.
 ///
@@ -195,6 +198,10 @@ pub(crate) struct Outlook<const N: usize> {
     pub(crate) moves: bool,
     /// Sine and cosine of the tremor.
     pub(crate) wave: [f64; 2],
+    /// How often they were turned since they were computed; [`MAX_TURNS`] also where they cannot be.
+    turns: u32,
+    /// The length of the last tick in ns, and sine and cosine of the angle by which such a tick turns them.
+    turn: (u64, [f64; 2]),
     /// Where the hand means to be, in m.
     pub(crate) target: Axes<N>,
     /// Gain, and grip strength in N, each as value and rate.
@@ -214,12 +221,14 @@ impl<const N: usize> Outlook<N> {
             leg,
             moves: false,
             wave: [0.0; 2],
+            turns: MAX_TURNS,
+            turn: (0, [0.0; 2]),
             target: Axes::zeros(),
             grip: [gain, strength],
             until: hand.next_kink(t).unwrap_or(f64::INFINITY),
         };
         outlook.moves = outlook.path[1..].iter().any(|term| *term != Axes::<N>::zeros());
-        outlook.shake(hand);
+        outlook.shake(hand, 0);
         outlook
     }
 
@@ -240,9 +249,9 @@ impl<const N: usize> Outlook<N> {
         shift
     }
 
-    /// Moves on to time t in s.
+    /// Moves on to time t in s, which is `past_ns` later.
     #[inline]
-    pub(crate) fn advance(&mut self, hand: &Hand<N>, t: f64) {
+    pub(crate) fn advance(&mut self, hand: &Hand<N>, t: f64, past_ns: u64) {
         if t == self.time {
             return;
         }
@@ -259,16 +268,82 @@ impl<const N: usize> Outlook<N> {
             let (gain, strength) = hand.grip_line(t);
             self.grip = [gain, strength];
         }
-        self.shake(hand);
+        self.shake(hand, past_ns);
     }
 
+    /// The tremor at this instant, `past_ns` after the last one: 0 for the first.
+    ///
+    /// Ticks of one length turn its phase by one angle d: `sin(p + d) = sin p cos d + cos p sin d`.
     #[inline]
-    fn shake(&mut self, hand: &Hand<N>) {
+    fn shake(&mut self, hand: &Hand<N>, past_ns: u64) {
         self.target = self.path[0];
-        if let Some(tremor) = hand.tremor() {
-            let (sine, cosine) = (std::f64::consts::TAU * tremor.frequency_hz * self.time).sin_cos();
-            self.wave = [sine, cosine];
-            self.target.add_scalar_mut(tremor.amplitude * sine);
+        let Some(tremor) = hand.tremor() else {
+            return;
+        };
+        let (turn_ns, turn) = self.turn;
+        if past_ns == turn_ns && self.turns < MAX_TURNS {
+            let ([sine, cosine], [sine_turned, cosine_turned]) = (self.wave, turn);
+            self.wave =
+                [sine * cosine_turned + cosine * sine_turned, cosine * cosine_turned - sine * sine_turned];
+            self.turns += 1;
+        } else {
+            self.compute_wave(std::f64::consts::TAU * tremor.frequency_hz, past_ns);
+        }
+        self.target.add_scalar_mut(tremor.amplitude * self.wave[0]);
+    }
+
+    /// Sine and cosine of a tremor of `rate` in rad/s and, once two ticks in a row were `past_ns` long, of the angle by
+    /// which such a tick turns it.
+    #[inline(never)]
+    fn compute_wave(&mut self, rate: f64, past_ns: u64) {
+        let of = |angle: f64| <[f64; 2]>::from(angle.sin_cos());
+        self.wave = of(rate * self.time);
+        if past_ns == self.turn.0 && past_ns != 0 {
+            self.turn.1 = of(rate * (past_ns as f64 * 1e-9));
+            self.turns = 0;
+        } else {
+            self.turn.0 = past_ns;
+            self.turns = MAX_TURNS;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Path, Tremor};
+    use proptest::prelude::*;
+
+    fn trembling(frequency_hz: f64) -> Hand<1> {
+        let path = Path::new(Axes::<1>::new(0.02), Vec::new()).unwrap();
+        let hand = Hand::new(300.0, 5.0, f64::INFINITY, path, None).unwrap();
+        hand.with_tremor(Tremor { amplitude: 1e-3, frequency_hz }).unwrap()
+    }
+
+    proptest! {
+        /// Sine and cosine from tick to tick are those of the instant, whatever lengths the ticks have: each of at most 16
+        /// turns rounds by 3e-16, and the phase itself by as much of its size.
+        #[test]
+        fn a_tremor_that_is_turned_on_is_where_its_phase_is(
+            frequency_hz in 0.0..100.0f64,
+            lengths in prop::collection::vec((1..2_000_000u64, 1..60usize), 1..30),
+        ) {
+            let hand = trembling(frequency_hz);
+            let (mut outlook, mut now_ns, mut turned) = (Outlook::new(&hand, 0.0), 0, 0);
+            for (length_ns, ticks) in lengths {
+                for tick in 0..ticks {
+                    now_ns += length_ns;
+                    let t = now_ns as f64 / 1e9;
+                    outlook.advance(&hand, t, length_ns);
+                    let phase = std::f64::consts::TAU * frequency_hz * t;
+                    let rounding = 3e-16 * f64::from(MAX_TURNS) + 4.0 * f64::EPSILON * phase;
+                    prop_assert!((outlook.wave[0] - phase.sin()).abs() <= rounding, "tick {tick} at {t}");
+                    prop_assert!((outlook.wave[1] - phase.cos()).abs() <= rounding, "tick {tick} at {t}");
+                    prop_assert_eq!(outlook.target[0], 0.02 + 1e-3 * outlook.wave[0]);
+                    turned += u64::from(outlook.turns > 0 && outlook.turns < MAX_TURNS);
+                }
+                prop_assert!(ticks < 4 || turned > 0, "ticks of one length are turned");
+            }
         }
     }
 }

@@ -139,7 +139,7 @@ impl<const N: usize> SteppedMaster<N> {
 
     /// Several scenarios side by side; none if they differ in what lanes must share: method, step, which walls there
     /// are, how friction acts, the shapes of the path.
-    pub fn gather<S: Real>(of: &[Self]) -> Option<SteppedMaster<N, S>> {
+    pub fn gather<S: Real>(of: &[&Self]) -> Option<SteppedMaster<N, S>> {
         let first = of.first()?;
         let shares = |one: &Self| {
             let kinds = |master: &Self| {
@@ -150,7 +150,7 @@ impl<const N: usize> SteppedMaster<N> {
                 && (one.measures_velocity, one.waits) == (first.measures_velocity, first.waits)
                 && one.stops.is_some() == first.stops.is_some()
         };
-        if of.len() != S::LANES || !of.iter().all(shares) {
+        if of.len() != S::LANES || !of.iter().all(|one| shares(one)) {
             return None;
         }
         let hands: Vec<_> = of.iter().map(|one| &one.hand).collect();

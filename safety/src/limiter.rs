@@ -184,6 +184,12 @@ impl<const N: usize, S: Real> Limiter<N, S> {
         let ramp = is_finite & self.ticks.simd_lt(self.ramp_ticks);
         change(&mut force, ramp, |force| force * (self.ticks / self.ramp_ticks));
         self.ticks = (self.ticks + S::splat(1.0)).select(ramp, self.ticks);
+        if S::LANES == 1 && is_finite.all() && is_none(&force) {
+            // No bound is in the way of no force.
+            let no = nowhere::<S>();
+            self.last = force;
+            return SaturatedForce { force, norm: no, slew: no, power: no, ramp, fault: no };
+        }
         let length = norm(&force);
         let long = is_finite & length.simd_gt(self.max_force_n);
         change(&mut force, long, |force| force * (self.max_force_n / length));
@@ -213,6 +219,12 @@ impl<const N: usize, S: Real> Limiter<N, S> {
     }
 }
 
+/// Whether a force is zero in all lanes.
+#[inline(always)]
+fn is_none<const N: usize, S: Real>(force: &Axes<N, S>) -> bool {
+    force.iter().all(|force| force.simd_eq(S::splat(0.0)).all())
+}
+
 /// Keeps the compiler from computing what is seldom needed: a division and a root in the way of every tick.
 #[cold]
 fn seldom() {}
@@ -236,6 +248,10 @@ fn change<const N: usize, S: Real>(
 fn nearest_share<const N: usize, S: Real>(last: &Axes<N, S>, force: &Axes<N, S>) -> S {
     let (none, all) = (S::splat(0.0), S::splat(1.0));
     let squared = last.dot(last);
+    // For one scenario most ticks need no division.
+    if S::LANES == 1 && (last.dot(force).simd_ge(squared) & squared.simd_gt(none)).all() {
+        return all;
+    }
     squared.simd_gt(none).if_else(
         || {
             let share = last.dot(force) / squared;
@@ -387,6 +403,35 @@ mod tests {
                     prop_assert!(force.norm() <= last.norm() + 1.0 + 1e-9);
                 }
                 last = force;
+            }
+        }
+
+        /// What one scenario need not compute changes nothing: side by side all is computed.
+        #[test]
+        fn what_is_skipped_for_one_scenario_changes_no_bit(
+            ticks in prop::collection::vec((0..7usize, prop::array::uniform2(-9.0..9.0f64), -5.0..5.0f64), 1..80),
+        ) {
+            use nalgebra::SimdValue as _;
+            use simba::simd::AutoF64x4;
+            let settings = LimiterSettings { max_power_w: 5.0, ramp_in_s: 0.005, ..LimiterSettings::default() };
+            let mut one = Limiter::<2>::new(1e-3, settings).unwrap();
+            let mut lanes = Limiter::<2, AutoF64x4>::gather(&vec![one.clone(); 4]).unwrap();
+            let mut last = Axes::<2>::zeros();
+            for (kind, force, speed) in ticks {
+                let force = Axes::<2>::from(force);
+                let requested = [
+                    Axes::zeros(), -Axes::<2>::zeros(), force, last, last * 2.0, -last, Axes::repeat(f64::NAN),
+                ][kind];
+                let velocity = Axes::<2>::new(speed, if kind == 1 { f64::INFINITY } else { 0.0 });
+                let saturated = one.limit(&requested, &velocity);
+                let beside = lanes.limit(&requested.map(AutoF64x4::splat), &velocity.map(AutoF64x4::splat));
+                for axis in 0..2 {
+                    let (alone, lane) = (saturated.force[axis], beside.force[axis].extract(0));
+                    prop_assert_eq!(alone.to_bits(), lane.to_bits(), "{} {}", alone, lane);
+                }
+                prop_assert_eq!(saturated.acted(0), beside.acted(0));
+                prop_assert_eq!(one.ticks, lanes.ticks.extract(0));
+                last = saturated.force;
             }
         }
 

@@ -147,7 +147,11 @@ fn follow<P: ModelPlant<N>, R: Rendering<N, f64>, const N: usize>(
         |time_s, tick, looped| {
             note(time_s, tick, looped, &mut log);
             log.tripped(time_s, tick.response.lane(0).tripped);
-            record(&mut recorder, time_s, tick);
+            if recorder.begin_tick() {
+                // A copy, as in `end_diverged`.
+                let tick = *tick;
+                record(&mut recorder, time_s, &tick);
+            }
         },
         &mut outcomes,
     );
@@ -278,7 +282,7 @@ where
     }
 }
 
-#[inline]
+#[inline(never)]
 fn record<const N: usize>(recorder: &mut Recorder, time_s: f64, tick: &LocalTick<N>) {
     let intervention = tick.response.lane(0);
     let signals = [

@@ -173,12 +173,16 @@ impl EventLog {
         self.changed(time_s, 1, tripped);
     }
 
-    #[inline]
+    #[inline(always)]
     fn changed(&mut self, time_s: f64, which: usize, tripped: Tripped) {
-        let (before, now) = (self.tripped[which], tripped.bits());
-        if before == now {
-            return;
+        if self.tripped[which] != tripped.bits() {
+            self.note_change(time_s, which, tripped);
         }
+    }
+
+    #[cold]
+    fn note_change(&mut self, time_s: f64, which: usize, tripped: Tripped) {
+        let (before, now) = (self.tripped[which], tripped.bits());
         self.tripped[which] = now;
         let at = if which == 0 { "" } else { "trigger" };
         if before == 0 {

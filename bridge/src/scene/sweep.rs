@@ -10,7 +10,7 @@ use std::{
 use haptether_master::SteppedMaster;
 use haptether_safety::SafetyLayer;
 use haptether_slave::RenderedWalls;
-use plan::{Job, Place, Plan, bad_axes, jobs};
+use plan::{Column, Job, Place, Plan, bad_axes, jobs};
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::Value;
@@ -177,16 +177,16 @@ pub fn sweep_parts(
 fn set_row<const N: usize>(
     spec: &mut SceneSpec<N>,
     scene: &mut Value,
-    columns: &[(String, bool, &[f64])],
+    columns: &[Column<'_>],
     row: usize,
 ) -> Result<(), Refused> {
-    for (pointer, is_whole, values) in columns {
-        let value = values[row];
+    for column in columns {
+        let value = column.values[row];
         if !value.is_finite() {
-            return Err(Refused(format!("{pointer} = {value}: must be finite")));
+            return Err(Refused(format!("{} = {value}: must be finite", column.keys.join("."))));
         }
-        if let Some(place) = scene.pointer_mut(pointer) {
-            *place = if *is_whole && value >= 0.0 && value.fract() == 0.0 && value < 2f64.powi(53) {
+        if let Some(place) = column.place(scene) {
+            *place = if column.is_whole && value >= 0.0 && value.fract() == 0.0 && value < 2f64.powi(53) {
                 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked above
                 Value::from(value as u64)
             } else {
@@ -195,8 +195,7 @@ fn set_row<const N: usize>(
         }
     }
     let mut read = Vec::with_capacity(columns.len());
-    for (pointer, _, _) in columns {
-        let table = pointer[1..].split('/').next().unwrap_or_default();
+    for table in columns.iter().map(Column::table) {
         if !read.contains(&table) {
             read.push(table);
             read_table(spec, scene, table).map_err(|error| Refused(format!("{table}: {error}")))?;
@@ -286,25 +285,27 @@ fn run_block<const N: usize>(
     }
     let (mut spec, mut scene) = spec_of::<N>(plan, metrics)?;
     let mut rows: Vec<Option<Row>> = vec![None; block.len()];
-    let mut specs = Vec::with_capacity(block.len());
+    let mut stepped = Vec::new();
     for (index, row) in block.enumerate() {
-        match set_row(&mut spec, &mut scene, &plan.columns, row) {
-            Ok(()) => specs.push((index, spec.clone())),
-            Err(refused) => rows[index] = Some(Err(refused)),
-        }
-    }
-    done.fetch_add(rows.len() - specs.len(), Ordering::Relaxed);
-    // Devices with more axes have no lanes.
-    if N > 3 || !run_stepped(&specs, lanes, progress, &mut rows) {
-        for (index, spec) in &specs {
-            rows[*index] = Some(match outcome(spec, stop, research) {
-                Ok(outcome) => Ok(outcome),
+        let refused = |error: SceneError| Some(Err(Refused(error.to_string())));
+        rows[index] = match set_row(&mut spec, &mut scene, &plan.columns, row) {
+            Err(refused) => Some(Err(refused)),
+            Ok(()) if takes_steps(&spec) => match stepped_run(&spec) {
+                Ok(run) => {
+                    stepped.push((index, Box::new(run)));
+                    continue;
+                }
+                Err(error) => refused(error),
+            },
+            Ok(()) => match outcome(&spec, stop, research) {
+                Ok(outcome) => Some(Ok(outcome)),
                 Err(SceneError::Stopped) => return Err(SweepError::Stopped),
-                Err(error) => Err(Refused(error.to_string())),
-            });
-            done.fetch_add(1, Ordering::Relaxed);
-        }
+                Err(error) => refused(error),
+            },
+        };
+        done.fetch_add(1, Ordering::Relaxed);
     }
+    run_stepped(stepped, lanes, progress, &mut rows);
     // Only a sweep that was stopped has rows that were not run.
     rows.into_iter().collect::<Option<_>>().ok_or(SweepError::Stopped)
 }
@@ -321,31 +322,23 @@ enum LaneRun<const N: usize> {
     True(Box<SteppedRun<N, TrueWatch<N, Lanes>, Lanes>>),
 }
 
-/// Runs scenarios in steps, side by side if they may; returns that it did not if one of them cannot be: an arm, located
-/// events, or an environment of more than resting walls.
+/// Whether a scenario is run in steps, so that lanes may hold it: not with an arm, located events, an environment of more
+/// than resting walls, or more axes than lanes are compiled for.
+fn takes_steps<const N: usize>(spec: &SceneSpec<N>) -> bool {
+    N <= 3
+        && spec.slave.is_none()
+        && spec.safety.research.is_none()
+        && spec.run.integrator != Integrator::Exact
+        && spec.environment.as_ref().is_none_or(is_formula)
+}
+
+/// Runs scenarios in steps, side by side if they may.
 fn run_stepped<const N: usize>(
-    specs: &[(usize, SceneSpec<N>)],
+    mut left: Vec<(usize, Box<SingleRun<N>>)>,
     lanes: bool,
     Progress { done, stop }: &Progress,
     rows: &mut [Option<Row>],
-) -> bool {
-    let can_share = |(_, spec): &(usize, SceneSpec<N>)| {
-        spec.slave.is_none()
-            && spec.safety.research.is_none()
-            && spec.run.integrator != Integrator::Exact
-            && spec.environment.as_ref().is_none_or(is_formula)
-    };
-    if !specs.iter().all(can_share) {
-        return false;
-    }
-    let mut left: Vec<(usize, Box<SingleRun<N>>)> = Vec::with_capacity(specs.len());
-    for (index, spec) in specs {
-        match stepped_run(spec) {
-            Ok(run) => left.push((*index, Box::new(run))),
-            Err(error) => rows[*index] = Some(Err(Refused(error.to_string()))),
-        }
-    }
-    done.fetch_add(specs.len() - left.len(), Ordering::Relaxed);
+) {
     while let Some(taken) = take_block(&mut left, lanes) {
         match taken {
             Block::Lanes(taken, mut run) => {
@@ -367,7 +360,6 @@ fn run_stepped<const N: usize>(
             }
         }
     }
-    true
 }
 
 fn stepped_run<const N: usize>(spec: &SceneSpec<N>) -> Result<SingleRun<N>, SceneError> {

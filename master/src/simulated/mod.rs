@@ -147,7 +147,7 @@ impl<const N: usize> SimulatedMaster<N> {
                 self.hand_ns += past_ns;
                 self.time = self.hand_ns as f64 / 1e9;
             }
-            self.outlook.advance(&self.hand, self.time);
+            self.outlook.advance(&self.hand, self.time, past_ns);
             self.now_ns = now_ns;
         }
         self.measured()

@@ -126,7 +126,7 @@ impl<const N: usize> SimulatedMaster<N> {
     }
 
     /// Changes position and velocity, without what rounding loses, and holds the axes that stick.
-    #[inline]
+    #[inline(always)]
     fn move_by(&mut self, moved: &Axes<N>, gained: &Axes<N>, stuck: &[bool; N]) {
         add(&mut self.position, &mut self.lost[0], moved);
         add(&mut self.velocity, &mut self.lost[1], gained);
@@ -138,8 +138,12 @@ impl<const N: usize> SimulatedMaster<N> {
     }
 
     /// Whether no wall that acts at each instant is within reach of a motion of at most so much along each axis.
-    #[inline]
+    #[inline(always)]
     fn stays_clear(&self, most_moved: &Axes<N>) -> bool {
+        self.walls.is_empty() || self.keeps_off_walls(most_moved)
+    }
+
+    fn keeps_off_walls(&self, most_moved: &Axes<N>) -> bool {
         self.walls.iter().all(|wall| {
             let room = -wall.depth(&self.position) - 1e-15 * (1.0 + wall.surface.abs());
             !wall.is_two_sided && most_moved.norm() * (1.0 + 1e-12) < room

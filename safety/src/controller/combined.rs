@@ -139,6 +139,8 @@ impl Default for SafetySettings {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SafetyController<const N: usize, S = f64> {
     controllers: Built<N, S>,
+    /// Whether there is neither a controller nor a probe.
+    is_empty: bool,
     damping: S,
     hold_off_ticks: S,
     ramp_ticks: S,
@@ -174,7 +176,9 @@ impl<const N: usize> SafetyController<N> {
         let controllers = Built::new(device, period_s, settings)?;
         let damps = ControllerKind::cancelling().any(|kind| settings.controllers.contains(kind));
         let damping = dampable("damping", "mu", settings.damping, device, period_s, damps)?;
+        let probe = GraspProbe::new(device, period_s, settings)?.filter(|_| damps).map(GraspProbes::one);
         Ok(Self {
+            is_empty: controllers.kinds() == Controllers::NONE && probe.is_none(),
             controllers,
             damping,
             hold_off_ticks: ticks("hold_off_s", settings.hold_off_s)?,
@@ -182,7 +186,7 @@ impl<const N: usize> SafetyController<N> {
             on_for: 0.0,
             fading_for: 0.0,
             let_through: 1.0,
-            probe: GraspProbe::new(device, period_s, settings)?.filter(|_| damps).map(GraspProbes::one),
+            probe,
         })
     }
 
@@ -211,6 +215,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     pub fn gather(of: &[SafetyController<N>]) -> Option<Self> {
         Some(Self {
             controllers: Built::gather(&of.iter().map(|one| &one.controllers).collect::<Vec<_>>())?,
+            is_empty: of.iter().all(|one| one.is_empty),
             damping: pack(of, |one| one.damping)?,
             hold_off_ticks: pack(of, |one| one.hold_off_ticks)?,
             ramp_ticks: pack(of, |one| one.ramp_ticks)?,
@@ -224,6 +229,9 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     /// `F_c` for this tick, with damping in the share `authority` (0 to 1) only; nothing is checked.
     #[inline(always)]
     pub fn respond(&mut self, seen: &Observation<N, S>, authority: S) -> Response<N, S> {
+        if S::LANES == 1 && self.is_empty {
+            return Response::none();
+        }
         let verdicts = self.judge(seen);
         let is_unsafe = verdicts.is_unsafe();
         let felt = self.feel(seen, authority, is_unsafe);
@@ -462,6 +470,21 @@ pub struct Response<const N: usize, S: Real = f64> {
 }
 
 impl<const N: usize, S: Real> Response<N, S> {
+    /// No force, and nothing was observed.
+    #[inline(always)]
+    fn none() -> Self {
+        let nowhere = nowhere::<S>();
+        Self {
+            safety_force: Axes::zeros(),
+            acts: nowhere,
+            tripped: PerController::repeat(nowhere),
+            held: nowhere,
+            withheld: nowhere,
+            research: nowhere,
+            observed: PerController::repeat(S::splat(f64::NAN)),
+        }
+    }
+
     /// The intervention in one lane.
     #[inline]
     pub fn lane(&self, lane: usize) -> Intervention<N> {

@@ -161,7 +161,7 @@ impl<const N: usize> RenderedWalls<N> {
     }
 
     /// Several scenarios side by side; none if they differ in which walls and courses there are.
-    pub fn gather<S: Real>(of: &[Self]) -> Option<RenderedWalls<N, S>> {
+    pub fn gather<S: Real>(of: &[&Self]) -> Option<RenderedWalls<N, S>> {
         let kinds = |one: &Self| {
             let walls: Vec<_> = one.walls.iter().map(|wall| wall.is_two_sided).collect();
             let pushes: Vec<_> = one.pushes.iter().map(|push| push.course).collect();

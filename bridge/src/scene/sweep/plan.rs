@@ -27,8 +27,36 @@ pub(super) struct Plan<'a> {
     pub(super) base: Value,
     pub(super) axes: usize,
     pub(super) rows: usize,
-    /// Where a number is, whether it is a whole one, and its values.
-    pub(super) columns: Vec<(String, bool, &'a [f64])>,
+    pub(super) columns: Vec<Column<'a>>,
+}
+
+/// A number of a scene that differs from row to row.
+pub(super) struct Column<'a> {
+    /// Where it is: keys and list indices.
+    pub(super) keys: Vec<&'a str>,
+    /// Whether it is a whole number.
+    pub(super) is_whole: bool,
+    /// Its value in each row.
+    pub(super) values: &'a [f64],
+}
+
+impl Column<'_> {
+    /// The table of the scene that it is in.
+    pub(super) fn table(&self) -> &str {
+        self.keys.first().copied().unwrap_or_default()
+    }
+
+    /// Its place in a scene as JSON. A JSON pointer would be split and unescaped again at each row.
+    pub(super) fn place<'v>(&self, scene: &'v mut Value) -> Option<&'v mut Value> {
+        self.keys.iter().try_fold(scene, |value, key| match value {
+            Value::Object(table) => table.get_mut(*key),
+            // A number has one spelling, as in a JSON pointer.
+            Value::Array(list) if *key == "0" || !key.starts_with(['0', '+']) => {
+                list.get_mut(key.parse::<usize>().ok()?)
+            }
+            _ => None,
+        })
+    }
 }
 
 impl<'a> Plan<'a> {
@@ -45,14 +73,14 @@ impl<'a> Plan<'a> {
             if values.len() != rows {
                 return Err(SweepError::Length { path: path.clone(), seen: values.len(), allowed: rows });
             }
-            let pointer = format!("/{}", path.replace('.', "/"));
-            let is_whole = match base.pointer(&pointer) {
+            let mut column = Column { keys: path.split('.').collect(), is_whole: false, values };
+            column.is_whole = match column.place(&mut base) {
                 Some(Value::Number(number)) => number.is_u64(),
                 // What is not bounded may be bounded, but what is not built has no numbers.
                 Some(Value::Null) => false,
                 _ => return Err(SweepError::Path(path.clone())),
             };
-            columns.push((pointer, is_whole, values.as_slice()));
+            columns.push(column);
         }
         // Outcomes need no recording.
         base["record"] = Value::Null;
@@ -78,24 +106,24 @@ impl<'a> Plan<'a> {
         if let Some(safety) = base.get_mut("safety").and_then(Value::as_object_mut) {
             safety.retain(|key, _| !of_controllers.iter().any(|one| one == key));
         }
-        let mut pointers = String::new();
-        for (pointer, ..) in self.decisive(of_controllers) {
-            if let Some(place) = base.pointer_mut(pointer) {
+        let mut paths = String::new();
+        for column in self.decisive(of_controllers) {
+            if let Some(place) = column.place(&mut base) {
                 *place = Value::Null;
             }
-            pointers = pointers + pointer + " ";
+            paths = paths + &column.keys.join(".") + " ";
         }
-        pointers + &base.to_string()
+        paths + &base.to_string()
     }
 
     /// The columns that decide how a run begins, in one order.
-    fn decisive(&self, of_controllers: &[String]) -> Vec<&(String, bool, &'a [f64])> {
-        let decides = |pointer: &str| {
-            let key = pointer.strip_prefix("/safety/");
-            key.is_none_or(|key| !of_controllers.iter().any(|one| one == key))
+    fn decisive(&self, of_controllers: &[String]) -> Vec<&Column<'a>> {
+        let decides = |column: &&Column<'_>| match column.keys.as_slice() {
+            ["safety", key] => !of_controllers.iter().any(|one| one == key),
+            _ => true,
         };
-        let mut found: Vec<_> = self.columns.iter().filter(|(pointer, ..)| decides(pointer)).collect();
-        found.sort_by(|one, other| one.0.cmp(&other.0));
+        let mut found: Vec<_> = self.columns.iter().filter(decides).collect();
+        found.sort_by(|one, other| one.keys.cmp(&other.keys));
         found
     }
 }
@@ -149,7 +177,7 @@ pub(super) fn jobs(plans: &[Plan<'_>], threads: usize, has_research: bool) -> Ve
         let columns = plan.decisive(&of_controllers);
         let of_axes = groups.entry(plan.axes).or_default();
         for row in 0..plan.rows {
-            let key = columns.iter().map(|(_, _, values)| values[row].to_bits()).collect();
+            let key = columns.iter().map(|column| column.values[row].to_bits()).collect();
             let group = known.entry((common, key)).or_insert(usize::MAX);
             if of_axes.get(*group).is_none_or(|rows| rows.len() >= most) {
                 *group = of_axes.len();

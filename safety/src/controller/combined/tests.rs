@@ -64,6 +64,27 @@ fn a_device_that_is_scaled_trips_as_the_one_that_it_is_like() {
     assert_eq!(tripped & 0xF, 0xF, "each has tripped");
 }
 
+/// The short way to no answer is the long one, and only of those that have nobody who watches.
+#[test]
+fn where_nobody_watches_nothing_is_answered() {
+    let settings = SafetySettings { probe_force_n: 0.5, release_tries: 3, ..SafetySettings::default() };
+    let mut short = controller(&settings);
+    let mut long = short.clone();
+    assert!(short.is_empty);
+    for seen in [seen(0.0, 0.0), seen(1.4, 7.0), seen(-1.4, 7.0), seen(1e3, -1e3)] {
+        let answer = short.respond(&seen, 1.0);
+        let verdicts = long.judge(&seen);
+        let is_unsafe = verdicts.is_unsafe();
+        let felt = long.feel(&seen, 1.0, is_unsafe);
+        let expected = long.answer(&seen, 1.0, &verdicts, Judged { is_unsafe, felt });
+        assert_eq!(format!("{answer:?}"), format!("{expected:?}"), "NaN is NaN");
+        assert_eq!(short, long);
+    }
+    for kind in ControllerKind::ALL {
+        assert!(!controller(&SafetySettings { controllers: [kind].into(), ..settings }).is_empty, "{kind:?}");
+    }
+}
+
 #[test]
 fn whoever_trips_and_however_many_one_law_answers() {
     for places in 0..8_u8 {
