@@ -2,7 +2,7 @@
 
 import re
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from os import PathLike
@@ -80,7 +80,7 @@ def load_scene(name_or_path: str | PathLike[str], overrides: Iterable[str] = ())
 
 def loaded(name_or_path: str | PathLike[str], overrides: Iterable[str] = ()) -> Checked:
     """As `load_scene`, with what the Rust side reads of it."""
-    path = scene_path(name_or_path)
+    path, overrides = scene_path(name_or_path), override_texts(overrides)
     try:
         raw = _tables(_bounded(path))
         for override in overrides:
@@ -134,6 +134,12 @@ def scene_path(name_or_path: str | PathLike[str]) -> FilePath:
     Raises:
         SceneError: No such scene, with the nearest that there is.
     """
+    if not isinstance(name_or_path, str | PathLike):
+        message = (
+            f"scene = {shown(name_or_path)}: must be the name of a shipped scene or the path of a TOML file;"
+            " `simulate` and `sweep` take a Scene, too"
+        )
+        raise SceneError(message)
     if isinstance(name_or_path, str) and name_or_path in scene_names():
         return _SHIPPED / f"{name_or_path}.toml"
     path = FilePath(name_or_path)
@@ -205,7 +211,7 @@ def checked_scene(scene: Scene, overrides: Iterable[str] = ()) -> Checked:
 
     The last few are kept: the checks take longer than a short run.
     """
-    overrides = tuple(overrides)
+    overrides = override_texts(overrides)
     try:
         # In MessagePack numbers that are not finite differ from what is absent.
         key = b"" if overrides else msgspec.msgpack.encode(scene)
@@ -231,6 +237,20 @@ def _checked_anew(scene: Scene, overrides: Iterable[str]) -> Checked:
 
 
 # ------------------------------------------------------------------------------------------------ overrides
+
+
+def override_texts(overrides: Iterable[str]) -> tuple[str, ...]:
+    """The overrides, each to be read by `overridden`.
+
+    Raises:
+        SceneError: What is no list of texts.
+    """
+    if isinstance(overrides, Iterable) and not isinstance(overrides, str | bytes | Mapping):
+        overrides = tuple(overrides)
+        if all(isinstance(override, str) for override in overrides):
+            return overrides
+    message = f'overrides = {shown(overrides)}: must be a list of texts, such as ["run.seed=3"]'
+    raise SceneError(message)
 
 
 def overridden(raw: dict[str, Raw], override: str) -> dict[str, Raw]:

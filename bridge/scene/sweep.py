@@ -22,11 +22,19 @@ import numpy.typing as npt
 from haptether import _core
 from haptether.bridge.scene.checks import checked_spec
 from haptether.bridge.scene.errors import Path, Raw, SceneError, closest, place, shown
-from haptether.bridge.scene.load import Checked, Leaf, leaf_values, path_of, typed_scene, with_value
+from haptether.bridge.scene.load import (
+    Checked,
+    Leaf,
+    leaf_values,
+    override_texts,
+    path_of,
+    typed_scene,
+    with_value,
+)
 from haptether.bridge.scene.research import Research, research_of
 from haptether.bridge.scene.run import named_scene
 from haptether.bridge.scene.sweeps.design import Values, design_of
-from haptether.bridge.scene.sweeps.limits import LARGEST_EXACT, as_typed, out_of_range
+from haptether.bridge.scene.sweeps.limits import LARGEST_EXACT, as_typed, is_whole, out_of_range
 from haptether.bridge.scene.sweeps.population import Population, with_population
 from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice, with_scenes
 from haptether.bridge.scene.tables.session import Scene
@@ -159,7 +167,8 @@ def sweep(
         scene: A `Scene`, the name of one that comes with Haptether, or the path of a TOML file.
         grid: Values by dotted path ("safety.window"): every combination is run, the last path varies fastest. Values
             are numbers, or whatever else the field takes: strings, booleans, lists, tables. Of the path "scene" they
-            are scenes, given as the first is.
+            are scenes, given as the first is. A value that is there twice is run twice, as what was drawn may be; the
+            command line, where values are typed, refuses it.
         samples: Values by dotted path, all of one length: row i takes the value i of each.
         population: As many hands as there are samples, drawn of a `Population`, of one of `population_names()` or of
             the path of a TOML file.
@@ -177,10 +186,10 @@ def sweep(
             is no population.
         ValueError: Neither or both of `grid` and `samples`, no values by path, samples of different lengths, a tie to
             what does not vary, a population without samples, or one whose field is sampled, too; a metric that there is
-            not.
+            not; a seed, a number of threads or a `progress` that is none.
     """
     asked = asked_metrics(metrics)
-    overrides = tuple(overrides)
+    overrides = override_texts(overrides)
     _, base = named_scene(scene, overrides)
     grid, samples = with_scenes("grid", grid, overrides), with_scenes("samples", samples, overrides)
     samples = with_population(base.scene, samples, population, seed)
@@ -213,17 +222,25 @@ class SweepSettings:
     metrics: tuple[str, ...] | None = None
     """Columns to measure, in the order of tables; none for all."""
 
+    def __post_init__(self) -> None:
+        if self.progress is not None and not callable(self.progress):
+            message = (
+                f"progress = {shown(self.progress)}: must be a function, called with the number of rows that are done"
+            )
+            raise ValueError(message)
+
 
 def thread_count(threads: int | None) -> int:
     """So many threads, or as many as there are processors.
 
     Raises:
-        ValueError: Fewer than 1, or more than `MAX_THREADS`.
+        ValueError: No whole number, fewer than 1, or more than `MAX_THREADS`.
     """
     if threads is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if not 1 <= threads <= MAX_THREADS:
-        message = f"threads = {threads}: must be 1 to {MAX_THREADS}"
+    if not is_whole(threads) or not 1 <= threads <= MAX_THREADS:
+        kind = "" if is_whole(threads) else "a whole number, "
+        message = f"threads = {shown(threads)}: must be {kind}1 to {MAX_THREADS}"
         raise ValueError(message)
     return threads
 
@@ -254,13 +271,14 @@ def asked_metrics(metrics: Iterable[str] | None) -> tuple[str, ...] | None:
     """The columns that are asked for, in the order of tables; none for all.
 
     Raises:
-        ValueError: A column that there is not, or none at all.
+        ValueError: A column that there is not, none at all, or what is no list of names.
     """
     if metrics is None:
         return None
-    names = [metrics] if isinstance(metrics, str) else list(metrics)
+    names = [metrics] if isinstance(metrics, str) else list(metrics) if isinstance(metrics, Iterable) else []
     if not names:
-        message = f"metrics: none given: must be one or more of {', '.join(METRICS)}"
+        seen = "metrics: none given" if isinstance(metrics, Iterable) else f"metrics = {shown(metrics)}"
+        message = f"{seen}: must be one or more of {', '.join(METRICS)}"
         raise ValueError(message)
     if unknown := [name for name in names if name not in METRICS]:
         message = f"metrics: {unknown[0]!r}: {closest(str(unknown[0]), METRICS)}"

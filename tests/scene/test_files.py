@@ -5,6 +5,7 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -613,13 +614,53 @@ def test_samples_are_taken_row_by_row(sweeps_run: list[dict[str, Any]]) -> None:
             {"samples": {"safety.window": [1], "operator.damping": [1, 2]}},
             "window has 1, operator.damping has 2",
         ),
+        ({"grid": {5: [1]}}, "grid = {5: [1]}: must be values by path"),
+        ({"grid": {"safety.window": 0.01}}, "safety.window = 0.01: must be a list of values, such as [1, 2, 3]"),
+        ({"grid": {"safety.window": np.float64(3)}}, "safety.window = 3: must be a list of values"),
+        ({"grid": {"safety.window": np.array(3)}}, "safety.window = 3: must be a list of values"),
+        ({"grid": {"safety.window": None}}, "safety.window = nothing: must be a list of values"),
+        ({"grid": {"safety.window": {1}}}, "safety.window = {1}: must be a list of values"),
+        ({"grid": {"safety.window": [10**400]}}, "safety.window: a number beyond 1.8e+308"),
+        ({"grid": {"safety.controllers": [[10**400]]}}, "whole numbers of 64 bits"),
+        ({"grid": {"scene": 5}}, "scene = 5: must be a list of scenes"),
+        ({"grid": {"safety.window": [1]}, "ties": 3}, "ties = 3: must be paths by path, such as {"),
+        ({"grid": {"safety.window": [1]}, "ties": {3: "safety.window"}}, "ties = {3: 'safety.window'}: must be paths"),
+        ({"grid": {"safety.window": [1]}, "ties": {"run.seed": ["a"]}}, "ties = {'run.seed': ['a']}: must be paths"),
+        ({"grid": {"safety.window": [1]}, "metrics": 5}, "metrics = 5: must be one or more of outcome, "),
+        ({"grid": {"safety.window": [1]}, "overrides": 5}, "overrides = 5: must be a list of texts, such as ["),
+        ({"grid": {"safety.window": [1]}, "overrides": "run.seed=3"}, 'overrides = "run.seed=3": must be a list'),
         ({"grid": {"safety.window": [1]}, "threads": 0}, "threads = 0: must be 1 to 1024"),
+        ({"grid": {"safety.window": [1]}, "threads": "2"}, 'threads = "2": must be a whole number, 1 to 1024'),
+        ({"grid": {"safety.window": [1]}, "threads": 1.5}, "threads = 1.5: must be a whole number, 1 to 1024"),
+        ({"grid": {"safety.window": [1]}, "threads": True}, "threads = true: must be a whole number, 1 to 1024"),
+        ({"grid": {"safety.window": [1]}, "seed": "a"}, 'seed = "a": must be a whole number, 0 or more'),
+        ({"grid": {"safety.window": [1]}, "progress": 5}, "progress = 5: must be a function"),
     ],
 )
 def test_a_sweep_of_nothing_is_refused(arguments: dict[str, Any], said: str) -> None:
     with pytest.raises(ValueError, match=r".") as refused:
         sweep("paper_wall", **arguments)
     assert said in str(refused.value)
+
+
+@pytest.mark.parametrize("scene", [5, None, b"paper_wall", Scene])
+def test_what_names_no_scene_is_refused(scene: object) -> None:
+    for run in (simulate, load_scene, partial(sweep, grid={"safety.window": [1]})):
+        with pytest.raises(SceneError, match=r"^scene = .*: must be the name of a shipped scene or the path of a TOML"):
+            run(cast("Any", scene))
+
+
+@pytest.mark.parametrize("overrides", [5, None, "safety.window=3", [5], {"safety.window": 3}])
+def test_overrides_that_are_no_list_of_texts_are_refused(overrides: object) -> None:
+    for scene in ("paper_wall", load_scene("paper_wall")):
+        with pytest.raises(SceneError, match=r"^overrides = .*: must be a list of texts, such as \["):
+            simulate(scene, overrides=cast("Any", overrides))
+
+
+def test_a_value_that_is_there_twice_is_run_twice() -> None:
+    result = sweep("paper_wall", {"run.seed": [1, 1]}, overrides=["run.duration_s=0.1"])
+    first, second = result.rows()
+    assert first == second
 
 
 def test_a_sweep_can_be_kept(tmp_path: Path) -> None:

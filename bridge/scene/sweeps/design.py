@@ -2,14 +2,16 @@
 
 import hashlib
 import math
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from haptether.bridge.scene.errors import Path, SceneError
+from haptether.bridge.scene.errors import Path, SceneError, shown
 from haptether.bridge.scene.load import path_of
 from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice
 
@@ -110,14 +112,29 @@ def design_of(
 
     Raises:
         SceneError: Values that are none of a field.
-        ValueError: Nothing to vary, one field twice, samples of different lengths, a tie to what does not vary.
+        ValueError: Nothing to vary, one field twice, samples of different lengths, ties that are no paths by path, a
+            tie to what does not vary.
     """
+    _check_ties(ties)
     _refuse_same_field((*(grid or {}), *(samples or {}), *(ties or {})))
     return Design(
         factors={path: _values_of_path(path, values) for path, values in (grid or {}).items()},
         samples={path: _values_of_path(path, values) for path, values in (samples or {}).items()},
         ties=dict(ties or {}),
     )
+
+
+def _check_ties(ties: Mapping[str, str] | None) -> None:
+    """Refuses what is no path by path.
+
+    Raises:
+        ValueError: With the form.
+    """
+    if ties is None:
+        return
+    if not isinstance(ties, Mapping) or not all(isinstance(path, str) for tie in ties.items() for path in tie):
+        message = f'ties = {ties!r}: must be paths by path, such as {{"link.backward.delay_s": "link.forward.delay_s"}}'
+        raise ValueError(message)
 
 
 def _refuse_same_field(paths: Iterable[str]) -> None:
@@ -142,12 +159,13 @@ def _values_of_path(path: str, values: Values) -> npt.NDArray[Any]:
     Raises:
         SceneError: What no field takes.
     """
-    if isinstance(values, str) or any(
-        isinstance(value, bool | str | list | tuple | Mapping | SceneChoice) for value in values
-    ):
+    if any(isinstance(value, bool | str | list | tuple | Mapping | SceneChoice) for value in values):
         return _categories(path, values)
     try:
         numbers = np.array(values, dtype=np.float64)
+    except OverflowError:
+        message = f"{path}: a number beyond {sys.float_info.max:.2g}: must be numbers that float64 holds"
+        raise SceneError(message) from None
     except (TypeError, ValueError):
         message = f"{path}: values that are neither numbers, strings, booleans, lists nor tables"
         raise SceneError(message) from None
@@ -161,13 +179,27 @@ def _values_of_path(path: str, values: Values) -> npt.NDArray[Any]:
 
 
 def _categories(path: str, values: Values) -> npt.NDArray[Any]:
-    if isinstance(values, str):
-        message = f"{path} = {values!r}: must be a list of values"
-        raise SceneError(message)
     column = np.empty(len(values), dtype=object)
     for row, value in enumerate(values):
+        _check_written(path, value)
         column[row] = list(value) if isinstance(value, tuple) else value
     return column
+
+
+def _check_written(path: str, value: object) -> None:
+    """Refuses what no file could have.
+
+    Raises:
+        SceneError: With the value.
+    """
+    try:
+        if not isinstance(value, SceneChoice):
+            msgspec.msgpack.encode(value)
+    except (OverflowError, TypeError):
+        message = (
+            f"{path} = {shown(value)}: must be numbers, strings, booleans, lists or tables, whole numbers of 64 bits"
+        )
+        raise SceneError(message) from None
 
 
 MOST_WRITTEN_OUT = 64

@@ -1,5 +1,7 @@
 """Which numbers a field takes, many at once."""
 
+from numbers import Integral
+
 import numpy as np
 import numpy.typing as npt
 from msgspec import inspect
@@ -36,3 +38,8 @@ def as_typed(value: float) -> float | int:
     if value.is_integer() and abs(value) <= LARGEST_EXACT:
         return int(value)
     return value
+
+
+def is_whole(value: object) -> bool:
+    """Whether it is a whole number by its type: neither a boolean nor a float."""
+    return isinstance(value, Integral) and not isinstance(value, bool)

@@ -16,7 +16,7 @@ from msgspec import Struct
 from haptether.bridge.scene.errors import Path, SceneError, closest, shown
 from haptether.bridge.scene.load import path_of
 from haptether.bridge.scene.sweeps.laws import SampleLaw, generator, law_of, sobol_points
-from haptether.bridge.scene.sweeps.limits import out_of_range
+from haptether.bridge.scene.sweeps.limits import is_whole, out_of_range
 from haptether.bridge.scene.sweeps.scenes import SCENE
 from haptether.bridge.scene.tables.session import Scene
 
@@ -196,16 +196,16 @@ def with_population(
 
     Raises:
         SceneError: A file that is no population, or a scene without a hand.
-        ValueError: No samples, a negative seed, or a field of the population that is sampled, too.
+        ValueError: No samples, a seed that is none, or a field of the population that is sampled, too.
         ImportError: `sobol` without SciPy.
     """
+    if not is_whole(seed) or seed < 0:
+        message = f"seed = {shown(seed)}: must be {'' if is_whole(seed) else 'a whole number, '}0 or more"
+        raise ValueError(message)
     if population is None:
         return samples
     if not samples:
         message = "population: give samples, for example run.seed: as many hands are drawn"
-        raise ValueError(message)
-    if seed < 0:
-        message = f"seed = {seed}: must be 0 or more"
         raise ValueError(message)
     hands = population if isinstance(population, Population) else load_population(population)
     count = len(next(iter(samples.values())))
@@ -242,6 +242,11 @@ def load_population(name_or_path: str | PathLike[str]) -> Population:
     Raises:
         SceneError: No such file, or one that is no population: with the file, the hand or trait, and the key.
     """
+    if not isinstance(name_or_path, str | PathLike):
+        message = (
+            f"population = {shown(name_or_path)}: must be the name of a shipped population or the path of a TOML file"
+        )
+        raise SceneError(message)
     path = FilePath(name_or_path)
     if str(name_or_path) in population_names():
         path = _SHIPPED / f"{name_or_path}.toml"

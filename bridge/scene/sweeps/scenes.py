@@ -1,11 +1,12 @@
 """Whole scenes as values of a sweep, under the path "scene"."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any
 
-from haptether.bridge.scene.errors import SceneError
+from haptether.bridge.scene.errors import SceneError, shown
 from haptether.bridge.scene.load import Checked
 from haptether.bridge.scene.run import named_scene
 from haptether.bridge.scene.tables.session import Scene
@@ -33,12 +34,18 @@ def with_scenes(argument: str, varied: Mapping[str, Any] | None, overrides: Iter
     """What varies, with its scenes read and changed as the first one is; `argument` is what it is given as.
 
     Raises:
-        SceneError: A scene that cannot be built.
+        SceneError: Values that are no list, or a scene that cannot be built.
         ValueError: No values by path, or two scenes of one name.
     """
-    if varied is not None and not isinstance(varied, Mapping):
+    if varied is not None and not (isinstance(varied, Mapping) and all(isinstance(path, str) for path in varied)):
         message = f'{argument} = {varied!r}: must be values by path, such as {{"run.seed": [1, 2, 3]}}'
         raise ValueError(message)
+    for path, values in (varied or {}).items():
+        is_list = isinstance(values, Collection) and not isinstance(values, str | bytes | Mapping | AbstractSet)
+        if not is_list or getattr(values, "ndim", 1) == 0:
+            kind = "scenes" if path == SCENE else "values, such as [1, 2, 3]"
+            message = f"{path} = {shown(values)}: must be a list of {kind}"
+            raise SceneError(message)
     if varied is None or SCENE not in varied:
         return varied
     return {**varied, SCENE: scene_choices(varied[SCENE], overrides)}
@@ -51,11 +58,8 @@ def scene_choices(
 
     Raises:
         SceneError: A scene that cannot be built.
-        ValueError: No list, or two of one name.
+        ValueError: Two of one name.
     """
-    if isinstance(scenes, str):
-        message = f"{SCENE} = {scenes!r}: must be a list of scenes"
-        raise ValueError(message)
     overrides, known, found = tuple(overrides), dict[str, SceneChoice](), []
     for scene in scenes:
         if isinstance(scene, SceneChoice):

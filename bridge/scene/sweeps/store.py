@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether import __version__
-from haptether.bridge.scene.load import Checked
+from haptether.bridge.scene.load import Checked, override_texts
 from haptether.bridge.scene.research import source_of
 from haptether.bridge.scene.run import named_scene
 from haptether.bridge.scene.save import scene_toml
@@ -122,7 +122,8 @@ def sweep_to_file(
     Raises:
         SceneError: A scene that cannot be built, a path that it does not have, or no row that can be built.
         ValueError: Another suffix; rows of an interrupted sweep and not `resume`; a resume of another scene, design,
-            version or other metrics, with what differs; a tie to what does not vary; a metric that there is not.
+            version or other metrics, with what differs; a tie to what does not vary; a metric that there is not; a
+            seed, a number of threads or a `progress` that is none.
         ImportError: Parquet without PyArrow, or the engine dask without dask.distributed.
         OSError: A file cannot be written.
     """
@@ -136,11 +137,11 @@ def sweep_to_file(
     if is_stream(path):
         message = f"{path}: is a pipe or a device, must be a file"
         raise ValueError(message)
-    overrides = tuple(overrides)
+    overrides = override_texts(overrides)
     name, base = named_scene(scene, overrides)
     grid, samples = with_scenes("grid", grid, overrides), with_scenes("samples", samples, overrides)
     design = design_of(grid, with_population(base.scene, samples, population, seed), ties)
-    settings = SweepSettings(threads=thread_count(threads), lanes=lanes, metrics=asked)
+    settings = SweepSettings(threads=thread_count(threads), lanes=lanes, progress=progress, metrics=asked)
     request = {
         "version": __version__,
         "scene": name,
