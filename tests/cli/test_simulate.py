@@ -395,7 +395,7 @@ def test_trips_of_several_controllers_are_counted_each() -> None:
 
 
 def test_the_examples_in_the_help_work(
-    given: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    given: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     import inspect
     import shlex
@@ -411,6 +411,7 @@ def test_the_examples_in_the_help_work(
     assert len(examples) == 14
     for example in examples:
         assert main(example) == 0, example
+        assert not re.search(r"rows: .*refused", capsys.readouterr().out), example
     # Of a sweep with a file there is a run for each batch.
     assert len(given) >= 11
 

@@ -51,13 +51,13 @@ class Sweep(PictureOptions):
 
     haptether sweep remote_push --vary link.forward.delay_s=0.01:0.1:10 --vary safety.window=50,100,200 --out push.csv
 
-    haptether sweep remote_push --vary link.forward.delay_s=0:0.1:11 --vary run.seed=1,2,3,4,5 --plot delay.pdf
+    haptether sweep remote_push --vary link.forward.delay_s=0.02:0.1:9 --vary run.seed=1,2,3,4,5 --plot delay.pdf
 
-    haptether sweep remote_push --vary link.forward.delay_s=0:0.3:31 --samples 100 --out delay.csv --resume
+    haptether sweep remote_push --vary link.forward.delay_s=0.02:0.3:29 --samples 100 --out delay.csv --resume
 
     haptether sweep remote_push --vary 'safety.controllers=none,[hsc]' --samples 9 --draw operator.damping=normal:9:1
 
-    haptether sweep remote_push --vary link.forward.delay_s=0:0.2:5 --samples 64 --population stylus-arm
+    haptether sweep remote_push --vary link.forward.delay_s=0.02:0.2:10 --samples 64 --population stylus-arm
 
     haptether sweep remote_push --vary link.forward.delay_s=0.02:0.2:10 --tie link.backward.delay_s --plot delay.png
 
