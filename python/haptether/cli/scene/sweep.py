@@ -334,6 +334,12 @@ class Sweep(PictureOptions):
             if path in varied:
                 message = f"--draw {path}: varies by itself"
                 raise ValueError(message)
+        if not drawn:
+            message = (
+                f"--samples {self.samples}: nothing is drawn, for {SEED} varies: give --draw or --population, too, or"
+                f" leave out --samples or --vary {SEED}"
+            )
+            raise ValueError(message)
         return drawn
 
     def _check_files(self) -> None:
