@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import IO
 
 import msgspec
 import pytest
@@ -184,19 +185,57 @@ def test_no_width_of_a_terminal_takes_output_away(columns: str) -> None:
 
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize(
-    "arguments", [["--help"], ["master", "--help"], ["netsim", "--help"], ["--completion", "bash"], ["list"]]
+    "arguments",
+    [
+        ["--help"],
+        ["--version"],
+        ["master", "--help"],
+        ["netsim", "--help"],
+        ["--completion", "bash"],
+        ["list"],
+        ["list", "--json", "-"],
+        ["keygen", "a.key", "--force"],
+    ],
 )
-def test_output_that_cannot_be_written_is_one_line_or_none(arguments: list[str]) -> None:
+@pytest.mark.parametrize("buffered", [True, False])
+def test_output_that_cannot_be_written_is_one_line_or_none(
+    arguments: list[str], buffered: bool, tmp_path: Path
+) -> None:
+    env = {**os.environ, "PYTHONUNBUFFERED": "" if buffered else "1"}
+
+    def ended(stdout: int | IO[bytes], stderr: int = subprocess.PIPE) -> tuple[int, bytes | None]:
+        found = subprocess.run(
+            [*COMMAND, *arguments], stdout=stdout, stderr=stderr, timeout=60, check=False, env=env, cwd=tmp_path
+        )
+        # What is shown beside JSON is on standard error.
+        return found.returncode, b"" if "--json" in arguments else found.stderr
+
     with Path("/dev/full").open("wb") as full:
-        ended = subprocess.run([*COMMAND, *arguments], stdout=full, stderr=subprocess.PIPE, timeout=60, check=False)
-    assert (ended.returncode, ended.stderr) == (1, b"haptether: No space left on device\n")
+        status, said = ended(full)
+    assert (status, said) == (1, b"" if "--json" in arguments else b"haptether: No space left on device\n")
     reading, writing = os.pipe()
     os.close(reading)
     try:
-        ended = subprocess.run([*COMMAND, *arguments], stdout=writing, stderr=subprocess.PIPE, timeout=60, check=False)
+        assert ended(writing) == (141, b"")
+        assert ended(writing, writing)[0] == 141
     finally:
         os.close(writing)
-    assert (ended.returncode, ended.stderr) == (1, b"")
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("arguments", [["nosuch"], ["list", "--nosuch"], ["sweep", "remote_push"]])
+@pytest.mark.parametrize("buffered", [True, False])
+def test_what_is_wrong_goes_to_a_closed_pipe_without_a_word(arguments: list[str], buffered: bool) -> None:
+    env = {**os.environ, "PYTHONUNBUFFERED": "" if buffered else "1"}
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        ended = subprocess.run(
+            [*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=writing, timeout=60, check=False, env=env
+        )
+    finally:
+        os.close(writing)
+    assert (ended.returncode, ended.stdout) == (141, b"")
 
 
 @pytest.mark.parametrize(

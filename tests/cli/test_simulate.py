@@ -298,7 +298,10 @@ def test_a_choice_of_no_field_or_no_value_is_refused() -> None:
         (["--samples", "2", "--draw", "operator.stiffness=normal:1:0"], "a deviation above 0"),
         (["--samples", "2", "--draw", "operator.stiffness=cauchy:1:2"], "must be uniform:a:b"),
         (["--samples", "2", "--vary", "safety.window=50", "--draw", "safety.window=uniform:1:2"], "varies by itself"),
-        (["--samples", "2", "--vary", "run.seed=1,2"], "--samples 2: nothing is drawn, for run.seed varies: give --draw"),
+        (
+            ["--samples", "2", "--vary", "run.seed=1,2"],
+            "--samples 2: nothing is drawn, for run.seed varies: give --draw",
+        ),
         (["--samples", "2", "--seed", "-1"], "seed = -1: must be 0 or more"),
         (["--vary", "safety.window=50", "--tie", "link.backward.delay_s"], "0 paths of that name vary"),
         (["--vary", "safety.window=50", "--tie", "safety.window=safety.window"], "varies by itself"),

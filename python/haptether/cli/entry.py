@@ -1,6 +1,6 @@
 """What every command shares: parsing, one-line errors, exit status.
 
-Exit status: 0 success, 1 a failed run, 2 a bad request, 130 interrupted.
+Exit status: 0 success, 1 a failed run, 2 a bad request, 130 interrupted, 141 a closed pipe.
 """
 
 import contextlib
@@ -15,7 +15,7 @@ import textwrap
 import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import make_dataclass
-from typing import Annotated, Any, Union
+from typing import Annotated, Any, TextIO, Union
 
 import tyro
 
@@ -91,6 +91,8 @@ COMPLETION = "--completion"
 SHELLS = ("bash", "zsh", "fish")
 
 FAILED, BAD_REQUEST = 1, 2
+CLOSED_PIPE = 141
+"""128 + SIGPIPE, as of a tool that the signal ends: whoever read the output took no more."""
 MIN_COLUMNS = 40
 LONG_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.])(?<=[\d.]{30})")
 """More digits than a number has: nobody counts the zeros of 1e300."""
@@ -121,23 +123,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     before = os.umask(0o077)
     try:
         return _main(arguments)
+    except BrokenPipeError as error:
+        # What is wrong was to be said where nobody listens.
+        return _unwritten(error)
     finally:
         os.umask(before)
 
 
 def _main(arguments: Sequence[str]) -> int:
-    if list(arguments) in (["--version"], ["-V"]):
-        print(f"haptether {__version__}")
-        return 0
     _use_width()
     try:
+        if list(arguments) in (["--version"], ["-V"]):
+            print(f"haptether {__version__}", flush=True)
+            return 0
         if arguments and arguments[0] == COMPLETION:
             return complete(arguments[1:])
         command = parse(arguments)
     except ValueError as error:
         return complain(error, BAD_REQUEST)
     except OSError as error:
-        # Help, or a script for a shell, that nobody takes.
+        # The version, help or a script for a shell, that nobody takes.
         return _unwritten(error)
     try:
         INTERRUPTS.raising = True
@@ -161,7 +166,9 @@ def _main(arguments: Sequence[str]) -> int:
 
 def _status(command: Command) -> int:
     try:
-        return command.run()
+        status = command.run()
+        # Here, where it is reported if it cannot be written.
+        sys.stdout.flush()
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError as error:
@@ -175,18 +182,23 @@ def _status(command: Command) -> int:
             sys.stdout.flush()
         except OSError:
             # What it still holds would be tried again at exit.
-            _discard_output()
+            _discard(sys.stdout)
         return complain(error, status, debug=getattr(command, "debug", False))
+    return status
 
 
 def _unwritten(error: OSError) -> int:
-    """The status where standard output takes no more: nothing is left to say there, and Python must not try at exit."""
-    _discard_output()
-    return FAILED if isinstance(error, BrokenPipeError) else complain(error, FAILED)
+    """The status where an output takes no more: nothing is left to say there, and Python must not try at exit."""
+    _discard(sys.stdout)
+    if isinstance(error, BrokenPipeError):
+        # Of either, or of both, as after 2>&1.
+        _discard(sys.stderr)
+        return CLOSED_PIPE
+    return complain(error, FAILED)
 
 
-def _discard_output() -> None:
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def _discard(stream: TextIO) -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _use_width() -> None:
@@ -203,7 +215,7 @@ def _delivered(command: Command, output: QueuedOutput, status: int) -> int:
     """The status of a command whose result may not have been taken."""
     is_result = str(getattr(command, "json", None)) == "-"
     if status == 0 and (output.error is not None or (is_result and not output.delivered)):
-        return FAILED
+        return CLOSED_PIPE if isinstance(output.error, BrokenPipeError) else FAILED
     return status
 
 

@@ -30,6 +30,15 @@ class Screen(Console):
         """A line beside a spinner, which would take a string for markup."""
         return super().status(plain(status) if isinstance(status, str) else status, **how)
 
+    def on_broken_pipe(self) -> None:
+        """Leaves the exit status to whoever runs the command.
+
+        Raises:
+            BrokenPipeError: Always.
+        """
+        self.quiet = True
+        raise BrokenPipeError
+
     def print_item(self, text: str) -> None:
         """A text that may be longer than a line: what follows the first is indented, and a long word broken."""
         said = text.lstrip(" ")
