@@ -141,7 +141,7 @@ def save_master_trace(trace: MasterTrace, path: Path) -> None:
     """Writes every signal of a run as an array of a NumPy `.npz` file, for its owner alone.
 
     Raises:
-        ValueError: A symbolic link.
+        OSError: It cannot be written; a symbolic link.
     """
     refuse_link(path)
     signals = {name: getattr(trace, name) for name in TRACE_SIGNALS}

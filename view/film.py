@@ -36,8 +36,7 @@ def write_picture(path: Path, pixels: Pixels) -> None:
     """Writes a PNG for its owner alone.
 
     Raises:
-        OSError: It cannot be written.
-        ValueError: A symbolic link.
+        OSError: It cannot be written; a symbolic link.
     """
     refuse_link(path)
     with private_file(path) as file:
@@ -71,9 +70,9 @@ def write_film(
         progress: Called with the number of frames that are done.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: It cannot be written; a symbolic link.
         RuntimeError: ffmpeg refuses.
-        ValueError: Another ending, a symbolic link, or no ffmpeg.
+        ValueError: Another ending, or no ffmpeg.
     """
     require_film(path)
     refuse_link(path)

@@ -157,7 +157,7 @@ class Run(Struct, frozen=True, kw_only=True):
         """Writes every signal as an array of a NumPy `.npz` file, for its owner alone.
 
         Raises:
-            ValueError: A symbolic link.
+            OSError: The file cannot be written; a symbolic link.
         """
         arrays: dict[str, Any] = dict(self.signals)
         target = FilePath(path)
@@ -245,8 +245,8 @@ class Run(Struct, frozen=True, kw_only=True):
 
         Raises:
             ImportError: Without matplotlib, of the extra `analysis`.
-            ValueError: No signals, another ending, or a symbolic link.
-            OSError: The file cannot be written.
+            ValueError: No signals, or another ending.
+            OSError: The file cannot be written; a symbolic link.
         """
         from haptether.view.figures.run import draw_run  # noqa: PLC0415
         from haptether.view.style.figure import check_columns, check_picture, write_figure  # noqa: PLC0415

@@ -29,8 +29,7 @@ def save_scene(scene: Scene, path: str | PathLike[str], comment: str = "") -> No
     """Writes the scene, for its owner alone.
 
     Raises:
-        ValueError: A symbolic link.
-        OSError: The file cannot be written.
+        OSError: The file cannot be written; a symbolic link.
     """
     target = FilePath(path)
     refuse_link(target)

@@ -115,7 +115,8 @@ class Sweep:
         """Writes all columns to a `.csv` or `.npz` file, for its owner alone.
 
         Raises:
-            ValueError: Another suffix, or a symbolic link.
+            ValueError: Another suffix.
+            OSError: The file cannot be written; a symbolic link.
         """
         path = FilePath(path)
         refuse_link(path)

@@ -15,11 +15,11 @@ def refuse_link(path: Path) -> None:
     """Refuses to write where a link leads: whoever may make one would choose what is overwritten.
 
     Raises:
-        ValueError: A symbolic link to a file, or to nothing.
+        OSError: A symbolic link to a file, or to nothing: like another file that cannot be written.
     """
     if path.is_symlink() and not is_stream(path):
         message = f"{path}: is a symbolic link, must be a file"
-        raise ValueError(message)
+        raise OSError(message)
 
 
 def is_stream(path: Path) -> bool:
@@ -83,8 +83,7 @@ def begin_private(path: Path) -> None:
     """Makes an empty file for what opens it by its name, and leaves a pipe or a device alone.
 
     Raises:
-        OSError: It cannot be made, or not put into its place.
-        ValueError: A symbolic link.
+        OSError: It cannot be made, or not put into its place; a symbolic link.
     """
     refuse_link(path)
     if not is_stream(path):

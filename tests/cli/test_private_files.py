@@ -69,7 +69,7 @@ def test_a_file_that_is_there_is_replaced_and_a_link_is_refused(
     capsys.readouterr()
     for to in (victim, tmp_path / "nowhere"):
         path.symlink_to(to)
-        assert main([*WRITERS[name], str(path)]) in {1, 2}
+        assert main([*WRITERS[name], str(path)]) == 1
         assert "is a symbolic link, must be a file" in capsys.readouterr().err
         assert path.is_symlink()
         path.unlink()
@@ -94,7 +94,7 @@ def test_results_are_saved_for_their_owner_alone(name: str, tmp_path: Path) -> N
     victim.write_bytes(content)
     path.unlink()
     path.symlink_to(victim)
-    with pytest.raises(ValueError, match="symbolic link"):
+    with pytest.raises(OSError, match="symbolic link"):
         save(path)
     if name.endswith(".npz"):
         assert all(array.size for array in np.load(victim).values())
@@ -155,9 +155,9 @@ def test_what_opens_a_file_by_its_name_finds_a_private_one(tmp_path: Path) -> No
     begin_private(path)
     assert (path.read_text(), stat.S_IMODE(path.stat().st_mode)) == ("", 0o600)
     (tmp_path / "link.csv").symlink_to(path)
-    with pytest.raises(ValueError, match="symbolic link"):
+    with pytest.raises(OSError, match="symbolic link"):
         begin_private(tmp_path / "link.csv")
-    with pytest.raises(ValueError, match="symbolic link"):
+    with pytest.raises(OSError, match="symbolic link"):
         Log.checked(tmp_path / "link.csv")
     os.mkfifo(tmp_path / "pipe")
     # It would wait for a reader.

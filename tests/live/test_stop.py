@@ -252,7 +252,7 @@ def test_a_flight_file_is_for_its_owner_alone_and_follows_no_link(tmp_path: Path
     assert sorted(each.name for each in tmp_path.iterdir()) == [".a.flight.part", "a.flight", "victim"]
     for name, to in (("planted", victim), ("dangling", tmp_path / "nowhere")):
         (tmp_path / name).symlink_to(to)
-        with pytest.raises(ValueError, match="is a symbolic link"):
+        with pytest.raises(OSError, match="is a symbolic link"):
             FlightFile(tmp_path / name)
 
 

@@ -29,5 +29,5 @@ def test_text_is_escaped(tmp_path: Path) -> None:
 def test_no_link_is_followed(tmp_path: Path) -> None:
     link = tmp_path / "link.toml"
     link.symlink_to(tmp_path / "elsewhere.toml")
-    with pytest.raises(ValueError, match="link"):
+    with pytest.raises(OSError, match="link"):
         save_scene(load_scene("free_motion"), link)

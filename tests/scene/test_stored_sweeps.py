@@ -160,7 +160,7 @@ def test_a_table_without_a_row_that_can_be_built_is_refused(tmp_path: Path) -> N
     with pytest.raises(ValueError, match="progress = 5: must be a function"):
         sweep_to_file("remote_push", tmp_path / "a.csv", {"safety.window": [1.0]}, progress=5)  # type: ignore[arg-type]
     (tmp_path / "link.csv").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(ValueError, match="is a symbolic link"):
+    with pytest.raises(OSError, match="is a symbolic link"):
         sweep_to_file("remote_push", tmp_path / "link.csv", {"safety.window": [1.0]})
 
 

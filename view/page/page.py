@@ -36,8 +36,7 @@ def write_page(
         progress: Called with the number of times that are done.
 
     Raises:
-        OSError: It cannot be written.
-        ValueError: A symbolic link.
+        OSError: It cannot be written; a symbolic link.
     """
     refuse_link(path)
     write_private(path, page(described, times_s, camera=camera, progress=progress).encode())

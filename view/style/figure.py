@@ -161,8 +161,8 @@ def write_figure(figure: "Figure", path: Path) -> None:
     """Writes a figure as what the ending of its path says, for its owner alone; the same figure as the same bytes.
 
     Raises:
-        ValueError: Another ending than .png, .pdf, .svg, or a symbolic link.
-        OSError: The file cannot be written.
+        ValueError: Another ending than .png, .pdf, .svg.
+        OSError: The file cannot be written; a symbolic link.
     """
     kind = check_picture(path)
     refuse_link(path)

@@ -46,8 +46,8 @@ def write_foxglove(
 
     Raises:
         ImportError: Without the extra `record`.
-        OSError: A file cannot be read or written.
-        ValueError: It is no recording of Haptether; two of one side; joints, which have no place; a symbolic link.
+        OSError: A file cannot be read or written; a symbolic link.
+        ValueError: It is no recording of Haptether; two of one side; joints, which have no place.
     """
     if find_spec("mcap") is None:
         message = "writing a file for Foxglove needs mcap: install haptether[record]"

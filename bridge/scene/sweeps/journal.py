@@ -33,8 +33,8 @@ class Journal:
 
     Raises:
         ValueError: A journal that is there while `resume` is not set, of another request, or in use; no journal to
-            resume while the file is there; a symbolic link.
-        OSError: The folder cannot be made or written.
+            resume while the file is there.
+        OSError: The folder cannot be made or written; a symbolic link.
     """
 
     def __init__(self, path: Path, request: Mapping[str, Any], *, resume: bool) -> None:

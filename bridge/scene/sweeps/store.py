@@ -125,7 +125,7 @@ def sweep_to_file(
             version or other metrics, with what differs; a tie to what does not vary; a metric that there is not; a
             seed, a number of threads or a `progress` that is none.
         ImportError: Parquet without PyArrow, or the engine dask without dask.distributed.
-        OSError: A file cannot be written.
+        OSError: A file cannot be written; a symbolic link.
     """
     path = Path(path)
     if engine not in {"local", "dask"} or (address is not None and engine != "dask"):

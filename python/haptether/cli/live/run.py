@@ -190,7 +190,7 @@ class FlightFile:
     """A file with the last states and commands, written anew whenever there are others.
 
     Raises:
-        ValueError: A symbolic link: whoever may make one would choose what is overwritten.
+        OSError: A symbolic link: whoever may make one would choose what is overwritten.
     """
 
     def __init__(self, path: Path | None) -> None:

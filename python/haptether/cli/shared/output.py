@@ -63,8 +63,7 @@ def check_target(*targets: Path | None) -> None:
     """Refuses files that cannot be written, before the run rather than after it.
 
     Raises:
-        OSError: With the path and what is in the way.
-        ValueError: A symbolic link: whoever may make one would choose what is overwritten.
+        OSError: With the path and what is in the way, be it a symbolic link.
     """
     for target in targets:
         if target is None or str(target) == "-":

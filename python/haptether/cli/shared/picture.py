@@ -24,8 +24,8 @@ def picture_file(path: Path, form: "PictureFormat | None") -> Path:
     """Where a picture goes, refused early: its path ends in what it is, or gets that ending.
 
     Raises:
-        ValueError: An ending that is no picture's, or another than `form`; a symbolic link.
-        OSError: It cannot be written.
+        ValueError: An ending that is no picture's, or another than `form`.
+        OSError: It cannot be written; a symbolic link.
         ImportError: matplotlib is not there.
     """
     from haptether.view.style.figure import FORMATS
@@ -70,8 +70,8 @@ def picture_in(place: Path, name: str, form: "PictureFormat | None") -> Path:
     """Where the one picture of a command goes: into a folder, under a name, or to a path that ends in what it is.
 
     Raises:
-        ValueError: An ending that is no picture's, or other than `form`; a symbolic link.
-        OSError: It cannot be written, or the folder not be made.
+        ValueError: An ending that is no picture's, or other than `form`.
+        OSError: It cannot be written, or the folder not be made; a symbolic link.
         ImportError: matplotlib is not there.
     """
     from haptether.view.style.figure import FORMATS
