@@ -9,7 +9,7 @@ import numpy.typing as npt
 from msgspec import Struct
 
 from haptether.bridge import Sweep
-from haptether.bridge.scene.sweep import METRICS
+from haptether.bridge.scene.sweep import METRICS, OUTCOMES
 from haptether.studies.intervals import binomial_interval
 
 Array = npt.NDArray[np.float64]
@@ -165,6 +165,9 @@ def _parsed(quantity: str, kinds: Mapping[str, str]) -> tuple[str, str | None, A
     """The column of a quantity, and of a condition its relation and limit."""
     condition = SHARE.fullmatch(quantity.strip())
     name = metric_of(quantity)
+    if condition is None and re.search("[<>=]", quantity):
+        message = f"{quantity!r}: must be METRIC > NUMBER, METRIC < NUMBER, METRIC = NUMBER or outcome = NAME"
+        raise ValueError(message)
     if name not in kinds:
         message = f"{quantity!r}: no column {name!r}: there is {', '.join(kinds)}"
         raise ValueError(message)
@@ -178,6 +181,9 @@ def _parsed(quantity: str, kinds: Mapping[str, str]) -> tuple[str, str | None, A
     if kind == "U":
         if relation != "=":
             message = f"{quantity!r}: is text: must be {name} = VALUE"
+            raise ValueError(message)
+        if name == "outcome" and text not in OUTCOMES:
+            message = f"{quantity!r}: must be one of {', '.join(OUTCOMES)}"
             raise ValueError(message)
         return name, relation, text
     if text.startswith("="):

@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether import _core
+from haptether.bridge.codes import LADDER_STATES
 from haptether.bridge.scene.checks import checked_spec
 from haptether.bridge.scene.errors import Path, Raw, SceneError, closest, place, shown
 from haptether.bridge.scene.load import (
@@ -56,6 +57,11 @@ METRICS = ("outcome", *_core.METRICS, "diverged", "ticks", "reason")
 """Columns of what is measured, in their order; a scene of poses has those of rotation."""
 ENDING = frozenset(METRICS) - frozenset(_core.METRICS)
 """Those of how a row ended, which every table has."""
+OUTCOMES = (
+    "complete", "settled", "diverged", "not-released", "never-engaged", "refused",
+    *(state for state in LADDER_STATES if state not in {"engaged", "stale"}),
+)  # fmt: skip
+"""How a row may have ended: of the ladder, the states in which the two are coupled no more."""
 _UNMEASURED = {"never-engaged", "refused"}
 """Outcomes of rows in which nothing was measured."""
 MAX_THREADS = 1024

@@ -142,6 +142,8 @@ def test_the_command_measures_what_it_is_asked_for(tmp_path: Path, capsys: pytes
         ("--metrics false_trips --summary peak_device_force>1", "peak_device_force is not measured: name it with"),
         ("--summary peak_force>1", "no column 'peak_force': there is run.seed, outcome, max_ejection_velocity, "),
         ("--summary peak_device_force>=1", "must be peak_device_force > NUMBER, peak_device_force < NUMBER or"),
+        ("--summary outcome=complet", "--summary 'outcome=complet': must be one of complete, settled, diverged, "),
+        ("--summary ticks>", "--summary 'ticks>': must be METRIC > NUMBER, METRIC < NUMBER, METRIC = NUMBER or"),
         ("--summary outcome", "--summary 'outcome': is text: give a share, outcome = VALUE"),
         (
             "--summary ticks --against run.seed=1",

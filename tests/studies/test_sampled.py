@@ -81,6 +81,13 @@ def test_the_bootstrap_holds_the_mean_as_often_as_it_says() -> None:
         ("speed", BY, None, "'speed': no column 'speed'"),
         ("outcome", BY, None, "is text: give a share"),
         ("outcome > 1", BY, None, "is text: must be outcome = VALUE"),
+        (
+            "outcome = complet",
+            BY,
+            None,
+            "'outcome = complet': must be one of complete, settled, diverged, not-released, ",
+        ),
+        ("max_ejection_velocity>", BY, None, "must be METRIC > NUMBER, METRIC < NUMBER, METRIC = NUMBER or outcome"),
         ("max_ejection_velocity > fast", BY, None, "'fast' must be a number"),
         ("max_ejection_velocity > nan", BY, None, "must be a finite number"),
         ("max_ejection_velocity", ["outcome"], None, "by: outcome is what was measured"),
