@@ -17,7 +17,7 @@ def read_flight(path: Path) -> "Flight":
     try:
         flight = msgspec.json.decode(path.read_bytes(), type=Flight)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        message = f"{path}: is no file of a flight recorder ({error})"
+        message = f"{path}: is no file of a flight recorder ({error}): must be what --flight of master or slave wrote"
         raise ValueError(message) from None
     if flight.schema != SCHEMA:
         message = f"{path}: schema = {flight.schema}, must be {SCHEMA}"

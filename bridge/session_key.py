@@ -27,8 +27,12 @@ def write_key(path: Path, *, replace: bool = False) -> None:
 
     Raises:
         FileExistsError: There is a file, and `replace` is not set.
+        FileNotFoundError: The folder is not there.
         OSError: The file cannot be written.
     """
+    if not path.parent.is_dir():
+        message = f"{path}: there is no folder {path.parent}: make it first, or give another path"
+        raise FileNotFoundError(message)
     text = f"{HEADER}\n{base64.b64encode(secrets.token_bytes(KEY_BYTES)).decode()}\n"
     if not replace:
         try:

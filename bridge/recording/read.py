@@ -11,6 +11,8 @@ from haptether._core import read_recording_columns
 from haptether.bridge.flight import Cause, Step
 
 SCHEMA = "1"
+RECORDED = "what --record of master, slave or simulate wrote"
+"""What can be read."""
 
 
 class RecordedCause(Cause, frozen=True):
@@ -55,10 +57,16 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         ValueError: It is no recording of Haptether, or of another version; it was cut off before it says what its
             signals are; somebody compressed it.
     """
-    read = read_recording_columns(path)
+    try:
+        read = read_recording_columns(path)
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise type(error)(error.errno, f"{error.strerror}: must be {RECORDED}", path) from None
     about = read.about
     if about.get("schema") != SCHEMA:
-        found = f"schema {about['schema']!r}, must be {SCHEMA!r}" if "schema" in about else "no recording of Haptether"
+        none = f"no recording of Haptether: must be {RECORDED}"
+        found = f"schema {about['schema']!r}, must be {SCHEMA!r}" if "schema" in about else none
         message = f"{path}: {found}"
         raise ValueError(message)
     if "time_ns" not in read.columns:

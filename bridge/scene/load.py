@@ -17,6 +17,7 @@ from haptether.bridge.scene.errors import (
     Path,
     Raw,
     SceneError,
+    abridged,
     closest,
     explained,
     place,
@@ -286,14 +287,15 @@ def path_of(text: str) -> Path:
     Raises:
         SceneError: A path that is not in the schema, with the nearest that is.
     """
-    path: Path = tuple(
-        int(step) if re.fullmatch(r"\d{1,9}", step) else step.replace("-", "_") for step in text.split(".")
-    )
+    written = text.split(".")
+    path: Path = tuple(int(step) if re.fullmatch(r"\d{1,9}", step) else step.replace("-", "_") for step in written)
     for length in range(1, len(path) + 1):
         if not types_at(path[:length]):
             if table_type(path[: length - 1]) is not None:
                 raise unknown_key(path[:length])
-            message = f"{shown(text)}: {place(path[: length - 1])} has no part {path[length - 1]}"
+            message = f"{shown(text)}: {place(path[: length - 1])} has no part {abridged(written[length - 1])}"
+            if types_at((*path[: length - 1], 0)):
+                message += ": parts are counted from 0"
             raise SceneError(message)
     return path
 

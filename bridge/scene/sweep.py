@@ -616,7 +616,7 @@ def _number(path: str, leaf: Leaf) -> float:
         message = f"{path}: the scene leaves it out; give it a value before varying it"
         raise SceneError(message)
     if isinstance(leaf, bool) or not isinstance(leaf, int | float):
-        message = f"{path} = {shown(leaf)}: a sweep varies numbers; set this for all rows"
+        message = f"{path} = {shown(leaf)}: a sweep of numbers cannot change it: set it for all rows"
         raise SceneError(message)
     if isinstance(leaf, int) and leaf > LARGEST_EXACT:
         message = f"{path} = {leaf}: must be at most 2^53 in a sweep"

@@ -133,6 +133,12 @@ def ask_control(address: str, request: dict[str, Any], *, patience_s: float = 5.
             with client.makefile("rb") as answers:
                 answer = answers.readline()
         decoded: dict[str, Any] = msgspec.json.decode(answer, type=dict[str, Any])
+    except (FileNotFoundError, ConnectionRefusedError) as error:
+        message = (
+            f'control = "{address}": {error.strerror}: no proxy listens there: start one with `haptether netsim proxy'
+            f" --control {address} ...`, or give the --control of one that runs"
+        )
+        raise OSError(message) from None
     except (OSError, msgspec.DecodeError) as error:
         why = error.strerror or error if isinstance(error, OSError) else "no proxy answers there"
         message = (

@@ -561,6 +561,17 @@ def test_a_word_for_a_number_is_refused_in_plain_words(
     assert "{None}" not in said
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [["sweep", "remote_push", "--vary", "run.seed=1,2", "--out", ""], ["simulate", "remote_push", "--json", ""]],
+)
+def test_an_empty_path_is_refused_as_such(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert "'': must be a path" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_a_shell_gets_a_script_that_knows_commands_and_flags(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--completion", shell]) == 0

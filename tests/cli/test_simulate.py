@@ -302,6 +302,17 @@ def test_a_choice_of_no_field_or_no_value_is_refused() -> None:
             ["--samples", "2", "--vary", "run.seed=1,2"],
             "--samples 2: nothing is drawn, for run.seed varies: give --draw",
         ),
+        (
+            ["--vary", "run.seed=1:2:99999999999"],
+            "--vary run.seed=1:2:99999999999: 99999999999 values: must be at most",
+        ),
+        (["--vary", "operator.legs.-1.end=1,2"], '"operator.legs.-1.end": [operator] legs has no part -1: parts are'),
+        (["--samples", "2", "--draw", "operator.legs.-1.end=uniform:1:2"], 'haptether: "operator.legs.-1.end": [oper'),
+        (["--vary", "link=1"], "link: is a table, no number: name a key of it, link.KEY: there is backward, forward"),
+        (
+            ["--vary", "link.forward.delay_s=0.02", "--tie", "safety.controllers=link.forward.delay-s"],
+            "safety.controllers is tied to link.forward.delay_s: takes no numbers, must be a list of any of",
+        ),
         (["--samples", "2", "--seed", "-1"], "seed = -1: must be 0 or more"),
         (["--vary", "safety.window=50", "--tie", "link.backward.delay_s"], "0 paths of that name vary"),
         (["--vary", "safety.window=50", "--tie", "safety.window=safety.window"], "varies by itself"),

@@ -1,6 +1,7 @@
 """Requests to a proxy that runs: what they change, and what they are refused for."""
 
 import json
+import re
 import socket
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -202,6 +203,16 @@ def test_only_this_machine_may_control(address: str) -> None:
     for use in (ControlSocket, lambda text: ask_control(text, {"show": True})):
         with pytest.raises(ValueError, match="must be the path of a Unix socket, or 127"):
             use(address)
+
+
+@pytest.mark.parametrize("place", ["nobody", "left"])
+def test_where_no_proxy_listens_it_is_said_how_to_start_one(place: str, tmp_path: Path) -> None:
+    if place == "left":
+        with socket.socket(socket.AF_UNIX) as left:
+            left.bind(str(tmp_path / place))
+    path = re.escape(str(tmp_path / place))
+    with pytest.raises(OSError, match=f"{path}.*: start one with `haptether netsim proxy --control {path} "):
+        ask_control(str(tmp_path / place), {"show": True})
 
 
 def test_a_request_that_is_too_long_is_not_sent(tmp_path: Path) -> None:

@@ -105,7 +105,7 @@ def test_what_cannot_be_done_is_refused(
             )
         ),
         (["plot", str(master), str(tmp_path)], 2, "is a folder: give what --record of"),
-        (["info", str(tmp_path / "other.mcap")], 2, "no recording of Haptether"),
+        (["info", str(tmp_path / "other.mcap")], 2, "no recording of Haptether: must be what --record of master"),
         (["plot", str(master), "--out", "run.gif"], 2, "run.gif: must end in .png, .pdf, .svg"),
         (["plot", str(empty)], 2, "has no tick"),
         (["plot", str(master), str(master)], 2, "both are of the master"),

@@ -188,7 +188,8 @@ def test_a_field_can_be_overridden(override: str, path: str, value: object) -> N
         ("safety.window=", "[safety] window = \"\": must be a value in TOML"),
         ("safety.window=1\nschema=2", "must be a value in TOML"),
         ("operator.legs.1.end=0", "[operator] legs.1: the scene has 1 of these, counted from 0"),
-        ("operator.legs.x.end=0", '"operator.legs.x.end": [operator] legs has no part x'),
+        ("operator.legs.x.end=0", '"operator.legs.x.end": [operator] legs has no part x: parts are counted from 0'),
+        ("operator.legs.-1.end=0", '"operator.legs.-1.end": [operator] legs has no part -1: parts are counted from 0'),
         ("operator.legs.0.end.0=0", "[operator.legs.0] end.0: the scene has one number for all axes"),
         ("link.forward.delay_s=3601", "[link.forward] delay_s = 3601: must be 0 to 3600"),
         ("link.forward.preset=gee", "[link.forward] preset = \"gee\": must be one of "),
@@ -470,10 +471,13 @@ def test_the_columns_are_those_of_each_scene_by_itself() -> None:
         ({"operator.regrasp.rise_s": [1]}, "[operator.regrasp] rise_s: the scene has no such part"),
         ({"slave.max_acceleration": [1]}, "slave.max_acceleration: the scene leaves it out"),
         ({"operator.legs.3.end": [1]}, "[operator.legs.3] end: the scene has no such part"),
-        ({"run.integrator": [1]}, 'run.integrator = "exact": a sweep varies numbers'),
-        ({"safety.controllers": [1]}, 'safety.controllers.0 = "wsc": a sweep varies numbers'),
+        ({"run.integrator": [1]}, 'run.integrator = "exact": a sweep of numbers cannot change it'),
+        ({"safety.controllers": [1]}, 'safety.controllers.0 = "wsc": a sweep of numbers cannot change it'),
         ({"run.seed": [2.0**60]}, "row 0: [run] seed"),
-        ({"master.encoder_quantum": [0, 1e-5]}, "row 0: master.measures_velocity = false: a sweep varies numbers"),
+        (
+            {"master.encoder_quantum": [0, 1e-5]},
+            "row 0: master.measures_velocity = false: a sweep of numbers cannot change it",
+        ),
     ],
 )
 def test_a_sweep_without_a_row_that_can_be_is_refused(varied: dict[str, list[float]], said: str) -> None:
@@ -622,6 +626,16 @@ def test_samples_are_taken_row_by_row(sweeps_run: list[dict[str, Any]]) -> None:
         ({"grid": {"safety.window": {1}}}, "safety.window = {1}: must be a list of values"),
         ({"grid": {"safety.window": [10**400]}}, "safety.window: a number beyond 1.8e+308"),
         ({"grid": {"safety.controllers": [[10**400]]}}, "whole numbers of 64 bits"),
+        (
+            {"grid": {"link": [1]}},
+            "link: is a table, no number: name a key of it, link.KEY: there is backward, forward",
+        ),
+        ({"grid": {"operator.legs": [1]}}, "is a list of tables, no number: name a key of it, operator.legs.0.KEY: "),
+        ({"grid": {"run.integrator": [1]}}, 'run.integrator: takes no numbers, must be one of "exact", '),
+        (
+            {"grid": {"safety.window": [1]}, "ties": {"safety.controllers": "safety.window"}},
+            'safety.controllers is tied to safety.window: takes no numbers, must be a list of any of "hsc", ',
+        ),
         ({"grid": {"scene": 5}}, "scene = 5: must be a list of scenes"),
         ({"grid": {"safety.window": [1]}, "ties": 3}, "ties = 3: must be paths by path, such as {"),
         ({"grid": {"safety.window": [1]}, "ties": {3: "safety.window"}}, "ties = {3: 'safety.window'}: must be paths"),

@@ -11,8 +11,9 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from haptether.bridge.scene.errors import Path, SceneError, shown
+from haptether.bridge.scene.errors import Path, SceneError, allowed_at, keys_at, shown
 from haptether.bridge.scene.load import path_of
+from haptether.bridge.scene.sweeps.limits import takes_numbers
 from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice
 
 Values: TypeAlias = "Sequence[Any] | npt.NDArray[np.float64]"
@@ -117,11 +118,15 @@ def design_of(
     """
     _check_ties(ties)
     _refuse_same_field((*(grid or {}), *(samples or {}), *(ties or {})))
-    return Design(
+    design = Design(
         factors={path: _values_of_path(path, values) for path, values in (grid or {}).items()},
         samples={path: _values_of_path(path, values) for path, values in (samples or {}).items()},
         ties=dict(ties or {}),
     )
+    for path, values in design.columns(0, 1).items():
+        if values.dtype != object:
+            _check_takes_numbers(path, design.ties.get(path))
+    return design
 
 
 def _check_ties(ties: Mapping[str, str] | None) -> None:
@@ -135,6 +140,25 @@ def _check_ties(ties: Mapping[str, str] | None) -> None:
     if not isinstance(ties, Mapping) or not all(isinstance(path, str) for tie in ties.items() for path in tie):
         message = f'ties = {ties!r}: must be paths by path, such as {{"link.backward.delay_s": "link.forward.delay_s"}}'
         raise ValueError(message)
+
+
+def _check_takes_numbers(path: str, leading: str | None) -> None:
+    """Refuses numbers of a field that takes none, be they those of the path that it is tied to.
+
+    Raises:
+        SceneError: With what the field takes.
+    """
+    steps = path_of(path)
+    if takes_numbers(steps):
+        return
+    of = path if leading is None else f"{path} is tied to {leading}"
+    for within, name in ((steps, path), ((*steps, 0), f"{path}.0")):
+        if keys := sorted(keys_at(within)):
+            kind = "a table" if within == steps else "a list of tables"
+            message = f"{of}: is {kind}, no number: name a key of it, {name}.KEY: there is {', '.join(keys)}"
+            raise SceneError(message)
+    message = f"{of}: takes no numbers, must be {allowed_at(steps)}"
+    raise SceneError(message)
 
 
 def _refuse_same_field(paths: Iterable[str]) -> None:

@@ -6,10 +6,18 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import inspect
 
-from haptether.bridge.scene.errors import Path, allowed_at, types_at, wrong
+from haptether.bridge.scene.errors import Path, allowed_at, members, types_at, wrong
 
 LARGEST_EXACT = 2**53
 """Values travel as float64: whole numbers beyond this are not exact."""
+
+
+def takes_numbers(path: Path) -> bool:
+    """Whether numbers may stand at a path of the schema: of a list of numbers, one for every axis."""
+    kinds = types_at(path)
+    items = [item for kind in kinds if isinstance(kind, inspect.VarTupleType) for item in members(kind.item_type)]
+    # Nobody here knows the types of what a driver or a controller of one's own takes.
+    return any(isinstance(kind, inspect.FloatType | inspect.IntType | inspect.AnyType) for kind in (*kinds, *items))
 
 
 def out_of_range(path: Path, values: npt.NDArray[np.float64]) -> dict[int, str]:

@@ -8,20 +8,19 @@ if TYPE_CHECKING:
     from haptether.bridge import Run
 
 
-RECORDED = "what --record of master, slave or simulate wrote"
-
-
-def check_files(*files: Path | None, what: str = RECORDED) -> None:
-    """Refuses what is no file that can be read.
+def check_files(*files: Path | None, what: str | None = None) -> None:
+    """Refuses what is no file that can be read; `what` is what to give, by default a recording.
 
     Raises:
         ValueError: With what to give.
     """
+    from haptether.bridge.recording.read import RECORDED
+
     for file in files:
         if file is None or (file.exists() and not file.is_dir() and os.access(file, os.R_OK)):
             continue
         problem = "is a folder" if file.is_dir() else "may not be read" if file.exists() else "no such file"
-        message = f"{file}: {problem}: give {what}"
+        message = f"{file}: {problem}: give {what or RECORDED}"
         raise ValueError(message)
 
 

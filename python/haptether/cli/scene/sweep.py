@@ -274,7 +274,7 @@ class Sweep(PictureOptions):
         varied: dict[str, list[Any]] = {}
         for text in self.vary:
             path, values = values_of(text)
-            path = path.replace("-", "_")
+            path = spelled(path)
             if path in varied:
                 message = f"--vary {path}: given twice: give all its values at once, as {path}=v1,v2"
                 raise ValueError(message)
@@ -287,7 +287,8 @@ class Sweep(PictureOptions):
             varied[path] = values
         ties: dict[str, str] = {}
         for text in self.tie:
-            path, given, leading = text.replace("-", "_").partition("=")
+            path, given, leading = text.partition("=")
+            path, leading = spelled(path), spelled(leading) if given else ""
             alike = [each for each in varied if each.rpartition(".")[2] == path.rpartition(".")[2]]
             if not given and len(alike) != 1:
                 message = f"--tie {path}: {len(alike)} paths of that name vary: give {path}=PATH"
@@ -480,6 +481,18 @@ def reason_lines(reasons: "Iterable[RowReason]", others: int) -> "Iterator[str]"
         yield f"and {others} more rows with other reasons; --out and --json have all"
 
 
+def spelled(path: str) -> str:
+    """A path as scenes spell it: "-" may stand for "_".
+
+    Raises:
+        SceneError: A path that is not in the schema.
+    """
+    from haptether.bridge.scene.load import path_of
+    from haptether.bridge.scene.sweeps.scenes import SCENE
+
+    return path if path == SCENE else ".".join(map(str, path_of(path)))
+
+
 def values_of(text: str) -> tuple[str, list[Any]]:
     """The path and the values of `path=a:b:n` or `path=v1,v2,...`.
 
@@ -496,10 +509,14 @@ def values_of(text: str) -> tuple[str, list[Any]]:
 
     path, _, values = text.partition("=")
     found: list[Any] = []
+    too_many = ""
     try:
         if RANGE.fullmatch(values):
             first, last, count = values.split(":")
-            if not (math.isfinite(float(last) - float(first)) and int(count) <= MAX_ROWS):
+            if not math.isfinite(float(last) - float(first)):
+                raise ValueError
+            if int(count) > MAX_ROWS:
+                too_many = count.strip()
                 raise ValueError
             found = np.linspace(float(first), float(last), int(count)).tolist()
         else:
@@ -510,6 +527,9 @@ def values_of(text: str) -> tuple[str, list[Any]]:
         raise
     except ValueError:
         found = []
+    if too_many:
+        message = f"--vary {text}: {too_many} values: must be at most {MAX_ROWS}"
+        raise ValueError(message)
     if not path or not found or len(found) > MAX_ROWS:
         message = (
             f"--vary {text}: must be path=a:b:n with n of at least 1, or path=v1,v2,... of finite numbers or of what"
@@ -571,8 +591,9 @@ def drawn_law(text: str) -> "tuple[str, SampleLaw]":
     if not path or not law:
         message = f"--draw {text}: must be path=law, the law one of {FORMS}"
         raise ValueError(message)
+    path = spelled(path)
     try:
-        return path.replace("-", "_"), law_of(law)
+        return path, law_of(law)
     except ValueError as error:
         message = f"--draw {path}={error}"
         raise ValueError(message) from None

@@ -78,6 +78,8 @@ def _one_argument(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | No
 
 def _value(kind: type, text: str) -> Any:  # noqa: ANN401  # of that type
     try:
+        if kind is Path and not text:
+            raise ValueError
         return kind(text)
     except ValueError:
         message = f"{text!r}: must be {EXPECTED[kind]}"
