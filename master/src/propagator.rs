@@ -8,7 +8,8 @@ const TERMS: usize = 32;
 /// Largest rate times dT: the first term left out is below `2^32 / 32! = 2e-26` of the first.
 const REACH: f64 = 2.0;
 
-/// Ticks over which a tremor is turned on before its sine and cosine are computed anew: each turn rounds by up to 3e-16.
+/// Times that a tremor is turned on before its sine and cosine are computed anew. A turn rounds by 3e-16, and by 4e-16 for
+/// each rad of the angle: what the phase itself is rounded by.
 const MAX_TURNS: u32 = 16;
 
 /// What a tick of `dT` does to a device under a linear law, with nothing but numbers in which rounding is all that is
@@ -198,10 +199,12 @@ pub(crate) struct Outlook<const N: usize> {
     pub(crate) moves: bool,
     /// Sine and cosine of the tremor.
     pub(crate) wave: [f64; 2],
-    /// How often they were turned since they were computed; [`MAX_TURNS`] also where they cannot be.
+    /// How often they were turned since they were computed.
     turns: u32,
-    /// The length of the last tick in ns, and sine and cosine of the angle by which such a tick turns them.
-    turn: (u64, [f64; 2]),
+    /// Length of the last tick in ns.
+    tick_ns: u64,
+    /// Sine and cosine of the angle by which such a tick turns them; none until a second one.
+    turn: Option<[f64; 2]>,
     /// Where the hand means to be, in m.
     pub(crate) target: Axes<N>,
     /// Gain, and grip strength in N, each as value and rate.
@@ -221,8 +224,9 @@ impl<const N: usize> Outlook<N> {
             leg,
             moves: false,
             wave: [0.0; 2],
-            turns: MAX_TURNS,
-            turn: (0, [0.0; 2]),
+            turns: 0,
+            tick_ns: 0,
+            turn: None,
             target: Axes::zeros(),
             grip: [gain, strength],
             until: hand.next_kink(t).unwrap_or(f64::INFINITY),
@@ -256,7 +260,8 @@ impl<const N: usize> Outlook<N> {
             return;
         }
         if t < self.time || t >= self.until {
-            *self = Self::new(hand, t);
+            let turn = self.turn.filter(|_| past_ns == self.tick_ns);
+            *self = Self { turn, tick_ns: past_ns, ..Self::new(hand, t) };
             return;
         }
         // The same leg, and the same of the grip's lines.
@@ -280,14 +285,16 @@ impl<const N: usize> Outlook<N> {
         let Some(tremor) = hand.tremor() else {
             return;
         };
-        let (turn_ns, turn) = self.turn;
-        if past_ns == turn_ns && self.turns < MAX_TURNS {
-            let ([sine, cosine], [sine_turned, cosine_turned]) = (self.wave, turn);
-            self.wave =
-                [sine * cosine_turned + cosine * sine_turned, cosine * cosine_turned - sine * sine_turned];
-            self.turns += 1;
-        } else {
-            self.compute_wave(std::f64::consts::TAU * tremor.frequency_hz, past_ns);
+        match self.turn {
+            Some([sine_turned, cosine_turned]) if past_ns == self.tick_ns && self.turns < MAX_TURNS => {
+                let [sine, cosine] = self.wave;
+                self.wave = [
+                    sine * cosine_turned + cosine * sine_turned,
+                    cosine * cosine_turned - sine * sine_turned,
+                ];
+                self.turns += 1;
+            }
+            _ => self.compute_wave(std::f64::consts::TAU * tremor.frequency_hz, past_ns),
         }
         self.target.add_scalar_mut(tremor.amplitude * self.wave[0]);
     }
@@ -297,13 +304,11 @@ impl<const N: usize> Outlook<N> {
     #[inline(never)]
     fn compute_wave(&mut self, rate: f64, past_ns: u64) {
         let of = |angle: f64| <[f64; 2]>::from(angle.sin_cos());
-        self.wave = of(rate * self.time);
-        if past_ns == self.turn.0 && past_ns != 0 {
-            self.turn.1 = of(rate * (past_ns as f64 * 1e-9));
-            self.turns = 0;
-        } else {
-            self.turn.0 = past_ns;
-            self.turns = MAX_TURNS;
+        (self.wave, self.turns) = (of(rate * self.time), 0);
+        if past_ns != self.tick_ns {
+            (self.tick_ns, self.turn) = (past_ns, None);
+        } else if self.turn.is_none() && past_ns != 0 {
+            self.turn = Some(of(rate * (past_ns as f64 * 1e-9)));
         }
     }
 }
@@ -321,12 +326,12 @@ mod tests {
     }
 
     proptest! {
-        /// Sine and cosine from tick to tick are those of the instant, whatever lengths the ticks have: each of at most 16
-        /// turns rounds by 3e-16, and the phase itself by as much of its size.
+        /// Sine and cosine from tick to tick are those of the instant, whatever lengths the ticks have: within what at most
+        /// 16 turns round, and the phase.
         #[test]
         fn a_tremor_that_is_turned_on_is_where_its_phase_is(
             frequency_hz in 0.0..100.0f64,
-            lengths in prop::collection::vec((1..2_000_000u64, 1..60usize), 1..30),
+            lengths in prop::collection::vec((prop_oneof![1..2_000_000u64, 1..200_000_000u64], 1..60usize), 1..30),
         ) {
             let hand = trembling(frequency_hz);
             let (mut outlook, mut now_ns, mut turned) = (Outlook::new(&hand, 0.0), 0, 0);
@@ -335,12 +340,12 @@ mod tests {
                     now_ns += length_ns;
                     let t = now_ns as f64 / 1e9;
                     outlook.advance(&hand, t, length_ns);
-                    let phase = std::f64::consts::TAU * frequency_hz * t;
-                    let rounding = 3e-16 * f64::from(MAX_TURNS) + 4.0 * f64::EPSILON * phase;
+                    let [phase, angle] = [t, length_ns as f64 * 1e-9].map(|t| std::f64::consts::TAU * frequency_hz * t);
+                    let rounding = f64::from(MAX_TURNS) * (3e-16 + 4e-16 * angle) + 2.0 * f64::EPSILON * phase;
                     prop_assert!((outlook.wave[0] - phase.sin()).abs() <= rounding, "tick {tick} at {t}");
                     prop_assert!((outlook.wave[1] - phase.cos()).abs() <= rounding, "tick {tick} at {t}");
                     prop_assert_eq!(outlook.target[0], 0.02 + 1e-3 * outlook.wave[0]);
-                    turned += u64::from(outlook.turns > 0 && outlook.turns < MAX_TURNS);
+                    turned += outlook.turns;
                 }
                 prop_assert!(ticks < 4 || turned > 0, "ticks of one length are turned");
             }

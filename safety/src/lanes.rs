@@ -79,8 +79,7 @@ where
 /// The Euclidean norm in each lane.
 #[inline(always)]
 pub(crate) fn norm<const N: usize, S: Real>(value: &Axes<N, S>) -> S {
-    // The root of a square is the absolute value, to the bit, unless the square leaves the range of numbers.
-    if N == 1 { value[0].magnitude() } else { value.dot(value).root() }
+    value.dot(value).root()
 }
 
 /// False in all lanes.

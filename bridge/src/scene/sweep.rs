@@ -483,4 +483,39 @@ mod tests {
             assert_eq!(found, signals, "{controllers}");
         }
     }
+
+    /// Rows that are refused, as they are set or as they are built, keep their places among those that are run, alone or
+    /// in lanes, and count as done.
+    #[test]
+    fn refused_rows_have_their_places() {
+        let scene = include_bytes!("../../benches/work_unit.json");
+        let end =
+            |values: &[f64]| Variation { path: "operator.legs.0.end.0".into(), values: values.to_vec() };
+        let window = |values: &[f64]| Variation { path: "safety.window".into(), values: values.to_vec() };
+        let variations =
+            [end(&[-0.01, f64::NAN, -0.02, -0.03, -0.04]), window(&[100.0, 100.0, 0.0, 50.0, 2.5])];
+        for lanes in [false, true] {
+            let progress = Progress::default();
+            let settings = SweepSettings { threads: 1, lanes, metrics: Metrics::ALL };
+            let rows = sweep(scene, &variations, settings, &progress, None).unwrap();
+            assert_eq!(progress.done.into_inner(), rows.len());
+            let refused: Vec<_> =
+                rows.iter().map(|row| row.as_ref().err().map(ToString::to_string)).collect();
+            assert_eq!(refused[1].as_deref(), Some("operator.legs.0.end.0 = NaN: must be finite"));
+            assert!(refused[2].as_ref().is_some_and(|text| text.contains("window")), "{refused:?}");
+            assert!(refused[4].as_ref().is_some_and(|text| text.starts_with("safety: ")), "{refused:?}");
+            for row in [0, 3] {
+                let [end, window] = [0, 1].map(|which| Variation {
+                    path: variations[which].path.clone(),
+                    values: vec![variations[which].values[row]],
+                });
+                let alone = sweep(scene, &[end, window], settings, &Progress::default(), None).unwrap();
+                assert_eq!(rows[row], alone[0]);
+            }
+        }
+        let stopped = Progress::default();
+        stopped.stop.store(true, Ordering::Relaxed);
+        let settings = SweepSettings { threads: 1, lanes: true, metrics: Metrics::ALL };
+        assert_eq!(sweep(scene, &variations, settings, &stopped, None), Err(SweepError::Stopped));
+    }
 }

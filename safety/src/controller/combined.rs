@@ -139,7 +139,7 @@ impl Default for SafetySettings {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SafetyController<const N: usize, S = f64> {
     controllers: Built<N, S>,
-    /// Whether there is neither a controller nor a probe.
+    /// Whether there is neither a controller nor a probe; lanes do not ask.
     is_empty: bool,
     damping: S,
     hold_off_ticks: S,
@@ -363,13 +363,14 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
             },
             (|| on_for.simd_eq(nothing), || off),
             (|| stays, || Vector3::new(all, on_for + all, fading_for)),
-            || {
+            // Of copies: what a call gets the address of would stand in memory at each tick.
+            move || {
                 let fading_for = fading_for + all;
                 // Slowly at first: a hand needs some 50 ms to take up a load, and one that is still taking it up
                 // looks gone.
                 let share = fading_for / (ramp_ticks + all);
                 let fades = Vector3::new(all - share * share, on_for, fading_for);
-                fading_for.simd_gt(ramp_ticks).if_else(|| off, || fades)
+                fading_for.simd_gt(ramp_ticks).if_else(move || off, move || fades)
             },
         );
         [_, self.on_for, self.fading_for] = next.into();

@@ -240,4 +240,24 @@ mod tests {
         // More threads, smaller groups: nobody is idle.
         assert!(groups(4, false).iter().all(|group| group.len() <= 2));
     }
+
+    #[test]
+    fn a_path_leads_where_a_json_pointer_does() {
+        let mut scene = serde_json::json!({
+            "a": {"b": [1.0, {"c": 2.0}], "": 3.0, "x~1y": 4.0, "x/y": 5.0}, "0": 6.0
+        });
+        for path in [
+            "a.b.0", "a.b.1.c", "a.b.2", "a.b.00", "a.b.+1", "a.b.-1", "a.b.", "a.", "a.b.1.d", "0", "00",
+            "", "a.b.0.c",
+        ] {
+            let column = Column { keys: path.split('.').collect(), is_whole: false, values: &[] };
+            let pointer = format!("/{}", path.replace('.', "/"));
+            let expected = scene.pointer(&pointer).cloned();
+            assert_eq!(column.place(&mut scene).cloned(), expected, "{path}");
+        }
+        for (key, number) in [("x~1y", 4.0), ("x/y", 5.0)] {
+            let column = Column { keys: vec!["a", key], is_whole: false, values: &[] };
+            assert_eq!(column.place(&mut scene), Some(&mut Value::from(number)), "a key stands for itself");
+        }
+    }
 }
