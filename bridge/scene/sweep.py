@@ -35,7 +35,7 @@ from haptether.bridge.scene.load import (
 from haptether.bridge.scene.research import Research, research_of
 from haptether.bridge.scene.run import named_scene
 from haptether.bridge.scene.sweeps.design import Values, design_of
-from haptether.bridge.scene.sweeps.limits import LARGEST_EXACT, as_typed, is_whole, out_of_range
+from haptether.bridge.scene.sweeps.limits import LARGEST_EXACT, as_typed, out_of_range, whole_number
 from haptether.bridge.scene.sweeps.population import Population, with_population
 from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice, with_scenes
 from haptether.bridge.scene.tables.session import Scene
@@ -245,11 +245,7 @@ def thread_count(threads: int | None) -> int:
     """
     if threads is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if not is_whole(threads) or not 1 <= threads <= MAX_THREADS:
-        kind = "" if is_whole(threads) else "a whole number, "
-        message = f"threads = {shown(threads)}: must be {kind}1 to {MAX_THREADS}"
-        raise ValueError(message)
-    return threads
+    return whole_number("threads", threads, 1, MAX_THREADS)
 
 
 def labelled(varied: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:

@@ -1,12 +1,13 @@
 """Which numbers a field takes, many at once."""
 
 from numbers import Integral
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from msgspec import inspect
 
-from haptether.bridge.scene.errors import Path, allowed_at, members, types_at, wrong
+from haptether.bridge.scene.errors import Path, allowed_at, members, shown, types_at, wrong
 
 LARGEST_EXACT = 2**53
 """Values travel as float64: whole numbers beyond this are not exact."""
@@ -48,6 +49,17 @@ def as_typed(value: float) -> float | int:
     return value
 
 
-def is_whole(value: object) -> bool:
-    """Whether it is a whole number by its type: neither a boolean nor a float."""
-    return isinstance(value, Integral) and not isinstance(value, bool)
+def whole_number(name: str, value: Any, least: int, most: int | None = None) -> int:  # noqa: ANN401  # of a caller
+    """A whole number by its type, neither a boolean nor a float, of `least` to `most`.
+
+    Raises:
+        ValueError: With what it must be.
+    """
+    is_whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if is_whole and least <= value and (most is None or value <= most):
+        return int(value)
+    # A float as such: 1.0 is not 1.
+    seen = repr(float(value)) if isinstance(value, float) else shown(value)
+    kind = "" if is_whole else "a whole number, "
+    message = f"{name} = {seen}: must be {kind}{least} {'or more' if most is None else f'to {most}'}"
+    raise ValueError(message)

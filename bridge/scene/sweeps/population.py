@@ -16,7 +16,7 @@ from msgspec import Struct
 from haptether.bridge.scene.errors import Path, SceneError, closest, shown
 from haptether.bridge.scene.load import path_of
 from haptether.bridge.scene.sweeps.laws import SampleLaw, generator, law_of, sobol_points
-from haptether.bridge.scene.sweeps.limits import is_whole, out_of_range
+from haptether.bridge.scene.sweeps.limits import out_of_range, whole_number
 from haptether.bridge.scene.sweeps.scenes import SCENE
 from haptether.bridge.scene.tables.session import Scene
 
@@ -199,9 +199,7 @@ def with_population(
         ValueError: No samples, a seed that is none, or a field of the population that is sampled, too.
         ImportError: `sobol` without SciPy.
     """
-    if not is_whole(seed) or seed < 0:
-        message = f"seed = {shown(seed)}: must be {'' if is_whole(seed) else 'a whole number, '}0 or more"
-        raise ValueError(message)
+    seed = whole_number("seed", seed, 0)
     if population is None:
         return samples
     if not samples:
