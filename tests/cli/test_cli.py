@@ -1,5 +1,6 @@
 """The command line: what it prints, where errors go, and its exit status."""
 
+import errno
 import json
 import os
 import subprocess
@@ -220,6 +221,18 @@ def test_output_that_cannot_be_written_is_one_line_or_none(
         assert ended(writing, writing)[0] == 141
     finally:
         os.close(writing)
+
+
+@pytest.mark.parametrize("name", ["list", "netsim echo"])
+def test_a_pipe_of_its_own_that_breaks_is_said(
+    name: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def run() -> int:
+        raise BrokenPipeError(errno.EPIPE, "the service has closed the connection")
+
+    monkeypatch.setattr("haptether.cli.entry.parse", lambda _: SimpleNamespace(run=run))
+    assert main(name.split()) == 1
+    assert capfd.readouterr().err == "haptether: the service has closed the connection\n"
 
 
 @pytest.mark.sampled(2)

@@ -23,7 +23,7 @@ from haptether import __version__
 from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS
 from haptether.cli.shared.commands import Command, CommandTable
 from haptether.cli.shared.numbers import NUMBERS
-from haptether.cli.shared.output import QueuedOutput, queued_output
+from haptether.cli.shared.output import QueuedBuffer, QueuedOutput, queued_output
 from haptether.printable import printable
 
 COMMANDS = CommandTable(
@@ -171,12 +171,12 @@ def _status(command: Command) -> int:
         sys.stdout.flush()
     except KeyboardInterrupt:
         return INTERRUPTED
-    except BrokenPipeError as error:
-        return INTERRUPTED if INTERRUPTS.seen else _unwritten(error)
     except (ValueError, OSError, RuntimeError, ImportError, MemoryError) as error:
         if INTERRUPTS.seen:
             # What Ctrl-C has cut short may say so in its own way.
             return INTERRUPTED
+        if isinstance(error, BrokenPipeError) and (_is_closed(sys.stdout) or _is_closed(sys.stderr)):
+            return _unwritten(error)
         status = BAD_REQUEST if isinstance(error, ValueError) else FAILED
         try:
             sys.stdout.flush()
@@ -185,6 +185,16 @@ def _status(command: Command) -> int:
             _discard(sys.stdout)
         return complain(error, status, debug=getattr(command, "debug", False))
     return status
+
+
+def _is_closed(stream: TextIO) -> bool:
+    """Whether its reader has gone away, so that writing raises `BrokenPipeError`; writing to a queued one does not."""
+    if isinstance(getattr(stream, "buffer", None), QueuedBuffer):
+        return False
+    poll = select.poll()
+    # Errors are reported whatever is asked for.
+    poll.register(stream.fileno(), 0)
+    return bool(poll.poll(0))
 
 
 def _unwritten(error: OSError) -> int:
