@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -27,9 +28,10 @@ from haptether.bridge import (
     simulate,
     sweep,
 )
+from haptether.bridge.codes import LADDER_STATES
 from haptether.bridge.scene.checks import checked_spec
 from haptether.bridge.scene.load import loaded
-from haptether.bridge.scene.sweep import sweep_columns
+from haptether.bridge.scene.sweep import OUTCOMES, sweep_columns
 from haptether.netsim import LinkSettings, link_spec
 from haptether.studies import RAVEN_ATTACKS
 
@@ -625,7 +627,11 @@ def test_samples_are_taken_row_by_row(sweeps_run: list[dict[str, Any]]) -> None:
         ({"grid": {"safety.window": None}}, "safety.window = nothing: must be a list of values"),
         ({"grid": {"safety.window": {1}}}, "safety.window = {1}: must be a list of values"),
         ({"grid": {"safety.window": [10**400]}}, "safety.window: a number beyond 1.8e+308"),
-        ({"grid": {"safety.controllers": [[10**400]]}}, "whole numbers of 64 bits"),
+        ({"grid": {"safety.controllers": [[10**400]]}}, ": holds a whole number beyond 64 bits"),
+        (
+            {"grid": {"safety.controllers": [[1j]]}},
+            "safety.controllers = [1j]: holds a complex: must be numbers, strings, booleans, lists or tables",
+        ),
         (
             {"grid": {"link": [1]}},
             "link: is a table, no number: name a key of it, link.KEY: there is backward, forward",
@@ -645,6 +651,7 @@ def test_samples_are_taken_row_by_row(sweeps_run: list[dict[str, Any]]) -> None:
         ({"grid": {"safety.window": [1]}, "overrides": "run.seed=3"}, 'overrides = "run.seed=3": must be a list'),
         ({"grid": {"safety.window": [1]}, "threads": 0}, "threads = 0: must be 1 to 1024"),
         ({"grid": {"safety.window": [1]}, "threads": "2"}, 'threads = "2": must be a whole number, 1 to 1024'),
+        ({"grid": {"safety.window": [1]}, "threads": 1.0}, "threads = 1.0: must be a whole number, 1 to 1024"),
         ({"grid": {"safety.window": [1]}, "threads": 1.5}, "threads = 1.5: must be a whole number, 1 to 1024"),
         ({"grid": {"safety.window": [1]}, "threads": True}, "threads = true: must be a whole number, 1 to 1024"),
         ({"grid": {"safety.window": [1]}, "seed": "a"}, 'seed = "a": must be a whole number, 0 or more'),
@@ -669,6 +676,40 @@ def test_overrides_that_are_no_list_of_texts_are_refused(overrides: object) -> N
     for scene in ("paper_wall", load_scene("paper_wall")):
         with pytest.raises(SceneError, match=r"^overrides = .*: must be a list of texts, such as \["):
             simulate(scene, overrides=cast("Any", overrides))
+
+
+@pytest.mark.parametrize(
+    ("path", "numpy_values", "values"),
+    [
+        ("operator.legs.0.end", [[np.float64(0.01)]], [[0.01]]),
+        ("operator.legs.0.end", [np.array([0.01])], [[0.01]]),
+        ("run.integrator", np.array(["exact", "rk4"]), ["exact", "rk4"]),
+        ("safety.controllers", [[np.str_("wsc")], ()], [["wsc"], []]),
+        ("operator.legs.0", [{"end": np.float32(0.5), "duration_s": np.int64(1)}], [{"end": 0.5, "duration_s": 1}]),
+        ("safety.window", np.array([3, 4], dtype=np.uint8), [3, 4]),
+        ("scene", (name for name in ("paper_wall", "remote_push")), ["paper_wall", "remote_push"]),
+    ],
+)
+def test_values_of_numpy_are_those_of_python(path: str, numpy_values: object, values: list[object]) -> None:
+    found, expected = (
+        sweep("paper_wall", {path: cast("Any", of)}, overrides=["run.duration_s=0.1"]) for of in (numpy_values, values)
+    )
+    assert list(found.rows()) == list(expected.rows())
+    assert "refused" not in found["outcome"]
+
+
+def test_outcomes_are_the_names_that_runs_end_with() -> None:
+    source = Path(__file__).parents[2] / "bridge" / "src"
+
+    def names(of: str, path: str) -> set[str]:
+        body = (source / path).read_text(encoding="utf-8").partition(f"impl {of} {{")[2]
+        return set(re.findall(r'Self::\w+ => "(.+)",', body.partition("\n}\n")[0]))
+
+    endings, states = names("Ending", "scene/measures.rs"), names("LadderState", "ladder/table.rs")
+    assert len(endings) == 5
+    assert states == set(LADDER_STATES)
+    # Of the states those in which the two are coupled are no end.
+    assert set(OUTCOMES) == endings | states - {"engaged", "stale"} | {"refused"}
 
 
 def test_a_value_that_is_there_twice_is_run_twice() -> None:

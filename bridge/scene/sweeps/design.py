@@ -183,7 +183,8 @@ def _values_of_path(path: str, values: Values) -> npt.NDArray[Any]:
     Raises:
         SceneError: What no field takes.
     """
-    if any(isinstance(value, bool | str | list | tuple | Mapping | SceneChoice) for value in values):
+    values = _without_numpy(values if isinstance(values, np.ndarray) else list(values))
+    if any(isinstance(value, bool | str | list | Mapping | SceneChoice) for value in values):
         return _categories(path, values)
     try:
         numbers = np.array(values, dtype=np.float64)
@@ -202,28 +203,48 @@ def _values_of_path(path: str, values: Values) -> npt.NDArray[Any]:
     return numbers
 
 
+def _without_numpy(value: Any) -> Any:  # noqa: ANN401  # whatever a field takes
+    """NumPy's values and tuples as Python's numbers, texts and lists, within lists and tables, too."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        return _without_numpy(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_without_numpy(item) for item in value]
+    if isinstance(value, Mapping):
+        return {_without_numpy(key): _without_numpy(item) for key, item in value.items()}
+    return value
+
+
 def _categories(path: str, values: Values) -> npt.NDArray[Any]:
     column = np.empty(len(values), dtype=object)
     for row, value in enumerate(values):
-        _check_written(path, value)
-        column[row] = list(value) if isinstance(value, tuple) else value
+        _check_encodable(path, value)
+        column[row] = value
     return column
 
 
-def _check_written(path: str, value: object) -> None:
+def _check_encodable(path: str, value: object) -> None:
     """Refuses what no file could have.
 
     Raises:
-        SceneError: With the value.
+        SceneError: With the value and what is wrong with it.
     """
+    if isinstance(value, SceneChoice):
+        return
     try:
-        if not isinstance(value, SceneChoice):
-            msgspec.msgpack.encode(value)
-    except (OverflowError, TypeError):
-        message = (
-            f"{path} = {shown(value)}: must be numbers, strings, booleans, lists or tables, whole numbers of 64 bits"
-        )
+        msgspec.msgpack.encode(value, enc_hook=_refuse_type)
+    except OverflowError:
+        message = f"{path} = {shown(value)}: holds a whole number beyond 64 bits"
         raise SceneError(message) from None
+    except TypeError as error:
+        message = f"{path} = {shown(value)}: {error}"
+        raise SceneError(message) from None
+
+
+def _refuse_type(value: object) -> None:
+    message = f"holds a {type(value).__qualname__}: must be numbers, strings, booleans, lists or tables"
+    raise TypeError(message)
 
 
 MOST_WRITTEN_OUT = 64

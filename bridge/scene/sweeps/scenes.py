@@ -1,6 +1,6 @@
 """Whole scenes as values of a sweep, under the path "scene"."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from os import PathLike
@@ -40,6 +40,8 @@ def with_scenes(argument: str, varied: Mapping[str, Any] | None, overrides: Iter
     if varied is not None and not (isinstance(varied, Mapping) and all(isinstance(path, str) for path in varied)):
         message = f'{argument} = {varied!r}: must be values by path, such as {{"run.seed": [1, 2, 3]}}'
         raise ValueError(message)
+    if varied is not None and isinstance(varied.get(SCENE), Iterator):
+        varied = {**varied, SCENE: list(varied[SCENE])}
     for path, values in (varied or {}).items():
         is_list = isinstance(values, Collection) and not isinstance(values, str | bytes | Mapping | AbstractSet)
         if not is_list or getattr(values, "ndim", 1) == 0:
