@@ -563,7 +563,15 @@ def test_a_word_for_a_number_is_refused_in_plain_words(
 
 @pytest.mark.parametrize(
     "arguments",
-    [["sweep", "remote_push", "--vary", "run.seed=1,2", "--out", ""], ["simulate", "remote_push", "--json", ""]],
+    [
+        ["sweep", "remote_push", "--vary", "run.seed=1,2", "--out", ""],
+        ["simulate", "remote_push", "--json", ""],
+        ["demo", "--out", ""],
+        ["keygen", ""],
+        ["plot", ""],
+        ["info", ""],
+        ["info", "a.mcap", ""],
+    ],
 )
 def test_an_empty_path_is_refused_as_such(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:

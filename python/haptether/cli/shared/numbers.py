@@ -4,6 +4,7 @@ import types
 from pathlib import Path
 from typing import Any, Union, get_args
 
+from tyro.conf import UseAppendAction
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 
@@ -51,10 +52,19 @@ NUMBERS = ConstructorRegistry()
 @NUMBERS.primitive_rule
 def _one_argument(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
     kinds = [kind for kind in get_args(info.type) if kind is not type(None)]
-    if info.type in {float, int}:
+    if info.type in {float, int, Path}:
         kinds = [info.type]
     elif info.type_origin not in {Union, types.UnionType, tuple}:
         return None
+    if info.type == tuple[Path, ...] and UseAppendAction not in info.markers:
+        # The parser's own rule for lists says nothing of which argument is wrong, and why.
+        return PrimitiveConstructorSpec(
+            nargs="*",
+            metavar="[PATH [PATH ...]]",
+            instance_from_str=lambda texts: tuple(_value(Path, text) for text in texts),
+            is_instance=lambda value: isinstance(value, tuple),
+            str_from_instance=lambda values: list(map(str, values)),
+        )
     if info.type_origin is tuple and set(kinds) == {float}:
         count = len(kinds)
         return PrimitiveConstructorSpec(
