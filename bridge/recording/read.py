@@ -62,7 +62,9 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     except OSError as error:
         if error.errno is None:
             raise
-        raise type(error)(error.errno, f"{error.strerror}: must be {RECORDED}", path) from None
+        # Of no file or a folder another is to be given; of a disk that fails none.
+        remedy = f": must be {RECORDED}" if isinstance(error, FileNotFoundError | IsADirectoryError) else ""
+        raise type(error)(error.errno, f"{error.strerror}{remedy}", path) from None
     about = read.about
     if about.get("schema") != SCHEMA:
         none = f"no recording of Haptether: must be {RECORDED}"

@@ -172,6 +172,10 @@ def test_a_file_that_is_cut_off_or_changed_early_is_refused_in_a_word(tmp_path: 
             read_recording(path)
         assert (raised.value.filename, raised.value.errno) == (path, errno_of(path))
         assert "must be what --record of master, slave or simulate wrote" in str(raised.value)
+    # Where another file would not help, none is asked for.
+    with pytest.raises(NotADirectoryError) as raised:
+        read_recording(tmp_path / "m.mcap" / "below")
+    assert "must be" not in str(raised.value)
 
 
 def errno_of(path: Path) -> int:
