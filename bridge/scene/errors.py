@@ -233,4 +233,5 @@ def unknown_key(path: Path) -> SceneError:
     """A key that its table does not have."""
     key, table = str(path[-1]), path[:-1]
     name = f"[{_dotted(table)}]" if table else "a scene"
-    return SceneError(f"{name} has no key {abridged(key)}: {closest(key, keys_at(table))}")
+    seen = abridged(key) or '""'
+    return SceneError(f"{name} has no key {seen}: {closest(key, keys_at(table))}")

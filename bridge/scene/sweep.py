@@ -278,10 +278,12 @@ def asked_metrics(metrics: Iterable[str] | None) -> tuple[str, ...] | None:
     """
     if metrics is None:
         return None
-    names = [metrics] if isinstance(metrics, str) else list(metrics) if isinstance(metrics, Iterable) else []
+    if not isinstance(metrics, Iterable):
+        message = f"metrics = {shown(metrics)}: must be a list of names, one or more of {', '.join(METRICS)}"
+        raise ValueError(message)
+    names = [metrics] if isinstance(metrics, str) else list(metrics)
     if not names:
-        seen = "metrics: none given" if isinstance(metrics, Iterable) else f"metrics = {shown(metrics)}"
-        message = f"{seen}: must be one or more of {', '.join(METRICS)}"
+        message = f"metrics: none given: must be one or more of {', '.join(METRICS)}"
         raise ValueError(message)
     if unknown := [name for name in names if name not in METRICS]:
         message = f"metrics: {unknown[0]!r}: {closest(str(unknown[0]), METRICS)}"

@@ -314,6 +314,7 @@ def test_a_choice_of_no_field_or_no_value_is_refused() -> None:
             "safety.controllers is tied to link.forward.delay_s: takes no numbers, must be a list of any of",
         ),
         (["--samples", "2", "--seed", "-1"], "seed = -1: must be 0 or more"),
+        (["--vary", "safety.window=50", "--tie", "safety.window="], 'a scene has no key "": there is coupling, '),
         (["--vary", "safety.window=50", "--tie", "link.backward.delay_s"], "0 paths of that name vary"),
         (["--vary", "safety.window=50", "--tie", "safety.window=safety.window"], "varies by itself"),
         (["--vary", "safety.window=50", "--tie", "link.backward.delay_s=link.forward.delay_s"], "does not vary"),

@@ -197,7 +197,7 @@ def test_a_field_can_be_overridden(override: str, path: str, value: object) -> N
         ("link.forward.preset=gee", "[link.forward] preset = \"gee\": must be one of "),
         ("link.forward.outages.0.times.at_s=1", "[link.forward] outages.0: the scene has 0 of these"),
         ("safety.estimator.cutoff_hz=3", "[safety.estimator] has no key cutoff_hz: "),
-        ("=3", "a scene has no key : "),
+        ("=3", 'a scene has no key "": '),
     ],
 )  # fmt: skip
 def test_an_override_that_does_not_fit_is_refused(override: str, said: str) -> None:
@@ -646,7 +646,7 @@ def test_samples_are_taken_row_by_row(sweeps_run: list[dict[str, Any]]) -> None:
         ({"grid": {"safety.window": [1]}, "ties": 3}, "ties = 3: must be paths by path, such as {"),
         ({"grid": {"safety.window": [1]}, "ties": {3: "safety.window"}}, "ties = {3: 'safety.window'}: must be paths"),
         ({"grid": {"safety.window": [1]}, "ties": {"run.seed": ["a"]}}, "ties = {'run.seed': ['a']}: must be paths"),
-        ({"grid": {"safety.window": [1]}, "metrics": 5}, "metrics = 5: must be one or more of outcome, "),
+        ({"grid": {"safety.window": [1]}, "metrics": 5}, "metrics = 5: must be a list of names, one or more of out"),
         ({"grid": {"safety.window": [1]}, "overrides": 5}, "overrides = 5: must be a list of texts, such as ["),
         ({"grid": {"safety.window": [1]}, "overrides": "run.seed=3"}, 'overrides = "run.seed=3": must be a list'),
         ({"grid": {"safety.window": [1]}, "threads": 0}, "threads = 0: must be 1 to 1024"),

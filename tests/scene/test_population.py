@@ -280,6 +280,7 @@ def test_a_population_that_cannot_be_is_refused_on_the_command_line(
         ({"population": "handle", "samples": {"run.seed": [1.0]}, "seed": 1.0}, "seed = 1.0: must be a whole number"),
         ({"population": "handle", "samples": {"run.seed": [1.0]}, "seed": 1.5}, "seed = 1.5: must be a whole number"),
         ({"population": "handle", "samples": {"run.seed": 3}}, "run.seed = 3: must be a list of values"),
+        ({"population": "", "samples": {"run.seed": [1.0]}}, '"": no such population: there is handle, '),
         ({"population": 5, "samples": {"run.seed": [1.0]}}, "population = 5: must be the name of a shipped population"),
         ({"population": "handle", "samples": {"operator.damping": [1.0]}}, "operator.damping: is drawn from"),
     ],

@@ -249,7 +249,8 @@ def load_population(name_or_path: str | PathLike[str]) -> Population:
     if str(name_or_path) in population_names():
         path = _SHIPPED / f"{name_or_path}.toml"
     elif path.suffix != ".toml":
-        message = f"{name_or_path}: no such population: {closest(str(name_or_path), population_names())}"
+        seen = str(name_or_path) or '""'
+        message = f"{seen}: no such population: {closest(str(name_or_path), population_names())}"
         raise SceneError(message)
     try:
         with path.open("rb") as file:
