@@ -176,6 +176,7 @@ fn follow<P: ModelPlant<N>, R: Rendering<N, f64>, const N: usize>(
 /// A loop and what it is judged by.
 pub(crate) struct LocalRun<P, R, W, const N: usize, S: Real = f64> {
     pub(crate) looped: LocalLoop<P, R, W, N, S>,
+    /// As they are before the first tick.
     pub(crate) measures: Measures<N, S>,
     pub(crate) ticks: u64,
 }
@@ -203,12 +204,16 @@ where
         mut observe: impl FnMut(f64, &LocalTick<N, S>, &LocalLoop<P, R, W, N, S>),
         outcomes: &mut [Option<Outcome>],
     ) {
+        // Theirs is a copy that no call gets the address of: behind a reference, what changes at each tick would go through
+        // memory at each tick.
+        let mut measures = self.measures;
         for tick in 0..self.ticks {
-            if stop.load(Ordering::Relaxed) || self.step(tick, &mut observe, outcomes) {
+            if stop.load(Ordering::Relaxed) || self.step(tick, &mut measures, &mut observe, outcomes) {
                 return;
             }
         }
-        self.complete(outcomes);
+        let measures = measures;
+        end(&measures, u64::MAX, self.ticks, Ending::Complete, outcomes);
     }
 
     /// One tick; returns whether all scenarios have ended early.
@@ -216,17 +221,19 @@ where
     fn step(
         &mut self,
         tick: u64,
+        measures: &mut Measures<N, S>,
         observe: &mut impl FnMut(f64, &LocalTick<N, S>, &LocalLoop<P, R, W, N, S>),
         outcomes: &mut [Option<Outcome>],
     ) -> bool {
         let time_s = self.looped.time_s();
         let step = self.looped.step();
-        if self.measures.may_have_diverged(&step.position, &step.velocity, &step.device_force)
-            && self.end_diverged(tick, time_s, &[step.position, step.velocity, step.device_force], outcomes)
-        {
-            return true;
+        if measures.may_have_diverged(&step.position, &step.velocity, &step.device_force) {
+            let (measures, seen) = (*measures, [step.position, step.velocity, step.device_force]);
+            if end_diverged(&measures, tick, time_s, &seen, outcomes) {
+                return true;
+            }
         }
-        let settled = self.measures.take(
+        let settled = measures.take(
             time_s,
             &step.position,
             &step.velocity,
@@ -238,48 +245,50 @@ where
         observe(time_s, &step, &self.looped);
         match settled {
             Some(settled) if settled.any() => {
-                self.end(settled.bitmask(), tick + 1, Ending::Settled, outcomes)
+                let measures = *measures;
+                end(&measures, settled.bitmask(), tick + 1, Ending::Settled, outcomes)
             }
             _ => false,
         }
     }
+}
 
-    /// All ticks have been run.
-    fn complete(&self, outcomes: &mut [Option<Outcome>]) {
-        self.end(u64::MAX, self.ticks, Ending::Complete, outcomes);
-    }
-
-    /// Keeps the outcome of the lanes in `mask` that have none yet; says whether now all have one.
-    #[cold]
-    fn end(&self, mask: u64, ticks: u64, ending: Ending, outcomes: &mut [Option<Outcome>]) -> bool {
-        for (lane, outcome) in outcomes.iter_mut().enumerate().take(S::LANES) {
-            if mask >> lane & 1 == 1 && outcome.is_none() {
-                *outcome = Some(self.measures.outcome(lane, ticks, ending, None));
-            }
+/// Keeps the outcome of the lanes in `mask` that have none yet; says whether now all have one.
+#[cold]
+fn end<const N: usize, S: Real>(
+    measures: &Measures<N, S>,
+    mask: u64,
+    ticks: u64,
+    ending: Ending,
+    outcomes: &mut [Option<Outcome>],
+) -> bool {
+    for (lane, outcome) in outcomes.iter_mut().enumerate().take(S::LANES) {
+        if mask >> lane & 1 == 1 && outcome.is_none() {
+            *outcome = Some(measures.outcome(lane, ticks, ending, None));
         }
-        outcomes.iter().all(Option::is_some)
     }
+    outcomes.iter().all(Option::is_some)
+}
 
-    /// Ends the lanes that x in m, V in m/s and `F_device` in N say have diverged. It gets copies: a tick whose address
-    /// went to a call would have to stand in memory, whole, at each tick.
-    #[cold]
-    fn end_diverged(
-        &self,
-        tick: u64,
-        time_s: f64,
-        [position, velocity, device_force]: &[Axes<N, S>; 3],
-        outcomes: &mut [Option<Outcome>],
-    ) -> bool {
-        let mask = self.measures.diverged(position, velocity, device_force).bitmask();
-        for (lane, outcome) in outcomes.iter_mut().enumerate().take(S::LANES) {
-            if mask >> lane & 1 == 1 && outcome.is_none() {
-                let cause = self.measures.cause(lane, position, velocity);
-                let divergence = Divergence { time_s, cause };
-                *outcome = Some(self.measures.outcome(lane, tick, Ending::Diverged, Some(divergence)));
-            }
+/// Ends the lanes that x in m, V in m/s and `F_device` in N say have diverged. It gets copies: a tick whose address
+/// went to a call would have to stand in memory, whole, at each tick.
+#[cold]
+fn end_diverged<const N: usize, S: Real>(
+    measures: &Measures<N, S>,
+    tick: u64,
+    time_s: f64,
+    [position, velocity, device_force]: &[Axes<N, S>; 3],
+    outcomes: &mut [Option<Outcome>],
+) -> bool {
+    let mask = measures.diverged(position, velocity, device_force).bitmask();
+    for (lane, outcome) in outcomes.iter_mut().enumerate().take(S::LANES) {
+        if mask >> lane & 1 == 1 && outcome.is_none() {
+            let cause = measures.cause(lane, position, velocity);
+            let divergence = Divergence { time_s, cause };
+            *outcome = Some(measures.outcome(lane, tick, Ending::Diverged, Some(divergence)));
         }
-        outcomes.iter().all(Option::is_some)
     }
+    outcomes.iter().all(Option::is_some)
 }
 
 #[inline(never)]
