@@ -288,6 +288,25 @@ def named_scene(scene: Scene | str | PathLike[str], overrides: Iterable[str]) ->
     return str(scene), loaded(scene, overrides)
 
 
+def _check_record(record: tuple[str | PathLike[str], str | PathLike[str]] | None) -> None:
+    """Refuses what is no pair of files.
+
+    Raises:
+        SceneError: With the form, or the file that is there twice.
+    """
+    if record is None:
+        return
+    if not (
+        isinstance(record, tuple) and len(record) == 2 and all(isinstance(file, str | PathLike) for file in record)
+    ):
+        message = f'record = {record!r}: must be two files, of master and slave, such as ("master.mcap", "slave.mcap")'
+        raise SceneError(message)
+    master, slave = (FilePath(file) for file in record)
+    if master.resolve() == slave.resolve():
+        message = f"record: master and slave both name {slave}: give two files"
+        raise SceneError(message)
+
+
 def simulate(
     scene: Scene | str | PathLike[str],
     *,
@@ -305,6 +324,7 @@ def simulate(
         SceneError: A scene that cannot be built, or has no two sides to record; a file that cannot be written.
     """
     name, checked = named_scene(scene, overrides)
+    _check_record(record)
     specification = checked.json
     research = research_of(checked.scene)
     begun = time.perf_counter()

@@ -203,10 +203,11 @@ def sweep(
     if (grid is None) == (samples is None):
         message = "give grid or samples: exactly one of the two"
         raise ValueError(message)
-    design = design_of(grid, samples, ties)
-    if grid is not None and design.rows > MAX_ROWS:
-        message = f"a grid of {design.rows} scenarios: must be at most {MAX_ROWS}"
+    # Before the values are looked at, which takes longer the more they are.
+    if (rows := math.prod(len(values) for values in (grid or {}).values())) > MAX_ROWS:
+        message = f"a grid of {rows} scenarios: must be at most {MAX_ROWS}"
         raise ValueError(message)
+    design = design_of(grid, samples, ties)
     varied = design.columns(0, design.rows)
     threads = thread_count(threads)
     settings = SweepSettings(threads=threads, lanes=lanes, progress=progress, metrics=asked)
@@ -230,6 +231,9 @@ class SweepSettings:
     """Columns to measure, in the order of tables; none for all."""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.lanes, bool | np.bool_):
+            message = f"lanes = {shown(self.lanes)}: must be true or false"
+            raise ValueError(message)
         if self.progress is not None and not callable(self.progress):
             message = (
                 f"progress = {shown(self.progress)}: must be a function, called with the number of rows that are done"

@@ -162,6 +162,7 @@ def test_flags_with_a_dot_are_overrides(arguments: list[str], expected: list[str
         (["simulate", "remote_push", "--safety.windw", "3"], "remote_push.toml: [safety] has no key windw: did you"),
         (["simulate", "remote_push", "--safety.window"], "[safety] window = \"\": must be a value in TOML"),
         (["simulate", "remote_push", "--out", "run.csv"], "run.csv: must end in .npz"),
+        (["simulate", "remote_push", "--out", "a.npz", "--json", "a.npz"], "a.npz: is to be written twice: give two"),
         (["simulate", "remote_push", "--run.seed", "abc"], "[run] seed = \"abc\": must be a whole number, at least 0"),
         (["simulate", "remote_push", "--safety.controllers", "hsc"], "must be a list of any of \"hsc\", \"pc\","),
         (["simulate", "remote_push", "--safety.signals", "true"], "signals: with a [slave] only \"estimated\""),

@@ -227,6 +227,7 @@ def test_the_command_makes_a_key_and_keeps_one(tmp_path: Path) -> None:
     assert refused.stderr.count("\n") == 1
     assert keygen("haptether.key", "--force").returncode == 0
     assert read_key(tmp_path / "haptether.key") != key
+    assert keygen(".").stderr == "haptether: .: is a folder, must be a file\n"
     for options in ((), ("--force",)):
         nowhere = keygen("no/arm.key", *options)
         assert nowhere.returncode == 1

@@ -192,6 +192,7 @@ def test_a_file_that_is_too_large_is_refused(tmp_path: Path, capsys: pytest.Capt
         (["--packets", "0"], "packets = 0: must be 1 to 5e+07"),
         (["--rate", "inf"], "rate = inf: must be 0.001 to 1e+09"),
         (["--csv", "-", "--json", "-"], "csv, json: only one of the two"),
+        (["--csv", "one", "--json", "./one"], "one: is to be written twice: give two files"),
         (["remote_psh"], "remote_psh: no shipped scene and no such file: did you mean remote_push?"),
     ],
 )

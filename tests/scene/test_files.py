@@ -656,6 +656,8 @@ def test_samples_are_taken_row_by_row(sweeps_run: list[dict[str, Any]]) -> None:
         ({"grid": {"safety.window": [1]}, "threads": True}, "threads = true: must be a whole number, 1 to 1024"),
         ({"grid": {"safety.window": [1]}, "seed": "a"}, 'seed = "a": must be a whole number, 0 or more'),
         ({"grid": {"safety.window": [1]}, "progress": 5}, "progress = 5: must be a function"),
+        ({"grid": {"safety.window": [1]}, "lanes": "no"}, 'lanes = "no": must be true or false'),
+        ({"grid": {"run.seed": range(10**9), "safety.window": [1]}}, "a grid of 1000000000 scenarios: must be at most"),
     ],
 )
 def test_a_sweep_of_nothing_is_refused(arguments: dict[str, Any], said: str) -> None:
@@ -669,6 +671,24 @@ def test_what_names_no_scene_is_refused(scene: object) -> None:
     for run in (simulate, load_scene, partial(sweep, grid={"safety.window": [1]})):
         with pytest.raises(SceneError, match=r"^scene = .*: must be the name of a shipped scene or the path of a TOML"):
             run(cast("Any", scene))
+
+
+@pytest.mark.parametrize(
+    ("record", "said"),
+    [
+        ("a.mcap", "must be two files, of master and slave"),
+        (["a.mcap", "b.mcap"], "must be two files"),
+        (("a.mcap", 2), "must be two files"),
+        (("a.mcap", "./a.mcap"), "master and slave both name a.mcap: give two files"),
+    ],
+)
+def test_files_to_record_that_are_no_two_are_refused(
+    record: object, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SceneError, match=f"^record.*: {re.escape(said)}"):
+        simulate("remote_push", record=cast("Any", record))
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("overrides", [5, None, "safety.window=3", [5], {"safety.window": 3}])

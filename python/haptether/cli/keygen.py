@@ -30,6 +30,9 @@ class Keygen:
         """Writes the file."""
         from haptether.bridge import write_key
 
+        if self.path.is_dir():
+            message = f"{self.path}: is a folder, must be a file"
+            raise OSError(message)
         write_key(self.path, replace=self.force)
         print(f"{self.path}: a new key, mode 0600; the other side needs the same file")
         return 0

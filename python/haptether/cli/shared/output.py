@@ -64,10 +64,16 @@ def check_target(*targets: Path | None) -> None:
 
     Raises:
         OSError: With the path and what is in the way, be it a symbolic link.
+        ValueError: One file twice: what is written last would destroy the other.
     """
+    seen = set[Path]()
     for target in targets:
         if target is None or str(target) == "-":
             continue
+        if target.resolve() in seen and not is_stream(target):
+            message = f"{target}: is to be written twice: give two files"
+            raise ValueError(message)
+        seen.add(target.resolve())
         if target.is_dir():
             message = f"{target}: is a folder, must be a file"
             raise OSError(message)
