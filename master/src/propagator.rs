@@ -334,8 +334,9 @@ mod tests {
             lengths in prop::collection::vec((prop_oneof![1..2_000_000u64, 1..200_000_000u64], 1..60usize), 1..30),
         ) {
             let hand = trembling(frequency_hz);
-            let (mut outlook, mut now_ns, mut turned) = (Outlook::new(&hand, 0.0), 0, 0);
+            let (mut outlook, mut now_ns) = (Outlook::new(&hand, 0.0), 0);
             for (length_ns, ticks) in lengths {
+                let mut turned = 0;
                 for tick in 0..ticks {
                     now_ns += length_ns;
                     let t = now_ns as f64 / 1e9;

@@ -139,8 +139,6 @@ impl Default for SafetySettings {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SafetyController<const N: usize, S = f64> {
     controllers: Built<N, S>,
-    /// Whether there is neither a controller nor a probe; lanes do not ask.
-    is_empty: bool,
     damping: S,
     hold_off_ticks: S,
     ramp_ticks: S,
@@ -176,9 +174,7 @@ impl<const N: usize> SafetyController<N> {
         let controllers = Built::new(device, period_s, settings)?;
         let damps = ControllerKind::cancelling().any(|kind| settings.controllers.contains(kind));
         let damping = dampable("damping", "mu", settings.damping, device, period_s, damps)?;
-        let probe = GraspProbe::new(device, period_s, settings)?.filter(|_| damps).map(GraspProbes::one);
         Ok(Self {
-            is_empty: controllers.kinds() == Controllers::NONE && probe.is_none(),
             controllers,
             damping,
             hold_off_ticks: ticks("hold_off_s", settings.hold_off_s)?,
@@ -186,7 +182,7 @@ impl<const N: usize> SafetyController<N> {
             on_for: 0.0,
             fading_for: 0.0,
             let_through: 1.0,
-            probe,
+            probe: GraspProbe::new(device, period_s, settings)?.filter(|_| damps).map(GraspProbes::one),
         })
     }
 
@@ -215,7 +211,6 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     pub fn gather(of: &[SafetyController<N>]) -> Option<Self> {
         Some(Self {
             controllers: Built::gather(&of.iter().map(|one| &one.controllers).collect::<Vec<_>>())?,
-            is_empty: of.iter().all(|one| one.is_empty),
             damping: pack(of, |one| one.damping)?,
             hold_off_ticks: pack(of, |one| one.hold_off_ticks)?,
             ramp_ticks: pack(of, |one| one.ramp_ticks)?,
@@ -229,7 +224,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     /// `F_c` for this tick, with damping in the share `authority` (0 to 1) only; nothing is checked.
     #[inline(always)]
     pub fn respond(&mut self, seen: &Observation<N, S>, authority: S) -> Response<N, S> {
-        if S::LANES == 1 && self.is_empty {
+        if S::LANES == 1 && self.controllers.is_empty() && self.probe.is_none() {
             return Response::none();
         }
         let verdicts = self.judge(seen);

@@ -118,6 +118,11 @@ macro_rules! controllers {
                 owed
             }
 
+            #[inline(always)]
+            fn is_empty(&self) -> bool {
+                true $(&& self.$file.is_none())+
+            }
+
             fn kinds(&self) -> Controllers {
                 Controllers::NONE $(.with(ControllerKind::$kind, self.$file.is_some()))+
             }
