@@ -1,4 +1,4 @@
-//! Eight scenarios side by side: the scalar that sweeps compute with.
+//! Scenarios side by side: the scalar that sweeps compute with.
 //!
 //! An array and loops over it, which the compiler translates into whatever vectors the processor has. A mask is made of
 //! numbers as well: from bytes or bits per lane the compiler makes logic lane by lane, and no vectors at all.
@@ -10,23 +10,26 @@ use std::ops::{
 use nalgebra::{SimdBool, SimdPartialOrd, SimdValue};
 use num_traits::{One, Zero};
 
-/// How many.
-pub(crate) const LANES: usize = 8;
+/// How many scenarios fill the registers of most processors.
+pub(crate) const NARROW: usize = 8;
+
+/// How many fill those of AVX-512, which are twice as wide and twice as many.
+pub(crate) const WIDE: usize = 16;
 
 /// One number of each scenario.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(64))]
-pub(crate) struct Lanes([f64; LANES]);
+pub(crate) struct Lanes<const WIDTH: usize>([f64; WIDTH]);
 
 /// One truth of each scenario: 1 or 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(64))]
-pub(crate) struct LaneMask([f64; LANES]);
+pub(crate) struct LaneMask<const WIDTH: usize>([f64; WIDTH]);
 
 const TRUE: f64 = 1.0;
 const FALSE: f64 = 0.0;
 
-impl Lanes {
+impl<const WIDTH: usize> Lanes<WIDTH> {
     #[inline(always)]
     fn each(self, f: impl Fn(f64) -> f64) -> Self {
         Self(std::array::from_fn(|lane| f(self.0[lane])))
@@ -38,12 +41,12 @@ impl Lanes {
     }
 
     #[inline(always)]
-    fn compare(self, other: Self, f: impl Fn(f64, f64) -> bool) -> LaneMask {
+    fn compare(self, other: Self, f: impl Fn(f64, f64) -> bool) -> LaneMask<WIDTH> {
         LaneMask(std::array::from_fn(|lane| if f(self.0[lane], other.0[lane]) { TRUE } else { FALSE }))
     }
 }
 
-impl LaneMask {
+impl<const WIDTH: usize> LaneMask<WIDTH> {
     #[inline(always)]
     fn with(self, other: Self, f: impl Fn(f64, f64) -> f64) -> Self {
         Self(std::array::from_fn(|lane| f(self.0[lane], other.0[lane])))
@@ -52,7 +55,7 @@ impl LaneMask {
 
 macro_rules! arithmetic {
     ($(($operator:ident, $method:ident, $assign:ident, $assign_method:ident, $sign:tt)),*) => {$(
-        impl $operator for Lanes {
+        impl<const WIDTH: usize> $operator for Lanes<WIDTH> {
             type Output = Self;
 
             #[inline(always)]
@@ -61,7 +64,7 @@ macro_rules! arithmetic {
             }
         }
 
-        impl $assign for Lanes {
+        impl<const WIDTH: usize> $assign for Lanes<WIDTH> {
             #[inline(always)]
             fn $assign_method(&mut self, other: Self) {
                 *self = *self $sign other;
@@ -77,7 +80,7 @@ arithmetic!(
     (Div, div, DivAssign, div_assign, /)
 );
 
-impl Neg for Lanes {
+impl<const WIDTH: usize> Neg for Lanes<WIDTH> {
     type Output = Self;
 
     #[inline(always)]
@@ -86,28 +89,28 @@ impl Neg for Lanes {
     }
 }
 
-impl Zero for Lanes {
+impl<const WIDTH: usize> Zero for Lanes<WIDTH> {
     #[inline(always)]
     fn zero() -> Self {
-        Self([0.0; LANES])
+        Self([0.0; WIDTH])
     }
 
     #[inline(always)]
     fn is_zero(&self) -> bool {
-        self.0 == [0.0; LANES]
+        self.0 == [0.0; WIDTH]
     }
 }
 
-impl One for Lanes {
+impl<const WIDTH: usize> One for Lanes<WIDTH> {
     #[inline(always)]
     fn one() -> Self {
-        Self([1.0; LANES])
+        Self([1.0; WIDTH])
     }
 }
 
 macro_rules! logic {
     ($(($operator:ident, $method:ident, $formula:expr)),*) => {$(
-        impl $operator for LaneMask {
+        impl<const WIDTH: usize> $operator for LaneMask<WIDTH> {
             type Output = Self;
 
             #[inline(always)]
@@ -124,7 +127,7 @@ logic!(
     (BitXor, bitxor, |a, b| (a - b) * (a - b))
 );
 
-impl Not for LaneMask {
+impl<const WIDTH: usize> Not for LaneMask<WIDTH> {
     type Output = Self;
 
     #[inline(always)]
@@ -133,16 +136,16 @@ impl Not for LaneMask {
     }
 }
 
-impl LaneMask {
+impl<const WIDTH: usize> LaneMask<WIDTH> {
     /// The bits of each lane, from memory. A question about all lanes at once would otherwise be answered lane by lane,
     /// and with it all that the mask was made of.
     #[inline(always)]
-    fn bits(self) -> [u64; LANES] {
+    fn bits(self) -> [u64; WIDTH] {
         std::hint::black_box(self.0).map(f64::to_bits)
     }
 }
 
-impl SimdBool for LaneMask {
+impl<const WIDTH: usize> SimdBool for LaneMask<WIDTH> {
     #[inline(always)]
     fn bitmask(self) -> u64 {
         self.0.iter().enumerate().fold(0, |mask, (lane, truth)| mask | u64::from(*truth != FALSE) << lane)
@@ -213,14 +216,14 @@ impl SimdBool for LaneMask {
 }
 
 #[allow(unsafe_code)] // the trait has methods that a caller may only use with a lane that there is
-impl SimdValue for Lanes {
-    const LANES: usize = LANES;
+impl<const WIDTH: usize> SimdValue for Lanes<WIDTH> {
+    const LANES: usize = WIDTH;
     type Element = f64;
-    type SimdBool = LaneMask;
+    type SimdBool = LaneMask<WIDTH>;
 
     #[inline(always)]
     fn splat(value: f64) -> Self {
-        Self([value; LANES])
+        Self([value; WIDTH])
     }
 
     #[inline(always)]
@@ -244,20 +247,20 @@ impl SimdValue for Lanes {
     }
 
     #[inline(always)]
-    fn select(self, mask: LaneMask, other: Self) -> Self {
+    fn select(self, mask: LaneMask<WIDTH>, other: Self) -> Self {
         Self(std::array::from_fn(|lane| if mask.0[lane] == FALSE { other.0[lane] } else { self.0[lane] }))
     }
 }
 
 #[allow(unsafe_code)] // as above
-impl SimdValue for LaneMask {
-    const LANES: usize = LANES;
+impl<const WIDTH: usize> SimdValue for LaneMask<WIDTH> {
+    const LANES: usize = WIDTH;
     type Element = bool;
     type SimdBool = Self;
 
     #[inline(always)]
     fn splat(value: bool) -> Self {
-        Self([if value { TRUE } else { FALSE }; LANES])
+        Self([if value { TRUE } else { FALSE }; WIDTH])
     }
 
     #[inline(always)]
@@ -286,35 +289,35 @@ impl SimdValue for LaneMask {
     }
 }
 
-impl SimdPartialOrd for Lanes {
+impl<const WIDTH: usize> SimdPartialOrd for Lanes<WIDTH> {
     #[inline(always)]
-    fn simd_gt(self, other: Self) -> LaneMask {
+    fn simd_gt(self, other: Self) -> LaneMask<WIDTH> {
         self.compare(other, |a, b| a > b)
     }
 
     #[inline(always)]
-    fn simd_lt(self, other: Self) -> LaneMask {
+    fn simd_lt(self, other: Self) -> LaneMask<WIDTH> {
         self.compare(other, |a, b| a < b)
     }
 
     #[inline(always)]
-    fn simd_ge(self, other: Self) -> LaneMask {
+    fn simd_ge(self, other: Self) -> LaneMask<WIDTH> {
         self.compare(other, |a, b| a >= b)
     }
 
     #[inline(always)]
-    fn simd_le(self, other: Self) -> LaneMask {
+    fn simd_le(self, other: Self) -> LaneMask<WIDTH> {
         self.compare(other, |a, b| a <= b)
     }
 
     #[inline(always)]
     #[allow(clippy::float_cmp)] // lane-wise equality is what is needed
-    fn simd_eq(self, other: Self) -> LaneMask {
+    fn simd_eq(self, other: Self) -> LaneMask<WIDTH> {
         self.compare(other, |a, b| a == b)
     }
 
     #[inline(always)]
-    fn simd_ne(self, other: Self) -> LaneMask {
+    fn simd_ne(self, other: Self) -> LaneMask<WIDTH> {
         self.compare(other, |a, b| a != b)
     }
 
@@ -344,7 +347,7 @@ impl SimdPartialOrd for Lanes {
     }
 }
 
-impl haptether_safety::Real for Lanes {
+impl<const WIDTH: usize> haptether_safety::Real for Lanes<WIDTH> {
     #[inline(always)]
     fn root(self) -> Self {
         self.each(f64::sqrt)
@@ -366,7 +369,7 @@ impl haptether_safety::Real for Lanes {
     }
 }
 
-impl haptether_master::Real for Lanes {
+impl<const WIDTH: usize> haptether_master::Real for Lanes<WIDTH> {
     #[inline(always)]
     fn root(self) -> Self {
         self.each(f64::sqrt)
@@ -401,47 +404,58 @@ mod tests {
         ]
     }
 
-    fn same(lanes: Lanes, lane: usize, single: f64) -> bool {
+    fn same<const WIDTH: usize>(lanes: Lanes<WIDTH>, lane: usize, single: f64) -> bool {
         lanes.extract(lane).to_bits() == single.to_bits() || (lanes.extract(lane).is_nan() && single.is_nan())
     }
 
+    /// Every operation is, lane by lane, the operation on `f64`.
+    fn lanes_are_numbers<const WIDTH: usize>(
+        a: [f64; WIDTH],
+        b: [f64; WIDTH],
+        m: [bool; WIDTH],
+    ) -> Result<(), TestCaseError> {
+        let (x, y) = (Lanes(a), Lanes(b));
+        let mut mask = LaneMask::splat(false);
+        for (lane, set) in m.iter().enumerate() {
+            mask.replace(lane, *set);
+        }
+        prop_assert_eq!(mask.any(), m.contains(&true));
+        prop_assert_eq!(mask.all(), !m.contains(&false));
+        prop_assert_eq!(mask.none(), !m.contains(&true));
+        for lane in 0..WIDTH {
+            let (p, q) = (a[lane], b[lane]);
+            prop_assert!(same(x + y, lane, p + q) && same(x - y, lane, p - q));
+            prop_assert!(same(x * y, lane, p * q) && same(x / y, lane, p / q));
+            prop_assert!(same(-x, lane, -p) && same(haptether_safety::Real::magnitude(x), lane, p.abs()));
+            prop_assert!(same(haptether_safety::Real::root(x), lane, p.sqrt()));
+            prop_assert!(same(haptether_master::Real::rounded(x), lane, p.round()));
+            prop_assert!(same(x.simd_max(y), lane, p.simd_max(q)));
+            prop_assert!(same(x.simd_min(y), lane, p.simd_min(q)));
+            prop_assert!(same(x.select(mask, y), lane, p.select(m[lane], q)));
+            prop_assert_eq!(x.simd_lt(y).extract(lane), p < q);
+            prop_assert_eq!(x.simd_le(y).extract(lane), p <= q);
+            prop_assert_eq!(x.simd_gt(y).extract(lane), p > q);
+            prop_assert_eq!(x.simd_ge(y).extract(lane), p >= q);
+            prop_assert_eq!(x.simd_eq(y).extract(lane), p == q);
+            prop_assert_eq!(x.simd_ne(y).extract(lane), p != q);
+            prop_assert_eq!((x.simd_lt(y) | mask).extract(lane), p < q || m[lane]);
+            let is_less = p < q;
+            prop_assert_eq!((!x.simd_lt(y) & mask).extract(lane), !is_less && m[lane]);
+            prop_assert_eq!(mask.bitmask() >> lane & 1 == 1, m[lane]);
+        }
+        Ok(())
+    }
+
     proptest! {
-        /// Every operation is, lane by lane, the operation on `f64`.
         #[test]
         fn a_lane_is_a_number(
-            a in prop::array::uniform8(any_number()),
-            b in prop::array::uniform8(any_number()),
-            m in prop::array::uniform8(any::<bool>()),
+            a in prop::array::uniform::<_, WIDE>(any_number()),
+            b in prop::array::uniform::<_, WIDE>(any_number()),
+            m in prop::array::uniform::<_, WIDE>(any::<bool>()),
         ) {
-            let (x, y) = (Lanes(a), Lanes(b));
-            let mut mask = LaneMask::splat(false);
-            for (lane, set) in m.iter().enumerate() {
-                mask.replace(lane, *set);
-            }
-            prop_assert_eq!(mask.any(), m.contains(&true));
-            prop_assert_eq!(mask.all(), !m.contains(&false));
-            prop_assert_eq!(mask.none(), !m.contains(&true));
-            for lane in 0..LANES {
-                let (p, q) = (a[lane], b[lane]);
-                prop_assert!(same(x + y, lane, p + q) && same(x - y, lane, p - q));
-                prop_assert!(same(x * y, lane, p * q) && same(x / y, lane, p / q));
-                prop_assert!(same(-x, lane, -p) && same(haptether_safety::Real::magnitude(x), lane, p.abs()));
-                prop_assert!(same(haptether_safety::Real::root(x), lane, p.sqrt()));
-                prop_assert!(same(haptether_master::Real::rounded(x), lane, p.round()));
-                prop_assert!(same(x.simd_max(y), lane, p.simd_max(q)));
-                prop_assert!(same(x.simd_min(y), lane, p.simd_min(q)));
-                prop_assert!(same(x.select(mask, y), lane, p.select(m[lane], q)));
-                prop_assert_eq!(x.simd_lt(y).extract(lane), p < q);
-                prop_assert_eq!(x.simd_le(y).extract(lane), p <= q);
-                prop_assert_eq!(x.simd_gt(y).extract(lane), p > q);
-                prop_assert_eq!(x.simd_ge(y).extract(lane), p >= q);
-                prop_assert_eq!(x.simd_eq(y).extract(lane), p == q);
-                prop_assert_eq!(x.simd_ne(y).extract(lane), p != q);
-                prop_assert_eq!((x.simd_lt(y) | mask).extract(lane), p < q || m[lane]);
-                let is_less = p < q;
-                prop_assert_eq!((!x.simd_lt(y) & mask).extract(lane), !is_less && m[lane]);
-                prop_assert_eq!(mask.bitmask() >> lane & 1 == 1, m[lane]);
-            }
+            lanes_are_numbers::<WIDE>(a, b, m)?;
+            let [some, other] = [a, b].map(|of| std::array::from_fn(|lane| of[lane]));
+            lanes_are_numbers::<NARROW>(some, other, std::array::from_fn(|lane| m[lane]))?;
         }
     }
 }

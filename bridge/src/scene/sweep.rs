@@ -1,33 +1,27 @@
 //! Many scenarios of one scene, over threads and in lanes.
 
 mod plan;
+mod stepped;
 
 use std::{
     collections::HashMap,
     sync::atomic::{AtomicBool, AtomicUsize, Ordering},
 };
 
-use haptether_master::SteppedMaster;
-use haptether_safety::SafetyLayer;
-use haptether_slave::RenderedWalls;
 use plan::{Column, Job, Place, Plan, bad_axes, jobs};
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::Value;
+use stepped::{run_stepped, stepped_run, takes_steps};
 
 use super::{
-    assemble::{SceneError, contradiction, is_continuous, is_formula, rendered_walls, stepped_master},
-    local::{LocalRun, check_local, local_run},
+    assemble::SceneError,
     measures::Outcome,
     metrics::Metrics,
     outcome,
     research::ResearchFactory,
     shared,
-    spec::{Integrator, SceneSpec, of_axes},
-};
-use crate::{
-    lanes::{LANES, Lanes},
-    local::{TrueWatch, Watch, Watcher, gather, gather_estimated, gather_true},
+    spec::{SceneSpec, of_axes},
 };
 
 /// One number of a scene that differs from scenario to scenario.
@@ -310,179 +304,9 @@ fn run_block<const N: usize>(
     rows.into_iter().collect::<Option<_>>().ok_or(SweepError::Stopped)
 }
 
-type SteppedRun<const N: usize, W, S> = LocalRun<SteppedMaster<N, S>, RenderedWalls<N, S>, W, N, S>;
-
-/// One scenario.
-type SingleRun<const N: usize> = SteppedRun<N, Watch<N>, f64>;
-
-/// Scenarios side by side. Who watches is known when the loop is compiled: two that are chosen between at each tick would
-/// leave all that they say in memory.
-enum LaneRun<const N: usize> {
-    Estimated(Box<SteppedRun<N, Box<SafetyLayer<N, Lanes>>, Lanes>>),
-    True(Box<SteppedRun<N, TrueWatch<N, Lanes>, Lanes>>),
-}
-
-/// Whether a scenario is run in steps, so that lanes may hold it: not with an arm, located events, an environment of more
-/// than resting walls, or more axes than lanes are compiled for.
-fn takes_steps<const N: usize>(spec: &SceneSpec<N>) -> bool {
-    N <= 3
-        && spec.slave.is_none()
-        && spec.safety.research.is_none()
-        && spec.run.integrator != Integrator::Exact
-        && spec.environment.as_ref().is_none_or(is_formula)
-}
-
-/// Runs scenarios in steps, side by side if they may.
-fn run_stepped<const N: usize>(
-    mut left: Vec<(usize, Box<SingleRun<N>>)>,
-    lanes: bool,
-    Progress { done, stop }: &Progress,
-    rows: &mut [Option<Row>],
-) {
-    while let Some(taken) = take_block(&mut left, lanes) {
-        match taken {
-            Block::Lanes(taken, mut run) => {
-                let mut ended = vec![None; taken.len()];
-                match &mut run {
-                    LaneRun::Estimated(run) => vectorised(run, stop, &mut ended),
-                    LaneRun::True(run) => vectorised(run, stop, &mut ended),
-                }
-                done.fetch_add(taken.len(), Ordering::Relaxed);
-                for (row, outcome) in taken.into_iter().zip(ended) {
-                    rows[row] = outcome.map(Ok);
-                }
-            }
-            Block::Single(row, mut run) => {
-                let mut ended = [None];
-                run.run(stop, &mut ended);
-                done.fetch_add(1, Ordering::Relaxed);
-                rows[row] = ended[0].map(Ok);
-            }
-        }
-    }
-}
-
-fn stepped_run<const N: usize>(spec: &SceneSpec<N>) -> Result<SingleRun<N>, SceneError> {
-    check_local(spec)?;
-    let Integrator::Stepped(stepping) = spec.run.integrator else {
-        return contradiction("run.integrator: must have steps");
-    };
-    let rendering = rendered_walls(spec.environment.as_ref(), !is_continuous(spec))?;
-    local_run(spec, stepped_master(spec, stepping)?, rendering, None)
-}
-
-enum Block<const N: usize> {
-    /// Rows, and their scenarios side by side.
-    Lanes(Vec<usize>, LaneRun<N>),
-    Single(usize, Box<SingleRun<N>>),
-}
-
-/// Takes scenarios that can share lanes with the first one left; alone it is taken alone.
-fn take_block<const N: usize>(left: &mut Vec<(usize, Box<SingleRun<N>>)>, lanes: bool) -> Option<Block<N>> {
-    if !lanes {
-        return left.pop().map(|(row, run)| Block::Single(row, run));
-    }
-    if left.is_empty() {
-        return None;
-    }
-    // Mostly the next ones fit. Otherwise look for those that fit the first, one by one.
-    let mut take: Vec<usize> = (0..left.len().min(LANES)).collect();
-    let mut shared = gathered(left, &take);
-    if shared.is_none() {
-        take.truncate(1);
-        for other in 1..left.len() {
-            if take.len() < LANES && gathered(left, &[take[0], other]).is_some() {
-                take.push(other);
-            }
-        }
-        shared = (take.len() > 1).then(|| gathered(left, &take)).flatten();
-    }
-    if take.len() > 1
-        && let Some(run) = shared
-    {
-        let rows = take.iter().map(|&index| left[index].0).collect();
-        let mut index = 0;
-        left.retain(|_| {
-            index += 1;
-            !take.contains(&(index - 1))
-        });
-        return Some(Block::Lanes(rows, run));
-    }
-    let (row, run) = left.remove(0);
-    Some(Block::Single(row, run))
-}
-
-/// Some scenarios side by side; lanes that are left over repeat the last one.
-fn gathered<const N: usize>(left: &[(usize, Box<SingleRun<N>>)], take: &[usize]) -> Option<LaneRun<N>> {
-    let padded = |lane: usize| &left[take[lane.min(take.len() - 1)]].1;
-    let of: Vec<_> = (0..LANES).map(padded).collect();
-    let ticks = of.first()?.ticks;
-    if of.iter().any(|one| one.ticks != ticks) {
-        return None;
-    }
-    let measures: Vec<_> = of.iter().map(|one| one.measures).collect();
-    let measures = super::measures::Measures::gather(&measures)?;
-    let loops: Vec<_> = of.into_iter().map(|one| &one.looped).collect();
-    if let Some(looped) = gather(&loops, gather_estimated) {
-        return Some(LaneRun::Estimated(Box::new(LocalRun { looped, measures, ticks })));
-    }
-    let looped = gather(&loops, gather_true)?;
-    Some(LaneRun::True(Box::new(LocalRun { looped, measures, ticks })))
-}
-
-/// Runs lanes with the widest instructions that this processor has. Their width changes no bit: there is no operation
-/// across lanes, and none is fused.
-fn vectorised<W: Watcher<N, Lanes>, const N: usize>(
-    run: &mut SteppedRun<N, W, Lanes>,
-    stop: &AtomicBool,
-    ended: &mut [Option<Outcome>],
-) {
-    struct Job<'a, W, const N: usize>(
-        &'a mut SteppedRun<N, W, Lanes>,
-        &'a AtomicBool,
-        &'a mut [Option<Outcome>],
-    );
-
-    impl<W: Watcher<N, Lanes>, const N: usize> pulp::WithSimd for Job<'_, W, N> {
-        type Output = ();
-
-        #[inline(always)]
-        fn with_simd<A: pulp::Simd>(self, _: A) {
-            self.0.run(self.1, self.2);
-        }
-    }
-    pulp::Arch::new().dispatch(Job(run, stop, ended));
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// What lanes cannot share is run one by one, with the same outcomes: so nothing else would say that they are used.
-    #[test]
-    fn scenarios_that_differ_in_a_number_share_lanes() {
-        let scene: Value = serde_json::from_slice(include_bytes!("../../benches/work_unit.json")).unwrap();
-        for (signals, controllers) in
-            [("true", "wsc"), ("true", "hsc"), ("estimated", "wsc"), ("estimated", "vfc")]
-        {
-            let runs: Vec<_> = (0..LANES)
-                .map(|lane| {
-                    let mut scene = scene.clone();
-                    scene["safety"]["signals"] = signals.into();
-                    scene["safety"]["controllers"] = vec![controllers].into();
-                    scene["operator"]["legs"][0]["end"] = vec![-0.01 * (1.0 + lane as f64)].into();
-                    let spec = SceneSpec::<1>::deserialize(&scene).unwrap();
-                    (lane, Box::new(stepped_run(&spec).unwrap()))
-                })
-                .collect();
-            let found = match gathered(&runs, &std::array::from_fn::<_, LANES, _>(|lane| lane)) {
-                Some(LaneRun::Estimated(_)) => "estimated",
-                Some(LaneRun::True(_)) => "true",
-                None => "none",
-            };
-            assert_eq!(found, signals, "{controllers}");
-        }
-    }
 
     /// Rows that are refused, as they are set or as they are built, keep their places among those that are run, alone or
     /// in lanes, and count as done.
