@@ -33,8 +33,11 @@ def _named(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.filename is not None or error.errno is None:
+        if error.filename is not None:
             raise
+        if error.errno is None:
+            message = f"{path}: {error}"
+            raise OSError(message) from None
         raise type(error)(error.errno, error.strerror, str(path)) from None
 
 

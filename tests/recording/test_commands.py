@@ -85,11 +85,28 @@ def test_export_writes_what_was_recorded(master: Path, slave: Path, tmp_path: Pa
     np.testing.assert_array_equal(table["slave_time_s"].to_numpy(), run.signals.slave_time_s)
 
 
+def test_a_table_alone_goes_to_standard_output(
+    master: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    # Rows are written some at a time.
+    monkeypatch.setattr("haptether.cli.recording.export.ROWS_AT_ONCE", 7)
+    assert main(["export", str(master), "--csv", "run.csv"]) == 0
+    assert capfd.readouterr().out == "written: run.csv\n"
+    assert main(["export", str(master), "--csv", "-", "--npz", "run.npz"]) == 0
+    printed = capfd.readouterr()
+    assert printed.out == Path("run.csv").read_text()
+    assert len(printed.out.splitlines()) == 41
+    assert printed.err == "written: run.npz\n"
+    assert not Path("-").exists()
+
+
 def test_what_cannot_be_done_is_refused(
     master: Path, slave: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "other.mcap").write_bytes(b"not a recording")
     (tmp_path / "link.csv").symlink_to(tmp_path / "nowhere")
+    (tmp_path / "full").symlink_to("/dev/full")
     empty = write_recording(tmp_path / "empty.mcap", "master", [])
     for arguments, status, text in (
         (["info"], 2, "which file?"),
@@ -115,6 +132,20 @@ def test_what_cannot_be_done_is_refused(
         (["export", str(master), "--side", "slave", "--csv", str(tmp_path / "s.csv")], 2, "there is 'master'"),
         (["export", str(master), "--csv", str(tmp_path / "link.csv")], 1, "is a symbolic link"),
         (["export", str(master), "--csv", str(master)], 2, "give two files"),
+        (["export", str(master), str(master), "--csv", str(tmp_path / "a.csv")], 2, "FILE, OTHER: both name"),
+        *(
+            (["export", str(master), "--csv", "-", f"--{name}", "-"], 2, f"--{name} -: is binary, must be a file")
+            for name in ("parquet", "npz", "foxglove")
+        ),
+        (
+            ["export", str(master), "--side", "slave", "--npz", str(tmp_path / "a.npz")],
+            2,
+            "--side slave: without --parquet or --csv there is no table of one side",
+        ),
+        *(
+            (["export", str(master), f"--{name}", str(tmp_path / "full")], 1, f"{tmp_path / 'full'}: ")
+            for name in ("parquet", "csv", "foxglove")
+        ),
         (["export", str(master), "--npz", str(tmp_path / "a.csv")], 2, "must end in .npz"),
         (["export", str(master), "--parquet", str(tmp_path / "a.csv")], 2, "must end in .parquet"),
         (["export", str(master), "--csv", str(tmp_path / "a.mcap")], 2, "must end in .csv"),

@@ -154,7 +154,7 @@ def test_what_has_no_place_is_refused(
             [files[0], shutil.copy(files[0], tmp_path / "copy.mcap"), "--foxglove", target],
             "both are of the master, must be one of each side",
         ),
-        ([files[0], "--foxglove", files[0]], "--file, --foxglove: both name"),
+        ([files[0], "--foxglove", files[0]], "FILE, --foxglove: both name"),
     ]
     for arguments, text in refused:
         assert main(["export", *(str(part) for part in arguments)]) == 2

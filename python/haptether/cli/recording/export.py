@@ -2,12 +2,17 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import IO, TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from haptether.bridge import Run
+
+ROWS_AT_ONCE = 100_000
+"""Of a table as text."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,11 +37,11 @@ class Export:
     slave_begun_s: float | None = None
     """When the slave's run began after the master's in s, where the clocks of two machines differ."""
     side: Literal["master", "slave"] | None = None
-    """Of which side the table is; by default the master where it was recorded."""
+    """Of which side the table of --parquet and --csv is; by default the master where it was recorded."""
     parquet: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write a Parquet file."""
     csv: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Write comma-separated values."""
+    """Write comma-separated values; - for standard output."""
     npz: Annotated[Path | None, tyro.conf.arg(metavar="FILE.npz")] = None
     """Write every signal as a NumPy array."""
     foxglove: Annotated[Path | None, tyro.conf.arg(metavar="FILE.mcap")] = None
@@ -46,7 +51,8 @@ class Export:
         """Writes the files.
 
         Raises:
-            ValueError: No recording, nothing to write, or a side that was not recorded.
+            ValueError: No recording, nothing to write, a binary format for standard output, a side of no table, or one
+                that was not recorded.
         """
         from haptether.cli.recording.files import read_run
         from haptether.cli.shared.output import check_distinct, check_target
@@ -57,9 +63,13 @@ class Export:
             message = "what to write? Give --parquet, --csv, --npz or --foxglove and a file"
             raise ValueError(message)
         check_distinct(
-            file=self.file, other=self.other, parquet=self.parquet, csv=self.csv, npz=self.npz, foxglove=self.foxglove
+            FILE=self.file, OTHER=self.other, parquet=self.parquet, csv=self.csv, npz=self.npz, foxglove=self.foxglove
         )
+        self._check_binary()
         check_target(*targets)
+        if self.side is not None and self.parquet is None and self.csv is None:
+            message = f"--side {self.side}: without --parquet or --csv there is no table of one side: leave it out"
+            raise ValueError(message)
         if self.npz is not None and self.npz.suffix != ".npz":
             message = f"{self.npz}: must end in .npz"
             raise ValueError(message)
@@ -78,14 +88,24 @@ class Export:
             from haptether.bridge import write_foxglove
 
             write_foxglove(self.foxglove, self.file, self.other, slave_begun_s=self.slave_begun_s)
+        console = screen(self.csv)
         for target in targets:
-            if target is not None:
-                screen().print(f"written: {target}")
+            if target is not None and str(target) != "-":
+                console.print(f"written: {target}")
         return 0
 
-    def _write_tables(self, run: "Run") -> None:
-        from haptether.private_file import private_file
+    def _check_binary(self) -> None:
+        """Refuses standard output for what is no text.
 
+        Raises:
+            ValueError: With the option.
+        """
+        for option, target in (("--parquet", self.parquet), ("--npz", self.npz), ("--foxglove", self.foxglove)):
+            if str(target) == "-":
+                message = f"{option} -: is binary, must be a file: only --csv goes to standard output"
+                raise ValueError(message)
+
+    def _write_tables(self, run: "Run") -> None:
         side = self.side or ("master" if "time_s" in run.signals else "slave")
         try:
             table = run.to_polars(side)
@@ -93,8 +113,37 @@ class Export:
             message = "tables need polars: install haptether[analysis]"
             raise ImportError(message) from None
         if self.parquet is not None:
-            with private_file(self.parquet) as file:
-                table.write_parquet(file)
+            _write_parquet(self.parquet, table)
         if self.csv is not None:
-            with private_file(self.csv) as file:
-                table.write_csv(file)
+            _write_csv(self.csv, table)
+
+
+def _write_parquet(target: Path, table: "pl.DataFrame") -> None:
+    import polars as pl
+
+    from haptether.private_file import private_file
+
+    try:
+        with private_file(target) as file:
+            table.write_parquet(file)
+    except pl.exceptions.ComputeError as error:
+        # What Polars makes of an error of the disk.
+        message = f"{target}: cannot be written: {error}"
+        raise OSError(message) from None
+
+
+def _write_csv(target: Path, table: "pl.DataFrame") -> None:
+    """Some rows at a time, by Python's own files: an error of theirs is that of the disk, or of a closed pipe."""
+    import contextlib
+    import sys
+
+    from haptether.private_file import private_file
+
+    with contextlib.ExitStack() as stack:
+        binary: IO[bytes] = sys.stdout.buffer
+        if str(target) != "-":
+            binary = stack.enter_context(private_file(target))
+        for start in range(0, max(1, len(table)), ROWS_AT_ONCE):
+            part = table.slice(start, ROWS_AT_ONCE).write_csv(include_header=start == 0)
+            binary.write(part.encode())
+        binary.flush()

@@ -59,7 +59,7 @@ class Playback:
         from haptether.cli.recording.files import check_files
         from haptether.cli.shared.output import check_distinct, check_target
 
-        check_distinct(file=self.file, key=self.key, json=self.json, out=self.out)
+        check_distinct(FILE=self.file, key=self.key, json=self.json, out=self.out)
         check_target(self.json, self.out)
         virtual = {"--plot": self.plot, "--out": self.out}
         live = {"--key": self.key, "--insecure": self.insecure or None, "--patience-s": self.patience_s}

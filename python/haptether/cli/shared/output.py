@@ -85,16 +85,19 @@ def check_target(*targets: Path | None) -> None:
 
 
 def check_distinct(**files: Path | None) -> None:
-    """Refuses options that name one file twice: what is written last would destroy the other, be it a key.
+    """Refuses arguments that name one file twice: what is written last would destroy the other, be it a key.
+
+    Args:
+        files: By the names of options; in capitals, as the help has them, those without one.
 
     Raises:
-        ValueError: With both options.
+        ValueError: With both.
     """
     seen: dict[Path, str] = {}
     for name, path in files.items():
         if path is None or str(path) == "-":
             continue
-        option = f"--{name.replace('_', '-')}"
+        option = name if name.isupper() else f"--{name.replace('_', '-')}"
         other = seen.setdefault(path.resolve(), option)
         if other != option:
             message = f"{other}, {option}: both name {path}: give two files"
