@@ -179,7 +179,7 @@ class Demo(PictureOptions):
                     console.print("interrupted: all processes have ended")
                     return 130
         picture = self.out / f"follow.{self.format or 'png'}"
-        draw_follow(scene, results, picture, self.columns)
+        draw_follow(scene, results, picture, self.page_columns)
         bare, *guarded = results
         protected = all(one.thrown_rad_s < bare.thrown_rad_s for one in guarded) and not any(r.holds for r in results)
         carried = all(one.is_carried for one in results)
@@ -229,7 +229,7 @@ class Demo(PictureOptions):
                 console.print("interrupted: all processes have ended")
                 return 130
         picture = self.out / f"pick.{self.format or 'png'}"
-        draw_pick(scene, self.out, picture, self.columns)
+        draw_pick(scene, self.out, picture, self.page_columns)
         write_report(self.json, {"scene": scene, "done": result.is_done, "picture": str(picture), "result": result})
         done = "done" if result.is_done else "NOT done as the hand did it"
         console.print(
@@ -267,6 +267,6 @@ class Demo(PictureOptions):
             console.print(f"the link did not last in: {', '.join(broken)} (see holds and the final state)")
         picture = self.out / f"demo.{self.format or 'png'}"
         write_report(self.json, {"scene": scene, "protected": protected, "picture": str(picture), "results": results})
-        draw_demo(scene, results, picture, self.columns)
+        draw_demo(scene, results, picture, self.page_columns)
         console.print(f"picture: {picture}", highlight=False)
         return 0 if protected else 1

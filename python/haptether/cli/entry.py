@@ -339,7 +339,11 @@ def complete(arguments: Sequence[str]) -> int:
 
 
 def with_backward(arguments: Sequence[str]) -> list[str]:
-    """The arguments of a command of netsim with each `--backward.key value` as `--backward-set key=value`."""
+    """The arguments of a command of netsim with each `--backward.key value` as `--backward-set key=value`.
+
+    Raises:
+        ValueError: One setting twice.
+    """
     return _with_assignments(arguments, BACKWARD, "--backward-set", ())
 
 
@@ -348,12 +352,15 @@ def with_overrides(arguments: Sequence[str]) -> list[str]:
 
     Several values after one `--set`, `--vary` or `--compare`, and of a command that opens a driver after `--options`,
     get one each.
+
+    Raises:
+        ValueError: One field twice.
     """
     if arguments and arguments[0] in SCENE_COMMANDS:
         return _with_assignments(arguments, TABLE_KEY, "--set", ("--set", "--vary", "--compare"))
     if arguments and arguments[0] in DRIVER_COMMANDS:
         return _with_assignments(arguments, None, "--options", ("--options",))
-    return list(arguments)
+    return _with_assignments(arguments, None, "--set", ())
 
 
 SCENE_COMMANDS = {"simulate", "sweep", "view", "check", "evaluate", "falsify", "thresholds"}
@@ -368,6 +375,12 @@ def _with_assignments(
     """Each option of the form `key`, if any, as an assignment after `option`; one of `repeated` before each value."""
     changed: list[str] = []
     waiting = list(arguments)
+    given: dict[str, str] = {}
+
+    def refuse_twice(assignment: str) -> None:
+        key = assignment.partition("=")[0]
+        _refuse_twice(given, key, f"{option} {key.strip()[:80]}")
+
     while waiting:
         argument = waiting.pop(0)
         name, equals, value = argument.partition("=")
@@ -375,13 +388,36 @@ def _with_assignments(
             if not equals:
                 value = waiting.pop(0) if waiting else ""
             changed += [option, f"{found[1]}={value}"]
+            _refuse_twice(given, found[1], name[:80])
         elif argument in repeated and waiting:
-            changed += [argument, waiting.pop(0)]
+            assignments = [waiting.pop(0)]
             while waiting and "=" in waiting[0] and not waiting[0].startswith("-"):
-                changed += [argument, waiting.pop(0)]
+                assignments.append(waiting.pop(0))
+            for assignment in assignments:
+                changed += [argument, assignment]
+                if argument == option:
+                    refuse_twice(assignment)
         else:
             changed.append(argument)
+            if argument == option and waiting:
+                changed.append(waiting.pop(0))
+                refuse_twice(changed[-1])
+            elif name == option and equals:
+                refuse_twice(value)
     return changed
+
+
+def _refuse_twice(given: dict[str, str], key: str, option: str) -> None:
+    """Notes the option that gives a key.
+
+    Raises:
+        ValueError: Another gives it, too: the last alone would count.
+    """
+    field = key.strip().replace("-", "_")
+    if field in given:
+        message = f"{given[field]}, {option}: one setting is given twice: leave one of the two out"
+        raise ValueError(message)
+    given[field] = option
 
 
 def summary(command: type[object]) -> str:

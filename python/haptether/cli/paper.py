@@ -46,12 +46,12 @@ class Paper(PictureOptions):
     def run(self) -> int:
         """Runs the experiments (about a second) and prints them."""
         from haptether.cli.shared.output import check_target, make_folder, require_matplotlib, write_json
-        from haptether.cli.shared.picture import check_format
+        from haptether.cli.shared.picture import check_picture_options
         from haptether.cli.shared.screen import screen
         from haptether.studies import draw_paper, paper_sensitivity, reproduce_paper
 
         check_target(self.json)
-        check_format(self.plot, self.format)
+        check_picture_options(self.plot, self)
         if self.plot is not None:
             require_matplotlib()
             make_folder(self.plot)
@@ -69,7 +69,7 @@ class Paper(PictureOptions):
         if self.json is not None:
             write_json(self.json, report.as_json())
         if self.plot is not None:
-            for path in draw_paper(report, self.plot, self.format or "png", self.columns):
+            for path in draw_paper(report, self.plot, self.format or "png", self.page_columns):
                 console.print(f"drawn: {path}")
         return 0
 

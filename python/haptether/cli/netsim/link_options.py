@@ -64,6 +64,7 @@ class LinkOptions:
 
         raw, seed, folder = _read(scene)
         flags = {name: value for name in FLAGS if (value := getattr(self, name)) is not None}
+        self._refuse_twice()
         if self.trace is not None:
             # Of the working folder, not of the scene's.
             flags["trace"] = {"file": str(self.trace.absolute())}
@@ -76,6 +77,23 @@ class LinkOptions:
         seed = seed if self.seed is None else self.seed
         check_seed(seed)
         return _typed(raw, folder, seed)
+
+    def _refuse_twice(self) -> None:
+        """Refuses a setting that is given twice, be it by a flag of its own and by `--set`: the last would count.
+
+        Raises:
+            ValueError: With both.
+        """
+        keys = [setting.partition("=")[0].strip().replace("-", "_") for setting in self.set]
+        if twice := [key for key in keys if keys.count(key) > 1]:
+            message = f"--set {twice[0][:80]}: is given twice: leave one of the two out"
+            raise ValueError(message)
+        for key in keys:
+            name = key.partition(".")[0]
+            if name in {*FLAGS, "trace"} and getattr(self, name) is not None:
+                flag = f"--{name.replace('_', '-')}"
+                message = f"{flag}, --set {key[:80]}: one setting is given twice: leave one of the two out"
+                raise ValueError(message)
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ class Sample(LinkOptions, PictureOptions):
 
         self._check()
         check_target(self.csv, self.json)
-        picture = asked_picture(self.plot, self.format)
+        picture = asked_picture(self.plot, self)
         links = self.links(self.scene)
         settings = getattr(links, self.direction)
         sent_ns = sending_times(self.packets, self.rate)
@@ -89,7 +89,7 @@ class Sample(LinkOptions, PictureOptions):
             title = f"{self.packets} packets {self.direction}{f', {through}' if through else ''}, seed {links.seed}"
             packets = verdicts.packets
             every_s = repeats_every_s(settings, self.direction)
-            write_figure(draw_link(title, packets.t_in_ns, packets.t_out_ns, every_s, self.columns), picture)
+            write_figure(draw_link(title, packets.t_in_ns, packets.t_out_ns, every_s, self.page_columns), picture)
             console.print(f"picture: {picture}")
         return 0
 

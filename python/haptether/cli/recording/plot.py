@@ -44,6 +44,6 @@ class Plot(PictureOptions):
 
         picture = picture_file(self.out or self.file.with_suffix(f".{self.format or 'png'}"), self.format)
         run = read_run(self.file, self.other, self.slave_begun_s)
-        run.plot(picture, columns=self.columns)
+        run.plot(picture, columns=self.page_columns)
         screen().print(f"picture: {picture}")
         return 0

@@ -58,10 +58,10 @@ class Replay(PictureOptions):
         from haptether.cli.shared.picture import asked_picture
         from haptether.cli.shared.screen import screen
 
-        check_distinct(file=self.file, plot=self.plot, json=self.json)
+        check_distinct(FILE=self.file, plot=self.plot, json=self.json)
         check_files(self.file)
         check_target(self.json)
-        picture = asked_picture(self.plot, self.format)
+        picture = asked_picture(self.plot, self)
         with spinner(f"replaying {self.file}"):
             recording = read_recording(self.file)
             try:
@@ -76,7 +76,7 @@ class Replay(PictureOptions):
             from haptether.view.figures.replay import draw_replay
             from haptether.view.style.figure import write_figure
 
-            write_figure(draw_replay(done, self.columns), picture)
+            write_figure(draw_replay(done, self.page_columns), picture)
             console.print(f"picture: {picture}")
         return int(not self.set and self.hand != "modelled" and not done.identical)
 

@@ -82,7 +82,7 @@ class Tune(PictureOptions):
 
         check_target(self.json)
         check_random_seed(self.seed)
-        picture = asked_picture(self.plot, self.format)
+        picture = asked_picture(self.plot, self)
         check_files(*self.recording)
         with spinner("tune") as say:
             found = tune(
@@ -106,7 +106,7 @@ class Tune(PictureOptions):
             fields = {name: getattr(found, name) for name in found.__struct_fields__}
             write_report(self.json, {**fields, "reached": found.reached, "toml": found.toml()})
         if picture is not None:
-            write_figure(draw_tuning(found, self.columns), picture)
+            write_figure(draw_tuning(found, self.page_columns), picture)
             console.print(f"picture: {picture}")
         return 0 if found.reached else 1
 

@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -63,11 +63,12 @@ class Simulate(PictureOptions):
         from haptether.bridge import SceneError, load_scene, simulate, unusual_numbers
         from haptether.cli.shared.controller_time import controller_timed
         from haptether.cli.shared.output import check_target, make_folder
-        from haptether.cli.shared.picture import check_format, picture_in
+        from haptether.cli.shared.picture import check_picture_options, picture_in
         from haptether.cli.shared.screen import screen
 
         console = screen(self.json)
         if self.list:
+            self._check_list()
             self._list(console)
             return 0
         if self.scene is None:
@@ -77,7 +78,7 @@ class Simulate(PictureOptions):
         if self.out is not None and self.out.suffix != ".npz":
             message = f"{self.out}: must end in .npz"
             raise ValueError(message)
-        check_format(self.plot, self.format)
+        check_picture_options(self.plot, self)
         picture = None
         if self.plot is not None:
             picture = picture_in(self.plot, Path(self.scene).stem, self.format)
@@ -143,7 +144,7 @@ class Simulate(PictureOptions):
         if self.record is not None:
             console.print(f"recorded: {self.record / 'master.mcap'}, {self.record / 'slave.mcap'}")
         if picture is not None:
-            run.plot(picture, columns=self.columns)
+            run.plot(picture, columns=self.page_columns)
             console.print(f"picture: {picture}")
         if run.metrics.diverged:
             last = next((event for event in run.events if event.kind == "diverged"), None)
@@ -174,6 +175,18 @@ class Simulate(PictureOptions):
             console.print(f"  {time_s:9.4f} s  {text}")
         if len(events) > EVENTS_SHOWN:
             console.print(f"  and {len(events) - EVENTS_SHOWN} more; --json has all events")
+
+    def _check_list(self) -> None:
+        """Refuses what `--list` would pass over.
+
+        Raises:
+            ValueError: With the first of it.
+        """
+        for field in fields(self):
+            if field.name != "list" and (value := getattr(self, field.name)) != field.default:
+                option = f"SCENE {value}" if field.name == "scene" else f"--{field.name}"
+                message = f"--list, {option}: no scene is run where all are listed: leave one of the two out"
+                raise ValueError(message)
 
     def _list(self, console: "Console") -> None:
         from haptether.bridge import load_scene, scene_names

@@ -85,8 +85,8 @@ class Sweep(PictureOptions):
     population: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE.toml")] = None
     """A population of hands, of which each sample draws one: stiffness, damping and what else of [operator] it has and
     the scene, too. Names: haptether list; docs/populations.md."""
-    seed: int = 1
-    """Of what is drawn, 0 or more."""
+    seed: int | None = None
+    """Of what is drawn, 0 or more; by default 1."""
     sobol: bool = False
     """Draw a scrambled Sobol sequence instead of independent numbers: means over many samples settle sooner, most so
     with a power of two of them. Needs SciPy."""
@@ -114,7 +114,7 @@ class Sweep(PictureOptions):
     """Draw the metrics as .png, .pdf or .svg: over one path as lines, with 95 % bands where run.seed varies, too; over
     two paths as maps."""
 
-    summary: tuple[str, ...] = ()
+    summary: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="METRIC|CONDITION ...")] = None
     """What the samples of each combination come to, with 95 %: metrics, or conditions: 'max_ejection_velocity>0.5'."""
     against: Annotated[str | None, tyro.conf.arg(metavar="PATH=VALUE")] = None
     """With --summary: each combination less that with this value, sample by sample, as safety.controllers=none."""
@@ -148,7 +148,7 @@ class Sweep(PictureOptions):
         paths = [*varied, *([SEED] if self.samples is not None and SEED not in varied else [])]
         if self.plot is not None:
             check_varied(paths, labelled({**design.factors, **design.samples}))
-        picture = asked_picture(self.plot, self.format)
+        picture = asked_picture(self.plot, self)
         console = screen(self.json)
         with controller_timed(console, here=self.engine == "local"):
             whole, stored = self._run_rows(design, {"grid": varied, "samples": drawn, "ties": ties}, collect=collect)
@@ -160,7 +160,7 @@ class Sweep(PictureOptions):
             write_report(self.json, report | ({"summary": summary} if summary else {}))
         self._report(console, shown, len(varied) + len(drawn) + len(ties) + 1, stored)
         if picture is not None and whole is not None:
-            write_figure(draw_sweep(self.scene, whole.columns, paths, self.columns), picture)
+            write_figure(draw_sweep(self.scene, whole.columns, paths, self.page_columns), picture)
             console.print(f"picture: {picture}")
         return 0
 
@@ -316,16 +316,17 @@ class Sweep(PictureOptions):
                 message = f"--draw {path}: given twice"
                 raise ValueError(message)
         population = None if self.population is None else load_population(self.population)
+        seed = 1 if self.seed is None else self.seed
         points = None
         if self.sobol:
             dimensions = () if population is None else population.dimensions
-            points = sobol_points([*laws, *dimensions], self.samples, self.seed)
+            points = sobol_points([*laws, *dimensions], self.samples, seed)
             drawn = {path: law.quantile(points[path]) for path, law in laws.items()}
         else:
-            drawn = {path: law.draw(generator(self.seed, path), self.samples) for path, law in laws.items()}
+            drawn = {path: law.draw(generator(seed, path), self.samples) for path, law in laws.items()}
         if population is not None:
             scene = load_scene(self.scene, self.set)
-            hands = population.draws(self.samples, self.seed, scene=scene, points=points)
+            hands = population.draws(self.samples, seed, scene=scene, points=points)
             fixed = [text.partition("=")[0].strip() for text in self.set]
             refuse_both(hands, [*drawn, *varied, *fixed])
             drawn |= hands
@@ -388,13 +389,13 @@ class Sweep(PictureOptions):
         from haptether.view.figures.sweep import METRICS as DRAWN
 
         asked = self._asked() or METRICS
-        for quantity in self.summary:
+        for quantity in self.summary or ():
             if (name := metric_of(quantity)) in METRICS and name not in asked:
                 message = f"--summary {quantity}: {name} is not measured: name it with --metrics, too"
                 raise ValueError(message)
         by = {path: values.tolist() for path, values in labelled(design.factors).items() if path != SEED}
         try:
-            check_summary(self.summary, asked, labelled(design.columns(0, 1)), by, self._baseline())
+            check_summary(self.summary or (), asked, labelled(design.columns(0, 1)), by, self._baseline())
         except ValueError as error:
             message = f"--summary {error}" if "baseline: " not in str(error) else str(error)
             raise ValueError(message.replace("baseline: ", "--against: ", 1)) from None
@@ -408,6 +409,9 @@ class Sweep(PictureOptions):
         from haptether.cli.shared.numbers import check_random_seed
 
         thread_count(self.threads)
+        if self.summary == ():
+            message = "--summary: nothing is named: give metrics, or conditions such as 'max_ejection_velocity>0.5'"
+            raise ValueError(message)
         if self.against is not None and not self.summary:
             message = "--against: give --summary, what is compared"
             raise ValueError(message)
@@ -418,7 +422,18 @@ class Sweep(PictureOptions):
             if given and self.samples is None:
                 message = f"{option}: give --samples, how many are drawn"
                 raise ValueError(message)
-        check_random_seed(self.seed)
+        if self.seed is not None:
+            check_random_seed(self.seed)
+        if not self.draw and self.population is None:
+            if self.sobol:
+                message = "--sobol: give --draw or --population, what is drawn"
+                raise ValueError(message)
+            if self.seed is not None:
+                message = (
+                    f"--seed {self.seed}: give --draw or --population, what is drawn; the seed of all runs is"
+                    f" --set {SEED}={self.seed}"
+                )
+                raise ValueError(message)
 
     def _report(self, console: "Screen", result: "SweepResult", keys: int, stored: "StoredSweep | None" = None) -> None:
         from collections import Counter

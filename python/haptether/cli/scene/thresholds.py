@@ -72,7 +72,7 @@ class Thresholds(PictureOptions):
         if unknown := [name for name in names if name not in known]:
             message = f"--controller {self.controller}: {unknown[0]!r} is none of {', '.join(known)}"
             raise ValueError(message)
-        picture = asked_picture(self.plot, self.format)
+        picture = asked_picture(self.plot, self)
         with spinner("thresholds") as say:
             found = measure_thresholds(
                 tasks=self.task or THRESHOLD_TASKS,
@@ -92,7 +92,7 @@ class Thresholds(PictureOptions):
             points = {"laws": found.laws, "points": found.points(), "rows": found.rows}
             write_report(self.json, {"seed": found.seed, "hands": found.hands, "tasks": found.tasks, **points})
         if picture is not None:
-            write_figure(draw_trade_off(found, self.columns), picture)
+            write_figure(draw_trade_off(found, self.page_columns), picture)
             console.print(f"picture: {picture}")
         return 0
 

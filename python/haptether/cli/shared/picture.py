@@ -16,8 +16,13 @@ class PictureOptions:
 
     format: Literal["png", "pdf", "svg"] | None = None
     """Of pictures; by default what their path ends in, or png."""
-    columns: Literal[1, 2] = 2
-    """How wide pictures are, in columns of a page: 3.5 or 7.16 inches."""
+    columns: Literal[1, 2] | None = None
+    """How wide pictures are, in columns of a page: 3.5 or 7.16 inches; by default 2."""
+
+    @property
+    def page_columns(self) -> Literal[1, 2]:
+        """As `columns`, with the default."""
+        return self.columns or 2
 
 
 def picture_file(path: Path, form: "PictureFormat | None") -> Path:
@@ -44,26 +49,29 @@ def picture_file(path: Path, form: "PictureFormat | None") -> Path:
     return path
 
 
-def check_format(plot: Path | None, form: "PictureFormat | None") -> None:
-    """Refuses a format where `--plot` asks for no picture.
+def check_picture_options(plot: Path | None, options: PictureOptions) -> None:
+    """Refuses options of pictures where `--plot` asks for none.
 
     Raises:
-        ValueError: It is there without one.
+        ValueError: With the option.
     """
-    if plot is None and form is not None:
-        message = f"--format {form}: no picture is asked for: give --plot, too"
-        raise ValueError(message)
+    if plot is not None:
+        return
+    for option, value in (("--format", options.format), ("--columns", options.columns)):
+        if value is not None:
+            message = f"{option} {value}: no picture is asked for: give --plot, too"
+            raise ValueError(message)
 
 
-def asked_picture(plot: Path | None, form: "PictureFormat | None") -> Path | None:
+def asked_picture(plot: Path | None, options: PictureOptions) -> Path | None:
     """As `picture_file`, of a command that draws one where `--plot` asks for it; none where it does not.
 
     Raises:
-        ValueError: As `picture_file`; a format of no picture.
+        ValueError: As `picture_file`; an option of no picture.
         OSError, ImportError: As `picture_file`.
     """
-    check_format(plot, form)
-    return None if plot is None else picture_file(plot, form)
+    check_picture_options(plot, options)
+    return None if plot is None else picture_file(plot, options.format)
 
 
 def picture_in(place: Path, name: str, form: "PictureFormat | None") -> Path:
