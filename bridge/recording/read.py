@@ -54,9 +54,12 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
 
     Raises:
         OSError: It cannot be read.
-        ValueError: It is no recording of Haptether, or of another version; it was cut off before it says what its
-            signals are; somebody compressed it.
+        ValueError: No path; it is no recording of Haptether, or of another version; it was cut off before it says what
+            its signals are; somebody compressed it.
     """
+    if not isinstance(path, str | os.PathLike) or path == "":
+        message = f"recording = {path!r}: must be the path of {RECORDED}"
+        raise ValueError(message)
     try:
         read = read_recording_columns(path)
     except OSError as error:

@@ -18,6 +18,10 @@ Path: TypeAlias = tuple[str | int, ...]
 """Where something stands in a scene: keys of tables and places in lists."""
 
 
+WHOLE = "a whole number"
+"""What a field that counts takes."""
+
+
 class SceneError(ValueError):
     """A scene that cannot be built. The message is one line: file, table, key, what was seen, what is allowed."""
 
@@ -44,7 +48,9 @@ def abridged(text: str) -> str:
 
 def wrong(path: Path, seen: object, allowed: str) -> SceneError:
     """A value that is not allowed."""
-    return SceneError(f"{place(path)} = {shown(seen)}: must be {allowed}")
+    # A float as such where a whole number is due: 1.0 is not 1.
+    text = repr(seen) if isinstance(seen, float) and allowed.startswith(WHOLE) else shown(seen)
+    return SceneError(f"{place(path)} = {text}: must be {allowed}")
 
 
 def contradiction(path: Path, problem: str) -> SceneError:
@@ -136,8 +142,19 @@ def allowed_at(path: Path, seen: Raw = None) -> str:
     if tables and len(tables) > 1:
         return f"a table whose {tables[0].tag_field} is one of {_choices(table.tag for table in tables)}"
     words = [word for kind in types_at(path) if (word := _words(kind))]
-    whole = isinstance(seen, float | str) and any(isinstance(kind, inspect.IntType) for kind in types_at(path))
-    return ("a whole number, " if whole else "") + " or ".join(dict.fromkeys(words)) or "left out"
+    return ", ".join(filter(None, (_number_due(path, seen), " or ".join(dict.fromkeys(words))))) or "left out"
+
+
+def _number_due(path: Path, seen: Raw) -> str:
+    """Which kind of number is due where `seen` is none; nothing where it is one, or may be something else."""
+    kinds = types_at(path)
+    is_number = isinstance(seen, int | float) and not isinstance(seen, bool)
+    if any(isinstance(kind, inspect.IntType) for kind in kinds):
+        return WHOLE if seen is not None and (isinstance(seen, float) or not is_number) else ""
+    others = inspect.StrType | inspect.BoolType | inspect.LiteralType | inspect.VarTupleType | inspect.DictType
+    if seen is None or is_number or any(isinstance(kind, others) for kind in kinds):
+        return ""
+    return "a number" if any(isinstance(kind, inspect.FloatType) for kind in kinds) else ""
 
 
 def _choices(values: Iterable[object]) -> str:

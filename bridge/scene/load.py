@@ -143,6 +143,9 @@ def scene_path(name_or_path: str | PathLike[str]) -> FilePath:
         raise SceneError(message)
     if isinstance(name_or_path, str) and name_or_path in scene_names():
         return _SHIPPED / f"{name_or_path}.toml"
+    if name_or_path == "":
+        message = 'scene = "": must be the name of a shipped scene or the path of a TOML file'
+        raise SceneError(message)
     path = FilePath(name_or_path)
     if path.is_dir():
         message = f"{path}: is a folder, must be the name of a shipped scene or a TOML file"

@@ -35,7 +35,7 @@ from haptether.bridge.scene.load import (
 from haptether.bridge.scene.research import Research, research_of
 from haptether.bridge.scene.run import named_scene
 from haptether.bridge.scene.sweeps.design import Values, design_of
-from haptether.bridge.scene.sweeps.limits import LARGEST_EXACT, as_typed, out_of_range, whole_number
+from haptether.bridge.scene.sweeps.limits import EXACT, LARGEST_EXACT, as_typed, out_of_range, whole_number
 from haptether.bridge.scene.sweeps.population import Population, with_population
 from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice, with_scenes
 from haptether.bridge.scene.tables.session import Scene
@@ -621,7 +621,7 @@ def _number(path: str, leaf: Leaf) -> float:
         message = f"{path} = {shown(leaf)}: a sweep of numbers cannot change it: set it for all rows"
         raise SceneError(message)
     if isinstance(leaf, int) and leaf > LARGEST_EXACT:
-        message = f"{path} = {leaf}: must be at most 2^53 in a sweep"
+        message = f"{path} = {leaf}: must be {EXACT}"
         raise SceneError(message)
     return float(leaf)
 

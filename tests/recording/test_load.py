@@ -5,7 +5,7 @@ import pickle
 import time
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import msgspec
 import numpy as np
@@ -233,6 +233,13 @@ def test_a_run_says_what_was_set_and_can_be_pickled() -> None:
     assert run.settings["safety"]["window"] == 77
     copy = pickle.loads(pickle.dumps(run))
     assert copy.settings == run.settings
+
+
+@pytest.mark.parametrize("path", [3, "", None, True, b"a.mcap"])
+def test_what_is_no_path_is_refused(path: object) -> None:
+    for read in (load, read_recording):
+        with pytest.raises(ValueError, match=rf"^recording = {path!r}: must be the path of what --record of master"):
+            read(cast("Any", path))
 
 
 @pytest.mark.live

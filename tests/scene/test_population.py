@@ -136,11 +136,12 @@ def test_a_file_without_measurements_is_refused(text: str | None, problem: str, 
         "", "cauchy:1:2", "uniform:1", "uniform:1:2:3", "uniform:2:1", "uniform:a:b", "loguniform:0:1", "normal:1:0",
         "lognormal:0:1", "lognormal:1:0", "normal:nan:1", "uniform:0:inf", "quantiles:0=1", "quantiles:0=1:0=2",
         "quantiles:-0.1=1:1=2", "quantiles:0=1:1.1=2", "quantiles:0=2:1=1", "quantiles:0=1:1", "quantiles:0=1:1=nan",
-        "measured:", "measured:a.csv",
+        "measured:", "measured:a.csv", "uniform:",
     ],
 )  # fmt: skip
 def test_a_law_in_no_form_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="must be uniform:a:b with a < b"):
+    form = "measured:FILE.csv:COLUMN" if text.startswith("measured") else "uniform:a:b with a < b"
+    with pytest.raises(ValueError, match=re.escape(f'"{text}": must be {form}')):
         law_of(text)
 
 
@@ -281,6 +282,11 @@ def test_a_population_that_cannot_be_is_refused_on_the_command_line(
         ({"population": "handle", "samples": {"run.seed": [1.0]}, "seed": 1.5}, "seed = 1.5: must be a whole number"),
         ({"population": "handle", "samples": {"run.seed": 3}}, "run.seed = 3: must be a list of values"),
         ({"population": "", "samples": {"run.seed": [1.0]}}, '"": no such population: there is handle, '),
+        (
+            {"population": str(Path(__file__).parent), "samples": {"run.seed": [1.0]}},
+            "scene: is a folder, must be the name of a shipped population or a TOML file",
+        ),
+        ({"population": __file__, "samples": {"run.seed": [1.0]}}, "test_population.py: must end in .toml, or be the"),
         ({"population": 5, "samples": {"run.seed": [1.0]}}, "population = 5: must be the name of a shipped population"),
         ({"population": "handle", "samples": {"operator.damping": [1.0]}}, "operator.damping: is drawn from"),
     ],
@@ -346,7 +352,7 @@ def test_a_file_of_ones_own_is_read(tmp_path: Path) -> None:
         ("stiffness = 100.0", "stifness = 1\nstiffness = 100.0", "(one).figures: no key stifness: did you mean"),
         ('"uniform:1:2"', '"uniform:-1:2"', "figures: damping = \"uniform:-1:2\": must be 0 or more throughout"),
         ('"uniform:1:2"', '"normal:5:1"', "figures: damping = \"normal:5:1\": must be 0 or more throughout"),
-        ('"uniform:1:2"', '"uniform:2:1"', "hands.0 (one).figures: damping: uniform:2:1: must be uniform:a:b"),
+        ('"uniform:1:2"', '"uniform:2:1"', "hands.0 (one).figures: damping: \"uniform:2:1\": must be uniform:a:b"),
         ('"spring-damper"', '"spring"', 'hands.0 (one): model = "spring": must be one of spring-damper'),
         ("subjects = 3", "subjects = 0", "hands.0 (one): subjects = 0: must be a whole number of 1 or more"),
         ("subjects = 3", "weight = 0", "hands.0 (one): weight = 0: must be a finite number above 0"),

@@ -217,7 +217,7 @@ BAD_ARM_SCENES: list[tuple[dict[str, Any], str]] = [
     ({"environment.objects.1.shape.radios": 1.0}, "[environment.objects.1.shape] has no key radios: did you mean radius?"),
     # types
     ({"run.seed": 1.5}, "[run] seed = 1.5: must be a whole number, at least 0"),
-    ({"run.duration_s": "long"}, '[run] duration_s = "long": must be 1e-09 to 1000000'),
+    ({"run.duration_s": "long"}, '[run] duration_s = "long": must be a number, 1e-09 to 1000000'),
     ({"run.stop_early": 1}, "[run] stop_early = 1: must be true or false"),
     ({"run": 3}, "run = 3: must be a table"),
     ({"operator.legs": 3}, "[operator] legs = 3: must be a list of tables"),

@@ -13,12 +13,14 @@ import numpy.typing as npt
 
 from haptether.bridge.scene.errors import Path, SceneError, allowed_at, keys_at, shown
 from haptether.bridge.scene.load import path_of
-from haptether.bridge.scene.sweeps.limits import takes_numbers
+from haptether.bridge.scene.sweeps.limits import EXACT, LARGEST_EXACT, counts_on, takes_numbers
 from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice
 
 Values: TypeAlias = "Sequence[Any] | npt.NDArray[np.float64]"
 """Of one path: numbers, or whatever else a field takes."""
 
+ALLOWED = "numbers, strings, booleans, lists or tables"
+"""What values may be."""
 MOST_SPANNED = 4
 """A batch grows to at most so many times its size to keep rows together that may begin alike."""
 
@@ -186,19 +188,26 @@ def _values_of_path(path: str, values: Values) -> npt.NDArray[Any]:
     values = _without_numpy(values if isinstance(values, np.ndarray) else list(values))
     if any(isinstance(value, bool | str | list | Mapping | SceneChoice) for value in values):
         return _categories(path, values)
+    if None in values:
+        message = f"{path} = nothing: must be {ALLOWED}"
+        raise SceneError(message)
     try:
         numbers = np.array(values, dtype=np.float64)
     except OverflowError:
         message = f"{path}: a number beyond {sys.float_info.max:.2g}: must be numbers that float64 holds"
         raise SceneError(message) from None
     except (TypeError, ValueError):
-        message = f"{path}: values that are neither numbers, strings, booleans, lists nor tables"
+        message = f"{path}: holds what is none of {ALLOWED}"
         raise SceneError(message) from None
     if numbers.ndim != 1 or numbers.size == 0:
         message = f"{path}: values of shape {numbers.shape}: must be a list of at least one number"
         raise SceneError(message)
     if not np.isfinite(numbers).all():
         message = f"{path} = {numbers[~np.isfinite(numbers)][0]}: must be a finite number"
+        raise SceneError(message)
+    if path != SCENE and counts_on(path_of(path)) and (large := np.flatnonzero(np.abs(numbers) > LARGEST_EXACT)).size:
+        # Here, where it is as it was given, and not as it was rounded.
+        message = f"{path} = {shown(values[large[0]])}: must be {EXACT}"
         raise SceneError(message)
     return numbers
 
@@ -243,7 +252,7 @@ def _check_encodable(path: str, value: object) -> None:
 
 
 def _refuse_type(value: object) -> None:
-    message = f"holds a {type(value).__qualname__}: must be numbers, strings, booleans, lists or tables"
+    message = f"holds a {type(value).__qualname__}: must be {ALLOWED}"
     raise TypeError(message)
 
 

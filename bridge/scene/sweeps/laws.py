@@ -15,6 +15,8 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from haptether.bridge.scene.errors import shown
+
 Array: TypeAlias = npt.NDArray[np.float64]
 
 FORMS = (
@@ -103,7 +105,8 @@ def law_of(text: str, folder: Path | None = None) -> SampleLaw:
         path, _, column = rest.rpartition(":")
         if path and column:
             return measured_law(path if folder is None else folder / path, column)
-        rest = ""
+        message = f"{shown(text)}: must be measured:FILE.csv:COLUMN"
+        raise ValueError(message)
     parts = rest.split(":")
     try:
         if name == "quantiles":
@@ -113,7 +116,7 @@ def law_of(text: str, folder: Path | None = None) -> SampleLaw:
     except ValueError:
         numbers = []
     if not _holds(name, numbers):
-        message = f"{text}: must be {FORMS}"
+        message = f"{shown(text)}: must be {FORMS}"
         raise ValueError(message)
     return SampleLaw(name, tuple(numbers))
 

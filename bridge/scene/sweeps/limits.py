@@ -9,8 +9,10 @@ from msgspec import inspect
 
 from haptether.bridge.scene.errors import Path, allowed_at, members, shown, types_at, wrong
 
-LARGEST_EXACT = 2**53
-"""Values travel as float64: whole numbers beyond this are not exact."""
+LARGEST_EXACT = 2**53 - 1
+"""Values travel as float64: of two whole numbers above this, both may be the same one."""
+EXACT = "a whole number below 2^53: the columns of a sweep are float64"
+"""What a field that counts takes, where it varies."""
 
 
 def takes_numbers(path: Path) -> bool:
@@ -19,6 +21,14 @@ def takes_numbers(path: Path) -> bool:
     items = [item for kind in kinds if isinstance(kind, inspect.VarTupleType) for item in members(kind.item_type)]
     # Nobody here knows the types of what a driver or a controller of one's own takes.
     return any(isinstance(kind, inspect.FloatType | inspect.IntType | inspect.AnyType) for kind in (*kinds, *items))
+
+
+def counts_on(path: Path) -> bool:
+    """Whether whole numbers alone may stand at a path, and such that float64 does not hold are among them."""
+    numbers = [kind for kind in types_at(path) if isinstance(kind, inspect.FloatType | inspect.IntType)]
+    return bool(numbers) and all(
+        isinstance(kind, inspect.IntType) and (kind.le is None or kind.le > LARGEST_EXACT) for kind in numbers
+    )
 
 
 def out_of_range(path: Path, values: npt.NDArray[np.float64]) -> dict[int, str]:
@@ -38,6 +48,9 @@ def out_of_range(path: Path, values: npt.NDArray[np.float64]) -> dict[int, str]:
     outside = {}
     for row in np.flatnonzero(~good).tolist():
         seen = as_typed(float(values[row]))
+        if counts_on(path) and abs(seen) > LARGEST_EXACT:
+            outside[row] = str(wrong(path, seen, EXACT))
+            continue
         outside[row] = str(wrong(path, seen, allowed_at(path, seen)))
     return outside
 

@@ -279,10 +279,11 @@ class Sweep(PictureOptions):
                 message = f"--vary {path}: given twice: give all its values at once, as {path}=v1,v2"
                 raise ValueError(message)
             # Of what is no number, as tables show it: lists have no hash.
-            names = values if all(isinstance(one, float) for one in values) else [label(one) for one in values]
+            names = [one if type(one) in {int, float} else label(one) for one in values]
             if len(set(names)) < len(names):
-                again = [one for one, times in Counter(names).items() if times > 1]
-                message = f"--vary {path}: {again[0]} is there more than once"
+                again = next(one for one, times in Counter(names).items() if times > 1)
+                seen = f"{again:.10g}" if isinstance(again, float) else again
+                message = f"--vary {path}: {seen} is there more than once"
                 raise ValueError(message)
             varied[path] = values
         ties: dict[str, str] = {}
@@ -294,9 +295,11 @@ class Sweep(PictureOptions):
                 message = f"--tie {path}: {len(alike)} paths of that name vary: give {path}=PATH"
                 raise ValueError(message)
             ties[path] = leading if given else alike[0]
-        if twice := [path for text in self.set if (path := text.partition("=")[0].strip()) in {*varied, *ties}]:
-            message = f"--set {twice[0]}: varies by itself: leave one of the two out"
-            raise ValueError(message)
+        for path in _fields_of(self.set):
+            for option, given in (("--vary", varied), ("--tie", ties)):
+                if path in given:
+                    message = f"{option} {path}, --set {path}: one field is given twice: leave one of the two out"
+                    raise ValueError(message)
         return varied, ties
 
     def _drawn(self, varied: dict[str, list[Any]]) -> dict[str, "npt.NDArray[np.float64]"]:
@@ -327,8 +330,7 @@ class Sweep(PictureOptions):
         if population is not None:
             scene = load_scene(self.scene, self.set)
             hands = population.draws(self.samples, seed, scene=scene, points=points)
-            fixed = [text.partition("=")[0].strip() for text in self.set]
-            refuse_both(hands, [*drawn, *varied, *fixed])
+            refuse_both(hands, [*drawn, *varied, *_fields_of(self.set)])
             drawn |= hands
         if SEED not in varied:
             drawn.setdefault(SEED, np.arange(1.0, self.samples + 1.0))
@@ -496,6 +498,11 @@ def reason_lines(reasons: "Iterable[RowReason]", others: int) -> "Iterator[str]"
         yield f"and {others} more rows with other reasons; --out and --json have all"
 
 
+def _fields_of(assignments: "Iterable[str]") -> list[str]:
+    """The fields that `path=value` sets, as scenes spell them."""
+    return [text.partition("=")[0].strip().replace("-", "_") for text in assignments]
+
+
 def spelled(path: str) -> str:
     """A path as scenes spell it: "-" may stand for "_".
 
@@ -578,16 +585,23 @@ def _unquoted(item: str) -> str:
 
 
 def _value_of(path: str, item: str) -> "Raw":
+    import math
+
     from msgspec import inspect
 
     from haptether.bridge.scene.errors import types_at
     from haptether.bridge.scene.load import path_of, toml_value
+    from haptether.bridge.scene.sweeps.limits import LARGEST_EXACT
 
     try:
-        return float(item)
+        number = float(item)
     except ValueError:
         if ":" in item and not item.strip().startswith(("[", "{", "'", '"')):
             raise
+    else:
+        # Rounded, it could not be refused as what it is.
+        is_long = math.isfinite(number) and abs(number) > LARGEST_EXACT and item.strip().isdecimal()
+        return int(item) if is_long else number
     steps = path_of(path)
     if item.strip() == "none" and any(isinstance(kind, inspect.VarTupleType) for kind in types_at(steps)):
         return []
@@ -610,5 +624,5 @@ def drawn_law(text: str) -> "tuple[str, SampleLaw]":
     try:
         return path, law_of(law)
     except ValueError as error:
-        message = f"--draw {path}={error}"
+        message = f"--draw {path}: {error}"
         raise ValueError(message) from None
