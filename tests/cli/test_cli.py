@@ -214,6 +214,13 @@ def test_output_that_cannot_be_written_is_one_line_or_none(
     with Path("/dev/full").open("wb") as full:
         status, said = ended(full)
     assert (status, said) == (1, b"" if "--json" in arguments else b"haptether: No space left on device\n")
+    closed = subprocess.run(
+        ["sh", "-c", 'exec "$@" >&-', "sh", *COMMAND, *arguments],
+        stderr=subprocess.PIPE, timeout=60, check=False, env=env, cwd=tmp_path,
+    )  # fmt: skip
+    assert closed.returncode == 1
+    assert closed.stderr.endswith(b"haptether: standard output: is closed, must be open: nothing is written there\n")
+    assert b"Traceback" not in closed.stderr
     reading, writing = os.pipe()
     os.close(reading)
     try:

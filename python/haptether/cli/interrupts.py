@@ -59,12 +59,15 @@ INTERRUPTS = Interrupts()
 
 
 def open_standard_streams() -> None:
-    """Opens what is closed of standard input, output and error: the next file or socket would take its place."""
+    """Opens what is closed of standard input, output and error: the next file or socket would take its place.
+
+    What is written to an output that was closed is an error as before, and on standard error lost.
+    """
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
-            opened = os.open(os.devnull, os.O_RDWR)
+            opened = os.open(os.devnull, os.O_WRONLY if descriptor == 2 else os.O_RDONLY)
             if opened != descriptor:
                 os.dup2(opened, descriptor)
                 os.close(opened)
