@@ -34,8 +34,8 @@ from haptether.bridge.scene.load import (
 )
 from haptether.bridge.scene.research import Research, research_of
 from haptether.bridge.scene.run import named_scene
-from haptether.bridge.scene.sweeps.design import Values, design_of
-from haptether.bridge.scene.sweeps.limits import EXACT, LARGEST_EXACT, as_typed, out_of_range, whole_number
+from haptether.bridge.scene.sweeps.design import Values, counts_of, design_of
+from haptether.bridge.scene.sweeps.limits import EXACT, LARGEST_EXACT, as_typed, check_rows, out_of_range, whole_number
 from haptether.bridge.scene.sweeps.population import Population, with_population
 from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice, with_scenes
 from haptether.bridge.scene.tables.session import Scene
@@ -66,8 +66,6 @@ _UNMEASURED = {"never-engaged", "refused"}
 """Outcomes of rows in which nothing was measured."""
 MAX_THREADS = 1024
 """Of a sweep: more take longer to be made than the rows that they run."""
-MAX_ROWS = 2_000_000
-"""Scenarios of a grid: more would not fit into memory."""
 
 
 class Sweep:
@@ -192,20 +190,17 @@ def sweep(
         SceneError: A scene that cannot be built, a path that it does not have, no row that can be built, or a file that
             is no population.
         ValueError: Neither or both of `grid` and `samples`, no values by path, samples of different lengths, a tie to
-            what does not vary, a population without samples, or one whose field is sampled, too; a metric that there is
-            not; a seed, a number of threads or a `progress` that is none.
+            what does not vary, a population without samples, or one whose field is sampled, too; too many rows; a
+            metric that there is not; a seed, a number of threads or a `progress` that is none.
     """
     asked = asked_metrics(metrics)
     overrides = override_texts(overrides)
     _, base = named_scene(scene, overrides)
     grid, samples = with_scenes("grid", grid, overrides), with_scenes("samples", samples, overrides)
+    check_rows(*counts_of(grid, samples))
     samples = with_population(base.scene, samples, population, seed)
     if (grid is None) == (samples is None):
         message = "give grid or samples: exactly one of the two"
-        raise ValueError(message)
-    # Before the values are looked at, which takes longer the more they are.
-    if (rows := math.prod(len(values) for values in (grid or {}).values())) > MAX_ROWS:
-        message = f"a grid of {rows} scenarios: must be at most {MAX_ROWS}"
         raise ValueError(message)
     design = design_of(grid, samples, ties)
     varied = design.columns(0, design.rows)

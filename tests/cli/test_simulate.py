@@ -179,7 +179,9 @@ def test_flags_with_a_dot_are_overrides(arguments: list[str], expected: list[str
         (["sweep", "remote_push", "--vary", "safety.window"], "--vary safety.window: must be path=a:b:n"),
         (["sweep", "remote_push", "--vary", "safety.window=-1,0"], "row 0: [safety] window = -1: must be 1 to 3600000"),
         (["sweep", "remote_push", "--vary", "safety.window=1", "--out", "a.txt"], "must end in .csv, .parquet or .npz"),
-        (["sweep", "remote_push", "--vary", "run.seed=0:1:9999999", "operator.damping=1,2"], "must be at most 1000000"),
+        (["sweep", "remote_push", "--vary", "run.seed=0:1:9999999", "operator.damping=1,2"], "at most 10000000 in mem"),
+        (["sweep", "remote_push", "--samples", "10000001"], "samples = 10000001: must be at most 10000000"),
+        (["sweep", "remote_push", "--samples", "9999999", "--vary", "safety.window=1,2"], "19999998 rows: must be at"),
         (["sweep", "remote_push", "--vary", "safety.window=1", "--threads", "0"], "threads = 0: must be 1 to 1024"),
     ],
 )  # fmt: skip

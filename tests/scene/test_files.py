@@ -664,7 +664,16 @@ def test_samples_are_taken_row_by_row(sweeps_run: list[dict[str, Any]]) -> None:
         ({"grid": {"safety.window": [1]}, "seed": "a"}, 'seed = "a": must be a whole number, 0 or more'),
         ({"grid": {"safety.window": [1]}, "progress": 5}, "progress = 5: must be a function"),
         ({"grid": {"safety.window": [1]}, "lanes": "no"}, 'lanes = "no": must be true or false'),
-        ({"grid": {"run.seed": range(10**9), "safety.window": [1]}}, "a grid of 1000000000 scenarios: must be at most"),
+        ({"grid": {"run.seed": range(10**9), "safety.window": [1]}}, "run.seed: 1000000000 values: must be at most"),
+        (
+            {"grid": {"run.seed": range(10**4), "safety.window": range(10**4)}},
+            "100000000 rows: must be at most 10000000 in",
+        ),
+        ({"samples": {"run.seed": range(10**9)}}, "samples = 1000000000: must be at most 10000000"),
+        (
+            {"samples": {"run.seed": range(10**9)}, "population": "handle"},
+            "samples = 1000000000: must be at most 10000000",
+        ),
     ],
 )
 def test_a_sweep_of_nothing_is_refused(arguments: dict[str, Any], said: str) -> None:

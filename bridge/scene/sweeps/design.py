@@ -131,6 +131,14 @@ def design_of(
     return design
 
 
+def counts_of(
+    grid: Mapping[str, Values] | None, samples: Mapping[str, Values] | None
+) -> tuple[dict[str, int], int | None]:
+    """How many values each path of a grid has, and how many the longest of the samples, as `check_rows` takes them."""
+    lengths = [len(values) for values in (samples or {}).values()]
+    return {path: len(values) for path, values in (grid or {}).items()}, max(lengths, default=None)
+
+
 def _check_ties(ties: Mapping[str, str] | None) -> None:
     """Refuses what is no path by path.
 

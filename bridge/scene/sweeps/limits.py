@@ -1,5 +1,7 @@
 """Which numbers a field takes, many at once."""
 
+import math
+from collections.abc import Mapping
 from numbers import Integral
 from typing import Any
 
@@ -11,8 +13,37 @@ from haptether.bridge.scene.errors import Path, allowed_at, members, shown, type
 
 LARGEST_EXACT = 2**53 - 1
 """Values travel as float64: of two whole numbers above this, both may be the same one."""
+MAX_ROWS = 10_000_000
+"""Rows of a sweep in memory, some 600 bytes each while they are run, and values of one path of any sweep."""
+MAX_STORED_ROWS = 10**12 - 1
+"""Rows of a sweep to a file: what the names in a journal count."""
 EXACT = "a whole number below 2^53: the columns of a sweep are float64"
 """What a field that counts takes, where it varies."""
+
+
+def check_rows(counts: Mapping[str, int], sampled: int | None = None, *, stored: bool = False) -> None:
+    """Refuses more rows than can be, before their values are looked at, which takes longer the more they are.
+
+    Args:
+        counts: How many values each path has of which every combination is run.
+        sampled: How many samples each combination has; none for one without samples.
+        stored: Whether the rows go to a file, batch by batch.
+
+    Raises:
+        ValueError: With what there are too many of.
+    """
+    for name, count in counts.items():
+        if count > MAX_ROWS:
+            message = f"{name}: {count} values: must be at most {MAX_ROWS}"
+            raise ValueError(message)
+    if sampled is not None and sampled > MAX_ROWS:
+        message = f"samples = {sampled}: must be at most {MAX_ROWS}"
+        raise ValueError(message)
+    rows, most = math.prod(counts.values()) * (sampled or 1), MAX_STORED_ROWS if stored else MAX_ROWS
+    if rows > most:
+        remedy = "" if stored else " in memory; a file that ends in .csv or .parquet takes more"
+        message = f"{rows} rows: must be at most {most}{remedy}"
+        raise ValueError(message)
 
 
 def takes_numbers(path: Path) -> bool:

@@ -31,8 +31,9 @@ from haptether.bridge.scene.sweep import (
     unmeasured,
 )
 from haptether.bridge.scene.sweeps.cluster import computed_by_cluster
-from haptether.bridge.scene.sweeps.design import Design, Values, design_of
+from haptether.bridge.scene.sweeps.design import Design, Values, counts_of, design_of
 from haptether.bridge.scene.sweeps.journal import Journal
+from haptether.bridge.scene.sweeps.limits import check_rows
 from haptether.bridge.scene.sweeps.population import Population, with_population
 from haptether.bridge.scene.sweeps.reasons import RowReason, RowReasons
 from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice, with_scenes
@@ -121,9 +122,9 @@ def sweep_to_file(
 
     Raises:
         SceneError: A scene that cannot be built, a path that it does not have, or no row that can be built.
-        ValueError: Another suffix; rows of an interrupted sweep and not `resume`; a resume of another scene, design,
-            version or other metrics, with what differs; a tie to what does not vary; a metric that there is not; a
-            seed, a number of threads or a `progress` that is none.
+        ValueError: Another suffix; too many rows; rows of an interrupted sweep and not `resume`; a resume of another
+            scene, design, version or other metrics, with what differs; a tie to what does not vary; a metric that there
+            is not; a seed, a number of threads or a `progress` that is none.
         ImportError: Parquet without PyArrow, or the engine dask without dask.distributed.
         OSError: A file cannot be written; a symbolic link.
     """
@@ -140,6 +141,7 @@ def sweep_to_file(
     overrides = override_texts(overrides)
     name, base = named_scene(scene, overrides)
     grid, samples = with_scenes("grid", grid, overrides), with_scenes("samples", samples, overrides)
+    check_rows(*counts_of(grid, samples), stored=path.suffix in STREAMED and not collect)
     design = design_of(grid, with_population(base.scene, samples, population, seed), ties)
     settings = SweepSettings(threads=thread_count(threads), lanes=lanes, progress=progress, metrics=asked)
     request = {

@@ -25,10 +25,6 @@ if TYPE_CHECKING:
     from haptether.studies import SummaryRow
 
 ROWS_SHOWN = 20
-MAX_ROWS = 10_000_000
-"""Of what is in memory: rows, and samples of a combination."""
-MAX_STORED_ROWS = 10**12 - 1
-"""What the names in a journal count."""
 SEED = "run.seed"
 RANGE = re.compile(r"[^:,\[{'\"]*:[^:,]*:[^:,]*")
 
@@ -125,7 +121,6 @@ class Sweep(PictureOptions):
         from haptether.bridge.scene.sweep import labelled
         from haptether.bridge.scene.sweeps.design import design_of
         from haptether.bridge.scene.sweeps.scenes import with_scenes
-        from haptether.bridge.scene.sweeps.table_file import STREAMED
         from haptether.cli.shared.controller_time import controller_timed
         from haptether.cli.shared.output import write_report
         from haptether.cli.shared.picture import asked_picture
@@ -134,17 +129,13 @@ class Sweep(PictureOptions):
         from haptether.view.style.figure import write_figure
 
         self._check_files()
+        collect = self.json is not None or self.plot is not None or bool(self.summary)
+        self._check_rows(collect=collect)
         varied, ties = self._varied()
         varied = dict(with_scenes("--vary", varied, self.set) or {})
         drawn = self._drawn(varied)
         design = design_of(varied, drawn, ties)
         self._check_columns(design)
-        collect = self.json is not None or self.plot is not None or bool(self.summary)
-        streamed = self.out is not None and self.out.suffix in STREAMED and not collect
-        most = MAX_STORED_ROWS if streamed else MAX_ROWS
-        if design.rows > most:
-            message = f"{design.rows} rows: must be at most {most}"
-            raise ValueError(message)
         paths = [*varied, *([SEED] if self.samples is not None and SEED not in varied else [])]
         if self.plot is not None:
             check_varied(paths, labelled({**design.factors, **design.samples}))
@@ -363,6 +354,14 @@ class Sweep(PictureOptions):
             message = f"{option}: give --out, the file whose rows are kept"
             raise ValueError(message)
 
+    def _check_rows(self, *, collect: bool) -> None:
+        """Refuses more rows than can be, by the counts that are given, before a value is made."""
+        from haptether.bridge.scene.sweeps.limits import check_rows
+        from haptether.bridge.scene.sweeps.table_file import STREAMED
+
+        stored = self.out is not None and self.out.suffix in STREAMED and not collect
+        check_rows({f"--vary {text}": count_of(text) for text in self.vary}, self.samples, stored=stored)
+
     def _asked(self) -> tuple[str, ...] | None:
         """The columns that are measured; none for all."""
         from haptether.bridge.scene.sweep import asked_metrics
@@ -417,8 +416,8 @@ class Sweep(PictureOptions):
         if self.against is not None and not self.summary:
             message = "--against: give --summary, what is compared"
             raise ValueError(message)
-        if self.samples is not None and not 1 <= self.samples <= MAX_ROWS:
-            message = f"samples = {self.samples}: must be {'1 or more' if self.samples < 1 else f'at most {MAX_ROWS}'}"
+        if self.samples is not None and self.samples < 1:
+            message = f"samples = {self.samples}: must be 1 or more"
             raise ValueError(message)
         for given, option in ((self.draw, "--draw"), (self.population, "--population")):
             if given and self.samples is None:
@@ -519,7 +518,7 @@ def values_of(text: str) -> tuple[str, list[Any]]:
     """The path and the values of `path=a:b:n` or `path=v1,v2,...`.
 
     Raises:
-        ValueError: Another form, or a count that is none.
+        ValueError: Another form, or a count that is none or too large.
         SceneError: What is no number, of a path that is not in the schema or in no form of TOML.
     """
     import math
@@ -527,18 +526,16 @@ def values_of(text: str) -> tuple[str, list[Any]]:
     import numpy as np
 
     from haptether.bridge import SceneError
+    from haptether.bridge.scene.sweeps.limits import check_rows
     from haptether.bridge.scene.sweeps.scenes import SCENE
 
     path, _, values = text.partition("=")
+    check_rows({f"--vary {text}": count_of(text)})
     found: list[Any] = []
-    too_many = ""
     try:
         if RANGE.fullmatch(values):
             first, last, count = values.split(":")
             if not math.isfinite(float(last) - float(first)):
-                raise ValueError
-            if int(count) > MAX_ROWS:
-                too_many = count.strip()
                 raise ValueError
             found = np.linspace(float(first), float(last), int(count)).tolist()
         else:
@@ -549,16 +546,21 @@ def values_of(text: str) -> tuple[str, list[Any]]:
         raise
     except ValueError:
         found = []
-    if too_many:
-        message = f"--vary {text}: {too_many} values: must be at most {MAX_ROWS}"
-        raise ValueError(message)
-    if not path or not found or len(found) > MAX_ROWS:
+    if not path or not found:
         message = (
             f"--vary {text}: must be path=a:b:n with n of at least 1, or path=v1,v2,... of finite numbers or of what"
             " else the field takes"
         )
         raise ValueError(message)
     return path, found
+
+
+def count_of(text: str) -> int:
+    """How many values `path=a:b:n` or `path=v1,v2,...` has; 1 of what has no such form."""
+    values = text.partition("=")[2]
+    with contextlib.suppress(ValueError):
+        return int(values.rpartition(":")[2]) if RANGE.fullmatch(values) else len(_items(values))
+    return 1
 
 
 def _items(text: str) -> list[str]:
