@@ -8,7 +8,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from os import PathLike
 from pathlib import Path as FilePath
@@ -182,7 +182,7 @@ def sweep(
         overrides: Fields to change for all rows, `table.key=value` each.
         threads: How many threads; by default as many as there are processors.
         lanes: Whether rows may be advanced side by side in one thread; the numbers are the same.
-        progress: Called from time to time with the number of rows that are done.
+        progress: Called from time to time with the number of rows that are done, and at the end with that of all.
         metrics: Columns to measure, beside how each row ended (`outcome`, `diverged`, `ticks`, `reason`); by default
             all, those of rotation for poses only. Each has the values that it has beside all others.
 
@@ -206,9 +206,20 @@ def sweep(
     varied = design.columns(0, design.rows)
     threads = thread_count(threads)
     settings = SweepSettings(threads=threads, lanes=lanes, progress=progress, metrics=asked)
-    found = measured(base, varied, settings)
+    reported = 0
+
+    def report(done: int) -> None:
+        nonlocal reported
+        reported = done
+        if progress is not None:
+            progress(done)
+
+    found = measured(base, varied, settings if progress is None else replace(settings, progress=report))
     whole = Sweep({**labelled(varied), **found})
     refuse_empty(whole)
+    if reported < design.rows:
+        # What is over before a report is due, and rows that were refused.
+        report(design.rows)
     return whole
 
 

@@ -101,7 +101,12 @@ def test_progress_counts_rows_of_all_choices() -> None:
     sweep("remote_push", {"safety.vfc_form": ["product", "both"], "run.seed": [1, 2, 3]},
           overrides=["run.duration_s=0.5"], progress=seen.append, threads=1)  # fmt: skip
     assert seen == sorted(seen)
-    assert not seen or seen[-1] <= 6
+    assert seen[-1] == 6
+    seen.clear()
+    # One row, and one that is refused.
+    sweep("remote_push", {"safety.window": [0, 1]}, overrides=["run.duration_s=0.1"], progress=seen.append)
+    assert seen[-1] == 2
+    assert seen.count(2) == 1
 
 
 def test_samples_are_the_same_in_every_combination(tmp_path: Path) -> None:
