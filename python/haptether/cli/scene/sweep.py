@@ -287,8 +287,8 @@ class Sweep(PictureOptions):
                 raise ValueError(message)
             ties[path] = leading if given else alike[0]
         for path in _fields_of(self.set):
-            for option, given in (("--vary", varied), ("--tie", ties)):
-                if path in given:
+            for option, fields in (("--vary", varied.keys()), ("--tie", ties.keys())):
+                if path in fields:
                     message = f"{option} {path}, --set {path}: one field is given twice: leave one of the two out"
                     raise ValueError(message)
         return varied, ties
