@@ -257,11 +257,13 @@ pub struct Watched<const N: usize, S: Real = f64> {
 
 /// Layers side by side; none if not all of these are layers, or are built differently.
 pub(crate) fn gather_estimated<const N: usize, S: Real>(of: &[&Watch<N>]) -> Option<Box<SafetyLayer<N, S>>> {
-    let layer = |one: &&Watch<N>| match one {
-        Watch::Estimated(layer) => Some((**layer).clone()),
-        Watch::True(_) => None,
-    };
-    let layers: Vec<_> = of.iter().map(layer).collect::<Option<_>>()?;
+    let layers: Vec<_> = of
+        .iter()
+        .map(|one| match one {
+            Watch::Estimated(layer) => Some(&**layer),
+            Watch::True(_) => None,
+        })
+        .collect::<Option<_>>()?;
     SafetyLayer::gather(&layers).map(Box::new)
 }
 
@@ -274,10 +276,10 @@ pub(crate) fn gather_true<const N: usize, S: Real>(of: &[&Watch<N>]) -> Option<T
             Watch::True(watch) => Some(watch),
         })
         .collect::<Option<_>>()?;
-    let controllers: Vec<_> = watches.iter().map(|one| one.controller.clone()).collect();
-    let bounds: Vec<_> = watches.iter().filter_map(|one| one.limiters.clone()).collect();
+    let controllers: Vec<_> = watches.iter().map(|one| &one.controller).collect();
+    let bounds: Vec<_> = watches.iter().filter_map(|one| one.limiters.as_ref()).collect();
     let limiter = |side: usize| {
-        let limiters: Vec<_> = bounds.iter().map(|limiters| limiters[side].clone()).collect();
+        let limiters: Vec<_> = bounds.iter().map(|limiters| &limiters[side]).collect();
         Limiter::gather(&limiters)
     };
     let limiters = if bounds.is_empty() { None } else { Some([limiter(0)?, limiter(1)?]) };

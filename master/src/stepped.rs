@@ -47,11 +47,13 @@ pub struct SteppedMaster<const N: usize, S = f64> {
     last_steps: (u64, u64),
     ticks: u64,
     waits: bool,
-    mass: Axes<N, S>,
+    /// 1 / m, and 1 / V_f below: a division takes longer than all else in a step.
+    per_mass: Axes<N, S>,
     viscous: Axes<N, S>,
     coulomb: Axes<N, S>,
     friction: Friction,
     friction_speed: S,
+    per_friction_speed: S,
     encoder_quantum: S,
     measures_velocity: bool,
     stops: Option<(Axes<N, S>, Axes<N, S>)>,
@@ -103,11 +105,12 @@ impl<const N: usize> SteppedMaster<N> {
             last_steps: (0, 0),
             ticks: 0,
             waits: false,
-            mass: device.mass_kg,
+            per_mass: device.mass_kg.map(f64::recip),
             viscous: device.viscous,
             coulomb: device.coulomb,
             friction: device.friction,
             friction_speed,
+            per_friction_speed: friction_speed.recip(),
             encoder_quantum: device.encoder_quantum,
             measures_velocity: device.measures_velocity,
             stops: has_stops.then_some((lower, upper)),
@@ -152,17 +155,11 @@ impl<const N: usize> SteppedMaster<N> {
         let first = of.first()?;
         let shares = |one: &Self| {
             let kinds = |master: &Self| {
-                let walls: Vec<_> = master.walls.iter().map(|wall| wall.is_two_sided).collect();
-                (
-                    master.stepping,
-                    master.step_s,
-                    master.steps,
-                    (master.ticks, master.now_ns),
-                    master.friction,
-                    walls,
-                )
+                (master.stepping, master.step_s, master.steps, master.ticks, master.now_ns, master.friction)
             };
             kinds(one) == kinds(first)
+                && one.walls.len() == first.walls.len()
+                && one.walls.iter().zip(&first.walls).all(|(a, b)| a.is_two_sided == b.is_two_sided)
                 && (one.measures_velocity, one.waits) == (first.measures_velocity, first.waits)
                 && one.stops.is_some() == first.stops.is_some()
         };
@@ -189,11 +186,12 @@ impl<const N: usize> SteppedMaster<N> {
             last_steps: first.last_steps,
             ticks: first.ticks,
             waits: first.waits,
-            mass: gather_axes(of, |one| one.mass),
+            per_mass: gather_axes(of, |one| one.per_mass),
             viscous: gather_axes(of, |one| one.viscous),
             coulomb: gather_axes(of, |one| one.coulomb),
             friction: first.friction,
             friction_speed: gather(of, |one| one.friction_speed),
+            per_friction_speed: gather(of, |one| one.per_friction_speed),
             encoder_quantum: gather(of, |one| one.encoder_quantum),
             measures_velocity: first.measures_velocity,
             stops: first.stops.is_some().then(|| (stop(|stops| stops.0), stop(|stops| stops.1))),
@@ -341,13 +339,13 @@ impl<const N: usize, S: Real> SteppedMaster<N, S> {
         if N == 1 || self.friction == Friction::Axis {
             for axis in 0..N {
                 force[axis] =
-                    self.coulomb[axis] * (velocity[axis] / self.friction_speed).simd_clamp(-one, one);
+                    self.coulomb[axis] * (velocity[axis] * self.per_friction_speed).simd_clamp(-one, one);
             }
             return force;
         }
-        let speed = velocity.dot(velocity).root().simd_max(self.friction_speed);
+        let per_speed = one / velocity.dot(velocity).root().simd_max(self.friction_speed);
         for axis in 0..N {
-            force[axis] = self.coulomb[axis] * (velocity[axis] / speed);
+            force[axis] = self.coulomb[axis] * (velocity[axis] * per_speed);
         }
         force
     }
@@ -366,7 +364,7 @@ impl<const N: usize, S: Real> SteppedMaster<N, S> {
         }
         force -= self.viscous.component_mul(velocity);
         force -= self.friction_force(velocity);
-        force.component_div(&self.mass)
+        force.component_mul(&self.per_mass)
     }
 
     #[inline(always)]

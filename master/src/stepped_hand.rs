@@ -28,6 +28,9 @@ pub struct SteppedHand<const N: usize, S = f64> {
 
 #[derive(Clone, Debug)]
 struct SteppedRelease<S> {
+    /// Before this time in s every scenario holds; from that one on all have let go for good.
+    earliest: f64,
+    latest: f64,
     at: S,
     ends: S,
     /// Share of the grip per second, while it falls.
@@ -74,6 +77,8 @@ impl<const N: usize> SteppedHand<N> {
         let release = hand.release().map(|release| {
             let [ends, begins, full] = hand.schedule().unwrap_or([release.at_s; 3]);
             SteppedRelease {
+                earliest: release.at_s,
+                latest: if hand.regrasp().is_some() { f64::INFINITY } else { ends },
                 at: release.at_s,
                 ends,
                 falls: pace(release.decay_s),
@@ -102,11 +107,10 @@ impl<const N: usize> SteppedHand<N> {
         let first = of.first()?;
         let shares = |one: &&Self| {
             let kinds = |hand: &Self| {
-                let shapes: Vec<_> = hand.legs.iter().map(|leg| leg.shape).collect();
                 let regrasps = hand.release.as_ref().map(|release| release.has_regrasp);
-                (hand.kind, shapes, regrasps, hand.tremor.is_some())
+                (hand.kind, hand.legs.len(), regrasps, hand.tremor.is_some())
             };
-            kinds(one) == kinds(first)
+            kinds(one) == kinds(first) && one.legs.iter().zip(&first.legs).all(|(a, b)| a.shape == b.shape)
         };
         if of.len() != S::LANES || !of.iter().all(shares) {
             return None;
@@ -124,6 +128,9 @@ impl<const N: usize> SteppedHand<N> {
                 latest: times(|leg| leg.latest).fold(f64::NEG_INFINITY, f64::max),
             }
         };
+        let releases = |time: fn(&SteppedRelease<f64>) -> f64| {
+            of.iter().filter_map(|one| one.release.as_ref()).map(time)
+        };
         let release = |field: fn(&SteppedRelease<f64>) -> f64| {
             gather(of, |one| one.release.as_ref().map_or(0.0, field))
         };
@@ -134,6 +141,8 @@ impl<const N: usize> SteppedHand<N> {
             strength_n: gather(of, |one| one.strength_n),
             is_unbounded: of.iter().all(|one| one.is_unbounded),
             release: first.release.as_ref().map(|of_first| SteppedRelease {
+                earliest: releases(|release| release.earliest).fold(f64::INFINITY, f64::min),
+                latest: releases(|release| release.latest).fold(f64::NEG_INFINITY, f64::max),
                 at: release(|release| release.at),
                 ends: release(|release| release.ends),
                 falls: release(|release| release.falls),
@@ -204,12 +213,18 @@ impl<const N: usize, S: Real> SteppedHand<N, S> {
         target
     }
 
-    /// The share of the grip; none where it never changes.
+    /// The share of the grip; none where it never changes, or has not begun to.
     #[inline(always)]
     fn grip(&self, t: f64) -> Option<S> {
         let release = self.release.as_ref()?;
         let (zero, one, time) = (S::splat(0.0), S::splat(1.0), S::splat(t));
         // Steps are products of seconds: what is within half a ns of a time is at that time.
+        if t + HALF_NS < release.earliest {
+            return None;
+        }
+        if t + HALF_NS >= release.latest {
+            return Some(zero);
+        }
         let now = S::splat(t + HALF_NS);
         let falling = one - (time - release.at) * release.falls;
         let held = one

@@ -101,17 +101,23 @@ impl Direction {
 
     /// Coefficient n of `w / |w|`, once those of w up to n are known; requested in order.
     fn coefficient<const N: usize>(&mut self, w: &[Axes<N>; TERMS], n: usize) -> Axes<N> {
-        self.square[n] = (0..=n).map(|i| w[i].dot(&w[n - i])).sum();
-        self.inverse[n] = if n == 0 {
-            self.square[0].sqrt().recip()
-        } else {
-            // y = s^p with p = -1/2: n s_0 y_n = sum_i (p i - (n - i)) s_i y_{n-i}.
-            let sum: f64 = (1..=n)
-                .map(|i| (-0.5 * i as f64 - (n - i) as f64) * self.square[i] * self.inverse[n - i])
-                .sum();
-            sum / (n as f64 * self.square[0])
-        };
-        (0..=n).map(|i| w[n - i] * self.inverse[i]).sum()
+        self.square[n] = squared(w, n);
+        if n == 0 {
+            self.inverse[0] = self.square[0].sqrt().recip();
+            return w[0] * self.inverse[0];
+        }
+        // y = s^p with p = -1/2: n s_0 y_n = sum_i (p i - (n - i)) s_i y_{n-i}.
+        let (mut sum, mut weight) = (0.0, -(n as f64));
+        for (square, before) in self.square[1..=n].iter().zip(self.inverse[..n].iter().rev()) {
+            weight += 0.5;
+            sum += weight * square * before;
+        }
+        self.inverse[n] = sum / (n as f64 * self.square[0]);
+        let mut direction = Axes::zeros();
+        for (w, inverse) in w[..=n].iter().rev().zip(&self.inverse) {
+            direction += w * *inverse;
+        }
+        direction
     }
 
     /// Time within which the terms beyond the last are below rounding.
@@ -378,6 +384,16 @@ fn braked<const N: usize>(free: &Axes<N>, k: &Axes<N>) -> Axes<N> {
         if excess(middle) > 0.0 { least = middle } else { most = middle }
     }
     free.zip_map(k, |free, k| free * (most / (most + k)))
+}
+
+/// Term n of the series of `|w|²`: each product of two different terms counts twice.
+#[inline]
+pub(crate) fn squared<const N: usize>(w: &[Axes<N>; TERMS], n: usize) -> f64 {
+    let mut half = if n.is_multiple_of(2) { 0.5 * w[n / 2].norm_squared() } else { 0.0 };
+    for (early, late) in w[..n.div_ceil(2)].iter().zip(w[..=n].iter().rev()) {
+        half += early.dot(late);
+    }
+    2.0 * half
 }
 
 fn masked<const N: usize>(mut value: Axes<N>, stuck: &[bool; N]) -> Axes<N> {

@@ -1,11 +1,9 @@
 //! The hand grasp force model.
 
-use nalgebra::SimdBool as _;
-
 use crate::{
     Axes, ParameterError, Real,
     estimator::Motion,
-    lanes::{norm, pack},
+    lanes::{choose, norm, pack},
     parameter::{finite, non_negative, positive},
 };
 
@@ -59,7 +57,7 @@ impl<const N: usize> DeviceModel<N> {
 
 impl<const N: usize, S: Real> DeviceModel<N, S> {
     /// As many devices as there are lanes; None for another number of them.
-    pub fn gather(of: &[DeviceModel<N>]) -> Option<Self> {
+    pub fn gather(of: &[&DeviceModel<N>]) -> Option<Self> {
         Some(Self {
             mass: pack(of, |device| device.mass)?,
             viscous: pack(of, |device| device.viscous)?,
@@ -82,8 +80,7 @@ impl<const N: usize, S: Real> DeviceModel<N, S> {
     /// Source: paper Eq. 4.
     #[inline(always)]
     pub fn grasp_force(&self, motion: &Motion<N, S>, aligned_device_force: &Axes<N, S>) -> Axes<N, S> {
-        let speed = norm(&motion.velocity);
-        let direction = speed.simd_gt(S::splat(0.0)).if_else(|| motion.velocity / speed, Axes::zeros);
+        let direction = direction(&motion.velocity);
         self.mass.component_mul(&motion.acceleration)
             + self.viscous.component_mul(&motion.velocity)
             + self.coulomb.component_mul(&direction)
@@ -95,6 +92,21 @@ impl<const N: usize, S: Real> DeviceModel<N, S> {
     pub fn kinetic_energy_j(&self, velocity: &Axes<N, S>) -> S {
         S::splat(0.5) * self.mass.component_mul(velocity).dot(velocity)
     }
+}
+
+/// `V / |V|`, zero at rest: along one axis a sign, without a root and a division at each tick.
+#[inline(always)]
+fn direction<const N: usize, S: Real>(velocity: &Axes<N, S>) -> Axes<N, S> {
+    let nothing = S::splat(0.0);
+    if N == 1 {
+        let sign = |v: S| {
+            let one = S::splat(1.0);
+            one.select(v.simd_gt(nothing), (-one).select(v.simd_lt(nothing), nothing))
+        };
+        return velocity.map(sign);
+    }
+    let speed = norm(velocity);
+    choose(speed.simd_gt(nothing), || velocity / speed, Axes::zeros)
 }
 
 #[cfg(test)]

@@ -3,8 +3,8 @@
 use std::{fmt::Debug, ops::Neg};
 
 use nalgebra::{
-    ClosedAddAssign, ClosedDivAssign, ClosedMulAssign, ClosedSubAssign, SVector, Scalar, SimdPartialOrd,
-    SimdRealField, SimdValue,
+    ClosedAddAssign, ClosedDivAssign, ClosedMulAssign, ClosedSubAssign, SVector, Scalar, SimdBool as _,
+    SimdPartialOrd, SimdRealField, SimdValue,
 };
 use num_traits::{One, Zero};
 
@@ -88,6 +88,20 @@ pub(crate) fn nowhere<S: Real>() -> S::SimdBool {
     S::splat(0.0).simd_lt(S::splat(0.0))
 }
 
+/// One of two in each lane, axis by axis; for `f64` only the one that is needed. nalgebra's own is a call that is built
+/// without the processor's vectors, and what it gets would stand in memory at each tick.
+#[inline(always)]
+pub(crate) fn choose<const N: usize, S: Real>(
+    first: S::SimdBool,
+    one: impl FnOnce() -> Axes<N, S>,
+    other: impl FnOnce() -> Axes<N, S>,
+) -> Axes<N, S> {
+    if S::LANES == 1 {
+        return first.if_else(one, other);
+    }
+    one().zip_map(&other(), |one, other| one.select(first, other))
+}
+
 /// A value of each instance, lane by lane; None unless there are as many instances as lanes.
 pub(crate) fn pack<T, P: SimdValue>(of: &[T], value: impl Fn(&T) -> P::Element) -> Option<P> {
     if of.len() != P::LANES {
@@ -125,22 +139,22 @@ pub(crate) fn shared<T, V: PartialEq>(of: &[T], value: impl Fn(&T) -> V) -> Opti
 }
 
 /// A part of each instance, gathered in order.
-pub(crate) fn part<T, P, G>(
-    of: &[T],
-    part: impl Fn(&T) -> P,
-    gather: impl FnOnce(&[P]) -> Option<G>,
+pub(crate) fn part<'a, T, P: 'a, G>(
+    of: &[&'a T],
+    part: impl Fn(&'a T) -> &'a P,
+    gather: impl FnOnce(&[&'a P]) -> Option<G>,
 ) -> Option<G> {
-    gather(&of.iter().map(part).collect::<Vec<_>>())
+    gather(&of.iter().map(|one| part(one)).collect::<Vec<_>>())
 }
 
 /// A part that all instances have, or none of them.
 #[allow(clippy::option_option)] // refused, built in none, built in all
-pub(crate) fn option<T, P, G>(
-    of: &[T],
-    part: impl Fn(&T) -> Option<P>,
-    gather: impl FnOnce(&[P]) -> Option<G>,
+pub(crate) fn option<'a, T, P: 'a, G>(
+    of: &[&'a T],
+    part: impl Fn(&'a T) -> Option<&'a P>,
+    gather: impl FnOnce(&[&'a P]) -> Option<G>,
 ) -> Option<Option<G>> {
-    let parts: Vec<_> = of.iter().filter_map(part).collect();
+    let parts: Vec<_> = of.iter().filter_map(|one| part(one)).collect();
     match parts.len() {
         0 => Some(None),
         built if built == of.len() => gather(&parts).map(Some),
@@ -155,13 +169,14 @@ mod tests {
 
     #[test]
     fn what_all_have_or_none_is_gathered() {
-        let half = |parts: &[f64]| (parts.iter().sum::<f64>() < 100.0).then_some(parts.len());
-        assert_eq!(option(&[Some(1.0), Some(2.0)], |one| *one, half), Some(Some(2)));
-        assert_eq!(option(&[None::<f64>, None], |one| *one, half), Some(None));
-        assert_eq!(option(&[Some(1.0), None], |one| *one, half), None);
-        assert_eq!(option(&[Some(99.0), Some(2.0)], |one| *one, half), None, "refused by what gathers");
-        assert_eq!(part(&[1, 2, 3], |one| f64::from(*one), half), Some(3));
-        assert_eq!(part(&[100], |one| f64::from(*one), half), None);
+        let half = |parts: &[&f64]| (parts.iter().copied().sum::<f64>() < 100.0).then_some(parts.len());
+        let all = |of: &[Option<f64>]| option(&of.iter().collect::<Vec<_>>(), |one| one.as_ref(), half);
+        assert_eq!(all(&[Some(1.0), Some(2.0)]), Some(Some(2)));
+        assert_eq!(all(&[None, None]), Some(None));
+        assert_eq!(all(&[Some(1.0), None]), None);
+        assert_eq!(all(&[Some(99.0), Some(2.0)]), None, "refused by what gathers");
+        assert_eq!(part(&[&(1.0, 0), &(2.0, 0), &(3.0, 0)], |one| &one.0, half), Some(3));
+        assert_eq!(part(&[&(100.0, 0)], |one| &one.0, half), None);
     }
 
     #[test]

@@ -222,19 +222,19 @@ impl<const N: usize> SafetyLayer<N> {
 impl<const N: usize, S: Real> SafetyLayer<N, S> {
     /// As many layers as there are lanes, without fault, whose parts can be gathered; else None. Period, estimator
     /// and what is watched must be the same in all; thresholds, bounds, times and the device need not.
-    pub fn gather(of: &[SafetyLayer<N>]) -> Option<Self> {
+    pub fn gather(of: &[&SafetyLayer<N>]) -> Option<Self> {
         if of.iter().any(|one| one.fault.is_some() || one.research.is_some()) {
             return None;
         }
         Some(Self {
-            device: part(of, |one| one.device, DeviceModel::gather)?,
-            estimator: part(of, |one| one.estimator.clone(), AnyEstimator::gather)?,
-            measured: part(of, |one| one.measured.clone(), MeasuredVelocity::gather)?,
-            rendered: option(of, |one| one.rendered.clone(), AnyEstimator::gather)?,
+            device: part(of, |one| &one.device, DeviceModel::gather)?,
+            estimator: part(of, |one| &one.estimator, AnyEstimator::gather)?,
+            measured: part(of, |one| &one.measured, MeasuredVelocity::gather)?,
+            rendered: option(of, |one| one.rendered.as_ref(), AnyEstimator::gather)?,
             last_rendered: pack(of, |one| one.last_rendered)?,
-            rendering: part(of, |one| one.rendering.clone(), Limiter::gather)?,
-            controller: part(of, |one| one.controller.clone(), SafetyController::gather)?,
-            limiter: part(of, |one| one.limiter.clone(), Limiter::gather)?,
+            rendering: part(of, |one| &one.rendering, Limiter::gather)?,
+            controller: part(of, |one| &one.controller, SafetyController::gather)?,
+            limiter: part(of, |one| &one.limiter, Limiter::gather)?,
             device_force: pack(of, |one| one.device_force)?,
             fault: None,
             research: None,

@@ -4,7 +4,7 @@ use nalgebra::SimdBool as _;
 
 use crate::{
     Axes, ParameterError, Real,
-    lanes::{norm, nowhere, pack},
+    lanes::{choose, norm, nowhere, pack},
     parameter::{in_range, positive},
 };
 
@@ -161,7 +161,7 @@ impl<const N: usize> Limiter<N> {
 
 impl<const N: usize, S: Real> Limiter<N, S> {
     /// As many limiters as there are lanes; None for another number of them.
-    pub fn gather(of: &[Limiter<N>]) -> Option<Self> {
+    pub fn gather(of: &[&Limiter<N>]) -> Option<Self> {
         Some(Self {
             max_force_n: pack(of, |one| one.max_force_n)?,
             max_power_w: pack(of, |one| one.max_power_w)?,
@@ -209,7 +209,7 @@ impl<const N: usize, S: Real> Limiter<N, S> {
         change(&mut force, power, move |force| {
             force - velocity * ((watts - max_power_w) / velocity.dot(&velocity))
         });
-        self.last = is_finite.if_else(|| force, Axes::zeros);
+        self.last = choose(is_finite, || force, Axes::zeros);
         SaturatedForce { force: self.last, norm: long, slew, power, ramp, fault: !is_finite }
     }
 
@@ -251,7 +251,7 @@ fn change<const N: usize, S: Real>(
     if place.any() {
         seldom();
         let unchanged = *force;
-        *force = place.if_else(|| changed(unchanged), || unchanged);
+        *force = choose(place, || changed(unchanged), || unchanged);
     }
 }
 
@@ -437,7 +437,7 @@ mod tests {
             use simba::simd::AutoF64x4;
             let settings = LimiterSettings { max_power_w: 5.0, ramp_in_s: 0.005, ..LimiterSettings::default() };
             let mut one = Limiter::<2>::new(1e-3, settings).unwrap();
-            let mut lanes = Limiter::<2, AutoF64x4>::gather(&vec![one.clone(); 4]).unwrap();
+            let mut lanes = Limiter::<2, AutoF64x4>::gather(&[&one; 4]).unwrap();
             let mut last = Axes::<2>::zeros();
             for (kind, force, speed) in ticks {
                 let force = Axes::<2>::from(force);

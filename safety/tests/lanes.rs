@@ -178,7 +178,7 @@ fn layer<const N: usize>(which: usize, shared: Shared, numbers: &Numbers) -> Saf
 macro_rules! agree {
     ($ones:expr, $gather:expr, $ticks:expr, |$it:ident, $at:ident| $numbers:expr) => {{
         let mut ones: Vec<_> = $ones;
-        let mut lanes = $gather(&ones).unwrap();
+        let mut lanes = $gather(&ones.iter().collect::<Vec<_>>()).unwrap();
         for tick in $ticks {
             let all = {
                 let ($it, $at) = (&mut lanes, &inputs::<N, L>(tick));
@@ -351,7 +351,7 @@ fn controller_agrees<const N: usize, L: Real>(
     let build =
         |of: &Numbers| SafetyController::<N>::new(&device(of), PERIOD_S, &safety(shared, of)).unwrap();
     let mut ones: Vec<_> = numbers[..L::LANES].iter().map(build).collect();
-    let mut lanes = SafetyController::<N, L>::gather(&ones).unwrap();
+    let mut lanes = SafetyController::<N, L>::gather(&ones.iter().collect::<Vec<_>>()).unwrap();
     let authority = numbers.map(|of| of.1[1]);
     for tick in ticks {
         let response = lanes.respond(&inputs::<N, L>(tick).seen, spread(|lane| authority[lane]));
@@ -369,7 +369,7 @@ fn limiter_agrees<const N: usize, L: Real>(
 ) -> Result<(), TestCaseError> {
     let build = |of: &Numbers| Limiter::<N>::new(PERIOD_S, limits(of)).unwrap();
     let mut ones: Vec<_> = numbers[..L::LANES].iter().map(build).collect();
-    let mut lanes = Limiter::<N, L>::gather(&ones).unwrap();
+    let mut lanes = Limiter::<N, L>::gather(&ones.iter().collect::<Vec<_>>()).unwrap();
     for (n, tick) in ticks.iter().enumerate() {
         let mut tick = *tick;
         // A lane that is not finite waits with its ramp, and disturbs no other.
@@ -396,7 +396,7 @@ fn layer_agrees<const N: usize, L: Real>(
     ticks: &[Tick],
 ) -> Result<(), TestCaseError> {
     let mut ones: Vec<_> = numbers[..L::LANES].iter().map(|of| layer::<N>(which, shared, of)).collect();
-    let mut lanes = SafetyLayer::<N, L>::gather(&ones).unwrap();
+    let mut lanes = SafetyLayer::<N, L>::gather(&ones.iter().collect::<Vec<_>>()).unwrap();
     let first = &ticks[0];
     lanes.rest_at(&inputs::<N, L>(first).position);
     for (one, sample) in ones.iter_mut().zip(first) {
@@ -496,7 +496,7 @@ fn gathers(change: impl FnOnce(&mut LayerSettings<1>)) -> bool {
     let mut layers = vec![SafetyLayer::new(&settings).unwrap(); LANES - 1];
     change(&mut settings);
     layers.push(SafetyLayer::new(&settings).unwrap());
-    SafetyLayer::<1, AutoF64x8>::gather(&layers).is_some()
+    SafetyLayer::<1, AutoF64x8>::gather(&layers.iter().collect::<Vec<_>>()).is_some()
 }
 
 #[test]
@@ -512,6 +512,6 @@ fn only_what_takes_the_same_way_is_gathered() {
     assert!(!gathers(|of| of.safety.window = 50));
     assert!(!gathers(|of| of.safety.vfc_form = VelocityForceForm::Both));
     assert!(!gathers(|of| of.estimator = EstimatorKind::BackwardDifference {}));
-    let too_few = vec![Limiter::<1>::new(PERIOD_S, LimiterSettings::default()).unwrap(); LANES - 1];
-    assert!(Limiter::<1, AutoF64x8>::gather(&too_few).is_none());
+    let one = Limiter::<1>::new(PERIOD_S, LimiterSettings::default()).unwrap();
+    assert!(Limiter::<1, AutoF64x8>::gather(&[&one; LANES - 1]).is_none());
 }

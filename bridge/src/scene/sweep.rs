@@ -108,8 +108,9 @@ pub fn sweep(
     progress: &Progress,
     research: Option<&dyn ResearchFactory>,
 ) -> Result<Vec<Row>, SweepError> {
-    let parts = sweep_parts(&[SweepPart { scene, variations }], settings, progress, research)?;
-    Ok(parts.into_iter().flatten().collect())
+    let mut parts = sweep_parts(&[SweepPart { scene, variations }], settings, progress, research)?;
+    // One part has one list of rows, which are many to copy.
+    Ok(parts.pop().unwrap_or_default())
 }
 
 /// Runs every scenario of each part.

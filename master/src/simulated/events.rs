@@ -4,7 +4,7 @@ use super::{STOPPED, SimulatedMaster, across, add};
 use crate::{
     Axes, Friction,
     polynomial::{Series, TERMS, first_negative, product},
-    stretch::{Grip, Law, Regime, Rub, Stretch},
+    stretch::{Grip, Law, Regime, Rub, Stretch, squared},
 };
 
 /// Progress in s below which an event counts as another at the same instant. At a tie (the grip exactly as strong as
@@ -269,7 +269,8 @@ impl<const N: usize> SimulatedMaster<N> {
             let mut power = 1.0;
             let mut most = 0.0;
             for wish in &stretch.wish {
-                most += wish.norm() * power;
+                // No less than the norm, without its root.
+                most += wish.iter().map(|wish| wish.abs()).sum::<f64>() * power;
                 power *= duration;
             }
             if most < strength[0].min(strength[0] + strength[1] * duration) {
@@ -473,5 +474,5 @@ struct Event {
 
 /// The series of `|w|²`.
 fn squared_norm<const N: usize>(w: &[Axes<N>; TERMS]) -> Series {
-    std::array::from_fn(|n| (0..=n).map(|i| w[i].dot(&w[n - i])).sum())
+    std::array::from_fn(|n| squared(w, n))
 }

@@ -1,6 +1,6 @@
 //! Controllers combined: any of them trips, one law answers.
 
-use nalgebra::{SimdBool as _, SimdValue as _, Vector3};
+use nalgebra::{SimdBool as _, SimdValue as _};
 
 use crate::{
     Axes, DeviceModel, Fault, Observation, ParameterError, Real,
@@ -8,7 +8,7 @@ use crate::{
         Built, ControllerKind, Controllers, PerController, Tripped, Verdicts, cancel_and_damp, dampable,
         probe::{GraspProbe, GraspProbes, Intervening},
     },
-    lanes::{nowhere, option, pack},
+    lanes::{choose, nowhere, option, pack},
     observer::VelocityForceForm,
     parameter::{in_range, positive},
 };
@@ -208,7 +208,7 @@ impl<const N: usize> SafetyController<N> {
 impl<const N: usize, S: Real> SafetyController<N, S> {
     /// As many controllers as there are lanes, which have built the same; else None. Thresholds and times may differ,
     /// the period, the window and the form of VFC may not.
-    pub fn gather(of: &[SafetyController<N>]) -> Option<Self> {
+    pub fn gather(of: &[&SafetyController<N>]) -> Option<Self> {
         Some(Self {
             controllers: Built::gather(&of.iter().map(|one| &one.controllers).collect::<Vec<_>>())?,
             damping: pack(of, |one| one.damping)?,
@@ -217,7 +217,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
             on_for: pack(of, |one| one.on_for)?,
             fading_for: pack(of, |one| one.fading_for)?,
             let_through: pack(of, |one| one.let_through)?,
-            probe: option(of, |one| one.probe.clone(), GraspProbes::gather)?,
+            probe: option(of, |one| one.probe.as_ref(), GraspProbes::gather)?,
         })
     }
 
@@ -350,26 +350,27 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         if S::LANES > 1 && (is_unsafe | on_for.simd_gt(nothing)).none() {
             return nothing;
         }
-        let off = Vector3::repeat(nothing);
-        let next = is_unsafe.if_else3(
-            || {
-                let begun = nothing.select(fading_for.simd_gt(nothing), on_for);
-                Vector3::new(all, begun + all, nothing)
-            },
-            (|| on_for.simd_eq(nothing), || off),
-            (|| stays, || Vector3::new(all, on_for + all, fading_for)),
-            // Of copies: what a call gets the address of would stand in memory at each tick.
-            move || {
-                let fading_for = fading_for + all;
-                // Slowly at first: a hand needs some 50 ms to take up a load, and one that is still taking it up
-                // looks gone.
-                let share = fading_for / (ramp_ticks + all);
-                let fades = Vector3::new(all - share * share, on_for, fading_for);
-                fading_for.simd_gt(ramp_ticks).if_else(move || off, move || fades)
-            },
+        let rests = || on_for.simd_eq(nothing);
+        let faded = fading_for + all;
+        let is_over = faded.simd_gt(ramp_ticks);
+        self.on_for = is_unsafe.if_else3(
+            || nothing.select(fading_for.simd_gt(nothing), on_for) + all,
+            (rests, || nothing),
+            (|| stays, || on_for + all),
+            || nothing.select(is_over, on_for),
         );
-        [_, self.on_for, self.fading_for] = next.into();
-        next.x
+        self.fading_for = is_unsafe.if_else3(
+            || nothing,
+            (rests, || nothing),
+            (|| stays, || fading_for),
+            || nothing.select(is_over, faded),
+        );
+        // Fading slowly at first: a hand needs some 50 ms to take up a load, and one that is still taking it up looks gone.
+        let fades = || {
+            let share = faded / (ramp_ticks + all);
+            nothing.select(is_over, all - share * share)
+        };
+        is_unsafe.if_else3(|| all, (rests, || nothing), (|| stays, || all), fades)
     }
 
     /// Share of `F_v` that the last tick let through.
@@ -511,7 +512,7 @@ impl<const N: usize, S: Real> Response<N, S> {
         let without = self.safety_force;
         self.tripped[kind] = acts;
         self.acts = self.acts | acts;
-        self.safety_force = acts.if_else(|| without + force * ((all - gain) * authority), || without);
+        self.safety_force = choose(acts, || without + force * ((all - gain) * authority), || without);
     }
 }
 

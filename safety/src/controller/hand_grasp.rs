@@ -74,9 +74,9 @@ impl<const N: usize, S: Real> Controller<N, S> for HandGraspController<N, S> {
             .map_err(|error| error.of_field("velocity_threshold", "hsc_velocity_threshold"))
     }
 
-    fn gather(of: &[Self::One]) -> Option<Self> {
+    fn gather(of: &[&Self::One]) -> Option<Self> {
         Some(Self {
-            observer: part(of, |one| one.observer, HandGraspObserver::gather)?,
+            observer: part(of, |one| &one.observer, HandGraspObserver::gather)?,
             grasp_threshold: pack(of, |one| one.grasp_threshold)?,
             force_threshold_n: pack(of, |one| one.force_threshold_n)?,
             velocity_threshold: pack(of, |one| one.velocity_threshold)?,

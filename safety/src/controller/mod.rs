@@ -62,7 +62,7 @@ pub trait Controller<const N: usize, S: Real>: Sized {
     ) -> Result<Self::One, ParameterError>;
 
     /// As many controllers as there are lanes, if they can be stepped at once; else None.
-    fn gather(of: &[Self::One]) -> Option<Self>;
+    fn gather(of: &[&Self::One]) -> Option<Self>;
 
     /// What it makes of one tick.
     fn step(&mut self, seen: &Observation<N, S>) -> Verdict<N, S>;

@@ -1,11 +1,9 @@
 //! Passivity controller, PC.
 
-use nalgebra::SimdBool as _;
-
 use crate::{
     About, Axes, DeviceModel, Observation, ParameterError, Real,
     controller::{Controller, Observed, SafetySettings, Verdict, dampable},
-    lanes::{lesser, nowhere, pack, part, shared},
+    lanes::{choose, lesser, nowhere, pack, part, shared},
     observer::SafetyObserver,
 };
 
@@ -59,9 +57,9 @@ impl<const N: usize, S: Real> Controller<N, S> for PassivityController<N, S> {
     }
 
     /// All of one period.
-    fn gather(of: &[Self::One]) -> Option<Self> {
+    fn gather(of: &[&Self::One]) -> Option<Self> {
         Some(Self {
-            observer: part(of, |one| one.observer.clone(), SafetyObserver::gather)?,
+            observer: part(of, |one| &one.observer, SafetyObserver::gather)?,
             period_s: shared(of, |one| one.period_s)?,
             max_damping: pack(of, |one| one.max_damping)?,
         })
@@ -74,7 +72,7 @@ impl<const N: usize, S: Real> Controller<N, S> for PassivityController<N, S> {
         let squared_speed = seen.velocity.dot(&seen.velocity);
         let nothing = S::splat(0.0);
         let is_idle = energy_j.simd_ge(nothing) | squared_speed.simd_eq(nothing);
-        let force = is_idle.if_else(Axes::zeros, || {
+        let force = choose(is_idle, Axes::zeros, || {
             let missing = -energy_j / (squared_speed * S::splat(self.period_s));
             seen.velocity * -lesser(missing, self.max_damping)
         });

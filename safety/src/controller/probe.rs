@@ -329,7 +329,7 @@ impl<const N: usize> GraspProbes<N, f64> {
 
 impl<const N: usize, S: Real> GraspProbes<N, S> {
     /// As many as there are lanes; else None.
-    pub(super) fn gather(of: &[GraspProbes<N, f64>]) -> Option<Self> {
+    pub(super) fn gather(of: &[&GraspProbes<N, f64>]) -> Option<Self> {
         let lanes: Box<[_]> = of.iter().flat_map(|one| one.lanes.iter().cloned()).collect();
         let mut force = Axes::<N, S>::zeros();
         for (lane, one) in of.iter().enumerate() {

@@ -77,7 +77,7 @@ macro_rules! controllers {
         impl<const N: usize, S: Real> Built<N, S> {
             /// As many as there are lanes, all of which have built the same; else None.
             fn gather(of: &[&Built<N>]) -> Option<Self> {
-                Some(Self { $($file: option(of, |one| one.$file.clone(), Controller::gather)?,)+ })
+                Some(Self { $($file: option(of, |one| one.$file.as_ref(), Controller::gather)?,)+ })
             }
 
             /// A controller that compares `F_v` with `F_h` sees but the share of it that a hand can have felt.

@@ -41,8 +41,8 @@ impl<const N: usize, S: Real> Controller<N, S> for VelocityForceController<N, S>
     }
 
     /// All of one form.
-    fn gather(of: &[Self::One]) -> Option<Self> {
-        part(of, |one| one.observer, VelocityForceObserver::gather).map(Self::new)
+    fn gather(of: &[&Self::One]) -> Option<Self> {
+        part(of, |one| &one.observer, VelocityForceObserver::gather).map(Self::new)
     }
 
     #[inline(always)]

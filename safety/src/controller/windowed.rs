@@ -73,9 +73,9 @@ impl<const N: usize, S: Real> Controller<N, S> for WindowedSafetyController<N, S
     }
 
     /// If their observers can be gathered.
-    fn gather(of: &[Self::One]) -> Option<Self> {
+    fn gather(of: &[&Self::One]) -> Option<Self> {
         Some(Self {
-            observer: part(of, |one| one.observer.clone(), WindowedSafetyObserver::gather)?,
+            observer: part(of, |one| &one.observer, WindowedSafetyObserver::gather)?,
             energy_threshold_j: pack(of, |one| one.energy_threshold_j)?,
             force_threshold_n: pack(of, |one| one.force_threshold_n)?,
             has_no_force_threshold: of.iter().all(|one| one.has_no_force_threshold),

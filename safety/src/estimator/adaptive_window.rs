@@ -76,8 +76,8 @@ impl<const N: usize> AdaptiveWindow<N> {
 impl<const N: usize> Estimator<N> for AdaptiveWindow<N> {
     type One = Self;
 
-    fn gather(of: &[Self]) -> Option<Self> {
-        if let [one] = of { Some(one.clone()) } else { None }
+    fn gather(of: &[&Self]) -> Option<Self> {
+        if let [one] = of { Some((*one).clone()) } else { None }
     }
 
     fn step(&mut self, position: &Axes<N>) -> Motion<N> {
@@ -118,8 +118,8 @@ impl<const N: usize> Estimator<N> for AdaptiveWindow<N> {
 impl<const N: usize, S: Real> Estimator<N, S> for Box<[AdaptiveWindow<N>]> {
     type One = Self;
 
-    fn gather(of: &[Self::One]) -> Option<Self> {
-        let lanes: Vec<_> = of.iter().flatten().cloned().collect();
+    fn gather(of: &[&Self::One]) -> Option<Self> {
+        let lanes: Vec<_> = of.iter().flat_map(|one| one.iter()).cloned().collect();
         AdaptiveWindow::are_lanes(&lanes, S::LANES).then(|| lanes.into())
     }
 

@@ -43,10 +43,14 @@ impl<const N: usize, S: Real> Estimator<N, S> for BackwardDifference<N, S> {
     type One = BackwardDifference<N>;
 
     /// All of one period.
-    fn gather(of: &[BackwardDifference<N>]) -> Option<Self> {
+    fn gather(of: &[&BackwardDifference<N>]) -> Option<Self> {
         Some(Self {
             period_s: shared(of, |one| one.period_s)?,
-            previous_position: option(of, |one| one.previous_position, |them| pack(them, |at| *at))?,
+            previous_position: option(
+                of,
+                |one| one.previous_position.as_ref(),
+                |them| pack(them, |at| **at),
+            )?,
             previous_velocity: pack(of, |one| one.previous_velocity)?,
             previous_force: pack(of, |one| one.previous_force)?,
         })

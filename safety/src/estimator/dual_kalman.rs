@@ -46,10 +46,10 @@ impl<const N: usize, S: Real> Estimator<N, S> for DualKalman<N, S> {
     type One = DualKalman<N>;
 
     /// As of both filters.
-    fn gather(of: &[DualKalman<N>]) -> Option<Self> {
+    fn gather(of: &[&DualKalman<N>]) -> Option<Self> {
         Some(Self {
-            quick: part(of, |one| one.quick.clone(), Kalman::gather)?,
-            calm: part(of, |one| one.calm.clone(), Kalman::gather)?,
+            quick: part(of, |one| &one.quick, Kalman::gather)?,
+            calm: part(of, |one| &one.calm, Kalman::gather)?,
         })
     }
 

@@ -82,11 +82,11 @@ impl<const N: usize, S: Real> Estimator<N, S> for Kalman<N, S> {
     type One = Kalman<N>;
 
     /// All of one period and all before their first position or all after it.
-    fn gather(of: &[Kalman<N>]) -> Option<Self> {
+    fn gather(of: &[&Kalman<N>]) -> Option<Self> {
         Some(Self {
             period_s: shared(of, |one| one.period_s)?,
             gain: pack(of, |one| one.gain)?,
-            position: option(of, |one| one.position, |them| pack(them, |at| *at))?,
+            position: option(of, |one| one.position.as_ref(), |them| pack(them, |at| **at))?,
             velocity: pack(of, |one| one.velocity)?,
             acceleration: pack(of, |one| one.acceleration)?,
             force_position_error: pack(of, |one| one.force_position_error)?,

@@ -58,11 +58,11 @@ impl<const N: usize, S: Real> Estimator<N, S> for LowPass<N, S> {
     type One = LowPass<N>;
 
     /// All of one period.
-    fn gather(of: &[LowPass<N>]) -> Option<Self> {
+    fn gather(of: &[&LowPass<N>]) -> Option<Self> {
         Some(Self {
             period_s: shared(of, |one| one.period_s)?,
             share: pack(of, |one| one.share)?,
-            difference: part(of, |one| one.difference.clone(), BackwardDifference::gather)?,
+            difference: part(of, |one| &one.difference, BackwardDifference::gather)?,
             velocity: pack(of, |one| one.velocity)?,
             aligned_force: pack(of, |one| one.aligned_force)?,
         })

@@ -25,10 +25,10 @@ impl<const N: usize> MeasuredVelocity<N> {
 impl<const N: usize, S: Real> MeasuredVelocity<N, S> {
     /// As many estimators as there are lanes, all of one period and all before their first velocity or all after it;
     /// else None.
-    pub fn gather(of: &[MeasuredVelocity<N>]) -> Option<Self> {
+    pub fn gather(of: &[&MeasuredVelocity<N>]) -> Option<Self> {
         Some(Self {
             period_s: shared(of, |one| one.period_s)?,
-            previous_velocity: option(of, |one| one.previous_velocity, |them| pack(them, |v| *v))?,
+            previous_velocity: option(of, |one| one.previous_velocity.as_ref(), |them| pack(them, |v| **v))?,
         })
     }
 

@@ -63,14 +63,14 @@ macro_rules! estimators {
             type One = AnyEstimator<N>;
 
             /// All of one kind.
-            fn gather(of: &[AnyEstimator<N>]) -> Option<Self> {
+            fn gather(of: &[&AnyEstimator<N>]) -> Option<Self> {
                 Some(match of.first()? {
                     $(AnyEstimator::$kind(_) => {
-                        let inside = |one: &AnyEstimator<N>| match one {
-                            AnyEstimator::$kind(inside) => Some(inside.clone()),
-                            _ => None,
-                        };
-                        let all = of.iter().map(inside).collect::<Option<Vec<_>>>()?;
+                        let mut all = Vec::with_capacity(of.len());
+                        for one in of {
+                            let AnyEstimator::$kind(inside) = one else { return None };
+                            all.push(inside);
+                        }
                         Self::$kind(<$kept as Estimator<N, S>>::gather(&all)?)
                     })+
                 })
@@ -212,7 +212,7 @@ pub trait Estimator<const N: usize, S: Real = f64>: Sized {
     type One;
 
     /// As many estimators as there are lanes, if they can be stepped at once; else None.
-    fn gather(of: &[Self::One]) -> Option<Self>;
+    fn gather(of: &[&Self::One]) -> Option<Self>;
 
     /// Takes the position x\[n\] in m and returns V\[n\] and A\[n\].
     fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S>;
@@ -235,11 +235,11 @@ pub trait Estimator<const N: usize, S: Real = f64>: Sized {
     fn reset(&mut self, position: &Axes<N, S>);
 }
 
-impl<const N: usize, S: Real, T: Estimator<N, S, One: Clone>> Estimator<N, S> for Box<T> {
+impl<const N: usize, S: Real, T: Estimator<N, S>> Estimator<N, S> for Box<T> {
     type One = Box<T::One>;
 
-    fn gather(of: &[Self::One]) -> Option<Self> {
-        part(of, |one| T::One::clone(one), T::gather).map(Box::new)
+    fn gather(of: &[&Self::One]) -> Option<Self> {
+        part(of, |one| &**one, T::gather).map(Box::new)
     }
 
     #[inline(always)]

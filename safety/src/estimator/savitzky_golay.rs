@@ -1,7 +1,7 @@
 //! Savitzky-Golay: a polynomial fitted to the last samples, differentiated at the newest.
 
 use super::{Estimator, MAX_WINDOW, Motion};
-use crate::lanes::{pack, shared};
+use crate::lanes::{pack, part, shared};
 use crate::parameter::{ParameterError, in_range, positive};
 use crate::{About, Axes, Real};
 
@@ -68,9 +68,8 @@ impl<const N: usize, S: Real> Estimator<N, S> for SavitzkyGolay<N, S> {
     type One = SavitzkyGolay<N>;
 
     /// All of one period, degree and window, and as far as each other.
-    fn gather(of: &[SavitzkyGolay<N>]) -> Option<Self> {
-        let rings =
-            |ring: fn(&SavitzkyGolay<N>) -> &Ring<N>| Ring::gather(&of.iter().map(ring).collect::<Vec<_>>());
+    fn gather(of: &[&SavitzkyGolay<N>]) -> Option<Self> {
+        let rings = |ring: fn(&SavitzkyGolay<N>) -> &Ring<N>| part(of, ring, Ring::gather);
         Some(Self {
             period_s: shared(of, |one| one.period_s)?,
             velocity_weights: shared(of, |one| one.velocity_weights)?,

@@ -396,8 +396,8 @@ fn a_research_controller_stands_behind_the_others() {
         assert_eq!(tick.device_force[0], 0.0);
         reset.reset(&Axes::zeros()).unwrap();
     }
-    let of = vec![layer().with_research(by_hand(vfc, None, 1.0)); 4];
-    assert!(SafetyLayer::<1, simba::simd::AutoF64x4>::gather(&of).is_none());
+    let of = layer().with_research(by_hand(vfc, None, 1.0));
+    assert!(SafetyLayer::<1, simba::simd::AutoF64x4>::gather(&[&of; 4]).is_none());
 }
 
 /// Gives a share of `-F_v`, a push of its own and damping.

@@ -29,7 +29,7 @@ impl HandGraspObserver {
 
 impl<S: Real> HandGraspObserver<S> {
     /// As many observers as there are lanes; None for another number of them.
-    pub fn gather(of: &[HandGraspObserver]) -> Option<Self> {
+    pub fn gather(of: &[&HandGraspObserver]) -> Option<Self> {
         Some(Self { grasp_floor_n: pack(of, |one| one.grasp_floor_n)? })
     }
 

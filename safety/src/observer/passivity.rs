@@ -39,10 +39,10 @@ impl<const N: usize, S: Real> Default for PassivityObserver<N, S> {
 
 impl<const N: usize, S: Real> PassivityObserver<N, S> {
     /// As many observers as there are lanes, all before their first position or all after it; else None.
-    pub fn gather(of: &[PassivityObserver<N>]) -> Option<Self> {
+    pub fn gather(of: &[&PassivityObserver<N>]) -> Option<Self> {
         Some(Self {
             energy_j: pack(of, |one| one.energy_j)?,
-            position: option(of, |one| one.position, |positions| pack(positions, |at| *at))?,
+            position: option(of, |one| one.position.as_ref(), |positions| pack(positions, |at| **at))?,
         })
     }
 
@@ -96,16 +96,19 @@ mod tests {
             }
             observer
         });
-        let mut lanes = PassivityObserver::<1, AutoF64x4>::gather(&one).unwrap();
+        let mut lanes = PassivityObserver::<1, AutoF64x4>::gather(&one.each_ref()).unwrap();
         let (to, held) = (Axes::<1>::new(0.4), Axes::<1>::new(2.0));
         let seen = lanes
             .step(&Axes::from_element(AutoF64x4::splat(0.4)), &Axes::from_element(AutoF64x4::splat(2.0)));
         for (lane, one) in one.iter_mut().enumerate() {
             assert_eq!(seen.extract(lane), one.step(&to, &held), "{lane}");
         }
-        assert!(PassivityObserver::<1, AutoF64x4>::gather(&one[..3]).is_none());
+        assert!(PassivityObserver::<1, AutoF64x4>::gather(&one.each_ref()[..3]).is_none());
         one[2].reset();
-        assert!(PassivityObserver::<1, AutoF64x4>::gather(&one).is_none(), "one without a position yet");
+        assert!(
+            PassivityObserver::<1, AutoF64x4>::gather(&one.each_ref()).is_none(),
+            "one without a position yet"
+        );
     }
 
     #[test]

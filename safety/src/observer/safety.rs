@@ -41,9 +41,9 @@ impl<const N: usize> SafetyObserver<N> {
 
 impl<const N: usize, S: Real> SafetyObserver<N, S> {
     /// As many observers as there are lanes, all of one period; else None.
-    pub fn gather(of: &[SafetyObserver<N>]) -> Option<Self> {
+    pub fn gather(of: &[&SafetyObserver<N>]) -> Option<Self> {
         Some(Self {
-            device: part(of, |one| one.device, DeviceModel::gather)?,
+            device: part(of, |one| &one.device, DeviceModel::gather)?,
             period_s: shared(of, |one| one.period_s)?,
             per_ratio: pack(of, |one| one.per_ratio)?,
             hand_energy_j: CompensatedSum {

@@ -54,7 +54,7 @@ impl VelocityForceObserver {
 
 impl<S: Real> VelocityForceObserver<S> {
     /// As many observers as there are lanes, all of one form; else None.
-    pub fn gather(of: &[VelocityForceObserver]) -> Option<Self> {
+    pub fn gather(of: &[&VelocityForceObserver]) -> Option<Self> {
         Some(Self {
             velocity_threshold: pack(of, |one| one.velocity_threshold)?,
             force_threshold_n: pack(of, |one| one.force_threshold_n)?,

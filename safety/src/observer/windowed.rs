@@ -60,13 +60,13 @@ impl<const N: usize> WindowedSafetyObserver<N> {
 impl<const N: usize, S: Real> WindowedSafetyObserver<N, S> {
     /// As many observers as there are lanes, all of one period and one window and at the same place of their ring;
     /// else None.
-    pub fn gather(of: &[WindowedSafetyObserver<N>]) -> Option<Self> {
+    pub fn gather(of: &[&WindowedSafetyObserver<N>]) -> Option<Self> {
         let window = shared(of, |one| one.power.len())?;
         Some(Self {
-            device: part(of, |one| one.device, DeviceModel::gather)?,
+            device: part(of, |one| &one.device, DeviceModel::gather)?,
             period_s: shared(of, |one| one.period_s)?,
             per_ratio: pack(of, |one| one.per_ratio)?,
-            power: (0..window).map(|tick| pack(of, |one| one.power[tick])).collect::<Option<_>>()?,
+            power: (0..window).filter_map(|tick| pack(of, |one| one.power[tick])).collect(),
             next: shared(of, |one| one.next)?,
             running: pack(of, |one| one.running)?,
             fresh: pack(of, |one| one.fresh)?,

@@ -162,13 +162,13 @@ impl<const N: usize> RenderedWalls<N> {
 
     /// Several scenarios side by side; none if they differ in which walls and courses there are.
     pub fn gather<S: Real>(of: &[&Self]) -> Option<RenderedWalls<N, S>> {
-        let kinds = |one: &Self| {
-            let walls: Vec<_> = one.walls.iter().map(|wall| wall.is_two_sided).collect();
-            let pushes: Vec<_> = one.pushes.iter().map(|push| push.course).collect();
-            (walls, pushes)
-        };
         let first = of.first()?;
-        if of.len() != S::LANES || of.iter().any(|one| kinds(one) != kinds(first)) {
+        let shares = |one: &Self| {
+            (one.walls.len(), one.pushes.len()) == (first.walls.len(), first.pushes.len())
+                && one.walls.iter().zip(&first.walls).all(|(a, b)| a.is_two_sided == b.is_two_sided)
+                && one.pushes.iter().zip(&first.pushes).all(|(a, b)| a.course == b.course)
+        };
+        if of.len() != S::LANES || !of.iter().all(|one| shares(one)) {
             return None;
         }
         let number = |field: &dyn Fn(&Self) -> f64| {

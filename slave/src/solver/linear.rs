@@ -118,10 +118,11 @@ impl Course {
 
     #[inline]
     fn of(transition: Transition, c: f64, [u0, u1, u2]: [f64; 3], [x, v]: [f64; 2]) -> Self {
-        let k = transition.k;
-        let a2 = u2 / k;
-        let a1 = (u1 - 2.0 * c * a2) / k;
-        let a0 = (u0 - c * a1 - 2.0 * a2) / k;
+        // Three divisions, one after the other, would take longer than all else.
+        let per_k = transition.per_k;
+        let a2 = u2 * per_k;
+        let a1 = (u1 - 2.0 * c * a2) * per_k;
+        let a0 = (u0 - c * a1 - 2.0 * a2) * per_k;
         Self { transition, particular: [a0, a1, a2], beside: [x - a0, v - a1] }
     }
 
@@ -404,6 +405,8 @@ impl TransitionMap {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Transition {
     k: f64,
+    /// 1 / k
+    per_k: f64,
     /// c / 2
     half: f64,
     /// (c / 2)² - k: positive if overdamped.
@@ -414,7 +417,7 @@ impl Transition {
     /// k in 1/s² (> 0), c in 1/s (>= 0).
     pub(crate) fn new(k: f64, c: f64) -> Self {
         let half = 0.5 * c;
-        Self { k, half, discriminant: half * half - k }
+        Self { k, per_k: k.recip(), half, discriminant: half * half - k }
     }
 
     /// (y, y') after t in s.
@@ -425,7 +428,7 @@ impl Transition {
 
     /// The map over t in s.
     pub(crate) fn over(&self, t: f64) -> TransitionMap {
-        let Self { k, half, discriminant } = *self;
+        let Self { k, half, discriminant, .. } = *self;
         let z = discriminant * t * t;
         if z > 1e-2 {
             let root = discriminant.sqrt();
