@@ -7,8 +7,8 @@ use serde_json::Value;
 const SCENE: &[u8] = include_bytes!("../benches/work_unit.json");
 
 fn outcomes(scene: &Value, lanes: bool) -> Vec<Outcome> {
-    // One full block of lanes, and some that are left over.
-    let values = (0..11).map(|i| -0.01 - 0.005 * f64::from(i)).collect();
+    // Full lanes of either width, and some that are left over: 16 and 3, or 8, 8 and 3.
+    let values = (0..19).map(|i| -0.01 - 0.005 * f64::from(i)).collect();
     let variations = [Variation { path: "operator.legs.0.end.0".into(), values }];
     let settings = SweepSettings { threads: 1, lanes, metrics: Metrics::ALL };
     let scene = serde_json::to_vec(scene).unwrap();

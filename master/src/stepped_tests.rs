@@ -10,13 +10,13 @@ const TICK_NS: u64 = 1_000_000;
 
 type Lanes = AutoSimd<[f64; 8]>;
 
-fn hand(depth: f64, strength: f64, kind: ReleaseKind) -> Hand<1> {
+fn hand(depth: f64, strength: f64, kind: ReleaseKind, at_s: f64) -> Hand<1> {
     let at = Axes::<1>::new;
     let legs = vec![
         Leg { duration_s: 0.05, end: at(0.5 * depth), shape: LegShape::Smooth },
         Leg { duration_s: 0.02 + depth.abs(), end: at(depth), shape: LegShape::MinimumJerk },
     ];
-    let release = Some(Release { at_s: 0.15, decay_s: 0.03, kind });
+    let release = Some(Release { at_s, decay_s: 0.03, kind });
     let hand = Hand::new(300.0, 5.0, strength, Path::new(at(0.002), legs).unwrap(), release).unwrap();
     hand.with_tremor(Tremor { amplitude: 1e-4, frequency_hz: 10.0 }).unwrap()
 }
@@ -24,7 +24,7 @@ fn hand(depth: f64, strength: f64, kind: ReleaseKind) -> Hand<1> {
 /// Largest difference in m to the exact solution over 0.25 s.
 fn error(stepping: Stepping, step_s: f64) -> f64 {
     let device = DeviceParameters::<1>::ideal(0.157, 0.5, 0.0);
-    let hand = hand(-0.02, f64::INFINITY, ReleaseKind::Gain);
+    let hand = hand(-0.02, f64::INFINITY, ReleaseKind::Gain, 0.15);
     let wall = ContinuousWall::new(Axes::<1>::zeros(), Axes::<1>::new(1.0), 200.0, 1.0, true).unwrap();
     let mut exact = SimulatedMaster::new(device, hand.clone(), 0).unwrap().among(vec![wall]).unwrap();
     let mut stepped = SteppedMaster::new(&device, &hand, &[wall], stepping, step_s, 1e-3).unwrap();
@@ -50,11 +50,11 @@ fn each_method_has_its_order() {
     assert!(error(Stepping::RungeKutta4, 1e-4) < 1e-11);
 }
 
-/// One scenario per row: depth, mass, coulomb, stiffness of the wall, grip strength.
-type Row = (f64, f64, f64, f64, f64);
+/// One scenario per row: depth, mass, coulomb, stiffness of the wall, grip strength, time of the release.
+type Row = (f64, f64, f64, f64, f64, f64);
 
 fn build(row: &Row, stepping: Stepping, kind: ReleaseKind) -> SteppedMaster<1> {
-    let (depth, mass, coulomb, stiffness, strength) = *row;
+    let (depth, mass, coulomb, stiffness, strength, at_s) = *row;
     let device = DeviceParameters::<1> {
         encoder_quantum: 2.3e-5,
         force_quantum_n: 0.01,
@@ -63,7 +63,7 @@ fn build(row: &Row, stepping: Stepping, kind: ReleaseKind) -> SteppedMaster<1> {
         ..DeviceParameters::ideal(mass, -0.005, coulomb)
     };
     let wall = ContinuousWall::new(Axes::<1>::zeros(), Axes::<1>::new(1.0), stiffness, 0.1, false).unwrap();
-    SteppedMaster::new(&device, &hand(depth, strength, kind), &[wall], stepping, 5e-4, 1e-3).unwrap()
+    SteppedMaster::new(&device, &hand(depth, strength, kind, at_s), &[wall], stepping, 5e-4, 1e-3).unwrap()
 }
 
 proptest! {
@@ -72,7 +72,7 @@ proptest! {
     #[test]
     fn a_lane_is_a_run_of_its_own(
         rows in prop::collection::vec(
-            (-0.05..0.0f64, 0.05..0.5f64, 0.0..0.1f64, 10.0..1000.0f64, 0.1..20.0f64), 8),
+            (-0.05..0.0f64, 0.05..0.5f64, 0.0..0.1f64, 10.0..1000.0f64, 0.1..20.0f64, 0.13..0.17f64), 8),
         which in 0usize..3,
         gain in any::<bool>(),
     ) {
@@ -98,7 +98,7 @@ proptest! {
 
 #[test]
 fn what_lanes_cannot_share_is_refused() {
-    let row = (-0.02, 0.157, 0.0, 200.0, 5.0);
+    let row = (-0.02, 0.157, 0.0, 200.0, 5.0, 0.15);
     let built = |stepping, kind| build(&row, stepping, kind);
     let alike: Vec<_> = (0..8).map(|_| built(Stepping::RungeKutta4, ReleaseKind::Gain)).collect();
     let mut of: Vec<_> = alike.iter().collect();
@@ -112,4 +112,85 @@ fn what_lanes_cannot_share_is_refused() {
         of[3] = other;
         assert!(SteppedMaster::gather::<Lanes>(&of).is_none());
     }
+}
+
+/// The grip against its definition: full before `at_s`, down a line in `decay_s`, and up one in `rise_s`, if ever.
+#[test]
+fn the_grip_falls_and_rises_at_its_times() {
+    let at = Axes::<1>::new;
+    let path = Path::new(at(0.01), Vec::new()).unwrap();
+    for (decay_s, again) in [(0.05, None), (0.0, None), (0.05, Some((0.2, 0.1))), (0.05, Some((0.02, 0.1)))] {
+        let release = Release { at_s: 1.0, decay_s, kind: ReleaseKind::Gain };
+        let mut hand = Hand::new(300.0, 0.0, f64::INFINITY, path.clone(), Some(release)).unwrap();
+        if let Some((reaction_s, rise_s)) = again {
+            hand = hand.with_regrasp(Regrasp { reaction_s, rise_s }).unwrap();
+        }
+        let [ends, regrips, full] = hand.schedule().unwrap_or([1.0 + decay_s; 3]);
+        let stepped = SteppedHand::new(&hand);
+        let times = [
+            0.0,
+            0.5,
+            1.0 - 1e-6,
+            1.0,
+            1.0 + 1e-6,
+            1.02,
+            ends - 1e-6,
+            ends,
+            ends + 1e-6,
+            1.1,
+            1.25,
+            1.3,
+            2.0,
+        ];
+        for t in times.into_iter().chain([regrips, regrips + 0.01, full - 1e-6, full, full + 1e-6]) {
+            let falls = if t < 1.0 {
+                1.0
+            } else if t >= ends {
+                0.0
+            } else {
+                1.0 - (t - 1.0) / decay_s
+            };
+            let rises = match again {
+                Some((_, rise_s)) if t >= regrips => ((t - regrips) / rise_s).min(1.0),
+                _ => 0.0,
+            };
+            let force = stepped.force(t, &at(0.0), &at(0.0))[0];
+            // Times are sums of seconds: a few roundings of 1 s, on the steepest line.
+            assert!((force - 3.0 * falls.max(rises)).abs() < 1e-12, "{decay_s} {again:?} {t}: {force}");
+        }
+    }
+}
+
+/// Below `V_f` friction is a damping, under which a speed never reaches zero: it is zero once nobody can tell, alone and in
+/// lanes, and above that what it would be without.
+#[test]
+fn a_device_that_friction_has_stopped_is_at_rest() {
+    let device = DeviceParameters::<1>::ideal(0.157, 0.0, 0.038);
+    let hand = Hand::absent(Axes::<1>::zeros()).unwrap();
+    let build = |speed: f64| {
+        let mut master =
+            SteppedMaster::new(&device, &hand, &[], Stepping::SemiImplicitEuler, 1e-3, 1e-3).unwrap();
+        master.place(Axes::zeros(), Axes::<1>::new(speed)).unwrap();
+        master
+    };
+    let mut singles: Vec<_> = (0..8).map(|lane| build(0.01 * f64::from(lane - 4))).collect();
+    let mut lanes = SteppedMaster::gather::<Lanes>(&singles.iter().collect::<Vec<_>>()).unwrap();
+    let mut decays: Vec<f64> = singles.iter().map(|single| single.velocity()[0]).collect();
+    let mut subnormal = 0;
+    for tick in 1..=8000 {
+        lanes.advance(tick * TICK_NS);
+        for (lane, (single, v)) in singles.iter_mut().zip(&mut decays).enumerate() {
+            single.advance(tick * TICK_NS);
+            let now = single.velocity()[0];
+            assert_eq!(now.to_bits(), lanes.velocity()[0].extract(lane).to_bits(), "{tick} {lane}");
+            *v += 1e-3 * ((0.0 - 0.038 * (*v * 1e-3_f64.recip()).clamp(-1.0, 1.0)) * 0.157_f64.recip());
+            if v.abs() > 1e-84 {
+                assert_eq!(now, *v, "{tick} {lane}");
+            }
+            subnormal += i32::from(v.is_subnormal());
+            assert!(!now.is_subnormal(), "{tick} {lane}: {now:e}");
+        }
+    }
+    assert!(subnormal > 0, "it would not have decayed that far");
+    assert!(singles.iter().all(|single| single.velocity()[0] == 0.0));
 }
