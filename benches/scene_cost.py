@@ -1,9 +1,9 @@
 """What a scene costs per tick, and that it pays only for what it uses; what the commands cost before they begin.
 
 Each row is a scene that differs from its base in one thing. The time of a tick is that of a long run less that of a
-short one, by the number of ticks between them, so that what is built once does not count. It is taken by the clock, all
-scenes in turns, the least of the repeats: of some milliseconds the processor's own account is too coarse on a virtual
-machine. What a process takes is the processor's time.
+short one, by the number of ticks between them, so that what is built once does not count. A tick's time is by the
+clock, all scenes in turns, the least of the repeats: of some milliseconds the processor's own account is too coarse on
+a virtual machine. What a process takes is the processor's time.
 
 Ends with status 1 if an exact tick without an arm takes longer than required, if 1000 objects out of reach cost more
 than half as much again as none, if `haptether --help` takes longer than it may, or if running a scene loads a library
@@ -119,7 +119,7 @@ def rows() -> Iterator[Row]:
 
 
 def run_s(scene: Scene) -> float:
-    """Time of a run in s, of a scene that was checked before, which takes longer than 10 000 ticks if it has 1000 objects."""
+    """Time of a run in s, of a scene that was checked before: of 1000 objects that takes longer than 10 000 ticks."""
     scene_json(scene)
     times = []
     # The first one after another scene asks for the memory anew that the run before gave back.

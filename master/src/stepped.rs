@@ -27,8 +27,8 @@ pub enum Stepping {
 /// Added in m/s and taken away again, it leaves a speed above 1e-84 m/s as it is, bit for bit, and nothing below 1e-117.
 const NEGLIGIBLE_SPEED: f64 = 1e-100;
 
-/// Ticks after which [`NEGLIGIBLE_SPEED`] is looked for: friction that takes a speed from there to 1e-308 within so many is
-/// so strong that it passes the subnormal numbers in a few.
+/// Ticks after which [`NEGLIGIBLE_SPEED`] is looked for: friction that takes a speed from 1e-117 to 1e-308 m/s within so many,
+/// a thousandth a tick, passes the subnormal numbers in five.
 const TICKS_TO_REST: u64 = 64;
 
 /// Device, hand and continuous walls, in steps.
@@ -47,7 +47,7 @@ pub struct SteppedMaster<const N: usize, S = f64> {
     last_steps: (u64, u64),
     ticks: u64,
     waits: bool,
-    /// 1 / m, and 1 / V_f below: a division takes longer than all else in a step.
+    /// 1 / m, and 1 / `V_f` below: a division takes longer than all else in a step.
     per_mass: Axes<N, S>,
     viscous: Axes<N, S>,
     coulomb: Axes<N, S>,

@@ -28,8 +28,9 @@ pub struct SteppedHand<const N: usize, S = f64> {
 
 #[derive(Clone, Debug)]
 struct SteppedRelease<S> {
-    /// Before this time in s every scenario holds; from that one on all have let go for good.
+    /// Before this time in s no scenario has begun to let go.
     earliest: f64,
+    /// From this time in s on all have let go for good; infinite with a regrasp.
     latest: f64,
     at: S,
     ends: S,

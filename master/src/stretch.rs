@@ -539,4 +539,24 @@ mod tests {
         let work = held.dot(&stretch.position(end)) - 0.5 * length;
         assert!((gained - work).abs() < 1e-14, "{gained} {work}");
     }
+
+    /// `|w|²` and `w / |w|` of polynomials: against the sum of all products, and against the quotient within the series' reach.
+    #[test]
+    fn a_direction_is_the_quotient_of_its_series() {
+        let mut w = [Axes::<3>::zeros(); TERMS];
+        for (n, term) in w.iter_mut().enumerate().take(6) {
+            *term = Axes::<3>::from_fn(|axis, _| (1.0 + n as f64 * 0.7 + axis as f64 * 1.3).sin());
+        }
+        let at = |t: f64| w.iter().rev().fold(Axes::<3>::zeros(), |sum, term| sum * t + term);
+        let mut direction = Direction::new();
+        let series: Vec<_> = (0..TERMS).map(|n| direction.coefficient(&w, n)).collect();
+        for n in 0..TERMS {
+            let products: f64 = (0..=n).map(|i| w[i].dot(&w[n - i])).sum();
+            assert!((squared(&w, n) - products).abs() < 1e-14, "{n}");
+        }
+        let t = direction.reach().min(0.05);
+        assert!(t > 1e-3, "{t}");
+        let found = series.iter().rev().fold(Axes::<3>::zeros(), |sum, term| sum * t + term);
+        assert!((found - at(t).normalize()).norm() < 1e-15, "{found} {}", at(t).normalize());
+    }
 }

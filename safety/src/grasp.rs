@@ -111,6 +111,9 @@ fn direction<const N: usize, S: Real>(velocity: &Axes<N, S>) -> Axes<N, S> {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::SimdValue as _;
+    use simba::simd::AutoF64x4;
+
     use super::*;
 
     #[test]
@@ -152,5 +155,21 @@ mod tests {
         {
             assert!(DeviceModel::<2>::uniform(m, b, c).is_err(), "{m} {b} {c}");
         }
+    }
+
+    /// Along one axis: the sign of V, as `V / |V|` is where its square is a number; nothing of what is none.
+    #[test]
+    fn the_direction_along_an_axis_is_a_sign() {
+        let of = |v: f64| direction(&Axes::<1>::new(v))[0];
+        for v in [1.0, 0.1, 3.0, 1e-150, 1e150] {
+            assert_eq!([of(v), of(-v)], [1.0, -1.0]);
+            assert_eq!(of(v), v / (v * v).sqrt());
+        }
+        for v in [5e-324, 1e-170, 1e200, f64::INFINITY] {
+            assert_eq!([of(v), of(-v)], [1.0, -1.0], "its square is no number");
+        }
+        assert_eq!([of(0.0), of(-0.0), of(f64::NAN)], [0.0; 3]);
+        let lanes = direction(&Axes::<1, AutoF64x4>::new(AutoF64x4::new(-2.0, 0.0, f64::NAN, 1e-170)));
+        assert_eq!((0..4).map(|lane| lanes[0].extract(lane)).collect::<Vec<_>>(), [-1.0, 0.0, 0.0, 1.0]);
     }
 }

@@ -221,6 +221,8 @@ def test_output_that_cannot_be_written_is_one_line_or_none(
     assert closed.returncode == 1
     assert closed.stderr.endswith(b"haptether: standard output: is closed, must be open: nothing is written there\n")
     assert b"Traceback" not in closed.stderr
+    # What it makes beside it is there.
+    assert ("keygen" in arguments) == (tmp_path / "a.key").exists()
     reading, writing = os.pipe()
     os.close(reading)
     try:

@@ -318,6 +318,16 @@ verified = false
 """
 
 
+def test_a_folder_of_its_name_does_not_hide_a_shipped_population(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = population_names()[0]
+    expected = load_population(name)
+    (tmp_path / name).mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert load_population(name) == expected
+
+
 def test_a_file_of_ones_own_is_read(tmp_path: Path) -> None:
     path = tmp_path / "ours.toml"
     path.write_text(GOOD)

@@ -246,11 +246,11 @@ def load_population(name_or_path: str | PathLike[str]) -> Population:
         )
         raise SceneError(message)
     path = FilePath(name_or_path)
-    if str(name_or_path) and path.is_dir():
-        message = f"{path}: is a folder, must be the name of a shipped population or a TOML file"
-        raise SceneError(message)
     if str(name_or_path) in population_names():
         path = _SHIPPED / f"{name_or_path}.toml"
+    elif str(name_or_path) and path.is_dir():
+        message = f"{path}: is a folder, must be the name of a shipped population or a TOML file"
+        raise SceneError(message)
     elif path.suffix != ".toml" and path.is_file():
         message = f"{path}: must end in .toml, or be the name of a shipped population"
         raise SceneError(message)

@@ -4,7 +4,6 @@ Exit status: 0 success, 1 a failed run, 2 a bad request, 130 interrupted, 141 a 
 """
 
 import contextlib
-import errno
 import inspect
 import io
 import os
@@ -21,7 +20,7 @@ from typing import Annotated, Any, TextIO, Union
 import tyro
 
 from haptether import __version__
-from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS
+from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS, has_lost_output
 from haptether.cli.shared.commands import Command, CommandTable
 from haptether.cli.shared.numbers import NUMBERS
 from haptether.cli.shared.output import QueuedBuffer, QueuedOutput, queued_output
@@ -123,7 +122,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # What a command writes is its user's alone: recordings say what a hand did.
     before = os.umask(0o077)
     try:
-        return _main(arguments)
+        try:
+            status = _main(arguments)
+        except SystemExit as end:
+            # Of help.
+            if end.code not in {None, 0} or not has_lost_output():
+                raise
+            status = 0
+        if status == 0 and has_lost_output():
+            return complain(OSError("standard output: is closed, must be open: nothing is written there"), FAILED)
+        return status
     except BrokenPipeError as error:
         # What is wrong was to be said where nobody listens.
         return _unwritten(error)
@@ -208,11 +216,6 @@ def _unwritten(error: OSError) -> int:
     return complain(error, FAILED)
 
 
-def _was_closed(error: Exception) -> bool:
-    """Whether it is that of an output that was closed before the command began."""
-    return isinstance(error, OSError) and error.errno == errno.EBADF and sys.__stdout__ is None
-
-
 def _discard(stream: TextIO) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
@@ -230,10 +233,9 @@ def _use_width() -> None:
 def _delivered(command: Command, output: QueuedOutput, status: int) -> int:
     """The status of a command whose result may not have been taken."""
     is_result = str(getattr(command, "json", None)) == "-"
-    if not is_result and output.error is not None and _was_closed(output.error):
-        # Who closed it before such a command began wants none.
-        return status
-    if status == 0 and (output.error is not None or (is_result and not output.delivered)):
+    # Who closed it before such a command began wants none of it, unless it is the result.
+    is_delivered = output.delivered and sys.__stdout__ is not None
+    if status == 0 and (output.error is not None or (is_result and not is_delivered)):
         return CLOSED_PIPE if isinstance(output.error, BrokenPipeError) else FAILED
     return status
 
@@ -454,8 +456,6 @@ def complain(error: Exception, status: int, *, debug: bool = False) -> int:
     text = str(error) or ("no memory was left" if isinstance(error, MemoryError) else type(error).__name__)
     if isinstance(error, OSError) and error.strerror and text.startswith("[Errno"):
         text = error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
-    if _was_closed(error):
-        text = "standard output: is closed, must be open: nothing is written there"
     text = LONG_NUMBER.sub(lambda number: repr(float(number[0])), " ".join(text.split()))
     print(f"haptether: {printable(text)}", file=sys.stderr)
     return status

@@ -2,6 +2,7 @@
 
 # What is imported here is there already: while a module loads, Python itself answers Ctrl-C, by a traceback.
 import _signal  # type: ignore[import-not-found]  # the part of `signal` in C
+import io
 import os
 import sys
 
@@ -58,16 +59,37 @@ INTERRUPTS = Interrupts()
 """Of this process."""
 
 
+class LostOutput(io.FileIO):
+    """Standard output that was closed before the command began: what is written there is lost, which is known."""
+
+    written = False
+    """Whether anything was."""
+
+    def write(self, part: bytes) -> int:  # type: ignore[override]  # whatever holds bytes
+        """Loses what a command prints, so that it goes on to what it writes elsewhere."""
+        self.written = True
+        return len(part)
+
+
+def has_lost_output() -> bool:
+    """Whether a command has printed something where standard output was closed before it began."""
+    if isinstance(sys.stdout, io.TextIOWrapper) and isinstance(sys.stdout.buffer, io.BufferedWriter):
+        sys.stdout.flush()
+        raw = sys.stdout.buffer.raw
+        return isinstance(raw, LostOutput) and raw.written
+    return False
+
+
 def open_standard_streams() -> None:
     """Opens what is closed of standard input, output and error: the next file or socket would take its place.
 
-    What is written to an output that was closed is an error as before, and on standard error lost.
+    What is written to an output or error that was closed is lost; of output it is known, see `has_lost_output`.
     """
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
-            opened = os.open(os.devnull, os.O_WRONLY if descriptor == 2 else os.O_RDONLY)
+            opened = os.open(os.devnull, os.O_RDWR)
             if opened != descriptor:
                 os.dup2(opened, descriptor)
                 os.close(opened)
@@ -75,6 +97,6 @@ def open_standard_streams() -> None:
                 os.set_inheritable(descriptor, True)
     # What Python found closed at its start it does not have.
     if sys.stdout is None:
-        sys.stdout = os.fdopen(1, "w", closefd=False)
+        sys.stdout = io.TextIOWrapper(io.BufferedWriter(LostOutput(1, "w", closefd=False)))
     if sys.stderr is None:
         sys.stderr = os.fdopen(2, "w", closefd=False)

@@ -62,11 +62,15 @@ impl<const N: usize, S: Real> WindowedSafetyObserver<N, S> {
     /// else None.
     pub fn gather(of: &[&WindowedSafetyObserver<N>]) -> Option<Self> {
         let window = shared(of, |one| one.power.len())?;
+        let mut power = Vec::with_capacity(window);
+        for tick in 0..window {
+            power.push(pack(of, |one| one.power[tick])?);
+        }
         Some(Self {
             device: part(of, |one| &one.device, DeviceModel::gather)?,
             period_s: shared(of, |one| one.period_s)?,
             per_ratio: pack(of, |one| one.per_ratio)?,
-            power: (0..window).filter_map(|tick| pack(of, |one| one.power[tick])).collect(),
+            power: power.into_boxed_slice(),
             next: shared(of, |one| one.next)?,
             running: pack(of, |one| one.running)?,
             fresh: pack(of, |one| one.fresh)?,

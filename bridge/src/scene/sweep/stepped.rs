@@ -129,16 +129,12 @@ fn take_lanes<const N: usize, const WIDTH: usize>(
     if left.len() < least {
         return None;
     }
-    // Mostly the next ones fit. Otherwise look for those that fit the first, one by one.
+    // Mostly the next ones fit. Otherwise look for those that fit the first, one by one, as few side by side as can be.
     let mut take: Vec<usize> = (0..left.len().min(WIDTH)).collect();
     let mut shared = gathered(left, &take);
     if shared.is_none() {
-        take.truncate(1);
-        for other in 1..left.len() {
-            if take.len() < WIDTH && gathered::<N, WIDTH>(left, &[take[0], other]).is_some() {
-                take.push(other);
-            }
-        }
+        let fits = |other: &usize| gathered::<N, NARROW>(left, &[0, *other]).is_some();
+        take = std::iter::once(0).chain((1..left.len()).filter(fits)).take(WIDTH).collect();
         shared = (take.len() >= least).then(|| gathered(left, &take)).flatten();
     }
     let run = shared?;
@@ -216,6 +212,7 @@ fn wide_processor() -> Option<WideProcessor> {
 }
 
 /// Runs wide lanes, which are compiled for no other processor.
+#[cfg_attr(not(target_arch = "x86_64"), allow(unused_variables))]
 fn run_wide<const N: usize>(
     processor: WideProcessor,
     run: &mut LaneRun<N, WIDE>,
@@ -280,5 +277,55 @@ mod tests {
                 assert!(lane >= NARROW || narrow[lane] == alone[0], "{controllers}, narrow lane {lane}");
             }
         }
+    }
+
+    /// How rows are taken: how many at once, and how wide.
+    fn taken(windows: &[u64], wide: Option<WideProcessor>) -> Vec<(&'static str, usize)> {
+        let scene: Value = serde_json::from_slice(include_bytes!("../../../benches/work_unit.json")).unwrap();
+        let build = |(row, window): (usize, &u64)| {
+            let mut scene = scene.clone();
+            scene["safety"]["window"] = (*window).into();
+            let spec = SceneSpec::<1>::deserialize(&scene).unwrap();
+            (row, Box::new(stepped_run(&spec).unwrap()))
+        };
+        let mut left: Vec<_> = windows.iter().enumerate().map(build).collect();
+        let (mut found, mut rows) = (Vec::new(), Vec::new());
+        while let Some(block) = take_block(&mut left, true, wide) {
+            let (kind, taken) = match block {
+                Block::Narrow(taken, _) => ("narrow", taken),
+                Block::Wide(taken, _, _) => ("wide", taken),
+                Block::Single(row, _) => ("single", vec![row]),
+            };
+            found.push((kind, taken.len()));
+            rows.extend(taken);
+        }
+        rows.sort_unstable();
+        assert!(rows.iter().copied().eq(0..windows.len()), "each once");
+        found
+    }
+
+    #[test]
+    fn rows_fill_the_lanes_that_they_fit_into() {
+        for (rows, narrow) in [
+            (1, vec![("single", 1)]),
+            (2, vec![("narrow", 2)]),
+            (9, vec![("narrow", 8), ("single", 1)]),
+            (17, vec![("narrow", 8), ("narrow", 8), ("single", 1)]),
+        ] {
+            assert_eq!(taken(&vec![100; rows], None), narrow);
+        }
+        let mixed: Vec<u64> = (0..17).map(|row| if row % 2 == 0 || row > 13 { 50 } else { 100 }).collect();
+        assert_eq!(taken(&mixed, None), [("narrow", 8), ("narrow", 7), ("narrow", 2)]);
+        // What this processor has no instructions for it cannot run.
+        let Some(wide) = wide_processor() else { return };
+        for (rows, found) in [
+            (8, vec![("narrow", 8)]),
+            (9, vec![("wide", 9)]),
+            (17, vec![("wide", 16), ("single", 1)]),
+            (24, vec![("wide", 16), ("narrow", 8)]),
+        ] {
+            assert_eq!(taken(&vec![100; rows], Some(wide)), found);
+        }
+        assert_eq!(taken(&mixed, Some(wide)), [("wide", 10), ("narrow", 7)]);
     }
 }

@@ -184,7 +184,7 @@ class Simulate(PictureOptions):
         """
         for field in fields(self):
             if field.name != "list" and (value := getattr(self, field.name)) != field.default:
-                option = f"SCENE {value}" if field.name == "scene" else f"--{field.name}"
+                option = f"SCENE {value}" if field.name == "scene" else f"--{field.name.replace('_', '-')}"
                 message = f"--list, {option}: no scene is run where all are listed: leave one of the two out"
                 raise ValueError(message)
 

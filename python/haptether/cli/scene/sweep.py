@@ -601,9 +601,11 @@ def _value_of(path: str, item: str) -> "Raw":
         if ":" in item and not item.strip().startswith(("[", "{", "'", '"')):
             raise
     else:
-        # Rounded, it could not be refused as what it is.
-        is_long = math.isfinite(number) and abs(number) > LARGEST_EXACT and item.strip().isdecimal()
-        return int(item) if is_long else number
+        if math.isfinite(number) and abs(number) > LARGEST_EXACT:
+            # Rounded, it could not be refused as what it is.
+            with contextlib.suppress(ValueError):
+                return int(item)
+        return number
     steps = path_of(path)
     if item.strip() == "none" and any(isinstance(kind, inspect.VarTupleType) for kind in types_at(steps)):
         return []
