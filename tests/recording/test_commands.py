@@ -143,7 +143,7 @@ def test_what_cannot_be_done_is_refused(
             "--side slave: without --parquet or --csv there is no table of one side",
         ),
         *(
-            (["export", str(master), f"--{name}", str(tmp_path / "full")], 1, f"{tmp_path / 'full'}: ")
+            (["export", str(master), f"--{name}", str(tmp_path / "full")], 1, f"{tmp_path / 'full'}: No space left on")
             for name in ("parquet", "csv", "foxglove")
         ),
         (["export", str(master), "--npz", str(tmp_path / "a.csv")], 2, "must end in .npz"),

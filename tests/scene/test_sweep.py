@@ -105,6 +105,7 @@ def test_the_columns_are_those_of_each_scene_by_itself() -> None:
         ({"operator.legs.3.end": [1]}, "[operator.legs.3] end: the scene has no such part"),
         ({"run.integrator": [1]}, 'run.integrator = "exact": a sweep of numbers cannot change it'),
         ({"safety.controllers": [1]}, 'safety.controllers.0 = "wsc": a sweep of numbers cannot change it'),
+        ({"run.seed": [-1e16]}, "row 0: [run] seed = -1e+16: must be a whole number, at least 0"),
         ({"run.seed": [2.0**60]}, "row 0: [run] seed = 1.152921504606847e+18: must be a whole number below 2^53: the"),
         (
             {"master.encoder_quantum": [0, 1e-5]},

@@ -213,7 +213,7 @@ def _values_of_path(path: str, values: Values) -> npt.NDArray[Any]:
     if not np.isfinite(numbers).all():
         message = f"{path} = {numbers[~np.isfinite(numbers)][0]}: must be a finite number"
         raise SceneError(message)
-    if path != SCENE and counts_on(path_of(path)) and (large := np.flatnonzero(np.abs(numbers) > LARGEST_EXACT)).size:
+    if path != SCENE and counts_on(path_of(path)) and (large := np.flatnonzero(numbers > LARGEST_EXACT)).size:
         # Here, where it is as it was given, and not as it was rounded.
         message = f"{path} = {shown(values[large[0]])}: must be {EXACT}"
         raise SceneError(message)

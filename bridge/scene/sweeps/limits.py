@@ -79,7 +79,7 @@ def out_of_range(path: Path, values: npt.NDArray[np.float64]) -> dict[int, str]:
     outside = {}
     for row in np.flatnonzero(~good).tolist():
         seen = as_typed(float(values[row]))
-        if counts_on(path) and abs(seen) > LARGEST_EXACT:
+        if counts_on(path) and seen > LARGEST_EXACT:
             outside[row] = str(wrong(path, seen, EXACT))
             continue
         outside[row] = str(wrong(path, seen, allowed_at(path, seen)))

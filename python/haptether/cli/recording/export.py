@@ -1,5 +1,7 @@
 """`haptether export`."""
 
+import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated, Literal
@@ -127,7 +129,9 @@ def _write_parquet(target: Path, table: "pl.DataFrame") -> None:
         with private_file(target) as file:
             table.write_parquet(file)
     except pl.exceptions.ComputeError as error:
-        # What Polars makes of an error of the disk.
+        # What Polars makes of an error of the disk: its number is in the text.
+        if number := re.search(r"os error (\d+)", str(error)):
+            raise OSError(int(number[1]), os.strerror(int(number[1])), str(target)) from None
         message = f"{target}: cannot be written: {error}"
         raise OSError(message) from None
 
