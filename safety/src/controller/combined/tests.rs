@@ -1,5 +1,7 @@
 //! Who trips, how an intervention lasts and fades, and who gets the force back.
 
+use proptest::prelude::*;
+
 use super::*;
 use simba::simd::{AutoBoolx4, AutoF64x4};
 
@@ -343,5 +345,80 @@ fn each_lane_has_its_own_answer() {
         let place = lane as f64;
         assert_eq!(own.safety_force[0], 1.0 + place);
         assert_eq!(own.observed.0, [10.0, 20.0, 30.0, 40.0].map(|from| from + place));
+    }
+}
+
+/// How long it has been on, and how long it has faded, in ticks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Course {
+    on: f64,
+    fading: f64,
+}
+
+/// Share of an intervention at a tick, by its states one after the other: begins anew, rests, stays, fades, is over.
+fn gain_by_states(
+    now: Course,
+    [hold_off, ramp]: [f64; 2],
+    is_unsafe: bool,
+    felt: Option<bool>,
+) -> (f64, Course) {
+    let over = Course { on: 0.0, fading: 0.0 };
+    if is_unsafe {
+        // One that fades begins anew.
+        let on = if now.fading > 0.0 { 1.0 } else { now.on + 1.0 };
+        return (1.0, Course { on, fading: 0.0 });
+    }
+    if now.on == 0.0 {
+        return (0.0, over);
+    }
+    if now.on < hold_off || felt == Some(false) {
+        return (1.0, Course { on: now.on + 1.0, ..now });
+    }
+    let fading = now.fading + 1.0;
+    if fading > ramp {
+        return (0.0, over);
+    }
+    let share = fading / (ramp + 1.0);
+    (1.0 - share * share, Course { fading, ..now })
+}
+
+proptest! {
+    /// Alone and in lanes, to the bit; in lanes each with a course of its own.
+    #[test]
+    fn an_intervention_follows_its_states(
+        hold_off in 0..4_u32,
+        ramp in 0..5_u32,
+        ticks in prop::collection::vec(
+            prop::array::uniform4((prop::bool::weighted(0.2), prop::bool::weighted(0.7))), 1..60),
+        has_felt in any::<bool>(),
+    ) {
+        let settings = SafetySettings {
+            hold_off_s: f64::from(hold_off) * PERIOD_S,
+            release_ramp_s: f64::from(ramp) * PERIOD_S,
+            ..watching(4)
+        };
+        let one = controller(&settings);
+        let mut lanes = SafetyController::<1, AutoF64x4>::gather(&[&one; 4]).unwrap();
+        let mut alone = [(); 4].map(|()| one.clone());
+        let mut states = [Course { on: 0.0, fading: 0.0 }; 4];
+        for tick in ticks {
+            let felt = has_felt.then(|| AutoBoolx4::from(tick.map(|(_, felt)| felt)));
+            let shared = lanes.gain(Judged { is_unsafe: AutoBoolx4::from(tick.map(|(bad, _)| bad)), felt });
+            for (lane, (is_unsafe, is_felt)) in tick.into_iter().enumerate() {
+                let felt = has_felt.then_some(is_felt);
+                let times = [hold_off, ramp].map(f64::from);
+                let (gain, next) = gain_by_states(states[lane], times, is_unsafe, felt);
+                states[lane] = next;
+                prop_assert_eq!(alone[lane].gain(Judged { is_unsafe, felt }), gain);
+                prop_assert_eq!(shared.extract(lane), gain);
+                let found = Course { on: alone[lane].on_for, fading: alone[lane].fading_for };
+                prop_assert_eq!(found, next);
+                let found = Course {
+                    on: lanes.on_for.extract(lane),
+                    fading: lanes.fading_for.extract(lane),
+                };
+                prop_assert_eq!(found, next);
+            }
+        }
     }
 }
