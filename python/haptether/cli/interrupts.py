@@ -10,6 +10,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from types import FrameType
 
+    from _typeshed import ReadableBuffer
+
 INTERRUPTED = 130
 
 
@@ -65,10 +67,10 @@ class LostOutput(io.FileIO):
     written = False
     """Whether anything was."""
 
-    def write(self, part: bytes) -> int:  # type: ignore[override]  # whatever holds bytes
+    def write(self, part: "ReadableBuffer", /) -> int:
         """Loses what a command prints, so that it goes on to what it writes elsewhere."""
         self.written = True
-        return len(part)
+        return memoryview(part).nbytes
 
 
 def has_lost_output() -> bool:
