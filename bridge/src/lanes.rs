@@ -333,7 +333,12 @@ impl<const WIDTH: usize> SimdPartialOrd for Lanes<WIDTH> {
 
     #[inline(always)]
     fn simd_clamp(self, min: Self, max: Self) -> Self {
-        Self(std::array::from_fn(|lane| self.0[lane].simd_clamp(min.0[lane], max.0[lane])))
+        // As that of numbers, by two instructions: what cannot be compared stays, and so does a zero between zeros.
+        Self(std::array::from_fn(|lane| {
+            let (x, min, max) = (self.0[lane], min.0[lane], max.0[lane]);
+            let below = if max < x { max } else { x };
+            if min > below { min } else { below }
+        }))
     }
 
     #[inline(always)]
@@ -432,6 +437,8 @@ mod tests {
             prop_assert!(same(x.simd_max(y), lane, p.simd_max(q)));
             prop_assert!(same(x.simd_min(y), lane, p.simd_min(q)));
             prop_assert!(same(x.select(mask, y), lane, p.select(m[lane], q)));
+            let most = haptether_safety::Real::magnitude(y);
+            prop_assert!(same(x.simd_clamp(-most, most), lane, p.simd_clamp(-q.abs(), q.abs())));
             prop_assert_eq!(x.simd_lt(y).extract(lane), p < q);
             prop_assert_eq!(x.simd_le(y).extract(lane), p <= q);
             prop_assert_eq!(x.simd_gt(y).extract(lane), p > q);

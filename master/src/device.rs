@@ -186,9 +186,13 @@ pub(crate) fn exerted<const N: usize, S: Real>(
     }
     // An infinite bound must not meet 0 in a quotient.
     let share = S::splat(1.0).select(is_within, max_force_n / norm);
-    // A copy: all that the caller has beside what a call gets the address of would stand in memory at each tick.
-    let commanded = *commanded;
-    commanded.map(|force| quantised(force * share, quantum, is_exact))
+    // A copy and no closure: all that the caller has beside what a call gets the address of would stand in memory at each
+    // tick.
+    let mut force = *commanded;
+    for axis in 0..N {
+        force[axis] = quantised(force[axis] * share, quantum, is_exact);
+    }
+    force
 }
 
 #[cfg(test)]

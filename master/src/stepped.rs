@@ -248,7 +248,9 @@ impl<const N: usize, S: Real> SteppedMaster<N, S> {
     #[inline(always)]
     fn rest(&mut self) {
         let negligible = S::splat(NEGLIGIBLE_SPEED);
-        self.velocity = self.velocity.map(|v| (v + negligible) - negligible);
+        for axis in 0..N {
+            self.velocity[axis] = (self.velocity[axis] + negligible) - negligible;
+        }
     }
 
     /// x in m, as the encoder sees it.
@@ -257,7 +259,12 @@ impl<const N: usize, S: Real> SteppedMaster<N, S> {
         if self.is_exact[0] {
             return self.position;
         }
-        self.position.map(|x| quantised(x, self.encoder_quantum, self.is_exact[0]))
+        // A copy and no closure: what a call gets the address of would stand in memory at each tick.
+        let mut measured = self.position;
+        for axis in 0..N {
+            measured[axis] = quantised(measured[axis], self.encoder_quantum, self.is_exact[0]);
+        }
+        measured
     }
 
     /// V in m/s, only from a device that measures it.

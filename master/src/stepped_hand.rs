@@ -164,20 +164,35 @@ impl<const N: usize, S: Real> SteppedHand<N, S> {
     /// Force in N on a device at x in m with V in m/s, at time t in s.
     #[inline(always)]
     pub(crate) fn force(&self, t: f64, position: &Axes<N, S>, velocity: &Axes<N, S>) -> Axes<N, S> {
-        let mut wish = (self.target(t) - position) * self.stiffness - velocity * self.damping;
-        let grip = self.grip(t);
-        if let (ReleaseKind::Gain, Some(grip)) = (self.kind, grip) {
-            wish *= grip;
+        // Steps are products of seconds: what is within half a ns of a time is at that time.
+        if self.release.as_ref().is_some_and(|release| t + HALF_NS >= release.latest) {
+            return Axes::zeros();
         }
+        let wish = (self.target(t) - position) * self.stiffness - velocity * self.damping;
+        let Some(grip) = self.grip(t) else {
+            return self.bounded(wish, self.strength_n);
+        };
+        let mut force = match self.kind {
+            ReleaseKind::Gain => self.bounded(wish * grip, self.strength_n),
+            ReleaseKind::Strength => self.bounded(wish, self.strength_n * grip),
+        };
+        // Not -0.0, which it would be from one that has let go while another holds.
+        let nothing = S::splat(0.0);
+        for axis in 0..N {
+            force[axis] = nothing.select(grip.simd_eq(nothing), force[axis]);
+        }
+        force
+    }
+
+    /// A force no stronger than the grip.
+    #[inline(always)]
+    fn bounded(&self, mut wish: Axes<N, S>, strength: S) -> Axes<N, S> {
         if self.is_unbounded {
             return wish;
         }
-        let strength = match (self.kind, grip) {
-            (ReleaseKind::Strength, Some(grip)) => self.strength_n * grip,
-            _ => self.strength_n,
-        };
         if N == 1 {
-            return wish.map(|wish| wish.simd_clamp(-strength, strength));
+            wish[0] = wish[0].simd_clamp(-strength, strength);
+            return wish;
         }
         let norm = wish.dot(&wish).root();
         wish * S::splat(1.0).select(norm.simd_le(strength), strength / norm)
@@ -219,12 +234,8 @@ impl<const N: usize, S: Real> SteppedHand<N, S> {
     fn grip(&self, t: f64) -> Option<S> {
         let release = self.release.as_ref()?;
         let (zero, one, time) = (S::splat(0.0), S::splat(1.0), S::splat(t));
-        // Steps are products of seconds: what is within half a ns of a time is at that time.
         if t + HALF_NS < release.earliest {
             return None;
-        }
-        if t + HALF_NS >= release.latest {
-            return Some(zero);
         }
         let now = S::splat(t + HALF_NS);
         let falling = one - (time - release.at) * release.falls;

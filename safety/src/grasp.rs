@@ -3,7 +3,7 @@
 use crate::{
     Axes, ParameterError, Real,
     estimator::Motion,
-    lanes::{choose, norm, pack},
+    lanes::{choose_axes, norm, pack},
     parameter::{finite, non_negative, positive},
 };
 
@@ -106,7 +106,7 @@ fn direction<const N: usize, S: Real>(velocity: &Axes<N, S>) -> Axes<N, S> {
         return velocity.map(sign);
     }
     let speed = norm(velocity);
-    choose(speed.simd_gt(nothing), || velocity / speed, Axes::zeros)
+    choose_axes!(S, speed.simd_gt(nothing), velocity / speed, Axes::zeros())
 }
 
 #[cfg(test)]

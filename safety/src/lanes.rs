@@ -3,8 +3,8 @@
 use std::{fmt::Debug, ops::Neg};
 
 use nalgebra::{
-    ClosedAddAssign, ClosedDivAssign, ClosedMulAssign, ClosedSubAssign, SVector, Scalar, SimdBool as _,
-    SimdPartialOrd, SimdRealField, SimdValue,
+    ClosedAddAssign, ClosedDivAssign, ClosedMulAssign, ClosedSubAssign, SVector, Scalar, SimdPartialOrd,
+    SimdRealField, SimdValue,
 };
 use num_traits::{One, Zero};
 
@@ -88,18 +88,47 @@ pub(crate) fn nowhere<S: Real>() -> S::SimdBool {
     S::splat(0.0).simd_lt(S::splat(0.0))
 }
 
-/// One of two in each lane, axis by axis; for `f64` only the one that is needed. nalgebra's own is a call that is built
-/// without the processor's vectors, and what it gets would stand in memory at each tick.
+/// One of two numbers in each lane; for `f64` only the one that is needed is computed.
+///
+/// Not [`if_else`](nalgebra::SimdBool::if_else): a closure that is too long to be inlined is a call that is built without
+/// the processor's vectors, and all that it captures stands in memory at each tick, also where it is not called.
+macro_rules! choose {
+    ($S:ty, $first:expr, $one:expr, $other:expr) => {{
+        let first = $first;
+        if <$S as nalgebra::SimdValue>::LANES == 1 {
+            if nalgebra::SimdBool::all(first) { $one } else { $other }
+        } else {
+            nalgebra::SimdValue::select($one, first, $other)
+        }
+    }};
+}
+
+/// The same of vectors, axis by axis.
+macro_rules! choose_axes {
+    ($S:ty, $first:expr, $one:expr, $other:expr) => {{
+        let first = $first;
+        if <$S as nalgebra::SimdValue>::LANES == 1 {
+            if nalgebra::SimdBool::all(first) { $one } else { $other }
+        } else {
+            $crate::lanes::selected(first, $one, &$other)
+        }
+    }};
+}
+
+pub(crate) use {choose, choose_axes};
+
+/// One of two in each lane, axis by axis. nalgebra's own is a call.
 #[inline(always)]
-pub(crate) fn choose<const N: usize, S: Real>(
+pub(crate) fn selected<const N: usize, S: Real>(
     first: S::SimdBool,
-    one: impl FnOnce() -> Axes<N, S>,
-    other: impl FnOnce() -> Axes<N, S>,
+    one: Axes<N, S>,
+    other: &Axes<N, S>,
 ) -> Axes<N, S> {
-    if S::LANES == 1 {
-        return first.if_else(one, other);
+    let mut chosen = *other;
+    for axis in 0..N {
+        chosen[axis] = one[axis].select(first, other[axis]);
     }
-    one().zip_map(&other(), |one, other| one.select(first, other))
+    chosen
 }
 
 /// A value of each instance, lane by lane; None unless there are as many instances as lanes.

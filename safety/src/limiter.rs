@@ -4,7 +4,7 @@ use nalgebra::SimdBool as _;
 
 use crate::{
     Axes, ParameterError, Real,
-    lanes::{choose, norm, nowhere, pack},
+    lanes::{choose, choose_axes, norm, nowhere, pack},
     parameter::{in_range, positive},
 };
 
@@ -159,6 +159,16 @@ impl<const N: usize> Limiter<N> {
     }
 }
 
+/// Changes a force in some lanes; most ticks need it in none.
+macro_rules! change {
+    ($S:ty, $force:ident, $place:expr, $changed:expr) => {
+        if $place.any() {
+            seldom();
+            $force = choose_axes!($S, $place, $changed, $force);
+        }
+    };
+}
+
 impl<const N: usize, S: Real> Limiter<N, S> {
     /// As many limiters as there are lanes; None for another number of them.
     pub fn gather(of: &[&Limiter<N>]) -> Option<Self> {
@@ -187,7 +197,7 @@ impl<const N: usize, S: Real> Limiter<N, S> {
             }
         }
         let ramp = is_finite & ticks.simd_lt(ramp_ticks);
-        change(&mut force, ramp, move |force| force * (ticks / ramp_ticks));
+        change!(S, force, ramp, force * (ticks / ramp_ticks));
         self.ticks = (ticks + S::splat(1.0)).select(ramp, ticks);
         if S::LANES == 1 && is_finite.all() && is_none(&force) {
             // No bound is in the way of no force.
@@ -197,19 +207,17 @@ impl<const N: usize, S: Real> Limiter<N, S> {
         }
         let length = magnitude(&force);
         let long = is_finite & length.simd_gt(max_force_n);
-        change(&mut force, long, move |force| force * (max_force_n / length));
+        change!(S, force, long, force * (max_force_n / length));
         // The nearest point on the way from the last force to zero: getting there only unloads.
         let unloaded = self.last * nearest_share(&self.last, &force);
         let growth = force - unloaded;
         let step_n = magnitude(&growth);
         let slew = is_finite & step_n.simd_gt(most_growth);
-        change(&mut force, slew, move |_| unloaded + growth * (most_growth / step_n));
+        change!(S, force, slew, unloaded + growth * (most_growth / step_n));
         let watts = force.dot(&velocity);
         let power = is_finite & watts.simd_gt(max_power_w);
-        change(&mut force, power, move |force| {
-            force - velocity * ((watts - max_power_w) / velocity.dot(&velocity))
-        });
-        self.last = choose(is_finite, || force, Axes::zeros);
+        change!(S, force, power, force - velocity * ((watts - max_power_w) / velocity.dot(&velocity)));
+        self.last = choose_axes!(S, is_finite, force, Axes::zeros());
         SaturatedForce { force: self.last, norm: long, slew, power, ramp, fault: !is_finite }
     }
 
@@ -241,20 +249,6 @@ fn magnitude<const N: usize, S: Real>(force: &Axes<N, S>) -> S {
 #[cold]
 fn seldom() {}
 
-/// Changes the force in some lanes; most ticks need it in none.
-#[inline(always)]
-fn change<const N: usize, S: Real>(
-    force: &mut Axes<N, S>,
-    place: S::SimdBool,
-    changed: impl FnOnce(Axes<N, S>) -> Axes<N, S>,
-) {
-    if place.any() {
-        seldom();
-        let unchanged = *force;
-        *force = choose(place, || changed(unchanged), || unchanged);
-    }
-}
-
 /// The share s in [0, 1] for which `s last` is nearest to `force`.
 #[inline(always)]
 fn nearest_share<const N: usize, S: Real>(last: &Axes<N, S>, force: &Axes<N, S>) -> S {
@@ -264,13 +258,15 @@ fn nearest_share<const N: usize, S: Real>(last: &Axes<N, S>, force: &Axes<N, S>)
     if S::LANES == 1 && (last.dot(force).simd_ge(squared) & squared.simd_gt(none)).all() {
         return all;
     }
-    squared.simd_gt(none).if_else(
-        || {
+    choose!(
+        S,
+        squared.simd_gt(none),
+        {
             let share = last.dot(force) / squared;
             // Not simd_clamp: over lanes it takes NaN for a number.
             none.select(share.simd_lt(none), all.select(share.simd_gt(all), share))
         },
-        || none,
+        none
     )
 }
 

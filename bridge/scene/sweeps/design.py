@@ -193,12 +193,14 @@ def _values_of_path(path: str, values: Values) -> npt.NDArray[Any]:
     Raises:
         SceneError: What no field takes.
     """
-    values = _without_numpy(values if isinstance(values, np.ndarray) else list(values))
-    if any(isinstance(value, bool | str | list | Mapping | SceneChoice) for value in values):
-        return _categories(path, values)
-    if None in values:
-        message = f"{path} = nothing: must be {ALLOWED}"
-        raise SceneError(message)
+    # An array of numbers is one: there is no value to look at by itself.
+    if not (type(values) is np.ndarray and values.dtype.kind in "fiu" and values.ndim == 1):
+        values = _without_numpy(values if isinstance(values, np.ndarray) else list(values))
+        if any(isinstance(value, bool | str | list | Mapping | SceneChoice) for value in values):
+            return _categories(path, values)
+        if None in values:
+            message = f"{path} = nothing: must be {ALLOWED}"
+            raise SceneError(message)
     try:
         numbers = np.array(values, dtype=np.float64)
     except OverflowError:
@@ -215,7 +217,7 @@ def _values_of_path(path: str, values: Values) -> npt.NDArray[Any]:
         raise SceneError(message)
     if path != SCENE and counts_on(path_of(path)) and (large := np.flatnonzero(numbers > LARGEST_EXACT)).size:
         # Here, where it is as it was given, and not as it was rounded.
-        message = f"{path} = {shown(values[large[0]])}: must be {EXACT}"
+        message = f"{path} = {shown(_without_numpy(values[large[0]]))}: must be {EXACT}"
         raise SceneError(message)
     return numbers
 

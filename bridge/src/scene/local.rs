@@ -240,7 +240,7 @@ where
             &(step.requested_force + step.wall_force),
             &step.device_force,
             &step.hand_force,
-            step.response.acts,
+            step.response.may_act.then_some(step.response.acts),
         );
         observe(time_s, &step, &self.looped);
         match settled {

@@ -353,8 +353,8 @@ impl<const N: usize, S: Real> Measures<N, S> {
         }
     }
 
-    /// Takes one tick at time t in s: x in m, V in m/s, `F_v`, `F_device` and the hand's force in N, and whether a
-    /// controller acts; returns in which scenarios nothing more will happen, if any may end early.
+    /// Takes one tick at time t in s: x in m, V in m/s, `F_v`, `F_device` and the hand's force in N, and where a
+    /// controller acts, if one may; returns in which scenarios nothing more will happen, if any may end early.
     #[inline(always)]
     #[allow(clippy::too_many_arguments)] // the signals of a tick
     pub(crate) fn take(
@@ -365,7 +365,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
         rendered_force: &Axes<N, S>,
         device_force: &Axes<N, S>,
         hand_force: &Axes<N, S>,
-        is_on: S::SimdBool,
+        is_on: Option<S::SimdBool>,
     ) -> Option<S::SimdBool> {
         let (zero, one, time) = (S::splat(0.0), S::splat(1.0), S::splat(t));
         self.newest_s = t;
@@ -410,7 +410,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
         }
         if !self.metrics.has_interventions() {
             // Nobody asks for them.
-        } else if is_on.any() {
+        } else if let Some(is_on) = is_on.filter(|is_on| is_on.any()) {
             let on = one.select(is_on, zero);
             let begins = on * (one - self.was_on);
             let is_false = if self.has_release { zero.select(has_begun, begins) } else { begins };
@@ -427,7 +427,10 @@ impl<const N: usize, S: Real> Measures<N, S> {
         // controller holds the force back will move when that ends.
         let moves = squared_speed.simd_gt(S::splat(AT_REST * AT_REST));
         let forces = squared_force + hand_force.dot(hand_force) + rendered_force.dot(rendered_force);
-        let acts = (moves & forces.simd_gt(zero)) | is_on;
+        let mut acts = moves & forces.simd_gt(zero);
+        if let Some(is_on) = is_on {
+            acts = acts | is_on;
+        }
         self.active = time.select(acts | time.simd_le(quiet_after), self.active);
         Some((time - self.active).simd_gt(S::splat(SETTLED_S)))
     }

@@ -8,7 +8,7 @@ use std::{
     sync::atomic::{AtomicBool, AtomicUsize, Ordering},
 };
 
-use plan::{Column, Job, Place, Plan, bad_axes, jobs};
+use plan::{BLOCK, Column, Job, Place, Plan, bad_axes, jobs};
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::Value;
@@ -288,6 +288,9 @@ fn run_block<const N: usize>(
             Ok(()) if takes_steps(&spec) => match stepped_run(&spec) {
                 Ok(run) => {
                     stepped.push((index, Box::new(run)));
+                    if stepped.len() == BLOCK {
+                        run_stepped(std::mem::take(&mut stepped), lanes, progress, &mut rows);
+                    }
                     continue;
                 }
                 Err(error) => refused(error),

@@ -235,8 +235,15 @@ impl<const N: usize> Watched<N> {
         }
         let turn = record.rotation.rotation();
         let tripped = record.tripped | turn.map_or(0, |turn| turn.tripped);
-        let settled =
-            self.measures.take(time_s, x, v, &record.rendered_force, force, &record.hand_force, tripped != 0);
+        let settled = self.measures.take(
+            time_s,
+            x,
+            v,
+            &record.rendered_force,
+            force,
+            &record.hand_force,
+            (tripped != 0).then_some(true),
+        );
         self.settled = settled == Some(true) && self.engaged_s.is_some();
         self.ticks += 1;
         self.log.tripped(time_s, Tripped::from_bits(tripped));

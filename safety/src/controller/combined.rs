@@ -8,7 +8,7 @@ use crate::{
         Built, ControllerKind, Controllers, PerController, Tripped, Verdicts, cancel_and_damp, dampable,
         probe::{GraspProbe, GraspProbes, Intervening},
     },
-    lanes::{choose, nowhere, option, pack},
+    lanes::{choose, choose_axes, nowhere, option, pack},
     observer::VelocityForceForm,
     parameter::{in_range, positive},
 };
@@ -236,7 +236,8 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     /// What each controller makes of this tick. An [`answer`](Self::answer) must follow.
     #[inline(always)]
     pub(crate) fn judge(&mut self, seen: &Observation<N, S>) -> Verdicts<N, S> {
-        let felt_share = self.felt_share();
+        let reads = self.controllers.reads_aligned_force();
+        let felt_share = if reads { self.felt_share() } else { S::splat(1.0) };
         self.controllers.step(seen, felt_share)
     }
 
@@ -293,12 +294,15 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         judged: Judged<S>,
     ) -> Response<N, S> {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
-        let gain = self.gain(judged);
-        self.let_through = all - gain;
-        let is_on = gain.simd_gt(nothing);
+        let (mut gain, mut is_on) = (nothing, nowhere::<S>());
         let mut safety_force = Axes::<N, S>::zeros();
-        // For one scenario at most ticks need no answer; for several the question costs as much.
-        if S::LANES > 1 || is_on.any() {
+        // Most ticks need no answer: what follows then waits for no observer.
+        let intervenes = (judged.is_unsafe | self.on_for.simd_gt(nothing)).any();
+        if intervenes {
+            gain = self.gain(judged);
+            // Else it is 1 already: an intervention ends with a gain of 0.
+            self.let_through = all - gain;
+            is_on = gain.simd_gt(nothing);
             let answer = cancel_and_damp(seen, self.damping * authority) * gain;
             for axis in 0..N {
                 // Not -0.0 where nothing is on: records stay clean.
@@ -313,6 +317,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         }
         let mut response = Response {
             safety_force,
+            may_act: intervenes,
             acts: is_on,
             tripped: verdicts.tripped(),
             held,
@@ -338,7 +343,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         self.let_through.select(fades, S::splat(1.0))
     }
 
-    /// Share of the intervention that is on at this tick.
+    /// Share of the intervention that is on at this tick; not to be asked for where none is, and nothing is unsafe.
     #[inline(always)]
     fn gain(&mut self, judged: Judged<S>) -> S {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
@@ -346,31 +351,31 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         let Judged { is_unsafe, felt } = judged;
         let stays = on_for.simd_lt(hold_off_ticks);
         let stays = if let Some(felt) = felt { stays | !felt } else { stays };
-        // For one scenario it is but one of the branches below.
-        if S::LANES > 1 && (is_unsafe | on_for.simd_gt(nothing)).none() {
-            return nothing;
-        }
-        let rests = || on_for.simd_eq(nothing);
         let faded = fading_for + all;
         let is_over = faded.simd_gt(ramp_ticks);
-        self.on_for = is_unsafe.if_else3(
-            || nothing.select(fading_for.simd_gt(nothing), on_for) + all,
-            (rests, || nothing),
-            (|| stays, || on_for + all),
-            || nothing.select(is_over, on_for),
+        // One of four in each lane: it trips, nothing is on, it stays on, it fades.
+        macro_rules! by_state {
+            ($trips:expr, $rests:expr, $stays:expr, $fades:expr) => {
+                choose!(
+                    S,
+                    is_unsafe,
+                    $trips,
+                    choose!(S, on_for.simd_eq(nothing), $rests, choose!(S, stays, $stays, $fades))
+                )
+            };
+        }
+        self.on_for = by_state!(
+            nothing.select(fading_for.simd_gt(nothing), on_for) + all,
+            nothing,
+            on_for + all,
+            nothing.select(is_over, on_for)
         );
-        self.fading_for = is_unsafe.if_else3(
-            || nothing,
-            (rests, || nothing),
-            (|| stays, || fading_for),
-            || nothing.select(is_over, faded),
-        );
+        self.fading_for = by_state!(nothing, nothing, fading_for, nothing.select(is_over, faded));
         // Fading slowly at first: a hand needs some 50 ms to take up a load, and one that is still taking it up looks gone.
-        let fades = || {
+        by_state!(all, nothing, all, {
             let share = faded / (ramp_ticks + all);
             nothing.select(is_over, all - share * share)
-        };
-        is_unsafe.if_else3(|| all, (rests, || nothing), (|| stays, || all), fades)
+        })
     }
 
     /// Share of `F_v` that the last tick let through.
@@ -451,6 +456,8 @@ impl<const N: usize> Intervention<N> {
 pub struct Response<const N: usize, S: Real = f64> {
     /// `F_c` in N.
     pub safety_force: Axes<N, S>,
+    /// Whether any of them may act at all: that of a lane need not be asked for otherwise.
+    pub may_act: bool,
     /// Where any of them acts.
     pub acts: S::SimdBool,
     /// Where each called the tick unsafe, or adds a force of its own.
@@ -473,6 +480,7 @@ impl<const N: usize, S: Real> Response<N, S> {
         let nowhere = nowhere::<S>();
         Self {
             safety_force: Axes::zeros(),
+            may_act: false,
             acts: nowhere,
             tripped: PerController::repeat(nowhere),
             held: nowhere,
@@ -507,12 +515,16 @@ impl<const N: usize, S: Real> Response<N, S> {
     #[inline(always)]
     pub(super) fn add_force(&mut self, kind: ControllerKind, force: &Axes<N, S>, gain: S, authority: S) {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
-        let pushes = force.iter().fold(nowhere::<S>(), |any, force| any | force.simd_ne(nothing));
+        let mut pushes = nowhere::<S>();
+        for axis in 0..N {
+            pushes = pushes | force[axis].simd_ne(nothing);
+        }
         let acts = gain.simd_lt(all) & pushes;
         let without = self.safety_force;
         self.tripped[kind] = acts;
+        self.may_act = true;
         self.acts = self.acts | acts;
-        self.safety_force = choose(acts, || without + force * ((all - gain) * authority), || without);
+        self.safety_force = choose_axes!(S, acts, without + force * ((all - gain) * authority), without);
     }
 }
 

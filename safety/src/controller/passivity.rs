@@ -3,7 +3,7 @@
 use crate::{
     About, Axes, DeviceModel, Observation, ParameterError, Real,
     controller::{Controller, Observed, SafetySettings, Verdict, dampable},
-    lanes::{choose, lesser, nowhere, pack, part, shared},
+    lanes::{choose_axes, lesser, nowhere, pack, part, shared},
     observer::SafetyObserver,
 };
 
@@ -72,7 +72,7 @@ impl<const N: usize, S: Real> Controller<N, S> for PassivityController<N, S> {
         let squared_speed = seen.velocity.dot(&seen.velocity);
         let nothing = S::splat(0.0);
         let is_idle = energy_j.simd_ge(nothing) | squared_speed.simd_eq(nothing);
-        let force = choose(is_idle, Axes::zeros, || {
+        let force = choose_axes!(S, is_idle, Axes::zeros(), {
             let missing = -energy_j / (squared_speed * S::splat(self.period_s));
             seen.velocity * -lesser(missing, self.max_damping)
         });

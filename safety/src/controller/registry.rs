@@ -83,16 +83,28 @@ macro_rules! controllers {
             /// A controller that compares `F_v` with `F_h` sees but the share of it that a hand can have felt.
             #[inline(always)]
             fn step(&mut self, seen: &Observation<N, S>, felt_share: S) -> Verdicts<N, S> {
+                let mut is_unsafe = nowhere::<S>();
                 Verdicts {
-                    $($file: match &mut self.$file {
-                        Some(controller) if $controller::<N, S>::READS_ALIGNED_FORCE => {
+                    $($file: if let Some(controller) = &mut self.$file {
+                        let verdict = if $controller::<N, S>::READS_ALIGNED_FORCE {
                             let aligned_rendered_force = seen.aligned_rendered_force * felt_share;
                             controller.step(&Observation { aligned_rendered_force, ..*seen })
-                        }
-                        Some(controller) => controller.step(seen),
-                        None => Verdict::without_force(S::splat(f64::NAN), nowhere::<S>()),
+                        } else {
+                            controller.step(seen)
+                        };
+                        // Here: of those that are not built there is nothing to ask.
+                        is_unsafe = is_unsafe | verdict.is_unsafe;
+                        verdict
+                    } else {
+                        Verdict::without_force(S::splat(f64::NAN), nowhere::<S>())
                     },)+
+                    is_unsafe,
                 }
+            }
+
+            #[inline(always)]
+            fn reads_aligned_force(&self) -> bool {
+                false $(|| $controller::<N, S>::READS_ALIGNED_FORCE && self.$file.is_some())+
             }
 
             #[inline(always)]
@@ -137,6 +149,8 @@ macro_rules! controllers {
         /// What each makes of one tick; of one that is not built, NaN and nothing.
         pub(crate) struct Verdicts<const N: usize, S: Real> {
             $($file: Verdict<N, S>,)+
+            /// Where any of them calls the tick unsafe.
+            is_unsafe: S::SimdBool,
         }
 
         impl<const N: usize, S: Real> Verdicts<N, S> {
@@ -146,10 +160,10 @@ macro_rules! controllers {
                 PerController([$(self.$file.is_unsafe),+])
             }
 
-            /// Where any of them does.
+            /// Where any of them calls it unsafe.
             #[inline(always)]
             pub(crate) fn is_unsafe(&self) -> S::SimdBool {
-                nowhere::<S>() $(| self.$file.is_unsafe)+
+                self.is_unsafe
             }
 
             /// The observers' values.

@@ -90,7 +90,7 @@ impl Research {
             return;
         }
         response.research = !nowhere::<S>();
-        response.acts = !nowhere::<S>();
+        (response.may_act, response.acts) = (true, !nowhere::<S>());
     }
 
     pub(crate) fn reset(&mut self) {

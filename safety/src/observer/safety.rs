@@ -1,10 +1,8 @@
 //! Safety observer, SO.
 
-use nalgebra::SimdBool as _;
-
 use crate::{
     About, DeviceModel, Observation, ParameterError, Real,
-    lanes::{pack, part, shared},
+    lanes::{choose, pack, part, shared},
     parameter::{positive, ratio},
 };
 
@@ -85,11 +83,12 @@ impl<S: Real> CompensatedSum<S> {
     #[inline(always)]
     fn add(&mut self, term: S) {
         let next = self.sum + term;
-        self.lost += self
-            .sum
-            .magnitude()
-            .simd_ge(term.magnitude())
-            .if_else(|| (self.sum - next) + term, || (term - next) + self.sum);
+        self.lost += choose!(
+            S,
+            self.sum.magnitude().simd_ge(term.magnitude()),
+            (self.sum - next) + term,
+            (term - next) + self.sum
+        );
         self.sum = next;
     }
 

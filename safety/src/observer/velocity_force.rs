@@ -1,10 +1,8 @@
 //! Velocity and force observer, VFO.
 
-use nalgebra::SimdBool as _;
-
 use crate::{
     About, Observation, ParameterError, Real,
-    lanes::{lesser, norm, pack, shared},
+    lanes::{choose, lesser, norm, pack, shared},
     parameter::positive,
 };
 
@@ -71,9 +69,11 @@ impl<S: Real> VelocityForceObserver<S> {
             VelocityForceForm::Both => {
                 let force = norm(&seen.rendered_force);
                 let nothing = S::splat(0.0);
-                force.simd_eq(nothing).if_else(
-                    || nothing,
-                    || lesser(power / force / self.velocity_threshold, force / self.force_threshold_n),
+                choose!(
+                    S,
+                    force.simd_eq(nothing),
+                    nothing,
+                    lesser(power / force / self.velocity_threshold, force / self.force_threshold_n)
                 )
             }
         }

@@ -223,7 +223,11 @@ impl<const N: usize, S: Real> RenderedWalls<N, S> {
                 push -= wall.damping * wall.normal.dot(velocity);
             }
             if !wall.is_two_sided {
-                push = push.simd_max(zero).select(depth.simd_gt(zero), zero);
+                push = push.select(push.simd_gt(zero), zero);
+                // Without damping there is no push but at a depth.
+                if wall.is_damped {
+                    push = push.select(depth.simd_gt(zero), zero);
+                }
             }
             force += wall.normal * push;
         }

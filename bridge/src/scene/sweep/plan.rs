@@ -12,8 +12,8 @@ use crate::scene::{
     spec::{SceneSpec, of_axes, scene_axes},
 };
 
-/// Scenarios that a thread takes at once, at most: enough to fill most lanes, few enough for all threads to have some.
-const BLOCK: usize = 64;
+/// Scenarios that are built before they are run: enough to fill most lanes, few enough to stay in the processor's cache.
+pub(super) const BLOCK: usize = 64;
 
 /// Most scenarios that share a beginning.
 const MAX_GROUP: usize = 32;
@@ -167,7 +167,11 @@ pub(super) fn jobs(plans: &[Plan<'_>], threads: usize, has_research: bool) -> Ve
     let most = rows.div_ceil(2 * threads).clamp(1, MAX_GROUP);
     for (part, plan) in plans.iter().enumerate() {
         if has_research || !plan.is_remote() || !plan.can_share() {
-            let size = if plan.is_remote() { block_size(plan.rows, threads) } else { BLOCK };
+            let size = if plan.is_remote() {
+                block_size(plan.rows, threads)
+            } else {
+                local_size(plan.rows, threads)
+            };
             let blocks = (0..plan.rows).step_by(size);
             jobs.extend(blocks.map(|first| Job::Block(part, first..plan.rows.min(first + size))));
             continue;
@@ -200,6 +204,11 @@ pub(super) fn jobs(plans: &[Plan<'_>], threads: usize, has_research: bool) -> Ve
         }
     }
     jobs
+}
+
+/// Scenarios without an arm are short: the scene is read once for many.
+fn local_size(rows: usize, threads: usize) -> usize {
+    rows.div_ceil(8 * threads).clamp(BLOCK, 16 * BLOCK)
 }
 
 /// A scenario with an arm fills no lanes and takes milliseconds: small blocks keep all threads busy to the end.
