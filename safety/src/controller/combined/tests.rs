@@ -325,6 +325,7 @@ fn each_lane_has_its_own_answer() {
         let number = |from: f64| AutoF64x4::new(from, from + 1.0, from + 2.0, from + 3.0);
         let response = Response::<1, AutoF64x4> {
             safety_force: Axes::<1, AutoF64x4>::new(number(1.0)),
+            may_act: true,
             acts: only(0),
             tripped: PerController([0, 1, 2, 3].map(only)),
             held: only(0),
