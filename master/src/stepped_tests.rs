@@ -119,9 +119,13 @@ fn what_lanes_cannot_share_is_refused() {
 fn the_grip_falls_and_rises_at_its_times() {
     let at = Axes::<1>::new;
     let path = Path::new(at(0.01), Vec::new()).unwrap();
-    for (decay_s, again) in [(0.05, None), (0.0, None), (0.05, Some((0.2, 0.1))), (0.05, Some((0.02, 0.1)))] {
-        let release = Release { at_s: 1.0, decay_s, kind: ReleaseKind::Gain };
-        let mut hand = Hand::new(300.0, 0.0, f64::INFINITY, path.clone(), Some(release)).unwrap();
+    let courses = [(0.05, None), (0.0, None), (0.05, Some((0.2, 0.1))), (0.05, Some((0.02, 0.1)))];
+    let kinds =
+        [(ReleaseKind::Gain, f64::INFINITY), (ReleaseKind::Gain, 12.0), (ReleaseKind::Strength, 12.0)];
+    let cases = courses.into_iter().flat_map(|course| kinds.map(|kind| (course, kind)));
+    for ((decay_s, again), (kind, strength_n)) in cases {
+        let release = Release { at_s: 1.0, decay_s, kind };
+        let mut hand = Hand::new(300.0, 0.0, strength_n, path.clone(), Some(release)).unwrap();
         if let Some((reaction_s, rise_s)) = again {
             hand = hand.with_regrasp(Regrasp { reaction_s, rise_s }).unwrap();
         }
@@ -154,9 +158,17 @@ fn the_grip_falls_and_rises_at_its_times() {
                 Some((_, rise_s)) if t >= regrips => ((t - regrips) / rise_s).min(1.0),
                 _ => 0.0,
             };
-            let force = stepped.force(t, &at(0.0), &at(0.0))[0];
-            // Times are sums of seconds: a few roundings of 1 s, on the steepest line.
-            assert!((force - 3.0 * falls.max(rises)).abs() < 1e-12, "{decay_s} {again:?} {t}: {force}");
+            let share = falls.max(rises);
+            for (x, wish) in [(0.0, 3.0_f64), (0.02, -3.0)] {
+                let expected = match kind {
+                    ReleaseKind::Gain => wish * share,
+                    ReleaseKind::Strength => wish.clamp(-12.0 * share, 12.0 * share),
+                };
+                let force = stepped.force(t, &at(x), &at(0.0))[0];
+                // Times are sums of seconds: a few roundings of 1 s, on the steepest line.
+                assert!((force - expected).abs() < 1e-11, "{kind:?} {decay_s} {again:?} {t}: {force}");
+                assert!(share > 0.0 || force.to_bits() == 0, "{kind:?} {t}: {force}");
+            }
         }
     }
 }

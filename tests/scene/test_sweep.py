@@ -14,6 +14,7 @@ from haptether.bridge import Scene, SceneError, Sweep, load_scene, override_scen
 from haptether.bridge.codes import LADDER_STATES
 from haptether.bridge.scene.load import loaded
 from haptether.bridge.scene.sweep import OUTCOMES, sweep_columns
+from haptether.bridge.scene.sweeps.design import design_of
 
 
 def spec(scene: Scene) -> dict[str, Any]:
@@ -328,6 +329,36 @@ def test_values_of_numpy_are_those_of_python(path: str, numpy_values: object, va
     )
     assert list(found.rows()) == list(expected.rows())
     assert "refused" not in found["outcome"]
+
+
+def of_values(path: str, values: "list[Any] | npt.NDArray[Any]") -> tuple[str, list[Any]]:
+    """What a sweep of these values is over, or why it is none."""
+    try:
+        levels = design_of({path: values}).factors[path]
+    except SceneError as refused:
+        return str(refused), []
+    return str(levels.dtype), levels.tolist()
+
+
+@pytest.mark.parametrize(
+    ("path", "values"),
+    [
+        ("operator.stiffness", np.linspace(100, 400, 7)),
+        ("operator.stiffness", np.array([0.1, 200], dtype=np.float32)),
+        ("safety.window", np.array([1, 300], dtype=np.uint16)),
+        ("run.seed", np.array([2**53, 2**63], dtype=np.uint64)),
+        ("run.seed", np.array([1, 2.0**60])),
+        ("operator.stiffness", np.array([300, np.inf])),
+        ("operator.stiffness", np.array([np.nan, 300])),
+        ("operator.stiffness", np.array([])),
+        ("operator.stiffness", np.array([[300.0]])),
+        ("operator.stiffness", np.ma.array([300.0, 400.0], mask=[False, True])),
+        ("run.stop_early", np.array([True, False])),
+        ("safety.signals", np.array(["true", "estimated"])),
+    ],
+)
+def test_an_array_is_the_list_of_its_values(path: str, values: npt.NDArray[Any]) -> None:
+    assert of_values(path, values) == of_values(path, values.tolist())
 
 
 def test_outcomes_are_the_names_that_runs_end_with() -> None:

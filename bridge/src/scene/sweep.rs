@@ -312,6 +312,32 @@ fn run_block<const N: usize>(
 mod tests {
     use super::*;
 
+    /// A job of more rows than are built at once: each row has the outcome of its own run, whoever is refused among them.
+    #[test]
+    fn rows_that_are_built_one_batch_after_the_other_have_their_places() {
+        let mut scene: Value =
+            serde_json::from_slice(include_bytes!("../../benches/work_unit.json")).unwrap();
+        scene["run"]["duration_s"] = 0.1.into();
+        let scene = serde_json::to_vec(&scene).unwrap();
+        let rows = 10 * BLOCK;
+        let number = |row: usize| if row % 50 == 7 { f64::NAN } else { -0.3 * (row as f64 + 1.0) };
+        let ends =
+            Variation { path: "operator.legs.0.end.0".into(), values: (0..rows).map(number).collect() };
+        let settings = SweepSettings { threads: 1, lanes: true, metrics: Metrics::ALL };
+        let progress = Progress::default();
+        let found = sweep(&scene, &[ends.clone()], settings, &progress, None).unwrap();
+        assert_eq!((found.len(), progress.done.into_inner()), (rows, rows));
+        let forces: HashMap<_, _> =
+            found.iter().flatten().map(|one| (one.peak_device_force.map(f64::to_bits), ())).collect();
+        assert!(forces.len() > rows / 2, "the rows differ: {}", forces.len());
+        let alone = SweepSettings { lanes: false, ..settings };
+        for (row, outcome) in found.iter().enumerate() {
+            let values = vec![ends.values[row]];
+            let own = [Variation { path: ends.path.clone(), values }];
+            assert_eq!(*outcome, sweep(&scene, &own, alone, &Progress::default(), None).unwrap()[0], "{row}");
+        }
+    }
+
     /// Rows that are refused, as they are set or as they are built, keep their places among those that are run, alone or
     /// in lanes, and count as done.
     #[test]

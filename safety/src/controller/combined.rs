@@ -343,7 +343,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         self.let_through.select(fades, S::splat(1.0))
     }
 
-    /// Share of the intervention that is on at this tick; not to be asked for where none is, and nothing is unsafe.
+    /// Share of the intervention that is on at this tick.
     #[inline(always)]
     fn gain(&mut self, judged: Judged<S>) -> S {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));

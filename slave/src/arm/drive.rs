@@ -95,7 +95,13 @@ impl<const N: usize> ArmDrive<N> {
         self.set_points.iter().fold(f64::INFINITY, |first, set_point| first.min(set_point.phase))
     }
 
-    /// Moves the set position on by `step` in s, no further than the present phases last.
+    /// How long those last that do not end [at rest from one speed](SetPoint::arrives_steadily), in s.
+    pub(crate) fn unsteady_phase(&self) -> f64 {
+        let unsteady = self.set_points.iter().filter(|set_point| !set_point.arrives_steadily());
+        unsteady.fold(f64::INFINITY, |first, set_point| first.min(set_point.phase))
+    }
+
+    /// Moves the set position on by `step` in s, no further than the present [unsteady phases](Self::unsteady_phase) last.
     pub(crate) fn advance(&mut self, step: f64) {
         if let Some(target) = self.command.position {
             let limits = self.model.limits();
@@ -233,7 +239,13 @@ impl SetPoint {
         }
     }
 
-    /// Moves on by `step` in s, no further than the phase lasts.
+    /// Whether it moves at one speed until it arrives, and rests from then on.
+    #[inline]
+    pub(crate) fn arrives_steadily(&self) -> bool {
+        self.arrives && self.acceleration == 0.0
+    }
+
+    /// Moves on by `step` in s, no further than the phase lasts, unless it then [rests](Self::arrives_steadily).
     pub(crate) fn advance(&mut self, step: f64, target: f64, limits: &Limits) {
         if self.phase.is_infinite() {
             return;

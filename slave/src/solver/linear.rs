@@ -138,6 +138,23 @@ impl Course {
         [x + a0 + t * (a1 + t * a2), v + a1 + 2.0 * a2 * t]
     }
 
+    /// The state after t, by the map over t, of the course plus the response to `slope (s - bend)` up to s = `bend`.
+    ///
+    /// Of a line `f_0 + f_1 s` from rest on that response is `b_0 + b_1 s` less the map of `(b_0, b_1)`, with
+    /// `b_1 = f_1 / k` and `b_0 = (f_0 - c b_1) / k`. From the bend on the line is taken off again; the two lines are then one and
+    /// drop out, and what is left are the two maps.
+    #[inline]
+    fn after_bend(&self, (bend, slope): (f64, f64), c: f64, map: &TransitionMap, t: f64) -> [f64; 2] {
+        let per_k = self.transition.per_k;
+        let b1 = slope * per_k;
+        let from_bend = -c * b1 * per_k;
+        let b0 = from_bend - slope * bend * per_k;
+        let [y, v] = self.beside;
+        let whole = Self { beside: [y - b0, v - b1], ..*self }.by(map, t);
+        let [x, v] = self.transition.over(t - bend).apply([from_bend, b1]);
+        [whole[0] + x, whole[1] + v]
+    }
+
     /// Bounds on `|x(s) - x(0)|` in m and `|x'(s)|` in m/s for s up to t: beside the particular solution
     /// `y'' + c y' + k y = 0`, whose energy `y'² + k y²` does not grow, as long as c is not negative.
     #[inline]
@@ -218,7 +235,7 @@ impl<const N: usize> LinearArm<N> {
             let now = from + done;
             drive.plan();
             let stretch = environment.push_stretch(now);
-            let mut end = (done + LONGEST).min(stretch.until - from).min(done + drive.phase());
+            let mut end = (done + LONGEST).min(stretch.until - from).min(done + drive.unsteady_phase());
             end = end.max(done + SHORTEST);
             if span - end < SHORTEST {
                 end = span;
@@ -243,7 +260,12 @@ impl<const N: usize> LinearArm<N> {
                     0.5 * stiffness * set.acceleration / mass,
                 ];
                 let state = [tool.position[axis], tool.velocity[axis]];
-                let (state, whole) = line.advance([mass, stiffness, damping], input, state, step);
+                let arm = [mass, stiffness, damping];
+                let (state, whole) = if set.arrives_steadily() && set.phase < step {
+                    line.advance_bent(arm, input, (set.phase, stiffness * set.velocity / mass), state, step)
+                } else {
+                    line.advance(arm, input, state, step)
+                };
                 let finite = state.iter().all(|value| value.is_finite());
                 self.coarse_steps += u64::from(!(whole && finite));
                 // Beyond what numbers hold, it stays where it was.
@@ -279,9 +301,39 @@ fn sort<const N: usize>(lines: &mut [Line; N], object: &Object<N>) -> bool {
 }
 
 impl Line {
+    /// As [`advance`](Self::advance), where from `bend` in s on the input grows by `slope` less: mostly in one go, by the
+    /// course of the input after the bend, and the response to how far the input before it lies off that,
+    /// `slope (t - bend)`.
+    #[inline(always)] // has one caller
+    fn advance_bent(
+        &mut self,
+        arm: [f64; 3],
+        [u0, u1, u2]: [f64; 3],
+        (bend, slope): (f64, f64),
+        state: [f64; 2],
+        step: f64,
+    ) -> ([f64; 2], bool) {
+        let later = [u0 + slope * bend, u1 - slope, u2];
+        let Regime { c, pull, transition, longest, .. } = *self.regime(arm, state);
+        let course = Course::of(transition, c, [later[0] + pull, later[1], later[2]], state);
+        // In m/s: what it changes the velocity by at most, for it falls off from its beginning.
+        let impulse = (slope * bend).abs() * bend;
+        let is_whole = self.planes.is_empty()
+            || (longest >= step && c >= 0.0 && self.stays(&course, state[0], step, impulse));
+        if is_whole {
+            let map = self.kept.over(transition, step);
+            return (course.after_bend((bend, slope), c, &map, step), true);
+        }
+        let (state, before) = self.advance(arm, [u0, u1, u2], state, bend);
+        let begins =
+            [later[0] + bend * (later[1] + bend * later[2]), later[1] + 2.0 * later[2] * bend, later[2]];
+        let (state, after) = self.advance(arm, begins, state, step - bend);
+        (state, before && after)
+    }
+
     /// Advances (x, V) by `step` in s under an arm of M, K, B and an input per kg that is quadratic in time; returns
     /// whether every contact was located.
-    #[inline(always)] // has one caller
+    #[inline]
     fn advance(
         &mut self,
         arm: [f64; 3],
@@ -299,7 +351,7 @@ impl Line {
                 return (course.by(&self.kept.over(course.transition, left), left), true);
             }
             let longest = left.min(longest);
-            if longest >= left && c >= 0.0 && self.stays(&course, state[0], left) {
+            if longest >= left && c >= 0.0 && self.stays(&course, state[0], left, 0.0) {
                 return (course.by(&self.kept.over(course.transition, left), left), true);
             }
             let taken = self.first_change(&course, longest).unwrap_or(longest);
@@ -341,10 +393,12 @@ impl Line {
         Regime { arm, c, pull: pull / mass, transition: Transition::new(k, c), longest: 0.5 / k.sqrt() }
     }
 
-    /// Whether bounds say that no contact changes within t in s of a course from x in m on.
+    /// Whether bounds say that no contact changes within t in s of a course from x in m on, to which an input of `impulse`
+    /// in m/s is added: its response is at most `impulse t` and `impulse`, since that to a unit is at most t and 1.
     #[inline]
-    fn stays(&self, course: &Course, x: f64, t: f64) -> bool {
+    fn stays(&self, course: &Course, x: f64, t: f64, impulse: f64) -> bool {
         let [farther, fastest] = course.bounds(t);
+        let (farther, fastest) = (farther + impulse * t, fastest + impulse);
         let [a0, ..] = course.particular;
         self.planes.iter().all(|plane| {
             let depth = plane.normal * (plane.surface - x);
@@ -413,6 +467,19 @@ pub(crate) struct Transition {
     discriminant: f64,
 }
 
+/// `1 / (2 n)!` and `1 / (2 n + 1)!`, of cosine and sine.
+const EVEN_AND_ODD: [[f64; 2]; 6] = {
+    let mut inverse = [[0.0; 2]; 6];
+    let (mut n, mut factorial) = (0, 1.0);
+    while n < 6 {
+        let next = (2 * n + 1) as f64;
+        inverse[n] = [1.0 / factorial, 1.0 / (factorial * next)];
+        factorial *= next * (next + 1.0);
+        n += 1;
+    }
+    inverse
+};
+
 impl Transition {
     /// k in 1/s² (> 0), c in 1/s (>= 0).
     pub(crate) fn new(k: f64, c: f64) -> Self {
@@ -447,13 +514,10 @@ impl Transition {
             (cos, sin / rate)
         } else {
             // Near critical damping both are power series of z; z^6 / 12! is below rounding.
-            let mut cosine = 0.0;
-            let mut sine = 0.0;
-            for n in (0..6_u32).rev() {
-                let m = f64::from(2 * n);
-                cosine = 1.0 + cosine * z / ((m + 1.0) * (m + 2.0));
-                sine = 1.0 + sine * z / ((m + 2.0) * (m + 3.0));
-            }
+            let (cosine, sine) = EVEN_AND_ODD
+                .iter()
+                .rev()
+                .fold((0.0, 0.0), |(cosine, sine), [even, odd]| (even + cosine * z, odd + sine * z));
             (cosine, sine * t)
         };
         let (cosine, sine) = (decay * cosine, decay * sine);
@@ -489,8 +553,84 @@ mod tests {
                 let [moved, speed] = course.at(at);
                 prop_assert!((moved - x).abs() <= farther + 1e-12, "{} {}", moved - x, farther);
                 prop_assert!(speed.abs() <= fastest * (1.0 + 1e-9) + 1e-9, "{} {}", speed, fastest);
-                prop_assert!(!line.stays(&course, x, t) || !line.changed([moved, speed]), "{share}");
+                prop_assert!(!line.stays(&course, x, t, 0.0) || !line.changed([moved, speed]), "{share}");
             }
+        }
+    }
+
+    proptest! {
+        /// An input that bends is two courses, one after the other; and where bounds say that no contact changes, none does
+        /// on either.
+        #[test]
+        fn a_bent_input_is_two_courses(
+            [mass, frequency, ratio] in [0.5..10.0_f64, 2.0..40.0_f64, 0.0..2.0_f64],
+            (x, v, away) in (-0.02..0.02_f64, -1.0..1.0_f64, -1e-3..1e-3_f64),
+            (push, growth) in (-20.0..20.0_f64, -1e3..1e3_f64),
+            (surface, wall, damping) in (-0.02..0.02_f64, 100.0..1e5_f64, 0.0..200.0_f64),
+            (has_wall, is_above) in any::<(bool, bool)>(),
+            share in 0.0..1.0_f64,
+        ) {
+            let rate = std::f64::consts::TAU * frequency;
+            let arm = [mass, mass * rate * rate, 2.0 * ratio * mass * rate];
+            let normal = if is_above { 1.0 } else { -1.0 };
+            let plane = LinePlane { surface, normal, stiffness: wall, damping, mode: Mode::Apart };
+            let line = Line { planes: vec![plane; usize::from(has_wall)], ..Line::default() };
+            let step = 1e-3;
+            // A set position that is `away` from its target and gets there at the bend.
+            let bend = share * step;
+            let speed = away / bend.max(1e-6);
+            let slope = arm[1] * speed / mass;
+            let input = [(push + arm[1] * (x - away)) / mass, growth / mass + slope, 0.0];
+            let state = [x, v];
+            let (found, whole) = line.clone().advance_bent(arm, input, (bend, slope), state, step);
+            prop_assert!(whole);
+            let mut by_halves = line.clone();
+            let (middle, _) = by_halves.advance(arm, input, state, bend);
+            let [u0, u1] = [input[0] + slope * bend, input[1] - slope];
+            let (end, _) = by_halves.advance(arm, [u0 + u1 * bend, u1, 0.0], middle, step - bend);
+            // Some roundings of what the courses are made of: places, and speeds by the rates.
+            let size = x.abs() + v.abs() * step + away.abs() + input[0].abs() / (rate * rate) + speed.abs() / rate;
+            let unsure = 64.0 * f64::EPSILON * (size + surface.abs());
+            prop_assert!((found[0] - end[0]).abs() < unsure, "{found:?} {end:?}");
+            let fastest = rate.max((wall / mass).sqrt()).max(arm[2] / mass).max(damping / mass);
+            prop_assert!((found[1] - end[1]).abs() < unsure * fastest.max(1.0 / step), "{found:?} {end:?}");
+
+            let mut watched = line;
+            let regime = *watched.regime(arm, state);
+            let later = [u0 + regime.pull, u1, 0.0];
+            let course = Course::of(regime.transition, regime.c, later, state);
+            if has_wall && watched.stays(&course, x, step, (slope * bend).abs() * bend) {
+                let modes = watched.planes.clone();
+                for part in 0..=50 {
+                    let t = f64::from(part) / 50.0 * step;
+                    let mut seen = watched.clone();
+                    let (now, _) = seen.advance(arm, input, state, t.min(bend));
+                    let (now, _) = seen.advance(arm, [u0 + u1 * bend, u1, 0.0], now, (t - bend).max(0.0));
+                    prop_assert!(modes[0].mode(now) == modes[0].mode, "{part}");
+                }
+            }
+        }
+    }
+
+    /// The series near critical damping is that of the functions on both sides, and of the limit itself.
+    #[test]
+    fn near_critical_damping_the_series_are_cosine_and_sine() {
+        for z in [0.0, 1e-12, -1e-12, 1e-5, -1e-5, 9.9e-3_f64, -9.9e-3] {
+            let root = z.abs().sqrt();
+            let (cosine, sine) = if z > 0.0 {
+                (root.cosh(), root.sinh() / root)
+            } else if z < 0.0 {
+                (root.cos(), root.sin() / root)
+            } else {
+                (1.0, 1.0)
+            };
+            // With t = 1 and c = 2 half: k = half² - z.
+            let half = 3.0_f64;
+            let map = Transition { k: half * half - z, per_k: 1.0, half, discriminant: z }.over(1.0);
+            let decay = (-half).exp();
+            assert!((map.sine / decay - sine).abs() < 4.0 * f64::EPSILON, "{z}");
+            let seen = (map.from_y + map.from_v) / (2.0 * decay);
+            assert!((seen - cosine).abs() < 8.0 * f64::EPSILON, "{z}");
         }
     }
 
@@ -565,9 +705,9 @@ mod tests {
             let line = Line { planes: vec![plane], ..Line::default() };
             let k = (arm + if touches { wall } else { 0.0 }) / mass;
             let course = Course::new(k, damping / mass, [arm * set_point / mass, 0.0, 0.0], [x, 0.0]);
-            assert!(line.stays(&course, x, 1e-3));
+            assert!(line.stays(&course, x, 1e-3, 0.0));
             // Nor do they say so of one that arrives.
-            assert!(!line.stays(&Course::new(k, damping / mass, [0.0; 3], [1e-4, -1.0]), 1e-4, 1e-3));
+            assert!(!line.stays(&Course::new(k, damping / mass, [0.0; 3], [1e-4, -1.0]), 1e-4, 1e-3, 0.0));
         }
     }
 

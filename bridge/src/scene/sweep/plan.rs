@@ -250,6 +250,16 @@ mod tests {
         assert!(groups(4, false).iter().all(|group| group.len() <= 2));
     }
 
+    /// One thread reads a scene once for many short runs; many threads all have some.
+    #[test]
+    fn short_runs_come_in_jobs_that_keep_all_threads_busy() {
+        for (rows, threads, size) in
+            [(1, 1, BLOCK), (500, 1, BLOCK), (10_000, 1, 1024), (10_000, 2, 625), (10_000, 64, BLOCK)]
+        {
+            assert_eq!(local_size(rows, threads), size, "{rows} {threads}");
+        }
+    }
+
     #[test]
     fn a_path_leads_where_a_json_pointer_does() {
         let mut scene = serde_json::json!({

@@ -401,10 +401,21 @@ proptest! {
         let one = controller(&settings);
         let mut lanes = SafetyController::<1, AutoF64x4>::gather(&[&one; 4]).unwrap();
         let mut alone = [(); 4].map(|()| one.clone());
+        // Which ask for a share only where there is one.
+        let (mut answering, mut lanes_answering) = (alone.clone(), lanes.clone());
+        let seen_in_lanes = Observation::exact(
+            Axes::<1, AutoF64x4>::new(AutoF64x4::splat(0.1)),
+            Axes::<1, AutoF64x4>::new(AutoF64x4::splat(2.0)),
+            Axes::<1, AutoF64x4>::zeros(),
+        );
         let mut states = [Course { on: 0.0, fading: 0.0 }; 4];
         for tick in ticks {
             let felt = has_felt.then(|| AutoBoolx4::from(tick.map(|(_, felt)| felt)));
-            let shared = lanes.gain(Judged { is_unsafe: AutoBoolx4::from(tick.map(|(bad, _)| bad)), felt });
+            let judged = Judged { is_unsafe: AutoBoolx4::from(tick.map(|(bad, _)| bad)), felt };
+            let shared = lanes.gain(judged);
+            let verdicts = lanes_answering.judge(&seen_in_lanes);
+            let together = lanes_answering.answer(&seen_in_lanes, AutoF64x4::splat(1.0), &verdicts, judged);
+            prop_assert!(together.may_act || together.acts.none());
             for (lane, (is_unsafe, is_felt)) in tick.into_iter().enumerate() {
                 let felt = has_felt.then_some(is_felt);
                 let times = [hold_off, ramp].map(f64::from);
@@ -412,8 +423,20 @@ proptest! {
                 states[lane] = next;
                 prop_assert_eq!(alone[lane].gain(Judged { is_unsafe, felt }), gain);
                 prop_assert_eq!(shared.extract(lane), gain);
-                let found = Course { on: alone[lane].on_for, fading: alone[lane].fading_for };
-                prop_assert_eq!(found, next);
+                let verdicts = answering[lane].judge(&seen(0.1, 2.0));
+                let judged = Judged { is_unsafe, felt };
+                let answer = answering[lane].answer(&seen(0.1, 2.0), 1.0, &verdicts, judged);
+                // -F_v - mu V, and not -0.0.
+                let force = if gain > 0.0 { (-2.0 - 0.1 * 5.0) * gain } else { 0.0 };
+                prop_assert_eq!(answer.safety_force[0].to_bits(), force.to_bits());
+                prop_assert_eq!(together.safety_force[0].extract(lane).to_bits(), force.to_bits());
+                prop_assert_eq!((answer.may_act, answer.acts), (gain > 0.0 || answer.may_act, gain > 0.0));
+                prop_assert_eq!(together.acts.extract(lane), gain > 0.0);
+                prop_assert_eq!(answering[lane].let_through, 1.0 - gain);
+                prop_assert_eq!(lanes_answering.let_through.extract(lane), 1.0 - gain);
+                for one in [&alone[lane], &answering[lane]] {
+                    prop_assert_eq!(Course { on: one.on_for, fading: one.fading_for }, next);
+                }
                 let found = Course {
                     on: lanes.on_for.extract(lane),
                     fading: lanes.fading_for.extract(lane),
