@@ -29,38 +29,27 @@ pub(crate) struct LaneMask<const WIDTH: usize>([f64; WIDTH]);
 const TRUE: f64 = 1.0;
 const FALSE: f64 = 0.0;
 
-/// A number of each lane. [`std::array::from_fn`] is a call wherever the compiler takes a branch to be seldom.
-#[inline(always)]
-#[allow(clippy::needless_range_loop)] // an iterator is more to inline
-fn lanes<const WIDTH: usize>(number: impl Fn(usize) -> f64) -> [f64; WIDTH] {
-    let mut numbers = [0.0; WIDTH];
-    for lane in 0..WIDTH {
-        numbers[lane] = number(lane);
-    }
-    numbers
-}
-
 impl<const WIDTH: usize> Lanes<WIDTH> {
     #[inline(always)]
     fn each(self, f: impl Fn(f64) -> f64) -> Self {
-        Self(lanes(|lane| f(self.0[lane])))
+        Self(std::array::from_fn(|lane| f(self.0[lane])))
     }
 
     #[inline(always)]
     fn with(self, other: Self, f: impl Fn(f64, f64) -> f64) -> Self {
-        Self(lanes(|lane| f(self.0[lane], other.0[lane])))
+        Self(std::array::from_fn(|lane| f(self.0[lane], other.0[lane])))
     }
 
     #[inline(always)]
     fn compare(self, other: Self, f: impl Fn(f64, f64) -> bool) -> LaneMask<WIDTH> {
-        LaneMask(lanes(|lane| if f(self.0[lane], other.0[lane]) { TRUE } else { FALSE }))
+        LaneMask(std::array::from_fn(|lane| if f(self.0[lane], other.0[lane]) { TRUE } else { FALSE }))
     }
 }
 
 impl<const WIDTH: usize> LaneMask<WIDTH> {
     #[inline(always)]
     fn with(self, other: Self, f: impl Fn(f64, f64) -> f64) -> Self {
-        Self(lanes(|lane| f(self.0[lane], other.0[lane])))
+        Self(std::array::from_fn(|lane| f(self.0[lane], other.0[lane])))
     }
 }
 
@@ -143,7 +132,7 @@ impl<const WIDTH: usize> Not for LaneMask<WIDTH> {
 
     #[inline(always)]
     fn not(self) -> Self {
-        Self(lanes(|lane| TRUE - self.0[lane]))
+        Self(std::array::from_fn(|lane| TRUE - self.0[lane]))
     }
 }
 
@@ -259,7 +248,7 @@ impl<const WIDTH: usize> SimdValue for Lanes<WIDTH> {
 
     #[inline(always)]
     fn select(self, mask: LaneMask<WIDTH>, other: Self) -> Self {
-        Self(lanes(|lane| if mask.0[lane] == FALSE { other.0[lane] } else { self.0[lane] }))
+        Self(std::array::from_fn(|lane| if mask.0[lane] == FALSE { other.0[lane] } else { self.0[lane] }))
     }
 }
 
@@ -344,8 +333,9 @@ impl<const WIDTH: usize> SimdPartialOrd for Lanes<WIDTH> {
 
     #[inline(always)]
     fn simd_clamp(self, min: Self, max: Self) -> Self {
-        // As that of numbers, by two instructions: what cannot be compared stays, and so does a zero between zeros.
-        Self(lanes(|lane| {
+        // For bounds in their order that of numbers, by two instructions: what cannot be compared stays, and so does a zero
+        // between zeros.
+        Self(std::array::from_fn(|lane| {
             let (x, min, max) = (self.0[lane], min.0[lane], max.0[lane]);
             let below = if max < x { max } else { x };
             if min > below { min } else { below }

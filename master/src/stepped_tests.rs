@@ -166,7 +166,7 @@ fn the_grip_falls_and_rises_at_its_times() {
                 };
                 let force = stepped.force(t, &at(x), &at(0.0))[0];
                 // Times are sums of seconds: a few roundings of 1 s, on the steepest line.
-                assert!((force - expected).abs() < 1e-11, "{kind:?} {decay_s} {again:?} {t}: {force}");
+                assert!((force - expected).abs() < 1e-12, "{kind:?} {decay_s} {again:?} {t}: {force}");
                 assert!(share > 0.0 || force.to_bits() == 0, "{kind:?} {t}: {force}");
             }
         }

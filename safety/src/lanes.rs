@@ -22,7 +22,7 @@ pub fn is_within<const N: usize>(value: &Axes<N>, bound: f64) -> bool {
 ///
 /// All of this crate's steps are written over it. No operation mixes lanes: each lane holds, bit for bit, what an
 /// `f64` of its own would hold, and a NaN stays in its lane. What depends on a number is therefore selected, never
-/// branched on; for `f64`, [`SimdBool::if_else`](nalgebra::SimdBool::if_else) is a branch again.
+/// branched on; for `f64`, `choose!` is a branch again.
 ///
 /// Parameters are checked one by one: an instance over lanes is gathered from as many instances over `f64`.
 pub trait Real:

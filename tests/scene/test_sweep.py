@@ -331,7 +331,7 @@ def test_values_of_numpy_are_those_of_python(path: str, numpy_values: object, va
     assert "refused" not in found["outcome"]
 
 
-def of_values(path: str, values: "list[Any] | npt.NDArray[Any]") -> tuple[str, list[Any]]:
+def levels_or_refusal(path: str, values: "list[Any] | npt.NDArray[Any]") -> tuple[str, list[Any]]:
     """What a sweep of these values is over, or why it is none."""
     try:
         levels = design_of({path: values}).factors[path]
@@ -358,7 +358,7 @@ def of_values(path: str, values: "list[Any] | npt.NDArray[Any]") -> tuple[str, l
     ],
 )
 def test_an_array_is_the_list_of_its_values(path: str, values: npt.NDArray[Any]) -> None:
-    assert of_values(path, values) == of_values(path, values.tolist())
+    assert levels_or_refusal(path, values) == levels_or_refusal(path, values.tolist())
 
 
 def test_outcomes_are_the_names_that_runs_end_with() -> None:

@@ -193,7 +193,7 @@ def _values_of_path(path: str, values: Values) -> npt.NDArray[Any]:
     Raises:
         SceneError: What no field takes.
     """
-    # An array of numbers is one: there is no value to look at by itself.
+    # An array of numbers holds nothing else, so its values are not looked at one by one.
     if not (type(values) is np.ndarray and values.dtype.kind in "fiu" and values.ndim == 1):
         values = _without_numpy(values if isinstance(values, np.ndarray) else list(values))
         if any(isinstance(value, bool | str | list | Mapping | SceneChoice) for value in values):

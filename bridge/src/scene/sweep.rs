@@ -290,6 +290,9 @@ fn run_block<const N: usize>(
                     stepped.push((index, Box::new(run)));
                     if stepped.len() == BLOCK {
                         run_stepped(std::mem::take(&mut stepped), lanes, progress, &mut rows);
+                        if stop.load(Ordering::Relaxed) {
+                            return Err(SweepError::Stopped);
+                        }
                     }
                     continue;
                 }
@@ -310,6 +313,8 @@ fn run_block<const N: usize>(
 
 #[cfg(test)]
 mod tests {
+    use std::collections::HashSet;
+
     use super::*;
 
     /// A job of more rows than are built at once: each row has the outcome of its own run, whoever is refused among them.
@@ -327,8 +332,8 @@ mod tests {
         let progress = Progress::default();
         let found = sweep(&scene, &[ends.clone()], settings, &progress, None).unwrap();
         assert_eq!((found.len(), progress.done.into_inner()), (rows, rows));
-        let forces: HashMap<_, _> =
-            found.iter().flatten().map(|one| (one.peak_device_force.map(f64::to_bits), ())).collect();
+        let forces: HashSet<_> =
+            found.iter().flatten().map(|one| one.peak_device_force.map(f64::to_bits)).collect();
         assert!(forces.len() > rows / 2, "the rows differ: {}", forces.len());
         let alone = SweepSettings { lanes: false, ..settings };
         for (row, outcome) in found.iter().enumerate() {

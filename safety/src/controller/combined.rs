@@ -456,7 +456,7 @@ impl<const N: usize> Intervention<N> {
 pub struct Response<const N: usize, S: Real = f64> {
     /// `F_c` in N.
     pub safety_force: Axes<N, S>,
-    /// Whether any of them may act at all: that of a lane need not be asked for otherwise.
+    /// If false, `acts` is false in every lane.
     pub may_act: bool,
     /// Where any of them acts.
     pub acts: S::SimdBool,

@@ -92,7 +92,7 @@ macro_rules! controllers {
                         } else {
                             controller.step(seen)
                         };
-                        // Here: of those that are not built there is nothing to ask.
+                        // Gathered here, so that controllers that are not built cost nothing.
                         is_unsafe = is_unsafe | verdict.is_unsafe;
                         verdict
                     } else {

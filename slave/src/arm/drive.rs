@@ -95,7 +95,7 @@ impl<const N: usize> ArmDrive<N> {
         self.set_points.iter().fold(f64::INFINITY, |first, set_point| first.min(set_point.phase))
     }
 
-    /// How long those last that do not end [at rest from one speed](SetPoint::arrives_steadily), in s.
+    /// What is left in s of the first phase that does not end [at rest from one speed](SetPoint::arrives_steadily).
     pub(crate) fn unsteady_phase(&self) -> f64 {
         let unsteady = self.set_points.iter().filter(|set_point| !set_point.arrives_steadily());
         unsteady.fold(f64::INFINITY, |first, set_point| first.min(set_point.phase))

@@ -150,9 +150,9 @@ impl Course {
         let from_bend = -c * b1 * per_k;
         let b0 = from_bend - slope * bend * per_k;
         let [y, v] = self.beside;
-        let whole = Self { beside: [y - b0, v - b1], ..*self }.by(map, t);
-        let [x, v] = self.transition.over(t - bend).apply([from_bend, b1]);
-        [whole[0] + x, whole[1] + v]
+        let [x, v] = Self { beside: [y - b0, v - b1], ..*self }.by(map, t);
+        let [more_x, more_v] = self.transition.over(t - bend).apply([from_bend, b1]);
+        [x + more_x, v + more_v]
     }
 
     /// Bounds on `|x(s) - x(0)|` in m and `|x'(s)|` in m/s for s up to t: beside the particular solution
@@ -262,7 +262,13 @@ impl<const N: usize> LinearArm<N> {
                 let state = [tool.position[axis], tool.velocity[axis]];
                 let arm = [mass, stiffness, damping];
                 let (state, whole) = if set.arrives_steadily() && set.phase < step {
-                    line.advance_bent(arm, input, (set.phase, stiffness * set.velocity / mass), state, step)
+                    line.advance_bent(
+                        arm,
+                        [input[0], input[1]],
+                        (set.phase, stiffness * set.velocity / mass),
+                        state,
+                        step,
+                    )
                 } else {
                     line.advance(arm, input, state, step)
                 };
@@ -301,33 +307,31 @@ fn sort<const N: usize>(lines: &mut [Line; N], object: &Object<N>) -> bool {
 }
 
 impl Line {
-    /// As [`advance`](Self::advance), where from `bend` in s on the input grows by `slope` less: mostly in one go, by the
-    /// course of the input after the bend, and the response to how far the input before it lies off that,
-    /// `slope (t - bend)`.
+    /// As [`advance`](Self::advance), of an input that is linear in time and from `bend` in s on grows by `slope` less. Mostly
+    /// in one piece: the course of the input after the bend, and the response to how far the input before it lies off
+    /// that, `slope (t - bend)`.
     #[inline(always)] // has one caller
     fn advance_bent(
         &mut self,
         arm: [f64; 3],
-        [u0, u1, u2]: [f64; 3],
+        [u0, u1]: [f64; 2],
         (bend, slope): (f64, f64),
         state: [f64; 2],
         step: f64,
     ) -> ([f64; 2], bool) {
-        let later = [u0 + slope * bend, u1 - slope, u2];
+        let [later0, later1] = [u0 + slope * bend, u1 - slope];
         let Regime { c, pull, transition, longest, .. } = *self.regime(arm, state);
-        let course = Course::of(transition, c, [later[0] + pull, later[1], later[2]], state);
-        // In m/s: what it changes the velocity by at most, for it falls off from its beginning.
+        let course = Course::of(transition, c, [later0 + pull, later1, 0.0], state);
+        // Bound on the integral of |slope (t - bend)|, which is half of it.
         let impulse = (slope * bend).abs() * bend;
-        let is_whole = self.planes.is_empty()
+        let is_one_piece = self.planes.is_empty()
             || (longest >= step && c >= 0.0 && self.stays(&course, state[0], step, impulse));
-        if is_whole {
+        if is_one_piece {
             let map = self.kept.over(transition, step);
             return (course.after_bend((bend, slope), c, &map, step), true);
         }
-        let (state, before) = self.advance(arm, [u0, u1, u2], state, bend);
-        let begins =
-            [later[0] + bend * (later[1] + bend * later[2]), later[1] + 2.0 * later[2] * bend, later[2]];
-        let (state, after) = self.advance(arm, begins, state, step - bend);
+        let (state, before) = self.advance(arm, [u0, u1, 0.0], state, bend);
+        let (state, after) = self.advance(arm, [later0 + bend * later1, later1, 0.0], state, step - bend);
         (state, before && after)
     }
 
@@ -582,7 +586,7 @@ mod tests {
             let slope = arm[1] * speed / mass;
             let input = [(push + arm[1] * (x - away)) / mass, growth / mass + slope, 0.0];
             let state = [x, v];
-            let (found, whole) = line.clone().advance_bent(arm, input, (bend, slope), state, step);
+            let (found, whole) = line.clone().advance_bent(arm, [input[0], input[1]], (bend, slope), state, step);
             prop_assert!(whole);
             let mut by_halves = line.clone();
             let (middle, _) = by_halves.advance(arm, input, state, bend);
@@ -628,9 +632,10 @@ mod tests {
             let half = 3.0_f64;
             let map = Transition { k: half * half - z, per_k: 1.0, half, discriminant: z }.over(1.0);
             let decay = (-half).exp();
+            // A few roundings of numbers near 1 here and in the library; of the sum also those of half of the sine.
             assert!((map.sine / decay - sine).abs() < 4.0 * f64::EPSILON, "{z}");
             let seen = (map.from_y + map.from_v) / (2.0 * decay);
-            assert!((seen - cosine).abs() < 8.0 * f64::EPSILON, "{z}");
+            assert!((seen - cosine).abs() < (4.0 + half) * f64::EPSILON, "{z}");
         }
     }
 

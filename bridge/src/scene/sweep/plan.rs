@@ -12,7 +12,8 @@ use crate::scene::{
     spec::{SceneSpec, of_axes, scene_axes},
 };
 
-/// Scenarios that are built before they are run: enough to fill most lanes, few enough to stay in the processor's cache.
+/// Scenarios that are built before they are run side by side: enough to fill most lanes, few enough to stay in the
+/// processor's cache. Jobs of scenarios without an arm are no smaller, those of scenarios with an arm no larger.
 pub(super) const BLOCK: usize = 64;
 
 /// Most scenarios that share a beginning.
@@ -206,7 +207,7 @@ pub(super) fn jobs(plans: &[Plan<'_>], threads: usize, has_research: bool) -> Ve
     jobs
 }
 
-/// Scenarios without an arm are short: the scene is read once for many.
+/// Scenarios without an arm are mostly short: the scene is read once for many, and each thread has some eight jobs.
 fn local_size(rows: usize, threads: usize) -> usize {
     rows.div_ceil(8 * threads).clamp(BLOCK, 16 * BLOCK)
 }

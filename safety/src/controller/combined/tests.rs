@@ -415,7 +415,9 @@ proptest! {
             let shared = lanes.gain(judged);
             let verdicts = lanes_answering.judge(&seen_in_lanes);
             let together = lanes_answering.answer(&seen_in_lanes, AutoF64x4::splat(1.0), &verdicts, judged);
-            prop_assert!(together.may_act || together.acts.none());
+            let may_act = |lane: usize| tick[lane].0 || states[lane].on > 0.0;
+            prop_assert_eq!(together.may_act, (0..4).any(may_act));
+            let of_each = [0, 1, 2, 3].map(may_act);
             for (lane, (is_unsafe, is_felt)) in tick.into_iter().enumerate() {
                 let felt = has_felt.then_some(is_felt);
                 let times = [hold_off, ramp].map(f64::from);
@@ -430,18 +432,20 @@ proptest! {
                 let force = if gain > 0.0 { (-2.0 - 0.1 * 5.0) * gain } else { 0.0 };
                 prop_assert_eq!(answer.safety_force[0].to_bits(), force.to_bits());
                 prop_assert_eq!(together.safety_force[0].extract(lane).to_bits(), force.to_bits());
-                prop_assert_eq!((answer.may_act, answer.acts), (gain > 0.0 || answer.may_act, gain > 0.0));
+                prop_assert_eq!((answer.may_act, answer.acts), (of_each[lane], gain > 0.0));
                 prop_assert_eq!(together.acts.extract(lane), gain > 0.0);
                 prop_assert_eq!(answering[lane].let_through, 1.0 - gain);
                 prop_assert_eq!(lanes_answering.let_through.extract(lane), 1.0 - gain);
                 for one in [&alone[lane], &answering[lane]] {
                     prop_assert_eq!(Course { on: one.on_for, fading: one.fading_for }, next);
                 }
-                let found = Course {
-                    on: lanes.on_for.extract(lane),
-                    fading: lanes.fading_for.extract(lane),
-                };
-                prop_assert_eq!(found, next);
+                for of in [&lanes, &lanes_answering] {
+                    let found = Course {
+                        on: of.on_for.extract(lane),
+                        fading: of.fading_for.extract(lane),
+                    };
+                    prop_assert_eq!(found, next);
+                }
             }
         }
     }
