@@ -330,7 +330,7 @@ mod tests {
             Variation { path: "operator.legs.0.end.0".into(), values: (0..rows).map(number).collect() };
         let settings = SweepSettings { threads: 1, lanes: true, metrics: Metrics::ALL };
         let progress = Progress::default();
-        let found = sweep(&scene, &[ends.clone()], settings, &progress, None).unwrap();
+        let found = sweep(&scene, std::slice::from_ref(&ends), settings, &progress, None).unwrap();
         assert_eq!((found.len(), progress.done.into_inner()), (rows, rows));
         let forces: HashSet<_> =
             found.iter().flatten().map(|one| one.peak_device_force.map(f64::to_bits)).collect();
