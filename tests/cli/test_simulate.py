@@ -15,7 +15,7 @@ import pytest
 import haptether
 from haptether.cli import main
 from haptether.cli.entry import with_overrides
-from haptether.cli.scene.sweep import values_of
+from haptether.cli.scene.varied import values_of
 
 
 class Played:

@@ -193,7 +193,7 @@ def test_a_file_that_is_too_large_is_refused(tmp_path: Path, capsys: pytest.Capt
         (["--rate", "inf"], "rate = inf: must be 0.001 to 1e+09"),
         (["--delay-s", "0.1", "--set", "delay-s=0.2"], "--delay-s, --set delay_s: one setting is given twice"),
         (["--trace", "a.csv", "--set", "trace.file=b.csv"], "--trace, --set trace.file: one setting is given twice"),
-        (["--set", "loss=0.1", "--set", "loss=0.2"], "--set loss: is given twice"),
+        (["--set", "loss=0.1", "--set", "loss=0.2"], "--set loss, --set loss: one setting is given twice"),
         (["--backward.loss", "0", "--backward-set", "loss=1"], "--backward.loss, --backward-set loss: one setting"),
         (["--columns", "1"], "--columns 1: no picture is asked for: give --plot, too"),
         (["--csv", "-", "--json", "-"], "csv, json: only one of the two"),

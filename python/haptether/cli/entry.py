@@ -21,6 +21,7 @@ import tyro
 
 from haptether import __version__
 from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS, has_lost_output
+from haptether.cli.shared.assignments import refuse_twice
 from haptether.cli.shared.commands import Command, CommandTable
 from haptether.cli.shared.numbers import NUMBERS
 from haptether.cli.shared.output import QueuedBuffer, QueuedOutput, queued_output
@@ -388,9 +389,9 @@ def _with_assignments(
     waiting = list(arguments)
     given: dict[str, str] = {}
 
-    def refuse_twice(assignment: str) -> None:
+    def note(assignment: str) -> None:
         key = assignment.partition("=")[0]
-        _refuse_twice(given, key, f"{option} {key.strip()[:80]}")
+        refuse_twice(given, key, f"{option} {key.strip()[:80]}")
 
     while waiting:
         argument = waiting.pop(0)
@@ -399,7 +400,7 @@ def _with_assignments(
             if not equals:
                 value = waiting.pop(0) if waiting else ""
             changed += [option, f"{found[1]}={value}"]
-            _refuse_twice(given, found[1], name[:80])
+            refuse_twice(given, found[1], name[:80])
         elif argument in repeated and waiting:
             assignments = [waiting.pop(0)]
             while waiting and "=" in waiting[0] and not waiting[0].startswith("-"):
@@ -407,28 +408,15 @@ def _with_assignments(
             for assignment in assignments:
                 changed += [argument, assignment]
                 if argument == option:
-                    refuse_twice(assignment)
+                    note(assignment)
         else:
             changed.append(argument)
             if argument == option and waiting:
                 changed.append(waiting.pop(0))
-                refuse_twice(changed[-1])
+                note(changed[-1])
             elif name == option and equals:
-                refuse_twice(value)
+                note(value)
     return changed
-
-
-def _refuse_twice(given: dict[str, str], key: str, option: str) -> None:
-    """Notes the option that gives a key.
-
-    Raises:
-        ValueError: Another gives it, too: the last alone would count.
-    """
-    field = key.strip().replace("-", "_")
-    if field in given:
-        message = f"{given[field]}, {option}: one setting is given twice: leave one of the two out"
-        raise ValueError(message)
-    given[field] = option
 
 
 def summary(command: type[object]) -> str:

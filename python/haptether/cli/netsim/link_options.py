@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from haptether.cli.shared.assignments import refuse_twice
+
 if TYPE_CHECKING:
     from haptether.netsim import LinkSettings
 
@@ -84,16 +86,13 @@ class LinkOptions:
         Raises:
             ValueError: With both.
         """
-        keys = [setting.partition("=")[0].strip().replace("-", "_") for setting in self.set]
-        if twice := [key for key in keys if keys.count(key) > 1]:
-            message = f"--set {twice[0][:80]}: is given twice: leave one of the two out"
-            raise ValueError(message)
-        for key in keys:
-            name = key.partition(".")[0]
-            if name in {*FLAGS, "trace"} and getattr(self, name) is not None:
-                flag = f"--{name.replace('_', '-')}"
-                message = f"{flag}, --set {key[:80]}: one setting is given twice: leave one of the two out"
-                raise ValueError(message)
+        flags = (name for name in (*FLAGS, "trace") if getattr(self, name) is not None)
+        given = {name: f"--{name.replace('_', '-')}" for name in flags}
+        for setting in self.set:
+            key = setting.partition("=")[0].strip().replace("-", "_")
+            # A key of a table is given by the flag of the table, too.
+            table = key.partition(".")[0]
+            refuse_twice(given, table if table in given else key, f"--set {key[:80]}")
 
 
 @dataclass(frozen=True)

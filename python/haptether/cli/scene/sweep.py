@@ -1,13 +1,13 @@
 """`haptether sweep`."""
 
 import contextlib
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from haptether.cli.scene.varied import count_of, drawn_law, spelled, values_of
 from haptether.cli.shared.picture import PictureOptions
 
 if TYPE_CHECKING:
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from haptether.bridge import RowReason, StoredSweep
     from haptether.bridge import Sweep as SweepResult
-    from haptether.bridge.scene.errors import Raw
     from haptether.bridge.scene.sweeps.design import Design
     from haptether.bridge.scene.sweeps.laws import SampleLaw
     from haptether.cli.shared.screen import Screen
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
 
 ROWS_SHOWN = 20
 SEED = "run.seed"
-RANGE = re.compile(r"[^:,\[{'\"]*:[^:,]*:[^:,]*")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -500,133 +498,3 @@ def reason_lines(reasons: "Iterable[RowReason]", others: int) -> "Iterator[str]"
 def _fields_of(assignments: "Iterable[str]") -> list[str]:
     """The fields that `path=value` sets, as scenes spell them."""
     return [text.partition("=")[0].strip().replace("-", "_") for text in assignments]
-
-
-def spelled(path: str) -> str:
-    """A path as scenes spell it: "-" may stand for "_".
-
-    Raises:
-        SceneError: A path that is not in the schema.
-    """
-    from haptether.bridge.scene.load import path_of
-    from haptether.bridge.scene.sweeps.scenes import SCENE
-
-    return path if path == SCENE else ".".join(map(str, path_of(path)))
-
-
-def values_of(text: str) -> tuple[str, list[Any]]:
-    """The path and the values of `path=a:b:n` or `path=v1,v2,...`.
-
-    Raises:
-        ValueError: Another form, or a count that is none or too large.
-        SceneError: What is no number, of a path that is not in the schema or in no form of TOML.
-    """
-    import math
-
-    import numpy as np
-
-    from haptether.bridge import SceneError
-    from haptether.bridge.scene.sweeps.limits import check_rows
-    from haptether.bridge.scene.sweeps.scenes import SCENE
-
-    path, _, values = text.partition("=")
-    check_rows({f"--vary {text}": count_of(text)})
-    found: list[Any] = []
-    try:
-        if RANGE.fullmatch(values):
-            first, last, count = values.split(":")
-            if not math.isfinite(float(last) - float(first)):
-                raise ValueError
-            found = np.linspace(float(first), float(last), int(count)).tolist()
-        else:
-            found = [_unquoted(item.strip()) if path == SCENE else _value_of(path, item) for item in _items(values)]
-        if not all(math.isfinite(value) for value in found if isinstance(value, float)):
-            raise ValueError
-    except SceneError:
-        raise
-    except ValueError:
-        found = []
-    if not path or not found:
-        message = (
-            f"--vary {text}: must be path=a:b:n with n of at least 1, or path=v1,v2,... of finite numbers or of what"
-            " else the field takes"
-        )
-        raise ValueError(message)
-    return path, found
-
-
-def count_of(text: str) -> int:
-    """How many values `path=a:b:n` or `path=v1,v2,...` has; 1 of what has no such form."""
-    values = text.partition("=")[2]
-    with contextlib.suppress(ValueError):
-        return int(values.rpartition(":")[2]) if RANGE.fullmatch(values) else len(_items(values))
-    return 1
-
-
-def _items(text: str) -> list[str]:
-    """What commas separate outside of brackets and quotes."""
-    items, depth, quoted = [""], 0, ""
-    for letter in text:
-        if letter == "," and depth == 0 and not quoted:
-            items.append("")
-            continue
-        if letter in "'\"":
-            quoted = "" if quoted == letter else quoted or letter
-        elif not quoted:
-            depth += (letter in "[{") - (letter in "]}")
-        items[-1] += letter
-    if "" in map(str.strip, items):
-        raise ValueError
-    return items
-
-
-def _unquoted(item: str) -> str:
-    """Without a matching pair of quotes around all of it."""
-    quote = item[:1]
-    return item[1:-1] if quote in {"'", '"'} and len(item) > 2 and item.find(quote, 1) == len(item) - 1 else item
-
-
-def _value_of(path: str, item: str) -> "Raw":
-    import math
-
-    from msgspec import inspect
-
-    from haptether.bridge.scene.errors import types_at
-    from haptether.bridge.scene.load import path_of, toml_value
-    from haptether.bridge.scene.sweeps.limits import LARGEST_EXACT
-
-    try:
-        number = float(item)
-    except ValueError:
-        if ":" in item and not item.strip().startswith(("[", "{", "'", '"')):
-            raise
-    else:
-        if math.isfinite(number) and abs(number) > LARGEST_EXACT:
-            # Rounded, it could not be refused as what it is.
-            with contextlib.suppress(ValueError):
-                return int(item)
-        return number
-    steps = path_of(path)
-    if item.strip() == "none" and any(isinstance(kind, inspect.VarTupleType) for kind in types_at(steps)):
-        return []
-    return toml_value(item.strip(), steps)
-
-
-def drawn_law(text: str) -> "tuple[str, SampleLaw]":
-    """The path and the law of `path=law:...`.
-
-    Raises:
-        ValueError: Another form, or numbers that the law does not take.
-    """
-    from haptether.bridge.scene.sweeps.laws import FORMS, law_of
-
-    path, _, law = text.partition("=")
-    if not path or not law:
-        message = f"--draw {text}: must be path=law, the law one of {FORMS}"
-        raise ValueError(message)
-    path = spelled(path)
-    try:
-        return path, law_of(law)
-    except ValueError as error:
-        message = f"--draw {path}: {error}"
-        raise ValueError(message) from None
