@@ -208,7 +208,8 @@ def _level(baseline: tuple[str, Any], levels: Mapping[str, Sequence[Any]]) -> tu
         raise ValueError(message)
     chosen = next((one for one in levels[column] if one == value or str(one) == str(value)), None)
     if chosen is None:
-        message = f"baseline: {column} = {value}: must be of {', '.join(map(str, levels[column]))}"
+        seen, *allowed = (f"{one:.10g}" if isinstance(one, float) else str(one) for one in (value, *levels[column]))
+        message = f"baseline: {column} = {seen}: must be of {', '.join(allowed)}"
         raise ValueError(message)
     return list(levels).index(column), chosen
 
