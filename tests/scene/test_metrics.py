@@ -149,7 +149,10 @@ def test_the_command_measures_what_it_is_asked_for(tmp_path: Path, capsys: pytes
             "--summary ticks --against run.seed=1",
             "--against: run.seed is none of what varies: nothing but samples does",
         ),
-        ("--vary safety.window=50,70 --summary ticks --against safety.window=60", "safety.window = 60: must be of 50, 70"),
+        (
+            "--vary safety.window=50,70 --summary ticks --against safety.window=60",
+            "safety.window = 60: must be of 50, 70",
+        ),
         ("--vary safety.window=50,70,50", "--vary safety.window: 50 is there more than once"),
         ("--vary safety.window=50,70 --set safety.window=60", "--vary safety.window, --set safety.window: one field"),
         (
