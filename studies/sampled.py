@@ -200,16 +200,22 @@ def _parsed(quantity: str, kinds: Mapping[str, str]) -> tuple[str, str | None, A
     return name, relation, limit
 
 
+def _shown(value: object) -> str:
+    return f"{value:.10g}" if isinstance(value, float) else str(value)
+
+
 def _level(baseline: tuple[str, Any], levels: Mapping[str, Sequence[Any]]) -> tuple[int, Any]:
     """The place of the column that a baseline names, and its value of that column."""
     column, value = baseline
     if column not in levels:
         message = f"baseline: {column} is none of {', '.join(levels) or 'what varies: nothing but samples does'}"
         raise ValueError(message)
-    chosen = next((one for one in levels[column] if one == value or str(one) == str(value)), None)
+    # As tables show them, for nobody writes out the middle of a range to its last digit.
+    shown = {_shown(one): one for one in reversed(levels[column])}
+    chosen = next((one for one in levels[column] if one == value), shown.get(_shown(value)))
     if chosen is None:
-        seen, *allowed = (f"{one:.10g}" if isinstance(one, float) else str(one) for one in (value, *levels[column]))
-        message = f"baseline: {column} = {seen}: must be of {', '.join(allowed)}"
+        allowed = ", ".join(map(_shown, levels[column]))
+        message = f"baseline: {column} = {_shown(value)}: must be of {allowed}"
         raise ValueError(message)
     return list(levels).index(column), chosen
 

@@ -621,7 +621,7 @@ def _leaves_of(json: bytes) -> Mapping[str, Leaf]:
 
 def _number(path: str, leaf: Leaf) -> float:
     if leaf is None:
-        message = f"{path}: the scene leaves it out; give it a value before varying it"
+        message = f"{path}: the scene leaves it out; give it a value in the scene's file before varying it"
         raise SceneError(message)
     if isinstance(leaf, bool) or not isinstance(leaf, int | float):
         message = f"{path} = {shown(leaf)}: a sweep of numbers cannot change it: set it for all rows"
@@ -638,7 +638,7 @@ def _of_parameter(path: Path, leaves: Mapping[str, Leaf]) -> list[str]:
     axis = f"{text}."
     found = [leaf for leaf in leaves if leaf == text or (leaf.startswith(axis) and leaf[len(axis) :].isdecimal())]
     if not found:
-        message = f"{place(path)}: the scene has no such part; add it before varying it"
+        message = f"{place(path)}: the scene has no such part; add it to the scene's file before varying it"
         raise SceneError(message)
     for leaf in found:
         _number(leaf, leaves[leaf])

@@ -392,12 +392,17 @@ print("loaded:", *sorted(set({heavy!r}) & set(sys.modules)))
 
 
 def test_a_folder_that_cannot_be_is_refused_before_the_run(
-    given: list[dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    given: list[dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     blocked = tmp_path / "a file"
     blocked.write_text("")
     assert main(["simulate", "remote_push", "--plot", str(blocked / "pictures")]) == 1
     assert "cannot be made: Not a directory; give another folder" in capsys.readouterr().err
+    monkeypatch.chdir(tmp_path)
+    for option in ("--plot", "--record"):
+        assert main(["simulate", "remote_push", option, "-"]) == 2
+        assert "-: must be a folder" in capsys.readouterr().err
+        assert not Path("-").exists()
     for picture, options, why in (
         ("run.gif", [], "must be a folder, or end in .png, .pdf, .svg"),
         ("run.png", ["--format", "pdf"], "format = pdf: the two differ"),

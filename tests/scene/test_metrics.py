@@ -191,6 +191,15 @@ def test_a_baseline_is_named_as_it_is_varied_or_as_tables_show_it(
     assert "difference" in capsys.readouterr().out
 
 
+def test_a_level_of_a_range_is_named_as_tables_show_it(capsys: pytest.CaptureFixture[str]) -> None:
+    middle = float(np.linspace(0.01, 0.1, 3)[1])
+    assert middle != 0.055
+    vary = ["--vary", "operator.damping=0.01:0.1:3", "--vary", "run.seed=1,2", "--set", "run.duration_s=0.1"]
+    summary = ["--summary", "ticks", "--against", "operator.damping=0.055"]
+    assert main(["sweep", "paper_wall", *vary, *summary]) == 0
+    assert "difference" in capsys.readouterr().out
+
+
 def test_a_scene_that_cannot_be_is_refused_before_a_bar_begins(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sweep", "no-such-scene", "--vary", "run.seed=1,2"]) == 2
     assert capsys.readouterr().err.startswith("haptether: no-such-scene: no shipped scene")

@@ -264,6 +264,7 @@ def test_samples_are_taken_row_by_row(sweeps_run: list[dict[str, Any]]) -> None:
         ({"samples": {"run.seed": np.array([2**53 + 1])}}, "run.seed = 9007199254740993: must be a whole number below"),
         ({"grid": {"operator.stiffness": ["300"]}}, '[operator] stiffness = "300": must be a number, 0 to 1e9'),
         ({"grid": {"safety.controllers": [[10**400]]}}, ": holds a whole number beyond 64 bits"),
+        ({"grid": {"master.device": ["\ud800"]}}, "master.device = '\\ud800': holds text that UTF-8 cannot write"),
         (
             {"grid": {"safety.controllers": [[1j]]}},
             "safety.controllers = [1j]: holds a complex: must be numbers, strings, booleans, lists or tables",

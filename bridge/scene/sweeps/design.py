@@ -256,6 +256,9 @@ def _check_encodable(path: str, value: object) -> None:
     except OverflowError:
         message = f"{path} = {shown(value)}: holds a whole number beyond 64 bits"
         raise SceneError(message) from None
+    except UnicodeEncodeError:
+        message = f"{path} = {value!a}: holds text that UTF-8 cannot write"
+        raise SceneError(message) from None
     except TypeError as error:
         message = f"{path} = {shown(value)}: {error}"
         raise SceneError(message) from None

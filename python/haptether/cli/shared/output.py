@@ -108,9 +108,12 @@ def make_folder(folder: Path) -> None:
     """Makes a folder for pictures, before the run rather than after it.
 
     Raises:
-        ValueError: It has the name of a picture.
+        ValueError: It has the name of a picture, or is standard output.
         OSError: With the path and what is in the way.
     """
+    if str(folder) == "-":
+        message = "-: must be a folder: what is written are several files"
+        raise ValueError(message)
     if folder.suffix.lower() in {".png", ".pdf", ".svg"}:
         message = (
             f"{folder}: must be a folder, whose pictures are named by what they show; try {folder.with_suffix('')}"
