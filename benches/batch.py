@@ -224,23 +224,30 @@ def implementations(folder: Path) -> dict[str, tuple[Callable[[Array], Sums], in
     return found
 
 
-def measure(name: str, run: Callable[[Array], Sums], scenarios: int, repeats: int) -> Cost:
-    """Times one implementation; its first call, which may compile, is not counted."""
+def measure(runs: dict[str, Callable[[Array], Sums]], scenarios: int, repeats: int) -> list[Cost]:
+    """Times implementations in turns, as a shared machine is quicker in one minute than in the next.
+
+    The first call of each, which may compile, is not counted.
+    """
     depth = depths(scenarios)
-    peaks, on = run(depth)
     expected_peaks, expected_on = EXPECTED[scenarios]
-    times = []
+    sums = {name: run(depth) for name, run in runs.items()}
+    times: dict[str, list[float]] = {name: [] for name in runs}
     for _ in range(repeats):
-        begun = time.perf_counter()
-        run(depth)
-        times.append((time.perf_counter() - begun) * 1e9 / (scenarios * TICKS))
-    return Cost(
-        name=name,
-        scenarios=scenarios,
-        ns_per_scenario_tick=min(times),
-        median_ns=float(np.median(times)),
-        agrees=abs(peaks - expected_peaks) < 1e-9 * max(1.0, expected_peaks) and on == expected_on,
-    )
+        for name, run in runs.items():
+            begun = time.perf_counter()
+            run(depth)
+            times[name].append((time.perf_counter() - begun) * 1e9 / (scenarios * TICKS))
+    return [
+        Cost(
+            name=name,
+            scenarios=scenarios,
+            ns_per_scenario_tick=min(times[name]),
+            median_ns=float(np.median(times[name])),
+            agrees=abs(peaks - expected_peaks) < 1e-9 * max(1.0, expected_peaks) and on == expected_on,
+        )
+        for name, (peaks, on) in sums.items()
+    ]
 
 
 def main() -> int:
@@ -249,13 +256,13 @@ def main() -> int:
     options.add_argument("--repeats", type=int, default=5, help="times that each is timed (default 5)")
     arguments = options.parse_args()
     console = Console(file=table_file(arguments.json))
-    costs = []
+    costs: list[Cost] = []
     with console.status("timing"), tempfile.TemporaryDirectory() as folder:
-        for name, (run, max_scenarios) in implementations(Path(folder)).items():
-            for scenarios in EXPECTED:
-                if scenarios <= max_scenarios:
-                    repeats = arguments.repeats * (20 if scenarios < 1000 else 1)
-                    costs.append(measure(name, run, scenarios, repeats))
+        found = implementations(Path(folder))
+        for scenarios in EXPECTED:
+            runs = {name: run for name, (run, most) in found.items() if scenarios <= most}
+            costs += measure(runs, scenarios, arguments.repeats * (20 if scenarios < 1000 else 1))
+        costs.sort(key=lambda cost: list(found).index(cost.name))
     numba = {cost.scenarios: cost.ns_per_scenario_tick for cost in costs if cost.name == "Numba, 1 thread"}
     table = Table("", "scenarios", "ns per scenario-tick", "median", "Numba / it", "same sums")
     for cost in costs:
