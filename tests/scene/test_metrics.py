@@ -159,6 +159,10 @@ def test_the_command_measures_what_it_is_asked_for(tmp_path: Path, capsys: pytes
             "--vary link.forward.delay_s=0.1,0.2 --tie link.backward.delay_s --set link.backward.delay-s=0.1",
             "--tie link.backward.delay_s, --set link.backward.delay_s: one field is given twice",
         ),
+        (
+            "--samples 2 --draw operator.damping=uniform:0:1 --set operator.damping=3",
+            "--draw operator.damping, --set operator.damping: one field is given twice",
+        ),
         ("--threads 100000", "threads = 100000: must be 1 to 1024"),
         ("--address tcp://127.0.0.1:1", "--address tcp://127.0.0.1:1: give --engine dask, too"),
         ("--metrics peak_force", "metrics: 'peak_force': did you mean peak_device_force?"),

@@ -307,6 +307,10 @@ class Sweep(PictureOptions):
             if laws.setdefault(path, law) is not law:
                 message = f"--draw {path}: given twice"
                 raise ValueError(message)
+        for path in _fields_of(self.set):
+            if path in laws:
+                message = f"--draw {path}, --set {path}: one field is given twice: leave one of the two out"
+                raise ValueError(message)
         population = None if self.population is None else load_population(self.population)
         seed = 1 if self.seed is None else self.seed
         points = None
