@@ -49,9 +49,17 @@ impl PacketAge {
     /// The bound holds also where this fails: a time held longer than the exchange took is a fault of a clock.
     pub fn received(&mut self, now_ns: u64, echo: (u64, u64)) -> Result<(), ClockFault> {
         let (counter, held_ns) = echo;
-        let Some(sent_ns) = self.sent_at(counter) else { return Ok(()) };
+        self.sent_at(counter).map_or(Ok(()), |sent_ns| self.echoed(now_ns, sent_ns, held_ns))
+    }
+
+    /// The same of an echo of a packet that left at `sent_ns`.
+    #[inline]
+    pub(super) fn echoed(&mut self, now_ns: u64, sent_ns: u64, held_ns: u64) -> Result<(), ClockFault> {
         self.sent_after_ns = Some(self.sent_after_ns.unwrap_or(0).max(sent_ns));
         let took_ns = now_ns.saturating_sub(sent_ns);
+        if held_ns <= took_ns {
+            return Ok(());
+        }
         // Both readings of the time held are whole ns: 1 ns of it may be rounding.
         let unsure_ns = share_up(held_ns, self.max_drift_ppb).saturating_add(1);
         if held_ns.saturating_sub(unsure_ns) > took_ns {

@@ -242,7 +242,23 @@ impl Sequences {
         if std::mem::replace(&mut self.there[slot(sequence)], true) { Seen::Duplicate } else { Seen::Behind }
     }
 
+    #[inline]
     fn advance(&mut self, first: u64, sequence: u64) {
+        if sequence - self.newest == 1 {
+            // Nearly all: one leaves the window, and one is new.
+            let there = &mut self.there[slot(sequence)];
+            if sequence - first >= WINDOW {
+                self.settled.take(*there);
+            }
+            *there = true;
+            self.newest = sequence;
+        } else {
+            self.skip(first, sequence);
+        }
+    }
+
+    #[inline(never)]
+    fn skip(&mut self, first: u64, sequence: u64) {
         // Each new place is that of the sequence which leaves the window.
         for passed in (self.newest + 1..=sequence).take(self.there.len()) {
             if passed.checked_sub(WINDOW).is_some_and(|left| left >= first) {

@@ -98,12 +98,13 @@ impl PeerPath {
     /// know ourselves; of the echo only the counter and the time held are used.
     #[inline(always)] // as all of what takes a frame: docs/architecture.md
     pub fn newest(&mut self, sent_ns: u64, echo: Option<&Echo>, now_ns: u64, by_ns: u64) {
-        let aged = echo.map_or(Ok(()), |echo| self.age.received(by_ns, (echo.sequence, echo.held_ns)));
+        let exchanged = echo.and_then(|echo| Some((self.age.sent_at(echo.sequence)?, echo.held_ns)));
+        let aged =
+            exchanged.map_or(Ok(()), |(own_sent_ns, held_ns)| self.age.echoed(by_ns, own_sent_ns, held_ns));
         if let Some(age_ns) = self.age.max_ns(now_ns) {
             self.baseline.take(now_ns, age_ns);
         }
         let Some(reported) = &mut self.reported else { return };
-        let exchanged = echo.and_then(|echo| Some((self.age.sent_at(echo.sequence)?, echo.held_ns)));
         let clocked = match exchanged {
             Some((own_sent_ns, held_ns)) => reported
                 .clock

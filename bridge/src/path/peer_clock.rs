@@ -6,6 +6,9 @@ use super::{BILLION, difference, share_up};
 /// Greatest drift in parts per billion between two healthy clocks: two oscillators at the 100 ppm of the cheapest.
 pub const MAX_DRIFT_PPB: u64 = 200_000;
 
+/// Latest time in ns that a monotonic clock shows: 292 years. Times beyond it have the highest bit, so that one OR tests several.
+const MAX_NS: u64 = i64::MAX.cast_unsigned();
+
 /// The times of a packet there and one back, in ns: the outer two on our clock, the inner two on the peer's.
 ///
 /// A frame with an echo holds three of them: what we wrote as its sending time, the peer's sending time less how long
@@ -26,18 +29,24 @@ impl TimestampExchange {
     /// Whether each clock by itself shows possible times, and both durations fit clocks that part by at most
     /// `max_drift_ppb`.
     fn check(&self, max_drift_ppb: u64) -> Result<(), ClockFault> {
-        let times = [self.sent_ns, self.peer_received_ns, self.peer_sent_ns, self.received_ns];
-        if let Some(&seen_ns) = times.iter().find(|&&time| time > i64::MAX.cast_unsigned()) {
+        let Self { sent_ns, peer_received_ns, peer_sent_ns, received_ns } = *self;
+        let (took, held) = (self.took_ns(), self.held_ns());
+        let all = sent_ns | peer_received_ns | peer_sent_ns | received_ns;
+        let is_in_order = sent_ns <= received_ns && peer_received_ns <= peer_sent_ns;
+        if all <= MAX_NS && is_in_order && held <= took {
+            // Nearly all: no drift needs to explain it.
+            return Ok(());
+        }
+        let times = [sent_ns, peer_received_ns, peer_sent_ns, received_ns];
+        if let Some(&seen_ns) = times.iter().find(|&&time| time > MAX_NS) {
             return Err(ClockFault::OutOfRange { seen_ns });
         }
-        for (side, first, second) in
-            [("own", self.sent_ns, self.received_ns), ("peer", self.peer_received_ns, self.peer_sent_ns)]
+        for (side, first, second) in [("own", sent_ns, received_ns), ("peer", peer_received_ns, peer_sent_ns)]
         {
             if second < first {
                 return Err(ClockFault::Backwards { side, by_ns: first - second });
             }
         }
-        let (took, held) = (self.took_ns(), self.held_ns());
         // Four readings in whole ns.
         if held > took.saturating_add(share_up(took, max_drift_ppb)).saturating_add(4) {
             return Err(ClockFault::NegativeRoundTrip { by_ns: held - took });
@@ -128,8 +137,9 @@ pub struct PeerOffset {
 
 /// Parts of a nanosecond in which the lines are kept, so that a rate of one in a billion is a whole number.
 const PARTS: i128 = BILLION as i128;
-/// Readings are whole ns, rounded down: a bound of the difference of two may be off by 1 ns, the difference by another.
-const READING_NS: i128 = 2;
+/// Readings are whole ns, rounded down: a bound of the difference of two may be off by 1 ns, the difference by another. In
+/// parts.
+const READING: i128 = 2 * PARTS;
 
 /// The range that holds the peer's clock less ours, `theta`, because no packet arrives before it was sent.
 ///
@@ -155,15 +165,20 @@ const READING_NS: i128 = 2;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PeerClock {
     max_drift_ppb: u64,
-    /// Upper line at time 0, in parts.
-    upper: Option<i128>,
-    /// Lower line at time 0, in parts.
-    lower: Option<i128>,
+    /// Upper and lower line at time 0, in parts; none before the first exchange.
+    lines: Option<Lines>,
     /// The lines hold from here on.
     newest_ns: u64,
     /// Exchanges sent before this are of a time before the last step.
     anew_from_ns: u64,
     steps: u64,
+}
+
+/// An upper and a lower line at time 0, in parts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Lines {
+    upper: i128,
+    lower: i128,
 }
 
 /// By how much an exchange contradicts those before it, in ns.
@@ -180,7 +195,7 @@ impl PeerClock {
     pub fn new(max_drift_ppb: u64) -> Self {
         // A clock that drifts by its whole rate stands still: nothing beyond that has a meaning.
         let max_drift_ppb = max_drift_ppb.min(BILLION);
-        Self { max_drift_ppb, upper: None, lower: None, newest_ns: 0, anew_from_ns: 0, steps: 0 }
+        Self { max_drift_ppb, lines: None, newest_ns: 0, anew_from_ns: 0, steps: 0 }
     }
 
     /// Takes an exchange, in the order of `received_ns`; whether it was used, not sent before the last step was seen.
@@ -195,17 +210,23 @@ impl PeerClock {
         if times.sent_ns < self.anew_from_ns {
             return Ok(false);
         }
-        if let Some(contradiction) = self.contradicted(times) {
+        let drifted = self.drifted(times.received_ns);
+        let new = Lines {
+            upper: upper_parts(times) - self.drifted(times.sent_ns),
+            lower: lower_parts(times.peer_sent_ns, times.received_ns) + drifted,
+        };
+        let Some(kept) = self.lines else {
+            self.lines = Some(new);
+            return Ok(true);
+        };
+        if let Some(contradiction) = contradiction(&kept, &new, drifted) {
             let fault = self.step(times, contradiction);
             self.restart();
             self.anew_from_ns = times.received_ns;
             self.steps += 1;
             return Err(fault);
         }
-        let upper = upper_parts(times) - self.drifted(times.sent_ns);
-        let lower = lower_parts(times.peer_sent_ns, times.received_ns) + self.drifted(times.received_ns);
-        self.upper = Some(self.upper.map_or(upper, |kept| kept.min(upper)));
-        self.lower = Some(self.lower.map_or(lower, |kept| kept.max(lower)));
+        self.lines = Some(Lines { upper: kept.upper.min(new.upper), lower: kept.lower.max(new.lower) });
         Ok(true)
     }
 
@@ -220,23 +241,9 @@ impl PeerClock {
         ClockFault::Step { by_ns, at_least_ns, allowed_ppb: self.max_drift_ppb }
     }
 
-    /// Whether no clock of the allowed drift fits an exchange and all those taken.
-    ///
-    /// What is reported is certain. Reported late is at most `2 rho (t4 - t1)`: the upper bound, of the time `t1`, is
-    /// held against the lower line at `t4`, for that may have been made by packets after `t1`.
-    fn contradicted(&self, times: &TimestampExchange) -> Option<Contradiction> {
-        let now_ns = times.received_ns;
-        if let Some(by_ns) = self.ahead_ns(times.peer_sent_ns, now_ns) {
-            return Some(Contradiction::Ahead(by_ns));
-        }
-        let upper = upper_parts(times) + self.drifted(now_ns) - self.drifted(times.sent_ns);
-        let behind = self.lower? - self.drifted(now_ns) - upper;
-        (behind > 0).then(|| Contradiction::Behind(whole_up(behind)))
-    }
-
     /// How long before its sending a packet arrived on every clock that fits, in ns; none if on some it did not.
     fn ahead_ns(&self, peer_sent_ns: u64, received_ns: u64) -> Option<u64> {
-        let ahead = lower_parts(peer_sent_ns, received_ns) - (self.upper? + self.drifted(received_ns));
+        let ahead = lower_parts(peer_sent_ns, received_ns) - (self.lines?.upper + self.drifted(received_ns));
         (ahead > 0).then(|| whole_up(ahead))
     }
 
@@ -246,7 +253,7 @@ impl PeerClock {
     /// have been sent before the last step; the next exchange shows which.
     pub fn check_arrival(&self, peer_sent_ns: u64, received_ns: u64) -> Result<(), ClockFault> {
         for seen_ns in [peer_sent_ns, received_ns] {
-            if seen_ns > i64::MAX.cast_unsigned() {
+            if seen_ns > MAX_NS {
                 return Err(ClockFault::OutOfRange { seen_ns });
             }
         }
@@ -267,7 +274,8 @@ impl PeerClock {
         // Before the newest exchange the lines do not hold; what they say of that time relaxes backwards.
         let from = self.newest_ns.max(at_ns);
         let widening = self.drifted(from) + self.drifted(from - at_ns);
-        Some((whole(self.lower? - widening), whole(self.upper? + widening + PARTS - 1)))
+        let Lines { upper, lower } = self.lines?;
+        Some((whole(lower - widening), whole(upper + widening + PARTS - 1)))
     }
 
     /// How often a clock stepped.
@@ -286,12 +294,27 @@ impl PeerClock {
     }
 }
 
+/// Whether no clock of the allowed drift fits the lines of an exchange and those kept, which have widened by `drifted` in
+/// parts at the arrival of its answer.
+///
+/// What is reported is certain. Reported late is at most `2 rho (t4 - t1)`: the upper bound, of the time `t1`, is held
+/// against the lower line at `t4`, for that may have been made by packets after `t1`.
+fn contradiction(kept: &Lines, new: &Lines, drifted: i128) -> Option<Contradiction> {
+    let ahead = new.lower - kept.upper - 2 * drifted;
+    if ahead > 0 {
+        return Some(Contradiction::Ahead(whole_up(ahead)));
+    }
+    let behind = kept.lower - new.upper - 2 * drifted;
+    (behind > 0).then(|| Contradiction::Behind(whole_up(behind)))
+}
+
 fn upper_parts(times: &TimestampExchange) -> i128 {
-    (i128::from(difference(times.peer_received_ns, times.sent_ns)) + READING_NS) * PARTS
+    // One multiplication of 64 bits by 64.
+    i128::from(difference(times.peer_received_ns, times.sent_ns)) * PARTS + READING
 }
 
 fn lower_parts(peer_sent_ns: u64, received_ns: u64) -> i128 {
-    (i128::from(difference(peer_sent_ns, received_ns)) - READING_NS) * PARTS
+    i128::from(difference(peer_sent_ns, received_ns)) * PARTS - READING
 }
 
 /// Rounded down; beyond 64 bits it stays at their end.
