@@ -186,6 +186,20 @@ impl<const N: usize> Newest<N> {
     }
 }
 
+/// What a frame that was taken says of itself; read where the frame came from, for the copy just kept would be waited for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FrameHead {
+    /// Whether it began a run.
+    pub(crate) begins: bool,
+    pub(crate) sequence: u64,
+    pub(crate) sent_ns: u64,
+    /// State of its sender's ladder, and why it stands there.
+    pub(crate) state: u8,
+    pub(crate) reason: u8,
+    pub(crate) ending: bool,
+    pub(crate) text: TextPiece,
+}
+
 /// One end: numbers what it sends, keeps the newest of what it receives.
 #[derive(Clone, Debug)]
 pub struct FrameLink<const N: usize> {
@@ -232,18 +246,37 @@ impl<const N: usize> FrameLink<N> {
     /// In the clear anybody may write any sequence. One that no sender can reach is refused while the run lives; after
     /// the lease's silence it begins a run anew. So no frame takes the link from its peer for longer than that.
     pub fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<bool, RejectReason> {
-        let decoded = Frame::decode(datagram, self.role.peer(), self.layout);
-        self.take(time, decoded.as_ref().map_err(|error| *error))
+        self.take_datagram(time, datagram).map(|head| head.begins)
     }
 
     /// The same of a frame whose bytes nobody has looked at, without them: [`Frame::received`].
     pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame<N>) -> Result<bool, RejectReason> {
+        self.take_frame(time, frame).map(|head| head.begins)
+    }
+
+    /// As [`receive`](Self::receive), with what the frame says of itself.
+    pub(crate) fn take_datagram(
+        &mut self,
+        time: LinkTime,
+        datagram: &[u8],
+    ) -> Result<FrameHead, RejectReason> {
+        let decoded = Frame::decode(datagram, self.role.peer(), self.layout);
+        self.take(time, decoded.as_ref().map_err(|error| *error))
+    }
+
+    /// As [`receive_frame`](Self::receive_frame), with what the frame says of itself.
+    #[inline(always)] // as all of what takes a frame: docs/architecture.md
+    pub(crate) fn take_frame(&mut self, time: LinkTime, frame: &Frame<N>) -> Result<FrameHead, RejectReason> {
         let received = frame.received(self.role.peer(), self.layout);
         self.take(time, received.as_deref().map_err(|error| *error))
     }
 
     #[inline(always)] // as all of what takes a frame: docs/architecture.md
-    fn take(&mut self, time: LinkTime, frame: Result<&Frame<N>, WireError>) -> Result<bool, RejectReason> {
+    fn take(
+        &mut self,
+        time: LinkTime,
+        frame: Result<&Frame<N>, WireError>,
+    ) -> Result<FrameHead, RejectReason> {
         let LinkTime { tick_ns: now_ns, by_ns } = time;
         let frame = frame.inspect_err(|_| self.statistics.refused += 1)?;
         let begins = match &self.newest {
@@ -280,10 +313,13 @@ impl<const N: usize> FrameLink<N> {
         self.statistics.fresh += 1;
         match &mut self.newest {
             // In place: a frame is large.
-            Some(newest) => (newest.frame, newest.arrived_ns, newest.by_ns) = (*frame, now_ns, by_ns),
+            Some(newest) => {
+                newest.frame.replace(frame);
+                (newest.arrived_ns, newest.by_ns) = (now_ns, by_ns);
+            }
             None => self.newest = Some(Newest { frame: *frame, arrived_ns: now_ns, by_ns }),
         }
-        self.count_missing();
+        self.count_missing(frame.sequence);
         let echo = frame.echo.filter(|echo| echo.run_id == self.run_id);
         self.path.newest(frame.sent_ns, echo.as_ref(), now_ns, by_ns);
         if let Some(echo) = echo {
@@ -292,7 +328,8 @@ impl<const N: usize> FrameLink<N> {
             let min = self.statistics.min_round_trip_ns;
             self.statistics.min_round_trip_ns = if min == 0 { round_trip } else { min.min(round_trip) };
         }
-        Ok(begins)
+        let Frame { sequence, sent_ns, state, reason, ending, text, .. } = *frame;
+        Ok(FrameHead { begins, sequence, sent_ns, state, reason, ending, text })
     }
 
     /// What its frames carry, those sent and those received.
@@ -325,18 +362,19 @@ impl<const N: usize> FrameLink<N> {
             Arrival::Late => {
                 self.statistics.late += 1;
                 self.arrived += 1;
-                self.count_missing();
+                if let Some(newest) = &self.newest {
+                    self.count_missing(newest.frame.sequence);
+                }
             }
             Arrival::TooOld => self.statistics.late += 1,
         }
         Err(RejectReason::Late(sequence))
     }
 
-    fn count_missing(&mut self) {
-        if let Some(newest) = &self.newest {
-            let expected = newest.frame.sequence.saturating_sub(self.first_sequence).saturating_add(1);
-            self.statistics.missing = self.missing_before + expected.saturating_sub(self.arrived);
-        }
+    /// Of the sequences up to the newest one.
+    fn count_missing(&mut self, newest: u64) {
+        let expected = newest.saturating_sub(self.first_sequence).saturating_add(1);
+        self.statistics.missing = self.missing_before + expected.saturating_sub(self.arrived);
     }
 
     /// Writes the next frame.

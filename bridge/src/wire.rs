@@ -548,6 +548,45 @@ impl<const N: usize> Frame<N> {
         .admitted(flags, gripper, rotation)
     }
 
+    /// Becomes `other`, part by part: those that most frames do not have are long, and who reads one part next does not wait for
+    /// all of them.
+    #[inline(always)] // as all of what takes a frame: docs/architecture.md
+    pub(crate) fn replace(&mut self, other: &Self) {
+        let Self {
+            role,
+            kind,
+            state,
+            hears_peer,
+            clutch,
+            run_id,
+            sequence,
+            sent_ns,
+            echo,
+            position,
+            velocity,
+            force,
+            rotation,
+            energy,
+            gripper,
+            buttons,
+            ending,
+            reason,
+            fault,
+            text,
+        } = *other;
+        (self.role, self.kind, self.state, self.hears_peer) = (role, kind, state, hears_peer);
+        (self.clutch, self.ending, self.reason, self.fault) = (clutch, ending, reason, fault);
+        (self.run_id, self.sequence, self.sent_ns, self.echo) = (run_id, sequence, sent_ns, echo);
+        (self.position, self.velocity, self.force) = (position, velocity, force);
+        (self.energy, self.buttons, self.text) = (energy, buttons, text);
+        if rotation.is_some() || self.rotation.is_some() {
+            self.rotation = rotation;
+        }
+        if gripper.is_some() || self.gripper.is_some() {
+            self.gripper = gripper;
+        }
+    }
+
     /// What [`decode`](Self::decode) makes of what [`encode`](Self::encode) makes of the frame, to the bit and with the
     /// same refusals, without the bytes: of a network that looks at none.
     pub fn received(&self, from: Role, layout: FrameLayout) -> Result<Cow<'_, Self>, WireError> {

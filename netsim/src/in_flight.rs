@@ -24,6 +24,8 @@ pub struct InFlight<T> {
     overtaking: BinaryHeap<Entry<T>>,
     /// When the next packet arrives; `u64::MAX` if there is none.
     next_ns: u64,
+    /// When the last of those in turn arrives; 0 if there is none.
+    last_in_turn_ns: u64,
     capacity: usize,
     next_order: u64,
     overflowed: u64,
@@ -45,6 +47,7 @@ impl<T> InFlight<T> {
             in_turn: VecDeque::with_capacity(reserved),
             overtaking: BinaryHeap::with_capacity(reserved),
             next_ns: u64::MAX,
+            last_in_turn_ns: 0,
             capacity,
             next_order: 0,
             overflowed: 0,
@@ -61,7 +64,8 @@ impl<T> InFlight<T> {
         let entry = Entry { due_ns, order: self.next_order, payload };
         self.next_order += 1;
         self.next_ns = self.next_ns.min(due_ns);
-        if self.in_turn.back().is_none_or(|last| last.due_ns <= due_ns) {
+        if due_ns >= self.last_in_turn_ns {
+            self.last_in_turn_ns = due_ns;
             self.in_turn.push_back(entry);
         } else {
             self.overtaking.push(entry);
@@ -95,12 +99,32 @@ impl<T> InFlight<T> {
     /// The next packet, with its due time.
     #[inline(always)] // once a packet
     fn pop(&mut self) -> Option<(u64, T)> {
-        let overtakes = !self.overtaking.is_empty() && self.first_overtakes();
-        let next = if overtakes { self.overtaking.pop() } else { self.in_turn.pop_front() }?;
-        let (in_turn, overtaking) = (self.in_turn.front(), self.overtaking.peek());
-        let due_ns = |entry: Option<&Entry<T>>| entry.map_or(u64::MAX, |entry| entry.due_ns);
-        self.next_ns = due_ns(in_turn).min(due_ns(overtaking));
+        if !self.overtaking.is_empty() {
+            return self.pop_of_both();
+        }
+        let next = self.in_turn.pop_front()?;
+        self.next_ns = self.first_in_turn_ns();
         Some((next.due_ns, next.payload))
+    }
+
+    /// The same where some overtake.
+    #[inline(never)] // of most links none do
+    fn pop_of_both(&mut self) -> Option<(u64, T)> {
+        let overtakes = self.first_overtakes();
+        let next = if overtakes { self.overtaking.pop() } else { self.in_turn.pop_front() }?;
+        let overtaking_ns = self.overtaking.peek().map_or(u64::MAX, |entry| entry.due_ns);
+        self.next_ns = self.first_in_turn_ns().min(overtaking_ns);
+        Some((next.due_ns, next.payload))
+    }
+
+    /// When the first of those in turn arrives; where none is left, their line begins anew.
+    #[inline]
+    fn first_in_turn_ns(&mut self) -> u64 {
+        if let Some(first) = self.in_turn.front() {
+            return first.due_ns;
+        }
+        self.last_in_turn_ns = 0;
+        u64::MAX
     }
 
     /// Packets in flight.

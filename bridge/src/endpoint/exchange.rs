@@ -13,7 +13,7 @@ use crate::{
         LadderInputs, LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame, Reason,
         thresholds,
     },
-    link::{FrameLink, LinkStatistics, LinkTime, PortState, RejectReason, Status},
+    link::{FrameHead, FrameLink, LinkStatistics, LinkTime, PortState, RejectReason, Status},
     wire::{Frame, FrameLayout, MAX_FRAME, Role},
 };
 
@@ -159,32 +159,31 @@ impl<const N: usize> Exchange<N> {
     /// Takes a datagram; a refused one changes nothing but its counter.
     pub fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<(), RejectReason> {
         let is_known = self.link.newest().is_some();
-        let begins = self.link.receive(time, datagram)?;
-        self.accepted(time, is_known, begins);
+        let head = self.link.take_datagram(time, datagram)?;
+        self.accepted(time, is_known, &head);
         Ok(())
     }
 
     /// The same of a frame whose bytes nobody has looked at, without them.
     pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame<N>) -> Result<(), RejectReason> {
         let is_known = self.link.newest().is_some();
-        let begins = self.link.receive_frame(time, frame)?;
-        self.accepted(time, is_known, begins);
+        let head = self.link.take_frame(time, frame)?;
+        self.accepted(time, is_known, &head);
         Ok(())
     }
 
-    /// The link has taken a frame; `is_known`: not its first, `begins`: the first of a run.
+    /// The link has taken a frame; `is_known`: not its first.
     #[inline(always)] // as all of what takes a frame: docs/architecture.md
-    fn accepted(&mut self, time: LinkTime, is_known: bool, begins: bool) {
-        let Some(frame) = self.link.newest() else { return };
-        let (sequence, sent_ns) = (frame.sequence, frame.sent_ns);
+    fn accepted(&mut self, time: LinkTime, is_known: bool, head: &FrameHead) {
+        let FrameHead { begins, sequence, sent_ns, state, reason, ending, text } = *head;
         if begins {
             (self.heard, self.peer_held) = (HeardText::default(), 0);
         }
-        self.heard.take(&frame.text);
-        if LadderState::from_code(frame.state).is_some_and(LadderState::is_held) {
-            self.peer_held = frame.reason;
+        self.heard.take(&text);
+        if LadderState::from_code(state).is_some_and(LadderState::is_held) {
+            self.peer_held = reason;
         }
-        self.peer_ended = frame.ending;
+        self.peer_ended = ending;
         if begins {
             (self.interval_ns, self.first_interval_ns) = (None, None);
             self.counted = (sequence, sent_ns);

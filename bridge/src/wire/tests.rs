@@ -337,6 +337,21 @@ proptest! {
         let without = frame.received(from, layout);
         // As text, for numbers that are none differ from themselves.
         prop_assert_eq!(format!("{without:?}"), format!("{through:?}"));
+        // Nor does it matter over which frame another is written.
+        let plain = Frame { rotation: None, gripper: None, buttons: None, echo: None, ..frame };
+        let full = Frame {
+            rotation: Some(RotationState { orientation, angular_velocity: part(2), torque: part(1) }),
+            gripper: Some(GripperState { position: Some(0.25), velocity: 3.0, force_n: 4.0, holds_object: true, follows: true }),
+            role: role.peer(), kind: SideKind::Pose, state: !number, hears_peer: !hears_peer, clutch: !clutch,
+            run_id: 8, sequence: 300, sent_ns: 4, echo: Some(Echo { run_id: 1, sequence: 2, sent_ns: 3, held_ns: 4 }),
+            position: part(1), velocity: part(2), force: part(0), energy: PortEnergy { in_j: 0.5, out_j: 0.25 },
+            buttons: Some(5), ending: !ending, reason: !letter, fault: !index,
+            text: TextPiece { number: !number, index: !index, bytes: [letter; PIECE] },
+        };
+        for mut before in [plain, full] {
+            before.replace(&frame);
+            prop_assert_eq!(format!("{before:?}"), format!("{frame:?}"));
+        }
     }
 
     #[test]
