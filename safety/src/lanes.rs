@@ -15,7 +15,7 @@ pub type Axes<const N: usize, S = f64> = SVector<S, N>;
 #[inline]
 pub fn is_within<const N: usize>(value: &Axes<N>, bound: f64) -> bool {
     // A comparison with NaN is false, so one test covers NaN, infinity and absurdity.
-    value.iter().all(|x| x.abs() <= bound)
+    value.iter().fold(true, |all, x| all & (x.abs() <= bound))
 }
 
 /// A real number `f64`, or several that are computed with at once, each in a lane of its own.
