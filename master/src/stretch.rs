@@ -44,11 +44,13 @@ pub(crate) struct Law<'a, const N: usize> {
     pub(crate) walls: &'a [ContinuousWall<N>],
     /// The force of the motors in N.
     pub(crate) held: Axes<N>,
-    pub(crate) target: [Axes<N>; TERMS],
+    pub(crate) target: &'a [Axes<N>; TERMS],
     /// Share of the impedance, as value and rate.
     pub(crate) gain: [f64; 2],
     /// Grip strength in N, as value and rate.
     pub(crate) strength: [f64; 2],
+    /// Longest time in s that a stretch is asked for; how much farther its series reach does not matter.
+    pub(crate) wanted: f64,
 }
 
 /// The solution of `m x'' = F + g (K_h (target - x) - B_h x') + walls - b x' - friction`, as the Taylor series of
@@ -85,6 +87,21 @@ const INVERSE: [f64; TERMS] = {
     inverse
 };
 
+/// `1 / n`.
+const PER: [f64; TERMS] = {
+    let mut inverse = [0.0; TERMS];
+    let mut n = 1;
+    while n < TERMS {
+        inverse[n] = 1.0 / n as f64;
+        n += 1;
+    }
+    inverse
+};
+
+/// Share h / rho of the radius of convergence up to which the terms beyond the last are below rounding:
+/// `(h / rho)^TERMS = 1e-16`.
+const SHARE_OF_RADIUS: f64 = 0.1;
+
 /// Shares of 1 / e, in the time wanted, by which a motion relaxes that is worth a series of its own.
 const STIFF: f64 = 16.0;
 
@@ -92,42 +109,85 @@ const STIFF: f64 = 16.0;
 struct Direction {
     square: Series,
     inverse: Series,
+    /// 1 over the first term of `square`.
+    per_square: f64,
 }
 
 impl Direction {
     fn new() -> Self {
-        Self { square: [0.0; TERMS], inverse: [0.0; TERMS] }
+        Self { square: [0.0; TERMS], inverse: [0.0; TERMS], per_square: 0.0 }
     }
 
     /// Coefficient n of `w / |w|`, once those of w up to n are known; requested in order.
+    ///
+    /// Terms that do not depend on the newest w are summed apart, the oldest first, so that few operations remain once it is known.
+    #[inline]
     fn coefficient<const N: usize>(&mut self, w: &[Axes<N>; TERMS], n: usize) -> Axes<N> {
-        self.square[n] = squared(w, n);
+        let Self { square, inverse, per_square } = self;
         if n == 0 {
-            self.inverse[0] = self.square[0].sqrt().recip();
-            return w[0] * self.inverse[0];
+            square[0] = w[0].norm_squared();
+            *per_square = square[0].recip();
+            inverse[0] = square[0].sqrt().recip();
+            return w[0] * inverse[0];
         }
-        // y = s^p with p = -1/2: n s_0 y_n = sum_i (p i - (n - i)) s_i y_{n-i}.
-        let (mut sum, mut weight) = (0.0, -(n as f64));
-        for (square, before) in self.square[1..=n].iter().zip(self.inverse[..n].iter().rev()) {
-            weight += 0.5;
-            sum += weight * square * before;
+        let half = half_squared_inside(w, n);
+        // y = s^p with p = -1/2: n s_0 y_n = sum_i (p i - (n - i)) s_i y_{n-i}; beside it sum_i w_i y_{n-i}.
+        let (mut sum, mut direction) = (0.0, Axes::zeros());
+        if n > 1 {
+            let inner = 2..(n - 1).max(2);
+            let mut weight = 1.0 - n as f64;
+            for (square, before) in square[inner.clone()].iter().zip(inverse[inner.clone()].iter().rev()) {
+                sum += weight * square * before;
+                weight += 0.5;
+            }
+            for (w, before) in w[inner.clone()].iter().zip(inverse[inner].iter().rev()) {
+                direction += w * *before;
+            }
+            if n > 2 {
+                sum += -0.5 * (n + 1) as f64 * square[n - 1] * inverse[1];
+                direction += w[n - 1] * inverse[1];
+            }
+            sum += (0.5 - n as f64) * square[1] * inverse[n - 1];
+            direction += w[1] * inverse[n - 1];
         }
-        self.inverse[n] = sum / (n as f64 * self.square[0]);
-        let mut direction = Axes::zeros();
-        for (w, inverse) in w[..=n].iter().rev().zip(&self.inverse) {
-            direction += w * *inverse;
-        }
-        direction
+        // Of s_n there is -n / 2 s_n y_0.
+        let slope = inverse[0] * *per_square;
+        let known = sum * (*per_square * PER[n]) - half * slope;
+        let newest = w[0].dot(&w[n]);
+        square[n] = 2.0 * (half + newest);
+        inverse[n] = known - newest * slope;
+        direction + w[n] * inverse[0] + w[0] * inverse[n]
     }
 
-    /// Time within which the terms beyond the last are below rounding.
-    fn reach(&self) -> f64 {
-        // |y_n| ~ y_0 / rho^n; (h / rho)^TERMS = 1e-16.
-        let growth = |n: usize| (self.inverse[n] / self.inverse[0]).abs().powf(1.0 / n as f64);
-        // The maximum of a number and NaN would be the number; a length that has overflowed reaches nowhere.
-        let larger = |most: f64, rate: f64| if rate.is_nan() { f64::INFINITY } else { most.max(rate) };
-        let rate = (TERMS - 5..TERMS - 2).map(growth).fold(0.0, larger);
-        if rate > 0.0 { 0.1 / rate } else { f64::INFINITY }
+    /// Time within which the terms beyond the last are below rounding, to 0.6 %; infinity where it is no less than `wanted` in
+    /// s.
+    fn reach(&self, wanted: f64) -> f64 {
+        let last = TERMS - 5..TERMS - 2;
+        // Without a root, where they need not be taken.
+        let (rate, most) = (wanted / SHARE_OF_RADIUS, self.inverse[0].abs());
+        let mut power = (1..last.start).map(|_| rate).product::<f64>();
+        let reaches = |n: usize| {
+            power *= rate;
+            self.inverse[n].abs() * power <= most
+        };
+        if most > 0.0 && last.clone().all(reaches) {
+            return f64::INFINITY;
+        }
+        // |y_n| ~ y_0 / rho^n. Of the largest of these roots alone, by logarithms that are a line from power to power of two.
+        let rough_log = |value: f64| (value.to_bits() as f64 * 2_f64.powi(-52) - 1023.0).max(-1023.0);
+        let growth = |n: usize| (n, (self.inverse[n] / self.inverse[0]).abs());
+        let largest = last
+            .map(growth)
+            .max_by(|(n, a), (m, b)| (rough_log(*a) / *n as f64).total_cmp(&(rough_log(*b) / *m as f64)));
+        let rate = largest.map_or(0.0, |(n, growth)| growth.powf(1.0 / n as f64));
+        // A length that has overflowed reaches nowhere.
+        if rate > 0.0 {
+            SHARE_OF_RADIUS / rate
+        } else if rate == 0.0 {
+            f64::INFINITY
+        } else {
+            0.0
+        }
     }
 }
 
@@ -148,16 +208,24 @@ impl<const N: usize> Law<'_, N> {
         if rate > 0.0 { 0.5 / rate } else { f64::INFINITY }
     }
 
-    /// The motion from x in m and V in m/s.
-    pub(crate) fn follow(&self, regime: &Regime<N>, position: Axes<N>, velocity: Axes<N>) -> Stretch<N> {
-        let mut x = [Axes::zeros(); TERMS];
+    /// The motion from x in m and V in m/s. Written where it is kept, for it is long to move.
+    pub(crate) fn follow(
+        &self,
+        regime: &Regime<N>,
+        position: Axes<N>,
+        velocity: Axes<N>,
+        stretch: &mut Stretch<N>,
+    ) {
+        let Stretch { position: x, wish, push, .. } = stretch;
         let mut v = [Axes::zeros(); TERMS];
-        let (mut wish, mut push) = ([Axes::zeros(); TERMS], [Axes::zeros(); TERMS]);
+        for beyond in TERMS - 2..TERMS {
+            (wish[beyond], push[beyond]) = (Axes::zeros(), Axes::zeros());
+        }
         let (mut grip_direction, mut motion_direction) = (Direction::new(), Direction::new());
         let (gain, strength) = (line(self.gain), line(self.strength));
         let inverse_mass = self.device.mass_kg.map(f64::recip);
-        let mut slipping = [Axes::zeros(); TERMS];
-        let mut impedance = [Axes::zeros(); TERMS];
+        // Those of the term before.
+        let (mut slipping, mut impedance) = (Axes::zeros(), Axes::zeros());
         (x[0], v[0]) = (position, velocity);
         if N == 1 {
             x[1] = velocity;
@@ -166,20 +234,18 @@ impl<const N: usize> Law<'_, N> {
         }
         for n in 0..TERMS - 2 {
             v[n] = x[n + 1] * (n + 1) as f64;
-            impedance[n] = (self.target[n] - x[n]) * self.hand.stiffness() - v[n] * self.hand.damping();
-            wish[n] = impedance[n] * gain[0];
-            if n > 0 {
-                wish[n] += impedance[n - 1] * gain[1];
-            }
+            let wished = (self.target[n] - x[n]) * self.hand.stiffness() - v[n] * self.hand.damping();
+            wish[n] = wished * gain[0] + impedance * gain[1];
+            impedance = wished;
             let hand = match regime.grip {
                 Grip::Holds => wish[n],
                 // Who has let go pulls in no direction.
                 Grip::Slips if self.strength == [0.0; 2] => Axes::zeros(),
                 Grip::Slips if N == 1 => wish[0].map(f64::signum) * strength[n],
                 Grip::Slips => {
-                    slipping[n] = grip_direction.coefficient(&wish, n);
-                    let before = if n > 0 { slipping[n - 1] * strength[1] } else { Axes::zeros() };
-                    slipping[n] * strength[0] + before
+                    let before = slipping * strength[1];
+                    slipping = grip_direction.coefficient(wish, n);
+                    slipping * strength[0] + before
                 }
             };
             push[n] = hand - self.device.viscous.component_mul(&v[n]);
@@ -209,14 +275,14 @@ impl<const N: usize> Law<'_, N> {
         }
         let mut reach = self.linear_reach(regime.pushing);
         if N > 1 && regime.grip == Grip::Slips && self.strength != [0.0; 2] {
-            reach = reach.min(grip_direction.reach());
+            reach = reach.min(grip_direction.reach(self.wanted));
         }
         if let Rub::AlongMotion(coulomb) = regime.rub {
             // Across the motion, friction is a damping of c / |V|; a part too slow to change |V| shows it all the same.
             let turn_s = 0.5 * self.device.mass_kg.min() * velocity.norm() / coulomb;
-            reach = reach.min(motion_direction.reach()).min(turn_s);
+            reach = reach.min(motion_direction.reach(self.wanted)).min(turn_s);
         }
-        Stretch { position: x, wish, push, reach }
+        stretch.reach = reach;
     }
 }
 
@@ -278,7 +344,6 @@ impl<const N: usize> Law<'_, N> {
         regime: &Regime<N>,
         position: Axes<N>,
         velocity: Axes<N>,
-        wanted: f64,
     ) -> Option<Stretch<N>> {
         let Rub::Constant(friction) = regime.rub else { return None };
         let slips = regime.grip == Grip::Slips;
@@ -322,7 +387,7 @@ impl<const N: usize> Law<'_, N> {
             let fast = -(0.5 * c + root);
             let slow = k / fast;
             // Without a number where the roots are no real ones.
-            let is_stiff = -fast * wanted > STIFF && fast < 4.0 * slow && -fast > 4.0 * tremor;
+            let is_stiff = -fast * self.wanted > STIFF && fast < 4.0 * slow && -fast > 4.0 * tremor;
             if is_stiff {
                 let mut w = [0.0; TERMS + 1];
                 for n in (0..TERMS).rev() {
@@ -389,11 +454,18 @@ fn braked<const N: usize>(free: &Axes<N>, k: &Axes<N>) -> Axes<N> {
 /// Term n of the series of `|w|²`: each product of two different terms counts twice.
 #[inline]
 pub(crate) fn squared<const N: usize>(w: &[Axes<N>; TERMS], n: usize) -> f64 {
-    let mut half = if n.is_multiple_of(2) { 0.5 * w[n / 2].norm_squared() } else { 0.0 };
-    for (early, late) in w[..n.div_ceil(2)].iter().zip(w[..=n].iter().rev()) {
-        half += early.dot(late);
+    if n == 0 { w[0].norm_squared() } else { 2.0 * (half_squared_inside(w, n) + w[0].dot(&w[n])) }
+}
+
+/// Half of that term, n > 0, without the product of the first and the last; the oldest first.
+#[inline]
+fn half_squared_inside<const N: usize>(w: &[Axes<N>; TERMS], n: usize) -> f64 {
+    // A sum of its own for each axis, so that none waits for another.
+    let mut half = if n.is_multiple_of(2) { w[n / 2].component_mul(&w[n / 2]) * 0.5 } else { Axes::zeros() };
+    for (early, late) in w[1..n.div_ceil(2)].iter().rev().zip(&w[n / 2 + 1..n]) {
+        half += early.component_mul(late);
     }
-    2.0 * half
+    half.sum()
 }
 
 fn masked<const N: usize>(mut value: Axes<N>, stuck: &[bool; N]) -> Axes<N> {
@@ -406,6 +478,12 @@ fn masked<const N: usize>(mut value: Axes<N>, stuck: &[bool; N]) -> Axes<N> {
 }
 
 impl<const N: usize> Stretch<N> {
+    /// None yet.
+    pub(crate) fn new() -> Self {
+        let none = [Axes::zeros(); TERMS];
+        Self { position: none, wish: none, push: none, reach: 0.0 }
+    }
+
     /// `x(t) - x(0)` in m.
     pub(crate) fn displacement(&self, t: f64) -> Axes<N> {
         self.position.iter().skip(1).rev().fold(Axes::zeros(), |sum, x| sum * t + x) * t
@@ -452,9 +530,10 @@ mod tests {
             hand: &hand,
             walls: &[],
             held: Axes::<1>::new(force),
-            target: hand.target_series(0.0),
+            target: &hand.target_series(0.0),
             gain: [1.0, 0.0],
             strength: [0.0; 2],
+            wanted: f64::INFINITY,
         };
         let regime = Regime {
             grip: Grip::Holds,
@@ -463,7 +542,9 @@ mod tests {
             pushing: 0,
             straight: None,
         };
-        law.follow(&regime, Axes::<1>::new(x), Axes::<1>::new(v))
+        let mut stretch = Stretch::new();
+        law.follow(&regime, Axes::<1>::new(x), Axes::<1>::new(v), &mut stretch);
+        stretch
     }
 
     /// Closed forms: constant force, under- and overdamped oscillator, negative damping.
@@ -506,9 +587,10 @@ mod tests {
             hand: &hand,
             walls: &[],
             held,
-            target: hand.target_series(0.0),
+            target: &hand.target_series(0.0),
             gain: [1.0, 0.0],
             strength: [0.0; 2],
+            wanted: f64::INFINITY,
         };
         let regime = Regime {
             grip: Grip::Holds,
@@ -518,7 +600,8 @@ mod tests {
             straight: None,
         };
         let velocity = Axes::<3>::new(0.4, 0.1, -0.2);
-        let stretch = law.follow(&regime, Axes::zeros(), velocity);
+        let mut stretch = Stretch::new();
+        law.follow(&regime, Axes::zeros(), velocity, &mut stretch);
         let end = stretch.reach;
         assert!(end > 1e-3, "{end}");
         // Work of friction is -c times the length of the path, by Simpson's rule on 200 intervals.
@@ -554,7 +637,23 @@ mod tests {
             let products: f64 = (0..=n).map(|i| w[i].dot(&w[n - i])).sum();
             assert!((squared(&w, n) - products).abs() < 1e-14, "{n}");
         }
-        let t = direction.reach().min(0.05);
+        // Who asks for less than it reaches is told so, and whoever asks for more, how far that is.
+        let reach = direction.reach(f64::INFINITY);
+        let largest = (TERMS - 5..TERMS - 2)
+            .map(|n| (direction.inverse[n] / direction.inverse[0]).abs().powf(1.0 / n as f64))
+            .fold(0.0, f64::max);
+        // The root whose rough logarithm is the largest may be another, smaller by less than 2^(0.09 / 11).
+        assert!((1.0 - 1e-12..1.006).contains(&(reach * largest / SHARE_OF_RADIUS)), "{}", reach * largest);
+        assert_eq!(direction.reach(0.9 * reach), f64::INFINITY);
+        assert_eq!(direction.reach(1.1 * reach), reach);
+        // A length that overflows reaches nowhere, whatever is asked for.
+        let mut beyond = Direction::new();
+        let huge = w.map(|term| term * 1e160);
+        for n in 0..TERMS {
+            let _ = beyond.coefficient(&huge, n);
+        }
+        assert_eq!([1e-6, f64::INFINITY].map(|wanted| beyond.reach(wanted)), [0.0; 2]);
+        let t = reach.min(0.05);
         assert!(t > 1e-3, "{t}");
         let found = series.iter().rev().fold(Axes::<3>::zeros(), |sum, term| sum * t + term);
         assert!((found - at(t).normalize()).norm() < 1e-15, "{found} {}", at(t).normalize());

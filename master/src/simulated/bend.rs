@@ -114,24 +114,41 @@ impl Direction {
     }
 
     /// Term n > 0, of the terms of V up to it; in order.
+    ///
+    /// Terms that do not depend on the newest V are summed apart, the oldest first, so that few operations remain once it is known.
     #[inline]
     fn coefficient<const N: usize>(&mut self, v: &[Axes<N>; MAX_TERMS], n: usize) -> Axes<N> {
-        let mut square = if n.is_multiple_of(2) { 0.5 * v[n / 2].norm_squared() } else { 0.0 };
-        for (early, late) in v[..n.div_ceil(2)].iter().zip(v[..=n].iter().rev()) {
-            square += early.dot(late);
+        let Self { speed, inverse_square, square, inverse } = self;
+        let mut half =
+            if n.is_multiple_of(2) { v[n / 2].component_mul(&v[n / 2]) * 0.5 } else { Axes::zeros() };
+        for (early, late) in v[1..n.div_ceil(2)].iter().rev().zip(&v[n / 2 + 1..n]) {
+            half += early.component_mul(late);
         }
-        self.square[n] = 2.0 * square * self.inverse_square;
-        // y = s^p with p = -1/2, s_0 = 1: n y_n = sum_i (p i - (n - i)) s_i y_{n-i}.
-        let (mut inverse, mut weight) = (0.0, -(n as f64));
-        for (square, before) in self.square[1..=n].iter().zip(self.inverse[..n].iter().rev()) {
-            weight += 0.5;
-            inverse += weight * square * before;
+        let half = half.sum() * *inverse_square;
+        // y = s^p with p = -1/2, s_0 = 1: n y_n = sum_i (p i - (n - i)) s_i y_{n-i}; beside it sum_i V_i y_{n-i}.
+        let (mut sum, mut direction) = (0.0, Axes::zeros());
+        if n > 1 {
+            let inner = 2..(n - 1).max(2);
+            let mut weight = 1.0 - n as f64;
+            for (square, before) in square[inner.clone()].iter().zip(inverse[inner.clone()].iter().rev()) {
+                sum += weight * square * before;
+                weight += 0.5;
+            }
+            for (v, before) in v[inner.clone()].iter().zip(inverse[inner].iter().rev()) {
+                direction += v * *before;
+            }
+            if n > 2 {
+                sum += -0.5 * (n + 1) as f64 * square[n - 1] * inverse[1];
+                direction += v[n - 1] * inverse[1];
+            }
+            sum += (0.5 - n as f64) * square[1] * inverse[n - 1];
+            direction += v[1] * inverse[n - 1];
         }
-        self.inverse[n] = inverse * INVERSE[n];
-        let mut direction = v[n];
-        for (inverse, v) in self.inverse[1..=n].iter().zip(v[..n].iter().rev()) {
-            direction += v * *inverse;
-        }
-        direction * self.speed
+        // Of s_n there is -n / 2 s_n.
+        let known = sum * INVERSE[n] - half;
+        let newest = v[0].dot(&v[n]) * *inverse_square;
+        square[n] = 2.0 * (half + newest);
+        inverse[n] = known - newest;
+        (direction + v[n] + v[0] * inverse[n]) * *speed
     }
 }

@@ -90,16 +90,18 @@ impl<const N: usize> SimulatedMaster<N> {
             hand: &self.hand,
             walls: &self.walls,
             held: self.held_force,
-            target,
+            target: &target,
             gain,
             strength,
+            wanted,
         };
         let wish = ((target[0] - self.position) * self.hand.stiffness()
             - self.velocity * self.hand.damping())
             * gain[0];
         let norm = wish.norm();
         let mut grip = if norm <= strength[0] { Grip::Holds } else { Grip::Slips };
-        let (mut regime, mut stretch, mut duration, mut setting_off);
+        let mut stretch = Stretch::new();
+        let (mut regime, mut duration, mut setting_off);
         loop {
             let hand = match grip {
                 Grip::Slips if norm > 0.0 => wish * (strength[0] / norm),
@@ -108,15 +110,17 @@ impl<const N: usize> SimulatedMaster<N> {
             (regime, setting_off) = self.regime(grip, &hand);
             if self.device.rubs_along_motion()
                 && regime.stuck == [false; N]
-                && let Some(direction) = self.straight_line(&law, grip, &hand, wanted)
+                && let Some(direction) = self.straight_line(&law, grip, &hand)
             {
                 regime.rub = Rub::Constant(direction * self.device.coulomb[0]);
                 regime.straight = Some(direction);
                 setting_off = false;
             }
-            stretch = law.follow(&regime, self.position, self.velocity);
-            if stretch.reach < STIFF_SHARE * wanted {
-                stretch = law.relaxed(&regime, self.position, self.velocity, wanted).unwrap_or(stretch);
+            law.follow(&regime, self.position, self.velocity, &mut stretch);
+            if stretch.reach < STIFF_SHARE * wanted
+                && let Some(relaxed) = law.relaxed(&regime, self.position, self.velocity)
+            {
+                stretch = relaxed;
             }
             duration = wanted.min(stretch.reach);
             if setting_off {
@@ -164,7 +168,7 @@ impl<const N: usize> SimulatedMaster<N> {
 
     /// The direction of a device that rubs along its motion, if it moves on a straight line for `wanted` s or sets off
     /// on one: its friction is then constant until it stops.
-    fn straight_line(&self, law: &Law<N>, grip: Grip, hand: &Axes<N>, wanted: f64) -> Option<Axes<N>> {
+    fn straight_line(&self, law: &Law<N>, grip: Grip, hand: &Axes<N>) -> Option<Axes<N>> {
         let same = |values: &Axes<N>| values.iter().all(|value| *value == values[0]);
         let holds_on = grip == Grip::Holds && law.gain[1] == 0.0;
         let has_let_go = grip == Grip::Slips && law.strength == [0.0; 2];
@@ -182,12 +186,12 @@ impl<const N: usize> SimulatedMaster<N> {
         let (mut across, mut power) = (aside(&push), 1.0);
         if holds_on {
             for term in &law.target[1..] {
-                power *= wanted;
+                power *= law.wanted;
                 across += law.gain[0] * self.hand.stiffness() * aside(term) * power;
             }
         }
         // A series reaches so far that no speed grows to more than twice what its force alone would lead to.
-        let grown = 2.0 * wanted * across / self.device.mass_kg[0];
+        let grown = 2.0 * law.wanted * across / self.device.mass_kg[0];
         (aside(&self.velocity) + grown <= STRAIGHT && self.velocity.dot(&direction) >= 0.0)
             .then_some(direction)
     }
@@ -262,6 +266,10 @@ impl<const N: usize> SimulatedMaster<N> {
         duration: f64,
     ) -> Option<f64> {
         if strength[0].is_infinite() || (self.hand.stiffness() == 0.0 && self.hand.damping() == 0.0) {
+            return None;
+        }
+        if grip == Grip::Slips && strength == [0.0; 2] {
+            // Who has let go pulls with nothing, whatever is wished for.
             return None;
         }
         // Most of the time the grip is far stronger than all that can be wished for within the stretch.
