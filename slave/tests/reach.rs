@@ -130,6 +130,37 @@ fn an_arm_moves_as_if_what_is_out_of_reach_were_not_there() {
     }
 }
 
+/// Looked at is not touched: 3 or 4 mm from a ball, a box that stands and one that comes near.
+#[test]
+fn an_arm_moves_as_if_what_it_comes_near_but_does_not_touch_were_not_there() {
+    for period_ns in [500_000, 1_000_000] {
+        let (alone, touched) = drawn(Vec::new(), Vec::new(), period_ns);
+        assert!(touched > 20);
+        let farthest = |axis: usize| {
+            // Of those clear of the floor: a tick in which it is touched anew or left has no bound.
+            let places = alone.iter().map(|sample| sample.position).filter(|position| position[1] > -0.01);
+            places.max_by(|a, b| a[axis].total_cmp(&b[axis])).unwrap()
+        };
+        let (right, top) = (farthest(0), farthest(1));
+        let contact = Contact::new(ContactLaw::KelvinVoigt { stiffness: 500.0, damping: 2.0 }, 0.3).unwrap();
+        // Less than the centimetre within which an object is looked at, more than bounds say that a tick can take it.
+        let gap = 3e-3;
+        let lid = Shape::cuboid(top + V3::new(0.0, gap + 0.01, 0.0), V3::repeat(0.01)).unwrap();
+        let comes = ObjectMotion::new(V3::new(-0.1, 0.0, 0.0), 0.1, 0.3, V3::zeros(), 0.0).unwrap();
+        let moving = Shape::cuboid(right + V3::new(gap + 0.041, 0.0, 0.0), V3::repeat(0.02)).unwrap();
+        for near in [
+            vec![ball(top + V3::new(0.0, gap + 0.02, 0.0), 0.02)],
+            vec![Object::fixed(lid, contact).unwrap()],
+            vec![Object::moving(moving, contact, comes).unwrap()],
+        ] {
+            let (with, touched_too) = drawn(near, Vec::new(), period_ns);
+            assert_eq!(touched_too, touched);
+            let other = with.iter().zip(&alone).position(|(with, alone)| with != alone);
+            assert_eq!(other, None, "{period_ns}");
+        }
+    }
+}
+
 #[test]
 fn an_arm_that_meets_a_ball_is_integrated_there() {
     let met = || vec![ball(V3::new(0.05, 0.03, 0.01), 0.02), ball(V3::new(-0.06, -0.02, 0.01), 0.025)];

@@ -131,20 +131,31 @@ impl<const N: usize> Environment<N> {
         }
     }
 
-    /// Whether the tool can touch none of the objects `apart` within `span` in s at up to twice its speed.
-    pub(crate) fn is_clear(
+    /// How far in m the tool may move within `span` in s before it touches one of the objects `apart` that are near,
+    /// infinity where none is; 0 where one that is not near may be touched at up to twice its speed.
+    pub(crate) fn room(
         &mut self,
         apart: &[bool],
         (position, velocity): (&Axes<N>, &Axes<N>),
         time_s: f64,
         span: f64,
-    ) -> bool {
+    ) -> f64 {
         let margin = 2.0 * span * velocity.norm();
         if !self.reach.covers(position, time_s + span, margin) {
             self.look(position, velocity, time_s);
+            if !self.reach.covers(position, time_s + span, margin) {
+                return 0.0;
+            }
         }
-        self.reach.covers(position, time_s + span, margin)
-            && !self.reach.near.iter().any(|&index| apart[index])
+        let near = self.reach.near.iter().filter(|&&index| apart[index]);
+        near.fold(f64::INFINITY, |room, &index| {
+            let object = &self.objects[index];
+            let (displacement, _) = object.place(time_s, time_s);
+            let (distance, _) = object.shape().surface(&(position - displacement));
+            // Distances carry the rounding of places.
+            let rounding = 1e-12 * (position.amax() + object.shape().extent());
+            room.min(distance - object.top_speed() * span - rounding)
+        })
     }
 
     pub(crate) fn push_time(&self, time_s: f64) -> f64 {

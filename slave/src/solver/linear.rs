@@ -22,6 +22,9 @@ struct Line {
     spring: [f64; 3],
     regime: Regime,
     kept: Kept,
+    /// Bound in m on how far x has been from where a tick began, where somebody asks for it: infinity where a contact may have
+    /// changed. None between ticks, so no part of a state.
+    swing: Option<f64>,
 }
 
 /// What follows from the arm, the springs and which planes are touched, and lasts as long as these.
@@ -200,7 +203,8 @@ impl<const N: usize> LinearArm<N> {
         Some(Self { lines, apart, is_complete, coarse_steps: 0 })
     }
 
-    /// As [`LinearArm::advance`], where no object that is on no line comes into reach; else nothing has moved.
+    /// As [`LinearArm::advance`], where bounds say that no near object which is on no line is touched, and no other comes into
+    /// reach; else nothing has moved.
     pub(crate) fn advance_clear(
         &mut self,
         drive: &mut ArmDrive<N>,
@@ -209,12 +213,18 @@ impl<const N: usize> LinearArm<N> {
         from: f64,
         span: f64,
     ) -> bool {
-        if !environment.is_clear(&self.apart, (&tool.position, &tool.velocity), from, span) {
+        let room = environment.room(&self.apart, (&tool.position, &tool.velocity), from, span);
+        if room <= 2.0 * span * tool.velocity.norm() {
+            // Hardly worth a trial.
             return false;
         }
         let (drive_before, tool_before, coarse_before) = (*drive, *tool, self.coarse_steps);
+        if room.is_finite() {
+            self.lines.iter_mut().for_each(|line| line.swing = Some(0.0));
+        }
         self.advance(drive, environment, tool, from, span);
-        let stays_clear = environment.reach.covers(&tool.position, from + span, 0.0);
+        let swing = Axes::<N>::from_fn(|axis, _| self.lines[axis].swing.take().unwrap_or(0.0)).norm();
+        let stays_clear = environment.reach.covers(&tool.position, from + span, 0.0) && swing < room;
         if !stays_clear {
             (*drive, *tool, self.coarse_steps) = (drive_before, tool_before, coarse_before);
         }
@@ -262,13 +272,8 @@ impl<const N: usize> LinearArm<N> {
                 let state = [tool.position[axis], tool.velocity[axis]];
                 let arm = [mass, stiffness, damping];
                 let (state, whole) = if set.arrives_steadily() && set.phase < step {
-                    line.advance_bent(
-                        arm,
-                        [input[0], input[1]],
-                        (set.phase, stiffness * set.velocity / mass),
-                        state,
-                        step,
-                    )
+                    let bend = (set.phase, stiffness * set.velocity / mass);
+                    line.advance_bent(arm, [input[0], input[1]], bend, state, step)
                 } else {
                     line.advance(arm, input, state, step)
                 };
@@ -327,12 +332,23 @@ impl Line {
         let is_one_piece = self.planes.is_empty()
             || (longest >= step && c >= 0.0 && self.stays(&course, state[0], step, impulse));
         if is_one_piece {
+            self.add_swing(&course, c, step, impulse);
             let map = self.kept.over(transition, step);
             return (course.after_bend((bend, slope), c, &map, step), true);
         }
         let (state, before) = self.advance(arm, [u0, u1, 0.0], state, bend);
         let (state, after) = self.advance(arm, [later0 + bend * later1, later1, 0.0], state, step - bend);
         (state, before && after)
+    }
+
+    /// Adds a bound on how far a course goes in t in s on which no contact changes, with an `impulse` as for
+    /// [`stays`](Self::stays).
+    #[inline]
+    fn add_swing(&mut self, course: &Course, c: f64, t: f64, impulse: f64) {
+        if let Some(swing) = &mut self.swing {
+            let [farther, _] = course.bounds(t);
+            *swing += if c >= 0.0 { farther + impulse * t } else { f64::INFINITY };
+        }
     }
 
     /// Advances (x, V) by `step` in s under an arm of M, K, B and an input per kg that is quadratic in time; returns
@@ -352,12 +368,15 @@ impl Line {
             let course = Course::of(transition, c, input, state);
             let left = step - done;
             if self.planes.is_empty() {
+                self.add_swing(&course, c, left, 0.0);
                 return (course.by(&self.kept.over(course.transition, left), left), true);
             }
             let longest = left.min(longest);
             if longest >= left && c >= 0.0 && self.stays(&course, state[0], left, 0.0) {
+                self.add_swing(&course, c, left, 0.0);
                 return (course.by(&self.kept.over(course.transition, left), left), true);
             }
+            self.swing = self.swing.map(|_| f64::INFINITY);
             let taken = self.first_change(&course, longest).unwrap_or(longest);
             state = course.at(taken);
             if taken >= left {
@@ -604,6 +623,22 @@ mod tests {
             prop_assert!((found[0] - end[0]).abs() < unsure, "{found:?} {end:?}");
             let fastest = rate.max((wall / mass).sqrt()).max(arm[2] / mass).max(damping / mass);
             prop_assert!((found[1] - end[1]).abs() < unsure * fastest.max(1.0 / step), "{found:?} {end:?}");
+
+            // Nowhere within the step is it farther away than the bound says, which is worth something.
+            let mut bounded = Line { swing: Some(0.0), ..line.clone() };
+            let _ = bounded.advance_bent(arm, [input[0], input[1]], (bend, slope), state, step);
+            let swing = bounded.swing.unwrap();
+            prop_assert!(!swing.is_nan() && (has_wall || swing.is_finite()));
+            for part in 0..=50 {
+                let t = f64::from(part) / 50.0 * step;
+                let mut seen = line.clone();
+                let (now, _) = seen.advance(arm, input, state, t.min(bend));
+                let (now, _) = seen.advance(arm, [u0 + u1 * bend, u1, 0.0], now, (t - bend).max(0.0));
+                prop_assert!((now[0] - x).abs() <= swing + unsure, "{part}: {} {swing}", now[0] - x);
+            }
+            let fastest_pull = (slope * bend).abs() + (growth / mass).abs() * step;
+            let speeds = v.abs() + (input[0].abs() + rate * rate * (x.abs() + surface.abs())) / rate + away.abs() * rate;
+            prop_assert!(has_wall || swing <= 10.0 * step * (speeds + fastest_pull / rate + speed.abs()), "{swing}");
 
             let mut watched = line;
             let regime = *watched.regime(arm, state);

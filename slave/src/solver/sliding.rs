@@ -56,6 +56,10 @@ struct Course<const N: usize> {
 impl<const N: usize> Course<N> {
     /// How far it has moved in m, and V in m/s, at a share of the step.
     fn at(&self, share: f64) -> (Axes<N>, Axes<N>) {
+        if share == 1.0 {
+            let sum = |series: &[Axes<N>]| series.iter().rev().sum();
+            return (sum(&self.moved), sum(&self.velocity));
+        }
         let sum =
             |series: &[Axes<N>]| series.iter().rev().fold(Axes::zeros(), |sum, term| sum * share + term);
         (sum(&self.moved), sum(&self.velocity))
@@ -95,6 +99,8 @@ struct FaceSeries<const N: usize> {
     speed: ArrayVec<f64, TERMS>,
     /// p over |s|, or over [`FULL_SLIP`].
     drag: ArrayVec<f64, TERMS>,
+    /// 1 over the first |s|.
+    inverse_speed: f64,
 }
 
 impl<const N: usize> FaceSeries<N> {
@@ -108,12 +114,13 @@ impl<const N: usize> FaceSeries<N> {
             slip: ArrayVec::new_const(),
             speed: ArrayVec::new_const(),
             drag: ArrayVec::new_const(),
+            inverse_speed: 0.0,
         }
     }
 
     /// Before the first coefficient of another step.
     fn begin(&mut self) {
-        let Self { depth, power, rate, pressing, slip, speed, drag } = self;
+        let Self { depth, power, rate, pressing, slip, speed, drag, .. } = self;
         [depth, power, rate, pressing, speed, drag].into_iter().for_each(ArrayVec::clear);
         slip.clear();
     }
@@ -138,36 +145,66 @@ impl<const N: usize> FaceSeries<N> {
         next + damping * damped
     }
 
-    /// The next coefficient of `p / |s|`: `|s|² = s s` gives that of |s|, `(p / |s|) |s| = p` the quotient.
+    /// The next coefficient of `p s / |s|`, of that of V: `|s|² = s s` gives that of |s|, `(p / |s|) |s| = p` the quotient.
+    ///
+    /// Terms that do not depend on the newest V are summed apart, the oldest first, so that few operations remain once it is known.
     #[inline]
-    fn drag_of_gliding(&mut self) -> f64 {
-        let Self { pressing, slip, speed, drag, .. } = self;
+    fn gliding(&mut self, velocity: &Axes<N>) -> Axes<N> {
+        let Self { pressing, slip, speed, drag, inverse_speed, .. } = self;
         let n = drag.len();
         if n == 0 {
             let first = slip[0].norm();
+            *inverse_speed = first.recip();
             speed.push(first);
-            return pressing[0] / first;
+            drag.push(pressing[0] / first);
+            return slip[0] * drag[0];
         }
-        let inverse = speed[0].recip();
         // Each product of two different coefficients counts twice.
+        let (mut square, mut of_speed) = (Axes::zeros(), 0.0);
         let pairs = n.div_ceil(2);
-        let mut square = if n.is_multiple_of(2) {
-            0.5 * (slip[pairs].norm_squared() - speed[pairs] * speed[pairs])
-        } else {
-            0.0
-        };
-        for (early, late) in slip[..pairs].iter().zip(slip.iter().rev()) {
-            square += early.dot(late);
+        if n.is_multiple_of(2) {
+            square = slip[pairs].component_mul(&slip[pairs]) * 0.5;
+            of_speed = 0.5 * speed[pairs] * speed[pairs];
         }
-        for (early, late) in speed[1..].iter().zip(speed.iter().rev()).take(pairs - 1) {
-            square -= early * late;
+        for (early, late) in slip[1..pairs].iter().rev().zip(&slip[n / 2 + 1..n]) {
+            square += early.component_mul(late);
         }
-        speed.push(square * inverse);
-        let mut rest = pressing[n];
-        for (speed, drag) in speed[1..].iter().zip(drag.iter().rev()) {
-            rest -= speed * drag;
+        for (early, late) in speed[1..pairs].iter().rev().zip(&speed[n / 2 + 1..n]) {
+            of_speed += early * late;
         }
-        rest * inverse
+        let (mut rubbing, mut braking) = (Axes::zeros(), 0.0);
+        if n > 1 {
+            let inner = 2..(n - 1).max(2);
+            for (slip, drag) in slip[inner.clone()].iter().zip(drag[inner.clone()].iter().rev()) {
+                rubbing += slip * *drag;
+            }
+            for (speed, drag) in speed[inner.clone()].iter().zip(drag[inner].iter().rev()) {
+                braking += speed * drag;
+            }
+            if n > 2 {
+                rubbing += slip[n - 1] * drag[1];
+                braking += speed[n - 1] * drag[1];
+            }
+            rubbing += slip[1] * drag[n - 1];
+            braking += speed[1] * drag[n - 1];
+        }
+        let (first, first_drag, inverse) = (slip[0], drag[0], *inverse_speed);
+        let before = (square.sum() - of_speed) * inverse;
+        let known = braking + before * first_drag;
+        // The first slip lies across the normal: its product with V is that with the slip.
+        let newest = first.dot(velocity) * inverse;
+        let next = (pressing[n] - known) * inverse - newest * (first_drag * inverse);
+        speed.push(before + newest);
+        drag.push(next);
+        rubbing + slip[n] * first_drag + first * next
+    }
+
+    /// The next coefficient of `p s` over [`FULL_SLIP`].
+    #[inline]
+    fn creeping(&mut self) -> Axes<N> {
+        let Self { pressing, slip, drag, .. } = self;
+        drag.push(pressing[drag.len()] * FULL_SLIP.recip());
+        drag.iter().zip(slip.iter().rev()).map(|(drag, slip)| slip * *drag).sum()
     }
 }
 
@@ -190,13 +227,13 @@ impl<const N: usize> Face<N> {
         if self.friction == 0.0 {
             return force;
         }
-        series.slip.push(velocity - self.normal * along);
-        let drag = if self.glides { series.drag_of_gliding() } else { pressing * FULL_SLIP.recip() };
-        series.drag.push(drag);
-        let mut rubbing = Axes::zeros();
-        for (drag, slip) in series.drag.iter().zip(series.slip.iter().rev()) {
-            rubbing += slip * *drag;
+        let mut slip = velocity - self.normal * along;
+        if series.slip.is_empty() {
+            // Across the normal to rounding of itself, and not of V, which may be a thousand times as large.
+            slip -= self.normal * self.normal.dot(&slip);
         }
+        series.slip.push(slip);
+        let rubbing = if self.glides { series.gliding(velocity) } else { series.creeping() };
         force - rubbing * self.friction
     }
 
@@ -272,11 +309,13 @@ impl<const N: usize> Pull<N> {
         moved.clear();
         v.clear();
         series.iter_mut().for_each(FaceSeries::begin);
-        moved.push(Axes::zeros());
-        v.push(*velocity);
+        // What all else waits for, beside the arrays.
+        let (mut newest_moved, mut newest_velocity) = (Axes::zeros(), *velocity);
+        moved.push(newest_moved);
+        v.push(newest_velocity);
         let mut largest = velocity.amax();
         let mut negligible = 0;
-        for n in 0..TERMS - 1 {
+        for (n, inverse) in INVERSE[..TERMS - 1].iter().enumerate() {
             let mut force = match n {
                 0 => self.force,
                 1 => self.growth[0] * step,
@@ -284,16 +323,17 @@ impl<const N: usize> Pull<N> {
                 _ => Axes::zeros(),
             };
             if n > 0 {
-                force -= moved[n] * self.stiffness + v[n] * self.damping;
+                force -= newest_moved * self.stiffness + newest_velocity * self.damping;
             }
             for (face, series) in faces.iter().zip(&mut *series) {
-                force += face.force(series, &moved[n], &v[n]);
+                force += face.force(series, &newest_moved, &newest_velocity);
             }
-            let share = step * INVERSE[n];
-            moved.push(v[n] * share);
-            let next = force * (share / self.mass);
-            v.push(next);
-            let size = next.amax();
+            let share = step * inverse;
+            newest_moved = newest_velocity * share;
+            moved.push(newest_moved);
+            newest_velocity = force * (share / self.mass);
+            v.push(newest_velocity);
+            let size = newest_velocity.amax();
             largest = largest.max(size);
             negligible = if size <= NEGLIGIBLE * largest { negligible + 1 } else { 0 };
             // What grows with the square of time comes in with the third coefficient.
@@ -513,6 +553,62 @@ mod tests {
     fn plane<const N: usize>(normal: Axes<N>, contact: Contact) -> Environment<N> {
         let shape = Shape::plane(Axes::zeros(), normal).unwrap();
         Environment::new(vec![Object::fixed(shape, contact).unwrap()], Vec::new())
+    }
+
+    proptest! {
+        /// Friction on a face, its terms side by side, against the sums of all products, however oblique the face is and however
+        /// much faster than it slips the tool strikes it.
+        #[test]
+        fn friction_of_gliding_is_that_of_all_products(
+            normal in prop::array::uniform3(-1.0..1.0_f64),
+            terms in prop::collection::vec(prop::array::uniform3(-1.0..1.0_f64), TERMS - 1),
+            (into, slip, fall) in (0.0..3.0_f64, 1.1e-3..0.2_f64, 0.05..0.5_f64),
+        ) {
+            let normal = Axes::<3>::from(normal);
+            prop_assume!(normal.norm() > 0.1);
+            let normal = normal.normalize();
+            let across = |v: &Axes<3>| {
+                let once = v - normal * normal.dot(v);
+                once - normal * normal.dot(&once)
+            };
+            prop_assume!(across(&Axes::from(terms[0])).norm() > 0.1);
+            let first = across(&Axes::from(terms[0])).normalize() * slip - normal * into;
+            // Each later term is less by `fall`, as in a series that converges, across the normal and along it.
+            let later = |n: usize| {
+                let term = Axes::from(terms[n]);
+                (across(&term) * slip + normal * (term[0] * into)) * fall.powf(n as f64)
+            };
+            let v: Vec<_> = (0..TERMS - 1).map(|n| if n == 0 { first } else { later(n) }).collect();
+            let law = ContactLaw::KelvinVoigt { stiffness: 900.0, damping: 3.0 };
+            let face =
+                Face { index: 0, normal, law, friction: 0.4, first_depth: 2e-3, glides: true, margin: 1.0 };
+            let mut series = FaceSeries::new();
+            let (mut speed, mut drag) = (Vec::new(), Vec::new());
+            let s: Vec<_> = v.iter().map(across).collect();
+            for n in 0..TERMS - 1 {
+                let moved = if n == 0 { Axes::zeros() } else { v[n - 1] * (1e-3 / n as f64) };
+                let found = face.force(&mut series, &moved, &v[n]);
+                let depth = if n == 0 { face.first_depth } else { -normal.dot(&moved) };
+                let p = 900.0 * depth - 3.0 * normal.dot(&v[n]);
+                if n == 0 {
+                    speed.push(s[0].norm());
+                    drag.push(p / speed[0]);
+                } else {
+                    let squares: f64 = (0..=n).map(|i| s[i].dot(&s[n - i])).sum();
+                    let others: f64 = (1..n).map(|i| speed[i] * speed[n - i]).sum();
+                    speed.push((squares - others) / (2.0 * speed[0]));
+                    let known: f64 = (1..=n).map(|i| speed[i] * drag[n - i]).sum();
+                    let pressing = series.pressing[n];
+                    prop_assert!((pressing - p).abs() <= 1e-12 * (p.abs() + 3.0 * v[n].norm() + 1e-6));
+                    drag.push((pressing - known) / speed[0]);
+                }
+                let rubbing: Axes<3> = (0..=n).map(|i| s[n - i] * drag[i]).sum();
+                let expected = normal * series.pressing[n] - rubbing * 0.4;
+                // Roundings of the terms before, of which each is that much of the one before it at most; some 20 of them.
+                let size = (0..=n).map(|i| s[n - i].norm() * drag[i].abs()).sum::<f64>() + expected.norm();
+                prop_assert!((found - expected).norm() <= 1e-11 * size, "{n}: {:e}", (found - expected).norm() / size);
+            }
+        }
     }
 
     /// An arm with K and B that goes to `target` from where the tool is on.
