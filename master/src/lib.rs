@@ -2,6 +2,7 @@
 
 mod axes;
 mod device;
+mod direction;
 mod hand;
 mod live;
 mod path;

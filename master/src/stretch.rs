@@ -2,6 +2,7 @@
 
 use crate::{
     Axes, ContinuousWall, DeviceParameters, Hand,
+    direction::Direction,
     hand::line,
     polynomial::{Series, TERMS},
 };
@@ -87,109 +88,8 @@ const INVERSE: [f64; TERMS] = {
     inverse
 };
 
-/// `1 / n`.
-const PER: [f64; TERMS] = {
-    let mut inverse = [0.0; TERMS];
-    let mut n = 1;
-    while n < TERMS {
-        inverse[n] = 1.0 / n as f64;
-        n += 1;
-    }
-    inverse
-};
-
-/// Share h / rho of the radius of convergence up to which the terms beyond the last are below rounding:
-/// `(h / rho)^TERMS = 1e-16`.
-const SHARE_OF_RADIUS: f64 = 0.1;
-
 /// Shares of 1 / e, in the time wanted, by which a motion relaxes that is worth a series of its own.
 const STIFF: f64 = 16.0;
-
-/// A vector series divided by its length.
-struct Direction {
-    square: Series,
-    inverse: Series,
-    /// 1 over the first term of `square`.
-    per_square: f64,
-}
-
-impl Direction {
-    fn new() -> Self {
-        Self { square: [0.0; TERMS], inverse: [0.0; TERMS], per_square: 0.0 }
-    }
-
-    /// Coefficient n of `w / |w|`, once those of w up to n are known; requested in order.
-    ///
-    /// Terms that do not depend on the newest w are summed apart, the oldest first, so that few operations remain once it is known.
-    #[inline]
-    fn coefficient<const N: usize>(&mut self, w: &[Axes<N>; TERMS], n: usize) -> Axes<N> {
-        let Self { square, inverse, per_square } = self;
-        if n == 0 {
-            square[0] = w[0].norm_squared();
-            *per_square = square[0].recip();
-            inverse[0] = square[0].sqrt().recip();
-            return w[0] * inverse[0];
-        }
-        let half = half_squared_inside(w, n);
-        // y = s^p with p = -1/2: n s_0 y_n = sum_i (p i - (n - i)) s_i y_{n-i}; beside it sum_i w_i y_{n-i}.
-        let (mut sum, mut direction) = (0.0, Axes::zeros());
-        if n > 1 {
-            let inner = 2..(n - 1).max(2);
-            let mut weight = 1.0 - n as f64;
-            for (square, before) in square[inner.clone()].iter().zip(inverse[inner.clone()].iter().rev()) {
-                sum += weight * square * before;
-                weight += 0.5;
-            }
-            for (w, before) in w[inner.clone()].iter().zip(inverse[inner].iter().rev()) {
-                direction += w * *before;
-            }
-            if n > 2 {
-                sum += -0.5 * (n + 1) as f64 * square[n - 1] * inverse[1];
-                direction += w[n - 1] * inverse[1];
-            }
-            sum += (0.5 - n as f64) * square[1] * inverse[n - 1];
-            direction += w[1] * inverse[n - 1];
-        }
-        // Of s_n there is -n / 2 s_n y_0.
-        let slope = inverse[0] * *per_square;
-        let known = sum * (*per_square * PER[n]) - half * slope;
-        let newest = w[0].dot(&w[n]);
-        square[n] = 2.0 * (half + newest);
-        inverse[n] = known - newest * slope;
-        direction + w[n] * inverse[0] + w[0] * inverse[n]
-    }
-
-    /// Time within which the terms beyond the last are below rounding, to 0.6 %; infinity where it is no less than `wanted` in
-    /// s.
-    fn reach(&self, wanted: f64) -> f64 {
-        let last = TERMS - 5..TERMS - 2;
-        // Without a root, where they need not be taken.
-        let (rate, most) = (wanted / SHARE_OF_RADIUS, self.inverse[0].abs());
-        let mut power = (1..last.start).map(|_| rate).product::<f64>();
-        let reaches = |n: usize| {
-            power *= rate;
-            self.inverse[n].abs() * power <= most
-        };
-        if most > 0.0 && last.clone().all(reaches) {
-            return f64::INFINITY;
-        }
-        // |y_n| ~ y_0 / rho^n. Of the largest of these roots alone, by logarithms that are a line from power to power of two.
-        let rough_log = |value: f64| (value.to_bits() as f64 * 2_f64.powi(-52) - 1023.0).max(-1023.0);
-        let growth = |n: usize| (n, (self.inverse[n] / self.inverse[0]).abs());
-        let largest = last
-            .map(growth)
-            .max_by(|(n, a), (m, b)| (rough_log(*a) / *n as f64).total_cmp(&(rough_log(*b) / *m as f64)));
-        let rate = largest.map_or(0.0, |(n, growth)| growth.powf(1.0 / n as f64));
-        // A length that has overflowed reaches nowhere.
-        if rate > 0.0 {
-            SHARE_OF_RADIUS / rate
-        } else if rate == 0.0 {
-            f64::INFINITY
-        } else {
-            0.0
-        }
-    }
-}
 
 impl<const N: usize> Law<'_, N> {
     /// Longest time in s for which the series of a linear motion holds full precision.
@@ -451,23 +351,6 @@ fn braked<const N: usize>(free: &Axes<N>, k: &Axes<N>) -> Axes<N> {
     free.zip_map(k, |free, k| free * (most / (most + k)))
 }
 
-/// Term n of the series of `|w|²`: each product of two different terms counts twice.
-#[inline]
-pub(crate) fn squared<const N: usize>(w: &[Axes<N>; TERMS], n: usize) -> f64 {
-    if n == 0 { w[0].norm_squared() } else { 2.0 * (half_squared_inside(w, n) + w[0].dot(&w[n])) }
-}
-
-/// Half of that term, n > 0, without the product of the first and the last; the oldest first.
-#[inline]
-fn half_squared_inside<const N: usize>(w: &[Axes<N>; TERMS], n: usize) -> f64 {
-    // A sum of its own for each axis, so that none waits for another.
-    let mut half = if n.is_multiple_of(2) { w[n / 2].component_mul(&w[n / 2]) * 0.5 } else { Axes::zeros() };
-    for (early, late) in w[1..n.div_ceil(2)].iter().rev().zip(&w[n / 2 + 1..n]) {
-        half += early.component_mul(late);
-    }
-    half.sum()
-}
-
 fn masked<const N: usize>(mut value: Axes<N>, stuck: &[bool; N]) -> Axes<N> {
     for (value, stuck) in value.iter_mut().zip(stuck) {
         if *stuck {
@@ -621,41 +504,5 @@ mod tests {
         let gained = 0.1 * (stretch.velocity(end).norm_squared() - velocity.norm_squared());
         let work = held.dot(&stretch.position(end)) - 0.5 * length;
         assert!((gained - work).abs() < 1e-14, "{gained} {work}");
-    }
-
-    /// `|w|²` and `w / |w|` of polynomials: against the sum of all products, and against the quotient within the series' reach.
-    #[test]
-    fn a_direction_is_the_quotient_of_its_series() {
-        let mut w = [Axes::<3>::zeros(); TERMS];
-        for (n, term) in w.iter_mut().enumerate().take(6) {
-            *term = Axes::<3>::from_fn(|axis, _| (1.0 + n as f64 * 0.7 + axis as f64 * 1.3).sin());
-        }
-        let at = |t: f64| w.iter().rev().fold(Axes::<3>::zeros(), |sum, term| sum * t + term);
-        let mut direction = Direction::new();
-        let series: Vec<_> = (0..TERMS).map(|n| direction.coefficient(&w, n)).collect();
-        for n in 0..TERMS {
-            let products: f64 = (0..=n).map(|i| w[i].dot(&w[n - i])).sum();
-            assert!((squared(&w, n) - products).abs() < 1e-14, "{n}");
-        }
-        // Who asks for less than it reaches is told so, and whoever asks for more, how far that is.
-        let reach = direction.reach(f64::INFINITY);
-        let largest = (TERMS - 5..TERMS - 2)
-            .map(|n| (direction.inverse[n] / direction.inverse[0]).abs().powf(1.0 / n as f64))
-            .fold(0.0, f64::max);
-        // The root whose rough logarithm is the largest may be another, smaller by less than 2^(0.09 / 11).
-        assert!((1.0 - 1e-12..1.006).contains(&(reach * largest / SHARE_OF_RADIUS)), "{}", reach * largest);
-        assert_eq!(direction.reach(0.9 * reach), f64::INFINITY);
-        assert_eq!(direction.reach(1.1 * reach), reach);
-        // A length that overflows reaches nowhere, whatever is asked for.
-        let mut beyond = Direction::new();
-        let huge = w.map(|term| term * 1e160);
-        for n in 0..TERMS {
-            let _ = beyond.coefficient(&huge, n);
-        }
-        assert_eq!([1e-6, f64::INFINITY].map(|wanted| beyond.reach(wanted)), [0.0; 2]);
-        let t = reach.min(0.05);
-        assert!(t > 1e-3, "{t}");
-        let found = series.iter().rev().fold(Axes::<3>::zeros(), |sum, term| sum * t + term);
-        assert!((found - at(t).normalize()).norm() < 1e-15, "{found} {}", at(t).normalize());
     }
 }

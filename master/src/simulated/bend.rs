@@ -1,10 +1,10 @@
 //! A tick under friction along a motion that bends: its Taylor series, no longer than rounding asks for.
 
 use super::SimulatedMaster;
-use crate::{Axes, path::DEGREE};
+use crate::{Axes, direction::Direction, path::DEGREE, polynomial::TERMS};
 
 /// Most terms; a tick that needs more is followed stretch by stretch.
-const MAX_TERMS: usize = 16;
+const MAX_TERMS: usize = TERMS;
 
 /// Fewest terms: the path has its share in each of these.
 const MIN_TERMS: usize = DEGREE + 1;
@@ -45,7 +45,8 @@ impl<const N: usize> SimulatedMaster<N> {
         let tolerance = f64::EPSILON / 16.0 * speed;
         let mut v = [Axes::<N>::zeros(); MAX_TERMS];
         (v[0], v[1]) = (self.velocity, acceleration * duration);
-        let mut direction = Direction::new(speed);
+        let mut direction = Direction::new();
+        let _ = direction.coefficient(&v, 0);
         let (mut turns, mut last_turn, mut last) = (true, f64::INFINITY, f64::INFINITY);
         let (mut power, mut shaken) = (1.0, map.tremor[0]);
         for n in 1..MAX_TERMS - 1 {
@@ -92,63 +93,4 @@ fn summed<const N: usize>(v: &[Axes<N>], duration: f64) -> [Axes<N>; 2] {
         gained += term;
     }
     [(v[0] + moved) * duration, gained]
-}
-
-/// The series of `V / |V|`.
-///
-/// Source: recursion for powers of series, Jorba and Zou 2005, section 2.
-struct Direction {
-    speed: f64,
-    inverse_square: f64,
-    /// `|V|²` over its first term.
-    square: [f64; MAX_TERMS],
-    /// `1 / |V|` times the speed at the begin.
-    inverse: [f64; MAX_TERMS],
-}
-
-impl Direction {
-    fn new(speed: f64) -> Self {
-        let (mut square, mut inverse) = ([0.0; MAX_TERMS], [0.0; MAX_TERMS]);
-        (square[0], inverse[0]) = (1.0, 1.0);
-        Self { speed: speed.recip(), inverse_square: (speed * speed).recip(), square, inverse }
-    }
-
-    /// Term n > 0, of the terms of V up to it; in order.
-    ///
-    /// Terms that do not depend on the newest V are summed apart, the oldest first, so that few operations remain once it is known.
-    #[inline]
-    fn coefficient<const N: usize>(&mut self, v: &[Axes<N>; MAX_TERMS], n: usize) -> Axes<N> {
-        let Self { speed, inverse_square, square, inverse } = self;
-        let mut half =
-            if n.is_multiple_of(2) { v[n / 2].component_mul(&v[n / 2]) * 0.5 } else { Axes::zeros() };
-        for (early, late) in v[1..n.div_ceil(2)].iter().rev().zip(&v[n / 2 + 1..n]) {
-            half += early.component_mul(late);
-        }
-        let half = half.sum() * *inverse_square;
-        // y = s^p with p = -1/2, s_0 = 1: n y_n = sum_i (p i - (n - i)) s_i y_{n-i}; beside it sum_i V_i y_{n-i}.
-        let (mut sum, mut direction) = (0.0, Axes::zeros());
-        if n > 1 {
-            let inner = 2..(n - 1).max(2);
-            let mut weight = 1.0 - n as f64;
-            for (square, before) in square[inner.clone()].iter().zip(inverse[inner.clone()].iter().rev()) {
-                sum += weight * square * before;
-                weight += 0.5;
-            }
-            for (v, before) in v[inner.clone()].iter().zip(inverse[inner].iter().rev()) {
-                direction += v * *before;
-            }
-            if n > 2 {
-                sum += -0.5 * (n + 1) as f64 * square[n - 1] * inverse[1];
-                direction += v[n - 1] * inverse[1];
-            }
-            sum += (0.5 - n as f64) * square[1] * inverse[n - 1];
-            direction += v[1] * inverse[n - 1];
-        }
-        // Of s_n there is -n / 2 s_n.
-        let known = sum * INVERSE[n] - half;
-        let newest = v[0].dot(&v[n]) * *inverse_square;
-        square[n] = 2.0 * (half + newest);
-        inverse[n] = known - newest;
-        (direction + v[n] + v[0] * inverse[n]) * *speed
-    }
 }

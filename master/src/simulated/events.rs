@@ -3,8 +3,9 @@
 use super::{STOPPED, SimulatedMaster, across, add};
 use crate::{
     Axes, Friction,
+    direction::squared,
     polynomial::{Series, TERMS, first_negative, product},
-    stretch::{Grip, Law, Regime, Rub, Stretch, squared},
+    stretch::{Grip, Law, Regime, Rub, Stretch},
 };
 
 /// Progress in s below which an event counts as another at the same instant. At a tie (the grip exactly as strong as
