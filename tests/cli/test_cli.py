@@ -265,6 +265,11 @@ def test_what_is_wrong_goes_to_a_closed_pipe_without_a_word(arguments: list[str]
     [
         (["sweep", "remote_push", "--vary", "safety.window=1", "--vary", "safety.window=2"],
          "--vary safety.window: given twice: give all its values at once, as safety.window=v1,v2"),
+        (["sweep", "remote_push", "--seed", "1", "--vary", "safety.window=1", "--seed=2"],
+         "--seed, --seed: one setting is given twice: leave one of the two out"),
+        (["simulate", "remote_push", "--out", "a", "--set", "run.seed=1", "--out", "b"], "--out, --out: one setting"),
+        (["netsim", "sample", "--delay-s", "0.1", "--delay_s", "0.2"],
+         "--delay-s, --delay_s: one setting is given twice"),
         (["master", *NOBODY, "--release-at-s", "-5"], "release_at_s = -5: must be at least 0 s"),
         (["slave", "--insecure", "--listen", "127.0.0.1:0", "--push-force-n", "nan"], "push force = NaN"),
         (["slave", "--insecure", "--listen", "127.0.0.1:0", "--push-duration-s", "-3"], "push duration = -3"),

@@ -15,7 +15,7 @@ import textwrap
 import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import make_dataclass
-from typing import Annotated, Any, TextIO, Union
+from typing import Annotated, Any, TextIO, Union, get_type_hints
 
 import tyro
 
@@ -278,6 +278,7 @@ def _parsed(commands: CommandTable, prog: str, group: "type[object] | None", arg
     if named is not None:
         parsed, prog, arguments = named, f"{prog} {arguments[0]}", arguments[1:]
         description = summary(named)
+        refuse_repeated(named, arguments)
     else:
         parsed, description = union_of(commands), DESCRIPTION if group is None else summary(group)
     try:
@@ -302,6 +303,33 @@ def _parsed(commands: CommandTable, prog: str, group: "type[object] | None", arg
         sys.stdout.flush()
         raise
     return command
+
+
+def refuse_repeated(command: type[Any], arguments: Sequence[str]) -> None:
+    """Refuses an option that is given twice: of most the parser takes the last and says nothing.
+
+    Raises:
+        ValueError: With both.
+    """
+    given: dict[str, str] = {}
+    single: set[str] | None = None
+    for argument in arguments:
+        name = argument.partition("=")[0]
+        if not name.startswith("--"):
+            continue
+        if single is None:
+            single = {
+                field for field, hint in get_type_hints(command, include_extras=True).items() if _counts_once(hint)
+            }
+        field = name[2:].replace("-", "_")
+        if field in single:
+            refuse_twice(given, field, name)
+
+
+def _counts_once(hint: Any) -> bool:  # noqa: ANN401  # a type, or one with what the parser is told beside it
+    """Whether an option of this type has one value, or one list of them: no switch, and nothing that adds up."""
+    is_switch = getattr(hint, "__origin__", hint) is bool
+    return not is_switch and tyro.conf.UseAppendAction not in getattr(hint, "__metadata__", ())
 
 
 def union_of(commands: Mapping[str, type[Any]]) -> Any:  # noqa: ANN401  # put together at run time, without a static type
