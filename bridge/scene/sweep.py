@@ -1,10 +1,7 @@
 """One scene, run for many values of some of its numbers."""
 
-import csv
 import importlib
 import importlib.util
-import io
-import math
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -38,6 +35,7 @@ from haptether.bridge.scene.sweeps.design import Values, counts_of, design_of
 from haptether.bridge.scene.sweeps.limits import EXACT, LARGEST_EXACT, as_typed, check_rows, out_of_range, whole_number
 from haptether.bridge.scene.sweeps.population import Population, with_population
 from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice, with_scenes
+from haptether.bridge.scene.sweeps.table_file import check_suffix, table_file, values_of
 from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import private_file, refuse_link
 
@@ -51,8 +49,6 @@ _ALONE = re.compile(
     r"|coupling\.(position_scale|force_scale|command_.*|changes\.\d+\..*_scale)|slave\.(bandwidth_hz|max_.*|force_sensor\..*)"
     r"|safety\.(velocity_.*|vfc_.*|grasp_.*|hsc_.*|wsc_.*|energy_.*|window|hold_off_s|release_ramp_s)"
 )
-COUNTS = frozenset({"false_trips", "intervention_ticks"})
-"""Columns of whole numbers that are float64, so that NaN can stand for what was not measured."""
 METRICS = ("outcome", *_core.METRICS, "diverged", "ticks", "reason")
 """Columns of what is measured, in their order; a scene of poses has those of rotation."""
 ENDING = frozenset(METRICS) - frozenset(_core.METRICS)
@@ -62,8 +58,6 @@ OUTCOMES = (
     *(state for state in LADDER_STATES if state not in {"engaged", "stale"}),
 )  # fmt: skip
 """How a row may have ended: of the ladder, the states in which the two are coupled no more."""
-_UNMEASURED = {"never-engaged", "refused"}
-"""Outcomes of rows in which nothing was measured."""
 MAX_THREADS = 1024
 """Of a sweep: more take longer to be made than the rows that they run."""
 
@@ -100,42 +94,27 @@ class Sweep:
 
     def values_of(self, name: str) -> list[Any]:
         """A column as raw values, none for what was not measured."""
-        column = self.columns[name]
-        values: list[Any] = column.tolist()
-        if column.dtype.kind == "f":
-            if name in COUNTS:
-                return [None if math.isnan(value) else int(value) for value in values]
-            for row in np.flatnonzero(np.isnan(column)).tolist():
-                values[row] = None
-            return values
-        if name == "reason":
-            return [value or None for value in values]
-        if name == "diverged" and "outcome" in self.columns:
-            outcomes = self.columns["outcome"].tolist()
-            return [None if of in _UNMEASURED else value for of, value in zip(outcomes, values, strict=True)]
-        return values
+        return values_of(self.columns, name)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Writes all columns to a `.csv` or `.npz` file, for its owner alone.
+        """Writes all columns to a `.csv`, `.parquet` or `.npz` file, for its owner alone.
 
         Raises:
             ValueError: Another suffix.
+            ImportError: Parquet without PyArrow (`haptether[parquet]`).
             OSError: The file cannot be written; a symbolic link.
         """
         path = FilePath(path)
+        check_suffix(path)
         refuse_link(path)
-        if path.suffix == ".csv":
-            with private_file(path) as binary, io.TextIOWrapper(binary, encoding="utf-8", newline="") as file:
-                writer = csv.writer(file, lineterminator="\n")
-                writer.writerow(self.columns)
-                writer.writerows(zip(*map(self.values_of, self.columns), strict=True))
-        elif path.suffix == ".npz":
-            arrays: dict[str, Any] = dict(self.columns)
-            with private_file(path) as file:
+        with private_file(path) as file:
+            if path.suffix == ".npz":
+                arrays: dict[str, Any] = dict(self.columns)
                 np.savez_compressed(file, **arrays)
-        else:
-            message = f"{path}: must end in .csv or .npz"
-            raise ValueError(message)
+            else:
+                table = table_file(path.suffix, file, {})
+                table.write(self.columns)
+                table.close()
 
     def to_polars(self) -> Any:  # noqa: ANN401  # polars is not ours to depend on
         """The columns as a `polars.DataFrame`.

@@ -77,7 +77,13 @@ def test_a_file_has_the_rows_of_a_sweep_in_memory(tmp_path: Path) -> None:
 def test_parquet_has_types_nulls_and_where_it_is_from(tmp_path: Path) -> None:
     parquet: Any = pytest.importorskip("pyarrow.parquet")
     path = tmp_path / "push.parquet"
-    stored(path)
+    kept = stored(path, collect=True)
+    assert kept.whole is not None
+    kept.whole.save(tmp_path / "whole.parquet")
+    # The same rows; where they are from a table in memory does not know.
+    whole = parquet.read_table(tmp_path / "whole.parquet")
+    assert whole.equals(parquet.read_table(path).replace_schema_metadata())
+    assert not whole.schema.metadata
     file = parquet.ParquetFile(path)
     assert [file.metadata.row_group(at).num_rows for at in range(file.num_row_groups)] == [7, 7, 7, 7, 7, 1]
     metadata = {key.decode(): value.decode() for key, value in file.schema_arrow.metadata.items()}

@@ -389,7 +389,7 @@ def test_a_sweep_can_be_kept(tmp_path: Path) -> None:
     result.save(tmp_path / "sweep.npz")
     with np.load(tmp_path / "sweep.npz") as arrays:
         assert arrays["ticks"].tolist() == [3, 4]
-    with pytest.raises(ValueError, match=r"must end in \.csv or \.npz"):
+    with pytest.raises(ValueError, match=r"must end in \.csv, \.parquet or \.npz"):
         result.save(tmp_path / "sweep.txt")
     with pytest.raises(KeyError, match=r"no column 'x': there is safety\.window, ticks"):
         result["x"]

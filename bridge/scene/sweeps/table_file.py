@@ -4,6 +4,7 @@ import csv
 import importlib
 import importlib.util
 import io
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any, Protocol
@@ -11,13 +12,15 @@ from typing import IO, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from haptether.bridge.scene.sweep import COUNTS, Sweep
-
 ROW_GROUP = 65_536
 """Rows of a row group of Parquet."""
 STREAMED = frozenset({".csv", ".parquet"})
 """Suffixes of files that are written without all rows in memory."""
 SUFFIXES = (".csv", ".parquet", ".npz")
+COUNTS = frozenset({"false_trips", "intervention_ticks"})
+"""Columns of whole numbers that are float64, so that NaN can stand for what was not measured."""
+UNMEASURED = frozenset({"never-engaged", "refused"})
+"""Outcomes of rows in which nothing was measured."""
 
 
 class _ArrowTable(Protocol):
@@ -54,6 +57,24 @@ class TableFile(Protocol):
         """Writes what is pending; the file stays open."""
 
 
+def values_of(columns: Mapping[str, npt.NDArray[Any]], name: str) -> list[Any]:
+    """A column of a sweep as raw values, none for what was not measured."""
+    column = columns[name]
+    values: list[Any] = column.tolist()
+    if column.dtype.kind == "f":
+        if name in COUNTS:
+            return [None if math.isnan(value) else int(value) for value in values]
+        for row in np.flatnonzero(np.isnan(column)).tolist():
+            values[row] = None
+        return values
+    if name == "reason":
+        return [value or None for value in values]
+    if name == "diverged" and "outcome" in columns:
+        outcomes = columns["outcome"].tolist()
+        return [None if of in UNMEASURED else value for of, value in zip(outcomes, values, strict=True)]
+    return values
+
+
 def check_suffix(path: Path) -> None:
     """Refuses a file of another kind, or one whose library is not installed.
 
@@ -87,8 +108,7 @@ class CsvTable:
         if not self._begun:
             writer.writerow(columns)
             self._begun = True
-        part = Sweep(columns)
-        writer.writerows(zip(*map(part.values_of, columns), strict=True))
+        writer.writerows(zip(*(values_of(columns, name) for name in columns), strict=True))
 
     def close(self) -> None:
         """Writes what is pending; the file stays open."""
@@ -108,9 +128,8 @@ class ParquetTable:
 
     def write(self, columns: Mapping[str, npt.NDArray[Any]]) -> None:
         """Takes rows, and writes each row group that they complete."""
-        part = Sweep(columns)
         arrays = {
-            name: self._arrow.array(part.values_of(name), type=self._type(name, column))
+            name: self._arrow.array(values_of(columns, name), type=self._type(name, column))
             for name, column in columns.items()
         }
         if self._writer is None:
