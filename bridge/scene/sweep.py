@@ -99,6 +99,8 @@ class Sweep:
     def save(self, path: str | PathLike[str]) -> None:
         """Writes all columns to a `.csv`, `.parquet` or `.npz` file, for its owner alone.
 
+        Parquet has no metadata; `sweep_to_file` leaves scene, design and version there.
+
         Raises:
             ValueError: Another suffix.
             ImportError: Parquet without PyArrow (`haptether[parquet]`).

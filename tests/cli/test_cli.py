@@ -284,6 +284,23 @@ def test_what_would_be_passed_over_is_refused(arguments: list[str], said: str) -
     assert ended.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("arguments", "status", "said"),
+    [
+        (["info", "--", "--json", "--json"], 2, "--json: no such file"),
+        (["netsim", "sample", "--packets", "5", "--packets", "6", "--help"], 0, "usage: haptether netsim sample"),
+        (["simulate", "remote_push", "--out", "--out"], 2, "--out"),
+        (["sweep", "remote_push", "--vary", "safety.window=1", "--vary", "run.seed=1,2", "--samples", "1", "--help"], 0,
+         "usage: haptether sweep"),
+    ],
+)  # fmt: skip
+def test_what_is_no_option_given_twice_is_not_refused_as_one(arguments: list[str], status: int, said: str) -> None:
+    ended = run(*arguments)
+    assert ended.returncode == status
+    assert said in ended.stdout + ended.stderr
+    assert "given twice" not in ended.stdout + ended.stderr
+
+
 def test_a_file_of_a_flight_recorder_that_is_no_text_is_named(tmp_path: Path) -> None:
     path = tmp_path / "master.flight"
     path.write_bytes(b'{"schema": 1, "side": "\xff"}')

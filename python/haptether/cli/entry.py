@@ -311,11 +311,15 @@ def refuse_repeated(command: type[Any], arguments: Sequence[str]) -> None:
     Raises:
         ValueError: With both.
     """
+    options = list(arguments[: arguments.index("--")] if "--" in arguments else arguments)
+    if not {"--help", "-h"}.isdisjoint(options):
+        return
     given: dict[str, str] = {}
     single: set[str] | None = None
-    for argument in arguments:
-        name = argument.partition("=")[0]
-        if not name.startswith("--"):
+    for argument, after in zip(options, [*options[1:], "--"], strict=False):
+        name, equals, _ = argument.partition("=")
+        # One without a value is refused for that.
+        if not name.startswith("--") or (not equals and after.startswith("--")):
             continue
         if single is None:
             single = {
