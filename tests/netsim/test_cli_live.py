@@ -259,6 +259,7 @@ def test_a_bad_request_is_one_line(
         ([], "nothing to change: give KEY=VALUE, or --show"),
         (["delay_s"], "delay_s: must be KEY=VALUE, forward.KEY=VALUE or backward.KEY=VALUE"),
         (["forward.outages.0.effect=hold"], "must be KEY=VALUE"),
+        (["delay_s=0.1", "loss=0", "delay-s=0.2"], "delay_s, delay-s: one setting is given twice"),
         (["dela_s=1"], "has no key dela_s: did you mean delay_s?"),
     ],
 )

@@ -6,6 +6,8 @@ from typing import Annotated, Any
 
 import tyro
 
+from haptether.cli.shared.assignments import refuse_twice
+
 
 @dataclass(frozen=True, kw_only=True)
 class Set:
@@ -76,14 +78,18 @@ def requested(settings: tuple[str, ...]) -> dict[str, dict[str, Any]]:
     """The request that assignments stand for.
 
     Raises:
+        ValueError: One twice.
         SceneError: One that is none, a setting that there is not, or a value that TOML does not know.
     """
     from haptether.bridge.scene.errors import SceneError
     from haptether.bridge.scene.load import path_of, toml_value
 
     request: dict[str, dict[str, Any]] = {}
+    given: dict[str, str] = {}
     for setting in settings:
         name, equals, text = setting.partition("=")
+        # Of both directions, and then of one, is what was meant.
+        refuse_twice(given, name, name.strip()[:80])
         first, dot, key = name.strip().partition(".")
         directions, key = (
             ((first,), key) if dot and first in {"forward", "backward"} else (("forward", "backward"), name)
