@@ -5,18 +5,7 @@
 
 use crate::{
     Axes,
-    polynomial::{Series, TERMS},
-};
-
-/// `1 / n`: a division takes longer than all else that a term needs.
-const PER: [f64; TERMS] = {
-    let mut inverse = [0.0; TERMS];
-    let mut n = 1;
-    while n < TERMS {
-        inverse[n] = 1.0 / n as f64;
-        n += 1;
-    }
-    inverse
+    polynomial::{INVERSE, Series, TERMS},
 };
 
 /// Share h / rho of the radius of convergence up to which the terms beyond the last are below rounding:
@@ -70,7 +59,7 @@ impl Direction {
         }
         // Of s_n there is -n / 2 s_n y_0.
         let slope = inverse[0] * *per_square;
-        let known = sum * (*per_square * PER[n]) - half * slope;
+        let known = sum * (*per_square * INVERSE[n]) - half * slope;
         let newest = w[0].dot(&w[n]);
         square[n] = 2.0 * (half + newest);
         inverse[n] = known - newest * slope;

@@ -6,6 +6,17 @@ use crate::path::shifted;
 /// position and 3e-17 of the velocity.
 pub(crate) const TERMS: usize = 16;
 
+/// `1 / n`: a division takes longer than all else that a term needs.
+pub(crate) const INVERSE: [f64; TERMS + 1] = {
+    let mut inverse = [0.0; TERMS + 1];
+    let mut n = 1;
+    while n <= TERMS {
+        inverse[n] = 1.0 / n as f64;
+        n += 1;
+    }
+    inverse
+};
+
 /// Coefficients in rising powers of the time.
 pub(crate) type Series = [f64; TERMS];
 

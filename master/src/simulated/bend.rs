@@ -1,7 +1,12 @@
 //! A tick under friction along a motion that bends: its Taylor series, no longer than rounding asks for.
 
 use super::SimulatedMaster;
-use crate::{Axes, direction::Direction, path::DEGREE, polynomial::TERMS};
+use crate::{
+    Axes,
+    direction::Direction,
+    path::DEGREE,
+    polynomial::{INVERSE, TERMS},
+};
 
 /// Most terms; a tick that needs more is followed stretch by stretch.
 const MAX_TERMS: usize = TERMS;
@@ -12,17 +17,6 @@ const MIN_TERMS: usize = DEGREE + 1;
 /// Share of the speed by which V may change within the tick at most. The series of its direction then converges to
 /// twice the tick and farther: where two terms are within rounding, so is all that follows.
 pub(super) const MAX_CHANGE: f64 = 0.125;
-
-/// `1 / n`: a division takes longer than all else that a term needs.
-const INVERSE: [f64; MAX_TERMS + 1] = {
-    let mut inverse = [0.0; MAX_TERMS + 1];
-    let mut n = 1;
-    while n <= MAX_TERMS {
-        inverse[n] = 1.0 / n as f64;
-        n += 1;
-    }
-    inverse
-};
 
 impl<const N: usize> SimulatedMaster<N> {
     /// By how much x in m and V in m/s change over the tick, from an acceleration in m/s² and a speed in m/s at its begin;

@@ -330,7 +330,7 @@ def refuse_repeated(command: type[Any], arguments: Sequence[str]) -> None:
             refuse_twice(given, field, name)
 
 
-def _counts_once(hint: Any) -> bool:  # noqa: ANN401  # a type, or one with what the parser is told beside it
+def _counts_once(hint: object) -> bool:
     """Whether an option of this type has one value, or one list of them: no switch, and nothing that adds up."""
     is_switch = getattr(hint, "__origin__", hint) is bool
     return not is_switch and tyro.conf.UseAppendAction not in getattr(hint, "__metadata__", ())
