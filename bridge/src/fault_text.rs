@@ -102,7 +102,10 @@ impl fmt::Debug for FaultText {
 }
 
 /// What one frame carries of a text.
+///
+/// Aligned, so that a copy is whole words: one of 14 bytes is two that overlap, and the next copy waits for both.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(align(8))]
 pub struct TextPiece {
     /// Which text of the sender it is of, 1 to 255; 0 where it has none.
     pub number: u8,

@@ -26,7 +26,7 @@ use crate::{
 /// said.
 pub trait Side<const N: usize> {
     /// The record of a tick.
-    type Record: Copy + Send + 'static;
+    type Record: Copy + Default + Send + 'static;
 
     /// True time begins at `now_ns`; called once, before the first tick.
     fn begin(&mut self, now_ns: u64);
@@ -43,7 +43,14 @@ pub trait Side<const N: usize> {
     }
 
     /// Reads the plant, decides, writes the plant.
-    fn tick(&mut self, time: TickTime) -> Self::Record;
+    fn tick(&mut self, time: TickTime) -> Self::Record {
+        let mut record = Self::Record::default();
+        self.tick_into(time, &mut record);
+        record
+    }
+
+    /// The same with the record written where it is kept: a copy of what was just written would be waited for.
+    fn tick_into(&mut self, time: TickTime, record: &mut Self::Record);
 
     /// Writes the frame of this tick.
     fn send<'a>(&mut self, time: LinkTime, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
@@ -206,7 +213,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
         }
     }
 
-    fn tick(&mut self, time: TickTime) -> MasterRecord<N, R> {
+    fn tick_into(&mut self, time: TickTime, record: &mut MasterRecord<N, R>) {
         if self.exchange().has_stalled() {
             self.operator.reset();
             self.button.stalled();
@@ -257,7 +264,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
             }
         }
         let snapshot = LadderSnapshot::of(&self.endpoint.exchange);
-        MasterRecord::new(time, &reading, truth, led_to, &tick, turn, snapshot)
+        *record = MasterRecord::new(time, &reading, truth, led_to, &tick, turn, snapshot);
     }
 
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {
@@ -366,7 +373,7 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side<N> for SlaveSide<P, N,
         self.plant.begin(now_ns);
     }
 
-    fn tick(&mut self, time: TickTime) -> SlaveRecord<N, R> {
+    fn tick_into(&mut self, time: TickTime, record: &mut SlaveRecord<N, R>) {
         let brakes = self.plant.braking_speeds();
         self.endpoint.set_braking(self.reference_point.map_or(brakes, |point| point.speeds(brakes)));
         let [position, velocity, environment_force] = self.plant.read(time.now_ns);
@@ -421,7 +428,8 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side<N> for SlaveSide<P, N,
             self.endpoint.exchange.report_gripper(state);
         }
         let snapshot = LadderSnapshot::of(&self.endpoint.exchange);
-        SlaveRecord::new(time, &reading, self.gripper.as_ref(), self.plant.touches(), &tick, snapshot)
+        let touches = self.plant.touches();
+        *record = SlaveRecord::new(time, &reading, self.gripper.as_ref(), touches, &tick, snapshot);
     }
 
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {

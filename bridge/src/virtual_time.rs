@@ -335,7 +335,7 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
     }
 
     /// The tick that is due: it takes what `inward` delivers and sends `outward`, which judges its frames in `carry_sent`.
-    fn step(&mut self, inward: &mut OneWay<N>, outward: &mut OneWay<N>) -> S::Record {
+    fn step(&mut self, inward: &mut OneWay<N>, outward: &mut OneWay<N>, record: &mut S::Record) {
         let (now_ns, wake) = (self.pace.true_ns, self.pace.wake());
         let clock_ns = wake.deadline_ns;
         if wake.is_stalled() {
@@ -358,13 +358,14 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
                 Sent::Bytes(slot) => self.open(time, slot, inward, outward),
             }
         }
-        let record = self.side.tick(TickTime {
+        let tick = TickTime {
             now_ns,
             clock_ns,
             overshoot_ns: wake.overshoot_ns,
             missed: wake.missed,
             ..TickTime::default()
-        });
+        };
+        self.side.tick_into(tick, record);
         if self.encodes {
             // Seeded randomness does not fail.
             if let Some(hello) = self.end.poll(clock_ns, &mut self.entropy).ok().flatten() {
@@ -382,7 +383,6 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
         self.counts.ticks += 1;
         self.counts.skipped += wake.missed;
         self.counts.clock_ns = clock_ns;
-        record
     }
 
     /// Takes a datagram of bytes.
@@ -436,16 +436,17 @@ pub fn run_virtual<M: Side<N>, S: Side<N>, const N: usize>(
     mut observe: impl FnMut(Event<'_, M::Record, S::Record>, (&M, &S)) -> ControlFlow<()>,
 ) -> Result<VirtualCounts, VirtualError> {
     let mut run = Run::new(settings, master, slave)?;
+    let (mut near, mut far) = (M::Record::default(), S::Record::default());
     while run.master.goes_on(run.end_ns) || run.slave.goes_on(run.end_ns) {
         let Run { master, slave, forward, backward, .. } = &mut run;
         let flow = if master.pace.true_ns <= slave.pace.true_ns {
-            let record = master.step(backward, forward);
+            master.step(backward, forward, &mut near);
             forward.carry_sent();
-            observe(Event::Master(&record), (master.side, slave.side))
+            observe(Event::Master(&near), (master.side, slave.side))
         } else {
-            let record = slave.step(forward, backward);
+            slave.step(forward, backward, &mut far);
             backward.carry_sent();
-            observe(Event::Slave(&record), (master.side, slave.side))
+            observe(Event::Slave(&far), (master.side, slave.side))
         };
         if flow.is_break() {
             break;
@@ -488,39 +489,46 @@ pub(crate) struct Ahead<'a, M: Side<N>, S: Side<N>, const N: usize> {
 ///
 /// Most times all are observed before there are more, so they need not go in a circle.
 struct Unseen<R> {
+    /// Those of ticks first, up to `kept`; beyond them what will be written over.
     ticks: Vec<(u64, R)>,
+    kept: usize,
     /// How many of these were observed.
     seen: usize,
 }
 
-impl<R> Unseen<R> {
+impl<R: Copy + Default> Unseen<R> {
     fn new() -> Self {
-        Self { ticks: Vec::with_capacity(MAX_AHEAD), seen: 0 }
+        Self { ticks: Vec::new(), kept: 0, seen: 0 }
     }
 
     /// Lets go of those that were observed; before more are kept.
     fn forget_seen(&mut self) {
-        self.ticks.drain(..self.seen);
+        self.ticks.copy_within(self.seen..self.kept, 0);
+        self.kept -= self.seen;
         self.seen = 0;
-        self.ticks.reserve(MAX_AHEAD - self.ticks.len());
+        self.ticks.resize_with(MAX_AHEAD, Default::default);
     }
 
-    /// Whether there is room for one more, before any of these was observed.
-    fn has_room(&self) -> bool {
+    /// Where one more is to be written, a tick at `true_ns`; none where there is no room, before any of these was observed.
+    fn next(&mut self, true_ns: u64) -> Option<&mut R> {
         debug_assert_eq!(self.seen, 0, "forget_seen comes first");
-        self.ticks.len() < MAX_AHEAD
+        let (at_ns, record) = self.ticks.get_mut(self.kept)?;
+        *at_ns = true_ns;
+        self.kept += 1;
+        Some(record)
     }
 
     fn first(&self) -> Option<&(u64, R)> {
-        self.ticks.get(self.seen)
+        self.unseen().first()
+    }
+
+    fn unseen(&self) -> &[(u64, R)] {
+        &self.ticks[self.seen..self.kept]
     }
 
     /// A copy without those that were observed, which takes no more memory than it needs.
-    fn copied(&self) -> Self
-    where
-        R: Clone,
-    {
-        Self { ticks: self.ticks[self.seen..].to_vec(), seen: 0 }
+    fn copied(&self) -> Self {
+        Self { ticks: self.unseen().to_vec(), kept: self.unseen().len(), seen: 0 }
     }
 }
 
@@ -545,19 +553,19 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
         far.forget_seen();
         // What is sent later arrives later than it is sent. At the same instant the master is first.
         while master.goes_on(*end_ns)
-            && near.has_room()
             && (master.pace.true_ns <= slave.pace.true_ns
                 || master.pace.true_ns < backward.link.earliest_later_ns())
+            && let Some(record) = near.next(master.pace.true_ns)
         {
-            near.ticks.push((master.pace.true_ns, master.step(backward, forward)));
+            master.step(backward, forward, record);
         }
         forward.carry_sent();
         while slave.goes_on(*end_ns)
-            && far.has_room()
             && (slave.pace.true_ns < master.pace.true_ns
                 || slave.pace.true_ns < forward.link.earliest_later_ns())
+            && let Some(record) = far.next(slave.pace.true_ns)
         {
-            far.ticks.push((slave.pace.true_ns, slave.step(forward, backward)));
+            slave.step(forward, backward, record);
         }
         backward.carry_sent();
         // As far as neither side has anything to say of before.
@@ -599,7 +607,7 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
 
     /// Ticks of the master that were not observed yet.
     pub(crate) fn unseen_of_master(&self) -> impl Iterator<Item = &M::Record> {
-        self.near.ticks[self.near.seen..].iter().map(|(_, record)| record)
+        self.near.unseen().iter().map(|(_, record)| record)
     }
 
     /// The run as it stands; none where sessions have a part in it: with security, frames as bytes, or a network that
@@ -608,8 +616,6 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
     where
         M: Clone,
         S: Clone,
-        M::Record: Clone,
-        S::Record: Clone,
     {
         let Self { run: Run { master, slave, forward, backward, .. }, near, far } = self;
         let has_sessions = master.encodes || slave.encodes;
@@ -633,11 +639,7 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
         snapshot: &Snapshot<M, S, N>,
         master: &'a mut M,
         slave: &'a mut S,
-    ) -> Result<Self, VirtualError>
-    where
-        M::Record: Clone,
-        S::Record: Clone,
-    {
+    ) -> Result<Self, VirtualError> {
         let Snapshot { paces, counts, network, near, far, .. } = snapshot;
         let mut run = Run::of(settings, master, slave, network.clone())?;
         (run.master.pace, run.slave.pace) = (paces[0], paces[1]);

@@ -24,7 +24,7 @@ struct Measuring {
 }
 
 /// What it knows at a tick.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct Known {
     time: TickTime,
     /// Sequence of the newest frame of the peer.
@@ -62,15 +62,15 @@ impl Side<1> for Measuring {
         Ok(())
     }
 
-    fn tick(&mut self, time: TickTime) -> Known {
+    fn tick_into(&mut self, time: TickTime, known: &mut Known) {
         let report = self.path().report(time.clock_ns);
-        Known {
+        *known = Known {
             time,
             newest: self.exchange.link().newest().map(|frame| frame.sequence),
             offset: report.offset,
             max_age_ns: self.path().max_age_ns(time.clock_ns),
             steps: report.steps,
-        }
+        };
     }
 
     fn command(&mut self, _: u64, _: OperatorCommand) -> Result<bool, CouplingError> {

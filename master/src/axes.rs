@@ -58,6 +58,12 @@ impl<S: SimdRealField + SimdValue<Element = f64> + Copy> Real for S {
     }
 }
 
+/// The Euclidean norm of each; along one axis without a root, to the same bits unless the square leaves the range of numbers.
+#[inline(always)]
+pub(crate) fn norm<const N: usize, S: Real>(value: &Axes<N, S>) -> S {
+    if N == 1 { value[0].magnitude() } else { value.dot(value).root() }
+}
+
 /// One lane of numbers from each of `of`; `of` has as many as `S` has lanes.
 pub(crate) fn gather<T, S: Real>(of: &[T], field: impl Fn(&T) -> f64) -> S {
     let mut lanes = S::splat(0.0);

@@ -25,17 +25,23 @@ impl Direction {
         Self { square: [0.0; TERMS], inverse: [0.0; TERMS], per_square: 0.0 }
     }
 
-    /// Coefficient n of `w / |w|`, once those of w up to n are known; requested in order.
+    /// Coefficient n of `w / |w|`, once those of w before it and the `newest`, its nth, are known; requested in order.
     ///
     /// Terms that do not depend on the newest w are summed apart, the oldest first, so that few operations remain once it is known.
+    /// It is handed over by itself: where it has just been written, it would be waited for.
     #[inline]
-    pub(crate) fn coefficient<const N: usize>(&mut self, w: &[Axes<N>; TERMS], n: usize) -> Axes<N> {
+    pub(crate) fn coefficient<const N: usize>(
+        &mut self,
+        w: &[Axes<N>; TERMS],
+        newest: &Axes<N>,
+        n: usize,
+    ) -> Axes<N> {
         let Self { square, inverse, per_square } = self;
         if n == 0 {
-            square[0] = w[0].norm_squared();
+            square[0] = newest.norm_squared();
             *per_square = square[0].recip();
             inverse[0] = square[0].sqrt().recip();
-            return w[0] * inverse[0];
+            return newest * inverse[0];
         }
         let half = half_squared_inside(w, n);
         // y = s^p with p = -1/2: n s_0 y_n = sum_i (p i - (n - i)) s_i y_{n-i}; beside it sum_i w_i y_{n-i}.
@@ -60,10 +66,10 @@ impl Direction {
         // Of s_n there is -n / 2 s_n y_0.
         let slope = inverse[0] * *per_square;
         let known = sum * (*per_square * INVERSE[n]) - half * slope;
-        let newest = w[0].dot(&w[n]);
-        square[n] = 2.0 * (half + newest);
-        inverse[n] = known - newest * slope;
-        direction + w[n] * inverse[0] + w[0] * inverse[n]
+        let along = w[0].dot(newest);
+        square[n] = 2.0 * (half + along);
+        inverse[n] = known - along * slope;
+        direction + newest * inverse[0] + w[0] * inverse[n]
     }
 
     /// Time within which the terms beyond the last are below rounding, to 0.6 %; infinity where it is no less than `wanted` in
@@ -128,7 +134,7 @@ mod tests {
         }
         let at = |t: f64| w.iter().rev().fold(Axes::<3>::zeros(), |sum, term| sum * t + term);
         let mut direction = Direction::new();
-        let series: Vec<_> = (0..TERMS).map(|n| direction.coefficient(&w, n)).collect();
+        let series: Vec<_> = (0..TERMS).map(|n| direction.coefficient(&w, &w[n], n)).collect();
         for n in 0..TERMS {
             let products: f64 = (0..=n).map(|i| w[i].dot(&w[n - i])).sum();
             assert!((squared(&w, n) - products).abs() < 1e-14, "{n}");
@@ -146,7 +152,7 @@ mod tests {
         let mut beyond = Direction::new();
         let huge = w.map(|term| term * 1e160);
         for n in 0..TERMS {
-            let _ = beyond.coefficient(&huge, n);
+            let _ = beyond.coefficient(&huge, &huge[n], n);
         }
         assert_eq!([1e-6, f64::INFINITY].map(|wanted| beyond.reach(wanted)), [0.0; 2]);
         let t = reach.min(0.05);

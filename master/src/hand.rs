@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 
 use crate::{
     Axes, ModelError, Path,
+    axes::norm,
     path::{DEGREE, MIN_LEG_S},
     polynomial::{Series, TERMS},
     require,
@@ -259,8 +260,7 @@ impl<const N: usize> Hand<N> {
         };
         let strength = self.strength_at(t);
         let wish = ((self.target_at(t) - position) * self.stiffness - velocity * self.damping) * gain;
-        let norm = wish.norm();
-        if norm <= strength { wish } else { wish * (strength / norm) }
+        gripped(&wish, strength)
     }
 
     fn kinks(&self) -> [Option<f64>; 4] {
@@ -302,6 +302,20 @@ pub(crate) fn line([value, rate]: [f64; 2]) -> Series {
     let mut series = [0.0; TERMS];
     (series[0], series[1]) = (value, rate);
     series
+}
+
+/// What a hand that would exert `wish` in N exerts with a grip of `strength`.
+#[inline]
+pub(crate) fn gripped<const N: usize>(wish: &Axes<N>, strength: f64) -> Axes<N> {
+    // Mostly without a root, and far from where rounding decides.
+    if wish.norm_squared() < 0.99 * strength * strength { *wish } else { gripped_at_most(wish, strength) }
+}
+
+/// Its own function, so that a hand that holds waits for no root and no division.
+#[inline(never)]
+fn gripped_at_most<const N: usize>(wish: &Axes<N>, strength: f64) -> Axes<N> {
+    let wished = norm(wish);
+    if wished <= strength { *wish } else { wish * (strength / wished) }
 }
 
 #[cfg(test)]

@@ -132,46 +132,52 @@ impl<const N: usize> Law<'_, N> {
         } else {
             x[1] = masked(velocity, &regime.stuck);
         }
+        // The newest by themselves: what has just been written would be waited for.
+        let (mut place, mut ahead) = (x[0], x[1]);
         for n in 0..TERMS - 2 {
-            v[n] = x[n + 1] * (n + 1) as f64;
-            let wished = (self.target[n] - x[n]) * self.hand.stiffness() - v[n] * self.hand.damping();
-            wish[n] = wished * gain[0] + impedance * gain[1];
+            let speed = ahead * (n + 1) as f64;
+            v[n] = speed;
+            let wished = (self.target[n] - place) * self.hand.stiffness() - speed * self.hand.damping();
+            let wishes = wished * gain[0] + impedance * gain[1];
+            wish[n] = wishes;
             impedance = wished;
             let hand = match regime.grip {
-                Grip::Holds => wish[n],
+                Grip::Holds => wishes,
                 // Who has let go pulls in no direction.
                 Grip::Slips if self.strength == [0.0; 2] => Axes::zeros(),
                 Grip::Slips if N == 1 => wish[0].map(f64::signum) * strength[n],
                 Grip::Slips => {
                     let before = slipping * strength[1];
-                    slipping = grip_direction.coefficient(wish, n);
+                    slipping = grip_direction.coefficient(wish, &wishes, n);
                     slipping * strength[0] + before
                 }
             };
-            push[n] = hand - self.device.viscous.component_mul(&v[n]);
+            let mut pushes = hand - self.device.viscous.component_mul(&speed);
             if n == 0 {
-                push[0] += self.held;
+                pushes += self.held;
             }
             for (index, wall) in self.walls.iter().enumerate() {
                 if regime.pushing & (1 << index) != 0 {
                     let surface = if n == 0 { wall.surface } else { 0.0 };
-                    let depth = surface - wall.normal.dot(&x[n]);
-                    let force = wall.stiffness * depth - wall.damping * wall.normal.dot(&v[n]);
-                    push[n] += wall.normal * force;
+                    let depth = surface - wall.normal.dot(&place);
+                    let force = wall.stiffness * depth - wall.damping * wall.normal.dot(&speed);
+                    pushes += wall.normal * force;
                 }
             }
-            let mut force = push[n];
+            push[n] = pushes;
+            let mut force = pushes;
             match regime.rub {
                 Rub::Constant(friction) if n == 0 => force -= friction,
                 Rub::Constant(_) => {}
-                Rub::AlongMotion(coulomb) => force -= motion_direction.coefficient(&v, n) * coulomb,
+                Rub::AlongMotion(coulomb) => force -= motion_direction.coefficient(&v, &speed, n) * coulomb,
             }
             let next = match n {
                 // The acceleration itself, to rounding.
                 0 => force.component_div(&self.device.mass_kg) * 0.5,
                 _ => force.component_mul(&inverse_mass) * INVERSE[n],
             };
-            x[n + 2] = masked(next, &regime.stuck);
+            (place, ahead) = (ahead, masked(next, &regime.stuck));
+            x[n + 2] = ahead;
         }
         let mut reach = self.linear_reach(regime.pushing);
         if N > 1 && regime.grip == Grip::Slips && self.strength != [0.0; 2] {

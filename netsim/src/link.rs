@@ -149,8 +149,11 @@ impl Link {
             rule.judge_all(packets, verdicts);
         }
         for (packet, verdict) in packets.iter().zip(verdicts) {
-            if let Verdict::Deliver { at_ns } = *verdict {
-                *verdict = self.in_turn(packet, at_ns);
+            if let Verdict::Deliver { at_ns } = verdict {
+                *at_ns = self.in_order(*at_ns);
+                if let Some(reorder) = &mut self.rules.reorder {
+                    *verdict = reorder.judge(packet, *at_ns);
+                }
             }
             self.count(*verdict, 0);
         }
@@ -165,20 +168,18 @@ impl Link {
                 drop @ Verdict::Drop { .. } => return drop,
             }
         }
-        self.in_turn(packet, at_ns)
-    }
-
-    /// Keeps the order, where it is kept, and reorders, where that is asked for.
-    #[inline]
-    fn in_turn(&mut self, packet: &Packet, mut at_ns: u64) -> Verdict {
-        self.latest_in_turn_ns = self.latest_in_turn_ns.max(at_ns);
-        if self.rules.keeps_order {
-            at_ns = self.latest_in_turn_ns;
-        }
+        let at_ns = self.in_order(at_ns);
         match &mut self.rules.reorder {
             Some(reorder) => reorder.judge(packet, at_ns),
             None => Verdict::Deliver { at_ns },
         }
+    }
+
+    /// When it arrives behind those before, where the order is kept.
+    #[inline]
+    fn in_order(&mut self, at_ns: u64) -> u64 {
+        self.latest_in_turn_ns = self.latest_in_turn_ns.max(at_ns);
+        if self.rules.keeps_order { self.latest_in_turn_ns } else { at_ns }
     }
 
     /// What becomes of it on arrival.

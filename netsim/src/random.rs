@@ -47,16 +47,16 @@ impl Stream {
         self.pair(index)[0]
     }
 
-    /// The [`bits`](Self::bits) of the packets from `first` on, a multiple of their number.
+    /// The [`bits`](Self::bits) of the packets from `first` on, a multiple of their number; with vectors of four where the
+    /// processor has them.
     #[inline(never)]
-    fn side_by_side(&self, first: u64) -> [u64; LANES] {
-        let ([i0, i1], [s0, s1]) = (split(first), split(self.id).map(u64::from));
-        let mut bits = [0; LANES];
-        for (lane, bits) in (0..).zip(&mut bits) {
-            let [a, b, ..] = rounds([u64::from(i0) + lane, u64::from(i1), s0, s1], split(self.seed));
-            *bits = u64::from(low(a)) | (b << 32);
+    fn side_by_side(self, first: u64) -> [u64; LANES] {
+        let draws = SideBySide { stream: self, first };
+        #[cfg(target_arch = "x86_64")]
+        if let Some(processor) = pulp::x86::V3::try_new() {
+            return pulp::Simd::vectorize(processor, draws);
         }
-        bits
+        pulp::WithSimd::with_simd(draws, pulp::Scalar)
     }
 
     /// Twice 64 uniform bits for packet or bin `index`; the first are those of [`bits`](Self::bits).
@@ -79,6 +79,31 @@ impl Stream {
     /// A uniform integer in `0..=last` for position `position` of packet `index`.
     pub(crate) fn up_to_at(&self, last: u64, index: u64, position: usize) -> u64 {
         scale(self.at(index, position), last)
+    }
+}
+
+/// Draws that are made at once.
+const LANES: usize = 16;
+
+/// [`LANES`] draws from one on, as code that is built for each kind of processor.
+struct SideBySide {
+    stream: Stream,
+    first: u64,
+}
+
+impl pulp::WithSimd for SideBySide {
+    type Output = [u64; LANES];
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Self::Output {
+        let Stream { seed, id } = self.stream;
+        let ([i0, i1], [s0, s1]) = (split(self.first), split(id).map(u64::from));
+        let mut bits = [0; LANES];
+        for (lane, bits) in (0..).zip(&mut bits) {
+            let [a, b, ..] = rounds([u64::from(i0) + lane, u64::from(i1), s0, s1], split(seed));
+            *bits = u64::from(low(a)) | (b << 32);
+        }
+        bits
     }
 }
 
@@ -193,9 +218,6 @@ fn rounds([mut c0, mut c1, mut c2, mut c3]: [u64; 4], [mut k0, mut k1]: [u32; 2]
     }
     [c0, c1, c2, c3]
 }
-
-/// Draws that are made at once.
-const LANES: usize = 16;
 
 /// The draws of packets that mostly come one after the other, [`LANES`] at a time, which takes little longer than one:
 /// each is that of [`Stream::bits`].

@@ -76,10 +76,11 @@ where
     }
 }
 
-/// The Euclidean norm in each lane.
+/// The Euclidean norm in each lane; along one axis without a root, to the same bits unless the square leaves the range of
+/// numbers, which is where the root is wrong: beyond 1e154, and below 1e-154.
 #[inline(always)]
-pub(crate) fn norm<const N: usize, S: Real>(value: &Axes<N, S>) -> S {
-    value.dot(value).root()
+pub fn norm<const N: usize, S: Real>(value: &Axes<N, S>) -> S {
+    if N == 1 { value[0].magnitude() } else { value.dot(value).root() }
 }
 
 /// False in all lanes.
@@ -194,7 +195,20 @@ pub(crate) fn option<'a, T, P: 'a, G>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
     use simba::simd::AutoF64x4;
+
+    proptest! {
+        #[test]
+        fn the_root_of_a_square_is_the_absolute_value(
+            significand in 1.0..2.0f64,
+            exponent in -511..512i32,
+            is_negative in any::<bool>(),
+        ) {
+            let value = Axes::<1>::new(if is_negative { -significand } else { significand } * 2f64.powi(exponent));
+            prop_assert_eq!(norm(&value).to_bits(), value.dot(&value).root().to_bits(), "{}", value[0]);
+        }
+    }
 
     #[test]
     fn what_all_have_or_none_is_gathered() {

@@ -19,7 +19,7 @@ mod wrench;
 
 pub use fault::{Fault, Signal};
 pub use grasp::DeviceModel;
-pub use lanes::{Axes, Real, is_within};
+pub use lanes::{Axes, Real, is_within, norm};
 pub use layer::{Advance, LayerSettings, SafetyLayer, SafetyTick};
 pub use limiter::{Acted, Limited, Limiter, LimiterSettings, SaturatedForce};
 pub use observer::Observation;

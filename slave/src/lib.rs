@@ -70,6 +70,24 @@ pub(crate) fn require_axes<const N: usize>(
     seen.iter().try_for_each(|&value| require(name, value, holds(value), allowed))
 }
 
+/// The Euclidean norm; along one axis without a root, to the same bits unless the square leaves the range of numbers.
+#[inline]
+pub(crate) fn norm<const N: usize>(values: &Axes<N>) -> f64 {
+    if N == 1 { values[0].abs() } else { values.norm() }
+}
+
+/// The largest absolute value, by one instruction each; NaN is passed over.
+#[inline]
+pub(crate) fn amax<const N: usize>(values: &Axes<N>) -> f64 {
+    values.iter().fold(0.0, |largest, value| larger(value.abs(), largest))
+}
+
+/// The larger of two; the second where the first is NaN.
+#[inline]
+pub(crate) fn larger(one: f64, other: f64) -> f64 {
+    if one > other { one } else { other }
+}
+
 pub(crate) fn all_finite<const N: usize>(values: &Axes<N>) -> bool {
     values.iter().all(|value| value.is_finite())
 }

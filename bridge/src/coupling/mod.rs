@@ -102,13 +102,14 @@ impl CouplingError {
 /// `F_v · V_m = (lambda_f / lambda_p) F_e · V_s`: no power is made or lost beyond the scales.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameMap<const N: usize> {
-    rotation: SMatrix<f64, N, N>,
+    /// None where it is the identity.
+    rotation: Option<SMatrix<f64, N, N>>,
     locked: [bool; N],
 }
 
 impl<const N: usize> Default for FrameMap<N> {
     fn default() -> Self {
-        Self { rotation: SMatrix::identity(), locked: [false; N] }
+        Self { rotation: None, locked: [false; N] }
     }
 }
 
@@ -141,7 +142,11 @@ impl<const N: usize> FrameMap<N> {
         if off > ORTHONORMAL {
             return Err(CouplingError::Orthonormal(off));
         }
-        Ok(Self { rotation, locked })
+        Ok(Self::of(rotation, locked))
+    }
+
+    fn of(rotation: SMatrix<f64, N, N>, locked: [bool; N]) -> Self {
+        Self { rotation: (rotation != Self::straight()).then_some(rotation), locked }
     }
 
     /// With R of a unit quaternion, and the slave's axes that are locked, those beyond N left out.
@@ -165,8 +170,7 @@ impl<const N: usize> FrameMap<N> {
         let rotation = SMatrix::<f64, N, N>::from_fn(|row, column| {
             if N <= 3 { rows[row][column] } else { f64::from(u8::from(row == column)) }
         });
-        let locked = std::array::from_fn(|axis| locked.get(axis).copied().unwrap_or(false));
-        Ok(Self { rotation, locked })
+        Ok(Self::of(rotation, std::array::from_fn(|axis| locked.get(axis).copied().unwrap_or(false))))
     }
 
     /// Without a rotation.
@@ -188,20 +192,22 @@ impl<const N: usize> FrameMap<N> {
     }
 
     /// `L R v`: a motion of the master as one of the slave.
+    #[inline]
     pub fn to_slave(&self, of_master: &Axes<N>) -> Axes<N> {
-        if self.rotation == Self::straight() {
-            return self.lock(*of_master);
-        }
-        self.lock(self.rotation * of_master)
+        self.lock(match &self.rotation {
+            Some(rotation) => rotation * of_master,
+            None => *of_master,
+        })
     }
 
     /// `R' L f`: a force on the slave as one on the master.
+    #[inline]
     pub fn to_master(&self, of_slave: &Axes<N>) -> Axes<N> {
         let unlocked = self.lock(*of_slave);
-        if self.rotation == Self::straight() {
-            return unlocked;
+        match &self.rotation {
+            Some(rotation) => rotation.transpose() * unlocked,
+            None => unlocked,
         }
-        self.rotation.transpose() * unlocked
     }
 }
 
@@ -288,12 +294,10 @@ mod frame_tests {
             let quat_wxyz = [(0.5 * angle).cos(), k[0], k[1], k[2]];
             let turned = FrameMap::<3>::rotated(quat_wxyz, &[]).unwrap();
             let expected = FrameMap::new(about(axis, angle), [false; 3]).unwrap();
-            assert!((turned.rotation - expected.rotation).abs().max() < 1e-14);
-            FrameMap::new(
-                std::array::from_fn(|row| std::array::from_fn(|c| turned.rotation[(row, c)])),
-                [false; 3],
-            )
-            .unwrap();
+            let [turned, expected] = [turned, expected].map(|map| map.rotation.unwrap());
+            assert!((turned - expected).abs().max() < 1e-14);
+            FrameMap::new(std::array::from_fn(|row| std::array::from_fn(|c| turned[(row, c)])), [false; 3])
+                .unwrap();
         }
         let half = std::f64::consts::FRAC_1_SQRT_2;
         let plane = FrameMap::<2>::rotated([half, 0.0, 0.0, half], &[false, true]).unwrap();

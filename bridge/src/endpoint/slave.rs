@@ -1,6 +1,6 @@
 //! The slave's endpoint: one tick of the side of the robot.
 
-use haptether_safety::{Axes, Fault, Signal};
+use haptether_safety::{Axes, Fault, Signal, norm};
 
 use nalgebra::UnitQuaternion;
 
@@ -202,7 +202,7 @@ impl<const N: usize> SlaveEndpoint<N> {
                 let (command, over) = bounded(&bounds, elapsed_s, &home, &from, &wanted);
                 limited = over;
                 command_velocity = velocity * share;
-                let speed = command_velocity.norm();
+                let speed = norm(&command_velocity);
                 if speed > bounds.speed {
                     command_velocity *= bounds.speed / speed;
                     limited.speed = true;

@@ -105,6 +105,12 @@ pub struct MasterRecord<const N: usize, R = ()> {
     pub rotation: R,
 }
 
+impl<const N: usize, R: MasterTurn> Default for MasterRecord<N, R> {
+    fn default() -> Self {
+        Self::empty()
+    }
+}
+
 impl<const N: usize, R: MasterTurn> MasterRecord<N, R> {
     /// A record of nothing.
     pub(crate) fn empty() -> Self {
@@ -233,6 +239,12 @@ pub struct SlaveRecord<const N: usize, R = ()> {
     pub fault: u8,
     /// What it has of a rotation; nothing of a point.
     pub rotation: R,
+}
+
+impl<const N: usize, R: SlaveTurn> Default for SlaveRecord<N, R> {
+    fn default() -> Self {
+        Self::empty()
+    }
 }
 
 impl<const N: usize, R: SlaveTurn> SlaveRecord<N, R> {

@@ -61,7 +61,7 @@ impl<S: Side<N>, const N: usize> Side<N> for Timed<S> {
         self.side.begin(now_ns);
     }
 
-    fn tick(&mut self, time: TickTime) -> S::Record {
+    fn tick_into(&mut self, time: TickTime, record: &mut S::Record) {
         while let Some((_, command)) =
             self.commands.get(self.done).filter(|(at, _)| *at <= time.now_ns - time.start_ns)
         {
@@ -69,7 +69,7 @@ impl<S: Side<N>, const N: usize> Side<N> for Timed<S> {
             let _ = self.side.command(time.clock_ns, *command);
             self.done += 1;
         }
-        self.side.tick(time)
+        self.side.tick_into(time, record);
     }
 
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {

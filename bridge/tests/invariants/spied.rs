@@ -656,20 +656,20 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for Near<P, N, R>
         taken
     }
 
-    fn tick(&mut self, time: TickTime) -> MasterRecord<N, Feeling<R>> {
+    fn tick_into(&mut self, time: TickTime, record: &mut MasterRecord<N, Feeling<R>>) {
         let released = act(&mut self.side, &mut self.watch, time);
         if let Some(read) = self.gripper.as_ref().and_then(|drawn| drawn.read_trigger(time.now_ns)) {
             self.side.trigger = Some(read);
         }
         let stood = self.side.exchange().state();
-        let record = self.side.tick(time);
+        self.side.tick_into(time, record);
         let ladder = self.side.exchange().ladder();
         let (gain, holds) = (ladder.gain(), ladder.holds());
         self.watch.ladder(time, record.state, gain, holds, record.clutch);
-        self.force(time, &record);
-        self.turn(time, &record);
-        self.while_turned(time, &record);
-        self.energy(time, &record);
+        self.force(time, record);
+        self.turn(time, record);
+        self.while_turned(time, record);
+        self.energy(time, record);
         let stalled = std::mem::take(&mut self.stalled);
         if let Some(finger) = &mut self.finger {
             let tick = FingerTickSeen {
@@ -692,7 +692,6 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for Near<P, N, R>
             let trigger = self.side.trigger.as_ref().map(|_| record.trigger);
             buttons.tick(&mut self.watch, time, word, stood, record.clutch, trigger);
         }
-        record
     }
 
     fn send<'a>(&mut self, time: LinkTime, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
@@ -735,13 +734,13 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Side<N> for Far<P, N, S> {
         taken
     }
 
-    fn tick(&mut self, time: TickTime) -> SlaveRecord<N, S> {
+    fn tick_into(&mut self, time: TickTime, record: &mut SlaveRecord<N, S>) {
         act(&mut self.side, &mut self.watch, time);
         if let (Some(watch), Some(gripper)) = (&mut self.gripper, &mut self.side.gripper) {
             watch.read(time.now_ns, gripper);
         }
         let stops = self.side.plant.stops;
-        let record = self.side.tick(time);
+        self.side.tick_into(time, record);
         let ladder = self.side.exchange().ladder();
         let (gain, holds) = (ladder.gain(), ladder.holds());
         let turns = ladder.turns();
@@ -757,15 +756,14 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Side<N> for Far<P, N, S> {
         self.watch.seen.soft_stops += stopped;
         self.watch.seen.commands_limited += u64::from(record.limited != 0);
         let elapsed_s = (time.clock_ns - std::mem::replace(&mut self.clock_ns, time.clock_ns)) as f64 * 1e-9;
-        self.energy(&record, elapsed_s);
+        self.energy(record, elapsed_s);
         let oriented = self.side.plant.turned;
-        self.turn(time, &record, elapsed_s, (stopped > 0, turns));
-        self.command(time, elapsed_s, stopped > 0, &record, before.is_coupled(), oriented);
+        self.turn(time, record, elapsed_s, (stopped > 0, turns));
+        self.command(time, elapsed_s, stopped > 0, record, before.is_coupled(), oriented);
         if let (Some(watch), Some(gripper)) = (&mut self.gripper, &self.side.gripper) {
             let trigger = self.side.exchange().peer_gripper().and_then(|state| state.position);
             watch.tick(&mut self.watch, time, gripper, trigger);
         }
-        record
     }
 
     fn send<'a>(&mut self, time: LinkTime, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {

@@ -40,11 +40,12 @@ impl<const N: usize> SimulatedMaster<N> {
         let mut v = [Axes::<N>::zeros(); MAX_TERMS];
         (v[0], v[1]) = (self.velocity, acceleration * duration);
         let mut direction = Direction::new();
-        let _ = direction.coefficient(&v, 0);
+        let _ = direction.coefficient(&v, &self.velocity, 0);
+        let (mut before, mut newest) = (v[0], v[1]);
         let (mut turns, mut last_turn, mut last) = (true, f64::INFINITY, f64::INFINITY);
         let (mut power, mut shaken) = (1.0, map.tremor[0]);
         for n in 1..MAX_TERMS - 1 {
-            let mut force = v[n] * -damping - v[n - 1] * (pull * duration * INVERSE[n]);
+            let mut force = newest * -damping - before * (pull * duration * INVERSE[n]);
             if moves && n <= DEGREE {
                 power *= duration;
                 force += outlook.path[n] * (pull * power);
@@ -55,14 +56,15 @@ impl<const N: usize> SimulatedMaster<N> {
                 force.add_scalar_mut(pull * shaken * [sine, cosine, -sine, -cosine][n % 4]);
             }
             if turns {
-                let turn = direction.coefficient(&v, n) * friction;
+                let turn = direction.coefficient(&v, &newest, n) * friction;
                 force -= turn;
                 let size = magnitude(&turn) * duration;
                 turns = n < MIN_TERMS || last_turn.max(size) > tolerance;
                 last_turn = size;
             }
-            v[n + 1] = force * (duration * INVERSE[n + 1]);
-            let size = magnitude(&v[n + 1]);
+            (before, newest) = (newest, force * (duration * INVERSE[n + 1]));
+            v[n + 1] = newest;
+            let size = magnitude(&newest);
             if !turns && last.max(size) <= tolerance {
                 return Some(summed(&v[..n + 2], duration));
             }

@@ -11,6 +11,7 @@ mod tests;
 use crate::{
     Axes, ContinuousWall, DeviceParameters, Hand, ModelError,
     device::{exerted, quantised},
+    hand::gripped,
     propagator::{Outlook, Propagator},
     require,
 };
@@ -135,7 +136,14 @@ impl<const N: usize> SimulatedMaster<N> {
     }
 
     /// Advances to `now_ns` (monotonic) and returns what the device measures there.
+    #[inline]
     pub fn read(&mut self, now_ns: u64) -> MasterSample<N> {
+        self.advance_to(now_ns);
+        self.measured()
+    }
+
+    #[inline(never)]
+    fn advance_to(&mut self, now_ns: u64) {
         if now_ns > self.now_ns {
             let past_ns = now_ns - self.now_ns;
             let duration = past_ns as f64 * 1e-9;
@@ -150,10 +158,10 @@ impl<const N: usize> SimulatedMaster<N> {
             self.outlook.advance(&self.hand, self.time, past_ns);
             self.now_ns = now_ns;
         }
-        self.measured()
     }
 
     /// What the device measures where it is.
+    #[inline]
     pub fn measured(&self) -> MasterSample<N> {
         let quantum = self.device.encoder_quantum;
         MasterSample {
@@ -185,8 +193,7 @@ impl<const N: usize> SimulatedMaster<N> {
         let wish = ((self.outlook.target - self.position) * self.hand.stiffness()
             - self.velocity * self.hand.damping())
             * gain;
-        let norm = wish.norm();
-        if norm <= strength { wish } else { wish * (strength / norm) }
+        gripped(&wish, strength)
     }
 
     /// Force in N that the motors exert since the last write.

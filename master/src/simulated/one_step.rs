@@ -2,7 +2,7 @@
 //! linear map of [`Propagator`], or the series of a motion that friction along it bends (`bend.rs`).
 
 use super::{STOPPED, SimulatedMaster, across, add, bend::MAX_CHANGE};
-use crate::{Axes, propagator::Propagator};
+use crate::{Axes, axes::norm, propagator::Propagator};
 
 impl<const N: usize> SimulatedMaster<N> {
     /// Moves over a tick of `duration` in one step, if bounds on the motion say that no event falls into it and all
@@ -93,8 +93,8 @@ impl<const N: usize> SimulatedMaster<N> {
             (most_moved[axis], most_gained[axis]) = (farther, faster);
         }
         if !has_let_go && strength[0].is_finite() {
-            let change = impedance[0] * (shift + most_moved).norm() + impedance[1] * most_gained.norm();
-            if (wish.norm() + change) * (1.0 + 1e-12) >= strength[0] {
+            let change = impedance[0] * norm(&(shift + most_moved)) + impedance[1] * norm(&most_gained);
+            if (norm(&wish) + change) * (1.0 + 1e-12) >= strength[0] {
                 return false;
             }
         }
@@ -146,7 +146,7 @@ impl<const N: usize> SimulatedMaster<N> {
     fn keeps_off_walls(&self, most_moved: &Axes<N>) -> bool {
         self.walls.iter().all(|wall| {
             let room = -wall.depth(&self.position) - 1e-15 * (1.0 + wall.surface.abs());
-            !wall.is_two_sided && most_moved.norm() * (1.0 + 1e-12) < room
+            !wall.is_two_sided && norm(most_moved) * (1.0 + 1e-12) < room
         })
     }
 
@@ -171,10 +171,10 @@ impl<const N: usize> SimulatedMaster<N> {
         let v = &self.velocity;
         if self.device.rubs_along_motion() {
             let coulomb = self.device.coulomb[0];
-            let speed = v.norm();
+            let speed = norm(v);
             if speed == 0.0 {
                 found.stuck = [true; N];
-                return (push.norm() + most_pulled.norm() <= coulomb * (1.0 - 1e-12)).then_some(found);
+                return (norm(push) + norm(most_pulled) <= coulomb * (1.0 - 1e-12)).then_some(found);
             }
             found.force = v * (coulomb / speed);
             found.along = Some(speed);
@@ -230,7 +230,7 @@ impl<const N: usize> SimulatedMaster<N> {
         }
         debug_assert!(map.is_isotropic);
         let friction = self.device.coulomb[0] * one.inverse_mass;
-        let most = acceleration.norm() + one.pull * (duration * speed + moved);
+        let most = norm(acceleration) + one.pull * (duration * speed + moved);
         let faster = one.most * most * (1.0 + 1e-12);
         let least = speed - faster;
         let across = one.most * (aside(acceleration) + one.pull * moved_aside);

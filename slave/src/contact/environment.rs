@@ -1,8 +1,9 @@
 //! Everything that acts on the tool: objects that are touched and pushers.
 
 use crate::{
-    Axes, Object, Pusher,
+    Axes, Object, Pusher, amax,
     contact::law::{Mode, Reaction},
+    norm,
     solver::state::Solver,
 };
 
@@ -121,7 +122,7 @@ impl<const N: usize> Environment<N> {
             self.slots[index] = usize::MAX;
         }
         // Far enough that a fast tool does not look again in each of the next steps.
-        self.reach.look(&self.objects, position, time_s, 16e-3 * velocity.norm());
+        self.reach.look(&self.objects, position, time_s, 16e-3 * norm(velocity));
         let mut slot = 0;
         for &index in &self.reach.near {
             if self.objects[index].body().is_some() {
@@ -140,7 +141,7 @@ impl<const N: usize> Environment<N> {
         time_s: f64,
         span: f64,
     ) -> f64 {
-        let margin = 2.0 * span * velocity.norm();
+        let margin = 2.0 * span * norm(velocity);
         if !self.reach.covers(position, time_s + span, margin) {
             self.look(position, velocity, time_s);
             if !self.reach.covers(position, time_s + span, margin) {
@@ -153,7 +154,7 @@ impl<const N: usize> Environment<N> {
             let (displacement, _) = object.place(time_s, time_s);
             let (distance, _) = object.shape().surface(&(position - displacement));
             // Distances carry the rounding of places.
-            let rounding = 1e-12 * (position.amax() + object.shape().extent());
+            let rounding = 1e-12 * (amax(position) + object.shape().extent());
             room.min(distance - object.top_speed() * span - rounding)
         })
     }
@@ -341,7 +342,7 @@ impl<const N: usize> Reach<N> {
 
     /// Whether none but the near objects can be touched at `place` in m, `time` in s, nor within `margin` in m of it.
     pub(crate) fn covers(&self, place: &Axes<N>, time: f64, margin: f64) -> bool {
-        (place - self.place).norm() + self.speed * (time - self.time).abs() + margin < self.clearance
+        norm(&(place - self.place)) + self.speed * (time - self.time).abs() + margin < self.clearance
     }
 
     /// Looks at all objects again; those within `radius` in m, or a little more, are near.

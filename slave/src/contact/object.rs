@@ -1,6 +1,8 @@
 //! One thing that the tool may touch: its shape, and how it moves, on its own or pushed.
 
-use crate::{Axes, Contact, ContactLaw, ModelError, contact::window::Window, require, require_axes};
+use crate::{
+    Axes, Contact, ContactLaw, ModelError, amax, contact::window::Window, larger, require, require_axes,
+};
 
 /// Whether and how an object moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -77,6 +79,7 @@ impl<const N: usize> Object<N> {
 
     /// Displacement in m and velocity in m/s at t in s, on the smooth piece that holds at `piece`; of a free body: as
     /// it is now.
+    #[inline]
     pub(crate) fn place(&self, piece: f64, t: f64) -> (Axes<N>, Axes<N>) {
         match &self.mobility {
             Mobility::Fixed => (Axes::zeros(), Axes::zeros()),
@@ -150,6 +153,7 @@ impl<const N: usize> Shape<N> {
     ///
     /// A spring has no surface and is minus infinity deep everywhere. Where the gradient does not exist (the centre
     /// of a ball, equally near faces of a box) the first axis that is as good as any other is taken.
+    #[inline]
     pub fn surface(&self, point: &Axes<N>) -> (f64, Axes<N>) {
         match &self.kind {
             Kind::Plane { point: on, normal } => ((point - on).dot(normal), *normal),
@@ -190,9 +194,9 @@ impl<const N: usize> Shape<N> {
         let size = match &self.kind {
             Kind::Plane { .. } | Kind::Spring { .. } => 0.0,
             Kind::Sphere { radius, .. } => *radius,
-            Kind::Cuboid { half_extents, .. } => half_extents.amax(),
+            Kind::Cuboid { half_extents, .. } => amax(half_extents),
         };
-        self.reference().amax() + size
+        amax(self.reference()) + size
     }
 
     /// The point that moves with the object: on the plane, or the centre, or the anchor, in m.
@@ -233,9 +237,10 @@ fn unit<const N: usize>(axis: usize, sign: f64) -> Axes<N> {
 /// Distance and normal of a box around the origin: exact outside, nearest face inside.
 ///
 /// Source: I. Quilez, "Distance functions", sdBox.
+#[inline(always)]
 fn cuboid<const N: usize>(point: &Axes<N>, half_extents: &Axes<N>) -> (f64, Axes<N>) {
     let beyond = point.abs() - half_extents;
-    let outside = beyond.map(|q| q.max(0.0));
+    let outside = beyond.map(|q| larger(q, 0.0));
     let distance = outside.norm();
     if distance > 0.0 {
         return (distance, outside.zip_map(point, |q, x| q.copysign(x) / distance));

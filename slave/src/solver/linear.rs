@@ -5,6 +5,7 @@ use crate::{
     Axes, Environment, Object,
     arm::drive::{ArmDrive, Tool},
     contact::law::Mode,
+    norm,
 };
 
 /// Longest piece in s.
@@ -21,7 +22,6 @@ struct Line {
     /// Sum of K in N/m, of B in N s/m and of K anchor in N of the springs.
     spring: [f64; 3],
     regime: Regime,
-    kept: Kept,
     /// Bound in m on how far x has been from where a tick began, where somebody asks for it: infinity where a contact may have
     /// changed. None between ticks, so no part of a state.
     swing: Option<f64>,
@@ -39,12 +39,13 @@ struct Regime {
     transition: Transition,
     /// Longest piece in s in which no contact can hide: one without damping lasts pi / sqrt(k), this is half a radian.
     longest: f64,
+    kept: Kept,
 }
 
 impl Default for Regime {
     fn default() -> Self {
         let transition = Transition::new(0.0, 0.0);
-        Self { arm: [f64::NAN; 3], c: 0.0, pull: 0.0, transition, longest: 0.0 }
+        Self { arm: [f64::NAN; 3], c: 0.0, pull: 0.0, transition, longest: 0.0, kept: Kept::default() }
     }
 }
 
@@ -55,25 +56,19 @@ impl PartialEq for Regime {
     }
 }
 
-/// The map of the last whole piece, and of which transition and time it is: that of nearly every tick.
+/// The map of the last whole piece, and its time: that of nearly every tick.
 #[derive(Clone, Copy, Debug, Default)]
-struct Kept(Option<(Transition, f64, TransitionMap)>);
-
-impl PartialEq for Kept {
-    /// It follows from what it is asked for, and is no part of a state.
-    fn eq(&self, _: &Self) -> bool {
-        true
-    }
-}
+struct Kept(Option<(f64, TransitionMap)>);
 
 impl Kept {
+    /// The map over `t` of the regime's transition, always the same.
     #[inline]
-    fn over(&mut self, transition: Transition, t: f64) -> TransitionMap {
+    fn over(&mut self, transition: &Transition, t: f64) -> TransitionMap {
         match self.0 {
-            Some((of, time, map)) if of == transition && time == t => map,
+            Some((time, map)) if time == t => map,
             _ => {
                 let map = transition.over(t);
-                self.0 = Some((transition, t, map));
+                self.0 = Some((t, map));
                 map
             }
         }
@@ -119,7 +114,7 @@ impl Course {
         Self::of(Transition::new(k, c), c, input, state)
     }
 
-    #[inline]
+    #[inline(always)]
     fn of(transition: Transition, c: f64, [u0, u1, u2]: [f64; 3], [x, v]: [f64; 2]) -> Self {
         // Three divisions, one after the other, would take longer than all else.
         let per_k = transition.per_k;
@@ -129,13 +124,13 @@ impl Course {
         Self { transition, particular: [a0, a1, a2], beside: [x - a0, v - a1] }
     }
 
-    fn at(&self, t: f64) -> [f64; 2] {
+    fn at(self, t: f64) -> [f64; 2] {
         self.by(&self.transition.over(t), t)
     }
 
     /// The state after t, by the map over t.
-    #[inline]
-    fn by(&self, map: &TransitionMap, t: f64) -> [f64; 2] {
+    #[inline(always)]
+    fn by(self, map: &TransitionMap, t: f64) -> [f64; 2] {
         let [a0, a1, a2] = self.particular;
         let [x, v] = map.apply(self.beside);
         [x + a0 + t * (a1 + t * a2), v + a1 + 2.0 * a2 * t]
@@ -160,8 +155,8 @@ impl Course {
 
     /// Bounds on `|x(s) - x(0)|` in m and `|x'(s)|` in m/s for s up to t: beside the particular solution
     /// `y'' + c y' + k y = 0`, whose energy `y'² + k y²` does not grow, as long as c is not negative.
-    #[inline]
-    fn bounds(&self, t: f64) -> [f64; 2] {
+    #[inline(always)]
+    fn bounds(self, t: f64) -> [f64; 2] {
         let [_, a1, a2] = self.particular.map(f64::abs);
         let [y, v] = self.beside;
         let swing = (v * v + self.transition.k * y * y).sqrt();
@@ -214,7 +209,7 @@ impl<const N: usize> LinearArm<N> {
         span: f64,
     ) -> bool {
         let room = environment.room(&self.apart, (&tool.position, &tool.velocity), from, span);
-        if room <= 2.0 * span * tool.velocity.norm() {
+        if room <= 2.0 * span * norm(&tool.velocity) {
             // Hardly worth a trial.
             return false;
         }
@@ -223,7 +218,7 @@ impl<const N: usize> LinearArm<N> {
             self.lines.iter_mut().for_each(|line| line.swing = Some(0.0));
         }
         self.advance(drive, environment, tool, from, span);
-        let swing = Axes::<N>::from_fn(|axis, _| self.lines[axis].swing.take().unwrap_or(0.0)).norm();
+        let swing = norm(&Axes::<N>::from_fn(|axis, _| self.lines[axis].swing.take().unwrap_or(0.0)));
         let stays_clear = environment.reach.covers(&tool.position, from + span, 0.0) && swing < room;
         if !stays_clear {
             (*drive, *tool, self.coarse_steps) = (drive_before, tool_before, coarse_before);
@@ -326,6 +321,7 @@ impl Line {
     ) -> ([f64; 2], bool) {
         let [later0, later1] = [u0 + slope * bend, u1 - slope];
         let Regime { c, pull, transition, longest, .. } = *self.regime(arm, state);
+        let map = self.regime.kept.over(&transition, step);
         let course = Course::of(transition, c, [later0 + pull, later1, 0.0], state);
         // Bound on the integral of |slope (t - bend)|, which is half of it.
         let impulse = (slope * bend).abs() * bend;
@@ -333,17 +329,17 @@ impl Line {
             || (longest >= step && c >= 0.0 && self.stays(&course, state[0], step, impulse));
         if is_one_piece {
             self.add_swing(&course, c, step, impulse);
-            let map = self.kept.over(transition, step);
             return (course.after_bend((bend, slope), c, &map, step), true);
         }
-        let (state, before) = self.advance(arm, [u0, u1, 0.0], state, bend);
-        let (state, after) = self.advance(arm, [later0 + bend * later1, later1, 0.0], state, step - bend);
+        let (state, before) = self.advance_by_pieces(arm, [u0, u1, 0.0], state, bend);
+        let later = [later0 + bend * later1, later1, 0.0];
+        let (state, after) = self.advance_by_pieces(arm, later, state, step - bend);
         (state, before && after)
     }
 
     /// Adds a bound on how far a course goes in t in s on which no contact changes, with an `impulse` as for
     /// [`stays`](Self::stays).
-    #[inline]
+    #[inline(always)]
     fn add_swing(&mut self, course: &Course, c: f64, t: f64, impulse: f64) {
         if let Some(swing) = &mut self.swing {
             let [farther, _] = course.bounds(t);
@@ -352,9 +348,27 @@ impl Line {
     }
 
     /// Advances (x, V) by `step` in s under an arm of M, K, B and an input per kg that is quadratic in time; returns
-    /// whether every contact was located.
-    #[inline]
-    fn advance(
+    /// whether every contact was located. Mostly in one piece, which is written out where it is called: what is handed over
+    /// in memory is waited for.
+    #[inline(always)] // has one caller
+    fn advance(&mut self, arm: [f64; 3], input: [f64; 3], state: [f64; 2], step: f64) -> ([f64; 2], bool) {
+        let Regime { c, pull, transition, longest, .. } = *self.regime(arm, state);
+        // Before the course, which a call would put into memory.
+        let map = self.regime.kept.over(&transition, step);
+        let [u0, u1, u2] = input;
+        let course = Course::of(transition, c, [u0 + pull, u1, u2], state);
+        let is_one_piece = self.planes.is_empty()
+            || (longest >= step && c >= 0.0 && self.stays(&course, state[0], step, 0.0));
+        if is_one_piece {
+            self.add_swing(&course, c, step, 0.0);
+            return (course.by(&map, step), true);
+        }
+        self.advance_by_pieces(arm, input, state, step)
+    }
+
+    /// The same, from contact to contact.
+    #[inline(never)]
+    fn advance_by_pieces(
         &mut self,
         arm: [f64; 3],
         [u0, u1, u2]: [f64; 3],
@@ -369,12 +383,12 @@ impl Line {
             let left = step - done;
             if self.planes.is_empty() {
                 self.add_swing(&course, c, left, 0.0);
-                return (course.by(&self.kept.over(course.transition, left), left), true);
+                return (course.by(&self.regime.kept.over(&transition, left), left), true);
             }
             let longest = left.min(longest);
             if longest >= left && c >= 0.0 && self.stays(&course, state[0], left, 0.0) {
                 self.add_swing(&course, c, left, 0.0);
-                return (course.by(&self.kept.over(course.transition, left), left), true);
+                return (course.by(&self.regime.kept.over(&transition, left), left), true);
             }
             self.swing = self.swing.map(|_| f64::INFINITY);
             let taken = self.first_change(&course, longest).unwrap_or(longest);
@@ -413,12 +427,13 @@ impl Line {
             pull += plane.stiffness * plane.surface;
         }
         let (k, c) = (stiffness / mass, damping / mass);
-        Regime { arm, c, pull: pull / mass, transition: Transition::new(k, c), longest: 0.5 / k.sqrt() }
+        let (transition, longest) = (Transition::new(k, c), 0.5 / k.sqrt());
+        Regime { arm, c, pull: pull / mass, transition, longest, kept: Kept::default() }
     }
 
     /// Whether bounds say that no contact changes within t in s of a course from x in m on, to which an input of `impulse`
     /// in m/s is added: its response is at most `impulse t` and `impulse`, since that to a unit is at most t and 1.
-    #[inline]
+    #[inline(always)]
     fn stays(&self, course: &Course, x: f64, t: f64, impulse: f64) -> bool {
         let [farther, fastest] = course.bounds(t);
         let (farther, fastest) = (farther + impulse * t, fastest + impulse);
@@ -680,30 +695,21 @@ mod tests {
         }
     }
 
-    /// The map that is kept is that of what is asked for, whatever was asked for before, and is not made anew for the same.
+    /// The map that is kept is that of the time that is asked for, whatever was asked for before, and is not made anew for the
+    /// same.
     #[test]
-    fn a_kept_map_is_that_of_its_transition_and_time() {
-        let transitions = [Transition::new(9.0, 1.0), Transition::new(9.0, 5.0), Transition::new(4.0, 1.0)];
+    fn a_kept_map_is_that_of_its_time() {
+        let (transition, state) = (Transition::new(9.0, 1.0), [0.7, -1.3]);
         let mut kept = Kept::default();
-        for round in 0..3 {
-            for transition in transitions {
-                for t in [1e-3, 2e-3] {
-                    let state = [0.7, -1.3];
-                    assert_eq!(
-                        kept.over(transition, t).apply(state),
-                        transition.apply(t, state),
-                        "{round} {t}"
-                    );
-                    assert!(kept.0.is_some_and(|(of, time, _)| of == transition && time == t));
-                }
-            }
+        for t in [1e-3, 2e-3, 2e-3, 1e-3] {
+            assert_eq!(kept.over(&transition, t).apply(state), transition.apply(t, state), "{t}");
+            assert!(kept.0.is_some_and(|(time, _)| time == t));
         }
         // That it is kept: a map that was put in its place is what comes out.
-        let (of, t) = (transitions[0], 1e-3);
-        let other = transitions[2].over(t);
-        kept.0 = Some((of, t, other));
-        assert_eq!(kept.over(of, t).apply([1.0, 1.0]), other.apply([1.0, 1.0]));
-        assert_ne!(other.apply([1.0, 1.0]), of.apply(t, [1.0, 1.0]));
+        let other = Transition::new(4.0, 1.0).over(1e-3);
+        kept.0 = Some((1e-3, other));
+        assert_eq!(kept.over(&transition, 1e-3).apply(state), other.apply(state));
+        assert_ne!(other.apply(state), transition.apply(1e-3, state));
     }
 
     /// The regime is that of the arm and of what is touched, whatever was before.
@@ -732,6 +738,9 @@ mod tests {
                     );
                     let stiffness = arm[1] + 10.0 + 3000.0 * f64::from(u8::from(x != 0.05));
                     assert_eq!(kept.transition.k, stiffness / arm[0]);
+                    // No map of another regime is left.
+                    let map = line.regime.kept.over(&kept.transition, 1e-3);
+                    assert_eq!(map.apply([1.0, 2.0]), kept.transition.apply(1e-3, [1.0, 2.0]));
                 }
             }
         }

@@ -12,9 +12,10 @@
 use arrayvec::ArrayVec;
 
 use crate::{
-    Axes, ContactLaw, Environment, FULL_SLIP, all_finite,
+    Axes, ContactLaw, Environment, FULL_SLIP, all_finite, amax,
     arm::drive::{ArmDrive, Tool},
     contact::law::Mode,
+    larger,
     solver::{adaptive::SHORTEST, located::first_share, state::Piece},
 };
 
@@ -242,7 +243,7 @@ impl<const N: usize> Face<N> {
         let released: f64 = series.pressing[1..].iter().map(|p| p.abs()).sum();
         let is_pressed = self.first_depth > self.normal.abs().dot(swing) + rounding
             && series.pressing[0] > released * (1.0 + ROUNDING)
-            && self.margin > swing.amax() + rounding;
+            && self.margin > amax(swing) + rounding;
         if !is_pressed || self.friction == 0.0 {
             return is_pressed;
         }
@@ -313,7 +314,7 @@ impl<const N: usize> Pull<N> {
         let (mut newest_moved, mut newest_velocity) = (Axes::zeros(), *velocity);
         moved.push(newest_moved);
         v.push(newest_velocity);
-        let mut largest = velocity.amax();
+        let mut largest = amax(velocity);
         let mut negligible = 0;
         for (n, inverse) in INVERSE[..TERMS - 1].iter().enumerate() {
             let mut force = match n {
@@ -333,8 +334,8 @@ impl<const N: usize> Pull<N> {
             moved.push(newest_moved);
             newest_velocity = force * (share / self.mass);
             v.push(newest_velocity);
-            let size = newest_velocity.amax();
-            largest = largest.max(size);
+            let size = amax(&newest_velocity);
+            largest = larger(size, largest);
             negligible = if size <= NEGLIGIBLE * largest { negligible + 1 } else { 0 };
             // What grows with the square of time comes in with the third coefficient.
             if negligible >= 2 && n >= 3 {
@@ -409,7 +410,7 @@ impl<const N: usize> Environment<N> {
             return None;
         }
         let Touched { faces, series, clear, leaves, extent, .. } = &touched;
-        let rounding = ROUNDING * (position.amax() + extent);
+        let rounding = ROUNDING * (amax(&position) + extent);
         let stays = |(face, series): (&Face<N>, &FaceSeries<N>)| face.stays(series, &swing, rounding);
         let is_sure = !leaves && *clear > farthest + rounding && faces.iter().zip(series).all(stays);
         let mut taken = step;

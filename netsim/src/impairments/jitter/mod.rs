@@ -162,9 +162,10 @@ struct Wander {
     lengths: Stream,
     beginnings: Stream,
     bin_ns: u64,
-    /// The run of the latest packet and the one after it: nothing then waits for what a run's draw decides. Before the
-    /// first packet one that ended at 0, as no other does.
+    /// The run of the latest packet, at `at`, and the one after it: nothing then waits for what a run's draw decides.
+    /// Before the first packet one that ended at 0, as no other does.
     runs: [Run; 2],
+    at: usize,
     latest_ns: u64,
 }
 
@@ -195,6 +196,7 @@ impl Wander {
             beginnings: stream.nth(1),
             bin_ns,
             runs: [Run::NONE; 2],
+            at: 0,
             latest_ns: 0,
         }
     }
@@ -202,25 +204,26 @@ impl Wander {
     /// Goes on to the run of a time that is not before that of an earlier call.
     #[inline]
     fn go_on(&mut self, time_ns: u64) {
-        if self.runs[0].end_ns <= time_ns {
-            self.runs = self.later_runs(time_ns);
+        if self.run().end_ns <= time_ns {
+            self.go_on_far(time_ns);
         }
     }
 
-    /// The run of a time at which the present one has ended, and the one after it.
     #[inline(never)]
-    fn later_runs(&self, time_ns: u64) -> [Run; 2] {
-        let [mut run, mut next] = if self.runs[0].end_ns > 0 && !self.forgets(self.runs[0].end_ns, time_ns) {
-            self.runs
-        } else {
-            let first = self.anew(time_ns / self.bin_ns * self.bin_ns);
-            [first, self.next(&first)]
-        };
-        while run.end_ns <= time_ns && run.end_ns < u64::MAX {
-            run = next;
-            next = self.next(&run);
+    fn go_on_far(&mut self, time_ns: u64) {
+        let end_ns = self.run().end_ns;
+        if end_ns == 0 || self.forgets(end_ns, time_ns) {
+            self.begin_anew(time_ns / self.bin_ns * self.bin_ns);
         }
-        [run, next]
+        while self.run().end_ns <= time_ns && self.run().end_ns < u64::MAX {
+            self.at = 1 - self.at;
+            self.draw_next();
+        }
+    }
+
+    #[inline]
+    fn run(&self) -> &Run {
+        &self.runs[self.at & 1]
     }
 
     /// Whether a whole bin lies between those of two times.
@@ -229,20 +232,26 @@ impl Wander {
     }
 
     /// The first run after a silence, from a place of the law.
-    fn anew(&self, begin_ns: u64) -> Run {
+    #[inline(never)]
+    fn begin_anew(&mut self, begin_ns: u64) {
         let [place, direction] = self.beginnings.pair(begin_ns / self.bin_ns);
         let (cell, part) = Cells::place(gaussian::quantile(unit(place)));
         let rises = direction & 1 == 1;
         let up = self.path.traversal(true).within(cell, part);
         let from = if rises { up } else { self.path.traversal(true).mirrored(up) };
-        self.begin(rises, begin_ns, from)
+        self.draw(self.at, rises, begin_ns, from);
+        self.draw_next();
     }
 
-    fn next(&self, run: &Run) -> Run {
-        self.begin(!run.rises, run.end_ns, self.path.traversal(run.rises).mirrored(run.to))
+    /// The run after the present one.
+    fn draw_next(&mut self) {
+        let Run { rises, end_ns, to, .. } = *self.run();
+        self.draw(1 - self.at, !rises, end_ns, self.path.traversal(rises).mirrored(to));
     }
 
-    fn begin(&self, rises: bool, begin_ns: u64, from: Place) -> Run {
+    /// A run is written where it is kept: a copy of what was just written would be waited for.
+    #[inline(always)]
+    fn draw(&mut self, at: usize, rises: bool, begin_ns: u64, from: Place) {
         let traversal = self.path.traversal(rises);
         let to = traversal.switch(from, -libm::log(self.lengths.unit(begin_ns)));
         // Time is whole: the run stops short of its end by less than 1 ns.
@@ -251,13 +260,14 @@ impl Wander {
         let y_ns = from.y_ns + length_ns as f64;
         let cell = traversal.cell_before(y_ns, from.cell, to.cell);
         let to = Place { y_ns: y_ns.min(traversal.end_ns()), cell };
-        Run { rises, begin_ns, end_ns: begin_ns.saturating_add(length_ns.cast_unsigned()), from, to }
+        self.runs[at & 1] =
+            Run { rises, begin_ns, end_ns: begin_ns.saturating_add(length_ns.cast_unsigned()), from, to };
     }
 
     #[inline(always)] // as judge
     fn delay_ns(&mut self, time_ns: u64) -> u64 {
         self.go_on(time_ns);
-        let [run, _] = &self.runs;
+        let run = self.run();
         let traversal = self.path.traversal(run.rises);
         let y_ns = run.from.y_ns + (time_ns - run.begin_ns).cast_signed() as f64;
         let cell = traversal.cell(y_ns, run.from.cell, run.to.cell);
