@@ -103,7 +103,8 @@ impl fmt::Debug for FaultText {
 
 /// What one frame carries of a text.
 ///
-/// Aligned, so that a copy is whole words: one of 14 bytes is two that overlap, and the next copy waits for both.
+/// Aligned, so that a copy is whole words: one of 14 bytes is two that overlap, and the next copy waits for both (store
+/// forwarding fails).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(align(8))]
 pub struct TextPiece {

@@ -49,7 +49,8 @@ pub trait Side<const N: usize> {
         record
     }
 
-    /// The same with the record written where it is kept: a copy of what was just written would be waited for.
+    /// The same into `record`, which holds another tick: all of it is written. Where it is kept, since a copy of what was just
+    /// written waits for that (store forwarding).
     fn tick_into(&mut self, time: TickTime, record: &mut Self::Record);
 
     /// Writes the frame of this tick.

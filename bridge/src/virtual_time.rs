@@ -489,7 +489,7 @@ pub(crate) struct Ahead<'a, M: Side<N>, S: Side<N>, const N: usize> {
 ///
 /// Most times all are observed before there are more, so they need not go in a circle.
 struct Unseen<R> {
-    /// Those of ticks first, up to `kept`; beyond them what will be written over.
+    /// The first `kept` are of ticks, the rest is room to write into.
     ticks: Vec<(u64, R)>,
     kept: usize,
     /// How many of these were observed.
@@ -509,8 +509,8 @@ impl<R: Copy + Default> Unseen<R> {
         self.ticks.resize_with(MAX_AHEAD, Default::default);
     }
 
-    /// Where one more is to be written, a tick at `true_ns`; none where there is no room, before any of these was observed.
-    fn next(&mut self, true_ns: u64) -> Option<&mut R> {
+    /// The slot for the record of a tick at `true_ns`; none if all are taken. Before any of these was observed.
+    fn push_slot(&mut self, true_ns: u64) -> Option<&mut R> {
         debug_assert_eq!(self.seen, 0, "forget_seen comes first");
         let (at_ns, record) = self.ticks.get_mut(self.kept)?;
         *at_ns = true_ns;
@@ -555,7 +555,7 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
         while master.goes_on(*end_ns)
             && (master.pace.true_ns <= slave.pace.true_ns
                 || master.pace.true_ns < backward.link.earliest_later_ns())
-            && let Some(record) = near.next(master.pace.true_ns)
+            && let Some(record) = near.push_slot(master.pace.true_ns)
         {
             master.step(backward, forward, record);
         }
@@ -563,7 +563,7 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
         while slave.goes_on(*end_ns)
             && (slave.pace.true_ns < master.pace.true_ns
                 || slave.pace.true_ns < forward.link.earliest_later_ns())
-            && let Some(record) = far.next(slave.pace.true_ns)
+            && let Some(record) = far.push_slot(slave.pace.true_ns)
         {
             slave.step(forward, backward, record);
         }
@@ -705,5 +705,40 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Run<'a, M, S, N> {
             overflowed: forward.in_flight.overflowed() + backward.in_flight.overflowed(),
             loops: [master.counts(), slave.counts()],
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Against a list to which ticks are added and from which those that were observed are taken.
+    #[test]
+    fn what_was_not_observed_is_kept_in_its_order() {
+        let (mut unseen, mut expected) = (Unseen::<u64>::new(), Vec::new());
+        let mut time_ns = 0;
+        for round in 0..50 {
+            unseen.forget_seen();
+            for _ in 0..round * 7 % 90 {
+                let Some(record) = unseen.push_slot(time_ns) else {
+                    assert_eq!(expected.len(), MAX_AHEAD);
+                    break;
+                };
+                *record = 2 * time_ns + 1;
+                expected.push((time_ns, 2 * time_ns + 1));
+                time_ns += 1;
+            }
+            for _ in 0..expected.len().min(round * 5 % 80) {
+                assert_eq!(unseen.first(), expected.first());
+                unseen.seen += 1;
+                expected.remove(0);
+            }
+            if round % 3 == 0 {
+                unseen = unseen.copied();
+                assert_eq!(unseen.ticks, expected);
+            }
+            assert_eq!(unseen.unseen(), expected);
+        }
+        assert!(time_ns > 1000, "{time_ns}");
     }
 }

@@ -58,7 +58,8 @@ impl<S: SimdRealField + SimdValue<Element = f64> + Copy> Real for S {
     }
 }
 
-/// The Euclidean norm of each; along one axis without a root, to the same bits unless the square leaves the range of numbers.
+/// The Euclidean norm in each lane; along one axis without a root, to the same bits unless the square leaves the range of
+/// numbers.
 #[inline(always)]
 pub(crate) fn norm<const N: usize, S: Real>(value: &Axes<N, S>) -> S {
     if N == 1 { value[0].magnitude() } else { value.dot(value).root() }

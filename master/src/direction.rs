@@ -28,7 +28,7 @@ impl Direction {
     /// Coefficient n of `w / |w|`, once those of w before it and the `newest`, its nth, are known; requested in order.
     ///
     /// Terms that do not depend on the newest w are summed apart, the oldest first, so that few operations remain once it is known.
-    /// It is handed over by itself: where it has just been written, it would be waited for.
+    /// It is handed over by itself, and stored by the caller as `w[n]` before the next: what was just written would be waited for.
     #[inline]
     pub(crate) fn coefficient<const N: usize>(
         &mut self,

@@ -311,7 +311,7 @@ pub(crate) fn gripped<const N: usize>(wish: &Axes<N>, strength: f64) -> Axes<N> 
     if wish.norm_squared() < 0.99 * strength * strength { *wish } else { gripped_at_most(wish, strength) }
 }
 
-/// Its own function, so that a hand that holds waits for no root and no division.
+/// The same near the strength and beyond; a function of its own, so that a hand that holds waits for no root and no division.
 #[inline(never)]
 fn gripped_at_most<const N: usize>(wish: &Axes<N>, strength: f64) -> Axes<N> {
     let wished = norm(wish);
@@ -321,6 +321,26 @@ fn gripped_at_most<const N: usize>(wish: &Axes<N>, strength: f64) -> Axes<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Against the law as it is written, by a root and a division.
+    fn check_grip<const N: usize>(direction: Axes<N>) {
+        for strength in [0.0, 1e-310, 1e-150, 20.0, 1e150, f64::INFINITY] {
+            let size = if strength == f64::INFINITY { 1e9 } else { strength };
+            let shares =
+                [0.0, 0.9, 0.9949, 0.995, 0.99499, 1.0_f64.next_down(), 1.0, 1.0_f64.next_up(), 2.0, 1e3];
+            for wish in shares.map(|share| direction * (share * size)) {
+                let wished = if N == 1 { wish[0].abs() } else { wish.norm() };
+                let expected = if wished <= strength { wish } else { wish * (strength / wished) };
+                assert_eq!(gripped(&wish, strength), expected, "{strength:e} {wish}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_grip_bounds_what_a_hand_wishes() {
+        check_grip(Axes::<1>::new(-1.0));
+        check_grip(Axes::<3>::new(0.6, -0.0, 0.8));
+    }
 
     fn hand(release: Release) -> Hand<1> {
         let path = Path::new(Axes::<1>::zeros(), Vec::new()).unwrap();

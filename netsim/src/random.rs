@@ -47,8 +47,8 @@ impl Stream {
         self.pair(index)[0]
     }
 
-    /// The [`bits`](Self::bits) of the packets from `first` on, a multiple of their number; with vectors of four where the
-    /// processor has them.
+    /// The [`bits`](Self::bits) of the packets from `first` on, a multiple of their number; by vectors of four where the processor
+    /// has them.
     #[inline(never)]
     fn side_by_side(self, first: u64) -> [u64; LANES] {
         let draws = SideBySide { stream: self, first };
@@ -230,8 +230,9 @@ pub(crate) struct InTurn {
 }
 
 impl InTurn {
-    pub(crate) const fn new(stream: Stream) -> Self {
-        Self { stream, block: None, bits: [0; LANES] }
+    pub(crate) fn new(stream: Stream) -> Self {
+        // What the processor has is found out here, and not at the first packet.
+        Self { stream, block: Some(0), bits: stream.side_by_side(0) }
     }
 
     /// 64 uniform bits for packet `index`.
@@ -297,6 +298,18 @@ mod tests {
         let near = [u64::from(u32::MAX) - 3, u64::MAX - 7].into_iter().flat_map(|from| from..=from + 7);
         for index in (0..40).chain([61, 62, 200, 7, 6, 203]).chain(near) {
             assert_eq!(in_turn.bits(index), stream.bits(index), "{index}");
+        }
+    }
+
+    #[test]
+    fn every_processor_draws_the_same() {
+        use pulp::WithSimd;
+        let stream = Stream::new(0xfedc_ba98_7654_3210, Direction::Forward, Impairment::Jitter as u16);
+        for first in [0, 32, u64::from(u32::MAX) - 15, u64::MAX - 15] {
+            let expected: [_; LANES] = std::array::from_fn(|lane| stream.bits(first + lane as u64));
+            assert_eq!(SideBySide { stream, first }.with_simd(pulp::Scalar), expected, "{first}");
+            // With AVX2, where this machine has it.
+            assert_eq!(stream.side_by_side(first), expected, "{first}");
         }
     }
 

@@ -77,7 +77,7 @@ where
 }
 
 /// The Euclidean norm in each lane; along one axis without a root, to the same bits unless the square leaves the range of
-/// numbers, which is where the root is wrong: beyond 1e154, and below 1e-154.
+/// numbers, beyond 1e154 and below 1e-154: there the root is wrong.
 #[inline(always)]
 pub fn norm<const N: usize, S: Real>(value: &Axes<N, S>) -> S {
     if N == 1 { value[0].magnitude() } else { value.dot(value).root() }

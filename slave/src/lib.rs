@@ -91,3 +91,31 @@ pub(crate) fn larger(one: f64, other: f64) -> f64 {
 pub(crate) fn all_finite<const N: usize>(values: &Axes<N>) -> bool {
     values.iter().all(|value| value.is_finite())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn norm_and_largest_value_are_those_of_nalgebra(
+            values in [-1e3..1e3_f64, -1e3..1e3_f64, -1e3..1e3_f64],
+            exponent in -500..500_i32,
+        ) {
+            let values = Axes::<3>::from(values) * 2_f64.powi(exponent);
+            let along = Axes::<1>::new(values[0]);
+            prop_assert_eq!(norm(&values).to_bits(), values.norm().to_bits());
+            prop_assert_eq!(norm(&along).to_bits(), along.norm().to_bits());
+            prop_assert_eq!(amax(&values), values.amax());
+        }
+    }
+
+    #[test]
+    fn what_is_not_a_number_is_passed_over() {
+        let found = [[f64::NAN, -2.0, 1.0], [1.0, f64::NAN, -2.0], [-2.0, 1.0, f64::NAN]]
+            .map(|v| amax(&Axes::<3>::from(v)));
+        assert_eq!(found, [2.0; 3]);
+        assert_eq!([larger(f64::NAN, 1.0), larger(2.0, 1.0), larger(-2.0, 1.0)], [1.0, 2.0, 1.0]);
+    }
+}

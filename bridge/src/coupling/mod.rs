@@ -280,6 +280,16 @@ mod frame_tests {
     }
 
     #[test]
+    fn no_turn_is_none_however_it_is_given() {
+        let identity =
+            FrameMap::new([[1.0, 0.0, -0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], [false; 3]).unwrap();
+        let by_quaternion = FrameMap::<3>::rotated([1.0, 0.0, 0.0, 0.0], &[]).unwrap();
+        assert_eq!([identity, by_quaternion], [FrameMap::default(); 2]);
+        let force = Axes::<3>::new(1.0, -2.0, 3.0);
+        assert_eq!([identity.to_slave(&force), identity.to_master(&force)], [force; 2]);
+    }
+
+    #[test]
     fn a_quarter_turn_goes_the_right_way() {
         let map = FrameMap::new([[0.0, -1.0], [1.0, 0.0]], [false; 2]).unwrap();
         assert_eq!(map.to_slave(&Axes::<2>::new(1.0, 0.0)), Axes::<2>::new(0.0, 1.0));

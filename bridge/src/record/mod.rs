@@ -105,15 +105,9 @@ pub struct MasterRecord<const N: usize, R = ()> {
     pub rotation: R,
 }
 
+/// A record of nothing: NaN and the largest integers where nothing is known.
 impl<const N: usize, R: MasterTurn> Default for MasterRecord<N, R> {
     fn default() -> Self {
-        Self::empty()
-    }
-}
-
-impl<const N: usize, R: MasterTurn> MasterRecord<N, R> {
-    /// A record of nothing.
-    pub(crate) fn empty() -> Self {
         let zeros = Axes::zeros();
         Self {
             time_ns: 0,
@@ -147,7 +141,9 @@ impl<const N: usize, R: MasterTurn> MasterRecord<N, R> {
             rotation: R::empty(),
         }
     }
+}
 
+impl<const N: usize, R: MasterTurn> MasterRecord<N, R> {
     #[inline(always)] // what it is made of need not be in memory
     pub(crate) fn new(
         time: TickTime,
@@ -241,15 +237,9 @@ pub struct SlaveRecord<const N: usize, R = ()> {
     pub rotation: R,
 }
 
+/// A record of nothing: NaN and the largest integers where nothing is known.
 impl<const N: usize, R: SlaveTurn> Default for SlaveRecord<N, R> {
     fn default() -> Self {
-        Self::empty()
-    }
-}
-
-impl<const N: usize, R: SlaveTurn> SlaveRecord<N, R> {
-    /// A record of nothing.
-    pub(crate) fn empty() -> Self {
         let zeros = Axes::zeros();
         Self {
             time_ns: 0,
@@ -273,7 +263,9 @@ impl<const N: usize, R: SlaveTurn> SlaveRecord<N, R> {
             rotation: R::empty(),
         }
     }
+}
 
+impl<const N: usize, R: SlaveTurn> SlaveRecord<N, R> {
     #[inline(always)] // as of the master
     pub(crate) fn new(
         time: TickTime,

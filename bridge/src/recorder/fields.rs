@@ -135,7 +135,7 @@ impl<const N: usize, R: MasterTurn> Recorded for MasterRecord<N, R> {
     const SIDE: &'static str = "master";
 
     fn any() -> Self {
-        Self::empty()
+        Self::default()
     }
 
     fn time_ns(&self) -> u64 {
@@ -191,7 +191,7 @@ impl<const N: usize, R: SlaveTurn> Recorded for SlaveRecord<N, R> {
     const SIDE: &'static str = "slave";
 
     fn any() -> Self {
-        Self::empty()
+        Self::default()
     }
 
     fn time_ns(&self) -> u64 {

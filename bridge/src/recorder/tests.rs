@@ -24,7 +24,7 @@ fn record(tick: u64) -> MasterRecord<2> {
         reason: 1,
         age_ns: u64::MAX,
         round_trip_ns: 2_000_000,
-        ..MasterRecord::empty()
+        ..MasterRecord::default()
     }
 }
 

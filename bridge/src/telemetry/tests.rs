@@ -38,7 +38,7 @@ fn record(tick: u64) -> Record {
         position: [tick as f64, -0.5].into(),
         observers: PerController([0.25, f64::NAN, f64::INFINITY, f64::NAN]),
         state: LadderState::Engaged,
-        ..Record::empty()
+        ..Record::default()
     }
 }
 

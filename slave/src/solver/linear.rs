@@ -61,7 +61,7 @@ impl PartialEq for Regime {
 struct Kept(Option<(f64, TransitionMap)>);
 
 impl Kept {
-    /// The map over `t` of the regime's transition, always the same.
+    /// The map over `t` of `transition`, that of the regime it is kept with.
     #[inline]
     fn over(&mut self, transition: &Transition, t: f64) -> TransitionMap {
         match self.0 {
@@ -320,16 +320,10 @@ impl Line {
         step: f64,
     ) -> ([f64; 2], bool) {
         let [later0, later1] = [u0 + slope * bend, u1 - slope];
-        let Regime { c, pull, transition, longest, .. } = *self.regime(arm, state);
-        let map = self.regime.kept.over(&transition, step);
-        let course = Course::of(transition, c, [later0 + pull, later1, 0.0], state);
         // Bound on the integral of |slope (t - bend)|, which is half of it.
         let impulse = (slope * bend).abs() * bend;
-        let is_one_piece = self.planes.is_empty()
-            || (longest >= step && c >= 0.0 && self.stays(&course, state[0], step, impulse));
-        if is_one_piece {
-            self.add_swing(&course, c, step, impulse);
-            return (course.after_bend((bend, slope), c, &map, step), true);
+        if let Some((course, map)) = self.one_piece(arm, [later0, later1, 0.0], state, step, impulse) {
+            return (course.after_bend((bend, slope), self.regime.c, &map, step), true);
         }
         let (state, before) = self.advance_by_pieces(arm, [u0, u1, 0.0], state, bend);
         let later = [later0 + bend * later1, later1, 0.0];
@@ -347,27 +341,44 @@ impl Line {
         }
     }
 
+    /// Course and map of a whole step, an `impulse` as for [`stays`](Self::stays) added; none where a contact may change within
+    /// it.
+    #[inline(always)] // as its callers
+    fn one_piece(
+        &mut self,
+        arm: [f64; 3],
+        [u0, u1, u2]: [f64; 3],
+        state: [f64; 2],
+        step: f64,
+        impulse: f64,
+    ) -> Option<(Course, TransitionMap)> {
+        let Regime { c, pull, transition, longest, .. } = *self.regime(arm, state);
+        let is_free = self.planes.is_empty();
+        if !(is_free || (longest >= step && c >= 0.0)) {
+            return None;
+        }
+        // First, so that the course stays in registers: there is no call after it.
+        let map = self.regime.kept.over(&transition, step);
+        let course = Course::of(transition, c, [u0 + pull, u1, u2], state);
+        if !(is_free || self.stays(&course, state[0], step, impulse)) {
+            return None;
+        }
+        self.add_swing(&course, c, step, impulse);
+        Some((course, map))
+    }
+
     /// Advances (x, V) by `step` in s under an arm of M, K, B and an input per kg that is quadratic in time; returns
-    /// whether every contact was located. Mostly in one piece, which is written out where it is called: what is handed over
-    /// in memory is waited for.
+    /// whether every contact was located.
     #[inline(always)] // has one caller
     fn advance(&mut self, arm: [f64; 3], input: [f64; 3], state: [f64; 2], step: f64) -> ([f64; 2], bool) {
-        let Regime { c, pull, transition, longest, .. } = *self.regime(arm, state);
-        // Before the course, which a call would put into memory.
-        let map = self.regime.kept.over(&transition, step);
-        let [u0, u1, u2] = input;
-        let course = Course::of(transition, c, [u0 + pull, u1, u2], state);
-        let is_one_piece = self.planes.is_empty()
-            || (longest >= step && c >= 0.0 && self.stays(&course, state[0], step, 0.0));
-        if is_one_piece {
-            self.add_swing(&course, c, step, 0.0);
-            return (course.by(&map, step), true);
+        match self.one_piece(arm, input, state, step, 0.0) {
+            Some((course, map)) => (course.by(&map, step), true),
+            None => self.advance_by_pieces(arm, input, state, step),
         }
-        self.advance_by_pieces(arm, input, state, step)
     }
 
     /// The same, from contact to contact.
-    #[inline(never)]
+    #[inline(never)] // seldom, and long
     fn advance_by_pieces(
         &mut self,
         arm: [f64; 3],
@@ -381,14 +392,11 @@ impl Line {
             let input = [u0 + done * (u1 + done * u2) + pull, u1 + 2.0 * u2 * done, u2];
             let course = Course::of(transition, c, input, state);
             let left = step - done;
-            if self.planes.is_empty() {
-                self.add_swing(&course, c, left, 0.0);
-                return (course.by(&self.regime.kept.over(&transition, left), left), true);
-            }
             let longest = left.min(longest);
             if longest >= left && c >= 0.0 && self.stays(&course, state[0], left, 0.0) {
                 self.add_swing(&course, c, left, 0.0);
-                return (course.by(&self.regime.kept.over(&transition, left), left), true);
+                // What is left of a step is of any length: its map is not kept.
+                return (course.at(left), true);
             }
             self.swing = self.swing.map(|_| f64::INFINITY);
             let taken = self.first_change(&course, longest).unwrap_or(longest);
@@ -593,6 +601,26 @@ mod tests {
                 prop_assert!(speed.abs() <= fastest * (1.0 + 1e-9) + 1e-9, "{} {}", speed, fastest);
                 prop_assert!(!line.stays(&course, x, t, 0.0) || !line.changed([moved, speed]), "{share}");
             }
+        }
+    }
+
+    proptest! {
+        /// A step in one piece is, to the bit, that of the way from contact to contact.
+        #[test]
+        fn one_piece_is_all_pieces(
+            (stiffness, damping, x, v) in (0.0..5000.0_f64, 0.0..600.0_f64, -0.02..0.02_f64, -1.0..1.0_f64),
+            (u0, u1, u2) in (-50.0..50.0_f64, -1e4..1e4_f64, -1e6..1e6_f64),
+            (surface, wall, lost) in (-0.02..0.02_f64, 100.0..1e5_f64, 0.0..200.0_f64),
+            normal in prop_oneof![Just(1.0), Just(-1.0)],
+            step in prop_oneof![Just(1e-3), 1e-5..1e-3_f64],
+        ) {
+            let plane = LinePlane { surface, normal, stiffness: wall, damping: lost, mode: Mode::Apart };
+            let line = Line { planes: vec![plane], swing: Some(0.0), ..Line::default() };
+            let ([mut one, mut other], arm) = ([line.clone(), line], [2.0, stiffness, damping]);
+            let found = one.advance(arm, [u0, u1, u2], [x, v], step);
+            let expected = other.advance_by_pieces(arm, [u0, u1, u2], [x, v], step);
+            prop_assert_eq!(found, expected);
+            prop_assert_eq!(one.swing, other.swing);
         }
     }
 

@@ -21,7 +21,7 @@ fn file(ticks: u64) -> Vec<u8> {
             position: [tick as f64 / 3.0, -0.1].into(),
             state: if tick == 0 { LadderState::Disengaged } else { LadderState::Engaged },
             age_ns: if tick == 0 { u64::MAX } else { 1000 * tick },
-            ..MasterRecord::empty()
+            ..MasterRecord::default()
         });
         if tick == ticks / 2 {
             assert_eq!(file.flush(), None);

@@ -205,12 +205,13 @@ impl Wander {
     #[inline]
     fn go_on(&mut self, time_ns: u64) {
         if self.run().end_ns <= time_ns {
-            self.go_on_far(time_ns);
+            self.go_on_to_later_run(time_ns);
         }
     }
 
-    #[inline(never)]
-    fn go_on_far(&mut self, time_ns: u64) {
+    /// To the run of a time at which the present one has ended, with the one after it drawn.
+    #[inline(never)] // every other packet
+    fn go_on_to_later_run(&mut self, time_ns: u64) {
         let end_ns = self.run().end_ns;
         if end_ns == 0 || self.forgets(end_ns, time_ns) {
             self.begin_anew(time_ns / self.bin_ns * self.bin_ns);
@@ -231,8 +232,8 @@ impl Wander {
         to_ns - from_ns > self.bin_ns && to_ns / self.bin_ns > from_ns / self.bin_ns + 1
     }
 
-    /// The first run after a silence, from a place of the law.
-    #[inline(never)]
+    /// The first run after a silence, from a place of the law, and the one after it.
+    #[inline(never)] // seldom
     fn begin_anew(&mut self, begin_ns: u64) {
         let [place, direction] = self.beginnings.pair(begin_ns / self.bin_ns);
         let (cell, part) = Cells::place(gaussian::quantile(unit(place)));
@@ -314,6 +315,29 @@ mod tests {
         for ns in edges {
             assert_eq!(whole(ns), ns.round() as u64, "{ns}");
         }
+    }
+
+    /// After a silence the delay is the same whatever was before it, and at the end of time it is one, too.
+    #[test]
+    fn a_silence_forgets_what_was_before() {
+        let settings = LinkSettings { delay_s: 0.05, jitter_s: 0.005, ..LinkSettings::default() };
+        let direction = crate::Direction::Backward;
+        let after = |times_ns: &[u64]| {
+            let mut rule = build(&settings, &Streams { seed: 3, direction }).unwrap().unwrap();
+            times_ns.iter().fold(None, |_, &sent_ns| {
+                let packet = Packet { direction, index: 0, sent_ns, size: 100 };
+                Some(rule.judge(&packet, sent_ns))
+            })
+        };
+        for later_ns in [1_000_000_000_000, u64::MAX / 2, u64::MAX - 1] {
+            let alone = after(&[later_ns]);
+            for packets in 1..8 {
+                let mut times_ns: Vec<_> = (0..packets).map(|index| index * 7_000_000).collect();
+                times_ns.push(later_ns);
+                assert_eq!(after(&times_ns), alone, "{packets} before {later_ns}");
+            }
+        }
+        assert!(after(&[u64::MAX - 1, u64::MAX, u64::MAX]).is_some());
     }
 
     /// Delays of the first packets of a link.
