@@ -308,7 +308,14 @@ pub(crate) fn line([value, rate]: [f64; 2]) -> Series {
 #[inline]
 pub(crate) fn gripped<const N: usize>(wish: &Axes<N>, strength: f64) -> Axes<N> {
     // Mostly without a root, and far from where rounding decides.
-    if wish.norm_squared() < 0.99 * strength * strength { *wish } else { gripped_at_most(wish, strength) }
+    if wish.norm_squared() < 0.99 * strength * strength {
+        *wish
+    } else if strength == 0.0 {
+        // Who has let go.
+        wish * 0.0
+    } else {
+        gripped_at_most(wish, strength)
+    }
 }
 
 /// The same near the strength and beyond; a function of its own, so that a hand that holds waits for no root and no division.

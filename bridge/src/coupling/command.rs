@@ -3,7 +3,7 @@
 
 use std::f64::consts::PI;
 
-use haptether_safety::Axes;
+use haptether_safety::{Axes, norm};
 use nalgebra::{Unit, UnitQuaternion};
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer};
@@ -168,15 +168,17 @@ pub(crate) fn bounded<const N: usize>(
     let mut limited = Limited::default();
     let mut command = *wanted;
     let out = command - home;
-    if out.norm() > bounds.reach {
+    let distance = norm(&out);
+    if distance > bounds.reach {
         limited.reach = true;
-        command = home + out * (bounds.reach / out.norm());
+        command = home + out * (bounds.reach / distance);
     }
     let step = command - last;
     let max_step = bounds.speed * elapsed_s;
-    if step.norm() > max_step {
+    let length = norm(&step);
+    if length > max_step {
         limited.speed = true;
-        command = last + step * (max_step / step.norm());
+        command = last + step * (max_step / length);
     }
     (command, limited)
 }

@@ -21,6 +21,7 @@ use crate::{
 use haptether_safety::{
     Axes, Fault,
     controller::{ControllerKind, Tripped},
+    norm,
 };
 
 /// What is seen of both sides as they run.
@@ -310,7 +311,7 @@ impl<const N: usize> Watched<N> {
         let time_s = record.time_ns as f64 / 1e9;
         self.ladder(1, record.time_ns, record.state, record.reason);
         self.faults("slave", time_s, record.fault)?;
-        let distance = record.position.norm();
+        let distance = norm(&record.position);
         if distance.is_nan() || distance > self.max_distance {
             return self.diverge(time_s, DivergenceCause::Arm(distance));
         }

@@ -153,7 +153,7 @@ impl<const N: usize> Shape<N> {
     ///
     /// A spring has no surface and is minus infinity deep everywhere. Where the gradient does not exist (the centre
     /// of a ball, equally near faces of a box) the first axis that is as good as any other is taken.
-    #[inline]
+    #[inline(always)] // what it returns would go through memory
     pub fn surface(&self, point: &Axes<N>) -> (f64, Axes<N>) {
         match &self.kind {
             Kind::Plane { point: on, normal } => ((point - on).dot(normal), *normal),
