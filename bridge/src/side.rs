@@ -2,7 +2,7 @@
 
 use std::marker::PhantomData;
 
-use haptether_safety::SafetyTick;
+use haptether_safety::{Axes, SafetyTick};
 
 use crate::{
     buttons::{ButtonError, ButtonSettings, Buttons},
@@ -298,8 +298,8 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
         if let Some(trigger) = &mut self.trigger {
             trigger.write(0.0);
         }
-        self.plant.write_torque(&haptether_safety::Axes::zeros());
-        self.plant.write(&haptether_safety::Axes::zeros());
+        self.plant.write_torque(&Axes::zeros());
+        self.plant.write(&Axes::zeros());
     }
 
     fn exchange(&self) -> &Exchange<N> {
@@ -311,6 +311,46 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
     }
 }
 
+/// Whether an arm stands still whatever was commanded.
+pub(crate) fn is_stopped(state: LadderState) -> bool {
+    matches!(state, LadderState::Stop | LadderState::Fault)
+}
+
+/// Whether an arm was led at its last tick, and where the ladder stood.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Led {
+    stood: LadderState,
+    was_led: bool,
+}
+
+impl Default for Led {
+    /// Of an arm that has not been commanded yet.
+    fn default() -> Self {
+        Self { stood: LadderState::Disengaged, was_led: false }
+    }
+}
+
+impl Led {
+    /// Stops the arm, or holds it, at the tick at which that begins: where it comes to rest, in m. Once each: whoever brakes
+    /// again and again would let go of what the arm leans on, bit by bit.
+    #[inline]
+    pub(crate) fn rest<const N: usize>(
+        &mut self,
+        plant: &mut impl SlavePlant<N>,
+        state: LadderState,
+        is_led: bool,
+    ) -> Option<Axes<N>> {
+        let Self { stood, was_led } = std::mem::replace(self, Self { stood: state, was_led: is_led });
+        if is_stopped(state) && !is_stopped(stood) {
+            Some(plant.stop())
+        } else if was_led && !is_led {
+            Some(plant.hold())
+        } else {
+            None
+        }
+    }
+}
+
 /// The side of the robot; R is what its records have of a rotation.
 #[derive(Clone, Debug)]
 pub struct SlaveSide<P, const N: usize, R = ()> {
@@ -318,10 +358,7 @@ pub struct SlaveSide<P, const N: usize, R = ()> {
     pub plant: P,
     /// What decides.
     pub endpoint: SlaveEndpoint<N>,
-    /// Where the ladder stood at the last tick.
-    stood: LadderState,
-    /// Whether the arm was led then.
-    was_led: bool,
+    led: Led,
     /// Its gripper, if it has one.
     pub gripper: Option<LedGripper>,
     /// The point of the tool that is coupled; none for the tool point.
@@ -332,23 +369,15 @@ pub struct SlaveSide<P, const N: usize, R = ()> {
 impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
     /// A side whose arm has not been commanded yet.
     pub fn new(plant: P, endpoint: SlaveEndpoint<N>) -> Self {
-        let stood = LadderState::Disengaged;
-        Self {
-            plant,
-            endpoint,
-            stood,
-            was_led: false,
-            gripper: None,
-            reference_point: None,
-            records: PhantomData,
-        }
+        let led = Led::default();
+        Self { plant, endpoint, led, gripper: None, reference_point: None, records: PhantomData }
     }
 
     /// The same side with records of an arm that turns.
     #[must_use]
     pub fn turning(self) -> SlaveSide<P, N, SlaveRotation> {
-        let Self { plant, endpoint, stood, was_led, gripper, reference_point, .. } = self;
-        SlaveSide { plant, endpoint, stood, was_led, gripper, reference_point, records: PhantomData }
+        let Self { plant, endpoint, led, gripper, reference_point, .. } = self;
+        SlaveSide { plant, endpoint, led, gripper, reference_point, records: PhantomData }
     }
 
     /// The same side coupled at another point of its tool than the tool point, of an arm that turns.
@@ -390,18 +419,7 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side<N> for SlaveSide<P, N,
             }
         }
         let mut tick = self.endpoint.tick(time.clock_ns, &reading);
-        let stood = std::mem::replace(&mut self.stood, tick.state);
-        let was_led = std::mem::replace(&mut self.was_led, tick.is_led);
-        let is_stopped = |state| matches!(state, LadderState::Stop | LadderState::Fault);
-        // Once each: whoever brakes again and again would let go of what the arm leans on, bit by bit.
-        let rest = if is_stopped(tick.state) && !is_stopped(stood) {
-            Some(self.plant.stop())
-        } else if was_led && !tick.is_led {
-            Some(self.plant.hold())
-        } else {
-            None
-        };
-        if let Some(rest) = rest {
+        if let Some(rest) = self.led.rest(&mut self.plant, tick.state, tick.is_led) {
             let orientation = self.plant.rest_orientation();
             let rest = match (self.reference_point, &orientation) {
                 (Some(point), Some(orientation)) => point.of_tool(&rest, orientation),

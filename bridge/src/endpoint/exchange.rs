@@ -54,7 +54,7 @@ enum Flight {
 pub struct Exchange<const N: usize> {
     pub(super) ladder: Ladder,
     role: Role,
-    link: FrameLink<N>,
+    pub(super) link: FrameLink<N>,
     /// What the next frame says of the plant.
     pub(super) outgoing: PortState<N>,
     /// Shortest time in ns between two frames of the peer, as it sends them, over [`COUNTED`] of them.
@@ -403,6 +403,16 @@ impl<const N: usize> Exchange<N> {
     /// Whether it was, since the last tick.
     pub(crate) fn has_stalled(&self) -> bool {
         self.events.stalled
+    }
+
+    /// The safety layer withholds its force: a person must say that there is a hand.
+    pub(crate) fn withhold(&mut self, now_ns: u64) {
+        self.ladder.withhold(now_ns);
+    }
+
+    /// Whether a run of the peer began since the last tick.
+    pub(crate) fn has_peer_begun(&self) -> bool {
+        self.events.peer_began
     }
 
     /// The operator at this side says that its fault is mended.

@@ -115,6 +115,11 @@ impl<const N: usize> MasterEndpoint<N> {
         self.hand
     }
 
+    /// The same and the coupling that it requests by, of a hand that neither turns nor leads a gripper.
+    pub(crate) fn into_parts(self) -> (Hand<N>, PositionForce<N>) {
+        (self.hand, self.coupling)
+    }
+
     /// What decides over its force.
     pub(crate) fn hand(&self) -> &Hand<N> {
         &self.hand
@@ -201,7 +206,7 @@ impl<const N: usize> MasterEndpoint<N> {
         } else {
             self.report(reading, &safety, rotation.as_ref(), missed);
             if safety.intervention.withheld || rotation.is_some_and(|tick| tick.intervention.withheld) {
-                self.exchange.ladder.withhold(now_ns);
+                self.exchange.withhold(now_ns);
             }
         }
         let values = [&reading.position, &safety.device_force, &safety.rendered_force];

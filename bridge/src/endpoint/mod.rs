@@ -1,5 +1,6 @@
 //! Endpoints: all that one side does at a tick, without socket, thread or clock.
 
+mod arm;
 mod exchange;
 mod hand;
 mod layer;
@@ -8,6 +9,7 @@ mod rotation;
 mod slave;
 mod trigger;
 
+pub(crate) use arm::{Arm, ArmInput, LeadState};
 pub use exchange::{Exchange, SideCounts};
 pub(crate) use hand::Hand;
 pub use hand::{HandInput, Past};

@@ -5,19 +5,40 @@ use crate::{
     SlaveRotation, SlaveSide, TickTime, coupling::CouplingError,
 };
 
-/// A side, and the commands of its operator with their times in ns since the start, in order.
+/// The commands of an operator with their times in ns since the start, in order.
+#[derive(Clone, Debug)]
+pub(super) struct Commands {
+    list: Vec<(u64, OperatorCommand)>,
+    done: usize,
+}
+
+impl Commands {
+    /// `list` in the order of its times.
+    pub(super) fn new(list: Vec<(u64, OperatorCommand)>) -> Self {
+        Self { list, done: 0 }
+    }
+
+    /// The next command that is due by `since_start_ns`.
+    #[inline]
+    pub(super) fn due(&mut self, since_start_ns: u64) -> Option<OperatorCommand> {
+        let (_, command) = self.list.get(self.done).filter(|(at, _)| *at <= since_start_ns)?;
+        self.done += 1;
+        Some(*command)
+    }
+}
+
+/// A side, and the commands of its operator.
 #[derive(Clone, Debug)]
 pub struct Timed<S> {
     /// The side.
     pub side: S,
-    commands: Vec<(u64, OperatorCommand)>,
-    done: usize,
+    commands: Commands,
 }
 
 impl<S> Timed<S> {
     /// `commands` in the order of their times.
     pub(crate) fn new(side: S, commands: Vec<(u64, OperatorCommand)>) -> Self {
-        Self { side, commands, done: 0 }
+        Self { side, commands: Commands::new(commands) }
     }
 }
 
@@ -28,8 +49,8 @@ impl<P, const N: usize> Timed<MasterSide<P, N>> {
     where
         P: MasterPlant<N>,
     {
-        let Self { side, commands, done } = self;
-        Timed { side: side.turning(), commands, done }
+        let Self { side, commands } = self;
+        Timed { side: side.turning(), commands }
     }
 }
 
@@ -37,8 +58,8 @@ impl<P: MasterPlant<N>, const N: usize, R> Timed<MasterSide<P, N, R>> {
     /// The same side with records of what the finger at the trigger feels.
     #[must_use]
     pub fn feeling(self) -> Timed<MasterSide<P, N, Feeling<R>>> {
-        let Self { side, commands, done } = self;
-        Timed { side: side.feeling(), commands, done }
+        let Self { side, commands } = self;
+        Timed { side: side.feeling(), commands }
     }
 }
 
@@ -49,8 +70,8 @@ impl<P, const N: usize> Timed<SlaveSide<P, N>> {
     where
         P: SlavePlant<N>,
     {
-        let Self { side, commands, done } = self;
-        Timed { side: side.turning(), commands, done }
+        let Self { side, commands } = self;
+        Timed { side: side.turning(), commands }
     }
 }
 
@@ -62,12 +83,9 @@ impl<S: Side<N>, const N: usize> Side<N> for Timed<S> {
     }
 
     fn tick_into(&mut self, time: TickTime, record: &mut S::Record) {
-        while let Some((_, command)) =
-            self.commands.get(self.done).filter(|(at, _)| *at <= time.now_ns - time.start_ns)
-        {
+        while let Some(command) = self.commands.due(time.now_ns - time.start_ns) {
             // They were checked when the scene was built.
-            let _ = self.side.command(time.clock_ns, *command);
-            self.done += 1;
+            let _ = self.side.command(time.clock_ns, command);
         }
         self.side.tick_into(time, record);
     }

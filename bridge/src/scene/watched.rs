@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 use super::{
     assemble::SceneError,
     coupling::Present,
-    measures::{Divergence, DivergenceCause, Ending, MeasureSettings, Measures},
+    measures::{Divergence, DivergenceCause, Ending, MeasureSettings, Measures, Outcome},
     metrics::Metric,
     pose::{self, RotationMeasures},
     record::{EventLog, Recorder, Sample, SceneRun},
@@ -135,21 +135,25 @@ impl<const N: usize> Watched<N> {
         R: MasterTurn,
         Q: SlaveTurn,
     {
-        let (Event::Master(MasterRecord { time_ns, .. }) | Event::Slave(SlaveRecord { time_ns, .. })) = event;
-        match self.change(*time_ns) {
-            // The slave goes on from where it is, so it is measured from there.
-            Ok(changed) => self.anchor = self.anchor.filter(|_| !changed),
-            Err(error) => self.refused = Some(error),
-        }
         match event {
             Event::Master(record) => self.near(record, master),
             Event::Slave(record) => self.far(record, arm),
         }
     }
 
-    /// Takes what the operator has changed by then; says whether anything was.
+    /// Takes what the operator has changed by then.
     #[inline(always)] // most ticks have none due
-    fn change(&mut self, now_ns: u64) -> Result<bool, CouplingError> {
+    fn change(&mut self, now_ns: u64) {
+        match self.changed(now_ns) {
+            // The slave goes on from where it is, so it is measured from there.
+            Ok(changed) => self.anchor = self.anchor.filter(|_| !changed),
+            Err(error) => self.refused = Some(error),
+        }
+    }
+
+    /// The same, and whether anything was.
+    #[inline(always)] // as change
+    fn changed(&mut self, now_ns: u64) -> Result<bool, CouplingError> {
         if !self.coupling.is_due(now_ns) {
             return Ok(false);
         }
@@ -224,7 +228,25 @@ impl<const N: usize> Watched<N> {
         record: &MasterRecord<N, R>,
         side: &MasterSide<P, N, R>,
     ) -> ControlFlow<()> {
+        let flow = self.measure_near(record);
+        if self.diverged.is_some() {
+            return flow;
+        }
         let time_s = record.time_ns as f64 / 1e9;
+        if let Some(felt) = side.felt() {
+            self.log.trigger_tripped(time_s, felt.intervention.tripped);
+        }
+        if self.near.begin_tick() {
+            self.record_near(record, side, time_s);
+        }
+        flow
+    }
+
+    /// Takes the record of a tick of the master without its signals; breaks off as [`take`](Self::take).
+    #[inline(always)] // as take
+    pub(super) fn measure_near<R: MasterTurn>(&mut self, record: &MasterRecord<N, R>) -> ControlFlow<()> {
+        let time_s = record.time_ns as f64 / 1e9;
+        self.change(record.time_ns);
         self.ladder(0, record.time_ns, record.state, record.reason);
         self.faults("master", time_s, record.fault)?;
         if record.state.is_coupled() && self.engaged_s.is_none() {
@@ -248,9 +270,6 @@ impl<const N: usize> Watched<N> {
         self.settled = settled == Some(true) && self.engaged_s.is_some();
         self.ticks += 1;
         self.log.tripped(time_s, Tripped::from_bits(tripped));
-        if let Some(felt) = side.felt() {
-            self.log.trigger_tripped(time_s, felt.intervention.tripped);
-        }
         let coupled = self.states.iter().all(|state| state.is_coupled());
         if let (Some(rotation), Some(turn)) = (&mut self.rotation, turn)
             && self.judged.metrics.has_rotation()
@@ -261,9 +280,6 @@ impl<const N: usize> Watched<N> {
             let difference = force - self.coupling.to_master(&self.far_force);
             self.squares[1] += difference.norm_squared();
             self.samples[1] += 1;
-        }
-        if self.near.begin_tick() {
-            self.record_near(record, side, time_s);
         }
         self.newest = Some((record.time_ns, record.true_position));
         if self.settled { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
@@ -308,7 +324,18 @@ impl<const N: usize> Watched<N> {
 
     #[inline(always)] // as take
     fn far<Q: SlaveTurn>(&mut self, record: &SlaveRecord<N, Q>, arm: &impl ModelArm) -> ControlFlow<()> {
+        self.measure_far(record)?;
+        if self.far.begin_tick() {
+            self.record_far(record, arm, record.time_ns as f64 / 1e9);
+        }
+        ControlFlow::Continue(())
+    }
+
+    /// Takes the record of a tick of the slave without its signals; breaks off where the run has diverged.
+    #[inline(always)] // as take
+    pub(super) fn measure_far<Q: SlaveTurn>(&mut self, record: &SlaveRecord<N, Q>) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 / 1e9;
+        self.change(record.time_ns);
         self.ladder(1, record.time_ns, record.state, record.reason);
         self.faults("slave", time_s, record.fault)?;
         let distance = norm(&record.position);
@@ -334,9 +361,6 @@ impl<const N: usize> Watched<N> {
             && self.judged.metrics.has_rotation()
         {
             rotation.far(turn);
-        }
-        if self.far.begin_tick() {
-            self.record_far(record, arm, time_s);
         }
         ControlFlow::Continue(())
     }
@@ -393,7 +417,25 @@ impl<const N: usize> Watched<N> {
         }
     }
 
-    /// What the run has come to, of sides as they stand after it.
+    /// What the run has come to.
+    pub(super) fn outcome(&self) -> Result<Outcome, SceneError> {
+        if let Some(error) = self.refused {
+            return Err(EndpointError::from(error).into());
+        }
+        let mut outcome = self.measures.outcome(0, self.ticks, self.ending(), self.diverged);
+        let mean = |which: usize| {
+            (self.samples[which] > 0).then(|| (self.squares[which] / self.samples[which] as f64).sqrt())
+        };
+        // What overflows says nothing beyond that it did.
+        outcome.position_rmse_m = mean(0).filter(|rmse| rmse.is_finite());
+        outcome.force_rmse_n = mean(1).filter(|rmse| rmse.is_finite());
+        if let Some(rotation) = &self.rotation {
+            outcome = rotation.complete(outcome, self.judged.metrics);
+        }
+        Ok(if self.engaged_s.is_none() { outcome.never_engaged() } else { outcome })
+    }
+
+    /// The same with its signals, events and reports, of sides as they stand after it.
     pub(super) fn finish<P, A, R, Q>(
         mut self,
         scene: &SceneSpec<N>,
@@ -408,9 +450,6 @@ impl<const N: usize> Watched<N> {
         R: MasterTurn,
         Q: SlaveTurn,
     {
-        if let Some(error) = self.refused {
-            return Err(EndpointError::from(error).into());
-        }
         let coarse = slave.side.plant.coarse_steps();
         self.overflowed = counts.overflowed;
         let engaged_ns = self.engaged_ns;
@@ -420,19 +459,7 @@ impl<const N: usize> Watched<N> {
             report(slave.exchange(), of_slave, engaged_ns[1], settings.secure),
         ];
         let links = reports.each_ref().map(|report| report.link);
-        let mut outcome = self.measures.outcome(0, self.ticks, self.ending(), self.diverged);
-        let mean = |which: usize| {
-            (self.samples[which] > 0).then(|| (self.squares[which] / self.samples[which] as f64).sqrt())
-        };
-        // What overflows says nothing beyond that it did.
-        outcome.position_rmse_m = mean(0).filter(|rmse| rmse.is_finite());
-        outcome.force_rmse_n = mean(1).filter(|rmse| rmse.is_finite());
-        if let Some(rotation) = &self.rotation {
-            outcome = rotation.complete(outcome, self.judged.metrics);
-        }
-        if self.engaged_s.is_none() {
-            outcome = outcome.never_engaged();
-        }
+        let outcome = self.outcome()?;
         // A clock that is not right does not tick once in each period of true time.
         let newest_ns = self.newest.map_or(0, |(time_ns, _)| time_ns);
         let end_s = newest_ns as f64 / 1e9 + scene.run.period_s;

@@ -19,6 +19,9 @@ pub(super) const BLOCK: usize = 64;
 /// Most scenarios that share a beginning.
 const MAX_GROUP: usize = 32;
 
+/// Most scenarios that share what link and ladders do: one tick of these takes as long as some ticks of a hand and an arm.
+const MAX_CONNECTED: usize = 64;
+
 pub(super) fn bad_axes(axes: usize) -> SweepError {
     SweepError::Scene(format!("master.axes = {axes}: must be 1 to 7"))
 }
@@ -117,6 +120,36 @@ impl<'a> Plan<'a> {
         paths + &base.to_string()
     }
 
+    /// What all scenarios have in common whose link and ladders may do the same.
+    fn connection(&self) -> String {
+        let mut base = self.base.clone();
+        if let Value::Object(tables) = &mut base {
+            for (table, value) in tables.iter_mut() {
+                if let Value::Object(keys) = value {
+                    keys.retain(|key, _| decides_connection(&[table, key]));
+                } else if !decides_connection(&[table]) {
+                    *value = Value::from(value.is_null());
+                }
+            }
+        }
+        let mut paths = String::new();
+        for column in self.connective() {
+            if let Some(place) = column.place(&mut base) {
+                *place = Value::Null;
+            }
+            paths = paths + &column.keys.join(".") + " ";
+        }
+        paths + &base.to_string()
+    }
+
+    /// The columns that decide what link and ladders do, in one order.
+    fn connective(&self) -> Vec<&Column<'a>> {
+        let mut found: Vec<_> =
+            self.columns.iter().filter(|column| decides_connection(&column.keys)).collect();
+        found.sort_by(|one, other| one.keys.cmp(&other.keys));
+        found
+    }
+
     /// The columns that decide how a run begins, in one order.
     fn decisive(&self, of_controllers: &[String]) -> Vec<&Column<'a>> {
         let decides = |column: &&Column<'_>| match column.keys.as_slice() {
@@ -126,6 +159,19 @@ impl<'a> Plan<'a> {
         let mut found: Vec<_> = self.columns.iter().filter(decides).collect();
         found.sort_by(|one, other| one.keys.cmp(&other.keys));
         found
+    }
+}
+
+/// Whether what stands there may decide what link and ladders do. Scenes are held against one another before they share that:
+/// a key too many shares less, one too few costs a comparison.
+fn decides_connection(keys: &[&str]) -> bool {
+    match keys {
+        ["run" | "link" | "security", ..] => true,
+        ["slave", key, ..] => *key == "period_s",
+        ["safety", key, ..] => *key == "ladder",
+        ["operator", key, ..] => key.starts_with("clutch"),
+        ["master", key, ..] => matches!(*key, "kind" | "axes" | "buttons"),
+        _ => false,
     }
 }
 
@@ -143,7 +189,7 @@ pub(super) type Place = (usize, usize);
 pub(super) enum Job {
     /// Rows of a part.
     Block(usize, std::ops::Range<usize>),
-    /// Rows of parts of so many axes that begin alike.
+    /// Rows of parts of so many axes that begin alike, or whose link and ladders do the same.
     Groups(usize, Vec<Vec<Place>>),
 }
 
@@ -160,12 +206,13 @@ pub(super) fn jobs(plans: &[Plan<'_>], threads: usize, has_research: bool) -> Ve
     let mut jobs = Vec::new();
     // By their axes, in the order of their first rows.
     let mut groups = BTreeMap::<usize, Vec<Vec<Place>>>::new();
-    let mut known = HashMap::<(usize, Vec<u64>), usize>::new();
-    let mut commons = HashMap::<String, usize>::new();
     let of_controllers = controller_keys();
     // Rows of a group are run one after the other: not so many that a thread is left without any.
     let rows: usize = plans.iter().map(|plan| plan.rows).sum();
-    let most = rows.div_ceil(2 * threads).clamp(1, MAX_GROUP);
+    let most = |of: usize| rows.div_ceil(2 * threads).clamp(1, of);
+    let (mut beginnings, mut connections) = (Keys::default(), Keys::default());
+    // The rows of each connection, each with its beginning.
+    let mut connected = Vec::<(usize, Vec<(usize, Place)>)>::new();
     for (part, plan) in plans.iter().enumerate() {
         if has_research || !plan.is_remote() || !plan.can_share() {
             let size = if plan.is_remote() {
@@ -177,19 +224,23 @@ pub(super) fn jobs(plans: &[Plan<'_>], threads: usize, has_research: bool) -> Ve
             jobs.extend(blocks.map(|first| Job::Block(part, first..plan.rows.min(first + size))));
             continue;
         }
-        let next = commons.len();
-        let common = *commons.entry(plan.common(&of_controllers)).or_insert(next);
-        let columns = plan.decisive(&of_controllers);
-        let of_axes = groups.entry(plan.axes).or_default();
+        let beginning = beginnings.common(plan.common(&of_controllers));
+        let connection = connections.common(plan.connection());
+        let (decisive, connective) = (plan.decisive(&of_controllers), plan.connective());
         for row in 0..plan.rows {
-            let key = columns.iter().map(|column| column.values[row].to_bits()).collect();
-            let group = known.entry((common, key)).or_insert(usize::MAX);
-            if of_axes.get(*group).is_none_or(|rows| rows.len() >= most) {
-                *group = of_axes.len();
-                of_axes.push(Vec::new());
+            let beginning = beginnings.of(beginning, &decisive, row);
+            let connection = connections.of(connection, &connective, row);
+            if connection == connected.len() {
+                connected.push((plan.axes, Vec::new()));
             }
-            of_axes[*group].push((part, row));
+            connected[connection].1.push((beginning, (part, row)));
         }
+    }
+    for (axes, rows) in connected {
+        let of_axes = groups.entry(axes).or_default();
+        let is_one_beginning = rows.iter().all(|(beginning, _)| *beginning == rows[0].0);
+        let size = most(if is_one_beginning { MAX_GROUP } else { MAX_CONNECTED });
+        of_axes.extend(rows.chunks(size).map(|some| some.iter().map(|(_, place)| *place).collect()));
     }
     for (axes, groups) in groups {
         let size = block_size(groups.iter().map(Vec::len).sum(), threads);
@@ -205,6 +256,28 @@ pub(super) fn jobs(plans: &[Plan<'_>], threads: usize, has_research: bool) -> Ve
         }
     }
     jobs
+}
+
+/// Numbers for what rows have in common, in the order in which it is met.
+#[derive(Default)]
+struct Keys {
+    commons: HashMap<String, usize>,
+    known: HashMap<(usize, Vec<u64>), usize>,
+}
+
+impl Keys {
+    /// Of what all rows of a part have in common.
+    fn common(&mut self, common: String) -> usize {
+        let next = self.commons.len();
+        *self.commons.entry(common).or_insert(next)
+    }
+
+    /// Of what a row has in common with others: that of its part and its numbers in `columns`.
+    fn of(&mut self, common: usize, columns: &[&Column<'_>], row: usize) -> usize {
+        let key = columns.iter().map(|column| column.values[row].to_bits()).collect();
+        let next = self.known.len();
+        *self.known.entry((common, key)).or_insert(next)
+    }
 }
 
 /// Scenarios without an arm are mostly short: the scene is read once for many, and each thread has some eight jobs.

@@ -12,16 +12,16 @@ use std::{
     },
 };
 
-use super::{
+use super::super::{
     assemble::{SceneError, exact_master, stepped_master},
     bilateral::{self, Keeping, SESSIONS, Sides},
     measures::Outcome,
-    pose,
     sides::{master_endpoint, simulated_arm, slave_endpoint},
     spec::{Integrator, SceneSpec},
     timed::Timed,
     watched::Watched,
 };
+use super::Outcomes;
 use crate::{
     Event, MasterPlant, MasterRecord, MasterSide, ModelArm, Side, SlavePlant, SlaveSide, VirtualSettings,
     endpoint::{Hand, HandInput, MasterReading},
@@ -41,24 +41,8 @@ pub(super) fn begins_as<const N: usize>(one: &SceneSpec<N>, other: &SceneSpec<N>
     same == *one
 }
 
-/// Whether controllers change nothing but the force on the hand, of a run that is worth being copied. A trigger that the
-/// finger feels has controllers that follow from those of the hand; who turns, and sessions, are not followed; what was
-/// recorded is long.
-pub(super) fn can_share<const N: usize>(scene: &SceneSpec<N>) -> bool {
-    let links = scene.link.iter().flat_map(|links| [&links.forward, &links.backward]).flatten();
-    let is_recorded = links.clone().any(|link| link.trace.is_some() || link.opportunities.is_some())
-        || scene.operator.as_ref().is_some_and(|operator| operator.recorded.is_some())
-        || scene.environment.iter().flat_map(|one| &one.pushers).any(|pusher| pusher.recorded.is_some());
-    !is_recorded
-        && scene.slave.as_ref().is_some_and(|slave| slave.gripper.is_none())
-        && scene.master.gripper.is_none()
-        && scene.safety.gripper.is_none()
-        && scene.safety.research.is_none()
-        && !scene.security.is_some_and(|security| security.secure)
-        && pose::as_pose(scene).is_ok_and(|scene| scene.is_none())
-}
-
-/// The outcomes of scenes that begin as the first one, each as if it were run alone.
+/// The outcomes of scenes that can share and begin as the first one, each as if it were run alone; of one that is not run
+/// here, none.
 ///
 /// # Errors
 ///
@@ -66,16 +50,8 @@ pub(super) fn can_share<const N: usize>(scene: &SceneSpec<N>) -> bool {
 pub(super) fn outcomes<const N: usize>(
     scenes: &[&SceneSpec<N>],
     stop: &AtomicBool,
-) -> Result<Vec<Result<Outcome, SceneError>>, SceneError> {
-    let alone = |scene: &&SceneSpec<N>| match super::outcome(scene, stop, None) {
-        Err(SceneError::Stopped) => Err(SceneError::Stopped),
-        outcome => Ok(outcome),
-    };
-    let Some(&first) = scenes.first() else { return Ok(Vec::new()) };
-    if scenes.len() == 1 || !can_share(first) || !scenes.iter().all(|other| begins_as(first, other)) {
-        return scenes.iter().map(alone).collect();
-    }
-    let mut outcomes: Vec<Option<Result<Outcome, SceneError>>> = vec![None; scenes.len()];
+) -> Result<Outcomes, SceneError> {
+    let mut outcomes: Outcomes = vec![None; scenes.len()];
     let mut members = Vec::with_capacity(scenes.len());
     for (row, scene) in scenes.iter().enumerate() {
         match master_endpoint(scene, SESSIONS.0, None) {
@@ -85,7 +61,7 @@ pub(super) fn outcomes<const N: usize>(
     }
     // Of one that can be built; the others differ in nothing that this makes use of.
     let Some(built) = members.first().map(|member| scenes[member.row]) else {
-        return scenes.iter().map(alone).collect();
+        return Ok(outcomes);
     };
     let shared = match built.run.integrator {
         Integrator::Exact => exact_master(built)
@@ -97,15 +73,11 @@ pub(super) fn outcomes<const N: usize>(
         }),
     };
     match shared {
-        Err(SceneError::Stopped) => return Err(SceneError::Stopped),
+        Err(SceneError::Stopped) => Err(SceneError::Stopped),
         // What cannot be built is refused once for each, as alone.
-        Err(_) => return scenes.iter().map(alone).collect(),
-        Ok(()) => {}
+        Err(_) => Ok(vec![None; scenes.len()]),
+        Ok(()) => Ok(outcomes),
     }
-    // All have been run; who has not has no network that can be copied.
-    let whole =
-        outcomes.into_iter().zip(scenes).map(|(outcome, scene)| outcome.map_or_else(|| alone(scene), Ok));
-    whole.collect()
 }
 
 /// One of the runs.

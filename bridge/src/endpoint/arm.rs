@@ -1,0 +1,329 @@
+//! What decides over the command to an arm: the same live, in virtual time, and in runs that share link and ladders.
+
+use haptether_safety::{Axes, Fault, Signal, norm};
+use nalgebra::UnitQuaternion;
+
+use super::{
+    EndpointError, SlaveReading, SlaveSettings, check_period, period_s,
+    rotation::{SlaveRotation, SlaveRotationSettings, check_orientation},
+};
+use crate::{
+    command::OperatorCommand,
+    coupling::{
+        AlignmentStep, CommandBounds, CouplingError, FrameMap, Limited, PositionForce, RotationState,
+        bounded, decayed,
+    },
+    ladder::{AlignmentState, LadderState},
+    link::PortState,
+};
+
+/// What the newest frame says of the master.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LeadState<'a, const N: usize> {
+    /// x in m.
+    pub(crate) position: &'a Axes<N>,
+    /// V in m/s.
+    pub(crate) velocity: &'a Axes<N>,
+    /// Of a pose.
+    pub(crate) rotation: Option<&'a RotationState>,
+}
+
+/// What decides over the command of a tick beside what the arm measures.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ArmInput<'a, const N: usize> {
+    /// Where the ladder stands.
+    pub(crate) state: LadderState,
+    /// Whether the arm may turn to the master before the two engage.
+    pub(crate) turns: bool,
+    /// For how long in ns the ladder has stood in STALE.
+    pub(crate) stale_ns: u64,
+    /// None before the first frame.
+    pub(crate) newest: Option<LeadState<'a, N>>,
+}
+
+/// What one tick decided.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ArmTick<const N: usize> {
+    /// Velocity in m/s of the commanded position; zero unless engaged.
+    pub(crate) command_velocity: Axes<N>,
+    /// Angular velocity in rad/s of the commanded orientation; zero unless engaged or turned to the master.
+    pub(crate) angular_velocity: Axes<3>,
+    /// Which bounds acted on the command.
+    pub(crate) limited: Limited,
+}
+
+/// Takes force and torque out of what the next frame says.
+fn without_wrench<const N: usize>(outgoing: &mut PortState<N>) {
+    outgoing.force = Axes::zeros();
+    if let Some(rotation) = &mut outgoing.rotation {
+        rotation.torque = Axes::zeros();
+    }
+}
+
+/// Coupling and bounds of an arm, with what they have to know of the last tick.
+#[derive(Clone, Debug)]
+pub(crate) struct Arm<const N: usize> {
+    coupling: PositionForce<N>,
+    /// Of an arm that turns.
+    rotation: Option<Box<SlaveRotation>>,
+    bounds: CommandBounds,
+    /// Speed in m/s with which the arm still brakes besides.
+    braking: f64,
+    /// Over how long in ns of STALE the commanded velocity decays.
+    decay_ns: u64,
+    /// Where the slave stood at its first tick.
+    home: Option<Axes<N>>,
+    command: Option<Axes<N>>,
+    /// When the last command was made, in ns.
+    commanded_ns: u64,
+    fault: Option<Fault>,
+    /// When in ns the arm was where, at the last sample that can be.
+    last: Option<(u64, Axes<N>, Option<UnitQuaternion<f64>>)>,
+    /// The period of its loop, in s.
+    period_s: f64,
+    /// The longest time in s that one step of an alignment makes up for: two periods.
+    max_step_s: f64,
+}
+
+impl<const N: usize> Arm<N> {
+    /// Of a point, or with `rotation` of a pose on three axes.
+    pub(super) fn new(
+        settings: &SlaveSettings,
+        rotation: Option<&SlaveRotationSettings>,
+    ) -> Result<Self, EndpointError> {
+        check_period(settings.period_ns)?;
+        settings.bounds.check()?;
+        let align_s = period_s(settings.ladder.align_ns);
+        let rotation = rotation.map(|rotation| SlaveRotation::new(rotation, align_s).map(Box::new));
+        Ok(Self {
+            coupling: PositionForce::new(settings.position_scale, 1.0)?,
+            rotation: rotation.transpose()?,
+            bounds: settings.bounds,
+            braking: 0.0,
+            decay_ns: settings.ladder.extrapolate_ns,
+            home: None,
+            command: None,
+            commanded_ns: 0,
+            fault: None,
+            last: None,
+            period_s: period_s(settings.period_ns),
+            max_step_s: 2.0 * period_s(settings.period_ns),
+        })
+    }
+
+    /// The arm still brakes with `speed` in m/s and `angular_speed` in rad/s.
+    pub(super) fn set_braking(&mut self, [speed, angular_speed]: [f64; 2]) {
+        self.braking = speed;
+        if let Some(rotation) = &mut self.rotation {
+            rotation.set_braking(angular_speed);
+        }
+    }
+
+    /// Refuses a sample that cannot be, or of a device that has failed.
+    #[inline(always)] // once a tick, from few places
+    pub(crate) fn check(
+        &mut self,
+        now_ns: u64,
+        reading: &SlaveReading<N>,
+        device_failed: bool,
+    ) -> Result<(), Fault> {
+        let SlaveReading { position, velocity, environment_force, .. } = reading;
+        let checked = if device_failed { Err(Fault::Device) } else { Ok(()) }
+            .and_then(|()| Signal::Position.check(position))
+            .and_then(|()| Signal::Velocity.check(velocity))
+            .and_then(|()| Signal::EnvironmentForce.check(environment_force))
+            .and_then(|()| match &self.rotation {
+                None => Ok(()),
+                Some(_) => SlaveRotation::check(reading.rotation.as_ref()),
+            })
+            .and_then(|()| self.check_jump(now_ns, reading));
+        if let Err(fault) = checked {
+            self.fault.get_or_insert(fault);
+        }
+        checked
+    }
+
+    /// Refuses a sample that is further from the last than any arm moves in the time between, and begins anew from there:
+    /// `|x - x_last| / t` and `|log(R R_last^T)| / t`, with a period at least for two ticks that follow closely.
+    fn check_jump(&mut self, now_ns: u64, reading: &SlaveReading<N>) -> Result<(), Fault> {
+        let orientation = reading.rotation.as_ref().map(|rotation| rotation.orientation);
+        let last = self.last.replace((now_ns, reading.position, orientation));
+        let Some((last_ns, position, before)) = last else { return Ok(()) };
+        let elapsed_s = (now_ns.saturating_sub(last_ns) as f64 * 1e-9).max(self.period_s);
+        Signal::Velocity.check(&((reading.position - position) / elapsed_s))?;
+        let angle = before.zip(orientation).map_or(0.0, |(before, now)| before.angle_to(&now));
+        Signal::AngularVelocity.check(&Axes::<1>::repeat(angle / elapsed_s))
+    }
+
+    /// Time in s since the last command.
+    fn elapsed_s(&self, now_ns: u64) -> f64 {
+        now_ns.saturating_sub(self.commanded_ns) as f64 * 1e-9
+    }
+
+    /// The next step towards the master's newest orientation, of an arm that is turned there before the two engage, and how
+    /// far it is with that; `before` is the input of the last tick with the newest frame. `checked`: the sample can be.
+    #[inline(always)] // as check
+    pub(super) fn align(
+        &mut self,
+        now_ns: u64,
+        measured: Option<&RotationState>,
+        checked: bool,
+        before: impl FnOnce() -> (LadderState, bool, Option<RotationState>),
+    ) -> Option<(AlignmentState, Option<AlignmentStep>)> {
+        let elapsed_s = self.elapsed_s(now_ns);
+        let rotation = self.rotation.as_mut()?;
+        if let (Some(measured), true) = (measured, checked) {
+            rotation.begin(measured);
+        }
+        let alignment = rotation.alignment?;
+        let (state, turns, master) = before();
+        let elapsed_s = elapsed_s.min(self.max_step_s);
+        Some(match master.as_ref().zip(measured).filter(|_| !state.is_coupled()) {
+            Some(both) => rotation.toward(&alignment, both, elapsed_s, turns),
+            None => (AlignmentState::Remaining, None),
+        })
+    }
+
+    /// One tick of what the arm measures, which was checked.
+    #[inline(always)] // as check
+    pub(crate) fn tick(
+        &mut self,
+        now_ns: u64,
+        reading: &SlaveReading<N>,
+        checked: bool,
+        step: Option<&AlignmentStep>,
+        input: &ArmInput<'_, N>,
+        outgoing: &mut PortState<N>,
+    ) -> ArmTick<N> {
+        let SlaveReading { position, environment_force, .. } = reading;
+        let elapsed_s = self.elapsed_s(now_ns);
+        let ArmInput { state, turns, stale_ns, newest } = *input;
+        // From the first sample that can be: bounds hang on it.
+        let home = if checked { *self.home.get_or_insert(*position) } else { *position };
+        let (mut command_velocity, mut angular_velocity) = (Axes::zeros(), Axes::zeros());
+        let mut limited = Limited::default();
+        if let (Some(rotation), Some(step), true) = (&mut self.rotation, step, turns || state.is_coupled()) {
+            // The two engage where it has just reached the master.
+            rotation.command = Some(step.orientation);
+        }
+        match (state, newest) {
+            (LadderState::Engaged | LadderState::Stale, Some(master)) => {
+                // From the last command, not from where contact has bent the arm to.
+                let from = self.command.unwrap_or(*position);
+                let (ahead_s, share) = decayed(stale_ns, self.decay_ns);
+                let velocity = self.coupling.commanded_velocity(master.velocity);
+                // Where the two are taken to be coupled anew while frames are late, it has gone ahead already.
+                let ahead = velocity * ahead_s;
+                let wanted = self.coupling.commanded_position(master.position, &(from - ahead)) + ahead;
+                let bounds =
+                    CommandBounds { speed: (self.bounds.speed - self.braking).max(0.0), ..self.bounds };
+                let (command, over) = bounded(&bounds, elapsed_s, &home, &from, &wanted);
+                limited = over;
+                command_velocity = velocity * share;
+                let speed = norm(&command_velocity);
+                if speed > bounds.speed {
+                    command_velocity *= bounds.speed / speed;
+                    limited.speed = true;
+                }
+                self.command = Some(command);
+                if let (Some(rotation), Some(master), Some(measured)) =
+                    (&mut self.rotation, master.rotation, &reading.rotation)
+                {
+                    angular_velocity =
+                        rotation.follow(master, measured, elapsed_s, (ahead_s, share), &mut limited);
+                }
+            }
+            // Holds the last command; when it engages again it does so from where both are then.
+            _ => self.disengage(),
+        }
+        let power_w = environment_force.dot(&command_velocity);
+        let mut turning = angular_velocity;
+        if let (true, Some(step)) = (turns, step) {
+            self.command.get_or_insert(*position);
+            // What it does to what it touches does not go over the link.
+            (angular_velocity, turning) = (step.angular_velocity, Axes::zeros());
+        }
+        self.commanded_ns = now_ns;
+        self.report(reading, power_w, &turning, elapsed_s, turns, outgoing);
+        ArmTick { command_velocity, angular_velocity, limited }
+    }
+
+    /// Leaves what the next frame says of the arm; the energy is that of the whole wrench, `f·v + tau·w`. While it turns to
+    /// the master (`turns`) there is no wrench: what fades on the hand from before must have nothing of that motion.
+    #[inline(always)] // as check
+    fn report(
+        &self,
+        reading: &SlaveReading<N>,
+        power_w: f64,
+        angular_velocity: &Axes<3>,
+        elapsed_s: f64,
+        turns: bool,
+        outgoing: &mut PortState<N>,
+    ) {
+        if self.fault.is_some() {
+            without_wrench(outgoing);
+            return;
+        }
+        let SlaveReading { position, velocity, environment_force: force, rotation } = *reading;
+        let turning = rotation.map_or(0.0, |measured| measured.torque.dot(angular_velocity));
+        outgoing.energy.add(power_w + turning, elapsed_s);
+        outgoing.report(&position, &velocity, &force, rotation);
+        if turns {
+            without_wrench(outgoing);
+        }
+    }
+
+    /// The two are no longer coupled: when they engage again, it is from where both are then.
+    pub(crate) fn disengage(&mut self) {
+        self.coupling.disengage();
+        if let Some(rotation) = &mut self.rotation {
+            rotation.coupling.disengage();
+        }
+    }
+
+    /// The arm no longer follows and comes to rest at `rest` in m, and of a pose so turned: when the two engage again, it
+    /// goes on from there.
+    pub(crate) fn rests(&mut self, rest: &Axes<N>, orientation: Option<&UnitQuaternion<f64>>) {
+        // Where it does not know where it is, nothing is commanded until the two engage anew.
+        self.command = self.command.and(Signal::Position.check(rest).is_ok().then_some(*rest));
+        if let Some(rotation) = &mut self.rotation {
+            let known = orientation.filter(|orientation| check_orientation(orientation).is_ok());
+            rotation.command = rotation.command.and(known.copied());
+        }
+    }
+
+    /// Carries out a command of the operator; returns whether it changed anything. The slave goes on from where it is.
+    pub(crate) fn command(&mut self, command: OperatorCommand) -> Result<bool, CouplingError> {
+        match command {
+            OperatorCommand::Acknowledge => self.fault = None,
+            OperatorCommand::PositionScale(scale) => self.coupling.set_position_scale(scale)?,
+            OperatorCommand::Frame { quat_wxyz, locked } => {
+                self.coupling.set_map(FrameMap::rotated(quat_wxyz, &locked)?);
+                self.rotation.as_mut().map_or(Ok(()), |rotation| rotation.set_frame(quat_wxyz))?;
+            }
+            OperatorCommand::RotationScale(scale) => {
+                return self
+                    .rotation
+                    .as_mut()
+                    .map_or(Ok(false), |rotation| rotation.set_rotation_scale(scale).map(|()| true));
+            }
+            _ => return Ok(false),
+        }
+        Ok(true)
+    }
+
+    /// Why it stands in FAULT.
+    pub(super) fn fault(&self) -> Option<Fault> {
+        self.fault
+    }
+
+    /// The last commanded position in m; none before the first engagement.
+    pub(crate) fn last_command(&self) -> Option<Axes<N>> {
+        self.command
+    }
+
+    /// The last commanded orientation; none of a point, and before the first engagement.
+    pub(super) fn last_orientation(&self) -> Option<UnitQuaternion<f64>> {
+        self.rotation.as_ref().and_then(|rotation| rotation.command)
+    }
+}

@@ -1,0 +1,68 @@
+//! What runs of a sweep have in common is done once: their beginning, or all that link and ladders do.
+
+mod beginning;
+mod follower;
+mod timeline;
+
+use std::sync::atomic::AtomicBool;
+
+use super::{assemble::SceneError, measures::Outcome, pose, spec::SceneSpec};
+use beginning::begins_as;
+use timeline::Connection;
+
+/// What has become of each of some scenes; none of those that were not run.
+type Outcomes = Vec<Option<Result<Outcome, SceneError>>>;
+
+/// Whether a run may share anything with others: controllers change nothing but the force on the hand, and it is worth being copied. A trigger that the
+/// finger feels has controllers that follow from those of the hand; who turns, and sessions, are not followed; what was
+/// recorded is long.
+pub(super) fn can_share<const N: usize>(scene: &SceneSpec<N>) -> bool {
+    let links = scene.link.iter().flat_map(|links| [&links.forward, &links.backward]).flatten();
+    let is_recorded = links.clone().any(|link| link.trace.is_some() || link.opportunities.is_some())
+        || scene.operator.as_ref().is_some_and(|operator| operator.recorded.is_some())
+        || scene.environment.iter().flat_map(|one| &one.pushers).any(|pusher| pusher.recorded.is_some());
+    !is_recorded
+        && scene.slave.as_ref().is_some_and(|slave| slave.gripper.is_none())
+        && scene.master.gripper.is_none()
+        && scene.safety.gripper.is_none()
+        && scene.safety.research.is_none()
+        && !scene.security.is_some_and(|security| security.secure)
+        && pose::as_pose(scene).is_ok_and(|scene| scene.is_none())
+}
+
+/// The outcomes of scenes, each as if it were run alone. Those that begin as the first one share their beginning; those whose
+/// link and ladders do the same share that.
+///
+/// # Errors
+///
+/// [`SceneError::Stopped`].
+pub(super) fn outcomes<const N: usize>(
+    scenes: &[&SceneSpec<N>],
+    stop: &AtomicBool,
+) -> Result<Vec<Result<Outcome, SceneError>>, SceneError> {
+    let mut outcomes: Outcomes = vec![None; scenes.len()];
+    if let [first, others @ ..] = scenes
+        && !others.is_empty()
+        && can_share(first)
+    {
+        if others.iter().all(|other| begins_as(first, other)) {
+            outcomes = beginning::outcomes(scenes, stop)?;
+        } else if let Ok(connection) = Connection::of(first) {
+            let is_shared = |other: &&SceneSpec<N>| {
+                can_share(other) && Connection::of(other).is_ok_and(|other| other == connection)
+            };
+            if others.iter().all(is_shared) {
+                outcomes = follower::outcomes(&connection, scenes, stop)?;
+            }
+        }
+    }
+    let alone = |scene: &SceneSpec<N>| match super::outcome(scene, stop, None) {
+        Err(SceneError::Stopped) => Err(SceneError::Stopped),
+        outcome => Ok(outcome),
+    };
+    outcomes
+        .into_iter()
+        .zip(scenes)
+        .map(|(outcome, scene)| outcome.map_or_else(|| alone(scene), Ok))
+        .collect()
+}
