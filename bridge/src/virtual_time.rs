@@ -435,73 +435,24 @@ pub fn run_virtual<M: Side<N>, S: Side<N>, const N: usize>(
     slave: &mut S,
     mut observe: impl FnMut(Event<'_, M::Record, S::Record>, (&M, &S)) -> ControlFlow<()>,
 ) -> Result<VirtualCounts, VirtualError> {
-    let mut run = InTurn::new(settings, master, slave)?;
-    while run.step(&mut observe).is_continue() {}
-    Ok(run.counts())
-}
-
-/// A run whose sides tick in the order of time.
-pub(crate) struct InTurn<'a, M: Side<N>, S: Side<N>, const N: usize> {
-    run: Run<'a, M, S, N>,
-    near: M::Record,
-    far: S::Record,
-}
-
-impl<'a, M: Side<N>, S: Side<N>, const N: usize> InTurn<'a, M, S, N> {
-    /// A run before its first tick.
-    pub(crate) fn new(
-        settings: &VirtualSettings,
-        master: &'a mut M,
-        slave: &'a mut S,
-    ) -> Result<Self, VirtualError> {
-        let run = Run::new(settings, master, slave)?;
-        Ok(Self { run, near: M::Record::default(), far: S::Record::default() })
-    }
-
-    /// The next tick in time; breaks where there is none, or where `observe` does.
-    #[inline(always)] // from few places
-    pub(crate) fn step(
-        &mut self,
-        observe: &mut impl FnMut(Event<'_, M::Record, S::Record>, (&M, &S)) -> ControlFlow<()>,
-    ) -> ControlFlow<()> {
-        let Self { run: Run { master, slave, forward, backward, end_ns }, near, far } = self;
-        if !(master.goes_on(*end_ns) || slave.goes_on(*end_ns)) {
-            return ControlFlow::Break(());
-        }
-        if master.pace.true_ns <= slave.pace.true_ns {
-            master.step(backward, forward, near);
+    let mut run = Run::new(settings, master, slave)?;
+    let (mut near, mut far) = (M::Record::default(), S::Record::default());
+    while run.master.goes_on(run.end_ns) || run.slave.goes_on(run.end_ns) {
+        let Run { master, slave, forward, backward, .. } = &mut run;
+        let flow = if master.pace.true_ns <= slave.pace.true_ns {
+            master.step(backward, forward, &mut near);
             forward.carry_sent();
-            observe(Event::Master(near), (master.side, slave.side))
+            observe(Event::Master(&near), (master.side, slave.side))
         } else {
-            slave.step(forward, backward, far);
+            slave.step(forward, backward, &mut far);
             backward.carry_sent();
-            observe(Event::Slave(far), (master.side, slave.side))
+            observe(Event::Slave(&far), (master.side, slave.side))
+        };
+        if flow.is_break() {
+            break;
         }
     }
-
-    pub(crate) fn counts(&self) -> VirtualCounts {
-        self.run.counts()
-    }
-
-    /// The run as it stands, as [`Ahead::snapshot`].
-    pub(crate) fn snapshot(&self) -> Option<Snapshot<M, S, N>>
-    where
-        M: Clone,
-        S: Clone,
-    {
-        self.run.snapshot(Unseen::new(), Unseen::new())
-    }
-
-    /// Goes on from a snapshot of such a run, as [`Ahead::resume`].
-    pub(crate) fn resume(
-        settings: &VirtualSettings,
-        snapshot: &Snapshot<M, S, N>,
-        master: &'a mut M,
-        slave: &'a mut S,
-    ) -> Result<Self, VirtualError> {
-        let run = Run::resume(settings, snapshot, master, slave)?;
-        Ok(Self { run, near: M::Record::default(), far: S::Record::default() })
-    }
+    Ok(run.counts())
 }
 
 /// Most ticks that a side does in a row: so many that its code is in the processor's cache for most of them, so few
@@ -666,7 +617,20 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
         M: Clone,
         S: Clone,
     {
-        self.run.snapshot(self.near.copied(), self.far.copied())
+        let Self { run: Run { master, slave, forward, backward, .. }, near, far } = self;
+        let has_sessions = master.encodes || slave.encodes;
+        if has_sessions || forward.link.changes_packets() || backward.link.changes_packets() {
+            return None;
+        }
+        Some(Snapshot {
+            master: master.side.clone(),
+            slave: slave.side.clone(),
+            paces: [master.pace, slave.pace],
+            counts: [master.counts, slave.counts],
+            network: [forward.clone(), backward.clone()],
+            near: near.copied(),
+            far: far.copied(),
+        })
     }
 
     /// Goes on from a snapshot of a run of the same settings, with sides that are to stand as those in it.
@@ -676,8 +640,11 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
         master: &'a mut M,
         slave: &'a mut S,
     ) -> Result<Self, VirtualError> {
-        let run = Run::resume(settings, snapshot, master, slave)?;
-        Ok(Self { run, near: snapshot.near.copied(), far: snapshot.far.copied() })
+        let Snapshot { paces, counts, network, near, far, .. } = snapshot;
+        let mut run = Run::of(settings, master, slave, network.clone())?;
+        (run.master.pace, run.slave.pace) = (paces[0], paces[1]);
+        (run.master.counts, run.slave.counts) = (counts[0], counts[1]);
+        Ok(Self { run, near: near.copied(), far: far.copied() })
     }
 }
 
@@ -730,42 +697,6 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Run<'a, M, S, N> {
         let master = Loop::new(master, Role::Master, periods_ns[1], key, encoded, paces[0])?;
         let slave = Loop::new(slave, Role::Slave, periods_ns[0], key, encoded, paces[1])?;
         Ok(Self { master, slave, forward, backward, end_ns })
-    }
-
-    /// As it stands, with ticks that were not observed yet; none where sessions have a part in it.
-    fn snapshot(&self, near: Unseen<M::Record>, far: Unseen<S::Record>) -> Option<Snapshot<M, S, N>>
-    where
-        M: Clone,
-        S: Clone,
-    {
-        let Self { master, slave, forward, backward, .. } = self;
-        let changes_packets = forward.link.changes_packets() || backward.link.changes_packets();
-        if master.encodes || slave.encodes || changes_packets {
-            return None;
-        }
-        Some(Snapshot {
-            master: master.side.clone(),
-            slave: slave.side.clone(),
-            paces: [master.pace, slave.pace],
-            counts: [master.counts, slave.counts],
-            network: [forward.clone(), backward.clone()],
-            near,
-            far,
-        })
-    }
-
-    /// Goes on from a snapshot.
-    fn resume(
-        settings: &VirtualSettings,
-        snapshot: &Snapshot<M, S, N>,
-        master: &'a mut M,
-        slave: &'a mut S,
-    ) -> Result<Self, VirtualError> {
-        let Snapshot { paces, counts, network, .. } = snapshot;
-        let mut run = Self::of(settings, master, slave, network.clone())?;
-        (run.master.pace, run.slave.pace) = (paces[0], paces[1]);
-        (run.master.counts, run.slave.counts) = (counts[0], counts[1]);
-        Ok(run)
     }
 
     fn counts(&self) -> VirtualCounts {

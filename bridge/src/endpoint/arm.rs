@@ -87,7 +87,7 @@ pub(crate) struct Arm<const N: usize> {
 
 impl<const N: usize> Arm<N> {
     /// Of a point, or with `rotation` of a pose on three axes.
-    pub(super) fn new(
+    pub(crate) fn new(
         settings: &SlaveSettings,
         rotation: Option<&SlaveRotationSettings>,
     ) -> Result<Self, EndpointError> {

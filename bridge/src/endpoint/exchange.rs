@@ -208,7 +208,7 @@ impl<const N: usize> Exchange<N> {
     }
 
     /// Steps the ladder; `clutch` is the master's button. Returns the state and the silence of the peer in ns.
-    pub(super) fn advance(&mut self, now_ns: u64, clutch: bool) -> (LadderState, Option<u64>) {
+    pub(crate) fn advance(&mut self, now_ns: u64, clutch: bool) -> (LadderState, Option<u64>) {
         let age_ns = self.link.age_ns(now_ns);
         let expected_age_ns = self.interval_ns.or(self.first_interval_ns).unwrap_or(self.period_ns);
         let newest = self.link.newest().map(|frame| self.peer_frame(now_ns, frame));
@@ -251,7 +251,7 @@ impl<const N: usize> Exchange<N> {
 
     /// Ends a tick: keeps measured position, command and force, and what controllers saw, in the flight recorder.
     #[inline]
-    pub(super) fn end_tick(
+    pub(crate) fn end_tick(
         &mut self,
         now_ns: u64,
         values: [&Axes<N>; 3],

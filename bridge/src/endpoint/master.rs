@@ -110,14 +110,27 @@ impl<const N: usize> MasterEndpoint<N> {
         Some(self)
     }
 
-    /// What decides over its force, by itself.
-    pub(crate) fn into_hand(self) -> Hand<N> {
-        self.hand
+    /// What decides over the force of an endpoint of a point, by itself, and the coupling that it requests by.
+    pub(crate) fn hand_of(
+        settings: &MasterSettings<N>,
+    ) -> Result<(Hand<N>, PositionForce<N>), EndpointError> {
+        Self::parts(settings, None)
     }
 
-    /// The same and the coupling that it requests by, of a hand that neither turns nor leads a gripper.
-    pub(crate) fn into_parts(self) -> (Hand<N>, PositionForce<N>) {
-        (self.hand, self.coupling)
+    fn parts(
+        settings: &MasterSettings<N>,
+        rotation: Option<&MasterRotationSettings>,
+    ) -> Result<(Hand<N>, PositionForce<N>), EndpointError> {
+        check_period(settings.period_ns)?;
+        let translation = LayerSettings {
+            device: settings.device,
+            period_s: period_s(settings.period_ns),
+            estimator: settings.estimator,
+            safety: settings.safety,
+            limiter: LimiterSettings { ramp_in_s: 0.0, ..settings.limiter },
+        };
+        let hand = Hand::new(Layer::new(translation, rotation)?, period_s(settings.period_ns));
+        Ok((hand, PositionForce::new(1.0, settings.force_scale)?))
     }
 
     /// What decides over its force.
@@ -135,23 +148,15 @@ impl<const N: usize> MasterEndpoint<N> {
         settings: &MasterSettings<N>,
         rotation: Option<&MasterRotationSettings>,
     ) -> Result<Self, EndpointError> {
-        check_period(settings.period_ns)?;
-        let translation = LayerSettings {
-            device: settings.device,
-            period_s: period_s(settings.period_ns),
-            estimator: settings.estimator,
-            safety: settings.safety,
-            limiter: LimiterSettings { ramp_in_s: 0.0, ..settings.limiter },
-        };
-        let layer = Layer::new(translation, rotation)?;
+        let (hand, coupling) = Self::parts(settings, rotation)?;
         let mut exchange = Exchange::new(Role::Master, settings.run_id, settings.period_ns, settings.ladder)?;
         exchange.hold_against(TRANSLATION, &settings.safety);
         if let Some(rotation) = rotation {
             exchange.hold_against(ROTATION, &rotation.safety);
         }
         Ok(Self {
-            hand: Hand::new(layer, period_s(settings.period_ns)),
-            coupling: PositionForce::new(1.0, settings.force_scale)?,
+            hand,
+            coupling,
             rotation: None,
             trigger: None,
             exchange,

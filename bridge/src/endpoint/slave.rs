@@ -103,11 +103,6 @@ impl<const N: usize> SlaveEndpoint<N> {
         Ok(Self { arm, exchange })
     }
 
-    /// What decides over its command, by itself.
-    pub(crate) fn into_arm(self) -> Arm<N> {
-        self.arm
-    }
-
     /// The arm still brakes with `speed` in m/s and `angular_speed` in rad/s: the bounds on both leave that much less for
     /// commands, until this is said anew.
     pub fn set_braking(&mut self, [speed, angular_speed]: [f64; 2]) {

@@ -16,6 +16,8 @@ use super::{
 use crate::{
     DrivenMaster, DrivenSlave, EndpointError, LedGripper, MasterEndpoint, MasterPlant, MasterRotation,
     MasterSettings, MasterSide, SideKind, SlaveEndpoint, SlaveRotation, SlaveSettings, SlaveSide, Trigger,
+    coupling::PositionForce,
+    endpoint::{Arm, Hand},
 };
 
 /// How a driven arm brakes where it is no longer led, in m/s^2, unless the scene bounds its acceleration.
@@ -31,15 +33,13 @@ pub(super) fn coupled<const N: usize>(
     Ok((slave, coupling))
 }
 
-/// What decides at the side of the hand; `research` makes a controller of the caller's own, and is None of what is live.
-pub(super) fn master_endpoint<const N: usize>(
+fn master_settings<const N: usize>(
     scene: &SceneSpec<N>,
     run_id: u64,
-    research: Option<&dyn ResearchFactory>,
-) -> Result<MasterEndpoint<N>, SceneError> {
-    let (arm, coupling) = coupled(scene)?;
+) -> Result<MasterSettings<N>, SceneError> {
+    let (_, coupling) = coupled(scene)?;
     pose::check_kind(scene)?;
-    let settings = MasterSettings {
+    Ok(MasterSettings {
         period_ns: period_ns("run.period_s", scene.run.period_s)?,
         run_id,
         device: device_model(scene)?,
@@ -48,7 +48,25 @@ pub(super) fn master_endpoint<const N: usize>(
         limiter: limiter(&scene.safety),
         force_scale: coupling.force_scale,
         ladder: scene.safety.ladder.unwrap_or_default(),
-    };
+    })
+}
+
+/// What decides over the force on a hand that neither turns nor leads a gripper, by itself, and the coupling that it requests
+/// by: that of [`master_endpoint`].
+pub(super) fn hand_alone<const N: usize>(
+    scene: &SceneSpec<N>,
+) -> Result<(Hand<N>, PositionForce<N>), SceneError> {
+    Ok(MasterEndpoint::hand_of(&master_settings(scene, 0)?)?)
+}
+
+/// What decides at the side of the hand; `research` makes a controller of the caller's own, and is None of what is live.
+pub(super) fn master_endpoint<const N: usize>(
+    scene: &SceneSpec<N>,
+    run_id: u64,
+    research: Option<&dyn ResearchFactory>,
+) -> Result<MasterEndpoint<N>, SceneError> {
+    let (arm, coupling) = coupled(scene)?;
+    let settings = master_settings(scene, run_id)?;
     let mut endpoint = match scene.master.kind {
         SideKind::Pose => {
             let rotation = pose::master_rotation(scene, coupling)?;
@@ -68,20 +86,30 @@ pub(super) fn master_endpoint<const N: usize>(
     Ok(endpoint)
 }
 
-/// What decides at the side of the robot.
-pub(super) fn slave_endpoint<const N: usize>(
-    scene: &SceneSpec<N>,
-    run_id: u64,
-) -> Result<SlaveEndpoint<N>, SceneError> {
+fn slave_settings<const N: usize>(scene: &SceneSpec<N>, run_id: u64) -> Result<SlaveSettings, SceneError> {
     let (slave, coupling) = coupled(scene)?;
     pose::check_kind(scene)?;
-    let settings = SlaveSettings {
+    Ok(SlaveSettings {
         period_ns: period_ns("slave.period_s", slave.period_s)?,
         run_id,
         position_scale: coupling.position_scale,
         bounds: coupling.bounds,
         ladder: scene.safety.ladder.unwrap_or_default(),
-    };
+    })
+}
+
+/// What decides over the command to an arm that does not turn, by itself: that of [`slave_endpoint`].
+pub(super) fn arm_alone<const N: usize>(scene: &SceneSpec<N>) -> Result<Arm<N>, SceneError> {
+    Ok(Arm::new(&slave_settings(scene, 0)?, None)?)
+}
+
+/// What decides at the side of the robot.
+pub(super) fn slave_endpoint<const N: usize>(
+    scene: &SceneSpec<N>,
+    run_id: u64,
+) -> Result<SlaveEndpoint<N>, SceneError> {
+    let (_, coupling) = coupled(scene)?;
+    let settings = slave_settings(scene, run_id)?;
     let mut endpoint = match scene.master.kind {
         SideKind::Pose => {
             let rotation = pose::slave_rotation(coupling).map_err(EndpointError::from)?;

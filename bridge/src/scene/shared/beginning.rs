@@ -16,7 +16,7 @@ use super::super::{
     assemble::{SceneError, exact_master, stepped_master},
     bilateral::{self, Keeping, SESSIONS, Sides},
     measures::Outcome,
-    sides::{master_endpoint, simulated_arm, slave_endpoint},
+    sides::{hand_alone, simulated_arm, slave_endpoint},
     spec::{Integrator, SceneSpec},
     timed::Timed,
     watched::Watched,
@@ -54,8 +54,8 @@ pub(super) fn outcomes<const N: usize>(
     let mut outcomes: Outcomes = vec![None; scenes.len()];
     let mut members = Vec::with_capacity(scenes.len());
     for (row, scene) in scenes.iter().enumerate() {
-        match master_endpoint(scene, SESSIONS.0, None) {
-            Ok(endpoint) => members.push(Member { row, hand: endpoint.into_hand() }),
+        match hand_alone(scene) {
+            Ok((hand, _)) => members.push(Member { row, hand }),
             Err(error) => outcomes[row] = Some(Err(error)),
         }
     }
@@ -323,7 +323,7 @@ mod tests {
     #[test]
     fn three_runs_take_less_than_three() {
         let mut scene: serde_json::Value =
-            serde_json::from_slice(include_bytes!("../../tests/remote_push.json")).unwrap();
+            serde_json::from_slice(include_bytes!("../../../tests/remote_push.json")).unwrap();
         scene["run"]["duration_s"] = 2.0.into();
         scene["operator"]["release"]["at_s"] = 1.0.into();
         let ticks = |sets: &[&[&str]]| {
@@ -334,7 +334,8 @@ mod tests {
             };
             let scenes: Vec<_> = sets.iter().map(of).collect();
             MASTER_TICKS.with(|ticks| ticks.set(0));
-            let all = outcomes(&scenes.iter().collect::<Vec<_>>(), &AtomicBool::new(false)).unwrap();
+            let all =
+                super::super::outcomes(&scenes.iter().collect::<Vec<_>>(), &AtomicBool::new(false)).unwrap();
             assert!(all.iter().all(Result::is_ok));
             MASTER_TICKS.with(Cell::get)
         };

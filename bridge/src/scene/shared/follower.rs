@@ -1,7 +1,9 @@
 //! Runs whose link and ladders do the same: that is found once, and each run is hand, device and arm alone.
 
 use std::{
+    collections::VecDeque,
     ops::ControlFlow,
+    rc::Rc,
     sync::atomic::{AtomicBool, Ordering},
 };
 
@@ -10,24 +12,24 @@ use haptether_slave::{SimulatedSlave, SlaveSample};
 
 use super::{
     Outcomes,
-    timeline::{Connection, Step, Timeline, is_near_next},
+    connection::{Bare, Connection, Step},
 };
 use crate::{
-    MasterRecord, ModelPlant, OperatorCommand, SlaveReading, SlaveRecord,
+    Event, MasterRecord, ModelPlant, OperatorCommand, SlaveReading, SlaveRecord,
     coupling::{FrameMap, PositionForce},
     endpoint::{Arm, ArmInput, Hand, HandInput, LeadState, MasterReading, Past},
     link::PortState,
     scene::{
         assemble::{SceneError, exact_master, stepped_master},
-        bilateral::{SESSIONS, waiting},
+        bilateral::waiting,
         coupling::commands,
-        measures::Outcome,
-        sides::{coupled, master_endpoint, simulated_arm, slave_endpoint},
+        sides::{arm_alone, coupled, hand_alone, simulated_arm},
         spec::{Integrator, SceneSpec},
         timed::Commands,
         watched::Watched,
     },
     side::{Led, is_stopped},
+    virtual_time::{Ahead, Snapshot},
 };
 
 /// The outcomes of scenes of one connection, each as if it were run alone; none of one that is not run here.
@@ -40,36 +42,150 @@ pub(super) fn outcomes<const N: usize>(
     scenes: &[&SceneSpec<N>],
     stop: &AtomicBool,
 ) -> Result<Outcomes, SceneError> {
-    let none = || Ok(vec![None; scenes.len()]);
-    let Some(built) = scenes.iter().find(|scene| master_endpoint(scene, SESSIONS.0, None).is_ok()) else {
-        return none();
-    };
-    // What cannot be built is refused once for each, as alone.
-    let Ok(Some(timeline)) = Timeline::new(connection, built, stop) else { return none() };
-    let depths = timeline.depths();
-    let run = |scene: &&SceneSpec<N>| {
+    let mut outcomes = vec![None; scenes.len()];
+    let (mut exact, mut stepped) = (Vec::new(), Vec::new());
+    for (row, scene) in scenes.iter().enumerate() {
+        // What cannot be built is refused, as alone.
+        match scene.run.integrator {
+            Integrator::Exact => {
+                let plant = exact_master(scene).map(waiting);
+                exact.extend(plant.and_then(|plant| Follower::new(connection, row, scene, plant)).ok());
+            }
+            Integrator::Stepped(stepping) => {
+                let plant = stepped_master::<N>(scene, stepping).map(|mut plant| {
+                    plant.set_waiting(true);
+                    plant
+                });
+                stepped.extend(plant.and_then(|plant| Follower::new(connection, row, scene, plant)).ok());
+            }
+        }
+    }
+    follow(connection, scenes, exact, stop, &mut outcomes)?;
+    follow(connection, scenes, stepped, stop, &mut outcomes)?;
+    Ok(outcomes)
+}
+
+/// Least ticks of the master between two snapshots: so few that little is done twice, so many that what is in flight is seldom
+/// copied.
+const MIN_BETWEEN_SNAPSHOTS: usize = 1000;
+
+/// Where link and ladders stand, and how many ticks of the master and the slave were observed by then.
+type Stand<const N: usize> = ([u64; 2], Rc<Snapshot<Bare<N>, Bare<N>, N>>);
+
+/// A run whose link and ladders have gone another way since its master's tick `tick`.
+struct Branch<P, const N: usize> {
+    stand: Stand<N>,
+    tick: u64,
+    follower: Follower<P, N>,
+}
+
+/// Runs all to their ends; of one whose link and ladders would have done something else there is no outcome.
+fn follow<P: ModelPlant<N>, const N: usize>(
+    connection: &Connection,
+    scenes: &[&SceneSpec<N>],
+    followers: Vec<Follower<P, N>>,
+    stop: &AtomicBool,
+    outcomes: &mut Outcomes,
+) -> Result<(), SceneError> {
+    let Some(first) = followers.first() else { return Ok(()) };
+    let settings = &connection.settings;
+    // It was built from the same parts before.
+    let Ok([mut master, mut slave]) = Bare::both(connection, scenes[first.row]) else { return Ok(()) };
+    let ahead = Ahead::new(settings, &mut master, &mut slave)?;
+    if ahead.snapshot().is_none() {
+        return Ok(());
+    }
+    let mut branches = Vec::new();
+    follow_together(ahead, [0, 0], followers, stop, outcomes, &mut branches)?;
+    while let Some(Branch { stand: (first, snapshot), tick, follower }) = branches.pop() {
+        let (mut master, mut slave) = (snapshot.master.clone(), snapshot.slave.clone());
+        master.withhold_from(tick);
+        let ahead = Ahead::resume(settings, &snapshot, &mut master, &mut slave)?;
+        follow_together(ahead, first, vec![follower], stop, outcomes, &mut branches)?;
+    }
+    Ok(())
+}
+
+/// Lets all follow link and ladders from where these stand, after so many ticks of the master and the slave, until each has
+/// ended or goes another way.
+fn follow_together<P: ModelPlant<N>, const N: usize>(
+    mut ahead: Ahead<'_, Bare<N>, Bare<N>, N>,
+    mut first: [u64; 2],
+    mut followers: Vec<Follower<P, N>>,
+    stop: &AtomicBool,
+    outcomes: &mut Outcomes,
+    branches: &mut Vec<Branch<P, N>>,
+) -> Result<(), SceneError> {
+    let mut stands = VecDeque::<Stand<N>>::new();
+    let mut block = Vec::new();
+    let mut goes_on = true;
+    while goes_on && !followers.is_empty() {
         if stop.load(Ordering::Relaxed) {
             return Err(SceneError::Stopped);
         }
-        let run = match scene.run.integrator {
-            Integrator::Exact => exact_master(scene)
-                .and_then(|plant| Follower::new(connection, scene, waiting(plant), depths))
-                .map(|follower| follower.run(&timeline, stop)),
-            Integrator::Stepped(stepping) => stepped_master::<N>(scene, stepping)
-                .and_then(|mut plant| {
-                    plant.set_waiting(true);
-                    Follower::new(connection, scene, plant, depths)
-                })
-                .map(|follower| follower.run(&timeline, stop)),
-        };
-        match run {
-            Ok(Err(SceneError::Stopped)) => Err(SceneError::Stopped),
-            Ok(outcome) => Ok(outcome.transpose()),
-            // It is refused, as alone.
-            Err(_) => Ok(None),
+        if stands.back().is_none_or(|(at, _)| first[0] - at[0] >= MIN_BETWEEN_SNAPSHOTS as u64)
+            && followers.iter().any(|follower| follower.may_withhold)
+            && let Some(snapshot) = ahead.snapshot()
+        {
+            stands.push_back((first, Rc::new(snapshot)));
+            // What is withheld is seen at the latest a block after the master has ticked.
+            if stands.len() > 2 {
+                stands.pop_front();
+            }
         }
-    };
-    scenes.iter().map(run).collect()
+        block.clear();
+        goes_on = ahead
+            .advance(&mut |event, _| {
+                block.push(match event {
+                    Event::Master(step) => Tick::Near(*step),
+                    Event::Slave(step) => Tick::Far(*step),
+                });
+                ControlFlow::Continue(())
+            })
+            .is_continue();
+        let mut kept = Vec::with_capacity(followers.len());
+        for mut follower in followers {
+            match follower.take(first, &block) {
+                Fate::GoesOn if goes_on => kept.push(follower),
+                Fate::GoesOn | Fate::Ended => {
+                    outcomes[follower.row] = Some(follower.watched.outcome());
+                }
+                Fate::Withholds(tick) => {
+                    let stand = stands.iter().rfind(|(_, snapshot)| snapshot.master.ticks() <= tick);
+                    #[cfg(test)]
+                    tests::count_withheld();
+                    if let Some(stand) = stand {
+                        branches.push(Branch { stand: stand.clone(), tick, follower });
+                    }
+                }
+                Fate::Departs => {}
+            }
+        }
+        followers = kept;
+        for tick in &block {
+            first[usize::from(matches!(tick, Tick::Far(_)))] += 1;
+        }
+    }
+    Ok(())
+}
+
+/// What a tick of either side has of link and ladders.
+enum Tick {
+    /// Of the master.
+    Near(Step),
+    /// Of the slave.
+    Far(Step),
+}
+
+/// How a follower has come out of some ticks.
+enum Fate {
+    GoesOn,
+    /// Its run ended before the last of them.
+    Ended,
+    /// At this tick of the master it begins to withhold its force, which link and ladders do not know.
+    Withholds(u64),
+    /// Link and ladders would do something else.
+    Departs,
 }
 
 /// What a frame says of a tick.
@@ -80,44 +196,82 @@ struct Sent<const N: usize> {
     force: Axes<N>,
 }
 
-/// The newest ticks of a side, as far back as its peer looks.
+impl<const N: usize> Sent<N> {
+    fn nothing() -> Self {
+        Self { position: Axes::zeros(), velocity: Axes::zeros(), force: Axes::zeros() }
+    }
+}
+
+/// The ticks of a side since the newest that its peer has heard of.
 struct History<const N: usize> {
-    sent: Box<[Sent<N>]>,
-    next: usize,
+    sent: Vec<Sent<N>>,
+    next: u64,
 }
 
 impl<const N: usize> History<N> {
-    fn new(depth: usize) -> Self {
-        let zeros = Axes::zeros();
-        let nothing = Sent { position: zeros, velocity: zeros, force: zeros };
-        Self { sent: vec![nothing; depth.next_power_of_two()].into_boxed_slice(), next: 0 }
+    fn new() -> Self {
+        Self { sent: vec![Sent::nothing(); 64], next: 0 }
     }
 
-    /// Keeps that of the next tick; none of what the peer would refuse. `force` is the signal that its force is.
+    /// Keeps that of the next tick; none of what the peer would refuse. `force` is the signal that its force is, `heard` the
+    /// newest tick that the peer has heard of.
     #[inline(always)]
-    fn push(&mut self, sent: Sent<N>, force: Signal) -> Option<()> {
+    fn push(&mut self, sent: Sent<N>, force: Signal, heard: u64) -> Option<()> {
         let Sent { position, velocity, force: newest } = &sent;
         for (signal, value) in [(Signal::Position, position), (Signal::Velocity, velocity), (force, newest)] {
             signal.check(value).ok()?;
         }
-        let mask = self.sent.len() - 1;
-        self.sent[self.next & mask] = sent;
+        if self.next - heard >= self.sent.len() as u64 {
+            self.grow();
+        }
+        let slot = self.slot(self.next);
+        self.sent[slot] = sent;
         self.next += 1;
         Some(())
     }
 
+    /// Where that of a tick is kept: its last bits, for there is room for a power of two.
     #[inline(always)]
-    fn of(&self, tick: usize) -> &Sent<N> {
-        debug_assert!(tick < self.next && self.next - tick <= self.sent.len(), "{tick} of {}", self.next);
-        &self.sent[tick & (self.sent.len() - 1)]
+    #[allow(clippy::cast_possible_truncation)] // of bits that are masked
+    fn slot(&self, tick: u64) -> usize {
+        tick as usize & (self.sent.len() - 1)
+    }
+
+    /// Room for twice as many.
+    #[inline(never)]
+    fn grow(&mut self) {
+        let kept = self.sent.len() as u64;
+        let mut grown = Self { sent: vec![Sent::nothing(); 2 * self.sent.len()], next: self.next };
+        for tick in self.next.saturating_sub(kept)..self.next {
+            let slot = grown.slot(tick);
+            grown.sent[slot] = *self.of(tick);
+        }
+        *self = grown;
+    }
+
+    #[inline(always)]
+    fn of(&self, tick: u64) -> &Sent<N> {
+        debug_assert!(
+            tick < self.next && self.next - tick <= self.sent.len() as u64,
+            "{tick} of {}",
+            self.next
+        );
+        &self.sent[self.slot(tick)]
     }
 }
 
-/// Both sides of a run without link and ladders, which do what a timeline says.
+/// Both sides of a run without link and ladders, which do what these say.
 struct Follower<P, const N: usize> {
+    row: usize,
     near: Near<P, N>,
     far: Far<N>,
     watched: Watched<N>,
+    /// How many ticks of the master and the slave it has done.
+    done: [u64; 2],
+    /// What the master has decided at the next of them, where that waits for what link and ladders make of it.
+    pending: Option<Box<Decided<N>>>,
+    /// Whether its layer may withhold the force.
+    may_withhold: bool,
 }
 
 /// The side of the hand.
@@ -127,6 +281,8 @@ struct Near<P, const N: usize> {
     coupling: PositionForce<N>,
     commands: Commands,
     sent: History<N>,
+    /// The newest tick of the slave that it has heard of.
+    heard: u64,
 }
 
 /// The side of the robot.
@@ -137,21 +293,22 @@ struct Far<const N: usize> {
     commands: Commands,
     outgoing: PortState<N>,
     sent: History<N>,
+    /// The newest tick of the master that it has heard of.
+    heard: u64,
 }
 
 impl<P: ModelPlant<N>, const N: usize> Follower<P, N> {
     /// Both sides before their first tick.
     fn new(
         Connection { settings, .. }: &Connection,
+        row: usize,
         scene: &SceneSpec<N>,
         mut plant: P,
-        depths: [usize; 2],
     ) -> Result<Self, SceneError> {
         let list = commands::<N>(coupled(scene)?.1)?;
         let start = plant.state().position;
-        let (hand, coupling) = master_endpoint(scene, SESSIONS.0, None)?.into_parts();
         let mut arm = simulated_arm(scene)?;
-        let endpoint = slave_endpoint(scene, SESSIONS.1)?;
+        let (hand, coupling) = hand_alone(scene)?;
         plant.begin(0);
         arm.begin(0);
         let near = Near {
@@ -159,56 +316,60 @@ impl<P: ModelPlant<N>, const N: usize> Follower<P, N> {
             hand,
             coupling,
             commands: Commands::new(list.clone()),
-            sent: History::new(depths[0]),
+            sent: History::new(),
+            heard: 0,
         };
         let far = Far {
             plant: arm,
-            arm: endpoint.into_arm(),
+            arm: arm_alone(scene)?,
             led: Led::default(),
             commands: Commands::new(list.clone()),
             outgoing: PortState::default(),
-            sent: History::new(depths[1]),
+            sent: History::new(),
+            heard: 0,
         };
-        Ok(Self { near, far, watched: Watched::new(scene, settings, list, &start, false)? })
+        let watched = Watched::new(scene, settings, list, &start, false)?;
+        let may_withhold = scene.safety.settings.release_tries > 0;
+        Ok(Self { row, near, far, watched, done: [0, 0], pending: None, may_withhold })
     }
 
-    /// Runs to the end; none where link and ladders would have done something else.
-    fn run(mut self, timeline: &Timeline<'_, N>, stop: &AtomicBool) -> Result<Option<Outcome>, SceneError> {
-        let mut own = None;
-        let mut done = [0, 0];
-        let [mut near, mut far] = timeline.from(done);
-        while let Some(is_near) = is_near_next(near.first(), far.first()) {
-            if stop.load(Ordering::Relaxed) {
-                return Err(SceneError::Stopped);
-            }
-            let flow = if is_near {
-                let Some(step) = near.split_off_first() else { break };
-                let decided = self.near.decide(step, &self.far.sent);
-                let step = if decided.withholds(step) {
-                    // From here on the ladders do something else.
-                    let newest = own.as_ref().unwrap_or(timeline).withheld(done[0], stop)?;
-                    let Some(newest) = newest else { return Ok(None) };
-                    let newest = own.insert(newest);
-                    [near, far] = newest.from(done);
-                    let Some(step) = near.split_off_first() else { break };
-                    step
-                } else {
-                    step
-                };
-                done[0] += 1;
-                self.near.act(step, &decided, &mut self.watched)
-            } else {
-                let Some(step) = far.split_off_first() else { break };
-                done[1] += 1;
-                self.far.tick(step, &self.near.sent, &mut self.watched)
+    /// Takes some ticks, of which the first are of these numbers; those that it has done it passes over.
+    fn take(&mut self, first: [u64; 2], ticks: &[Tick]) -> Fate {
+        let [mut near, mut far] = first;
+        for tick in ticks {
+            let flow = match tick {
+                Tick::Near(step) => {
+                    near += 1;
+                    if near <= self.done[0] {
+                        continue;
+                    }
+                    let decided = match self.pending.take() {
+                        Some(decided) => *decided,
+                        None => self.near.decide(step, &self.far.sent),
+                    };
+                    if decided.safety.intervention.withheld && !step.withholds {
+                        self.pending = Some(Box::new(decided));
+                        return Fate::Withholds(self.done[0]);
+                    }
+                    self.done[0] = near;
+                    self.near.act(step, &decided, self.far.heard, &mut self.watched)
+                }
+                Tick::Far(step) => {
+                    far += 1;
+                    if far <= self.done[1] {
+                        continue;
+                    }
+                    self.done[1] = far;
+                    self.far.tick(step, &self.near.sent, self.near.heard, &mut self.watched)
+                }
             };
             match flow {
                 Some(ControlFlow::Continue(())) => {}
-                Some(ControlFlow::Break(())) => break,
-                None => return Ok(None),
+                Some(ControlFlow::Break(())) => return Fate::Ended,
+                None => return Fate::Departs,
             }
         }
-        self.watched.outcome().map(Some)
+        Fate::GoesOn
     }
 }
 
@@ -216,14 +377,6 @@ impl<P: ModelPlant<N>, const N: usize> Follower<P, N> {
 struct Decided<const N: usize> {
     position: Axes<N>,
     safety: SafetyTick<N>,
-}
-
-impl<const N: usize> Decided<N> {
-    /// Whether the force is withheld from this tick on, which its step does not say.
-    #[inline(always)]
-    fn withholds(&self, step: &Step) -> bool {
-        self.safety.intervention.withheld && !step.withholds
-    }
 }
 
 impl<P: ModelPlant<N>, const N: usize> Near<P, N> {
@@ -242,6 +395,7 @@ impl<P: ModelPlant<N>, const N: usize> Near<P, N> {
         }
         let (position, velocity) = self.plant.read(step.now_ns);
         let received = step.newest().map(|tick| far.of(tick).force);
+        self.heard = step.newest().unwrap_or(0);
         let input = HandInput {
             received_force: received.unwrap_or(Axes::zeros()),
             requested_force: received.map_or(Axes::zeros(), |force| self.coupling.rendered_force(&force)),
@@ -260,6 +414,7 @@ impl<P: ModelPlant<N>, const N: usize> Near<P, N> {
         &mut self,
         step: &Step,
         decided: &Decided<N>,
+        peer_heard: u64,
         watched: &mut Watched<N>,
     ) -> Option<ControlFlow<()>> {
         let Decided { position, safety } = decided;
@@ -271,7 +426,11 @@ impl<P: ModelPlant<N>, const N: usize> Near<P, N> {
                 return None;
             }
             let velocity = safety.motion.velocity;
-            self.sent.push(Sent { position: *position, velocity, force }, Signal::RenderedForce)?;
+            self.sent.push(
+                Sent { position: *position, velocity, force },
+                Signal::RenderedForce,
+                peer_heard,
+            )?;
         }
         let truth = self.plant.state();
         self.plant.write(&force);
@@ -298,7 +457,13 @@ impl<P: ModelPlant<N>, const N: usize> Near<P, N> {
 impl<const N: usize> Far<N> {
     /// A tick, as [`SlaveSide`](crate::SlaveSide) does it; none where it would change its ladder.
     #[inline(always)]
-    fn tick(&mut self, step: &Step, near: &History<N>, watched: &mut Watched<N>) -> Option<ControlFlow<()>> {
+    fn tick(
+        &mut self,
+        step: &Step,
+        near: &History<N>,
+        peer_heard: u64,
+        watched: &mut Watched<N>,
+    ) -> Option<ControlFlow<()>> {
         while let Some(command) = self.commands.due(step.now_ns) {
             // As of the master.
             let _ = self.arm.command(command);
@@ -310,6 +475,7 @@ impl<const N: usize> Far<N> {
         }
         let fault = self.arm.check(step.clock_ns, &reading, false).map_or_else(Fault::code, |()| 0);
         let newest = step.newest().map(|tick| near.of(tick));
+        self.heard = step.newest().unwrap_or(0);
         let newest =
             newest.map(|Sent { position, velocity, .. }| LeadState { position, velocity, rotation: None });
         let input = ArmInput { state: step.state, turns: false, stale_ns: step.stale_ns, newest };
@@ -326,7 +492,7 @@ impl<const N: usize> Far<N> {
         let PortState { position: x, velocity, force, .. } = self.outgoing;
         // A fault ends the run.
         if fault == 0 {
-            self.sent.push(Sent { position: x, velocity, force }, Signal::EnvironmentForce)?;
+            self.sent.push(Sent { position: x, velocity, force }, Signal::EnvironmentForce, peer_heard)?;
         }
         // What is measured of it, and nothing else.
         Some(watched.measure_far(&SlaveRecord::<N> {
@@ -341,3 +507,6 @@ impl<const N: usize> Far<N> {
         }))
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,14 +1,14 @@
 //! What runs of a sweep have in common is done once: their beginning, or all that link and ladders do.
 
 mod beginning;
+mod connection;
 mod follower;
-mod timeline;
 
 use std::sync::atomic::AtomicBool;
 
 use super::{assemble::SceneError, measures::Outcome, pose, spec::SceneSpec};
 use beginning::begins_as;
-use timeline::Connection;
+use connection::Connection;
 
 /// What has become of each of some scenes; none of those that were not run.
 type Outcomes = Vec<Option<Result<Outcome, SceneError>>>;

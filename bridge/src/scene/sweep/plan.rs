@@ -209,7 +209,7 @@ pub(super) fn jobs(plans: &[Plan<'_>], threads: usize, has_research: bool) -> Ve
     let of_controllers = controller_keys();
     // Rows of a group are run one after the other: not so many that a thread is left without any.
     let rows: usize = plans.iter().map(|plan| plan.rows).sum();
-    let most = |of: usize| rows.div_ceil(2 * threads).clamp(1, of);
+    let most = rows.div_ceil(2 * threads).clamp(1, MAX_GROUP);
     let (mut beginnings, mut connections) = (Keys::default(), Keys::default());
     // The rows of each connection, each with its beginning.
     let mut connected = Vec::<(usize, Vec<(usize, Place)>)>::new();
@@ -239,7 +239,7 @@ pub(super) fn jobs(plans: &[Plan<'_>], threads: usize, has_research: bool) -> Ve
     for (axes, rows) in connected {
         let of_axes = groups.entry(axes).or_default();
         let is_one_beginning = rows.iter().all(|(beginning, _)| *beginning == rows[0].0);
-        let size = most(if is_one_beginning { MAX_GROUP } else { MAX_CONNECTED });
+        let size = if is_one_beginning { most } else { rows.len().div_ceil(threads).clamp(1, MAX_CONNECTED) };
         of_axes.extend(rows.chunks(size).map(|some| some.iter().map(|(_, place)| *place).collect()));
     }
     for (axes, groups) in groups {
@@ -322,6 +322,52 @@ mod tests {
         assert!(groups(1, true).is_empty());
         // More threads, smaller groups: nobody is idle.
         assert!(groups(4, false).iter().all(|group| group.len() <= 2));
+    }
+
+    #[test]
+    fn rows_whose_link_and_ladders_may_do_the_same_are_a_group() {
+        let scene = include_bytes!("../../../tests/remote_push.json");
+        let column = |path: &str, values: &[f64]| Variation { path: path.into(), values: values.to_vec() };
+        let hands = [column("operator.stiffness", &[200.0, 300.0, 400.0, 500.0, 600.0])];
+        let delays =
+            [column("link.forward.delay_s", &[0.05, 0.06, 0.05]), column("slave.mass_kg", &[1.0, 2.0, 3.0])];
+        let seeds = [column("operator.damping", &[5.0, 6.0]), column("run.seed", &[1.0, 2.0])];
+        let parts = [&hands[..], &delays, &seeds].map(|variations| SweepPart { scene, variations });
+        let plans = parts.each_ref().map(|part| Plan::new(part).unwrap());
+        let groups = |threads: usize| {
+            let of = |job: Job| if let Job::Groups(1, groups) = job { groups } else { Vec::new() };
+            jobs(&plans, threads, false).into_iter().flat_map(of).collect::<Vec<_>>()
+        };
+        let all: Vec<Place> = (0..5).map(|row| (0, row)).collect();
+        let others = [vec![(1, 0), (1, 2)], vec![(1, 1)], vec![(2, 0)], vec![(2, 1)]];
+        assert_eq!(groups(1), [&[all.clone()], &others[..]].concat());
+        let halves = [vec![(1, 0)], vec![(1, 2)], vec![(1, 1)], vec![(2, 0)], vec![(2, 1)]];
+        assert_eq!(groups(2), [&[all[..3].to_vec(), all[3..].to_vec()], &halves[..]].concat());
+    }
+
+    /// A key that decides and is not named would have rows compared in vain: those that are named are there.
+    #[test]
+    fn what_decides_the_connection_is_named_as_in_the_scene() {
+        let scene: Value = serde_json::from_slice(include_bytes!("../../../tests/remote_push.json")).unwrap();
+        for (keys, decides) in [
+            (&["run", "seed"][..], true),
+            (&["link", "backward", "loss"], true),
+            (&["slave", "period_s"], true),
+            (&["slave", "bandwidth_hz"], false),
+            (&["safety", "ladder", "hold_after_s"], true),
+            (&["safety", "window"], false),
+            (&["operator", "clutch_reaction_s"], true),
+            (&["operator", "stiffness"], false),
+            (&["master", "mass_kg", "0"], false),
+            (&["environment", "objects", "0", "contact", "stiffness"], false),
+        ] {
+            let found = keys.iter().try_fold(&scene, |value, key| match value {
+                Value::Array(list) => list.get(key.parse::<usize>().ok()?),
+                value => value.get(*key),
+            });
+            assert!(found.is_some_and(Value::is_number), "{keys:?}");
+            assert_eq!(decides_connection(keys), decides, "{keys:?}");
+        }
     }
 
     /// One thread reads a scene once for many short runs; many threads all have some.

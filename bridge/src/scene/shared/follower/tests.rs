@@ -1,0 +1,235 @@
+use std::cell::Cell;
+
+use proptest::prelude::*;
+use serde::Deserialize as _;
+use serde_json::{Value, json};
+
+use super::*;
+use crate::scene::{DivergenceCause, Ending, Outcome};
+
+thread_local! {
+    static WITHHELD: Cell<u64> = const { Cell::new(0) };
+}
+
+/// A run goes its own way.
+pub(super) fn count_withheld() {
+    WITHHELD.with(|count| count.set(count.get() + 1));
+}
+
+const NO_STOP: AtomicBool = AtomicBool::new(false);
+
+/// What stands at a path of keys and indices, separated by dots.
+fn at<'v>(scene: &'v mut Value, path: &str) -> &'v mut Value {
+    scene.pointer_mut(&format!("/{}", path.replace('.', "/"))).unwrap_or_else(|| panic!("{path}"))
+}
+
+/// A scene with what stands at these paths changed.
+fn changed(changes: &[(&str, Value)]) -> Value {
+    let mut scene: Value =
+        serde_json::from_slice(include_bytes!("../../../../tests/remote_push.json")).unwrap();
+    scene["record"] = Value::Null;
+    for (path, value) in changes {
+        *at(&mut scene, path) = value.clone();
+    }
+    scene
+}
+
+/// Rows of the scene of so many axes with the numbers at `path`.
+fn rows<const N: usize>(scene: &Value, path: &str, values: &[f64]) -> Vec<SceneSpec<N>> {
+    let row = |value: &f64| {
+        let mut scene = scene.clone();
+        *at(&mut scene, path) = json!(value);
+        SceneSpec::deserialize(&scene).unwrap()
+    };
+    values.iter().map(row).collect()
+}
+
+/// Runs rows together; each must be run so, and be as alone. Returns the outcomes and how often one went its own way.
+fn followed<const N: usize>(rows: &[SceneSpec<N>]) -> (Vec<Outcome>, u64) {
+    let connection = Connection::of(&rows[0]).unwrap();
+    assert!(rows.iter().all(|row| Connection::of(row).unwrap() == connection));
+    WITHHELD.with(|count| count.set(0));
+    let found = outcomes(&connection, &rows.iter().collect::<Vec<_>>(), &NO_STOP).unwrap();
+    let mut all = Vec::new();
+    for (outcome, scene) in found.into_iter().zip(rows) {
+        let alone = crate::scene::outcome(scene, &NO_STOP, None).unwrap();
+        let outcome = outcome.expect("run together").unwrap();
+        // To the bit, and NaN is none.
+        assert_eq!(format!("{outcome:?}"), format!("{alone:?}"));
+        all.push(outcome);
+    }
+    (all, WITHHELD.with(Cell::get))
+}
+
+#[test]
+fn rows_of_one_connection_are_as_alone() {
+    let hands = [150.0, 300.0, 450.0];
+    let clock =
+        |step_s: f64| json!({"offset_s": 0.0, "drift_ppm": 150.0, "step_s": step_s, "step_at_s": 1.0});
+    for (name, changes) in [
+        ("as it is", vec![]),
+        ("no controllers", vec![("safety.controllers", json!([]))]),
+        ("all controllers", vec![("safety.controllers", json!(["wsc", "hsc", "vfc", "pc"]))]),
+        ("holds", vec![("link.forward.loss", json!(0.3)), ("link.backward.loss", json!(0.3))]),
+        ("once", vec![("link.forward.loss", json!(0.4)), ("operator.clutch", json!("once"))]),
+        ("times", vec![("operator.clutch_times", json!([[0.1, 0.7], [1.0, 1.6]]))]),
+        ("a slow slave", vec![("slave.period_s", json!(0.0023))]),
+        ("a quick slave", vec![("slave.period_s", json!(0.0007))]),
+        ("clocks", vec![("link.master_clock", clock(0.0)), ("link.slave_clock", clock(0.003))]),
+        ("stalls", vec![("link.master_clock", clock(0.05)), ("link.slave_clock", clock(0.03))]),
+        ("measured velocity", vec![("master.measures_velocity", json!(true))]),
+        ("settles", vec![("run.stop_early", json!(true)), ("operator.release.at_s", json!(0.4))]),
+        ("leaves", vec![("run.diverged_position", json!(0.02))]),
+        ("arm", vec![("coupling.position_scale", json!(3.0)), ("run.diverged_position", json!(0.047))]),
+        ("no wire", vec![("link", Value::Null)]),
+        ("reorders", vec![("link.forward.keep_order", json!(false)), ("link.forward.jitter_s", json!(0.02))]),
+        (
+            "changes",
+            vec![(
+                "coupling.changes",
+                json!([
+                    {"at_s": 0.6, "position_scale": 2.0, "force_scale": null, "rotation_scale": null,
+                     "torque_scale": null, "quat_wxyz": null, "locked_axes": null},
+                    {"at_s": 0.9, "position_scale": null, "force_scale": 0.5, "rotation_scale": null,
+                     "torque_scale": null, "quat_wxyz": null, "locked_axes": [0]},
+                ]),
+            )],
+        ),
+    ] {
+        let short = [("run.duration_s", json!(2.0)), ("operator.release.at_s", json!(1.2))];
+        let scene = changed(&[&short[..], &changes].concat());
+        let (found, branched) = followed(&rows::<1>(&scene, "operator.stiffness", &hands));
+        assert_eq!(branched, 0, "{name}");
+        assert!(found.iter().all(|one| one.ending != Ending::NeverEngaged), "{name}");
+    }
+}
+
+#[test]
+fn rows_of_three_axes_or_in_steps_are_as_alone() {
+    let mut scene = changed(&[("run.duration_s", json!(1.5)), ("operator.release.at_s", json!(1.0))]);
+    for pointer in [
+        "/master/mass_kg",
+        "/master/viscous",
+        "/master/coulomb",
+        "/master/position",
+        "/master/velocity",
+        "/master/stops",
+        "/operator/start",
+        "/operator/legs/0/end",
+        "/slave/position",
+        "/environment/objects/0/shape/point",
+    ] {
+        let one = scene.pointer(pointer).unwrap()[0].clone();
+        *scene.pointer_mut(pointer).unwrap() = json!([one, one, one]);
+    }
+    scene["environment"]["objects"][0]["shape"]["normal"] = json!([0.6, 0.0, 0.8]);
+    scene["master"]["axes"] = 3.into();
+    followed(&rows::<3>(&scene, "environment.objects.0.contact.stiffness", &[50.0, 100.0, 200.0]));
+    let stepped = changed(&[
+        ("run.duration_s", json!(1.5)),
+        ("run.integrator", json!("semi-implicit-euler")),
+        ("run.step_s", json!(1e-4)),
+    ]);
+    followed(&rows::<1>(&stepped, "slave.bandwidth_hz", &[5.0, 15.0]));
+}
+
+/// The layer gives up, the ladders hold, the operator presses anew, and so on: each time link and ladders go another way
+/// than those of the others.
+#[test]
+fn rows_whose_force_is_withheld_are_as_alone() {
+    let scene = changed(&[
+        ("run.duration_s", json!(9.0)),
+        ("operator.release.at_s", json!(1.2)),
+        ("safety.probe_force_n", json!(0.6)),
+        ("safety.release_tries", json!(1)),
+    ]);
+    let (_, branched) = followed(&rows::<1>(&scene, "operator.stiffness", &[200.0, 300.0, 400.0]));
+    assert!(branched >= 6, "{branched}: more than once each");
+}
+
+#[test]
+fn a_fault_ends_a_row_as_alone() {
+    let scene = changed(&[
+        ("run.duration_s", json!(3.0)),
+        ("run.diverged_position", json!(1e9)),
+        ("run.diverged_speed", json!(1e9)),
+        ("safety.controllers", json!([])),
+        ("safety.limiter", Value::Null),
+        ("coupling.command_speed", json!(1e6)),
+        ("master.max_force_n", json!(1e5)),
+        ("master.stops", json!([[-1e6, 1e6]])),
+        ("operator.grip_strength_n", json!(1e5)),
+        ("coupling.force_scale", json!(400.0)),
+    ]);
+    let (found, _) = followed(&rows::<1>(&scene, "environment.objects.0.contact.stiffness", &[2e3, 3e4]));
+    let is_fault = |one: &Outcome| {
+        one.diverged.is_some_and(|diverged| matches!(diverged.cause, DivergenceCause::Fault(..)))
+    };
+    assert!(found.iter().any(is_fault), "{found:?}");
+}
+
+#[test]
+fn what_changes_its_frames_or_cannot_be_built_is_run_alone() {
+    let scene = changed(&[("link.forward.duplicate", json!(0.1)), ("run.duration_s", json!(0.5))]);
+    let rows = rows::<1>(&scene, "operator.stiffness", &[200.0, 300.0]);
+    let connection = Connection::of(&rows[0]).unwrap();
+    let all = rows.iter().collect::<Vec<_>>();
+    assert!(outcomes(&connection, &all, &NO_STOP).unwrap().iter().all(Option::is_none));
+    let scene = changed(&[("run.duration_s", json!(0.5))]);
+    let rows = self::rows::<1>(&scene, "slave.bandwidth_hz", &[15.0, -1.0, 10.0]);
+    let connection = Connection::of(&rows[0]).unwrap();
+    let all = rows.iter().collect::<Vec<_>>();
+    let found = outcomes(&connection, &all, &NO_STOP).unwrap();
+    assert_eq!(found.iter().map(Option::is_some).collect::<Vec<_>>(), [true, false, true]);
+    assert_eq!(outcomes(&connection, &all, &AtomicBool::new(true)), Err(SceneError::Stopped));
+}
+
+#[test]
+fn a_history_goes_back_as_far_as_it_must_and_takes_no_number_that_cannot_be() {
+    let sent = |n: f64| {
+        let one = Axes::<1>::repeat(n);
+        Sent { position: one, velocity: one, force: one }
+    };
+    let mut history = History::new();
+    for n in 0..2000_u64 {
+        // A peer that hears nothing for a while.
+        let heard = if n < 900 { n.saturating_sub(20) } else { n.saturating_sub(300).max(880) };
+        history.push(sent(n as f64 * 1e-3), Signal::EnvironmentForce, heard).unwrap();
+        for tick in heard..=n {
+            assert_eq!(history.of(tick).position[0].to_bits(), (tick as f64 * 1e-3).to_bits());
+        }
+    }
+    assert_eq!(history.sent.len(), 512, "no more than twice as many as that takes");
+    for bad in [f64::NAN, f64::INFINITY, 1e9] {
+        assert!(history.push(sent(bad), Signal::EnvironmentForce, 1999).is_none(), "{bad}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+    #[test]
+    fn rows_over_any_link_are_as_alone(
+        delay_s in 0.0..0.1f64,
+        jitter in 0.0..0.3f64,
+        loss in 0.0..0.4f64,
+        seed in 1..1000u64,
+        slave_period_us in 500..4000u64,
+        hold_after_s in 0.006..0.1f64,
+    ) {
+        let mut changes = vec![
+            ("run.duration_s", json!(1.2)),
+            ("run.seed", json!(seed)),
+            ("slave.period_s", json!(slave_period_us as f64 * 1e-6)),
+            ("safety.ladder.hold_after_s", json!(hold_after_s)),
+            ("safety.ladder.extrapolate_s", json!(0.001)),
+            ("operator.release.at_s", json!(0.4)),
+        ];
+        for [delay, deviation, lost] in [
+            ["link.forward.delay_s", "link.forward.jitter_s", "link.forward.loss"],
+            ["link.backward.delay_s", "link.backward.jitter_s", "link.backward.loss"],
+        ] {
+            changes.extend([(delay, json!(delay_s)), (deviation, json!(jitter * delay_s)), (lost, json!(loss))]);
+        }
+        followed(&rows::<1>(&changed(&changes), "operator.stiffness", &[150.0, 350.0]));
+    }
+}
