@@ -162,12 +162,8 @@ impl<const N: usize> Side<N> for Bare<N> {
     fn tick_into(&mut self, time: TickTime, step: &mut Step) {
         let (has_stalled, peer_began) = (self.exchange.has_stalled(), self.exchange.has_peer_begun());
         let ladder = self.exchange.ladder();
-        let clutch = self.operator.as_mut().is_some_and(|operator| {
-            if has_stalled {
-                operator.reset();
-            }
-            operator.at(time.now_ns, ladder.state(), ladder.is_ready())
-        });
+        let (state, is_ready) = (ladder.state(), ladder.is_ready());
+        let clutch = self.operator.as_mut().is_some_and(|operator| operator.at(time.now_ns, state, is_ready));
         self.exchange.advance(time.clock_ns, clutch);
         let gain = self.exchange.ladder().gain();
         let withholds = self.withholds(gain);

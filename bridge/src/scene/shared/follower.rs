@@ -343,11 +343,12 @@ impl<P: ModelPlant<N>, const N: usize> Follower<P, N> {
                     if near <= self.done[0] {
                         continue;
                     }
-                    let decided = match self.pending.take() {
-                        Some(decided) => *decided,
-                        None => self.near.decide(step, &self.far.sent),
-                    };
-                    if decided.safety.intervention.withheld && !step.withholds {
+                    let waited = self.pending.take();
+                    let has_waited = waited.is_some();
+                    let decided =
+                        waited.map_or_else(|| self.near.decide(step, &self.far.sent), |decided| *decided);
+                    // Where link and ladders know it by now, or never will, that is seen as it acts.
+                    if decided.safety.intervention.withheld && !step.withholds && !has_waited {
                         self.pending = Some(Box::new(decided));
                         return Fate::Withholds(self.done[0]);
                     }

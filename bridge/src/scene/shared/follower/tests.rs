@@ -66,6 +66,10 @@ fn rows_of_one_connection_are_as_alone() {
     let hands = [150.0, 300.0, 450.0];
     let clock =
         |step_s: f64| json!({"offset_s": 0.0, "drift_ppm": 150.0, "step_s": step_s, "step_at_s": 1.0});
+    let outages = |duration_s: f64| {
+        let times = json!({"kind": "periodic", "at_s": 0.55, "period_s": 0.8, "duration_s": duration_s});
+        json!([{"times": times, "effect": "drop"}])
+    };
     for (name, changes) in [
         ("as it is", vec![]),
         ("no controllers", vec![("safety.controllers", json!([]))]),
@@ -75,8 +79,18 @@ fn rows_of_one_connection_are_as_alone() {
         ("times", vec![("operator.clutch_times", json!([[0.1, 0.7], [1.0, 1.6]]))]),
         ("a slow slave", vec![("slave.period_s", json!(0.0023))]),
         ("a quick slave", vec![("slave.period_s", json!(0.0007))]),
-        ("clocks", vec![("link.master_clock", clock(0.0)), ("link.slave_clock", clock(0.003))]),
+        ("clocks", vec![("link.master_clock", clock(0.004)), ("link.slave_clock", clock(0.003))]),
         ("stalls", vec![("link.master_clock", clock(0.05)), ("link.slave_clock", clock(0.03))]),
+        ("outages", vec![("link.forward.outages", outages(0.15)), ("link.backward.outages", outages(0.1))]),
+        ("stops", vec![("link.forward.outages", outages(0.4))]),
+        (
+            "pushed",
+            vec![(
+                "environment.pushers",
+                json!([{"shape": "ramp", "at_s": 0.3, "duration_s": 1.0, "rise_s": 0.5, "frequency_hz": 0.0,
+                        "force_n": [3.5], "recorded": null}]),
+            )],
+        ),
         ("measured velocity", vec![("master.measures_velocity", json!(true))]),
         ("settles", vec![("run.stop_early", json!(true)), ("operator.release.at_s", json!(0.4))]),
         ("leaves", vec![("run.diverged_position", json!(0.02))]),
