@@ -318,19 +318,19 @@ pub(crate) fn is_stopped(state: LadderState) -> bool {
 
 /// Whether an arm was led at its last tick, and where the ladder stood.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Led {
+pub(crate) struct LeadTransition {
     stood: LadderState,
     was_led: bool,
 }
 
-impl Default for Led {
+impl Default for LeadTransition {
     /// Of an arm that has not been commanded yet.
     fn default() -> Self {
         Self { stood: LadderState::Disengaged, was_led: false }
     }
 }
 
-impl Led {
+impl LeadTransition {
     /// Stops the arm, or holds it, at the tick at which that begins: where it comes to rest, in m. Once each: whoever brakes
     /// again and again would let go of what the arm leans on, bit by bit.
     #[inline]
@@ -358,7 +358,7 @@ pub struct SlaveSide<P, const N: usize, R = ()> {
     pub plant: P,
     /// What decides.
     pub endpoint: SlaveEndpoint<N>,
-    led: Led,
+    led: LeadTransition,
     /// Its gripper, if it has one.
     pub gripper: Option<LedGripper>,
     /// The point of the tool that is coupled; none for the tool point.
@@ -369,7 +369,7 @@ pub struct SlaveSide<P, const N: usize, R = ()> {
 impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
     /// A side whose arm has not been commanded yet.
     pub fn new(plant: P, endpoint: SlaveEndpoint<N>) -> Self {
-        let led = Led::default();
+        let led = LeadTransition::default();
         Self { plant, endpoint, led, gripper: None, reference_point: None, records: PhantomData }
     }
 

@@ -3,6 +3,7 @@
 use haptether_safety::Axes;
 
 use super::{CouplingError, FrameMap};
+use crate::command::OperatorCommand;
 
 /// The slave follows the master's position; the master renders the force that the slave measures.
 ///
@@ -54,6 +55,30 @@ impl<const N: usize> PositionForce<N> {
     pub fn set_map(&mut self, map: FrameMap<N>) {
         self.map = map;
         self.disengage();
+    }
+
+    /// Carries out a command of the operator at the master; returns whether it was one of this half.
+    pub(crate) fn command_at_master(&mut self, command: OperatorCommand) -> Result<bool, CouplingError> {
+        match command {
+            OperatorCommand::ForceScale(scale) => self.set_force_scale(scale)?,
+            OperatorCommand::Frame { quat_wxyz, locked } => {
+                self.set_map(FrameMap::rotated(quat_wxyz, &locked)?);
+            }
+            _ => return Ok(false),
+        }
+        Ok(true)
+    }
+
+    /// The same at the slave, which goes on from where it is.
+    pub(crate) fn command_at_slave(&mut self, command: OperatorCommand) -> Result<bool, CouplingError> {
+        match command {
+            OperatorCommand::PositionScale(scale) => self.set_position_scale(scale)?,
+            OperatorCommand::Frame { quat_wxyz, locked } => {
+                self.set_map(FrameMap::rotated(quat_wxyz, &locked)?);
+            }
+            _ => return Ok(false),
+        }
+        Ok(true)
     }
 
     /// Master half: `F_v` in N from the newest `F_e` in N.

@@ -10,8 +10,7 @@ use super::{
 use crate::{
     command::OperatorCommand,
     coupling::{
-        AlignmentStep, CommandBounds, CouplingError, FrameMap, Limited, PositionForce, RotationState,
-        bounded, decayed,
+        AlignmentStep, CommandBounds, CouplingError, Limited, PositionForce, RotationState, bounded, decayed,
     },
     ladder::{AlignmentState, LadderState},
     link::PortState,
@@ -19,7 +18,7 @@ use crate::{
 
 /// What the newest frame says of the master.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct LeadState<'a, const N: usize> {
+pub(crate) struct MasterState<'a, const N: usize> {
     /// x in m.
     pub(crate) position: &'a Axes<N>,
     /// V in m/s.
@@ -31,14 +30,14 @@ pub(crate) struct LeadState<'a, const N: usize> {
 /// What decides over the command of a tick beside what the arm measures.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArmInput<'a, const N: usize> {
-    /// Where the ladder stands.
+    /// Where the ladder checkpoints.
     pub(crate) state: LadderState,
     /// Whether the arm may turn to the master before the two engage.
     pub(crate) turns: bool,
     /// For how long in ns the ladder has stood in STALE.
     pub(crate) stale_ns: u64,
     /// None before the first frame.
-    pub(crate) newest: Option<LeadState<'a, N>>,
+    pub(crate) newest: Option<MasterState<'a, N>>,
 }
 
 /// What one tick decided.
@@ -86,18 +85,13 @@ pub(crate) struct Arm<const N: usize> {
 }
 
 impl<const N: usize> Arm<N> {
-    /// Of a point, or with `rotation` of a pose on three axes.
-    pub(crate) fn new(
-        settings: &SlaveSettings,
-        rotation: Option<&SlaveRotationSettings>,
-    ) -> Result<Self, EndpointError> {
+    /// Of a point.
+    pub(crate) fn new(settings: &SlaveSettings) -> Result<Self, EndpointError> {
         check_period(settings.period_ns)?;
         settings.bounds.check()?;
-        let align_s = period_s(settings.ladder.align_ns);
-        let rotation = rotation.map(|rotation| SlaveRotation::new(rotation, align_s).map(Box::new));
         Ok(Self {
             coupling: PositionForce::new(settings.position_scale, 1.0)?,
-            rotation: rotation.transpose()?,
+            rotation: None,
             bounds: settings.bounds,
             braking: 0.0,
             decay_ns: settings.ladder.extrapolate_ns,
@@ -109,6 +103,16 @@ impl<const N: usize> Arm<N> {
             period_s: period_s(settings.period_ns),
             max_step_s: 2.0 * period_s(settings.period_ns),
         })
+    }
+
+    /// The same of a pose, with `rotation` and three axes, whose press waits for `align_s` at most.
+    pub(super) fn turning(
+        mut self,
+        rotation: &SlaveRotationSettings,
+        align_s: f64,
+    ) -> Result<Self, EndpointError> {
+        self.rotation = Some(Box::new(SlaveRotation::new(rotation, align_s)?));
+        Ok(self)
     }
 
     /// The arm still brakes with `speed` in m/s and `angular_speed` in rad/s.
@@ -296,9 +300,9 @@ impl<const N: usize> Arm<N> {
     pub(crate) fn command(&mut self, command: OperatorCommand) -> Result<bool, CouplingError> {
         match command {
             OperatorCommand::Acknowledge => self.fault = None,
-            OperatorCommand::PositionScale(scale) => self.coupling.set_position_scale(scale)?,
-            OperatorCommand::Frame { quat_wxyz, locked } => {
-                self.coupling.set_map(FrameMap::rotated(quat_wxyz, &locked)?);
+            OperatorCommand::PositionScale(_) => return self.coupling.command_at_slave(command),
+            OperatorCommand::Frame { quat_wxyz, .. } => {
+                self.coupling.command_at_slave(command)?;
                 self.rotation.as_mut().map_or(Ok(()), |rotation| rotation.set_frame(quat_wxyz))?;
             }
             OperatorCommand::RotationScale(scale) => {

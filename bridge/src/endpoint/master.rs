@@ -16,7 +16,7 @@ use super::{
 use crate::{
     SideKind,
     command::OperatorCommand,
-    coupling::{CouplingError, FrameMap, PositionForce, RotationCoupling, RotationLock, RotationState},
+    coupling::{CouplingError, PositionForce, RotationCoupling, RotationLock, RotationState},
     ladder::{LAYERS, LadderSettings, LadderState, Observed, ROTATION, TRANSLATION, TRIGGER},
     wire::Role,
 };
@@ -110,17 +110,15 @@ impl<const N: usize> MasterEndpoint<N> {
         Some(self)
     }
 
-    /// What decides over the force of an endpoint of a point, by itself, and the coupling that it requests by.
-    pub(crate) fn hand_of(
-        settings: &MasterSettings<N>,
-    ) -> Result<(Hand<N>, PositionForce<N>), EndpointError> {
-        Self::parts(settings, None)
+    /// What decides over the force of an endpoint of a point, by itself.
+    pub(crate) fn hand_of(settings: &MasterSettings<N>) -> Result<Hand<N>, EndpointError> {
+        Self::with_layer(settings, None)
     }
 
-    fn parts(
+    fn with_layer(
         settings: &MasterSettings<N>,
         rotation: Option<&MasterRotationSettings>,
-    ) -> Result<(Hand<N>, PositionForce<N>), EndpointError> {
+    ) -> Result<Hand<N>, EndpointError> {
         check_period(settings.period_ns)?;
         let translation = LayerSettings {
             device: settings.device,
@@ -129,8 +127,7 @@ impl<const N: usize> MasterEndpoint<N> {
             safety: settings.safety,
             limiter: LimiterSettings { ramp_in_s: 0.0, ..settings.limiter },
         };
-        let hand = Hand::new(Layer::new(translation, rotation)?, period_s(settings.period_ns));
-        Ok((hand, PositionForce::new(1.0, settings.force_scale)?))
+        Ok(Hand::new(Layer::new(translation, rotation)?, period_s(settings.period_ns)))
     }
 
     /// What decides over its force.
@@ -148,7 +145,7 @@ impl<const N: usize> MasterEndpoint<N> {
         settings: &MasterSettings<N>,
         rotation: Option<&MasterRotationSettings>,
     ) -> Result<Self, EndpointError> {
-        let (hand, coupling) = Self::parts(settings, rotation)?;
+        let hand = Self::with_layer(settings, rotation)?;
         let mut exchange = Exchange::new(Role::Master, settings.run_id, settings.period_ns, settings.ladder)?;
         exchange.hold_against(TRANSLATION, &settings.safety);
         if let Some(rotation) = rotation {
@@ -156,7 +153,7 @@ impl<const N: usize> MasterEndpoint<N> {
         }
         Ok(Self {
             hand,
-            coupling,
+            coupling: PositionForce::new(1.0, settings.force_scale)?,
             rotation: None,
             trigger: None,
             exchange,
@@ -279,9 +276,9 @@ impl<const N: usize> MasterEndpoint<N> {
                 self.acknowledged = self.exchange.state() == LadderState::Fault;
                 self.exchange.acknowledge(now_ns);
             }
-            OperatorCommand::ForceScale(scale) => self.coupling.set_force_scale(scale)?,
-            OperatorCommand::Frame { quat_wxyz, locked } => {
-                self.coupling.set_map(FrameMap::rotated(quat_wxyz, &locked)?);
+            OperatorCommand::ForceScale(_) => return self.coupling.command_at_master(command),
+            OperatorCommand::Frame { quat_wxyz, .. } => {
+                self.coupling.command_at_master(command)?;
                 self.rotation.as_mut().map_or(Ok(()), |coupling| coupling.set_frame(quat_wxyz))?;
             }
             OperatorCommand::TorqueScale(scale) => {

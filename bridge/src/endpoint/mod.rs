@@ -9,7 +9,7 @@ mod rotation;
 mod slave;
 mod trigger;
 
-pub(crate) use arm::{Arm, ArmInput, LeadState};
+pub(crate) use arm::{Arm, ArmInput, MasterState};
 pub use exchange::{Exchange, SideCounts};
 pub(crate) use hand::Hand;
 pub use hand::{HandInput, Past};

@@ -3,7 +3,7 @@
 use haptether_safety::{Axes, Fault};
 use nalgebra::UnitQuaternion;
 
-use super::{Arm, ArmInput, EndpointError, Exchange, LeadState, SlaveRotationSettings};
+use super::{Arm, ArmInput, EndpointError, Exchange, MasterState, SlaveRotationSettings, period_s};
 use crate::{
     SideKind,
     command::OperatorCommand,
@@ -60,7 +60,7 @@ pub struct SlaveTick<const N: usize> {
     pub angular_velocity: Axes<3>,
     /// Whether the arm is led: engaged, or before that turned to the master.
     pub is_led: bool,
-    /// Where the ladder stands.
+    /// Where the ladder checkpoints.
     pub state: LadderState,
     /// Silence of the peer in ns.
     pub age_ns: Option<u64>,
@@ -81,7 +81,9 @@ pub struct SlaveEndpoint<const N: usize> {
 impl<const N: usize> SlaveEndpoint<N> {
     /// An endpoint that waits for its peer.
     pub fn new(settings: &SlaveSettings) -> Result<Self, EndpointError> {
-        Self::with_rotation(settings, None)
+        let arm = Arm::new(settings)?;
+        let exchange = Exchange::new(Role::Slave, settings.run_id, settings.period_ns, settings.ladder)?;
+        Ok(Self { arm, exchange })
     }
 
     /// The same of a pose, with `rotation` and three axes.
@@ -89,17 +91,9 @@ impl<const N: usize> SlaveEndpoint<N> {
         settings: &SlaveSettings,
         rotation: &SlaveRotationSettings,
     ) -> Result<Self, EndpointError> {
-        let mut endpoint = Self::with_rotation(settings, Some(rotation))?;
-        endpoint.exchange.set_kind(SideKind::Pose);
-        Ok(endpoint)
-    }
-
-    fn with_rotation(
-        settings: &SlaveSettings,
-        rotation: Option<&SlaveRotationSettings>,
-    ) -> Result<Self, EndpointError> {
-        let arm = Arm::new(settings, rotation)?;
-        let exchange = Exchange::new(Role::Slave, settings.run_id, settings.period_ns, settings.ladder)?;
+        let Self { arm, mut exchange } = Self::new(settings)?;
+        let arm = arm.turning(rotation, period_s(settings.ladder.align_ns))?;
+        exchange.set_kind(SideKind::Pose);
         Ok(Self { arm, exchange })
     }
 
@@ -129,7 +123,7 @@ impl<const N: usize> SlaveEndpoint<N> {
         }
         let step = alignment.and_then(|(_, step)| step);
         let (state, age_ns) = exchange.advance(now_ns, false);
-        let newest = exchange.link.newest().map(|frame| LeadState {
+        let newest = exchange.link.newest().map(|frame| MasterState {
             position: &frame.position,
             velocity: &frame.velocity,
             rotation: frame.rotation.as_ref(),

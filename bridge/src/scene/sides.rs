@@ -56,7 +56,9 @@ fn master_settings<const N: usize>(
 pub(super) fn hand_alone<const N: usize>(
     scene: &SceneSpec<N>,
 ) -> Result<(Hand<N>, PositionForce<N>), SceneError> {
-    Ok(MasterEndpoint::hand_of(&master_settings(scene, 0)?)?)
+    let settings = master_settings(scene, 0)?;
+    let coupling = PositionForce::new(1.0, settings.force_scale).map_err(EndpointError::from)?;
+    Ok((MasterEndpoint::hand_of(&settings)?, coupling))
 }
 
 /// What decides at the side of the hand; `research` makes a controller of the caller's own, and is None of what is live.
@@ -100,7 +102,7 @@ fn slave_settings<const N: usize>(scene: &SceneSpec<N>, run_id: u64) -> Result<S
 
 /// What decides over the command to an arm that does not turn, by itself: that of [`slave_endpoint`].
 pub(super) fn arm_alone<const N: usize>(scene: &SceneSpec<N>) -> Result<Arm<N>, SceneError> {
-    Ok(Arm::new(&slave_settings(scene, 0)?, None)?)
+    Ok(Arm::new(&slave_settings(scene, 0)?)?)
 }
 
 /// What decides at the side of the robot.

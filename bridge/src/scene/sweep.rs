@@ -225,7 +225,7 @@ fn spec_of<const N: usize>(plan: &Plan<'_>, metrics: Metrics) -> Result<(SceneSp
     Ok((SceneSpec { metrics, ..spec }, plan.base.clone()))
 }
 
-/// Runs groups of rows that may begin alike.
+/// Runs groups of rows that may begin alike, or share link and ladders.
 fn run_groups<const N: usize>(
     plans: &[Plan<'_>],
     groups: &[Vec<Place>],

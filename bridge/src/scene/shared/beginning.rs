@@ -61,7 +61,7 @@ pub(super) fn outcomes<const N: usize>(
     }
     // Of one that can be built; the others differ in nothing that this makes use of.
     let Some(built) = members.first().map(|member| scenes[member.row]) else {
-        return Ok(outcomes);
+        return Ok(vec![None; scenes.len()]);
     };
     let shared = match built.run.integrator {
         Integrator::Exact => exact_master(built)

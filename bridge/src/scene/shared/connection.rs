@@ -13,6 +13,7 @@ use super::super::{
 };
 use crate::{
     Exchange, LadderSettings, LadderState, OperatorCommand, Side, SideKind, TickTime, VirtualSettings,
+    buttons::Buttons,
     coupling::CouplingError,
     ladder::{Clutch, ClutchOperator, LAYERS, Observed},
 };
@@ -31,12 +32,14 @@ impl Connection {
     /// Of a scene that can share.
     pub(super) fn of<const N: usize>(scene: &SceneSpec<N>) -> Result<Self, SceneError> {
         bilateral::check(scene)?;
+        // What a side with buttons would refuse.
+        let buttons = scene.master.buttons.map(Buttons::new).transpose()?;
         Ok(Self {
             settings: bilateral::settings(scene)?,
             ladder: scene.safety.ladder.unwrap_or_default(),
             clutch: clutch(scene),
             kind: scene.master.kind,
-            has_buttons: scene.master.buttons.is_some(),
+            has_buttons: buttons.is_some(),
         })
     }
 }
@@ -96,7 +99,7 @@ impl Step {
 
 /// A side without hand or arm: its link, its ladder, and who works the clutch of a master.
 #[derive(Clone)]
-pub(super) struct Bare<const N: usize> {
+pub(super) struct LinkSide<const N: usize> {
     exchange: Exchange<N>,
     /// None of a slave.
     operator: Option<ClutchOperator>,
@@ -109,7 +112,7 @@ pub(super) struct Bare<const N: usize> {
     is_withholding: bool,
 }
 
-impl<const N: usize> Bare<N> {
+impl<const N: usize> LinkSide<N> {
     /// Those of a master and a slave; `scene` is any with that connection.
     pub(super) fn both(connection: &Connection, scene: &SceneSpec<N>) -> Result<[Self; 2], SceneError> {
         let mut near = master_endpoint(scene, SESSIONS.0, None)?.exchange;
@@ -149,7 +152,7 @@ impl<const N: usize> Bare<N> {
     }
 }
 
-impl<const N: usize> Side<N> for Bare<N> {
+impl<const N: usize> Side<N> for LinkSide<N> {
     type Record = Step;
 
     fn begin(&mut self, now_ns: u64) {

@@ -12,12 +12,12 @@ use haptether_slave::{SimulatedSlave, SlaveSample};
 
 use super::{
     Outcomes,
-    connection::{Bare, Connection, Step},
+    connection::{Connection, LinkSide, Step},
 };
 use crate::{
-    Event, MasterRecord, ModelPlant, OperatorCommand, SlaveReading, SlaveRecord,
-    coupling::{FrameMap, PositionForce},
-    endpoint::{Arm, ArmInput, Hand, HandInput, LeadState, MasterReading, Past},
+    Event, MasterRecord, ModelPlant, SlaveReading, SlaveRecord,
+    coupling::PositionForce,
+    endpoint::{Arm, ArmInput, Hand, HandInput, MasterReading, MasterState, Past},
     link::PortState,
     scene::{
         assemble::{SceneError, exact_master, stepped_master},
@@ -28,7 +28,7 @@ use crate::{
         timed::Commands,
         watched::Watched,
     },
-    side::{Led, is_stopped},
+    side::{LeadTransition, is_stopped},
     virtual_time::{Ahead, Snapshot},
 };
 
@@ -65,16 +65,16 @@ pub(super) fn outcomes<const N: usize>(
     Ok(outcomes)
 }
 
-/// Least ticks of the master between two snapshots: so few that little is done twice, so many that what is in flight is seldom
+/// Least ticks of the master between two checkpoints: so few that little is done twice, so many that what is in flight is seldom
 /// copied.
-const MIN_BETWEEN_SNAPSHOTS: usize = 1000;
+const TICKS_BETWEEN_CHECKPOINTS: usize = 1000;
 
 /// Where link and ladders stand, and how many ticks of the master and the slave were observed by then.
-type Stand<const N: usize> = ([u64; 2], Rc<Snapshot<Bare<N>, Bare<N>, N>>);
+type Checkpoint<const N: usize> = ([u64; 2], Rc<Snapshot<LinkSide<N>, LinkSide<N>, N>>);
 
 /// A run whose link and ladders have gone another way since its master's tick `tick`.
 struct Branch<P, const N: usize> {
-    stand: Stand<N>,
+    checkpoint: Checkpoint<N>,
     tick: u64,
     follower: Follower<P, N>,
 }
@@ -90,17 +90,16 @@ fn follow<P: ModelPlant<N>, const N: usize>(
     let Some(first) = followers.first() else { return Ok(()) };
     let settings = &connection.settings;
     // It was built from the same parts before.
-    let Ok([mut master, mut slave]) = Bare::both(connection, scenes[first.row]) else { return Ok(()) };
-    let ahead = Ahead::new(settings, &mut master, &mut slave)?;
-    if ahead.snapshot().is_none() {
-        return Ok(());
-    }
+    let Ok([mut master, mut slave]) = LinkSide::both(connection, scenes[first.row]) else { return Ok(()) };
+    // A network that cannot be is refused by each row, and one that changes what it carries is not shared.
+    let ahead = Ahead::new(settings, &mut master, &mut slave);
+    let Some(ahead) = ahead.ok().filter(|ahead| ahead.snapshot().is_some()) else { return Ok(()) };
     let mut branches = Vec::new();
     follow_together(ahead, [0, 0], followers, stop, outcomes, &mut branches)?;
-    while let Some(Branch { stand: (first, snapshot), tick, follower }) = branches.pop() {
+    while let Some(Branch { checkpoint: (first, snapshot), tick, follower }) = branches.pop() {
         let (mut master, mut slave) = (snapshot.master.clone(), snapshot.slave.clone());
         master.withhold_from(tick);
-        let ahead = Ahead::resume(settings, &snapshot, &mut master, &mut slave)?;
+        let Ok(ahead) = Ahead::resume(settings, &snapshot, &mut master, &mut slave) else { continue };
         follow_together(ahead, first, vec![follower], stop, outcomes, &mut branches)?;
     }
     Ok(())
@@ -109,28 +108,28 @@ fn follow<P: ModelPlant<N>, const N: usize>(
 /// Lets all follow link and ladders from where these stand, after so many ticks of the master and the slave, until each has
 /// ended or goes another way.
 fn follow_together<P: ModelPlant<N>, const N: usize>(
-    mut ahead: Ahead<'_, Bare<N>, Bare<N>, N>,
+    mut ahead: Ahead<'_, LinkSide<N>, LinkSide<N>, N>,
     mut first: [u64; 2],
     mut followers: Vec<Follower<P, N>>,
     stop: &AtomicBool,
     outcomes: &mut Outcomes,
     branches: &mut Vec<Branch<P, N>>,
 ) -> Result<(), SceneError> {
-    let mut stands = VecDeque::<Stand<N>>::new();
+    let mut checkpoints = VecDeque::<Checkpoint<N>>::new();
     let mut block = Vec::new();
     let mut goes_on = true;
     while goes_on && !followers.is_empty() {
         if stop.load(Ordering::Relaxed) {
             return Err(SceneError::Stopped);
         }
-        if stands.back().is_none_or(|(at, _)| first[0] - at[0] >= MIN_BETWEEN_SNAPSHOTS as u64)
+        if checkpoints.back().is_none_or(|(at, _)| first[0] - at[0] >= TICKS_BETWEEN_CHECKPOINTS as u64)
             && followers.iter().any(|follower| follower.may_withhold)
             && let Some(snapshot) = ahead.snapshot()
         {
-            stands.push_back((first, Rc::new(snapshot)));
+            checkpoints.push_back((first, Rc::new(snapshot)));
             // What is withheld is seen at the latest a block after the master has ticked.
-            if stands.len() > 2 {
-                stands.pop_front();
+            if checkpoints.len() > 2 {
+                checkpoints.pop_front();
             }
         }
         block.clear();
@@ -146,19 +145,19 @@ fn follow_together<P: ModelPlant<N>, const N: usize>(
         let mut kept = Vec::with_capacity(followers.len());
         for mut follower in followers {
             match follower.take(first, &block) {
-                Fate::GoesOn if goes_on => kept.push(follower),
-                Fate::GoesOn | Fate::Ended => {
+                Progress::GoesOn if goes_on => kept.push(follower),
+                Progress::GoesOn | Progress::Ended => {
                     outcomes[follower.row] = Some(follower.watched.outcome());
                 }
-                Fate::Withholds(tick) => {
-                    let stand = stands.iter().rfind(|(_, snapshot)| snapshot.master.ticks() <= tick);
+                Progress::Withholds(tick) => {
+                    let before = checkpoints.iter().rfind(|(_, snapshot)| snapshot.master.ticks() <= tick);
                     #[cfg(test)]
                     tests::count_withheld();
-                    if let Some(stand) = stand {
-                        branches.push(Branch { stand: stand.clone(), tick, follower });
+                    if let Some(before) = before {
+                        branches.push(Branch { checkpoint: before.clone(), tick, follower });
                     }
                 }
-                Fate::Departs => {}
+                Progress::Departs => {}
             }
         }
         followers = kept;
@@ -178,7 +177,7 @@ enum Tick {
 }
 
 /// How a follower has come out of some ticks.
-enum Fate {
+enum Progress {
     GoesOn,
     /// Its run ended before the last of them.
     Ended,
@@ -202,6 +201,9 @@ impl<const N: usize> Sent<N> {
     }
 }
 
+/// Most ticks of a side that are kept for a peer that hears nothing.
+const MAX_HISTORY: usize = 8192;
+
 /// The ticks of a side since the newest that its peer has heard of.
 struct History<const N: usize> {
     sent: Vec<Sent<N>>,
@@ -213,8 +215,8 @@ impl<const N: usize> History<N> {
         Self { sent: vec![Sent::nothing(); 64], next: 0 }
     }
 
-    /// Keeps that of the next tick; none of what the peer would refuse. `force` is the signal that its force is, `heard` the
-    /// newest tick that the peer has heard of.
+    /// Keeps that of the next tick; none of what the peer would refuse, or has not heard of for too long. `force` is the signal
+    /// that its force is, `heard` the newest tick that the peer has heard of.
     #[inline(always)]
     fn push(&mut self, sent: Sent<N>, force: Signal, heard: u64) -> Option<()> {
         let Sent { position, velocity, force: newest } = &sent;
@@ -222,7 +224,7 @@ impl<const N: usize> History<N> {
             signal.check(value).ok()?;
         }
         if self.next - heard >= self.sent.len() as u64 {
-            self.grow();
+            self.grow()?;
         }
         let slot = self.slot(self.next);
         self.sent[slot] = sent;
@@ -237,9 +239,12 @@ impl<const N: usize> History<N> {
         tick as usize & (self.sent.len() - 1)
     }
 
-    /// Room for twice as many.
+    /// Room for twice as many; none beyond [`MAX_HISTORY`].
     #[inline(never)]
-    fn grow(&mut self) {
+    fn grow(&mut self) -> Option<()> {
+        if self.sent.len() >= MAX_HISTORY {
+            return None;
+        }
         let kept = self.sent.len() as u64;
         let mut grown = Self { sent: vec![Sent::nothing(); 2 * self.sent.len()], next: self.next };
         for tick in self.next.saturating_sub(kept)..self.next {
@@ -247,6 +252,7 @@ impl<const N: usize> History<N> {
             grown.sent[slot] = *self.of(tick);
         }
         *self = grown;
+        Some(())
     }
 
     #[inline(always)]
@@ -289,7 +295,7 @@ struct Near<P, const N: usize> {
 struct Far<const N: usize> {
     plant: SimulatedSlave<N>,
     arm: Arm<N>,
-    led: Led,
+    led: LeadTransition,
     commands: Commands,
     outgoing: PortState<N>,
     sent: History<N>,
@@ -322,7 +328,7 @@ impl<P: ModelPlant<N>, const N: usize> Follower<P, N> {
         let far = Far {
             plant: arm,
             arm: arm_alone(scene)?,
-            led: Led::default(),
+            led: LeadTransition::default(),
             commands: Commands::new(list.clone()),
             outgoing: PortState::default(),
             sent: History::new(),
@@ -334,7 +340,7 @@ impl<P: ModelPlant<N>, const N: usize> Follower<P, N> {
     }
 
     /// Takes some ticks, of which the first are of these numbers; those that it has done it passes over.
-    fn take(&mut self, first: [u64; 2], ticks: &[Tick]) -> Fate {
+    fn take(&mut self, first: [u64; 2], ticks: &[Tick]) -> Progress {
         let [mut near, mut far] = first;
         for tick in ticks {
             let flow = match tick {
@@ -350,7 +356,7 @@ impl<P: ModelPlant<N>, const N: usize> Follower<P, N> {
                     // Where link and ladders know it by now, or never will, that is seen as it acts.
                     if decided.safety.intervention.withheld && !step.withholds && !has_waited {
                         self.pending = Some(Box::new(decided));
-                        return Fate::Withholds(self.done[0]);
+                        return Progress::Withholds(self.done[0]);
                     }
                     self.done[0] = near;
                     self.near.act(step, &decided, self.far.heard, &mut self.watched)
@@ -366,11 +372,11 @@ impl<P: ModelPlant<N>, const N: usize> Follower<P, N> {
             };
             match flow {
                 Some(ControlFlow::Continue(())) => {}
-                Some(ControlFlow::Break(())) => return Fate::Ended,
-                None => return Fate::Departs,
+                Some(ControlFlow::Break(())) => return Progress::Ended,
+                None => return Progress::Departs,
             }
         }
-        Fate::GoesOn
+        Progress::GoesOn
     }
 }
 
@@ -386,13 +392,7 @@ impl<P: ModelPlant<N>, const N: usize> Near<P, N> {
     fn decide(&mut self, step: &Step, far: &History<N>) -> Decided<N> {
         while let Some(command) = self.commands.due(step.now_ns) {
             // They were checked when the scene was built.
-            let _ = match command {
-                OperatorCommand::ForceScale(scale) => self.coupling.set_force_scale(scale),
-                OperatorCommand::Frame { quat_wxyz, locked } => {
-                    FrameMap::rotated(quat_wxyz, &locked).map(|map| self.coupling.set_map(map))
-                }
-                _ => Ok(()),
-            };
+            let _ = self.coupling.command_at_master(command);
         }
         let (position, velocity) = self.plant.read(step.now_ns);
         let received = step.newest().map(|tick| far.of(tick).force);
@@ -478,7 +478,7 @@ impl<const N: usize> Far<N> {
         let newest = step.newest().map(|tick| near.of(tick));
         self.heard = step.newest().unwrap_or(0);
         let newest =
-            newest.map(|Sent { position, velocity, .. }| LeadState { position, velocity, rotation: None });
+            newest.map(|Sent { position, velocity, .. }| MasterState { position, velocity, rotation: None });
         let input = ArmInput { state: step.state, turns: false, stale_ns: step.stale_ns, newest };
         let tick = self.arm.tick(step.clock_ns, &reading, fault == 0, None, &input, &mut self.outgoing);
         if let Some(rest) = self.led.rest(&mut self.plant, step.state, step.state.is_coupled()) {

@@ -13,9 +13,9 @@ use connection::Connection;
 /// What has become of each of some scenes; none of those that were not run.
 type Outcomes = Vec<Option<Result<Outcome, SceneError>>>;
 
-/// Whether a run may share anything with others: controllers change nothing but the force on the hand, and it is worth being copied. A trigger that the
-/// finger feels has controllers that follow from those of the hand; who turns, and sessions, are not followed; what was
-/// recorded is long.
+/// Whether a run may share anything with others: controllers change nothing but the force on the hand, and it is worth being
+/// copied. A trigger that the finger feels has controllers that follow from those of the hand; who turns, and sessions, are
+/// not followed; what was recorded is long.
 pub(super) fn can_share<const N: usize>(scene: &SceneSpec<N>) -> bool {
     let links = scene.link.iter().flat_map(|links| [&links.forward, &links.backward]).flatten();
     let is_recorded = links.clone().any(|link| link.trace.is_some() || link.opportunities.is_some())

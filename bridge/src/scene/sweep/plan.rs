@@ -1,4 +1,4 @@
-//! Which rows of a sweep a thread takes in one go, and which of them may begin alike.
+//! Which rows of a sweep a thread takes in one go, and which of them may share a part of their runs.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -340,7 +340,7 @@ mod tests {
         };
         let all: Vec<Place> = (0..5).map(|row| (0, row)).collect();
         let others = [vec![(1, 0), (1, 2)], vec![(1, 1)], vec![(2, 0)], vec![(2, 1)]];
-        assert_eq!(groups(1), [&[all.clone()], &others[..]].concat());
+        assert_eq!(groups(1), [std::slice::from_ref(&all), &others[..]].concat());
         let halves = [vec![(1, 0)], vec![(1, 2)], vec![(1, 1)], vec![(2, 0)], vec![(2, 1)]];
         assert_eq!(groups(2), [&[all[..3].to_vec(), all[3..].to_vec()], &halves[..]].concat());
     }

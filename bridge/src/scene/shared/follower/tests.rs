@@ -16,7 +16,7 @@ pub(super) fn count_withheld() {
     WITHHELD.with(|count| count.set(count.get() + 1));
 }
 
-const NO_STOP: AtomicBool = AtomicBool::new(false);
+static NO_STOP: AtomicBool = AtomicBool::new(false);
 
 /// What stands at a path of keys and indices, separated by dots.
 fn at<'v>(scene: &'v mut Value, path: &str) -> &'v mut Value {
@@ -63,13 +63,20 @@ fn followed<const N: usize>(rows: &[SceneSpec<N>]) -> (Vec<Outcome>, u64) {
 
 #[test]
 fn rows_of_one_connection_are_as_alone() {
-    let hands = [150.0, 300.0, 450.0];
+    let bandwidths = [8.0, 15.0, 20.0];
     let clock =
         |step_s: f64| json!({"offset_s": 0.0, "drift_ppm": 150.0, "step_s": step_s, "step_at_s": 1.0});
     let outages = |duration_s: f64| {
-        let times = json!({"kind": "periodic", "at_s": 0.55, "period_s": 0.8, "duration_s": duration_s});
+        let times = json!({"kind": "periodic", "at_s": 0.95, "period_s": 4.0, "duration_s": duration_s});
         json!([{"times": times, "effect": "drop"}])
     };
+    // In contact when it holds: where the arm has come to rest is felt once the two have engaged again.
+    let long = [
+        ("run.duration_s", json!(3.5)),
+        ("operator.release.at_s", json!(3.0)),
+        ("slave.max_acceleration", json!(1.0)),
+    ];
+    let sensor = json!({"noise_n": 0.02, "bias_n": [0.05], "quantum_n": 0.01, "rate_hz": 700.0});
     for (name, changes) in [
         ("as it is", vec![]),
         ("no controllers", vec![("safety.controllers", json!([]))]),
@@ -81,8 +88,11 @@ fn rows_of_one_connection_are_as_alone() {
         ("a quick slave", vec![("slave.period_s", json!(0.0007))]),
         ("clocks", vec![("link.master_clock", clock(0.004)), ("link.slave_clock", clock(0.003))]),
         ("stalls", vec![("link.master_clock", clock(0.05)), ("link.slave_clock", clock(0.03))]),
-        ("outages", vec![("link.forward.outages", outages(0.15)), ("link.backward.outages", outages(0.1))]),
-        ("stops", vec![("link.forward.outages", outages(0.4))]),
+        ("outages", [&long[..], &[("link.forward.outages", outages(0.15))]].concat()),
+        ("stops", [&long[..], &[("link.forward.outages", outages(0.5))]].concat()),
+        ("nobody holds", vec![("operator", Value::Null)]),
+        ("force sensor", vec![("slave.force_sensor", sensor)]),
+        ("buttons", vec![("master.buttons", json!({"clutch": 0, "engage": null, "gripper": null}))]),
         (
             "pushed",
             vec![(
@@ -112,7 +122,7 @@ fn rows_of_one_connection_are_as_alone() {
     ] {
         let short = [("run.duration_s", json!(2.0)), ("operator.release.at_s", json!(1.2))];
         let scene = changed(&[&short[..], &changes].concat());
-        let (found, branched) = followed(&rows::<1>(&scene, "operator.stiffness", &hands));
+        let (found, branched) = followed(&rows::<1>(&scene, "slave.bandwidth_hz", &bandwidths));
         assert_eq!(branched, 0, "{name}");
         assert!(found.iter().all(|one| one.ending != Ending::NeverEngaged), "{name}");
     }
@@ -138,7 +148,9 @@ fn rows_of_three_axes_or_in_steps_are_as_alone() {
     }
     scene["environment"]["objects"][0]["shape"]["normal"] = json!([0.6, 0.0, 0.8]);
     scene["master"]["axes"] = 3.into();
-    followed(&rows::<3>(&scene, "environment.objects.0.contact.stiffness", &[50.0, 100.0, 200.0]));
+    let (found, _) =
+        followed(&rows::<3>(&scene, "environment.objects.0.contact.stiffness", &[50.0, 100.0, 200.0]));
+    assert!(found.iter().all(|one| one.ending == Ending::Complete), "{found:?}");
     let stepped = changed(&[
         ("run.duration_s", json!(1.5)),
         ("run.integrator", json!("semi-implicit-euler")),
@@ -159,6 +171,14 @@ fn rows_whose_force_is_withheld_are_as_alone() {
     ]);
     let (_, branched) = followed(&rows::<1>(&scene, "operator.stiffness", &[200.0, 300.0, 400.0]));
     assert!(branched >= 6, "{branched}: more than once each");
+    // Beside rows that never do, and with ticks left out.
+    let mut with_clocks = scene;
+    *at(&mut with_clocks, "link.master_clock") =
+        json!({"offset_s": 0.0, "drift_ppm": 150.0, "step_s": 0.004, "step_at_s": 3.0});
+    let mut some = rows::<1>(&with_clocks, "operator.stiffness", &[200.0, 300.0, 400.0]);
+    some[1].safety.settings.release_tries = 0;
+    let (_, branched) = followed(&some);
+    assert!(branched >= 4, "{branched}: more than once each of two");
 }
 
 #[test]
@@ -189,6 +209,12 @@ fn what_changes_its_frames_or_cannot_be_built_is_run_alone() {
     let connection = Connection::of(&rows[0]).unwrap();
     let all = rows.iter().collect::<Vec<_>>();
     assert!(outcomes(&connection, &all, &NO_STOP).unwrap().iter().all(Option::is_none));
+    // A slave that hears nothing for so long that more is not kept.
+    let scene = changed(&[("link.forward.loss", json!(1.0)), ("run.duration_s", json!(9.0))]);
+    let rows = self::rows::<1>(&scene, "operator.stiffness", &[200.0, 300.0]);
+    let connection = Connection::of(&rows[0]).unwrap();
+    let all = rows.iter().collect::<Vec<_>>();
+    assert!(outcomes(&connection, &all, &NO_STOP).unwrap().iter().all(Option::is_none));
     let scene = changed(&[("run.duration_s", json!(0.5))]);
     let rows = self::rows::<1>(&scene, "slave.bandwidth_hz", &[15.0, -1.0, 10.0]);
     let connection = Connection::of(&rows[0]).unwrap();
@@ -196,6 +222,23 @@ fn what_changes_its_frames_or_cannot_be_built_is_run_alone() {
     let found = outcomes(&connection, &all, &NO_STOP).unwrap();
     assert_eq!(found.iter().map(Option::is_some).collect::<Vec<_>>(), [true, false, true]);
     assert_eq!(outcomes(&connection, &all, &AtomicBool::new(true)), Err(SceneError::Stopped));
+}
+
+/// What no row can have is refused of each, and ends no sweep.
+#[test]
+fn what_no_row_can_have_is_refused_of_each() {
+    for changes in [
+        [("link.forward.loss", json!(1.5)), ("run.duration_s", json!(0.5))],
+        [("master.buttons", json!({"clutch": 40, "engage": null, "gripper": null})), ("run.seed", json!(1))],
+        [("safety.ladder.hold_after_s", json!(-1.0)), ("run.seed", json!(1))],
+        [("safety.window", json!(0)), ("run.seed", json!(1))],
+    ] {
+        let rows = rows::<1>(&changed(&changes), "operator.stiffness", &[200.0, 300.0]);
+        let found = crate::scene::shared::outcomes(&rows.iter().collect::<Vec<_>>(), &NO_STOP).unwrap();
+        let alone = rows.iter().map(|row| crate::scene::outcome(row, &NO_STOP, None)).collect::<Vec<_>>();
+        assert!(alone.iter().all(Result::is_err), "{changes:?}");
+        assert_eq!(found, alone);
+    }
 }
 
 #[test]
