@@ -84,6 +84,10 @@ fn rows_of_one_connection_are_as_alone() {
         ("holds", vec![("link.forward.loss", json!(0.3)), ("link.backward.loss", json!(0.3))]),
         ("once", vec![("link.forward.loss", json!(0.4)), ("operator.clutch", json!("once"))]),
         ("times", vec![("operator.clutch_times", json!([[0.1, 0.7], [1.0, 1.6]]))]),
+        (
+            "lets go in motion",
+            [&long[..], &[("operator.clutch_times", json!([[0.1, 0.8], [1.4, 3.4]]))]].concat(),
+        ),
         ("a slow slave", vec![("slave.period_s", json!(0.0023))]),
         ("a quick slave", vec![("slave.period_s", json!(0.0007))]),
         ("clocks", vec![("link.master_clock", clock(0.004)), ("link.slave_clock", clock(0.003))]),
