@@ -392,6 +392,20 @@ impl<const WIDTH: usize> haptether_master::Real for Lanes<WIDTH> {
     }
 }
 
+/// One instance of each lane: lanes that are left over repeat the last one.
+pub(crate) fn padded<T>(of: &[T], lanes: usize) -> impl Iterator<Item = &T> {
+    (0..lanes).filter_map(|lane| of.get(lane).or(of.last()))
+}
+
+/// A number of each instance, lane by lane, [`padded`].
+pub(crate) fn packed<T, S: haptether_safety::Real>(of: &[T], number: impl Fn(&T) -> f64) -> S {
+    let mut lanes = S::zero();
+    for (lane, one) in padded(of, S::LANES).enumerate() {
+        lanes.replace(lane, number(one));
+    }
+    lanes
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

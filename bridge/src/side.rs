@@ -330,9 +330,41 @@ impl Default for LeadTransition {
     }
 }
 
+/// How an arm comes to rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Rest {
+    /// It stops.
+    Stop,
+    /// It holds where it is no longer led.
+    Hold,
+}
+
+impl Rest {
+    /// Brings the arm to rest; returns where, in m.
+    pub(crate) fn of<const N: usize>(self, plant: &mut impl SlavePlant<N>) -> Axes<N> {
+        match self {
+            Self::Stop => plant.stop(),
+            Self::Hold => plant.hold(),
+        }
+    }
+}
+
 impl LeadTransition {
-    /// Stops the arm, or holds it, at the tick at which that begins: where it comes to rest, in m. Once each: whoever brakes
-    /// again and again would let go of what the arm leans on, bit by bit.
+    /// How the arm comes to rest at the tick at which that begins. Once each: whoever brakes again and again would let go of
+    /// what the arm leans on, bit by bit.
+    #[inline]
+    pub(crate) fn step(&mut self, state: LadderState, is_led: bool) -> Option<Rest> {
+        let Self { stood, was_led } = std::mem::replace(self, Self { stood: state, was_led: is_led });
+        if is_stopped(state) && !is_stopped(stood) {
+            Some(Rest::Stop)
+        } else if was_led && !is_led {
+            Some(Rest::Hold)
+        } else {
+            None
+        }
+    }
+
+    /// Brings the arm to rest at the tick at which that begins: where, in m.
     #[inline]
     pub(crate) fn rest<const N: usize>(
         &mut self,
@@ -340,14 +372,7 @@ impl LeadTransition {
         state: LadderState,
         is_led: bool,
     ) -> Option<Axes<N>> {
-        let Self { stood, was_led } = std::mem::replace(self, Self { stood: state, was_led: is_led });
-        if is_stopped(state) && !is_stopped(stood) {
-            Some(plant.stop())
-        } else if was_led && !is_led {
-            Some(plant.hold())
-        } else {
-            None
-        }
+        self.step(state, is_led).map(|rest| rest.of(plant))
     }
 }
 

@@ -11,11 +11,11 @@ use num_traits::{One, Zero};
 /// One value per axis: position in m (rad), velocity in m/s (rad/s) or force in N (N m).
 pub type Axes<const N: usize, S = f64> = SVector<S, N>;
 
-/// Whether every axis is finite and at most `bound` in absolute value.
-#[inline]
-pub fn is_within<const N: usize>(value: &Axes<N>, bound: f64) -> bool {
+/// Where every axis is finite and at most `bound` in absolute value.
+#[inline(always)] // as of all that a tick checks
+pub fn is_within<const N: usize, S: Real>(value: &Axes<N, S>, bound: f64) -> S::SimdBool {
     // A comparison with NaN is false, so one test covers NaN, infinity and absurdity.
-    value.iter().fold(true, |all, x| all & (x.abs() <= bound))
+    value.iter().fold(!nowhere::<S>(), |all, x| all & x.magnitude().simd_le(S::splat(bound)))
 }
 
 /// A real number `f64`, or several that are computed with at once, each in a lane of its own.

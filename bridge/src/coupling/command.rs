@@ -3,8 +3,8 @@
 
 use std::f64::consts::PI;
 
-use haptether_safety::{Axes, norm};
-use nalgebra::{Unit, UnitQuaternion};
+use haptether_safety::{Axes, Real, norm};
+use nalgebra::{SimdBool as _, Unit, UnitQuaternion};
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer};
 
@@ -157,30 +157,33 @@ fn passes_pi(home: &UnitQuaternion<f64>, from: &UnitQuaternion<f64>, to: &UnitQu
     near_home(from).dot(&near_home(to)) < 0.0
 }
 
-/// `wanted` as far as it may be commanded `elapsed_s` after `last`, for a slave that began at `home`.
-pub(crate) fn bounded<const N: usize>(
-    bounds: &CommandBounds,
+/// `wanted` as far as it may be commanded within `bounds` on the speed in m/s and on the distance in m from `home`, where the
+/// slave began, `elapsed_s` after `last`; and where each of these acted.
+#[inline(always)] // once a tick, from few places
+pub(crate) fn bounded<const N: usize, S: Real>(
+    [speed, reach]: [S; 2],
     elapsed_s: f64,
-    home: &Axes<N>,
-    last: &Axes<N>,
-    wanted: &Axes<N>,
-) -> (Axes<N>, Limited) {
-    let mut limited = Limited::default();
+    home: &Axes<N, S>,
+    last: &Axes<N, S>,
+    wanted: &Axes<N, S>,
+) -> (Axes<N, S>, [S::SimdBool; 2]) {
     let mut command = *wanted;
     let out = command - home;
     let distance = norm(&out);
-    if distance > bounds.reach {
-        limited.reach = true;
-        command = home + out * (bounds.reach / distance);
+    let leaves = distance.simd_gt(reach);
+    if leaves.any() {
+        let at_reach = home + out * (reach / distance);
+        command = command.zip_map(&at_reach, |wanted, nearer| nearer.select(leaves, wanted));
     }
     let step = command - last;
-    let max_step = bounds.speed * elapsed_s;
+    let max_step = speed * S::splat(elapsed_s);
     let length = norm(&step);
-    if length > max_step {
-        limited.speed = true;
-        command = last + step * (max_step / length);
+    let hurries = length.simd_gt(max_step);
+    if hurries.any() {
+        let slower = last + step * (max_step / length);
+        command = command.zip_map(&slower, |wanted, nearer| nearer.select(hurries, wanted));
     }
-    (command, limited)
+    (command, [hurries, leaves])
 }
 
 /// Displacement in s per unit of velocity, and share of the velocity that is left, `late_ns` into a decay of
@@ -214,13 +217,12 @@ mod bounds_tests {
             (wanted, last) in (prop::array::uniform3(-9.0..9.0f64), prop::array::uniform3(-0.5..0.5f64)),
             (speed, reach) in (0.1..5.0f64, 1.0..3.0f64),
         ) {
-            let bounds = CommandBounds { speed, reach };
             let (home, last, wanted) = (Axes::<3>::zeros(), Axes::from(last), Axes::from(wanted));
-            let (command, limited) = bounded(&bounds, 1e-3, &home, &last, &wanted);
+            let (command, limited) = bounded([speed, reach], 1e-3, &home, &last, &wanted);
             prop_assert!((command - last).norm() <= speed * 1e-3 * (1.0 + 1e-9));
             // A step towards a place within a ball, from within it, stays within it.
             prop_assert!(command.norm() <= reach * (1.0 + 1e-9));
-            prop_assert_eq!(limited.any(), command != wanted);
+            prop_assert_eq!(limited != [false; 2], command != wanted);
         }
     }
 
@@ -239,7 +241,7 @@ mod bounds_tests {
             // Rounding of a quaternion whose angle is taken by its inverse cosine or sine: 1e-8 at 0.
             prop_assert!(command.angle_to(&last) <= speed * 1e-3 + 3e-8);
             prop_assert!(command.angle_to(&home) <= turn + 3e-8);
-            prop_assert_eq!(limited.any(), command != wanted);
+            prop_assert_eq!(limited != [false; 2], command != wanted);
             prop_assert!((command.norm() - 1.0).abs() < 1e-15);
         }
     }

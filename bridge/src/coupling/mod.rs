@@ -12,7 +12,7 @@ mod rotation;
 mod rotational_spring;
 mod wrench;
 
-use haptether_safety::Axes;
+use haptether_safety::{Axes, Real};
 use nalgebra::SMatrix;
 
 pub use alignment::{
@@ -182,10 +182,11 @@ impl<const N: usize> FrameMap<N> {
         SMatrix::identity()
     }
 
-    fn lock(&self, mut vector: Axes<N>) -> Axes<N> {
+    #[inline(always)] // once or twice a tick
+    fn lock<S: Real>(&self, mut vector: Axes<N, S>) -> Axes<N, S> {
         for (value, locked) in vector.iter_mut().zip(self.locked) {
             if locked {
-                *value = 0.0;
+                *value = S::zero();
             }
         }
         vector
@@ -193,22 +194,34 @@ impl<const N: usize> FrameMap<N> {
 
     /// `L R v`: a motion of the master as one of the slave.
     #[inline]
-    pub fn to_slave(&self, of_master: &Axes<N>) -> Axes<N> {
+    pub fn to_slave<S: Real>(&self, of_master: &Axes<N, S>) -> Axes<N, S> {
         self.lock(match &self.rotation {
-            Some(rotation) => rotation * of_master,
+            Some(rotation) => turned(of_master, |row, column| rotation[(row, column)]),
             None => *of_master,
         })
     }
 
     /// `R' L f`: a force on the slave as one on the master.
     #[inline]
-    pub fn to_master(&self, of_slave: &Axes<N>) -> Axes<N> {
+    pub fn to_master<S: Real>(&self, of_slave: &Axes<N, S>) -> Axes<N, S> {
         let unlocked = self.lock(*of_slave);
         match &self.rotation {
-            Some(rotation) => rotation.transpose() * unlocked,
+            Some(rotation) => turned(&unlocked, |row, column| rotation[(column, row)]),
             None => unlocked,
         }
     }
+}
+
+/// A matrix times a vector.
+#[inline(always)] // as its callers
+fn turned<const N: usize, S: Real>(
+    vector: &Axes<N, S>,
+    element: impl Fn(usize, usize) -> f64,
+) -> Axes<N, S> {
+    Axes::from_fn(|row, _| {
+        let first = vector[0] * S::splat(element(row, 0));
+        (1..N).fold(first, |sum, column| sum + vector[column] * S::splat(element(row, column)))
+    })
 }
 
 /// Largest sum in J that a frame carries; a port of 1 kW takes eleven days to it.

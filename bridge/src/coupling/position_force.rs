@@ -1,9 +1,9 @@
 //! Position-force coupling with measured force (`PFm`).
 
-use haptether_safety::Axes;
+use haptether_safety::{Axes, Real};
 
 use super::{CouplingError, FrameMap};
-use crate::command::OperatorCommand;
+use crate::{command::OperatorCommand, lanes::packed};
 
 /// The slave follows the master's position; the master renders the force that the slave measures.
 ///
@@ -16,11 +16,11 @@ use crate::command::OperatorCommand;
 ///
 /// Source: Hannaford 1989; Lawrence 1993 ("position-force"); the condition by the small-gain theorem.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PositionForce<const N: usize> {
-    position_scale: f64,
-    force_scale: f64,
+pub struct PositionForce<const N: usize, S = f64> {
+    position_scale: S,
+    force_scale: S,
     map: FrameMap<N>,
-    anchor: Option<(Axes<N>, Axes<N>)>,
+    anchor: Option<(Axes<N, S>, Axes<N, S>)>,
 }
 
 pub(super) fn check(name: &'static str, symbol: &'static str, seen: f64) -> Result<f64, CouplingError> {
@@ -37,17 +37,30 @@ impl<const N: usize> PositionForce<N> {
             anchor: None,
         })
     }
+}
+
+impl<const N: usize, S: Real> PositionForce<N, S> {
+    /// Couplings side by side, none of which has engaged, under the same map; else None.
+    pub(crate) fn gather(of: &[&PositionForce<N>]) -> Option<Self> {
+        let map = of.first()?.map;
+        of.iter().all(|one| one.map == map && one.anchor.is_none()).then(|| Self {
+            position_scale: packed(of, |one| one.position_scale),
+            force_scale: packed(of, |one| one.force_scale),
+            map,
+            anchor: None,
+        })
+    }
 
     /// Changes `lambda_p`; the slave goes on from where it is.
     pub fn set_position_scale(&mut self, scale: f64) -> Result<(), CouplingError> {
-        self.position_scale = check("position_scale", "lambda_p", scale)?;
+        self.position_scale = S::splat(check("position_scale", "lambda_p", scale)?);
         self.disengage();
         Ok(())
     }
 
     /// Changes `lambda_f`; how fast the force follows is the limiter's.
     pub fn set_force_scale(&mut self, scale: f64) -> Result<(), CouplingError> {
-        self.force_scale = check("force_scale", "lambda_f", scale)?;
+        self.force_scale = S::splat(check("force_scale", "lambda_f", scale)?);
         Ok(())
     }
 
@@ -82,19 +95,23 @@ impl<const N: usize> PositionForce<N> {
     }
 
     /// Master half: `F_v` in N from the newest `F_e` in N.
-    pub fn rendered_force(&self, environment_force: &Axes<N>) -> Axes<N> {
+    pub fn rendered_force(&self, environment_force: &Axes<N, S>) -> Axes<N, S> {
         self.map.to_master(environment_force) * self.force_scale
     }
 
     /// Slave half: the position to command, in m, from the newest `x_m` in m; the first call since
     /// [`disengage`](Self::disengage) engages at `slave_position`.
-    pub fn commanded_position(&mut self, master_position: &Axes<N>, slave_position: &Axes<N>) -> Axes<N> {
+    pub fn commanded_position(
+        &mut self,
+        master_position: &Axes<N, S>,
+        slave_position: &Axes<N, S>,
+    ) -> Axes<N, S> {
         let (master, slave) = *self.anchor.get_or_insert((*master_position, *slave_position));
         slave + self.map.to_slave(&(master_position - master)) * self.position_scale
     }
 
     /// Slave half: the velocity of the commanded position, in m/s, from the newest V in m/s.
-    pub fn commanded_velocity(&self, master_velocity: &Axes<N>) -> Axes<N> {
+    pub fn commanded_velocity(&self, master_velocity: &Axes<N, S>) -> Axes<N, S> {
         self.map.to_slave(master_velocity) * self.position_scale
     }
 

@@ -1,17 +1,15 @@
 //! What decides over the command to an arm: the same live, in virtual time, and in runs that share link and ladders.
 
-use haptether_safety::{Axes, Fault, Signal, norm};
+use haptether_safety::{Axes, Fault, Signal};
 use nalgebra::UnitQuaternion;
 
 use super::{
-    EndpointError, SlaveReading, SlaveSettings, check_period, period_s,
+    EndpointError, SlaveReading, SlaveSettings, SlaveTranslation, TranslationInput, period_s,
     rotation::{SlaveRotation, SlaveRotationSettings, check_orientation},
 };
 use crate::{
     command::OperatorCommand,
-    coupling::{
-        AlignmentStep, CommandBounds, CouplingError, Limited, PositionForce, RotationState, bounded, decayed,
-    },
+    coupling::{AlignmentStep, CouplingError, Limited, RotationState},
     ladder::{AlignmentState, LadderState},
     link::PortState,
 };
@@ -62,24 +60,12 @@ fn without_wrench<const N: usize>(outgoing: &mut PortState<N>) {
 /// Coupling and bounds of an arm, with what they have to know of the last tick.
 #[derive(Clone, Debug)]
 pub(crate) struct Arm<const N: usize> {
-    coupling: PositionForce<N>,
+    translation: SlaveTranslation<N>,
     /// Of an arm that turns.
     rotation: Option<Box<SlaveRotation>>,
-    bounds: CommandBounds,
-    /// Speed in m/s with which the arm still brakes besides.
-    braking: f64,
-    /// Over how long in ns of STALE the commanded velocity decays.
-    decay_ns: u64,
-    /// Where the slave stood at its first tick.
-    home: Option<Axes<N>>,
-    command: Option<Axes<N>>,
-    /// When the last command was made, in ns.
-    commanded_ns: u64,
     fault: Option<Fault>,
-    /// When in ns the arm was where, at the last sample that can be.
-    last: Option<(u64, Axes<N>, Option<UnitQuaternion<f64>>)>,
-    /// The period of its loop, in s.
-    period_s: f64,
+    /// How the arm was turned at the last sample.
+    last: Option<UnitQuaternion<f64>>,
     /// The longest time in s that one step of an alignment makes up for: two periods.
     max_step_s: f64,
 }
@@ -87,20 +73,11 @@ pub(crate) struct Arm<const N: usize> {
 impl<const N: usize> Arm<N> {
     /// Of a point.
     pub(crate) fn new(settings: &SlaveSettings) -> Result<Self, EndpointError> {
-        check_period(settings.period_ns)?;
-        settings.bounds.check()?;
         Ok(Self {
-            coupling: PositionForce::new(settings.position_scale, 1.0)?,
+            translation: SlaveTranslation::new(settings)?,
             rotation: None,
-            bounds: settings.bounds,
-            braking: 0.0,
-            decay_ns: settings.ladder.extrapolate_ns,
-            home: None,
-            command: None,
-            commanded_ns: 0,
             fault: None,
             last: None,
-            period_s: period_s(settings.period_ns),
             max_step_s: 2.0 * period_s(settings.period_ns),
         })
     }
@@ -115,9 +92,14 @@ impl<const N: usize> Arm<N> {
         Ok(self)
     }
 
+    /// What it decides of a point.
+    pub(crate) fn translation(&self) -> &SlaveTranslation<N> {
+        &self.translation
+    }
+
     /// The arm still brakes with `speed` in m/s and `angular_speed` in rad/s.
     pub(super) fn set_braking(&mut self, [speed, angular_speed]: [f64; 2]) {
-        self.braking = speed;
+        self.translation.set_braking(speed);
         if let Some(rotation) = &mut self.rotation {
             rotation.set_braking(angular_speed);
         }
@@ -148,20 +130,16 @@ impl<const N: usize> Arm<N> {
     }
 
     /// Refuses a sample that is further from the last than any arm moves in the time between, and begins anew from there:
-    /// `|x - x_last| / t` and `|log(R R_last^T)| / t`, with a period at least for two ticks that follow closely.
+    /// `|x - x_last| / t` and `|log(R R_last^T)| / t`.
     fn check_jump(&mut self, now_ns: u64, reading: &SlaveReading<N>) -> Result<(), Fault> {
         let orientation = reading.rotation.as_ref().map(|rotation| rotation.orientation);
-        let last = self.last.replace((now_ns, reading.position, orientation));
-        let Some((last_ns, position, before)) = last else { return Ok(()) };
-        let elapsed_s = (now_ns.saturating_sub(last_ns) as f64 * 1e-9).max(self.period_s);
-        Signal::Velocity.check(&((reading.position - position) / elapsed_s))?;
+        let before = std::mem::replace(&mut self.last, orientation);
+        let Some((moved, elapsed_s)) = self.translation.moved(now_ns, &reading.position) else {
+            return Ok(());
+        };
+        Signal::Velocity.check(&moved)?;
         let angle = before.zip(orientation).map_or(0.0, |(before, now)| before.angle_to(&now));
         Signal::AngularVelocity.check(&Axes::<1>::repeat(angle / elapsed_s))
-    }
-
-    /// Time in s since the last command.
-    fn elapsed_s(&self, now_ns: u64) -> f64 {
-        now_ns.saturating_sub(self.commanded_ns) as f64 * 1e-9
     }
 
     /// The next step towards the master's newest orientation, of an arm that is turned there before the two engage, and how
@@ -174,7 +152,7 @@ impl<const N: usize> Arm<N> {
         checked: bool,
         before: impl FnOnce() -> (LadderState, bool, Option<RotationState>),
     ) -> Option<(AlignmentState, Option<AlignmentStep>)> {
-        let elapsed_s = self.elapsed_s(now_ns);
+        let elapsed_s = self.translation.elapsed_s(now_ns);
         let rotation = self.rotation.as_mut()?;
         if let (Some(measured), true) = (measured, checked) {
             rotation.begin(measured);
@@ -200,54 +178,36 @@ impl<const N: usize> Arm<N> {
         outgoing: &mut PortState<N>,
     ) -> ArmTick<N> {
         let SlaveReading { position, environment_force, .. } = reading;
-        let elapsed_s = self.elapsed_s(now_ns);
+        let elapsed_s = self.translation.elapsed_s(now_ns);
         let ArmInput { state, turns, stale_ns, newest } = *input;
-        // From the first sample that can be: bounds hang on it.
-        let home = if checked { *self.home.get_or_insert(*position) } else { *position };
         let (mut command_velocity, mut angular_velocity) = (Axes::zeros(), Axes::zeros());
         let mut limited = Limited::default();
         if let (Some(rotation), Some(step), true) = (&mut self.rotation, step, turns || state.is_coupled()) {
             // The two engage where it has just reached the master.
             rotation.command = Some(step.orientation);
         }
-        match (state, newest) {
-            (LadderState::Engaged | LadderState::Stale, Some(master)) => {
-                // From the last command, not from where contact has bent the arm to.
-                let from = self.command.unwrap_or(*position);
-                let (ahead_s, share) = decayed(stale_ns, self.decay_ns);
-                let velocity = self.coupling.commanded_velocity(master.velocity);
-                // Where the two are taken to be coupled anew while frames are late, it has gone ahead already.
-                let ahead = velocity * ahead_s;
-                let wanted = self.coupling.commanded_position(master.position, &(from - ahead)) + ahead;
-                let bounds =
-                    CommandBounds { speed: (self.bounds.speed - self.braking).max(0.0), ..self.bounds };
-                let (command, over) = bounded(&bounds, elapsed_s, &home, &from, &wanted);
-                limited = over;
-                command_velocity = velocity * share;
-                let speed = norm(&command_velocity);
-                if speed > bounds.speed {
-                    command_velocity *= bounds.speed / speed;
-                    limited.speed = true;
-                }
-                self.command = Some(command);
-                if let (Some(rotation), Some(master), Some(measured)) =
-                    (&mut self.rotation, master.rotation, &reading.rotation)
-                {
-                    angular_velocity =
-                        rotation.follow(master, measured, elapsed_s, (ahead_s, share), &mut limited);
-                }
+        let of_master = newest.map(|master| [master.position, master.velocity]);
+        let input = TranslationInput { state, stale_ns, newest: of_master };
+        if let Some(led) = self.translation.follow(now_ns, position, checked, &input) {
+            let [speed, reach] = led.limited;
+            limited = Limited { speed, reach, ..limited };
+            command_velocity = led.velocity;
+            if let (Some(rotation), Some(master), Some(measured)) =
+                (&mut self.rotation, newest.and_then(|master| master.rotation), &reading.rotation)
+            {
+                angular_velocity =
+                    rotation.follow(master, measured, elapsed_s, led.extrapolated, &mut limited);
             }
-            // Holds the last command; when it engages again it does so from where both are then.
-            _ => self.disengage(),
+        } else if let Some(rotation) = &mut self.rotation {
+            rotation.coupling.disengage();
         }
         let power_w = environment_force.dot(&command_velocity);
         let mut turning = angular_velocity;
         if let (true, Some(step)) = (turns, step) {
-            self.command.get_or_insert(*position);
+            self.translation.stay_at(position);
             // What it does to what it touches does not go over the link.
             (angular_velocity, turning) = (step.angular_velocity, Axes::zeros());
         }
-        self.commanded_ns = now_ns;
         self.report(reading, power_w, &turning, elapsed_s, turns, outgoing);
         ArmTick { command_velocity, angular_velocity, limited }
     }
@@ -279,7 +239,7 @@ impl<const N: usize> Arm<N> {
 
     /// The two are no longer coupled: when they engage again, it is from where both are then.
     pub(crate) fn disengage(&mut self) {
-        self.coupling.disengage();
+        self.translation.disengage();
         if let Some(rotation) = &mut self.rotation {
             rotation.coupling.disengage();
         }
@@ -289,7 +249,7 @@ impl<const N: usize> Arm<N> {
     /// goes on from there.
     pub(crate) fn rests(&mut self, rest: &Axes<N>, orientation: Option<&UnitQuaternion<f64>>) {
         // Where it does not know where it is, nothing is commanded until the two engage anew.
-        self.command = self.command.and(Signal::Position.check(rest).is_ok().then_some(*rest));
+        self.translation.rests(Signal::Position.check(rest).is_ok().then_some(*rest));
         if let Some(rotation) = &mut self.rotation {
             let known = orientation.filter(|orientation| check_orientation(orientation).is_ok());
             rotation.command = rotation.command.and(known.copied());
@@ -300,9 +260,9 @@ impl<const N: usize> Arm<N> {
     pub(crate) fn command(&mut self, command: OperatorCommand) -> Result<bool, CouplingError> {
         match command {
             OperatorCommand::Acknowledge => self.fault = None,
-            OperatorCommand::PositionScale(_) => return self.coupling.command_at_slave(command),
+            OperatorCommand::PositionScale(_) => return self.translation.coupling().command_at_slave(command),
             OperatorCommand::Frame { quat_wxyz, .. } => {
-                self.coupling.command_at_slave(command)?;
+                self.translation.coupling().command_at_slave(command)?;
                 self.rotation.as_mut().map_or(Ok(()), |rotation| rotation.set_frame(quat_wxyz))?;
             }
             OperatorCommand::RotationScale(scale) => {
@@ -323,7 +283,7 @@ impl<const N: usize> Arm<N> {
 
     /// The last commanded position in m; none before the first engagement.
     pub(crate) fn last_command(&self) -> Option<Axes<N>> {
-        self.command
+        self.translation.last_command()
     }
 
     /// The last commanded orientation; none of a point, and before the first engagement.

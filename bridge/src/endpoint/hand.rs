@@ -1,8 +1,11 @@
 //! What decides over the force on a hand: the same live, in virtual time, and when a recording is replayed.
 
-use haptether_safety::{Axes, Fault, SafetyTick, Signal, controller::ResearchController};
+use haptether_safety::{
+    Advance, Axes, Fault, Real, SafetyLayer, SafetyTick, Signal, controller::ResearchController, is_within,
+};
 
 use super::layer::{Layer, MasterReading};
+use crate::lanes::padded;
 
 /// What a tick takes over from the one before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -131,5 +134,50 @@ impl<const N: usize> Hand<N> {
                 self.layer.missed(&before.towards(reading, tick as f64 / (missed + 1) as f64));
             }
         }
+    }
+}
+
+/// The safety layers of hands of points, side by side, with what they have to know of the last tick.
+#[derive(Clone, Debug)]
+pub(crate) struct HandLanes<const N: usize, S> {
+    layer: SafetyLayer<N, S>,
+    last: Option<Axes<N, S>>,
+    period_s: f64,
+}
+
+impl<const N: usize, S: Real> HandLanes<N, S> {
+    /// Of hands before their first tick; lanes that are left over repeat the last one. None where their layers differ in more
+    /// than numbers.
+    pub(crate) fn gather(of: &[&Hand<N>]) -> Option<Self> {
+        let period_s = of.first()?.period_s;
+        if of.iter().any(|one| one.last.is_some() || one.period_s.to_bits() != period_s.to_bits()) {
+            return None;
+        }
+        let layers: Option<Vec<_>> = padded(of, S::LANES).map(|one| one.layer.of_point()).collect();
+        Some(Self { layer: SafetyLayer::gather(&layers?)?, last: None, period_s })
+    }
+
+    /// One tick as that of [`Hand::tick`], of which none was missed before: of x in m and, where it is measured, V in m/s under
+    /// what is requested in N and the ladder's `gain`. And where all of its numbers can be: elsewhere the hand meets a fault.
+    #[inline(always)] // once a tick, from one place
+    pub(crate) fn tick(
+        &mut self,
+        position: &Axes<N, S>,
+        velocity: Option<&Axes<N, S>>,
+        requested_force: &Axes<N, S>,
+        gain: f64,
+    ) -> (Advance<N, S>, S::SimdBool) {
+        let requested = requested_force * S::splat(gain);
+        let mut passes = is_within(position, Signal::Position.bound())
+            & is_within(&requested, Signal::RenderedForce.bound());
+        if let Some(velocity) = velocity {
+            passes = passes & is_within(velocity, Signal::Velocity.bound());
+        }
+        if let Some(last) = self.last.replace(*position) {
+            let jump = (position - last) / S::splat(self.period_s);
+            passes = passes & is_within(&jump, Signal::Velocity.bound());
+        }
+        let tick = self.layer.advance(position, velocity, &requested, S::splat(gain));
+        (tick, passes & tick.seen().passes())
     }
 }

@@ -113,6 +113,14 @@ impl<const N: usize> Layer<N> {
         Ok(Self::Wrench(Box::new(WrenchLayer::new(&WrenchSettings { translation, rotation, shares_trips })?)))
     }
 
+    /// That of a hand that does not turn.
+    pub(super) fn of_point(&self) -> Option<&SafetyLayer<N>> {
+        match self {
+            Self::Force(layer) => Some(layer),
+            Self::Wrench(_) => None,
+        }
+    }
+
     /// With a controller of the caller's own, of a hand that does not turn; None for one that does.
     pub(super) fn with_research(self, controller: Box<dyn ResearchController>) -> Option<Self> {
         match self {

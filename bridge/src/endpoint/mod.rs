@@ -7,16 +7,18 @@ mod layer;
 mod master;
 mod rotation;
 mod slave;
+mod translation;
 mod trigger;
 
 pub(crate) use arm::{Arm, ArmInput, MasterState};
 pub use exchange::{Exchange, SideCounts};
-pub(crate) use hand::Hand;
+pub(crate) use hand::{Hand, HandLanes};
 pub use hand::{HandInput, Past};
 pub use layer::{MasterReading, MasterRotationSettings};
 pub use master::{MasterEndpoint, MasterSettings, MasterTick};
 pub use rotation::SlaveRotationSettings;
 pub use slave::{SlaveEndpoint, SlaveReading, SlaveSettings, SlaveTick};
+pub(crate) use translation::{SlaveTranslation, TranslationInput};
 pub use trigger::{TriggerError, TriggerSettings};
 
 /// dT in s.

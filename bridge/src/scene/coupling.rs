@@ -1,6 +1,6 @@
 //! From the numbers of `[coupling]` to commands of the operator, and the coupling as it is at a time.
 
-use haptether_safety::Axes;
+use haptether_safety::{Axes, Real};
 
 use super::{
     assemble::{SceneError, contradiction, ns},
@@ -9,6 +9,7 @@ use super::{
 use crate::{
     EndpointError, OperatorCommand,
     coupling::{CouplingError, FrameMap},
+    lanes::packed,
 };
 
 /// Rotation and locks as one command.
@@ -67,10 +68,10 @@ pub(crate) fn commands<const N: usize>(
 
 /// The coupling as it is at a time: what a run is measured against.
 #[derive(Clone)]
-pub(crate) struct Present<const N: usize> {
+pub(crate) struct Present<const N: usize, S = f64> {
     map: FrameMap<N>,
-    position_scale: f64,
-    force_scale: f64,
+    position_scale: S,
+    force_scale: S,
     commands: Vec<(u64, OperatorCommand)>,
     done: usize,
 }
@@ -80,6 +81,28 @@ impl<const N: usize> Present<N> {
     pub(crate) fn new(spec: &CouplingSpec, commands: Vec<(u64, OperatorCommand)>) -> Self {
         let CouplingSpec { position_scale, force_scale, .. } = *spec;
         Self { map: FrameMap::default(), position_scale, force_scale, commands, done: 0 }
+    }
+
+    /// Largest `lambda_p` that there will be.
+    pub(crate) fn max_position_scale(&self) -> f64 {
+        self.commands.iter().fold(self.position_scale, |max, (_, command)| match command {
+            OperatorCommand::PositionScale(scale) => max.max(*scale),
+            _ => max,
+        })
+    }
+}
+
+impl<const N: usize, S: Real> Present<N, S> {
+    /// Couplings side by side as they begin; None unless their commands are the same.
+    pub(crate) fn gather(of: &[&Present<N>]) -> Option<Self> {
+        let first = of.first()?;
+        of.iter().all(|one| one.done == 0 && one.commands == first.commands).then(|| Self {
+            map: first.map,
+            position_scale: packed(of, |one| one.position_scale),
+            force_scale: packed(of, |one| one.force_scale),
+            commands: first.commands.clone(),
+            done: 0,
+        })
     }
 
     /// How many commands were taken so far.
@@ -103,8 +126,8 @@ impl<const N: usize> Present<N> {
         let before = self.done;
         while let Some((_, command)) = self.commands.get(self.done).filter(|(at, _)| *at <= now_ns) {
             match command {
-                OperatorCommand::PositionScale(scale) => self.position_scale = *scale,
-                OperatorCommand::ForceScale(scale) => self.force_scale = *scale,
+                OperatorCommand::PositionScale(scale) => self.position_scale = S::splat(*scale),
+                OperatorCommand::ForceScale(scale) => self.force_scale = S::splat(*scale),
                 OperatorCommand::Frame { quat_wxyz, locked } => {
                     self.map = FrameMap::rotated(*quat_wxyz, locked)?;
                 }
@@ -115,21 +138,13 @@ impl<const N: usize> Present<N> {
         Ok(self.done > before)
     }
 
-    /// Largest `lambda_p` that there will be.
-    pub(crate) fn max_position_scale(&self) -> f64 {
-        self.commands.iter().fold(self.position_scale, |max, (_, command)| match command {
-            OperatorCommand::PositionScale(scale) => max.max(*scale),
-            _ => max,
-        })
-    }
-
     /// `lambda_p L R v`.
-    pub(crate) fn to_slave(&self, of_master: &Axes<N>) -> Axes<N> {
+    pub(crate) fn to_slave(&self, of_master: &Axes<N, S>) -> Axes<N, S> {
         self.map.to_slave(of_master) * self.position_scale
     }
 
     /// `lambda_f R' L f`.
-    pub(crate) fn to_master(&self, of_slave: &Axes<N>) -> Axes<N> {
+    pub(crate) fn to_master(&self, of_slave: &Axes<N, S>) -> Axes<N, S> {
         self.map.to_master(of_slave) * self.force_scale
     }
 }

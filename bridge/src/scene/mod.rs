@@ -15,6 +15,7 @@ mod sides;
 mod spec;
 mod sweep;
 mod timed;
+mod tracking;
 mod watched;
 
 use std::sync::atomic::AtomicBool;

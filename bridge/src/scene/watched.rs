@@ -1,17 +1,21 @@
 //! What is seen of both sides of a run as they tick, and what it comes to.
 
+mod lanes;
+
 use std::ops::ControlFlow;
+
+pub(super) use lanes::{NearTick, WatchedLanes};
 
 use super::{
     assemble::SceneError,
     coupling::Present,
     measures::{Divergence, DivergenceCause, Ending, MeasureSettings, Measures, Outcome},
-    metrics::Metric,
     pose::{self, RotationMeasures},
     record::{EventLog, Recorder, Sample, SceneRun},
     sides::coupled,
     spec::SceneSpec,
     timed::Timed,
+    tracking::Tracking,
 };
 use crate::{
     EndpointError, Event, Exchange, LadderState, LoopCounts, MasterPlant, MasterRecord, MasterSide,
@@ -35,7 +39,6 @@ pub(super) struct Watched<const N: usize> {
     log: EventLog,
     near: Recorder,
     far: Recorder,
-    coupling: Present<N>,
     /// Of the master and the slave.
     states: [LadderState; 2],
     engaged_s: Option<f64>,
@@ -43,15 +46,9 @@ pub(super) struct Watched<const N: usize> {
     ended_by: Option<Reason>,
     /// When each side first was coupled, in ns since the start; `u64::MAX` if never.
     engaged_ns: [u64; 2],
-    /// Time in ns and true position in m of the master at its newest tick.
-    newest: Option<(u64, Axes<N>)>,
-    far_force: Axes<N>,
-    far_position: Axes<N>,
-    /// Where master and slave were when both had engaged.
-    anchor: Option<[Axes<N>; 2]>,
-    /// Sums of the squared differences of position and force, and how many.
-    squares: [f64; 2],
-    samples: [u64; 2],
+    /// Of the newest tick of the master.
+    newest_ns: u64,
+    tracking: Tracking<N>,
     ticks: u64,
     diverged: Option<Divergence>,
     settled: bool,
@@ -100,17 +97,12 @@ impl<const N: usize> Watched<N> {
                 far_every,
                 (settings.ticks * settings.period_ns).div_ceil(settings.slave_period_ns),
             ),
-            coupling,
             states: [LadderState::Disengaged; 2],
             engaged_s: None,
             ended_by: None,
             engaged_ns: [u64::MAX; 2],
-            newest: None,
-            far_force: Axes::zeros(),
-            far_position: Axes::zeros(),
-            anchor: None,
-            squares: [0.0; 2],
-            samples: [0; 2],
+            newest_ns: 0,
+            tracking: Tracking::new(judged.metrics, coupling),
             ticks: 0,
             diverged: None,
             settled: false,
@@ -145,8 +137,8 @@ impl<const N: usize> Watched<N> {
     #[inline(always)] // most ticks have none due
     fn change(&mut self, now_ns: u64) {
         match self.changed(now_ns) {
-            // The slave goes on from where it is, so it is measured from there.
-            Ok(changed) => self.anchor = self.anchor.filter(|_| !changed),
+                Ok(true) => self.tracking.begin_anew(),
+            Ok(false) => {}
             Err(error) => self.refused = Some(error),
         }
     }
@@ -154,13 +146,14 @@ impl<const N: usize> Watched<N> {
     /// The same, and whether anything was.
     #[inline(always)] // as change
     fn changed(&mut self, now_ns: u64) -> Result<bool, CouplingError> {
-        if !self.coupling.is_due(now_ns) {
+        let coupling = &mut self.tracking.coupling;
+        if !coupling.is_due(now_ns) {
             return Ok(false);
         }
-        let before = self.coupling.done();
-        let changed = self.coupling.advance(now_ns)?;
+        let before = coupling.done();
+        let changed = coupling.advance(now_ns)?;
         if let Some(rotation) = &mut self.rotation {
-            for command in self.coupling.since(before) {
+            for command in coupling.since(before) {
                 rotation.change(command)?;
             }
         }
@@ -170,10 +163,7 @@ impl<const N: usize> Watched<N> {
     /// The hand's schedule begins when the two engage, and so do the measures that hang on it.
     fn engage(&mut self, time_s: f64, start: &Axes<N>) {
         self.engaged_s = Some(time_s);
-        // Whole ns, as the ticks that are held against it.
-        let since = |release: f64| ((release + time_s) * 1e9).round() / 1e9;
-        self.judged.release_s = self.judged.release_s.map(since);
-        self.judged.quiet_after_s = self.judged.quiet_after_s.map(|quiet| quiet + time_s);
+        self.judged = from_engagement(&self.judged, time_s);
         self.measures = Measures::new(&self.judged, start);
         if let Some(rotation) = &mut self.rotation {
             rotation.engage(time_s + self.turn_release_s.unwrap_or(0.0));
@@ -276,12 +266,8 @@ impl<const N: usize> Watched<N> {
         {
             rotation.near(time_s, turn, coupled);
         }
-        if coupled && self.judged.metrics.has(Metric::ForceError) {
-            let difference = force - self.coupling.to_master(&self.far_force);
-            self.squares[1] += difference.norm_squared();
-            self.samples[1] += 1;
-        }
-        self.newest = Some((record.time_ns, record.true_position));
+        self.tracking.near(coupled, x, force);
+        self.newest_ns = record.time_ns;
         if self.settled { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
@@ -342,20 +328,10 @@ impl<const N: usize> Watched<N> {
         if distance.is_nan() || distance > self.max_distance {
             return self.diverge(time_s, DivergenceCause::Arm(distance));
         }
-        (self.far_force, self.far_position) = (record.environment_force, record.position);
         self.log.touches(time_s, record.touches);
         self.log.grips(time_s, record.holds_object);
-        if !self.judged.metrics.has(Metric::PositionError) {
-            // Nobody asks for it.
-        } else if !self.states.iter().all(|state| state.is_coupled()) {
-            // They engage anew from where both are then.
-            self.anchor = None;
-        } else if let Some((_, position)) = &self.newest {
-            let [near, far] = self.anchor.get_or_insert([*position, record.position]);
-            let wanted = self.coupling.to_slave(&(position - *near));
-            self.squares[0] += (record.position - *far - wanted).norm_squared();
-            self.samples[0] += 1;
-        }
+        let coupled = self.states.iter().all(|state| state.is_coupled());
+        self.tracking.far(coupled, &record.position, &record.environment_force);
         let turn = record.rotation.rotation();
         if let (Some(turn), Some(rotation)) = (turn, &mut self.rotation)
             && self.judged.metrics.has_rotation()
@@ -423,12 +399,7 @@ impl<const N: usize> Watched<N> {
             return Err(EndpointError::from(error).into());
         }
         let mut outcome = self.measures.outcome(0, self.ticks, self.ending(), self.diverged);
-        let mean = |which: usize| {
-            (self.samples[which] > 0).then(|| (self.squares[which] / self.samples[which] as f64).sqrt())
-        };
-        // What overflows says nothing beyond that it did.
-        outcome.position_rmse_m = mean(0).filter(|rmse| rmse.is_finite());
-        outcome.force_rmse_n = mean(1).filter(|rmse| rmse.is_finite());
+        [outcome.position_rmse_m, outcome.force_rmse_n] = self.tracking.rmse(0);
         if let Some(rotation) = &self.rotation {
             outcome = rotation.complete(outcome, self.judged.metrics);
         }
@@ -461,8 +432,7 @@ impl<const N: usize> Watched<N> {
         let links = reports.each_ref().map(|report| report.link);
         let outcome = self.outcome()?;
         // A clock that is not right does not tick once in each period of true time.
-        let newest_ns = self.newest.map_or(0, |(time_ns, _)| time_ns);
-        let end_s = newest_ns as f64 / 1e9 + scene.run.period_s;
+        let end_s = self.newest_ns as f64 / 1e9 + scene.run.period_s;
         self.log.schedule(scene, self.engaged_s.unwrap_or(f64::INFINITY), &outcome);
         if self.engaged_s.is_none() && self.diverged.is_none() {
             let heard = reports.iter().all(|report| report.link.fresh > 0);
@@ -499,6 +469,17 @@ impl<const N: usize> Watched<N> {
             period_s: scene.run.period_s,
             reports: Some(reports),
         })
+    }
+}
+
+/// How a run is judged whose two sides engaged at that time in s: the schedule of the hand begins there.
+fn from_engagement(judged: &MeasureSettings, time_s: f64) -> MeasureSettings {
+    // Whole ns, as the ticks that are held against it.
+    let since = |release: f64| ((release + time_s) * 1e9).round() / 1e9;
+    MeasureSettings {
+        release_s: judged.release_s.map(since),
+        quiet_after_s: judged.quiet_after_s.map(|quiet| quiet + time_s),
+        ..*judged
     }
 }
 

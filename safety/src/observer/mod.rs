@@ -18,7 +18,7 @@ pub use windowed::WindowedSafetyObserver;
 use crate::{
     About, Axes, Real,
     fault::{Fault, Signal},
-    lanes::nowhere,
+    lanes::{is_within, nowhere},
 };
 
 /// The observers.
@@ -62,10 +62,7 @@ impl<const N: usize, S: Real> Observation<N, S> {
             (Signal::GraspForce, &self.grasp_force),
         ]
         .into_iter()
-        .fold(!nowhere::<S>(), |passes, (signal, value)| {
-            let bound = S::splat(signal.bound());
-            value.iter().fold(passes, |passes, x| passes & x.magnitude().simd_le(bound))
-        })
+        .fold(!nowhere::<S>(), |passes, (signal, value)| passes & is_within(value, signal.bound()))
     }
 }
 

@@ -1,5 +1,8 @@
 //! Runs whose link and ladders do the same: that is found once, and each run is hand, device and arm alone.
 
+mod history;
+mod lanes;
+
 use std::{
     collections::VecDeque,
     ops::ControlFlow,
@@ -10,6 +13,10 @@ use std::{
 use haptether_safety::{Axes, Fault, SafetyTick, Signal};
 use haptether_slave::{SimulatedSlave, SlaveSample};
 
+use self::{
+    history::{History, Sent},
+    lanes::LaneFollowers,
+};
 use super::{
     Outcomes,
     connection::{Connection, LinkSide, Step},
@@ -18,9 +25,10 @@ use crate::{
     Event, MasterRecord, ModelPlant, SlaveReading, SlaveRecord,
     coupling::PositionForce,
     endpoint::{Arm, ArmInput, Hand, HandInput, MasterReading, MasterState, Past},
+    lanes::NARROW,
     link::PortState,
     scene::{
-        assemble::{SceneError, exact_master, stepped_master},
+        assemble::{SceneError, contradiction, exact_master, stepped_master},
         bilateral::waiting,
         coupling::commands,
         sides::{arm_alone, coupled, hand_alone, simulated_arm},
@@ -43,25 +51,19 @@ pub(super) fn outcomes<const N: usize>(
     stop: &AtomicBool,
 ) -> Result<Outcomes, SceneError> {
     let mut outcomes = vec![None; scenes.len()];
-    let (mut exact, mut stepped) = (Vec::new(), Vec::new());
-    for (row, scene) in scenes.iter().enumerate() {
-        // What cannot be built is refused, as alone.
-        match scene.run.integrator {
-            Integrator::Exact => {
-                let plant = exact_master(scene).map(waiting);
-                exact.extend(plant.and_then(|plant| Follower::new(connection, row, scene, plant)).ok());
-            }
-            Integrator::Stepped(stepping) => {
-                let plant = stepped_master::<N>(scene, stepping).map(|mut plant| {
-                    plant.set_waiting(true);
-                    plant
-                });
-                stepped.extend(plant.and_then(|plant| Follower::new(connection, row, scene, plant)).ok());
-            }
-        }
-    }
-    follow(connection, scenes, exact, stop, &mut outcomes)?;
-    follow(connection, scenes, stepped, stop, &mut outcomes)?;
+    let is_exact = |row: &usize| scenes[*row].run.integrator == Integrator::Exact;
+    let (exact, stepped): (Vec<_>, Vec<_>) = (0..scenes.len()).partition(is_exact);
+    let runs = Runs { connection, scenes, stop };
+    runs.follow(&exact, |scene| exact_master(scene).map(waiting), &mut outcomes)?;
+    let plant = |scene: &SceneSpec<N>| {
+        let Integrator::Stepped(stepping) = scene.run.integrator else {
+            return contradiction("run.integrator: must have steps");
+        };
+        let mut plant = stepped_master::<N>(scene, stepping)?;
+        plant.set_waiting(true);
+        Ok(plant)
+    };
+    runs.follow(&stepped, plant, &mut outcomes)?;
     Ok(outcomes)
 }
 
@@ -79,93 +81,177 @@ struct Branch<P, const N: usize> {
     follower: Follower<P, N>,
 }
 
-/// Runs all to their ends; of one whose link and ladders would have done something else there is no outcome.
-fn follow<P: ModelPlant<N>, const N: usize>(
-    connection: &Connection,
-    scenes: &[&SceneSpec<N>],
-    followers: Vec<Follower<P, N>>,
-    stop: &AtomicBool,
-    outcomes: &mut Outcomes,
-) -> Result<(), SceneError> {
-    let Some(first) = followers.first() else { return Ok(()) };
-    let settings = &connection.settings;
-    // It was built from the same parts before.
-    let Ok([mut master, mut slave]) = LinkSide::both(connection, scenes[first.row]) else { return Ok(()) };
-    // A network that cannot be is refused by each row, and one that changes what it carries is not shared.
-    let ahead = Ahead::new(settings, &mut master, &mut slave);
-    let Some(ahead) = ahead.ok().filter(|ahead| ahead.snapshot().is_some()) else { return Ok(()) };
-    let mut branches = Vec::new();
-    follow_together(ahead, [0, 0], followers, stop, outcomes, &mut branches)?;
-    while let Some(Branch { checkpoint: (first, snapshot), tick, follower }) = branches.pop() {
-        let (mut master, mut slave) = (snapshot.master.clone(), snapshot.slave.clone());
-        master.withhold_from(tick);
-        let Ok(ahead) = Ahead::resume(settings, &snapshot, &mut master, &mut slave) else { continue };
-        follow_together(ahead, first, vec![follower], stop, outcomes, &mut branches)?;
-    }
-    Ok(())
+/// Scenes of one connection.
+struct Runs<'a, const N: usize> {
+    connection: &'a Connection,
+    scenes: &'a [&'a SceneSpec<N>],
+    stop: &'a AtomicBool,
 }
 
-/// Lets all follow link and ladders from where these stand, after so many ticks of the master and the slave, until each has
-/// ended or goes another way.
-fn follow_together<P: ModelPlant<N>, const N: usize>(
-    mut ahead: Ahead<'_, LinkSide<N>, LinkSide<N>, N>,
-    mut first: [u64; 2],
-    mut followers: Vec<Follower<P, N>>,
-    stop: &AtomicBool,
-    outcomes: &mut Outcomes,
-    branches: &mut Vec<Branch<P, N>>,
-) -> Result<(), SceneError> {
-    let mut checkpoints = VecDeque::<Checkpoint<N>>::new();
-    let mut block = Vec::new();
-    let mut goes_on = true;
-    while goes_on && !followers.is_empty() {
-        if stop.load(Ordering::Relaxed) {
-            return Err(SceneError::Stopped);
+/// Fewest runs that are worth being followed side by side.
+const MIN_ABREAST: usize = 3;
+
+impl<const N: usize> Runs<'_, N> {
+    /// Runs those of some scenes to their ends, side by side if they may, with their devices; there is no outcome of one that
+    /// cannot be built, as alone, or whose link and ladders would have done something else.
+    fn follow<P: ModelPlant<N>>(
+        &self,
+        rows: &[usize],
+        plant: impl Fn(&SceneSpec<N>) -> Result<P, SceneError>,
+        outcomes: &mut Outcomes,
+    ) -> Result<(), SceneError> {
+        let built = |rows: &[usize]| {
+            let follower = |row: &usize| {
+                let scene = self.scenes[*row];
+                plant(scene).and_then(|plant| Follower::new(self.connection, *row, scene, plant)).ok()
+            };
+            rows.iter().filter_map(follower).collect::<Vec<_>>()
+        };
+        let (mut abreast, mut alone) = (Vec::new(), Vec::new());
+        let mut left = built(rows);
+        while N <= 3 && left.len() >= MIN_ABREAST {
+            let mut taken: Vec<_> = left.drain(..left.len().min(NARROW)).collect();
+            abreast.extend(LaneFollowers::<P, N, NARROW>::gather(&mut taken));
+            alone.append(&mut taken);
         }
-        if checkpoints.back().is_none_or(|(at, _)| first[0] - at[0] >= TICKS_BETWEEN_CHECKPOINTS as u64)
-            && followers.iter().any(|follower| follower.may_withhold)
-            && let Some(snapshot) = ahead.snapshot()
-        {
-            checkpoints.push_back((first, Rc::new(snapshot)));
-            // What is withheld is seen at the latest a block after the master has ticked.
-            if checkpoints.len() > 2 {
-                checkpoints.pop_front();
-            }
-        }
-        block.clear();
-        goes_on = ahead
-            .advance(&mut |event, _| {
-                block.push(match event {
-                    Event::Master(step) => Tick::Near(*step),
-                    Event::Slave(step) => Tick::Far(*step),
-                });
-                ControlFlow::Continue(())
-            })
-            .is_continue();
-        let mut kept = Vec::with_capacity(followers.len());
-        for mut follower in followers {
-            match follower.take(first, &block) {
-                Progress::GoesOn if goes_on => kept.push(follower),
-                Progress::GoesOn | Progress::Ended => {
-                    outcomes[follower.row] = Some(follower.watched.outcome());
-                }
-                Progress::Withholds(tick) => {
-                    let before = checkpoints.iter().rfind(|(_, snapshot)| snapshot.master.ticks() <= tick);
-                    #[cfg(test)]
-                    tests::count_withheld();
-                    if let Some(before) = before {
-                        branches.push(Branch { checkpoint: before.clone(), tick, follower });
-                    }
-                }
-                Progress::Departs => {}
-            }
-        }
-        followers = kept;
-        for tick in &block {
-            first[usize::from(matches!(tick, Tick::Far(_)))] += 1;
-        }
+        alone.append(&mut left);
+        let departed = self.follow_all(abreast, alone, outcomes)?;
+        self.follow_all(Vec::new(), built(&departed), outcomes)?;
+        Ok(())
     }
-    Ok(())
+
+    /// Runs all to their ends; returns those that have left the others.
+    fn follow_all<P: ModelPlant<N>>(
+        &self,
+        abreast: Vec<LaneFollowers<P, N, NARROW>>,
+        alone: Vec<Follower<P, N>>,
+        outcomes: &mut Outcomes,
+    ) -> Result<Vec<usize>, SceneError> {
+        let mut departed = Vec::new();
+        if abreast.is_empty() && alone.is_empty() {
+            return Ok(departed);
+        }
+        let Some(scene) = self.scenes.first() else { return Ok(departed) };
+        let settings = &self.connection.settings;
+        // It was built from the same parts before.
+        let Ok([mut master, mut slave]) = LinkSide::both(self.connection, scene) else { return Ok(departed) };
+        // A network that cannot be is refused by each row, and one that changes what it carries is not shared.
+        let ahead = Ahead::new(settings, &mut master, &mut slave);
+        let Some(ahead) = ahead.ok().filter(|ahead| ahead.snapshot().is_some()) else { return Ok(departed) };
+        let mut branches = Vec::new();
+        let mut group = Group { abreast, alone };
+        group.follow(ahead, [0, 0], self.stop, outcomes, &mut branches)?;
+        for (row, outcome) in group.abreast.into_iter().flat_map(LaneFollowers::outcomes) {
+            match outcome {
+                Some(outcome) => outcomes[row] = Some(Ok(outcome)),
+                None => departed.push(row),
+            }
+        }
+        while let Some(Branch { checkpoint: (first, snapshot), tick, follower }) = branches.pop() {
+            let (mut master, mut slave) = (snapshot.master.clone(), snapshot.slave.clone());
+            master.withhold_from(tick);
+            let Ok(ahead) = Ahead::resume(settings, &snapshot, &mut master, &mut slave) else { continue };
+            let mut group = Group { abreast: Vec::new(), alone: vec![follower] };
+            group.follow(ahead, first, self.stop, outcomes, &mut branches)?;
+        }
+        Ok(departed)
+    }
+}
+
+/// Runs that follow the same link and ladders.
+struct Group<P, const N: usize> {
+    /// Side by side, from their first ticks on.
+    abreast: Vec<LaneFollowers<P, N, NARROW>>,
+    alone: Vec<Follower<P, N>>,
+}
+
+impl<P: ModelPlant<N>, const N: usize> Group<P, N> {
+    /// Lets all follow link and ladders from where these stand, after so many ticks of the master and the slave, until each has
+    /// ended or goes another way.
+    fn follow(
+        &mut self,
+        mut ahead: Ahead<'_, LinkSide<N>, LinkSide<N>, N>,
+        mut first: [u64; 2],
+        stop: &AtomicBool,
+        outcomes: &mut Outcomes,
+        branches: &mut Vec<Branch<P, N>>,
+    ) -> Result<(), SceneError> {
+        let mut checkpoints = VecDeque::<Checkpoint<N>>::new();
+        let mut block = Vec::new();
+        let mut goes_on = true;
+        while goes_on && self.is_running() {
+            if stop.load(Ordering::Relaxed) {
+                return Err(SceneError::Stopped);
+            }
+            if checkpoints.back().is_none_or(|(at, _)| first[0] - at[0] >= TICKS_BETWEEN_CHECKPOINTS as u64)
+                && self.alone.iter().any(|follower| follower.may_withhold)
+                && let Some(snapshot) = ahead.snapshot()
+            {
+                checkpoints.push_back((first, Rc::new(snapshot)));
+                // What is withheld is seen at the latest a block after the master has ticked.
+                if checkpoints.len() > 2 {
+                    checkpoints.pop_front();
+                }
+            }
+            block.clear();
+            goes_on = ahead
+                .advance(&mut |event, _| {
+                    block.push(match event {
+                        Event::Master(step) => Tick::Near(*step),
+                        Event::Slave(step) => Tick::Far(*step),
+                    });
+                    ControlFlow::Continue(())
+                })
+                .is_continue();
+            let ticks = block.as_slice();
+            for followers in self.abreast.iter_mut().filter(|followers| followers.is_running()) {
+                // No operation is across lanes, and none is fused: their width changes no bit.
+                pulp::Arch::new().dispatch(InLanes { followers, ticks });
+            }
+            let mut kept = Vec::with_capacity(self.alone.len());
+            for mut follower in self.alone.drain(..) {
+                match follower.take(first, ticks) {
+                    Progress::GoesOn if goes_on => kept.push(follower),
+                    Progress::GoesOn | Progress::Ended => {
+                        outcomes[follower.row] = Some(follower.watched.outcome());
+                    }
+                    Progress::Withholds(tick) => {
+                        let before = checkpoints.iter().rfind(|(_, snapshot)| snapshot.master.ticks() <= tick);
+                        #[cfg(test)]
+                        tests::count_withheld();
+                        if let Some(before) = before {
+                            branches.push(Branch { checkpoint: before.clone(), tick, follower });
+                        }
+                    }
+                    Progress::Departs => {}
+                }
+            }
+            self.alone = kept;
+            for tick in ticks {
+                first[usize::from(matches!(tick, Tick::Far(_)))] += 1;
+            }
+        }
+        Ok(())
+    }
+
+    fn is_running(&self) -> bool {
+        !self.alone.is_empty() || self.abreast.iter().any(LaneFollowers::is_running)
+    }
+}
+
+/// Runs side by side and what they follow: what a processor's instructions are chosen for.
+struct InLanes<'a, P, const N: usize, const WIDTH: usize> {
+    followers: &'a mut LaneFollowers<P, N, WIDTH>,
+    ticks: &'a [Tick],
+}
+
+impl<P: ModelPlant<N>, const N: usize, const WIDTH: usize> pulp::WithSimd for InLanes<'_, P, N, WIDTH> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<A: pulp::Simd>(self, _: A) {
+        self.followers.take(self.ticks);
+    }
 }
 
 /// What a tick of either side has of link and ladders.
@@ -185,85 +271,6 @@ enum Progress {
     Withholds(u64),
     /// Link and ladders would do something else.
     Departs,
-}
-
-/// What a frame says of a tick.
-#[derive(Clone, Copy, Debug)]
-struct Sent<const N: usize> {
-    position: Axes<N>,
-    velocity: Axes<N>,
-    force: Axes<N>,
-}
-
-impl<const N: usize> Sent<N> {
-    fn nothing() -> Self {
-        Self { position: Axes::zeros(), velocity: Axes::zeros(), force: Axes::zeros() }
-    }
-}
-
-/// Most ticks of a side that are kept for a peer that hears nothing.
-const MAX_HISTORY: usize = 8192;
-
-/// The ticks of a side since the newest that its peer has heard of.
-struct History<const N: usize> {
-    sent: Vec<Sent<N>>,
-    next: u64,
-}
-
-impl<const N: usize> History<N> {
-    fn new() -> Self {
-        Self { sent: vec![Sent::nothing(); 64], next: 0 }
-    }
-
-    /// Keeps that of the next tick; none of what the peer would refuse, or has not heard of for too long. `force` is the signal
-    /// that its force is, `heard` the newest tick that the peer has heard of.
-    #[inline(always)]
-    fn push(&mut self, sent: Sent<N>, force: Signal, heard: u64) -> Option<()> {
-        let Sent { position, velocity, force: newest } = &sent;
-        for (signal, value) in [(Signal::Position, position), (Signal::Velocity, velocity), (force, newest)] {
-            signal.check(value).ok()?;
-        }
-        if self.next - heard >= self.sent.len() as u64 {
-            self.grow()?;
-        }
-        let slot = self.slot(self.next);
-        self.sent[slot] = sent;
-        self.next += 1;
-        Some(())
-    }
-
-    /// Where that of a tick is kept: its last bits, for there is room for a power of two.
-    #[inline(always)]
-    #[allow(clippy::cast_possible_truncation)] // of bits that are masked
-    fn slot(&self, tick: u64) -> usize {
-        tick as usize & (self.sent.len() - 1)
-    }
-
-    /// Room for twice as many; none beyond [`MAX_HISTORY`].
-    #[inline(never)]
-    fn grow(&mut self) -> Option<()> {
-        if self.sent.len() >= MAX_HISTORY {
-            return None;
-        }
-        let kept = self.sent.len() as u64;
-        let mut grown = Self { sent: vec![Sent::nothing(); 2 * self.sent.len()], next: self.next };
-        for tick in self.next.saturating_sub(kept)..self.next {
-            let slot = grown.slot(tick);
-            grown.sent[slot] = *self.of(tick);
-        }
-        *self = grown;
-        Some(())
-    }
-
-    #[inline(always)]
-    fn of(&self, tick: u64) -> &Sent<N> {
-        debug_assert!(
-            tick < self.next && self.next - tick <= self.sent.len() as u64,
-            "{tick} of {}",
-            self.next
-        );
-        &self.sent[self.slot(tick)]
-    }
 }
 
 /// Both sides of a run without link and ladders, which do what these say.
@@ -427,11 +434,10 @@ impl<P: ModelPlant<N>, const N: usize> Near<P, N> {
                 return None;
             }
             let velocity = safety.motion.velocity;
-            self.sent.push(
-                Sent { position: *position, velocity, force },
-                Signal::RenderedForce,
-                peer_heard,
-            )?;
+            let sent = Sent { position: *position, velocity, force };
+            if !self.sent.push(sent, Signal::RenderedForce, peer_heard) {
+                return None;
+            }
         }
         let truth = self.plant.state();
         self.plant.write(&force);
@@ -493,7 +499,10 @@ impl<const N: usize> Far<N> {
         let PortState { position: x, velocity, force, .. } = self.outgoing;
         // A fault ends the run.
         if fault == 0 {
-            self.sent.push(Sent { position: x, velocity, force }, Signal::EnvironmentForce, peer_heard)?;
+            let sent = Sent { position: x, velocity, force };
+            if !self.sent.push(sent, Signal::EnvironmentForce, peer_heard) {
+                return None;
+            }
         }
         // What is measured of it, and nothing else.
         Some(watched.measure_far(&SlaveRecord::<N> {

@@ -1,0 +1,200 @@
+//! The translation of a slave's endpoint: from the master's position to the one that the arm is to take, of one arm or of
+//! several side by side.
+
+use haptether_safety::{Axes, Real, Signal, is_within, norm};
+use nalgebra::SimdBool as _;
+
+use super::{EndpointError, SlaveSettings, check_period, period_s};
+use crate::{
+    coupling::{PositionForce, bounded, decayed},
+    ladder::LadderState,
+    lanes::packed,
+};
+
+/// What decides over the command of a tick beside where the arm is.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TranslationInput<'a, const N: usize, S: Real = f64> {
+    /// Where the ladder stands.
+    pub(crate) state: LadderState,
+    /// For how long in ns the ladder has stood in STALE.
+    pub(crate) stale_ns: u64,
+    /// x in m and V in m/s of the master, of the newest frame; none before the first.
+    pub(crate) newest: Option<[&'a Axes<N, S>; 2]>,
+}
+
+/// How the commanded position goes on.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Led<const N: usize, S: Real = f64> {
+    /// Its velocity in m/s.
+    pub(crate) velocity: Axes<N, S>,
+    /// Where the bounds on speed and reach acted.
+    pub(crate) limited: [S::SimdBool; 2],
+    /// By how many s of its velocity the command goes ahead of the newest frame, and the share of the velocity that is left.
+    pub(crate) extrapolated: (f64, f64),
+}
+
+/// Coupling and bounds of the position of an arm, with what they have to know of the last tick.
+#[derive(Clone, Debug)]
+pub(crate) struct SlaveTranslation<const N: usize, S = f64> {
+    coupling: PositionForce<N, S>,
+    /// Bounds on the command: speed in m/s, and distance in m from where the slave began.
+    bounds: [S; 2],
+    /// Speed in m/s with which the arm still brakes besides.
+    braking: f64,
+    /// Over how long in ns of STALE the commanded velocity decays.
+    decay_ns: u64,
+    /// Where the slave stood at its first tick.
+    home: Option<Axes<N, S>>,
+    command: Option<Axes<N, S>>,
+    /// When the last command was made, in ns.
+    commanded_ns: u64,
+    /// When in ns the arm was where, at the last sample.
+    last: Option<(u64, Axes<N, S>)>,
+    /// The period of its loop, in s.
+    period_s: f64,
+}
+
+impl<const N: usize> SlaveTranslation<N> {
+    pub(super) fn new(settings: &SlaveSettings) -> Result<Self, EndpointError> {
+        check_period(settings.period_ns)?;
+        settings.bounds.check()?;
+        Ok(Self {
+            coupling: PositionForce::new(settings.position_scale, 1.0)?,
+            bounds: [settings.bounds.speed, settings.bounds.reach],
+            braking: 0.0,
+            decay_ns: settings.ladder.extrapolate_ns,
+            home: None,
+            command: None,
+            commanded_ns: 0,
+            last: None,
+            period_s: period_s(settings.period_ns),
+        })
+    }
+
+    /// The arm still brakes with `speed` in m/s.
+    pub(super) fn set_braking(&mut self, speed: f64) {
+        self.braking = speed;
+    }
+}
+
+impl<const N: usize, S: Real> SlaveTranslation<N, S> {
+    /// Those of several arms side by side, before their first tick; None unless period, decay and map are the same.
+    pub(crate) fn gather(of: &[&SlaveTranslation<N>]) -> Option<Self> {
+        let SlaveTranslation { braking, decay_ns, period_s, .. } = **of.first()?;
+        let begins_so = |one: &&SlaveTranslation<N>| {
+            one.last.is_none()
+                && one.decay_ns == decay_ns
+                && one.period_s.to_bits() == period_s.to_bits()
+                && one.braking.to_bits() == braking.to_bits()
+        };
+        if !of.iter().all(begins_so) {
+            return None;
+        }
+        Some(Self {
+            coupling: PositionForce::gather(&of.iter().map(|one| &one.coupling).collect::<Vec<_>>())?,
+            bounds: [0, 1].map(|which| packed(of, |one| one.bounds[which])),
+            braking,
+            decay_ns,
+            home: None,
+            command: None,
+            commanded_ns: 0,
+            last: None,
+            period_s,
+        })
+    }
+
+    /// Time in s since the last command.
+    #[inline]
+    pub(super) fn elapsed_s(&self, now_ns: u64) -> f64 {
+        now_ns.saturating_sub(self.commanded_ns) as f64 * 1e-9
+    }
+
+    /// The velocity in m/s from the last sample, and the time in s that it took, with a period at least for two ticks that
+    /// follow closely; none at the first. The next begins anew from here.
+    #[inline(always)] // once a tick
+    pub(super) fn moved(&mut self, now_ns: u64, position: &Axes<N, S>) -> Option<(Axes<N, S>, f64)> {
+        let (last_ns, last) = self.last.replace((now_ns, *position))?;
+        let elapsed_s = (now_ns.saturating_sub(last_ns) as f64 * 1e-9).max(self.period_s);
+        Some(((position - last) / S::splat(elapsed_s), elapsed_s))
+    }
+
+    /// Where the numbers of a sample can be, of an arm that has moved no further than any does: what
+    /// [`Arm::check`](super::Arm::check) would let through.
+    #[inline(always)] // once a tick
+    pub(crate) fn passes(&mut self, now_ns: u64, [position, velocity, force]: [&Axes<N, S>; 3]) -> S::SimdBool {
+        let passes = is_within(position, Signal::Position.bound())
+            & is_within(velocity, Signal::Velocity.bound())
+            & is_within(force, Signal::EnvironmentForce.bound());
+        match self.moved(now_ns, position) {
+            Some((moved, _)) => passes & is_within(&moved, Signal::Velocity.bound()),
+            None => passes,
+        }
+    }
+
+    /// One tick of an arm at `position` in m; `checked`: the sample can be. None where it is not led: it holds the last
+    /// command, and when it engages again it does so from where both are then.
+    #[inline(always)] // once a tick, from few places
+    pub(crate) fn follow(
+        &mut self,
+        now_ns: u64,
+        position: &Axes<N, S>,
+        checked: bool,
+        input: &TranslationInput<'_, N, S>,
+    ) -> Option<Led<N, S>> {
+        let elapsed_s = self.elapsed_s(now_ns);
+        self.commanded_ns = now_ns;
+        // From the first sample that can be: bounds hang on it.
+        let home = if checked { *self.home.get_or_insert(*position) } else { *position };
+        let TranslationInput { state, stale_ns, newest } = *input;
+        let (LadderState::Engaged | LadderState::Stale, Some([master, velocity])) = (state, newest) else {
+            self.coupling.disengage();
+            return None;
+        };
+        // From the last command, not from where contact has bent the arm to.
+        let from = self.command.unwrap_or(*position);
+        let (ahead_s, share) = decayed(stale_ns, self.decay_ns);
+        let velocity = self.coupling.commanded_velocity(velocity);
+        // Where the two are taken to be coupled anew while frames are late, it has gone ahead already.
+        let ahead = velocity * S::splat(ahead_s);
+        let wanted = self.coupling.commanded_position(master, &(from - ahead)) + ahead;
+        let [speed, reach] = self.bounds;
+        let max_speed = (speed - S::splat(self.braking)).larger(S::zero());
+        let (command, [mut hurries, leaves]) = bounded([max_speed, reach], elapsed_s, &home, &from, &wanted);
+        let mut velocity = velocity * S::splat(share);
+        let speed = norm(&velocity);
+        let is_fast = speed.simd_gt(max_speed);
+        if is_fast.any() {
+            velocity *= (max_speed / speed).select(is_fast, S::one());
+            hurries = hurries | is_fast;
+        }
+        self.command = Some(command);
+        Some(Led { velocity, limited: [hurries, leaves], extrapolated: (ahead_s, share) })
+    }
+
+    /// The two are no longer coupled: when they engage again, it is from where both are then.
+    pub(crate) fn disengage(&mut self) {
+        self.coupling.disengage();
+    }
+
+    /// The arm no longer follows and comes to rest at `rest` in m: when the two engage again, it goes on from there. None
+    /// where it does not know where it is: nothing is commanded until the two engage anew.
+    pub(crate) fn rests(&mut self, rest: Option<Axes<N, S>>) {
+        self.command = self.command.and(rest);
+    }
+
+    /// What its coupling is.
+    pub(crate) fn coupling(&mut self) -> &mut PositionForce<N, S> {
+        &mut self.coupling
+    }
+
+    /// The last commanded position in m; none before the first engagement.
+    #[inline]
+    pub(crate) fn last_command(&self) -> Option<Axes<N, S>> {
+        self.command
+    }
+
+    /// Commands `position` in m unless something was commanded before.
+    pub(super) fn stay_at(&mut self, position: &Axes<N, S>) {
+        self.command.get_or_insert(*position);
+    }
+}

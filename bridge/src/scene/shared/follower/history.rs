@@ -1,0 +1,80 @@
+//! What the frames of a side say that its peer may still hear of, of one run or of several side by side.
+
+use haptether_safety::{Axes, Real, Signal, is_within};
+
+/// What a frame says of a tick.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sent<const N: usize, S: Real = f64> {
+    pub(super) position: Axes<N, S>,
+    pub(super) velocity: Axes<N, S>,
+    pub(super) force: Axes<N, S>,
+}
+
+impl<const N: usize, S: Real> Sent<N, S> {
+    fn nothing() -> Self {
+        Self { position: Axes::zeros(), velocity: Axes::zeros(), force: Axes::zeros() }
+    }
+}
+
+/// Most ticks of a side that are kept for a peer that hears nothing.
+const MAX_HISTORY: usize = 8192;
+
+/// The ticks of a side since the newest that its peer has heard of.
+pub(super) struct History<const N: usize, S: Real = f64> {
+    pub(super) sent: Vec<Sent<N, S>>,
+    next: u64,
+}
+
+impl<const N: usize, S: Real> History<N, S> {
+    pub(super) fn new() -> Self {
+        Self { sent: vec![Sent::nothing(); 64], next: 0 }
+    }
+
+    /// Keeps that of the next tick; returns where the peer would take it, nowhere if it has not heard of any for too long.
+    /// `force` is the signal that its force is, `heard` the newest tick that the peer has heard of.
+    #[inline(always)]
+    pub(super) fn push(&mut self, sent: Sent<N, S>, force: Signal, heard: u64) -> S::SimdBool {
+        if self.next - heard >= self.sent.len() as u64 && !self.grow() {
+            return S::zero().simd_lt(S::zero());
+        }
+        let slot = self.slot(self.next);
+        self.sent[slot] = sent;
+        self.next += 1;
+        is_within(&sent.position, Signal::Position.bound())
+            & is_within(&sent.velocity, Signal::Velocity.bound())
+            & is_within(&sent.force, force.bound())
+    }
+
+    /// Where that of a tick is kept: its last bits, for there is room for a power of two.
+    #[inline(always)]
+    #[allow(clippy::cast_possible_truncation)] // of bits that are masked
+    fn slot(&self, tick: u64) -> usize {
+        tick as usize & (self.sent.len() - 1)
+    }
+
+    /// Room for twice as many, unless they are [`MAX_HISTORY`].
+    #[inline(never)]
+    fn grow(&mut self) -> bool {
+        if self.sent.len() >= MAX_HISTORY {
+            return false;
+        }
+        let kept = self.sent.len() as u64;
+        let mut grown = Self { sent: vec![Sent::nothing(); 2 * self.sent.len()], next: self.next };
+        for tick in self.next.saturating_sub(kept)..self.next {
+            let slot = grown.slot(tick);
+            grown.sent[slot] = *self.of(tick);
+        }
+        *self = grown;
+        true
+    }
+
+    #[inline(always)]
+    pub(super) fn of(&self, tick: u64) -> &Sent<N, S> {
+        debug_assert!(
+            tick < self.next && self.next - tick <= self.sent.len() as u64,
+            "{tick} of {}",
+            self.next
+        );
+        &self.sent[self.slot(tick)]
+    }
+}

@@ -1,0 +1,276 @@
+//! Runs of one connection side by side, in lanes, as long as each takes the way that nearly all take: whoever meets a fault,
+//! withholds its force or diverges leaves, and is run by itself.
+
+use haptether_safety::{Axes, Signal};
+use haptether_slave::SimulatedSlave;
+use nalgebra::{SimdBool as _, SimdValue as _};
+
+use super::{
+    Follower, Tick,
+    history::{History, Sent},
+};
+use crate::{
+    ModelPlant, Truth,
+    coupling::PositionForce,
+    endpoint::{HandLanes, SlaveTranslation, TranslationInput},
+    lanes::Lanes,
+    scene::{
+        measures::Outcome,
+        shared::connection::Step,
+        timed::Commands,
+        watched::{NearTick, WatchedLanes},
+    },
+    side::{LeadTransition, is_stopped},
+};
+
+/// Both sides of some runs without link and ladders, which do what these say.
+pub(super) struct LaneFollowers<P, const N: usize, const WIDTH: usize> {
+    /// The run of each lane.
+    rows: Vec<usize>,
+    /// A bit for each lane that is still run, and for each that has left.
+    running: u64,
+    left: u64,
+    near: Near<P, N, WIDTH>,
+    far: Far<N, WIDTH>,
+    watched: WatchedLanes<N, Lanes<WIDTH>>,
+    /// Of lanes that have settled.
+    settled: Vec<Option<Outcome>>,
+}
+
+/// The sides of the hands.
+struct Near<P, const N: usize, const WIDTH: usize> {
+    plants: Vec<P>,
+    hands: HandLanes<N, Lanes<WIDTH>>,
+    coupling: PositionForce<N, Lanes<WIDTH>>,
+    commands: Commands,
+    sent: History<N, Lanes<WIDTH>>,
+    /// The newest tick of the slave that they have heard of.
+    heard: u64,
+    /// Of each lane, as the last read found it.
+    measured: [Axes<N, Lanes<WIDTH>>; 2],
+    truth: Truth<N, Lanes<WIDTH>>,
+}
+
+/// The sides of the robots.
+struct Far<const N: usize, const WIDTH: usize> {
+    plants: Vec<SimulatedSlave<N>>,
+    translation: SlaveTranslation<N, Lanes<WIDTH>>,
+    led: LeadTransition,
+    commands: Commands,
+    sent: History<N, Lanes<WIDTH>>,
+    /// The newest tick of the master that they have heard of.
+    heard: u64,
+    /// x in m, V in m/s and `F_e` in N of each lane, as the last read found it.
+    measured: [Axes<N, Lanes<WIDTH>>; 3],
+}
+
+/// The lanes of a mask.
+#[inline(always)]
+fn lanes_of(mask: u64, count: usize) -> impl Iterator<Item = usize> {
+    (0..count).filter(move |lane| mask >> lane & 1 == 1)
+}
+
+#[inline(always)]
+fn set<const N: usize, const WIDTH: usize>(lanes: &mut Axes<N, Lanes<WIDTH>>, lane: usize, value: &Axes<N>) {
+    for axis in 0..N {
+        lanes[axis].replace(lane, value[axis]);
+    }
+}
+
+#[inline(always)]
+fn of_lane<const N: usize, const WIDTH: usize>(lanes: &Axes<N, Lanes<WIDTH>>, lane: usize) -> Axes<N> {
+    Axes::from_fn(|axis, _| lanes[axis].extract(lane))
+}
+
+impl<P: ModelPlant<N>, const N: usize, const WIDTH: usize> LaneFollowers<P, N, WIDTH> {
+    /// Those of some followers before their first tick, at most as many as there are lanes, which it takes; None, and all are
+    /// left, where they differ in more than numbers.
+    pub(super) fn gather(followers: &mut Vec<Follower<P, N>>) -> Option<Self> {
+        let count = followers.len();
+        let hands: Vec<_> = followers.iter().map(|one| &one.near.hand).collect();
+        let hands = HandLanes::gather(&hands)?;
+        let couplings: Vec<_> = followers.iter().map(|one| &one.near.coupling).collect();
+        let coupling = PositionForce::gather(&couplings)?;
+        let translations: Vec<_> = followers.iter().map(|one| one.far.arm.translation()).collect();
+        let translation = SlaveTranslation::gather(&translations)?;
+        let watched: Vec<_> = followers.iter().map(|one| &one.watched).collect();
+        let watched = WatchedLanes::gather(&watched)?;
+        let commands = followers.first()?.near.commands.clone();
+        let zeros = Axes::<N, Lanes<WIDTH>>::zeros();
+        let mut rows = Vec::with_capacity(count);
+        let (mut near, mut far) = (Vec::with_capacity(count), Vec::with_capacity(count));
+        for Follower { row, near: one, far: other, .. } in followers.drain(..) {
+            rows.push(row);
+            near.push(one.plant);
+            far.push(other.plant);
+        }
+        Some(Self {
+            rows,
+            running: (1 << count) - 1,
+            left: 0,
+            near: Near {
+                plants: near,
+                hands,
+                coupling,
+                commands: commands.clone(),
+                sent: History::new(),
+                heard: 0,
+                measured: [zeros; 2],
+                truth: Truth { position: zeros, velocity: zeros, hand_force: zeros },
+            },
+            far: Far {
+                plants: far,
+                translation,
+                led: LeadTransition::default(),
+                commands,
+                sent: History::new(),
+                heard: 0,
+                measured: [zeros; 3],
+            },
+            watched,
+            settled: vec![None; count],
+        })
+    }
+
+    /// Whether any lane is still run.
+    pub(super) fn is_running(&self) -> bool {
+        self.running != 0
+    }
+
+    /// What each run has come to, none of one that has left.
+    pub(super) fn outcomes(self) -> impl Iterator<Item = (usize, Option<Outcome>)> {
+        let Self { rows, watched, left, settled, .. } = self;
+        rows.into_iter().zip(settled).enumerate().map(move |(lane, (row, settled))| {
+            let has_left = left >> lane & 1 == 1;
+            (row, (!has_left).then(|| settled.unwrap_or_else(|| watched.outcome(lane, false))))
+        })
+    }
+
+    /// Takes some ticks, in the instructions of the function that it is compiled into.
+    #[inline(always)]
+    pub(super) fn take(&mut self, ticks: &[Tick]) {
+        for tick in ticks {
+            if self.running == 0 {
+                return;
+            }
+            match tick {
+                Tick::Near(step) => self.near(step),
+                Tick::Far(step) => self.far(step),
+            }
+        }
+    }
+
+    /// Those of these lanes that are still run leave.
+    #[inline(always)]
+    fn leave(&mut self, lanes: u64) {
+        self.left |= self.running & lanes;
+        self.running &= !lanes;
+    }
+
+    /// A tick of the master, as [`super::Near`] does it.
+    #[inline(always)]
+    fn near(&mut self, step: &Step) {
+        if step.missed != 0 || step.has_stalled || step.withholds {
+            return self.leave(u64::MAX);
+        }
+        let Near { plants, hands, coupling, commands, sent, heard, measured: [x, v], truth } = &mut self.near;
+        while let Some(command) = commands.due(step.now_ns) {
+            // They were checked when the scene was built.
+            let _ = coupling.command_at_master(command);
+        }
+        let mut measures_velocity = false;
+        for lane in lanes_of(self.running, plants.len()) {
+            let plant = &mut plants[lane];
+            let (position, velocity) = plant.read(step.now_ns);
+            set(x, lane, &position);
+            if let Some(velocity) = velocity {
+                measures_velocity = true;
+                set(v, lane, &velocity);
+            }
+            let state = plant.state();
+            set(&mut truth.position, lane, &state.position);
+            set(&mut truth.velocity, lane, &state.velocity);
+            set(&mut truth.hand_force, lane, &state.hand_force);
+        }
+        let requested = match step.newest() {
+            Some(tick) => coupling.rendered_force(&self.far.sent.of(tick).force),
+            None => Axes::zeros(),
+        };
+        *heard = step.newest().unwrap_or(0);
+        let (decided, mut stays) = hands.tick(x, measures_velocity.then_some(&*v), &requested, step.gain);
+        stays = stays & !decided.response.withheld;
+        let (velocity, force) = (decided.motion.velocity, decided.device_force);
+        stays = stays & sent.push(Sent { position: *x, velocity, force }, Signal::RenderedForce, self.far.heard);
+        for lane in lanes_of(self.running, plants.len()) {
+            plants[lane].write(&of_lane(&force, lane));
+            if step.state.is_coupled() {
+                plants[lane].engaged();
+            }
+        }
+        let tick = NearTick { now_ns: step.now_ns, state: step.state, truth: &*truth, decided: &decided };
+        let [still, settled] = self.watched.near(&tick);
+        stays = stays & still;
+        if !stays.all() {
+            self.leave(!stays.bitmask());
+        }
+        if settled.any() {
+            for lane in lanes_of(self.running & settled.bitmask(), self.rows.len()) {
+                self.settled[lane] = Some(self.watched.outcome(lane, true));
+                self.running &= !(1 << lane);
+            }
+        }
+    }
+
+    /// A tick of the slave, as [`super::Far`] does it.
+    #[inline(always)]
+    fn far(&mut self, step: &Step) {
+        let Far { plants, translation, led, commands, sent, heard, measured } = &mut self.far;
+        while let Some(command) = commands.due(step.now_ns) {
+            // As of the master.
+            let _ = translation.coupling().command_at_slave(command);
+        }
+        for lane in lanes_of(self.running, plants.len()) {
+            let sample = plants[lane].read(step.now_ns);
+            set(&mut measured[0], lane, &sample.position);
+            set(&mut measured[1], lane, &sample.velocity);
+            set(&mut measured[2], lane, &sample.environment_force);
+        }
+        let [position, velocity, force] = &*measured;
+        if step.peer_began {
+            translation.disengage();
+        }
+        let mut stays = translation.passes(step.clock_ns, [position, velocity, force]);
+        let newest = step.newest().map(|tick| self.near.sent.of(tick));
+        *heard = step.newest().unwrap_or(0);
+        let newest = newest.map(|Sent { position, velocity, .. }| [position, velocity]);
+        let input = TranslationInput { state: step.state, stale_ns: step.stale_ns, newest };
+        let command_velocity = match translation.follow(step.clock_ns, position, true, &input) {
+            Some(led) => led.velocity,
+            None => Axes::zeros(),
+        };
+        if let Some(rest) = led.step(step.state, step.state.is_coupled()) {
+            let mut rests = *position;
+            for lane in lanes_of(self.running, plants.len()) {
+                set(&mut rests, lane, &rest.of(&mut plants[lane]));
+            }
+            stays = stays & haptether_safety::is_within(&rests, Signal::Position.bound());
+            translation.rests(Some(rests));
+        }
+        if let Some(command) = translation.last_command().filter(|_| !is_stopped(step.state)) {
+            for lane in lanes_of(self.running, plants.len()) {
+                plants[lane].write(&of_lane(&command, lane), &of_lane(&command_velocity, lane));
+            }
+        }
+        if step.state.is_coupled() {
+            for lane in lanes_of(self.running, plants.len()) {
+                plants[lane].start(step.now_ns);
+            }
+        }
+        let tick = Sent { position: *position, velocity: *velocity, force: *force };
+        stays = stays & sent.push(tick, Signal::EnvironmentForce, self.near.heard);
+        stays = stays & self.watched.far(step.now_ns, step.state, [position, force]);
+        if !stays.all() {
+            self.leave(!stays.bitmask());
+        }
+    }
+}
