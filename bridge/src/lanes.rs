@@ -392,6 +392,18 @@ impl<const WIDTH: usize> haptether_master::Real for Lanes<WIDTH> {
     }
 }
 
+impl<const WIDTH: usize> haptether_slave::Real for Lanes<WIDTH> {
+    #[inline(always)]
+    fn root(self) -> Self {
+        self.each(f64::sqrt)
+    }
+
+    #[inline(always)]
+    fn magnitude(self) -> Self {
+        self.each(f64::abs)
+    }
+}
+
 /// One instance of each lane: lanes that are left over repeat the last one.
 pub(crate) fn padded<T>(of: &[T], lanes: usize) -> impl Iterator<Item = &T> {
     (0..lanes).filter_map(|lane| of.get(lane).or(of.last()))

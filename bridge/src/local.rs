@@ -110,7 +110,7 @@ where
 }
 
 /// Scenarios side by side, watched by those that `watch` gathers; none if they differ in what lanes must share.
-pub(crate) fn gather<W, const N: usize, S: Real + haptether_master::Real>(
+pub(crate) fn gather<W, const N: usize, S: Real + haptether_master::Real + haptether_slave::Real>(
     of: &[&LocalLoop<SteppedMaster<N>, RenderedWalls<N>, Watch<N>, N>],
     watch: impl FnOnce(&[&Watch<N>]) -> Option<W>,
 ) -> Option<LocalLoop<SteppedMaster<N, S>, RenderedWalls<N, S>, W, N, S>> {
@@ -178,7 +178,7 @@ impl<const N: usize> Surfaces<N> for SceneRendering<N> {
     }
 }
 
-impl<const N: usize, S: Real> Rendering<N, S> for RenderedWalls<N, S> {
+impl<const N: usize, S: Real + haptether_slave::Real> Rendering<N, S> for RenderedWalls<N, S> {
     #[inline(always)]
     fn needs_velocity(&self) -> bool {
         self.is_damped()

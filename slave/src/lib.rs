@@ -8,6 +8,7 @@ mod arm;
 mod contact;
 mod gripper;
 mod one_axis;
+mod real;
 mod settings;
 mod simulated;
 mod solver;
@@ -20,14 +21,15 @@ pub use contact::environment::Environment;
 pub use contact::law::{Contact, ContactLaw, FULL_SLIP};
 pub use contact::object::{FreeBody, Object, ObjectMotion, Shape};
 pub use contact::pusher::{PushShape, Pusher, Series};
-pub use contact::rendered::{Real, RenderedPush, RenderedWall, RenderedWalls};
+pub use contact::rendered::{RenderedPush, RenderedWall, RenderedWalls};
 pub use gripper::{GripperCommand, GripperSample, GripperSettings, SimulatedGripper};
 pub use one_axis::Wall;
+pub use real::Real;
 pub use settings::{
     ArmSettings, BodySettings, ContactLawKind, ContactSettings, ControlKind, ForceSensorSettings,
     ObjectMotionSettings, ObjectSettings, PushKind, PusherSettings, SeriesSettings, ShapeSettings,
 };
-pub use simulated::{SimulatedSlave, SlaveSample};
+pub use simulated::{SimulatedSlave, SlaveLanes, SlaveLanesSample, SlaveSample};
 pub use tool::{
     HandleSettings, HoleSettings, RigidBodySettings, SimulatedTool, ToolSample, ToolSettings,
     ToolWorldSettings,

@@ -1,5 +1,9 @@
 //! A simulated slave: an arm in an environment, advanced in time under held commands.
 
+mod lanes;
+
+pub use lanes::{SlaveLanes, SlaveLanesSample};
+
 use crate::{
     ArmModel, ArmParameters, Axes, Environment, ForceSensor, ModelError, Pusher, Wall, all_finite,
     arm::drive::{ArmDrive, Tool},

@@ -36,6 +36,30 @@ impl<const N: usize> ArmDrive<N> {
         &self.set_points
     }
 
+    /// The commanded position in m, if there is one, and the velocity in m/s.
+    pub(crate) fn commanded(&self) -> (Option<Axes<N>>, Axes<N>) {
+        (self.command.position, self.command.velocity)
+    }
+
+    /// Whether the command is where it comes to rest.
+    pub(crate) fn stops(&self) -> bool {
+        self.stops
+    }
+
+    /// Goes on under a command from where its set position has come to meanwhile, without a bound on its acceleration: a plan
+    /// must follow.
+    pub(crate) fn resume(
+        &mut self,
+        (position, velocity): (Axes<N>, Axes<N>),
+        stops: bool,
+        set_position: &Axes<N>,
+    ) {
+        (self.command, self.stops) = (Command { position: Some(position), velocity }, stops);
+        for (set_point, position) in self.set_points.iter_mut().zip(set_position) {
+            set_point.position = *position;
+        }
+    }
+
     pub(crate) fn command(&mut self, position: Option<Axes<N>>, velocity: Axes<N>) {
         let command = Command { position, velocity };
         self.stops &= command == self.command;

@@ -72,13 +72,36 @@ impl<const N: usize> Environment<N> {
     pub fn force(&mut self, position: &Axes<N>, velocity: &Axes<N>, time_s: f64) -> Axes<N> {
         self.keep_near(position, velocity, time_s);
         let near = self.reach.near.iter().copied();
-        let push = match self.stretch.steady {
-            Some(push) if self.stretch.holds(time_s) => push,
-            _ => self.push(time_s, time_s),
-        };
+        let push = self.push_at(time_s);
         let (force, touches) = self.force_of(push, near, position, velocity, time_s);
         self.touches = touches;
         force
+    }
+
+    /// Force of the pushers on the tool in N at one instant.
+    #[inline]
+    pub(crate) fn push_at(&self, time_s: f64) -> Axes<N> {
+        match self.stretch.steady {
+            Some(push) if self.stretch.holds(time_s) => push,
+            _ => self.push(time_s, time_s),
+        }
+    }
+
+    /// The push in N at the begin of a piece of `step` in s within a stretch, and by how much it grows in N/s; `inside` is any
+    /// time of the piece clear of its ends.
+    #[inline]
+    pub(crate) fn linear_push(
+        &self,
+        stretch: &Stretch<N>,
+        inside: f64,
+        [begin, end]: [f64; 2],
+        step: f64,
+    ) -> (Axes<N>, Axes<N>) {
+        if let Some(push) = stretch.steady {
+            return (push, Axes::zeros());
+        }
+        let push = self.push(inside, begin);
+        (push, (self.push(inside, end) - push) / step)
     }
 
     /// Whether the tool was inside an object when the force was last computed; a spring has no inside.

@@ -2,43 +2,13 @@
 
 use std::f64::consts::{PI, TAU};
 
-use nalgebra::{ClosedAddAssign, ClosedMulAssign, ClosedSubAssign, Scalar, SimdPartialOrd, SimdValue};
-use num_traits::{One, Zero};
-
 use crate::{
-    ModelError, PushShape,
+    ModelError, PushShape, Real,
     contact::window::{Window, whole_ns},
     require,
 };
 
 type Axes<const N: usize, S = f64> = nalgebra::SVector<S, N>;
-
-/// A real number, or one for each of several scenarios that are rendered side by side.
-pub trait Real:
-    Scalar
-    + Copy
-    + Zero
-    + One
-    + ClosedAddAssign
-    + ClosedSubAssign
-    + ClosedMulAssign
-    + SimdPartialOrd
-    + SimdValue<Element = f64>
-{
-}
-
-impl<S> Real for S where
-    S: Scalar
-        + Copy
-        + Zero
-        + One
-        + ClosedAddAssign
-        + ClosedSubAssign
-        + ClosedMulAssign
-        + SimdPartialOrd
-        + SimdValue<Element = f64>
-{
-}
 
 /// The course of a push, without its numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

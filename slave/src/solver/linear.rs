@@ -1,23 +1,27 @@
 //! An arm among planes across the axes and springs: linear between contacts, axis by axis, and advanced exactly, as
 //! long as it stays clear of all other objects.
 
+mod lanes;
+
+pub(crate) use lanes::LineLanes;
+
 use crate::{
-    Axes, Environment, Object,
+    Axes, Environment, Object, Real,
     arm::drive::{ArmDrive, Tool},
     contact::law::Mode,
     norm,
 };
 
 /// Longest piece in s.
-const LONGEST: f64 = 1e-3;
+pub(crate) const LONGEST: f64 = 1e-3;
 /// Least time in s that an event takes, so that a tick ends.
-const SHORTEST: f64 = 1e-12;
+pub(crate) const SHORTEST: f64 = 1e-12;
 /// Steps for one piece before its rest is taken at once.
 const MAX_STEPS: u32 = 20_000;
 
 /// What acts on one axis of the tool beside the pushers.
 #[derive(Clone, Debug, Default, PartialEq)]
-struct Line {
+pub(crate) struct Line {
     planes: Vec<LinePlane>,
     /// Sum of K in N/m, of B in N s/m and of K anchor in N of the springs.
     spring: [f64; 3],
@@ -100,12 +104,12 @@ impl LinePlane {
 
 /// `x'' = -k x - c x' + u_0 + u_1 t + u_2 t²` from a state on, per kg.
 #[derive(Clone, Copy, Debug)]
-struct Course {
-    transition: Transition,
+struct Course<S = f64> {
+    transition: Transition<S>,
     /// Coefficients of the particular solution, a quadratic in time.
-    particular: [f64; 3],
+    particular: [S; 3],
     /// What is left beside it at t = 0.
-    beside: [f64; 2],
+    beside: [S; 2],
 }
 
 impl Course {
@@ -114,53 +118,73 @@ impl Course {
         Self::of(Transition::new(k, c), c, input, state)
     }
 
-    #[inline(always)]
-    fn of(transition: Transition, c: f64, [u0, u1, u2]: [f64; 3], [x, v]: [f64; 2]) -> Self {
-        // Three divisions, one after the other, would take longer than all else.
-        let per_k = transition.per_k;
-        let a2 = u2 * per_k;
-        let a1 = (u1 - 2.0 * c * a2) * per_k;
-        let a0 = (u0 - c * a1 - 2.0 * a2) * per_k;
-        Self { transition, particular: [a0, a1, a2], beside: [x - a0, v - a1] }
-    }
-
     fn at(self, t: f64) -> [f64; 2] {
         self.by(&self.transition.over(t), t)
     }
 
-    /// The state after t, by the map over t.
+    /// The state after t, by the map over t, of the course plus the response to a [`Bend`].
+    #[inline]
+    fn after_bend(&self, bend: &Bend, c: f64, map: &TransitionMap, t: f64) -> [f64; 2] {
+        self.bent(bend, c, map, &self.transition.over(t - bend.at), t)
+    }
+}
+
+/// An input per kg beside that of a course: `slope (s - at)` up to s = `at`.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Bend<S = f64> {
+    /// In s.
+    pub(crate) at: S,
+    /// In m/s³.
+    pub(crate) slope: S,
+}
+
+impl<S: Real> Course<S> {
     #[inline(always)]
-    fn by(self, map: &TransitionMap, t: f64) -> [f64; 2] {
-        let [a0, a1, a2] = self.particular;
-        let [x, v] = map.apply(self.beside);
-        [x + a0 + t * (a1 + t * a2), v + a1 + 2.0 * a2 * t]
+    fn of(transition: Transition<S>, c: S, [u0, u1, u2]: [S; 3], [x, v]: [S; 2]) -> Self {
+        // Three divisions, one after the other, would take longer than all else.
+        let (two, per_k) = (S::splat(2.0), transition.per_k);
+        let a2 = u2 * per_k;
+        let a1 = (u1 - two * c * a2) * per_k;
+        let a0 = (u0 - c * a1 - two * a2) * per_k;
+        Self { transition, particular: [a0, a1, a2], beside: [x - a0, v - a1] }
     }
 
-    /// The state after t, by the map over t, of the course plus the response to `slope (s - bend)` up to s = `bend`.
+    /// The state after t, by the map over t.
+    #[inline(always)]
+    fn by(self, map: &TransitionMap<S>, t: f64) -> [S; 2] {
+        let (two, t) = (S::splat(2.0), S::splat(t));
+        let [a0, a1, a2] = self.particular;
+        let [x, v] = map.apply(self.beside);
+        [x + a0 + t * (a1 + t * a2), v + a1 + two * a2 * t]
+    }
+
+    /// The state after t, by the maps over t and over what of it is left after a [`Bend`], of the course plus the response to
+    /// that.
     ///
     /// Of a line `f_0 + f_1 s` from rest on that response is `b_0 + b_1 s` less the map of `(b_0, b_1)`, with
     /// `b_1 = f_1 / k` and `b_0 = (f_0 - c b_1) / k`. From the bend on the line is taken off again; the two lines are then one and
     /// drop out, and what is left are the two maps.
-    #[inline]
-    fn after_bend(&self, (bend, slope): (f64, f64), c: f64, map: &TransitionMap, t: f64) -> [f64; 2] {
+    #[inline(always)]
+    fn bent(&self, bend: &Bend<S>, c: S, map: &TransitionMap<S>, rest: &TransitionMap<S>, t: f64) -> [S; 2] {
         let per_k = self.transition.per_k;
-        let b1 = slope * per_k;
+        let b1 = bend.slope * per_k;
         let from_bend = -c * b1 * per_k;
-        let b0 = from_bend - slope * bend * per_k;
+        let b0 = from_bend - bend.slope * bend.at * per_k;
         let [y, v] = self.beside;
         let [x, v] = Self { beside: [y - b0, v - b1], ..*self }.by(map, t);
-        let [more_x, more_v] = self.transition.over(t - bend).apply([from_bend, b1]);
+        let [more_x, more_v] = rest.apply([from_bend, b1]);
         [x + more_x, v + more_v]
     }
 
     /// Bounds on `|x(s) - x(0)|` in m and `|x'(s)|` in m/s for s up to t: beside the particular solution
     /// `y'' + c y' + k y = 0`, whose energy `y'² + k y²` does not grow, as long as c is not negative.
     #[inline(always)]
-    fn bounds(self, t: f64) -> [f64; 2] {
-        let [_, a1, a2] = self.particular.map(f64::abs);
+    fn bounds(self, t: f64) -> [S; 2] {
+        let (two, t) = (S::splat(2.0), S::splat(t));
+        let [_, a1, a2] = self.particular.map(S::magnitude);
         let [y, v] = self.beside;
-        let swing = (v * v + self.transition.k * y * y).sqrt();
-        [t * (swing + a1 + t * a2), swing + a1 + 2.0 * t * a2]
+        let swing = (v * v + self.transition.k * y * y).root();
+        [t * (swing + a1 + t * a2), swing + a1 + two * t * a2]
     }
 }
 
@@ -196,6 +220,11 @@ impl<const N: usize> LinearArm<N> {
         let apart: Vec<_> = environment.objects.iter().map(|object| !sort(&mut lines, object)).collect();
         let is_complete = !apart.contains(&true);
         Some(Self { lines, apart, is_complete, coarse_steps: 0 })
+    }
+
+    /// What acts on each axis.
+    pub(crate) fn lines(&self) -> &[Line; N] {
+        &self.lines
     }
 
     /// As [`LinearArm::advance`], where bounds say that no near object which is on no line is touched, and no other comes into
@@ -246,13 +275,8 @@ impl<const N: usize> LinearArm<N> {
                 end = span;
             }
             let step = end - done;
-            let (push, growth) = if let Some(push) = stretch.steady {
-                (push, Axes::zeros())
-            } else {
-                let inside = from + 0.5 * (done + end);
-                let push = environment.push(inside, now);
-                (push, (environment.push(inside, from + end) - push) / step)
-            };
+            let inside = from + 0.5 * (done + end);
+            let (push, growth) = environment.linear_push(&stretch, inside, [now, from + end], step);
             let wanted = drive.command_velocity();
             let mass = drive.model().mass_kg();
             let (stiffness, damping, feed_forward) = drive.model().impedance();
@@ -323,7 +347,7 @@ impl Line {
         // Bound on the integral of |slope (t - bend)|, which is half of it.
         let impulse = (slope * bend).abs() * bend;
         if let Some((course, map)) = self.one_piece(arm, [later0, later1, 0.0], state, step, impulse) {
-            return (course.after_bend((bend, slope), self.regime.c, &map, step), true);
+            return (course.after_bend(&Bend { at: bend, slope }, self.regime.c, &map, step), true);
         }
         let (state, before) = self.advance_by_pieces(arm, [u0, u1, 0.0], state, bend);
         let later = [later0 + bend * later1, later1, 0.0];
@@ -485,17 +509,17 @@ impl Line {
 
 /// What [`Transition`] makes of a state over some time.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct TransitionMap {
-    k: f64,
-    from_y: f64,
-    from_v: f64,
-    sine: f64,
+pub(crate) struct TransitionMap<S = f64> {
+    k: S,
+    from_y: S,
+    from_v: S,
+    sine: S,
 }
 
-impl TransitionMap {
+impl<S: Real> TransitionMap<S> {
     /// (y, y') after that time.
-    #[inline]
-    pub(crate) fn apply(&self, [y, v]: [f64; 2]) -> [f64; 2] {
+    #[inline(always)]
+    pub(crate) fn apply(&self, [y, v]: [S; 2]) -> [S; 2] {
         let Self { k, from_y, from_v, sine } = *self;
         [y * from_y + v * sine, v * from_v - k * y * sine]
     }
@@ -503,14 +527,14 @@ impl TransitionMap {
 
 /// `y'' + c y' + k y = 0`, solved in closed form.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Transition {
-    k: f64,
+pub(crate) struct Transition<S = f64> {
+    k: S,
     /// 1 / k
-    per_k: f64,
+    per_k: S,
     /// c / 2
-    half: f64,
+    half: S,
     /// (c / 2)² - k: positive if overdamped.
-    discriminant: f64,
+    discriminant: S,
 }
 
 /// `1 / (2 n)!` and `1 / (2 n + 1)!`, of cosine and sine.
@@ -543,7 +567,7 @@ impl Transition {
     pub(crate) fn over(&self, t: f64) -> TransitionMap {
         let Self { k, half, discriminant, .. } = *self;
         let z = discriminant * t * t;
-        if z > 1e-2 {
+        if z > NEARLY_CRITICAL {
             let root = discriminant.sqrt();
             // The slow pole by the product of both: no difference of nearly equal numbers.
             let (slow, fast) = (-k / (half + root), -(half + root));
@@ -553,22 +577,81 @@ impl Transition {
             let from_v = (slow * e_slow - fast * e_fast) / (2.0 * root);
             return TransitionMap { k, from_y, from_v, sine };
         }
+        if z >= -NEARLY_CRITICAL && half.abs() * t <= REACH {
+            return self.over_nearly_critical(t);
+        }
         let decay = (-half * t).exp();
-        let (cosine, sine) = if z < -1e-2 {
+        let (cosine, sine) = if z < -NEARLY_CRITICAL {
             let rate = (-discriminant).sqrt();
             let (sin, cos) = (rate * t).sin_cos();
             (cos, sin / rate)
         } else {
-            // Near critical damping both are power series of z; z^6 / 12! is below rounding.
-            let (cosine, sine) = EVEN_AND_ODD
-                .iter()
-                .rev()
-                .fold((0.0, 0.0), |(cosine, sine), [even, odd]| (even + cosine * z, odd + sine * z));
+            let [cosine, sine] = nearly_critical(z);
             (cosine, sine * t)
         };
-        let (cosine, sine) = (decay * cosine, decay * sine);
-        TransitionMap { k, from_y: cosine + half * sine, from_v: cosine - half * sine, sine }
+        self.damped(decay, cosine, sine)
     }
+}
+
+impl<S: Real> Transition<S> {
+    /// The map over t in s, where `|z| <=` [`NEARLY_CRITICAL`] and `|c| t / 2 <=` [`REACH`].
+    #[inline(always)]
+    fn over_nearly_critical(&self, t: S) -> TransitionMap<S> {
+        let [cosine, sine] = nearly_critical(self.discriminant * t * t);
+        self.damped(exponential(-self.half * t), cosine, sine * t)
+    }
+
+    #[inline(always)]
+    fn damped(&self, decay: S, cosine: S, sine: S) -> TransitionMap<S> {
+        let (cosine, sine) = (decay * cosine, decay * sine);
+        TransitionMap {
+            k: self.k,
+            from_y: cosine + self.half * sine,
+            from_v: cosine - self.half * sine,
+            sine,
+        }
+    }
+}
+
+/// `|(c / 2)² - k| t²` up to which cosine and sine are power series of it.
+const NEARLY_CRITICAL: f64 = 1e-2;
+
+/// Cosine, and sine by time, near critical damping: both are power series of z; `z^6 / 12!` is below rounding.
+#[inline(always)]
+fn nearly_critical<S: Real>(z: S) -> [S; 2] {
+    EVEN_AND_ODD.iter().rev().fold([S::zero(); 2], |[cosine, sine], [even, odd]| {
+        [S::splat(*even) + cosine * z, S::splat(*odd) + sine * z]
+    })
+}
+
+/// `|x|` up to which [`exponential`] is one.
+const REACH: f64 = 0.5;
+
+/// `e^x` for `|x| <=` [`REACH`], to two roundings: its Taylor series up to `x^15`, for `0.5^16 / 16!` is 7e-19; by pairs of
+/// pairs of terms, so that no term waits for all before it.
+///
+/// Source: G. Estrin, "Organization of computer systems", 1960 (the order of the terms).
+#[inline(always)]
+fn exponential<S: Real>(x: S) -> S {
+    const TERMS: [f64; 16] = {
+        let mut terms = [1.0; 16];
+        let mut n = 1;
+        while n < 16 {
+            terms[n] = terms[n - 1] / n as f64;
+            n += 1;
+        }
+        terms
+    };
+    let mut sums = TERMS.map(S::splat);
+    let (mut count, mut power) = (16, x);
+    while count > 1 {
+        count /= 2;
+        for pair in 0..count {
+            sums[pair] = sums[2 * pair] + sums[2 * pair + 1] * power;
+        }
+        power = power * power;
+    }
+    sums[0]
 }
 
 #[cfg(test)]

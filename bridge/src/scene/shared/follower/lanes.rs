@@ -1,8 +1,8 @@
 //! Runs of one connection side by side, in lanes, as long as each takes the way that nearly all take: whoever meets a fault,
 //! withholds its force or diverges leaves, and is run by itself.
 
-use haptether_safety::{Axes, Signal};
-use haptether_slave::SimulatedSlave;
+use haptether_safety::{Axes, Signal, is_within};
+use haptether_slave::{SlaveLanes, SlaveLanesSample};
 use nalgebra::{SimdBool as _, SimdValue as _};
 
 use super::{
@@ -53,15 +53,13 @@ struct Near<P, const N: usize, const WIDTH: usize> {
 
 /// The sides of the robots.
 struct Far<const N: usize, const WIDTH: usize> {
-    plants: Vec<SimulatedSlave<N>>,
+    plants: SlaveLanes<N, Lanes<WIDTH>>,
     translation: SlaveTranslation<N, Lanes<WIDTH>>,
     led: LeadTransition,
     commands: Commands,
     sent: History<N, Lanes<WIDTH>>,
     /// The newest tick of the master that they have heard of.
     heard: u64,
-    /// x in m, V in m/s and `F_e` in N of each lane, as the last read found it.
-    measured: [Axes<N, Lanes<WIDTH>>; 3],
 }
 
 /// The lanes of a mask.
@@ -119,13 +117,12 @@ impl<P: ModelPlant<N>, const N: usize, const WIDTH: usize> LaneFollowers<P, N, W
                 truth: Truth { position: zeros, velocity: zeros, hand_force: zeros },
             },
             far: Far {
-                plants: far,
+                plants: SlaveLanes::new(far),
                 translation,
                 led: LeadTransition::default(),
                 commands,
                 sent: History::new(),
                 heard: 0,
-                measured: [zeros; 3],
             },
             watched,
             settled: vec![None; count],
@@ -224,51 +221,40 @@ impl<P: ModelPlant<N>, const N: usize, const WIDTH: usize> LaneFollowers<P, N, W
     /// A tick of the slave, as [`super::Far`] does it.
     #[inline(always)]
     fn far(&mut self, step: &Step) {
-        let Far { plants, translation, led, commands, sent, heard, measured } = &mut self.far;
+        let running = self.running;
+        let Far { plants, translation, led, commands, sent, heard } = &mut self.far;
         while let Some(command) = commands.due(step.now_ns) {
             // As of the master.
             let _ = translation.coupling().command_at_slave(command);
         }
-        for lane in lanes_of(self.running, plants.len()) {
-            let sample = plants[lane].read(step.now_ns);
-            set(&mut measured[0], lane, &sample.position);
-            set(&mut measured[1], lane, &sample.velocity);
-            set(&mut measured[2], lane, &sample.environment_force);
-        }
-        let [position, velocity, force] = &*measured;
+        let SlaveLanesSample { position, velocity, environment_force: force } =
+            *plants.read(running, step.now_ns);
         if step.peer_began {
             translation.disengage();
         }
-        let mut stays = translation.passes(step.clock_ns, [position, velocity, force]);
+        let mut stays = translation.passes(step.clock_ns, [&position, &velocity, &force]);
         let newest = step.newest().map(|tick| self.near.sent.of(tick));
         *heard = step.newest().unwrap_or(0);
         let newest = newest.map(|Sent { position, velocity, .. }| [position, velocity]);
         let input = TranslationInput { state: step.state, stale_ns: step.stale_ns, newest };
-        let command_velocity = match translation.follow(step.clock_ns, position, true, &input) {
+        let command_velocity = match translation.follow(step.clock_ns, &position, true, &input) {
             Some(led) => led.velocity,
             None => Axes::zeros(),
         };
-        if let Some(rest) = led.step(step.state, step.state.is_coupled()) {
-            let mut rests = *position;
-            for lane in lanes_of(self.running, plants.len()) {
-                set(&mut rests, lane, &rest.of(&mut plants[lane]));
-            }
-            stays = stays & haptether_safety::is_within(&rests, Signal::Position.bound());
+        if led.step(step.state, step.state.is_coupled()).is_some() {
+            // Of a model a stop is a hold.
+            let rests = plants.stop(running);
+            stays = stays & is_within(&rests, Signal::Position.bound());
             translation.rests(Some(rests));
         }
         if let Some(command) = translation.last_command().filter(|_| !is_stopped(step.state)) {
-            for lane in lanes_of(self.running, plants.len()) {
-                plants[lane].write(&of_lane(&command, lane), &of_lane(&command_velocity, lane));
-            }
+            plants.write(running, &command, &command_velocity);
         }
         if step.state.is_coupled() {
-            for lane in lanes_of(self.running, plants.len()) {
-                plants[lane].start(step.now_ns);
-            }
+            plants.start(step.now_ns);
         }
-        let tick = Sent { position: *position, velocity: *velocity, force: *force };
-        stays = stays & sent.push(tick, Signal::EnvironmentForce, self.near.heard);
-        stays = stays & self.watched.far(step.now_ns, step.state, [position, force]);
+        stays = stays & sent.push(Sent { position, velocity, force }, Signal::EnvironmentForce, self.near.heard);
+        stays = stays & self.watched.far(step.now_ns, step.state, [&position, &force]);
         if !stays.all() {
             self.leave(!stays.bitmask());
         }
