@@ -145,6 +145,18 @@ impl<const N: usize> Hand<N> {
         self.damping
     }
 
+    /// The same hand with another grip strength in N.
+    pub(crate) fn with_strength(&self, strength_n: f64) -> Self {
+        Self { strength_n, ..self.clone() }
+    }
+
+    /// Whether it follows the same path, lets go and takes hold again as another, and trembles so.
+    pub(crate) fn moves_as(&self, other: &Self) -> bool {
+        let Self { path, release, regrasp, schedule, tremor, .. } = self;
+        (path, release, regrasp, schedule, tremor)
+            == (&other.path, &other.release, &other.regrasp, &other.schedule, &other.tremor)
+    }
+
     pub(crate) fn full_strength(&self) -> f64 {
         self.strength_n
     }

@@ -26,7 +26,7 @@ pub use rotation::{
     RotationHand, RotationHandParameters, RotationLeg, RotationParameters, RotationSample, SimulatedRotation,
     TorsionSpring,
 };
-pub use simulated::{MasterSample, SimulatedMaster, Touch};
+pub use simulated::{MasterLanes, MasterLanesSample, MasterSample, SimulatedMaster, Touch};
 pub use stepped::{SteppedMaster, Stepping};
 pub use stepped_hand::SteppedHand;
 pub use wall::ContinuousWall;

@@ -214,10 +214,7 @@ impl<const N: usize> FrameMap<N> {
 
 /// A matrix times a vector.
 #[inline(always)] // as its callers
-fn turned<const N: usize, S: Real>(
-    vector: &Axes<N, S>,
-    element: impl Fn(usize, usize) -> f64,
-) -> Axes<N, S> {
+fn turned<const N: usize, S: Real>(vector: &Axes<N, S>, element: impl Fn(usize, usize) -> f64) -> Axes<N, S> {
     Axes::from_fn(|row, _| {
         let first = vector[0] * S::splat(element(row, 0));
         (1..N).fold(first, |sum, column| sum + vector[column] * S::splat(element(row, column)))

@@ -260,7 +260,9 @@ impl<const N: usize> Arm<N> {
     pub(crate) fn command(&mut self, command: OperatorCommand) -> Result<bool, CouplingError> {
         match command {
             OperatorCommand::Acknowledge => self.fault = None,
-            OperatorCommand::PositionScale(_) => return self.translation.coupling().command_at_slave(command),
+            OperatorCommand::PositionScale(_) => {
+                return self.translation.coupling().command_at_slave(command);
+            }
             OperatorCommand::Frame { quat_wxyz, .. } => {
                 self.translation.coupling().command_at_slave(command)?;
                 self.rotation.as_mut().map_or(Ok(()), |rotation| rotation.set_frame(quat_wxyz))?;

@@ -121,7 +121,11 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
     /// Where the numbers of a sample can be, of an arm that has moved no further than any does: what
     /// [`Arm::check`](super::Arm::check) would let through.
     #[inline(always)] // once a tick
-    pub(crate) fn passes(&mut self, now_ns: u64, [position, velocity, force]: [&Axes<N, S>; 3]) -> S::SimdBool {
+    pub(crate) fn passes(
+        &mut self,
+        now_ns: u64,
+        [position, velocity, force]: [&Axes<N, S>; 3],
+    ) -> S::SimdBool {
         let passes = is_within(position, Signal::Position.bound())
             & is_within(velocity, Signal::Velocity.bound())
             & is_within(force, Signal::EnvironmentForce.bound());

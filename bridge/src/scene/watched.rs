@@ -137,7 +137,7 @@ impl<const N: usize> Watched<N> {
     #[inline(always)] // most ticks have none due
     fn change(&mut self, now_ns: u64) {
         match self.changed(now_ns) {
-                Ok(true) => self.tracking.begin_anew(),
+            Ok(true) => self.tracking.begin_anew(),
             Ok(false) => {}
             Err(error) => self.refused = Some(error),
         }

@@ -2,11 +2,14 @@
 
 mod bend;
 mod events;
+mod lanes;
 mod one_step;
 #[cfg(test)]
 mod one_step_tests;
 #[cfg(test)]
 mod tests;
+
+pub use lanes::{MasterLanes, MasterLanesSample};
 
 use crate::{
     Axes, ContinuousWall, DeviceParameters, Hand, ModelError,

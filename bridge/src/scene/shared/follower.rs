@@ -25,8 +25,9 @@ use crate::{
     Event, MasterRecord, ModelPlant, SlaveReading, SlaveRecord,
     coupling::PositionForce,
     endpoint::{Arm, ArmInput, Hand, HandInput, MasterReading, MasterState, Past},
-    lanes::NARROW,
+    lanes::{Lanes, NARROW},
     link::PortState,
+    plant::{PlantLanes, SideBySide},
     scene::{
         assemble::{SceneError, contradiction, exact_master, stepped_master},
         bilateral::waiting,
@@ -81,6 +82,14 @@ struct Branch<P, const N: usize> {
     follower: Follower<P, N>,
 }
 
+/// A model of a device and its hand, as it is followed.
+trait Device<const N: usize>: SideBySide<N, Lanes<NARROW>> + Clone {}
+
+impl<P: SideBySide<N, Lanes<NARROW>> + Clone, const N: usize> Device<N> for P {}
+
+/// Several of them side by side.
+type DeviceLanes<P, const N: usize> = <P as SideBySide<N, Lanes<NARROW>>>::Lanes;
+
 /// Scenes of one connection.
 struct Runs<'a, const N: usize> {
     connection: &'a Connection,
@@ -94,7 +103,7 @@ const MIN_ABREAST: usize = 3;
 impl<const N: usize> Runs<'_, N> {
     /// Runs those of some scenes to their ends, side by side if they may, with their devices; there is no outcome of one that
     /// cannot be built, as alone, or whose link and ladders would have done something else.
-    fn follow<P: ModelPlant<N>>(
+    fn follow<P: Device<N>>(
         &self,
         rows: &[usize],
         plant: impl Fn(&SceneSpec<N>) -> Result<P, SceneError>,
@@ -111,7 +120,7 @@ impl<const N: usize> Runs<'_, N> {
         let mut left = built(rows);
         while N <= 3 && left.len() >= MIN_ABREAST {
             let mut taken: Vec<_> = left.drain(..left.len().min(NARROW)).collect();
-            abreast.extend(LaneFollowers::<P, N, NARROW>::gather(&mut taken));
+            abreast.extend(LaneFollowers::<DeviceLanes<P, N>, N, NARROW>::gather(&mut taken));
             alone.append(&mut taken);
         }
         alone.append(&mut left);
@@ -121,9 +130,9 @@ impl<const N: usize> Runs<'_, N> {
     }
 
     /// Runs all to their ends; returns those that have left the others.
-    fn follow_all<P: ModelPlant<N>>(
+    fn follow_all<P: Device<N>>(
         &self,
-        abreast: Vec<LaneFollowers<P, N, NARROW>>,
+        abreast: Vec<LaneFollowers<DeviceLanes<P, N>, N, NARROW>>,
         alone: Vec<Follower<P, N>>,
         outcomes: &mut Outcomes,
     ) -> Result<Vec<usize>, SceneError> {
@@ -159,13 +168,13 @@ impl<const N: usize> Runs<'_, N> {
 }
 
 /// Runs that follow the same link and ladders.
-struct Group<P, const N: usize> {
+struct Group<P: Device<N>, const N: usize> {
     /// Side by side, from their first ticks on.
-    abreast: Vec<LaneFollowers<P, N, NARROW>>,
+    abreast: Vec<LaneFollowers<DeviceLanes<P, N>, N, NARROW>>,
     alone: Vec<Follower<P, N>>,
 }
 
-impl<P: ModelPlant<N>, const N: usize> Group<P, N> {
+impl<P: Device<N>, const N: usize> Group<P, N> {
     /// Lets all follow link and ladders from where these stand, after so many ticks of the master and the slave, until each has
     /// ended or goes another way.
     fn follow(
@@ -216,7 +225,8 @@ impl<P: ModelPlant<N>, const N: usize> Group<P, N> {
                         outcomes[follower.row] = Some(follower.watched.outcome());
                     }
                     Progress::Withholds(tick) => {
-                        let before = checkpoints.iter().rfind(|(_, snapshot)| snapshot.master.ticks() <= tick);
+                        let before =
+                            checkpoints.iter().rfind(|(_, snapshot)| snapshot.master.ticks() <= tick);
                         #[cfg(test)]
                         tests::count_withheld();
                         if let Some(before) = before {
@@ -240,12 +250,15 @@ impl<P: ModelPlant<N>, const N: usize> Group<P, N> {
 }
 
 /// Runs side by side and what they follow: what a processor's instructions are chosen for.
-struct InLanes<'a, P, const N: usize, const WIDTH: usize> {
-    followers: &'a mut LaneFollowers<P, N, WIDTH>,
+struct InLanes<'a, L, const N: usize, const WIDTH: usize> {
+    followers: &'a mut LaneFollowers<L, N, WIDTH>,
     ticks: &'a [Tick],
 }
 
-impl<P: ModelPlant<N>, const N: usize, const WIDTH: usize> pulp::WithSimd for InLanes<'_, P, N, WIDTH> {
+impl<L, const N: usize, const WIDTH: usize> pulp::WithSimd for InLanes<'_, L, N, WIDTH>
+where
+    L: PlantLanes<N, Lanes<WIDTH>>,
+{
     type Output = ();
 
     #[inline(always)]

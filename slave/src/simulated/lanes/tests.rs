@@ -69,7 +69,8 @@ fn slave<const N: usize>(drawn: &Drawn, kinds: u8, push_at_s: f64) -> SimulatedS
     if kinds & 4 != 0 {
         pushers.push(Pusher::shaped(PushShape::Step, 0.02, 0.0305, along(last, -0.5 * push_n)).unwrap());
     }
-    SimulatedSlave::in_environment(arm, Environment::new(objects, pushers), None, Axes::repeat(0.01), 0).unwrap()
+    SimulatedSlave::in_environment(arm, Environment::new(objects, pushers), None, Axes::repeat(0.01), 0)
+        .unwrap()
 }
 
 /// Slaves in lanes are as alone, tick for tick and to the bit: all that is measured, and where they come to rest. Returns how

@@ -145,8 +145,8 @@ impl<S: Real> LineLanes<S> {
         for plane in &self.planes {
             let depth = plane.normal * (plane.surface - x);
             let pressing = plane.stiffness * depth - plane.damping * plane.normal * v;
-            let farther = farther
-                + S::splat(1e-12) * (x.magnitude() + a0.magnitude() + plane.surface.magnitude());
+            let farther =
+                farther + S::splat(1e-12) * (x.magnitude() + a0.magnitude() + plane.surface.magnitude());
             let apart = depth.simd_le(zero) & (depth + farther).simd_lt(zero);
             let pushes = plane.stiffness * (depth - farther);
             let touching = depth.simd_gt(zero)

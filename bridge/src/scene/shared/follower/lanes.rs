@@ -3,17 +3,17 @@
 
 use haptether_safety::{Axes, Signal, is_within};
 use haptether_slave::{SlaveLanes, SlaveLanesSample};
-use nalgebra::{SimdBool as _, SimdValue as _};
+use nalgebra::SimdBool as _;
 
 use super::{
     Follower, Tick,
     history::{History, Sent},
 };
 use crate::{
-    ModelPlant, Truth,
     coupling::PositionForce,
     endpoint::{HandLanes, SlaveTranslation, TranslationInput},
     lanes::Lanes,
+    plant::{PlantLanes, SideBySide},
     scene::{
         measures::Outcome,
         shared::connection::Step,
@@ -24,13 +24,13 @@ use crate::{
 };
 
 /// Both sides of some runs without link and ladders, which do what these say.
-pub(super) struct LaneFollowers<P, const N: usize, const WIDTH: usize> {
+pub(super) struct LaneFollowers<L, const N: usize, const WIDTH: usize> {
     /// The run of each lane.
     rows: Vec<usize>,
     /// A bit for each lane that is still run, and for each that has left.
     running: u64,
     left: u64,
-    near: Near<P, N, WIDTH>,
+    near: Near<L, N, WIDTH>,
     far: Far<N, WIDTH>,
     watched: WatchedLanes<N, Lanes<WIDTH>>,
     /// Of lanes that have settled.
@@ -38,17 +38,14 @@ pub(super) struct LaneFollowers<P, const N: usize, const WIDTH: usize> {
 }
 
 /// The sides of the hands.
-struct Near<P, const N: usize, const WIDTH: usize> {
-    plants: Vec<P>,
+struct Near<L, const N: usize, const WIDTH: usize> {
+    plants: L,
     hands: HandLanes<N, Lanes<WIDTH>>,
     coupling: PositionForce<N, Lanes<WIDTH>>,
     commands: Commands,
     sent: History<N, Lanes<WIDTH>>,
     /// The newest tick of the slave that they have heard of.
     heard: u64,
-    /// Of each lane, as the last read found it.
-    measured: [Axes<N, Lanes<WIDTH>>; 2],
-    truth: Truth<N, Lanes<WIDTH>>,
 }
 
 /// The sides of the robots.
@@ -68,22 +65,13 @@ fn lanes_of(mask: u64, count: usize) -> impl Iterator<Item = usize> {
     (0..count).filter(move |lane| mask >> lane & 1 == 1)
 }
 
-#[inline(always)]
-fn set<const N: usize, const WIDTH: usize>(lanes: &mut Axes<N, Lanes<WIDTH>>, lane: usize, value: &Axes<N>) {
-    for axis in 0..N {
-        lanes[axis].replace(lane, value[axis]);
-    }
-}
-
-#[inline(always)]
-fn of_lane<const N: usize, const WIDTH: usize>(lanes: &Axes<N, Lanes<WIDTH>>, lane: usize) -> Axes<N> {
-    Axes::from_fn(|axis, _| lanes[axis].extract(lane))
-}
-
-impl<P: ModelPlant<N>, const N: usize, const WIDTH: usize> LaneFollowers<P, N, WIDTH> {
+impl<L: PlantLanes<N, Lanes<WIDTH>>, const N: usize, const WIDTH: usize> LaneFollowers<L, N, WIDTH> {
     /// Those of some followers before their first tick, at most as many as there are lanes, which it takes; None, and all are
     /// left, where they differ in more than numbers.
-    pub(super) fn gather(followers: &mut Vec<Follower<P, N>>) -> Option<Self> {
+    pub(super) fn gather<P>(followers: &mut Vec<Follower<P, N>>) -> Option<Self>
+    where
+        P: SideBySide<N, Lanes<WIDTH>, Lanes = L> + Clone,
+    {
         let count = followers.len();
         let hands: Vec<_> = followers.iter().map(|one| &one.near.hand).collect();
         let hands = HandLanes::gather(&hands)?;
@@ -94,14 +82,8 @@ impl<P: ModelPlant<N>, const N: usize, const WIDTH: usize> LaneFollowers<P, N, W
         let watched: Vec<_> = followers.iter().map(|one| &one.watched).collect();
         let watched = WatchedLanes::gather(&watched)?;
         let commands = followers.first()?.near.commands.clone();
-        let zeros = Axes::<N, Lanes<WIDTH>>::zeros();
-        let mut rows = Vec::with_capacity(count);
-        let (mut near, mut far) = (Vec::with_capacity(count), Vec::with_capacity(count));
-        for Follower { row, near: one, far: other, .. } in followers.drain(..) {
-            rows.push(row);
-            near.push(one.plant);
-            far.push(other.plant);
-        }
+        let near = P::side_by_side(followers.iter().map(|one| one.near.plant.clone()).collect())?;
+        let (rows, far) = followers.drain(..).map(|one| (one.row, one.far.plant)).unzip();
         Some(Self {
             rows,
             running: (1 << count) - 1,
@@ -113,8 +95,6 @@ impl<P: ModelPlant<N>, const N: usize, const WIDTH: usize> LaneFollowers<P, N, W
                 commands: commands.clone(),
                 sent: History::new(),
                 heard: 0,
-                measured: [zeros; 2],
-                truth: Truth { position: zeros, velocity: zeros, hand_force: zeros },
             },
             far: Far {
                 plants: SlaveLanes::new(far),
@@ -170,41 +150,28 @@ impl<P: ModelPlant<N>, const N: usize, const WIDTH: usize> LaneFollowers<P, N, W
         if step.missed != 0 || step.has_stalled || step.withholds {
             return self.leave(u64::MAX);
         }
-        let Near { plants, hands, coupling, commands, sent, heard, measured: [x, v], truth } = &mut self.near;
+        let running = self.running;
+        let Near { plants, hands, coupling, commands, sent, heard } = &mut self.near;
         while let Some(command) = commands.due(step.now_ns) {
             // They were checked when the scene was built.
             let _ = coupling.command_at_master(command);
         }
-        let mut measures_velocity = false;
-        for lane in lanes_of(self.running, plants.len()) {
-            let plant = &mut plants[lane];
-            let (position, velocity) = plant.read(step.now_ns);
-            set(x, lane, &position);
-            if let Some(velocity) = velocity {
-                measures_velocity = true;
-                set(v, lane, &velocity);
-            }
-            let state = plant.state();
-            set(&mut truth.position, lane, &state.position);
-            set(&mut truth.velocity, lane, &state.velocity);
-            set(&mut truth.hand_force, lane, &state.hand_force);
-        }
+        let (position, velocity) = plants.read(running, step.now_ns);
         let requested = match step.newest() {
             Some(tick) => coupling.rendered_force(&self.far.sent.of(tick).force),
             None => Axes::zeros(),
         };
         *heard = step.newest().unwrap_or(0);
-        let (decided, mut stays) = hands.tick(x, measures_velocity.then_some(&*v), &requested, step.gain);
+        let (decided, mut stays) = hands.tick(&position, velocity.as_ref(), &requested, step.gain);
         stays = stays & !decided.response.withheld;
         let (velocity, force) = (decided.motion.velocity, decided.device_force);
-        stays = stays & sent.push(Sent { position: *x, velocity, force }, Signal::RenderedForce, self.far.heard);
-        for lane in lanes_of(self.running, plants.len()) {
-            plants[lane].write(&of_lane(&force, lane));
-            if step.state.is_coupled() {
-                plants[lane].engaged();
-            }
+        stays = stays & sent.push(Sent { position, velocity, force }, Signal::RenderedForce, self.far.heard);
+        let truth = plants.state();
+        plants.write(running, &force);
+        if step.state.is_coupled() {
+            plants.engaged();
         }
-        let tick = NearTick { now_ns: step.now_ns, state: step.state, truth: &*truth, decided: &decided };
+        let tick = NearTick { now_ns: step.now_ns, state: step.state, truth: &truth, decided: &decided };
         let [still, settled] = self.watched.near(&tick);
         stays = stays & still;
         if !stays.all() {
@@ -253,7 +220,8 @@ impl<P: ModelPlant<N>, const N: usize, const WIDTH: usize> LaneFollowers<P, N, W
         if step.state.is_coupled() {
             plants.start(step.now_ns);
         }
-        stays = stays & sent.push(Sent { position, velocity, force }, Signal::EnvironmentForce, self.near.heard);
+        stays =
+            stays & sent.push(Sent { position, velocity, force }, Signal::EnvironmentForce, self.near.heard);
         stays = stays & self.watched.far(step.now_ns, step.state, [&position, &force]);
         if !stays.all() {
             self.leave(!stays.bitmask());

@@ -1,0 +1,540 @@
+//! Several simulated masters side by side: those to which nothing happens within a tick are advanced in lanes, each of the
+//! others by itself, to the same bits.
+
+use nalgebra::SimdBool as _;
+
+use super::SimulatedMaster;
+use crate::{
+    Axes, Hand, Real,
+    device::{exerted, quantised},
+    path::DEGREE,
+    propagator::Outlook,
+};
+
+/// What several devices measure at one tick.
+#[derive(Clone, Copy, Debug)]
+pub struct MasterLanesSample<const N: usize, S: Real> {
+    /// x in m, as the encoders see it.
+    pub position: Axes<N, S>,
+    /// V in m/s, only from devices that measure it.
+    pub velocity: Option<Axes<N, S>>,
+}
+
+/// Masters side by side, of which each is as alone: see [`SimulatedMaster`].
+///
+/// In lanes are devices with friction on each axis by itself and no wall, and hands with the same path, release and grip
+/// anew that do not tremble, over ticks of one length within which no event falls.
+#[derive(Clone, Debug)]
+pub struct MasterLanes<const N: usize, S: Real> {
+    masters: Vec<SimulatedMaster<N>>,
+    /// None where they are not for lanes.
+    fast: Option<Box<Fast<N, S>>>,
+    /// As of the last read.
+    motion: Motion<N, S>,
+    /// True force of the hands in N.
+    hand_force: Axes<N, S>,
+    quantum: S,
+    is_exact: bool,
+    measures_velocity: bool,
+}
+
+/// x in m and V in m/s.
+#[derive(Clone, Copy, Debug)]
+struct Motion<const N: usize, S: Real> {
+    position: Axes<N, S>,
+    velocity: Axes<N, S>,
+}
+
+/// Devices and hands in lanes. Motion and force of those that are [loaded](Self::loaded) are here, those of the others in their
+/// masters.
+#[derive(Clone, Debug)]
+struct Fast<const N: usize, S: Real> {
+    /// The hand of all, but for its impedance and with a strength of 1 N.
+    hand: Hand<N>,
+    outlook: Outlook<N>,
+    waits: bool,
+    time: f64,
+    hand_ns: u64,
+    now_ns: u64,
+    last_ns: u64,
+    /// `K_h` in N/m, `B_h` in N s/m and grip strength in N.
+    stiffness: S,
+    damping: S,
+    strength: S,
+    device: DeviceLanes<N, S>,
+    maps: [AxisLanes<S>; N],
+    /// For which gain of a grip that has or has not let go, and for ticks of which length in s, the maps are.
+    regime: (f64, bool, f64),
+    motion: Motion<N, S>,
+    lost: [Axes<N, S>; 2],
+    held_force: Axes<N, S>,
+    /// A bit for each lane that is here.
+    loaded: u64,
+    /// For how many ticks each of the others stays with its master, and how many these were when it last left its lane.
+    waiting: Vec<[u32; 2]>,
+}
+
+/// Most ticks for which a master that cannot be advanced in its lane is left out of it.
+const MAX_WAIT: u32 = 64;
+
+#[derive(Clone, Debug)]
+struct DeviceLanes<const N: usize, S: Real> {
+    viscous: Axes<N, S>,
+    coulomb: Axes<N, S>,
+    stops: [Axes<N, S>; 2],
+    max_force_n: S,
+    force_quantum_n: S,
+    is_exact: bool,
+}
+
+/// As [`AxisPropagator`](crate::propagator::AxisPropagator), of each device, without a tremor.
+#[derive(Clone, Copy, Debug)]
+struct AxisLanes<S: Real> {
+    inverse_mass: S,
+    pull: S,
+    damping: S,
+    to_acceleration: [S; 2],
+    to_speed: [S; 2],
+    to_path: [[S; 2]; DEGREE],
+    most: S,
+}
+
+impl<const N: usize, S: Real> MasterLanes<N, S> {
+    /// Masters before their first read; None if they are more than there are lanes, or some measure their velocity and others do
+    /// not.
+    pub fn new(masters: Vec<SimulatedMaster<N>>) -> Option<Self> {
+        let measures_velocity = masters.first()?.device.measures_velocity;
+        let is_alike = |master: &SimulatedMaster<N>| master.device.measures_velocity == measures_velocity;
+        if masters.len() > S::LANES || !masters.iter().all(is_alike) {
+            return None;
+        }
+        let mut lanes = Self {
+            fast: Fast::gather(&masters).map(Box::new),
+            motion: Motion { position: Axes::zeros(), velocity: Axes::zeros() },
+            hand_force: Axes::zeros(),
+            quantum: number(&masters, |master| master.device.encoder_quantum),
+            is_exact: masters.iter().all(|master| master.device.encoder_quantum == 0.0),
+            measures_velocity,
+            masters,
+        };
+        for lane in 0..lanes.masters.len() {
+            lanes.look(lane);
+        }
+        Some(lanes)
+    }
+
+    /// The hands no longer wait: their time runs.
+    #[inline(always)] // once a tick
+    pub fn set_waiting(&mut self, waits: bool) {
+        if self.masters.first().is_some_and(|master| master.waits != waits) {
+            self.masters.iter_mut().for_each(|master| master.waits = waits);
+            self.fast.iter_mut().for_each(|fast| fast.waits = waits);
+        }
+    }
+
+    /// Advances those with a bit in `lanes` to `now_ns` (monotonic); returns what these measure there.
+    #[inline(always)] // once a tick, from one place
+    pub fn read(&mut self, lanes: u64, now_ns: u64) -> MasterLanesSample<N, S> {
+        let mut alone = lanes;
+        if let Some(fast) = &mut self.fast {
+            alone &= !fast.read(lanes, now_ns, &mut self.masters);
+            self.motion = fast.motion;
+            self.hand_force = fast.hand_force();
+        }
+        if alone != 0 {
+            self.read_alone(alone, now_ns);
+        }
+        let Motion { position, velocity } = self.motion;
+        let mut measured = position;
+        for axis in 0..N {
+            measured[axis] = quantised(position[axis], self.quantum, self.is_exact);
+        }
+        MasterLanesSample { position: measured, velocity: self.measures_velocity.then_some(velocity) }
+    }
+
+    /// Reads each of these masters by itself.
+    #[inline(never)] // seldom, and long
+    fn read_alone(&mut self, lanes: u64, now_ns: u64) {
+        for lane in lanes_of(lanes, self.masters.len()) {
+            self.masters[lane].read(now_ns);
+            self.look(lane);
+        }
+    }
+
+    /// Takes over what is seen of a master by itself.
+    fn look(&mut self, lane: usize) {
+        let master = &self.masters[lane];
+        set(&mut self.motion.position, lane, &master.position);
+        set(&mut self.motion.velocity, lane, &master.velocity);
+        set(&mut self.hand_force, lane, &master.hand_force());
+    }
+
+    /// Those with a bit in `lanes` hold this force in N from now on, as [`SimulatedMaster::write`].
+    #[inline(always)] // once a tick
+    pub fn write(&mut self, lanes: u64, force: &Axes<N, S>) {
+        let mut alone = lanes;
+        if let Some(fast) = &mut self.fast {
+            fast.write(force);
+            alone &= !fast.loaded;
+        }
+        if alone != 0 {
+            for lane in lanes_of(alone, self.masters.len()) {
+                self.masters[lane].write(&of_lane(force, lane));
+            }
+        }
+    }
+
+    /// True position in m.
+    #[inline(always)]
+    pub fn position(&self) -> &Axes<N, S> {
+        &self.motion.position
+    }
+
+    /// True velocity in m/s.
+    #[inline(always)]
+    pub fn velocity(&self) -> &Axes<N, S> {
+        &self.motion.velocity
+    }
+
+    /// True force of the hands on the devices in N, as of the last read.
+    #[inline(always)]
+    pub fn hand_force(&self) -> &Axes<N, S> {
+        &self.hand_force
+    }
+}
+
+/// The lanes that have a bit in a mask.
+fn lanes_of(mask: u64, count: usize) -> impl Iterator<Item = usize> {
+    (0..count).filter(move |lane| mask >> lane & 1 == 1)
+}
+
+fn set<const N: usize, S: Real>(lanes: &mut Axes<N, S>, lane: usize, value: &Axes<N>) {
+    for axis in 0..N {
+        lanes[axis].replace(lane, value[axis]);
+    }
+}
+
+fn of_lane<const N: usize, S: Real>(lanes: &Axes<N, S>, lane: usize) -> Axes<N> {
+    Axes::from_fn(|axis, _| lanes[axis].extract(lane))
+}
+
+/// A number of each; 1 in lanes that are left over.
+fn number<const N: usize, S: Real>(
+    of: &[SimulatedMaster<N>],
+    number: impl Fn(&SimulatedMaster<N>) -> f64,
+) -> S {
+    let mut lanes = S::one();
+    for (lane, one) in of.iter().enumerate() {
+        lanes.replace(lane, number(one));
+    }
+    lanes
+}
+
+#[inline(always)]
+fn everywhere<S: Real>() -> S::SimdBool {
+    S::zero().simd_le(S::zero())
+}
+
+#[inline(always)]
+fn norm<const N: usize, S: Real>(of: &Axes<N, S>) -> S {
+    if N == 1 { of[0].magnitude() } else { of.dot(of).root() }
+}
+
+/// Kahan's sum, as [`super::add`].
+#[inline(always)]
+fn add<S: Real>(sum: &mut S, lost: &mut S, step: S) {
+    let (before, step) = (*sum, step + *lost);
+    let after = before + step;
+    let taken = after - before;
+    *lost = (before - (after - taken)) + (step - taken);
+    *sum = after;
+}
+
+impl<const N: usize, S: Real> Fast<N, S> {
+    /// Lanes for masters that may be in them; none is loaded yet.
+    fn gather(masters: &[SimulatedMaster<N>]) -> Option<Self> {
+        let first = masters.first()?;
+        let hand = first.hand.with_strength(1.0);
+        let is_for_lanes = |one: &SimulatedMaster<N>| {
+            !one.device.rubs_along_motion()
+                && one.walls.is_empty()
+                && one.hand.tremor().is_none()
+                && one.hand.full_strength() > 0.0
+                && one.hand.moves_as(&first.hand)
+                && one.waits == first.waits
+                && [one.now_ns, one.hand_ns, one.last_ns] == [first.now_ns, 0, 0]
+        };
+        if !masters.iter().all(is_for_lanes) {
+            return None;
+        }
+        let axes = |of: &dyn Fn(&SimulatedMaster<N>, usize) -> f64| {
+            Axes::<N, S>::from_fn(|axis, _| number(masters, |master| of(master, axis)))
+        };
+        let (zero, one) = (S::zero(), S::one());
+        let map = AxisLanes {
+            inverse_mass: one,
+            pull: zero,
+            damping: zero,
+            to_acceleration: [zero; 2],
+            to_speed: [zero; 2],
+            to_path: [[zero; 2]; DEGREE],
+            most: zero,
+        };
+        Some(Self {
+            outlook: Outlook::new(&hand, 0.0),
+            hand,
+            waits: first.waits,
+            time: 0.0,
+            hand_ns: 0,
+            now_ns: first.now_ns,
+            last_ns: 0,
+            stiffness: number(masters, |master| master.hand.stiffness()),
+            damping: number(masters, |master| master.hand.damping()),
+            strength: number(masters, |master| master.hand.full_strength()),
+            device: DeviceLanes {
+                viscous: axes(&|master, axis| master.device.viscous[axis]),
+                coulomb: axes(&|master, axis| master.device.coulomb[axis]),
+                stops: [
+                    axes(&|master, axis| master.device.stops.0[axis]),
+                    axes(&|master, axis| master.device.stops.1[axis]),
+                ],
+                max_force_n: number(masters, |master| master.device.max_force_n),
+                force_quantum_n: number(masters, |master| master.device.force_quantum_n),
+                is_exact: masters.iter().all(|master| master.device.force_quantum_n == 0.0),
+            },
+            maps: [map; N],
+            regime: (f64::NAN, false, 0.0),
+            motion: Motion { position: Axes::zeros(), velocity: Axes::zeros() },
+            lost: [Axes::zeros(); 2],
+            held_force: Axes::zeros(),
+            loaded: 0,
+            waiting: vec![[0; 2]; masters.len()],
+        })
+    }
+
+    /// Takes over a master, if its map is that of the regime.
+    fn load(&mut self, lane: usize, master: &SimulatedMaster<N>) {
+        let (gain, has_let_go, duration) = self.regime;
+        let impedance = [master.hand.stiffness(), master.hand.damping()];
+        let impedance = if has_let_go { [0.0; 2] } else { impedance.map(|of| gain * of) };
+        if !(master.propagator.is_of(duration, impedance) && master.propagator.reaches) {
+            return;
+        }
+        for (map, of) in self.maps.iter_mut().zip(&master.propagator.axes) {
+            map.inverse_mass.replace(lane, of.inverse_mass);
+            map.pull.replace(lane, of.pull);
+            map.damping.replace(lane, of.damping);
+            map.most.replace(lane, of.most);
+            for which in 0..2 {
+                map.to_acceleration[which].replace(lane, of.to_acceleration[which]);
+                map.to_speed[which].replace(lane, of.to_speed[which]);
+                for (to_path, of) in map.to_path.iter_mut().zip(&of.to_path) {
+                    to_path[which].replace(lane, of[which]);
+                }
+            }
+        }
+        set(&mut self.motion.position, lane, &master.position);
+        set(&mut self.motion.velocity, lane, &master.velocity);
+        for (lanes, lost) in self.lost.iter_mut().zip(&master.lost) {
+            set(lanes, lane, lost);
+        }
+        set(&mut self.held_force, lane, &master.held_force);
+        self.loaded |= 1 << lane;
+    }
+
+    /// Gives a master what its lane has of it, and its time.
+    fn give_back(&mut self, lane: usize, master: &mut SimulatedMaster<N>) {
+        self.loaded &= !(1 << lane);
+        (master.time, master.hand_ns, master.now_ns, master.last_ns) =
+            (self.time, self.hand_ns, self.now_ns, self.last_ns);
+        let [gain, strength] = self.outlook.grip;
+        // A strength without an end does not change.
+        let full = master.hand.full_strength();
+        let strength = strength.map(|of| if of == 0.0 { 0.0 } else { of * full });
+        master.outlook = self.outlook;
+        master.outlook.grip = [gain, strength];
+        master.position = of_lane(&self.motion.position, lane);
+        master.velocity = of_lane(&self.motion.velocity, lane);
+        master.lost = self.lost.each_ref().map(|lost| of_lane(lost, lane));
+        master.held_force = of_lane(&self.held_force, lane);
+    }
+
+    /// As [`SimulatedMaster::write`].
+    #[inline(always)] // once a tick
+    fn write(&mut self, force: &Axes<N, S>) {
+        let zero = S::zero();
+        let finite = force.iter().fold(everywhere::<S>(), |all, x| all & (*x * zero).simd_eq(zero));
+        let mut commanded = *force;
+        for axis in 0..N {
+            commanded[axis] = force[axis].select(finite, zero);
+        }
+        let DeviceLanes { max_force_n, force_quantum_n, is_exact, .. } = self.device;
+        self.held_force = exerted(&commanded, max_force_n, force_quantum_n, is_exact, false);
+    }
+
+    /// Advances those with a bit in `lanes` that may be in their lanes; returns which these are.
+    #[inline(always)] // as its caller
+    fn read(&mut self, lanes: u64, now_ns: u64, masters: &mut [SimulatedMaster<N>]) -> u64 {
+        let past_ns = now_ns.saturating_sub(self.now_ns);
+        if past_ns > 0 {
+            let duration = past_ns as f64 * 1e-9;
+            let [gain, strength] = self.outlook.grip;
+            let regime = (gain[0], strength[0] == 0.0, duration);
+            let is_smooth = gain[1] == 0.0
+                && strength[1] == 0.0
+                && past_ns == self.last_ns
+                && duration <= self.outlook.until - self.outlook.time;
+            let before = self.loaded;
+            if !is_smooth || regime != self.regime {
+                self.leave(before, before, masters);
+                self.regime = regime;
+            }
+            if is_smooth {
+                if lanes & !self.loaded != 0 {
+                    self.load_all(lanes & !self.loaded, masters);
+                }
+                let (motion, lost, stays) = self.advanced();
+                let fails = if stays.all() { 0 } else { self.loaded & !stays.bitmask() };
+                if fails != 0 {
+                    self.leave(fails, before, masters);
+                }
+                (self.motion, self.lost) = (motion, lost);
+            }
+            self.last_ns = past_ns;
+            if !self.waits {
+                self.hand_ns += past_ns;
+                self.time = self.hand_ns as f64 / 1e9;
+            }
+            self.outlook.advance(&self.hand, self.time, past_ns);
+            self.now_ns = now_ns;
+        }
+        lanes & self.loaded
+    }
+
+    #[inline(never)] // seldom
+    fn load_all(&mut self, lanes: u64, masters: &[SimulatedMaster<N>]) {
+        for lane in lanes_of(lanes, masters.len()) {
+            let [left, _] = &mut self.waiting[lane];
+            *left = left.saturating_sub(1);
+            if *left == 0 && masters[lane].now_ns == self.now_ns {
+                self.load(lane, &masters[lane]);
+            }
+        }
+    }
+
+    /// These cannot be advanced in their lanes over this tick: those that could not since they were taken over, after `before`,
+    /// stay with their masters for longer each time.
+    #[inline(never)] // seldom
+    fn leave(&mut self, lanes: u64, before: u64, masters: &mut [SimulatedMaster<N>]) {
+        for lane in lanes_of(lanes, masters.len()) {
+            self.give_back(lane, &mut masters[lane]);
+            let [_, last] = self.waiting[lane];
+            let wait = if before >> lane & 1 == 1 { 1 } else { (2 * last).clamp(1, MAX_WAIT) };
+            self.waiting[lane] = [wait; 2];
+        }
+    }
+
+    /// Motion after a tick, what rounding took from it, and where bounds say that no event falls into it: as
+    /// [`SimulatedMaster::propagates`], to the bit.
+    #[inline(always)] // as its caller
+    fn advanced(&self) -> (Motion<N, S>, [Axes<N, S>; 2], S::SimdBool) {
+        let (zero, above) = (S::zero(), S::splat(1.0 + 1e-12));
+        let (gain, has_let_go, duration) = self.regime;
+        let (Motion { mut position, mut velocity }, mut lost) = (self.motion, self.lost);
+        let mut stays = everywhere::<S>();
+        let mut wish = self.wish(gain);
+        let mut impedance = [self.stiffness, self.damping].map(|of| S::splat(gain) * of);
+        if has_let_go {
+            let pulls = wish.iter().fold(!everywhere::<S>(), |any, x| any | x.simd_ne(zero));
+            stays = (self.stiffness + self.damping).simd_eq(zero) | pulls;
+            (wish, impedance) = (Axes::zeros(), [zero; 2]);
+        }
+        let moves = !self.waits && self.outlook.moves;
+        let shift = if moves { self.outlook.most_moved(duration) } else { Axes::zeros() };
+        let step = S::splat(duration);
+        let (mut most_moved, mut most_gained) = (Axes::<N, S>::zeros(), Axes::<N, S>::zeros());
+        for axis in 0..N {
+            let (x, v, map) = (position[axis], velocity[axis], &self.maps[axis]);
+            let [lower, upper] = self.device.stops.each_ref().map(|of| of[axis]);
+            let (coulomb, shift) = (self.device.coulomb[axis], S::splat(shift[axis]));
+            let push = self.held_force[axis] + wish[axis];
+            let most_pulled = shift * (impedance[0] * above);
+            let (rubs, moving) = (coulomb.simd_ne(zero), v.simd_ne(zero));
+            let holds = (push.magnitude() + most_pulled).simd_le(coulomb * S::splat(1.0 - 1e-12));
+            let stuck = rubs & !moving & holds;
+            stays = stays & (!rubs | moving | stuck);
+            let friction = coulomb.select(v.simd_gt(zero), -coulomb).select(rubs & moving, zero);
+            let a = (push - friction - self.device.viscous[axis] * v) * map.inverse_mass;
+            let target = map.pull * shift + zero;
+            let faster = map.most * (a.magnitude() + map.pull * step * v.magnitude() + target);
+            let farther = step * (v.magnitude() + faster) * above;
+            let mut e = [0, 1].map(|which| map.to_acceleration[which] * a + map.to_speed[which] * v);
+            if moves {
+                for (answer, term) in map.to_path.iter().zip(self.outlook.path_of(axis)) {
+                    e = [0, 1].map(|which| e[which] + answer[which] * S::splat(term));
+                }
+            }
+            let [moved, gained] = [v * step + e[0], e[1]];
+            // Where friction may turn.
+            let turns = friction.simd_ne(zero) & v.magnitude().simd_le(faster);
+            let bends = map.damping.magnitude() * faster + map.pull * farther + target;
+            let is_monotone = (a.magnitude() * S::splat(1.0 - 1e-12)).simd_gt(bends);
+            let after = v + gained;
+            let forward = after.select(v.simd_gt(zero), -after);
+            let goes_on = is_monotone & forward.simd_gt(S::splat(1e-12) * faster);
+            let clear = (x - farther).simd_gt(lower) & (x + farther).simd_lt(upper);
+            let rests = x.simd_gt(lower) & x.simd_lt(upper);
+            stays = stays & ((stuck & rests) | (!stuck & clear & (!turns | goes_on)));
+            most_moved[axis] = zero.select(stuck, farther);
+            most_gained[axis] = zero.select(stuck, faster);
+            let [of_position, of_velocity] = &mut lost;
+            add(&mut position[axis], &mut of_position[axis], zero.select(stuck, moved));
+            add(&mut velocity[axis], &mut of_velocity[axis], zero.select(stuck, gained));
+            velocity[axis] = zero.select(stuck, velocity[axis]);
+            of_velocity[axis] = zero.select(stuck, of_velocity[axis]);
+        }
+        if !has_let_go {
+            let farther = most_moved.zip_map(&shift, |moved, shift| S::splat(shift) + moved);
+            let change = impedance[0] * norm(&farther) + impedance[1] * norm(&most_gained);
+            let slips = ((norm(&wish) + change) * above).simd_ge(self.strength_now());
+            stays = stays & !slips;
+        }
+        (Motion { position, velocity }, lost, stays)
+    }
+
+    #[inline(always)]
+    fn strength_now(&self) -> S {
+        let [_, strength] = self.outlook.grip;
+        S::splat(strength[0]) * self.strength
+    }
+
+    /// What the hands would exert with a strength without an end, in N.
+    #[inline(always)]
+    fn wish(&self, gain: f64) -> Axes<N, S> {
+        let Motion { position, velocity } = &self.motion;
+        Axes::from_fn(|axis, _| {
+            let away = S::splat(self.outlook.target[axis]) - position[axis];
+            (away * self.stiffness - velocity[axis] * self.damping) * S::splat(gain)
+        })
+    }
+
+    /// As [`SimulatedMaster::hand_force`].
+    #[inline(always)]
+    fn hand_force(&self) -> Axes<N, S> {
+        let [gain, share] = self.outlook.grip;
+        let (wish, strength) = (self.wish(gain[0]), self.strength_now());
+        let holds = wish.dot(&wish).simd_lt(S::splat(0.99) * strength * strength);
+        if holds.all() {
+            return wish;
+        }
+        if share[0] == 0.0 {
+            return wish.map(|x| x * S::zero());
+        }
+        let wished = norm(&wish);
+        let part = S::one().select(holds | wished.simd_le(strength), strength / wished);
+        wish.map(|x| x * part)
+    }
+}
+
+#[cfg(test)]
+mod tests;
