@@ -254,7 +254,7 @@ impl<const N: usize> Outlook<N> {
     }
 
     /// Moves on to time t in s, which is `past_ns` later.
-    #[inline]
+    #[inline(always)] // once a tick, from few places
     pub(crate) fn advance(&mut self, hand: &Hand<N>, t: f64, past_ns: u64) {
         if t == self.time {
             return;

@@ -141,7 +141,7 @@ pub fn sweep_parts(
             }
             Job::Groups(axes, groups) => {
                 let run = of_axes!(*axes, N => run_groups::<N>, axes => return Err(bad_axes(axes)));
-                run(&plans, groups, settings.metrics, progress)?
+                run(&plans, groups, settings, progress)?
             }
         };
         Ok((job, found))
@@ -229,7 +229,7 @@ fn spec_of<const N: usize>(plan: &Plan<'_>, metrics: Metrics) -> Result<(SceneSp
 fn run_groups<const N: usize>(
     plans: &[Plan<'_>],
     groups: &[Vec<Place>],
-    metrics: Metrics,
+    SweepSettings { lanes, metrics, .. }: SweepSettings,
     Progress { done, stop }: &Progress,
 ) -> Result<Vec<Row>, SweepError> {
     let mut read = HashMap::<usize, (SceneSpec<N>, Value)>::new();
@@ -250,7 +250,7 @@ fn run_groups<const N: usize>(
             specs.push(set.ok_or(SweepError::Stopped)?);
         }
         let built: Vec<_> = specs.iter().filter_map(|spec| spec.as_ref().ok()).collect();
-        let outcomes = shared::outcomes(&built, stop).map_err(|_| SweepError::Stopped)?;
+        let outcomes = shared::outcomes(&built, lanes, stop).map_err(|_| SweepError::Stopped)?;
         let mut outcomes = outcomes.into_iter();
         for spec in &specs {
             rows.push(match spec {

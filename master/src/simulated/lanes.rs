@@ -443,7 +443,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
         let (Motion { mut position, mut velocity }, mut lost) = (self.motion, self.lost);
         let mut stays = everywhere::<S>();
         let mut wish = self.wish(gain);
-        let mut impedance = [self.stiffness, self.damping].map(|of| S::splat(gain) * of);
+        let mut impedance = [S::splat(gain) * self.stiffness, S::splat(gain) * self.damping];
         if has_let_go {
             let pulls = wish.iter().fold(!everywhere::<S>(), |any, x| any | x.simd_ne(zero));
             stays = (self.stiffness + self.damping).simd_eq(zero) | pulls;
@@ -455,7 +455,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
         let (mut most_moved, mut most_gained) = (Axes::<N, S>::zeros(), Axes::<N, S>::zeros());
         for axis in 0..N {
             let (x, v, map) = (position[axis], velocity[axis], &self.maps[axis]);
-            let [lower, upper] = self.device.stops.each_ref().map(|of| of[axis]);
+            let [lower, upper] = [self.device.stops[0][axis], self.device.stops[1][axis]];
             let (coulomb, shift) = (self.device.coulomb[axis], S::splat(shift[axis]));
             let push = self.held_force[axis] + wish[axis];
             let most_pulled = shift * (impedance[0] * above);
@@ -468,10 +468,14 @@ impl<const N: usize, S: Real> Fast<N, S> {
             let target = map.pull * shift + zero;
             let faster = map.most * (a.magnitude() + map.pull * step * v.magnitude() + target);
             let farther = step * (v.magnitude() + faster) * above;
-            let mut e = [0, 1].map(|which| map.to_acceleration[which] * a + map.to_speed[which] * v);
+            let mut e = [
+                map.to_acceleration[0] * a + map.to_speed[0] * v,
+                map.to_acceleration[1] * a + map.to_speed[1] * v,
+            ];
             if moves {
                 for (answer, term) in map.to_path.iter().zip(self.outlook.path_of(axis)) {
-                    e = [0, 1].map(|which| e[which] + answer[which] * S::splat(term));
+                    let term = S::splat(term);
+                    e = [e[0] + answer[0] * term, e[1] + answer[1] * term];
                 }
             }
             let [moved, gained] = [v * step + e[0], e[1]];

@@ -335,7 +335,8 @@ mod tests {
             let scenes: Vec<_> = sets.iter().map(of).collect();
             MASTER_TICKS.with(|ticks| ticks.set(0));
             let all =
-                super::super::outcomes(&scenes.iter().collect::<Vec<_>>(), &AtomicBool::new(false)).unwrap();
+                super::super::outcomes(&scenes.iter().collect::<Vec<_>>(), true, &AtomicBool::new(false))
+                    .unwrap();
             assert!(all.iter().all(Result::is_ok));
             MASTER_TICKS.with(Cell::get)
         };

@@ -49,12 +49,13 @@ use crate::{
 pub(super) fn outcomes<const N: usize>(
     connection: &Connection,
     scenes: &[&SceneSpec<N>],
+    lanes: bool,
     stop: &AtomicBool,
 ) -> Result<Outcomes, SceneError> {
     let mut outcomes = vec![None; scenes.len()];
     let is_exact = |row: &usize| scenes[*row].run.integrator == Integrator::Exact;
     let (exact, stepped): (Vec<_>, Vec<_>) = (0..scenes.len()).partition(is_exact);
-    let runs = Runs { connection, scenes, stop };
+    let runs = Runs { connection, scenes, lanes, stop };
     runs.follow(&exact, |scene| exact_master(scene).map(waiting), &mut outcomes)?;
     let plant = |scene: &SceneSpec<N>| {
         let Integrator::Stepped(stepping) = scene.run.integrator else {
@@ -94,8 +95,13 @@ type DeviceLanes<P, const N: usize> = <P as SideBySide<N, Lanes<NARROW>>>::Lanes
 struct Runs<'a, const N: usize> {
     connection: &'a Connection,
     scenes: &'a [&'a SceneSpec<N>],
+    /// Whether they may stand side by side.
+    lanes: bool,
     stop: &'a AtomicBool,
 }
+
+/// Most axes that lanes are compiled for.
+const MAX_AXES: usize = 3;
 
 /// Fewest runs that are worth being followed side by side.
 const MIN_ABREAST: usize = 3;
@@ -116,14 +122,8 @@ impl<const N: usize> Runs<'_, N> {
             };
             rows.iter().filter_map(follower).collect::<Vec<_>>()
         };
-        let (mut abreast, mut alone) = (Vec::new(), Vec::new());
-        let mut left = built(rows);
-        while N <= 3 && left.len() >= MIN_ABREAST {
-            let mut taken: Vec<_> = left.drain(..left.len().min(NARROW)).collect();
-            abreast.extend(LaneFollowers::<DeviceLanes<P, N>, N, NARROW>::gather(&mut taken));
-            alone.append(&mut taken);
-        }
-        alone.append(&mut left);
+        let mut alone = built(rows);
+        let abreast = if self.lanes && N <= MAX_AXES { side_by_side(&mut alone) } else { Vec::new() };
         let departed = self.follow_all(abreast, alone, outcomes)?;
         self.follow_all(Vec::new(), built(&departed), outcomes)?;
         Ok(())
@@ -152,7 +152,11 @@ impl<const N: usize> Runs<'_, N> {
         group.follow(ahead, [0, 0], self.stop, outcomes, &mut branches)?;
         for (row, outcome) in group.abreast.into_iter().flat_map(LaneFollowers::outcomes) {
             match outcome {
-                Some(outcome) => outcomes[row] = Some(Ok(outcome)),
+                Some(outcome) => {
+                    #[cfg(test)]
+                    tests::count_abreast(1);
+                    outcomes[row] = Some(Ok(outcome));
+                }
                 None => departed.push(row),
             }
         }
@@ -165,6 +169,39 @@ impl<const N: usize> Runs<'_, N> {
         }
         Ok(departed)
     }
+}
+
+/// Takes those of some runs before their first tick that may stand side by side.
+fn side_by_side<P: Device<N>, const N: usize>(
+    runs: &mut Vec<Follower<P, N>>,
+) -> Vec<LaneFollowers<DeviceLanes<P, N>, N, NARROW>> {
+    let (mut abreast, mut alone) = (Vec::new(), Vec::new());
+    while !runs.is_empty() {
+        let gathered = |take: &[usize]| {
+            let of: Vec<_> = take.iter().map(|index| &runs[*index]).collect();
+            LaneFollowers::<DeviceLanes<P, N>, N, NARROW>::gather(&of)
+        };
+        // Mostly the next ones fit. Otherwise those that fit the first one are looked for.
+        let mut take: Vec<_> = (0..runs.len().min(NARROW)).collect();
+        let mut followers = gathered(&take);
+        if followers.is_none() {
+            let fits = |other: &usize| gathered(&[0, *other]).is_some();
+            take = std::iter::once(0).chain((1..runs.len()).filter(fits)).take(NARROW).collect();
+            followers = gathered(&take);
+        }
+        match followers.filter(|_| take.len() >= MIN_ABREAST) {
+            Some(followers) => abreast.push(followers),
+            None => take.truncate(1),
+        }
+        let mut index = 0;
+        let taken = runs.extract_if(.., |_| {
+            index += 1;
+            take.contains(&(index - 1))
+        });
+        if take.len() >= MIN_ABREAST { drop(taken.collect::<Vec<_>>()) } else { alone.extend(taken) }
+    }
+    *runs = alone;
+    abreast
 }
 
 /// Runs that follow the same link and ladders.

@@ -31,13 +31,14 @@ pub(super) fn can_share<const N: usize>(scene: &SceneSpec<N>) -> bool {
 }
 
 /// The outcomes of scenes, each as if it were run alone. Those that begin as the first one share their beginning; those whose
-/// link and ladders do the same share that.
+/// link and ladders do the same share that, side by side if `lanes` may be used.
 ///
 /// # Errors
 ///
 /// [`SceneError::Stopped`].
 pub(super) fn outcomes<const N: usize>(
     scenes: &[&SceneSpec<N>],
+    lanes: bool,
     stop: &AtomicBool,
 ) -> Result<Vec<Result<Outcome, SceneError>>, SceneError> {
     let mut outcomes: Outcomes = vec![None; scenes.len()];
@@ -52,7 +53,7 @@ pub(super) fn outcomes<const N: usize>(
                 can_share(other) && Connection::of(other).is_ok_and(|other| other == connection)
             };
             if others.iter().all(is_shared) {
-                outcomes = follower::outcomes(&connection, scenes, stop)?;
+                outcomes = follower::outcomes(&connection, scenes, lanes, stop)?;
             }
         }
     }

@@ -37,6 +37,7 @@ fn drawn() -> impl Strategy<Value = Drawn> {
 
 /// What they share.
 #[derive(Clone, Copy, Debug)]
+#[allow(clippy::struct_excessive_bools)] // in any combination
 struct Shared {
     release: Option<Release>,
     regrips: bool,
@@ -76,7 +77,7 @@ fn master<const N: usize>(drawn: &Drawn, shared: &Shared) -> SimulatedMaster<N> 
 
 /// Masters in lanes are as alone, tick for tick and to the bit: all that is measured, and what no sensor measures. Returns how
 /// many ticks were taken in lanes.
-fn check<const N: usize>(of: [Drawn; 4], shared: &Shared, periods_ns: &[u64], force_n: f64) -> u64 {
+fn check<const N: usize>(of: &[Drawn; 4], shared: &Shared, periods_ns: &[u64], force_n: f64) -> u64 {
     let mut alone: Vec<_> = of.iter().map(|drawn| master::<N>(drawn, shared)).collect();
     let mut beside = MasterLanes::<N, AutoF64x4>::new(alone.clone()).unwrap();
     assert!(beside.fast.is_some());
@@ -120,7 +121,9 @@ fn check<const N: usize>(of: [Drawn; 4], shared: &Shared, periods_ns: &[u64], fo
         }
         if tick == 10 {
             beside.set_waiting(false);
-            alone.iter_mut().for_each(|master| master.set_waiting(false));
+            for master in &mut alone {
+                master.set_waiting(false);
+            }
         }
     }
     taken
@@ -147,8 +150,8 @@ proptest! {
         });
         let shared =
             Shared { release, regrips, moves, encoder_quantum, force_quantum_n, measures_velocity, has_no_limit };
-        check::<1>(of, &shared, &periods_ns, force_n);
-        check::<3>(of, &shared, &periods_ns, force_n);
+        check::<1>(&of, &shared, &periods_ns, force_n);
+        check::<3>(&of, &shared, &periods_ns, force_n);
     }
 }
 
@@ -175,6 +178,6 @@ fn nearly_all_ticks_are_taken_in_lanes() {
         measures_velocity: false,
         has_no_limit: false,
     };
-    let taken = check::<1>([drawn; 4], &shared, &[1_000_000], 1.0);
+    let taken = check::<1>(&[drawn; 4], &shared, &[1_000_000], 1.0);
     assert!(taken > 4 * 200 * 3 / 4, "{taken} of 800");
 }

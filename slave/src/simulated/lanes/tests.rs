@@ -76,7 +76,7 @@ fn slave<const N: usize>(drawn: &Drawn, kinds: u8, push_at_s: f64) -> SimulatedS
 /// Slaves in lanes are as alone, tick for tick and to the bit: all that is measured, and where they come to rest. Returns how
 /// many ticks were taken in lanes.
 fn check<const N: usize>(
-    of: [Drawn; 4],
+    of: &[Drawn; 4],
     kinds: u8,
     (push_at_s, pushes_differ): (f64, bool),
     periods_ns: &[u64],
@@ -132,7 +132,9 @@ fn check<const N: usize>(
         }
         if tick == 3 {
             beside.start(now_ns);
-            alone.iter_mut().for_each(|slave| slave.start(now_ns));
+            for slave in &mut alone {
+                slave.start(now_ns);
+            }
         }
     }
     taken
@@ -158,8 +160,8 @@ proptest! {
             drawn.spring = springs;
             drawn.pd = pd.map(|pd| [pd[0].max(drawn.mass_kg * 2.0), pd[1]]);
         }
-        check::<1>(of, kinds, pushes, &periods_ns, (reach, stop_at));
-        check::<3>(of, kinds, pushes, &periods_ns, (reach, stop_at));
+        check::<1>(&of, kinds, pushes, &periods_ns, (reach, stop_at));
+        check::<3>(&of, kinds, pushes, &periods_ns, (reach, stop_at));
     }
 }
 
@@ -176,6 +178,6 @@ fn nearly_all_ticks_are_taken_in_lanes() {
         spring: None,
         push_n: 3.0,
     };
-    let taken = check::<1>([drawn; 4], 3, (0.01, false), &[1_000_000], (0.03, 150));
+    let taken = check::<1>(&[drawn; 4], 3, (0.01, false), &[1_000_000], (0.03, 150));
     assert!(taken > 4 * 160 * 3 / 4, "{taken} of 640");
 }

@@ -129,7 +129,8 @@ impl<S: Real> LineLanes<S> {
             stays = stays & (is_short | !bends);
             let rest = self.transition.over_nearly_critical(left);
             let bent = course.bent(bend, self.c, &self.map, &rest, step);
-            found = [0, 1].map(|which| bent[which].select(bends, found[which]));
+            let [[bent_x, bent_v], [x, v]] = [bent, found];
+            found = [bent_x.select(bends, x), bent_v.select(bends, v)];
         }
         (found, stays)
     }

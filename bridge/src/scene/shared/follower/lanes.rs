@@ -66,30 +66,25 @@ fn lanes_of(mask: u64, count: usize) -> impl Iterator<Item = usize> {
 }
 
 impl<L: PlantLanes<N, Lanes<WIDTH>>, const N: usize, const WIDTH: usize> LaneFollowers<L, N, WIDTH> {
-    /// Those of some followers before their first tick, at most as many as there are lanes, which it takes; None, and all are
-    /// left, where they differ in more than numbers.
-    pub(super) fn gather<P>(followers: &mut Vec<Follower<P, N>>) -> Option<Self>
+    /// Those of some followers before their first tick, at most as many as there are lanes; None where they differ in more than
+    /// numbers.
+    pub(super) fn gather<P>(of: &[&Follower<P, N>]) -> Option<Self>
     where
         P: SideBySide<N, Lanes<WIDTH>, Lanes = L> + Clone,
     {
-        let count = followers.len();
-        let hands: Vec<_> = followers.iter().map(|one| &one.near.hand).collect();
-        let hands = HandLanes::gather(&hands)?;
-        let couplings: Vec<_> = followers.iter().map(|one| &one.near.coupling).collect();
-        let coupling = PositionForce::gather(&couplings)?;
-        let translations: Vec<_> = followers.iter().map(|one| one.far.arm.translation()).collect();
-        let translation = SlaveTranslation::gather(&translations)?;
-        let watched: Vec<_> = followers.iter().map(|one| &one.watched).collect();
-        let watched = WatchedLanes::gather(&watched)?;
-        let commands = followers.first()?.near.commands.clone();
-        let near = P::side_by_side(followers.iter().map(|one| one.near.plant.clone()).collect())?;
-        let (rows, far) = followers.drain(..).map(|one| (one.row, one.far.plant)).unzip();
+        let count = of.len();
+        let hands = HandLanes::gather(&of.iter().map(|one| &one.near.hand).collect::<Vec<_>>())?;
+        let coupling = PositionForce::gather(&of.iter().map(|one| &one.near.coupling).collect::<Vec<_>>())?;
+        let translation =
+            SlaveTranslation::gather(&of.iter().map(|one| one.far.arm.translation()).collect::<Vec<_>>())?;
+        let watched = WatchedLanes::gather(&of.iter().map(|one| &one.watched).collect::<Vec<_>>())?;
+        let commands = of.first()?.near.commands.clone();
         Some(Self {
-            rows,
+            rows: of.iter().map(|one| one.row).collect(),
             running: (1 << count) - 1,
             left: 0,
             near: Near {
-                plants: near,
+                plants: P::side_by_side(of.iter().map(|one| one.near.plant.clone()).collect())?,
                 hands,
                 coupling,
                 commands: commands.clone(),
@@ -97,7 +92,7 @@ impl<L: PlantLanes<N, Lanes<WIDTH>>, const N: usize, const WIDTH: usize> LaneFol
                 heard: 0,
             },
             far: Far {
-                plants: SlaveLanes::new(far),
+                plants: SlaveLanes::new(of.iter().map(|one| one.far.plant.clone()).collect()),
                 translation,
                 led: LeadTransition::default(),
                 commands,

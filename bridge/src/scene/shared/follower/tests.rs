@@ -9,6 +9,12 @@ use crate::scene::{DivergenceCause, Ending, Outcome};
 
 thread_local! {
     static WITHHELD: Cell<u64> = const { Cell::new(0) };
+    static ABREAST: Cell<usize> = const { Cell::new(0) };
+}
+
+/// Some runs were followed side by side to their ends.
+pub(super) fn count_abreast(rows: usize) {
+    ABREAST.with(|count| count.set(count.get() + rows));
 }
 
 /// A run goes its own way.
@@ -44,21 +50,35 @@ fn rows<const N: usize>(scene: &Value, path: &str, values: &[f64]) -> Vec<SceneS
     values.iter().map(row).collect()
 }
 
-/// Runs rows together; each must be run so, and be as alone. Returns the outcomes and how often one went its own way.
-fn followed<const N: usize>(rows: &[SceneSpec<N>]) -> (Vec<Outcome>, u64) {
+/// How rows were followed.
+struct Followed {
+    outcomes: Vec<Outcome>,
+    /// How often one went its own way.
+    branched: u64,
+    /// How many of them were side by side with others to their ends.
+    abreast: usize,
+}
+
+/// Runs rows together, each by itself and side by side; each must be run so, and be as alone.
+fn followed<const N: usize>(rows: &[SceneSpec<N>]) -> Followed {
     let connection = Connection::of(&rows[0]).unwrap();
     assert!(rows.iter().all(|row| Connection::of(row).unwrap() == connection));
-    WITHHELD.with(|count| count.set(0));
-    let found = outcomes(&connection, &rows.iter().collect::<Vec<_>>(), &NO_STOP).unwrap();
-    let mut all = Vec::new();
-    for (outcome, scene) in found.into_iter().zip(rows) {
-        let alone = crate::scene::outcome(scene, &NO_STOP, None).unwrap();
-        let outcome = outcome.expect("run together").unwrap();
-        // To the bit, and NaN is none.
-        assert_eq!(format!("{outcome:?}"), format!("{alone:?}"));
-        all.push(outcome);
+    let alone: Vec<_> = rows.iter().map(|row| crate::scene::outcome(row, &NO_STOP, None).unwrap()).collect();
+    let mut branched = 0;
+    for lanes in [false, true] {
+        WITHHELD.with(|count| count.set(0));
+        ABREAST.with(|count| count.set(0));
+        let found = outcomes(&connection, &rows.iter().collect::<Vec<_>>(), lanes, &NO_STOP).unwrap();
+        for (outcome, alone) in found.into_iter().zip(&alone) {
+            // To the bit, and NaN is none.
+            let outcome = outcome.expect("run together").unwrap();
+            assert_eq!(format!("{outcome:?}"), format!("{alone:?}"), "in lanes: {lanes}");
+        }
+        let seen = WITHHELD.with(Cell::get);
+        assert!(!lanes || seen == branched, "as often in lanes");
+        branched = seen;
     }
-    (all, WITHHELD.with(Cell::get))
+    Followed { outcomes: alone, branched, abreast: ABREAST.with(Cell::get) }
 }
 
 #[test]
@@ -92,6 +112,17 @@ fn rows_of_one_connection_are_as_alone() {
         ("a quick slave", vec![("slave.period_s", json!(0.0007))]),
         ("clocks", vec![("link.master_clock", clock(0.004)), ("link.slave_clock", clock(0.003))]),
         ("stalls", vec![("link.master_clock", clock(0.05)), ("link.slave_clock", clock(0.03))]),
+        (
+            "comes to rest",
+            [
+                &long[..],
+                &[
+                    ("slave.control", json!("velocity")),
+                    ("operator.clutch_times", json!([[0.1, 0.4], [1.4, 3.4]])),
+                ],
+            ]
+            .concat(),
+        ),
         ("outages", [&long[..], &[("link.forward.outages", outages(0.15))]].concat()),
         ("stops", [&long[..], &[("link.forward.outages", outages(0.5))]].concat()),
         ("nobody holds", vec![("operator", Value::Null)]),
@@ -126,9 +157,16 @@ fn rows_of_one_connection_are_as_alone() {
     ] {
         let short = [("run.duration_s", json!(2.0)), ("operator.release.at_s", json!(1.2))];
         let scene = changed(&[&short[..], &changes].concat());
-        let (found, branched) = followed(&rows::<1>(&scene, "slave.bandwidth_hz", &bandwidths));
-        assert_eq!(branched, 0, "{name}");
-        assert!(found.iter().all(|one| one.ending != Ending::NeverEngaged), "{name}");
+        let found = followed(&rows::<1>(&scene, "slave.bandwidth_hz", &bandwidths));
+        assert_eq!(found.branched, 0, "{name}");
+        // Whose loops stall or leave ticks out, and who diverges, is run by itself.
+        let abreast = match name {
+            "clocks" | "stalls" | "leaves" => 0,
+            "arm" => found.outcomes.iter().filter(|one| one.diverged.is_none()).count(),
+            _ => bandwidths.len(),
+        };
+        assert_eq!(found.abreast, abreast, "{name}");
+        assert!(found.outcomes.iter().all(|one| one.ending != Ending::NeverEngaged), "{name}");
     }
 }
 
@@ -152,15 +190,72 @@ fn rows_of_three_axes_or_in_steps_are_as_alone() {
     }
     scene["environment"]["objects"][0]["shape"]["normal"] = json!([0.6, 0.0, 0.8]);
     scene["master"]["axes"] = 3.into();
-    let (found, _) =
-        followed(&rows::<3>(&scene, "environment.objects.0.contact.stiffness", &[50.0, 100.0, 200.0]));
-    assert!(found.iter().all(|one| one.ending == Ending::Complete), "{found:?}");
+    let path = "environment.objects.0.contact.stiffness";
+    let found = followed(&rows::<3>(&scene, path, &[50.0, 100.0, 200.0]));
+    assert!(found.outcomes.iter().all(|one| one.ending == Ending::Complete), "{:?}", found.outcomes);
+    assert_eq!(found.abreast, 3);
+    // Along the axes and turned, with joints that rub each by itself.
+    scene["environment"]["objects"][0]["shape"]["normal"] = json!([0.0, 1.0, 0.0]);
+    scene["master"]["friction"] = json!("axis");
+    scene["coupling"]["quat_wxyz"] = json!([0.96, 0.0, 0.28, 0.0]);
+    assert_eq!(followed(&rows::<3>(&scene, path, &[50.0, 100.0, 200.0])).abreast, 3);
     let stepped = changed(&[
         ("run.duration_s", json!(1.5)),
         ("run.integrator", json!("semi-implicit-euler")),
         ("run.step_s", json!(1e-4)),
     ]);
-    followed(&rows::<1>(&stepped, "slave.bandwidth_hz", &[5.0, 15.0]));
+    assert_eq!(followed(&rows::<1>(&stepped, "slave.bandwidth_hz", &[5.0, 10.0, 15.0])).abreast, 3);
+    assert_eq!(followed(&rows::<1>(&stepped, "slave.bandwidth_hz", &[5.0, 15.0])).abreast, 0, "too few");
+}
+
+/// Whatever rows differ in: what lanes cannot share is run by itself, the rest side by side, in more than one group.
+#[test]
+fn rows_that_differ_in_anything_are_as_alone() {
+    let scene = changed(&[
+        ("run.duration_s", json!(2.2)),
+        ("operator.release.at_s", json!(1.3)),
+        (
+            "environment.pushers",
+            json!([{"shape": "ramp", "at_s": 0.9, "duration_s": 0.5, "rise_s": 0.2, "frequency_hz": 0.0,
+                    "force_n": [3.5], "recorded": null}]),
+        ),
+    ]);
+    let ramp = |low: f64, high: f64| -> Vec<Value> {
+        let value = |row: i32| low + (high - low) * f64::from(row) / 10.0;
+        (0..11).map(|row| json!((value(row) * 1e6).round() / 1e6)).collect()
+    };
+    for (path, values, abreast) in [
+        ("operator.stiffness", ramp(0.0, 600.0), 11),
+        ("operator.grip_strength_n", ramp(1.0, 15.0), 11),
+        ("operator.release.at_s", ramp(0.7, 1.6), 11),
+        ("operator.legs.0.end.0", ramp(-0.06, 0.07), 11),
+        ("master.mass_kg.0", ramp(0.05, 0.4), 11),
+        ("master.coulomb.0", ramp(0.0, 0.5), 11),
+        ("master.stops.0.1", ramp(0.021, 0.1), 11),
+        ("slave.mass_kg", ramp(0.5, 9.0), 11),
+        ("slave.max_speed", ramp(0.01, 2.0), 11),
+        ("environment.objects.0.contact.stiffness", ramp(10.0, 90_000.0), 11),
+        ("environment.objects.0.contact.damping", ramp(0.0, 300.0), 11),
+        ("environment.pushers.0.at_s", ramp(0.5, 1.5), 11),
+        ("environment.pushers.0.force_n.0", ramp(-9.0, 9.0), 11),
+        ("coupling.position_scale", ramp(0.3, 1.5), 11),
+        ("coupling.force_scale", ramp(0.3, 1.5), 11),
+        ("coupling.command_speed", ramp(0.01, 0.2), 11),
+        ("safety.damping", ramp(0.0, 9.0), 11),
+        ("safety.hold_off_s", ramp(0.0, 0.3), 11),
+        ("safety.limiter.max_force_n", ramp(1.0, 9.0), 11),
+        // Each has a window of its own, or one of two.
+        ("safety.window", (0..11).map(|row| json!(100 + row)).collect(), 0),
+        ("safety.window", (0..11).map(|row| json!(100 + row % 2)).collect(), 11),
+    ] {
+        let row = |value: &Value| {
+            let mut scene = scene.clone();
+            *at(&mut scene, path) = value.clone();
+            SceneSpec::<1>::deserialize(&scene).unwrap()
+        };
+        let all: Vec<_> = values.iter().map(row).collect();
+        assert_eq!(followed(&all).abreast, abreast, "{path}");
+    }
 }
 
 /// The layer gives up, the ladders hold, the operator presses anew, and so on: each time link and ladders go another way
@@ -173,15 +268,16 @@ fn rows_whose_force_is_withheld_are_as_alone() {
         ("safety.probe_force_n", json!(0.6)),
         ("safety.release_tries", json!(1)),
     ]);
-    let (_, branched) = followed(&rows::<1>(&scene, "operator.stiffness", &[200.0, 300.0, 400.0]));
-    assert!(branched >= 6, "{branched}: more than once each");
+    let found = followed(&rows::<1>(&scene, "operator.stiffness", &[200.0, 300.0, 400.0]));
+    assert!(found.branched >= 6, "{}: more than once each", found.branched);
+    assert_eq!(found.abreast, 0);
     // Beside rows that never do, and with ticks left out.
     let mut with_clocks = scene;
     *at(&mut with_clocks, "link.master_clock") =
         json!({"offset_s": 0.0, "drift_ppm": 150.0, "step_s": 0.004, "step_at_s": 3.0});
     let mut some = rows::<1>(&with_clocks, "operator.stiffness", &[200.0, 300.0, 400.0]);
     some[1].safety.settings.release_tries = 0;
-    let (_, branched) = followed(&some);
+    let Followed { branched, .. } = followed(&some);
     assert!(branched >= 4, "{branched}: more than once each of two");
 }
 
@@ -199,7 +295,9 @@ fn a_fault_ends_a_row_as_alone() {
         ("operator.grip_strength_n", json!(1e5)),
         ("coupling.force_scale", json!(400.0)),
     ]);
-    let (found, _) = followed(&rows::<1>(&scene, "environment.objects.0.contact.stiffness", &[2e3, 3e4]));
+    let path = "environment.objects.0.contact.stiffness";
+    let Followed { outcomes: found, abreast, .. } = followed(&rows::<1>(&scene, path, &[10.0, 2e3, 3e4]));
+    assert!((1..3).contains(&abreast), "{abreast}");
     let is_fault = |one: &Outcome| {
         one.diverged.is_some_and(|diverged| matches!(diverged.cause, DivergenceCause::Fault(..)))
     };
@@ -212,20 +310,20 @@ fn what_changes_its_frames_or_cannot_be_built_is_run_alone() {
     let rows = rows::<1>(&scene, "operator.stiffness", &[200.0, 300.0]);
     let connection = Connection::of(&rows[0]).unwrap();
     let all = rows.iter().collect::<Vec<_>>();
-    assert!(outcomes(&connection, &all, &NO_STOP).unwrap().iter().all(Option::is_none));
+    assert!(outcomes(&connection, &all, true, &NO_STOP).unwrap().iter().all(Option::is_none));
     // A slave that hears nothing for so long that more is not kept.
     let scene = changed(&[("link.forward.loss", json!(1.0)), ("run.duration_s", json!(9.0))]);
     let rows = self::rows::<1>(&scene, "operator.stiffness", &[200.0, 300.0]);
     let connection = Connection::of(&rows[0]).unwrap();
     let all = rows.iter().collect::<Vec<_>>();
-    assert!(outcomes(&connection, &all, &NO_STOP).unwrap().iter().all(Option::is_none));
+    assert!(outcomes(&connection, &all, true, &NO_STOP).unwrap().iter().all(Option::is_none));
     let scene = changed(&[("run.duration_s", json!(0.5))]);
     let rows = self::rows::<1>(&scene, "slave.bandwidth_hz", &[15.0, -1.0, 10.0]);
     let connection = Connection::of(&rows[0]).unwrap();
     let all = rows.iter().collect::<Vec<_>>();
-    let found = outcomes(&connection, &all, &NO_STOP).unwrap();
+    let found = outcomes(&connection, &all, true, &NO_STOP).unwrap();
     assert_eq!(found.iter().map(Option::is_some).collect::<Vec<_>>(), [true, false, true]);
-    assert_eq!(outcomes(&connection, &all, &AtomicBool::new(true)), Err(SceneError::Stopped));
+    assert_eq!(outcomes(&connection, &all, true, &AtomicBool::new(true)), Err(SceneError::Stopped));
 }
 
 /// What no row can have is refused of each, and ends no sweep.
@@ -238,7 +336,7 @@ fn what_no_row_can_have_is_refused_of_each() {
         [("safety.window", json!(0)), ("run.seed", json!(1))],
     ] {
         let rows = rows::<1>(&changed(&changes), "operator.stiffness", &[200.0, 300.0]);
-        let found = crate::scene::shared::outcomes(&rows.iter().collect::<Vec<_>>(), &NO_STOP).unwrap();
+        let found = crate::scene::shared::outcomes(&rows.iter().collect::<Vec<_>>(), true, &NO_STOP).unwrap();
         let alone = rows.iter().map(|row| crate::scene::outcome(row, &NO_STOP, None)).collect::<Vec<_>>();
         assert!(alone.iter().all(Result::is_err), "{changes:?}");
         assert_eq!(found, alone);
@@ -255,14 +353,14 @@ fn a_history_goes_back_as_far_as_it_must_and_takes_no_number_that_cannot_be() {
     for n in 0..2000_u64 {
         // A peer that hears nothing for a while.
         let heard = if n < 900 { n.saturating_sub(20) } else { n.saturating_sub(300).max(880) };
-        history.push(sent(n as f64 * 1e-3), Signal::EnvironmentForce, heard).unwrap();
+        assert!(history.push(sent(n as f64 * 1e-3), Signal::EnvironmentForce, heard));
         for tick in heard..=n {
             assert_eq!(history.of(tick).position[0].to_bits(), (tick as f64 * 1e-3).to_bits());
         }
     }
     assert_eq!(history.sent.len(), 512, "no more than twice as many as that takes");
     for bad in [f64::NAN, f64::INFINITY, 1e9] {
-        assert!(history.push(sent(bad), Signal::EnvironmentForce, 1999).is_none(), "{bad}");
+        assert!(!history.push(sent(bad), Signal::EnvironmentForce, 1999), "{bad}");
     }
 }
 
@@ -291,6 +389,6 @@ proptest! {
         ] {
             changes.extend([(delay, json!(delay_s)), (deviation, json!(jitter * delay_s)), (lost, json!(loss))]);
         }
-        followed(&rows::<1>(&changed(&changes), "operator.stiffness", &[150.0, 350.0]));
+        followed(&rows::<1>(&changed(&changes), "operator.stiffness", &[150.0, 250.0, 350.0]));
     }
 }
