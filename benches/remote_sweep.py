@@ -1,8 +1,9 @@
 """What a row of a sweep of remote scenes costs where rows share link and ladders, and where each has its own.
 
-Rows that share differ in the stiffness of the hand; of their peers in the same call each has a seed of its network as
-well. Each number of rows is swept on one thread, least of the repeats. Rows at equal distances must have the outcomes
-that they have by themselves, to the last bit.
+Rows that share differ in the stiffness of the hand, and stand side by side in lanes. Their peers in the same call are
+the same rows one by one, and rows of which each has a seed of its network as well. Each number of rows is swept on one
+thread, least of the repeats. Rows at equal distances must have the outcomes that they have by themselves, to the last
+bit.
 
 Required: at most 80 ns a tick of a row on one axis where link and ladders are shared, of the largest number of rows.
 Ends with status 1 where that does not hold, or where a row differs.
@@ -30,12 +31,14 @@ def columns(rows: int, is_shared: bool) -> dict[str, npt.NDArray[np.float64]]:
     return stiffness if is_shared else stiffness | {"run.seed": np.arange(1.0, rows + 1.0)}
 
 
-def measured(name: str, samples: dict[str, npt.NDArray[np.float64]], repeats: int) -> tuple[float, bool]:
+def measured(
+    name: str, samples: dict[str, npt.NDArray[np.float64]], repeats: int, lanes: bool = True
+) -> tuple[float, bool]:
     """Least time of a sweep in ns a tick of a row, and whether its rows are those that they are by themselves."""
     least_s = float("inf")
     for _ in range(repeats):
         begun = time.perf_counter()
-        table = sweep(name, samples=samples, threads=1)
+        table = sweep(name, samples=samples, threads=1, lanes=lanes)
         least_s = min(least_s, time.perf_counter() - begun)
     is_same, rows = True, len(table)
     for row in sorted({int(place) for place in np.linspace(0, rows - 1, min(rows, COMPARED))}):
@@ -53,17 +56,20 @@ def main() -> int:
     if not 1 <= chosen.repeats <= 1000 or min(chosen.rows) < 1:
         options.error("--repeats must be 1 to 1000, --rows 1 or more")
     out = table_file(chosen.json)
-    print(f"{'ns a tick':10}{'rows':>7}{'shared':>9}{'required':>10}{'own':>7}{'own / shared':>14}", file=out)
+    names = f"{'rows':>7}{'shared':>9}{'required':>10}{'one by one':>12}{'own':>7}{'own / shared':>14}"
+    print(f"{'ns a tick':10}{names}", file=out)
     found: list[dict[str, Any]] = []
     for axes, (name, limit_ns) in SCENES.items():
         for rows in chosen.rows:
             shared_ns, is_same = measured(name, columns(rows, True), chosen.repeats)
+            single_ns, is_single_same = measured(name, columns(rows, True), chosen.repeats, lanes=False)
             own_ns, is_own_same = measured(name, columns(rows, False), chosen.repeats)
             required_ns = limit_ns if rows == max(chosen.rows) else None
-            row = {"name": axes, "rows": rows, "shared_ns": shared_ns, "own_ns": own_ns, "required_ns": required_ns}
-            found.append({**row, "is_same": is_same and is_own_same})
+            times = {"shared_ns": shared_ns, "one_by_one_ns": single_ns, "own_ns": own_ns}
+            is_same = is_same and is_single_same and is_own_same
+            found.append({"name": axes, "rows": rows, **times, "required_ns": required_ns, "is_same": is_same})
             required = "" if required_ns is None else f"{required_ns:.0f}"
-            numbers = f"{rows:7}{shared_ns:9.0f}{required:>10}{own_ns:7.0f}{own_ns / shared_ns:14.2f}"
+            numbers = f"{rows:7}{shared_ns:9.0f}{required:>10}{single_ns:12.0f}{own_ns:7.0f}{own_ns / shared_ns:14.2f}"
             print(f"{axes:10}{numbers}", file=out)
     holds = {
         "the required time": all(row["required_ns"] is None or row["shared_ns"] <= row["required_ns"] for row in found),

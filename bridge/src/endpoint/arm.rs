@@ -28,7 +28,7 @@ pub(crate) struct MasterState<'a, const N: usize> {
 /// What decides over the command of a tick beside what the arm measures.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArmInput<'a, const N: usize> {
-    /// Where the ladder checkpoints.
+    /// Where the ladder stands.
     pub(crate) state: LadderState,
     /// Whether the arm may turn to the master before the two engage.
     pub(crate) turns: bool,

@@ -60,7 +60,7 @@ pub struct SlaveTick<const N: usize> {
     pub angular_velocity: Axes<3>,
     /// Whether the arm is led: engaged, or before that turned to the master.
     pub is_led: bool,
-    /// Where the ladder checkpoints.
+    /// Where the ladder stands.
     pub state: LadderState,
     /// Silence of the peer in ns.
     pub age_ns: Option<u64>,

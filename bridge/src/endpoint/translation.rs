@@ -78,7 +78,8 @@ impl<const N: usize> SlaveTranslation<N> {
 }
 
 impl<const N: usize, S: Real> SlaveTranslation<N, S> {
-    /// Those of several arms side by side, before their first tick; None unless period, decay and map are the same.
+    /// Those of several arms side by side, before their first tick; None unless period, decay, braking and map
+    /// are the same.
     pub(crate) fn gather(of: &[&SlaveTranslation<N>]) -> Option<Self> {
         let SlaveTranslation { braking, decay_ns, period_s, .. } = **of.first()?;
         let begins_so = |one: &&SlaveTranslation<N>| {

@@ -6,6 +6,7 @@ use nalgebra::SimdBool as _;
 use super::SimulatedMaster;
 use crate::{
     Axes, Hand, Real,
+    axes::norm,
     device::{exerted, quantised},
     path::DEGREE,
     propagator::Outlook,
@@ -70,12 +71,35 @@ struct Fast<const N: usize, S: Real> {
     held_force: Axes<N, S>,
     /// A bit for each lane that is here.
     loaded: u64,
-    /// For how many ticks each of the others stays with its master, and how many these were when it last left its lane.
-    waiting: Vec<[u32; 2]>,
+    /// Of each lane.
+    absences: Vec<Absence>,
 }
 
 /// Most ticks for which a master that cannot be advanced in its lane is left out of it.
-const MAX_WAIT: u32 = 64;
+const MAX_ABSENCE: u32 = 64;
+
+/// For how long one that could not be advanced in its lane stays with its master.
+#[derive(Clone, Copy, Debug, Default)]
+struct Absence {
+    /// Ticks that are left of it.
+    left: u32,
+    /// Ticks that it had when it began.
+    whole: u32,
+}
+
+impl Absence {
+    /// It begins: longer each time, if the lane could not be used since the last.
+    fn begin(&mut self, was_used: bool) {
+        self.whole = if was_used { 1 } else { (2 * self.whole).clamp(1, MAX_ABSENCE) };
+        self.left = self.whole;
+    }
+
+    /// A tick of it; says whether it is over.
+    fn step(&mut self) -> bool {
+        self.left = self.left.saturating_sub(1);
+        self.left == 0
+    }
+}
 
 #[derive(Clone, Debug)]
 struct DeviceLanes<const N: usize, S: Real> {
@@ -235,11 +259,6 @@ fn everywhere<S: Real>() -> S::SimdBool {
     S::zero().simd_le(S::zero())
 }
 
-#[inline(always)]
-fn norm<const N: usize, S: Real>(of: &Axes<N, S>) -> S {
-    if N == 1 { of[0].magnitude() } else { of.dot(of).root() }
-}
-
 /// Kahan's sum, as [`super::add`].
 #[inline(always)]
 fn add<S: Real>(sum: &mut S, lost: &mut S, step: S) {
@@ -308,7 +327,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
             lost: [Axes::zeros(); 2],
             held_force: Axes::zeros(),
             loaded: 0,
-            waiting: vec![[0; 2]; masters.len()],
+            absences: vec![Absence::default(); masters.len()],
         })
     }
 
@@ -414,9 +433,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
     #[inline(never)] // seldom
     fn load_all(&mut self, lanes: u64, masters: &[SimulatedMaster<N>]) {
         for lane in lanes_of(lanes, masters.len()) {
-            let [left, _] = &mut self.waiting[lane];
-            *left = left.saturating_sub(1);
-            if *left == 0 && masters[lane].now_ns == self.now_ns {
+            if self.absences[lane].step() && masters[lane].now_ns == self.now_ns {
                 self.load(lane, &masters[lane]);
             }
         }
@@ -428,9 +445,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
     fn leave(&mut self, lanes: u64, before: u64, masters: &mut [SimulatedMaster<N>]) {
         for lane in lanes_of(lanes, masters.len()) {
             self.give_back(lane, &mut masters[lane]);
-            let [_, last] = self.waiting[lane];
-            let wait = if before >> lane & 1 == 1 { 1 } else { (2 * last).clamp(1, MAX_WAIT) };
-            self.waiting[lane] = [wait; 2];
+            self.absences[lane].begin(before >> lane & 1 == 1);
         }
     }
 

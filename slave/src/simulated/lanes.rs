@@ -63,12 +63,35 @@ struct Fast<const N: usize, S: Real> {
     state: ArmLanes<N, S>,
     /// A bit for each lane that is here.
     loaded: u64,
-    /// For how many ticks each of the others stays with its slave, and how many these were when it last left its lane.
-    waits: Vec<[u32; 2]>,
+    /// Of each lane.
+    absences: Vec<Absence>,
 }
 
 /// Most ticks for which a slave that cannot be advanced in its lane is left out of it.
-const MAX_WAIT: u32 = 64;
+const MAX_ABSENCE: u32 = 64;
+
+/// For how long one that could not be advanced in its lane stays with its slave.
+#[derive(Clone, Copy, Debug, Default)]
+struct Absence {
+    /// Ticks that are left of it.
+    left: u32,
+    /// Ticks that it had when it began.
+    whole: u32,
+}
+
+impl Absence {
+    /// It begins: longer each time, if the lane could not be used since the last.
+    fn begin(&mut self, was_used: bool) {
+        self.whole = if was_used { 1 } else { (2 * self.whole).clamp(1, MAX_ABSENCE) };
+        self.left = self.whole;
+    }
+
+    /// A tick of it; says whether it is over.
+    fn step(&mut self) -> bool {
+        self.left = self.left.saturating_sub(1);
+        self.left == 0
+    }
+}
 
 /// What changes of arms in lanes.
 #[derive(Clone, Copy, Debug)]
@@ -84,12 +107,12 @@ struct ArmLanes<const N: usize, S: Real> {
 }
 
 impl<const N: usize, S: Real> SlaveLanes<N, S> {
-    /// Slaves before their first read; at most as many as there are lanes.
-    pub fn new(slaves: Vec<SimulatedSlave<N>>) -> Self {
+    /// Slaves before their first read; None if they are more than there are lanes.
+    pub fn new(slaves: Vec<SimulatedSlave<N>>) -> Option<Self> {
         let zeros = SVector::<S, N>::zeros();
         let sample = SlaveLanesSample { position: zeros, velocity: zeros, environment_force: zeros };
-        let fast = (slaves.len() <= S::LANES).then(|| Fast::gather(&slaves)).flatten();
-        Self { fast: fast.map(Box::new), slaves, sample, has_started: false }
+        let fits = slaves.len() <= S::LANES;
+        fits.then(|| Self { fast: Fast::gather(&slaves).map(Box::new), slaves, sample, has_started: false })
     }
 
     /// Starts the time of the pushers of all, once.
@@ -224,6 +247,9 @@ struct Piece {
     inside: f64,
 }
 
+/// Largest coefficient of friction of an object in lanes.
+const MAX_FRICTION: f64 = 1e6;
+
 /// The objects of slaves in lanes; None unless they are of the same kinds.
 fn objects<const N: usize, S: Real>(of: &[&Environment<N>]) -> Option<Vec<ObjectLanes<N, S>>> {
     let count = of.first()?.objects.len();
@@ -247,7 +273,14 @@ fn objects<const N: usize, S: Real>(of: &[&Environment<N>]) -> Option<Vec<Object
             return is_alike.then_some(ObjectLanes::Spring { anchor, stiffness, damping });
         }
         let (axis, ..) = first.shape().across_axis()?;
-        let plane = |object: &Object<N>| object.shape().across_axis().filter(|(along, ..)| *along == axis);
+        let plane = |object: &Object<N>| {
+            let (_, normal) = object.shape().surface(&Axes::zeros());
+            // One that leans by less than rounding of its length has a force along the other axes, too.
+            let is_straight = (0..N).all(|other| other == axis || normal[other] == 0.0);
+            // Times no slip at all, friction is nothing as long as it is a number.
+            let is_small = object.contact().friction() <= MAX_FRICTION;
+            object.shape().across_axis().filter(|(along, ..)| *along == axis && is_straight && is_small)
+        };
         if of.iter().any(|one| plane(&one.objects[index]).is_none()) {
             return None;
         }
@@ -302,7 +335,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
             now_ns,
             state: ArmLanes::at_rest(),
             loaded: 0,
-            waits: vec![[0; 2]; slaves.len()],
+            absences: vec![Absence::default(); slaves.len()],
         })
     }
 
@@ -369,9 +402,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
     #[inline(never)] // seldom
     fn load_all(&mut self, lanes: u64, slaves: &[SimulatedSlave<N>]) {
         for lane in lanes_of(lanes, slaves.len()) {
-            let [left, _] = &mut self.waits[lane];
-            *left = left.saturating_sub(1);
-            if *left == 0 && slaves[lane].now_ns == self.now_ns {
+            if self.absences[lane].step() && slaves[lane].now_ns == self.now_ns {
                 self.load(lane, &slaves[lane]);
             }
         }
@@ -383,13 +414,12 @@ impl<const N: usize, S: Real> Fast<N, S> {
     fn leave(&mut self, lanes: u64, before: u64, slaves: &mut [SimulatedSlave<N>]) {
         for lane in lanes_of(lanes, slaves.len()) {
             self.give_back(lane, &mut slaves[lane]);
-            let [_, last] = self.waits[lane];
-            let wait = if before >> lane & 1 == 1 { 1 } else { (2 * last).clamp(1, MAX_WAIT) };
-            self.waits[lane] = [wait; 2];
+            self.absences[lane].begin(before >> lane & 1 == 1);
         }
     }
 
-    /// The arms after a tick from a time in s on that lasts so many s, and where they are so: where no contact changes and no push begins or ends before.
+    /// The arms after a tick from a time in s on that lasts so many s, and where they are so: where no contact changes and no
+    /// push begins or ends before.
     #[inline(always)] // as its caller
     fn advanced(
         &mut self,

@@ -185,7 +185,8 @@ fn side_by_side<P: Device<N>, const N: usize>(
         let mut take: Vec<_> = (0..runs.len().min(NARROW)).collect();
         let mut followers = gathered(&take);
         if followers.is_none() {
-            let fits = |other: &usize| gathered(&[0, *other]).is_some();
+            let fits =
+                |other: &usize| LaneFollowers::<DeviceLanes<P, N>, N, NARROW>::fit(&runs[0], &runs[*other]);
             take = std::iter::once(0).chain((1..runs.len()).filter(fits)).take(NARROW).collect();
             followers = gathered(&take);
         }
@@ -250,9 +251,12 @@ impl<P: Device<N>, const N: usize> Group<P, N> {
                 })
                 .is_continue();
             let ticks = block.as_slice();
-            for followers in self.abreast.iter_mut().filter(|followers| followers.is_running()) {
-                // No operation is across lanes, and none is fused: their width changes no bit.
-                pulp::Arch::new().dispatch(InLanes { followers, ticks });
+            // Lanes of more axes are not compiled.
+            if N <= MAX_AXES {
+                for followers in self.abreast.iter_mut().filter(|followers| followers.is_running()) {
+                    // No operation is across lanes, and none is fused: their width changes no bit.
+                    pulp::Arch::new().dispatch(InLanes { followers, ticks });
+                }
             }
             let mut kept = Vec::with_capacity(self.alone.len());
             for mut follower in self.alone.drain(..) {

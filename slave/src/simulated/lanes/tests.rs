@@ -85,7 +85,7 @@ fn check<const N: usize>(
     let at = |lane: usize| if pushes_differ { push_at_s * (1.0 + 0.3 * lane as f64) } else { push_at_s };
     let mut alone: Vec<_> =
         of.iter().enumerate().map(|(lane, drawn)| slave::<N>(drawn, kinds, at(lane))).collect();
-    let mut beside = SlaveLanes::<N, AutoF64x4>::new(alone.clone());
+    let mut beside = SlaveLanes::<N, AutoF64x4>::new(alone.clone()).unwrap();
     assert!(beside.fast.is_some());
     let (mut now_ns, mut lanes, mut taken) = (0, 0b1111, 0);
     for (tick, period_ns) in periods_ns.iter().cycle().take(160).enumerate() {
@@ -180,4 +180,23 @@ fn nearly_all_ticks_are_taken_in_lanes() {
     };
     let taken = check::<1>(&[drawn; 4], 3, (0.01, false), &[1_000_000], (0.03, 150));
     assert!(taken > 4 * 160 * 3 / 4, "{taken} of 640");
+}
+
+/// A plane that leans by less than what its length tells pushes along the other axes too: not in lanes.
+#[test]
+fn a_plane_that_leans_by_next_to_nothing_is_not_for_lanes() {
+    let drawn = |lean: f64| {
+        let arm = ArmModel::new(ArmControl::Position { bandwidth_hz: 15.0 }, 4.0, Some(1.0), None).unwrap();
+        let plane = Shape::plane(Axes::<3>::zeros(), Axes::<3>::new(lean, 1.0, 0.0)).unwrap();
+        let law = ContactLaw::KelvinVoigt { stiffness: 100.0, damping: 0.0 };
+        let object = Object::fixed(plane, Contact::new(law, 0.0).unwrap()).unwrap();
+        let environment = Environment::new(vec![object], Vec::new());
+        SimulatedSlave::in_environment(arm, environment, None, Axes::zeros(), 0).unwrap()
+    };
+    for (lean, is_fast) in [(0.0, true), (-0.0, true), (6e-17, false), (1e-9, false)] {
+        let slaves = (0..4).map(|_| drawn(lean)).collect();
+        assert_eq!(SlaveLanes::<3, AutoF64x4>::new(slaves).unwrap().fast.is_some(), is_fast, "{lean}");
+    }
+    let many = (0..5).map(|_| drawn(0.0)).collect();
+    assert!(SlaveLanes::<3, AutoF64x4>::new(many).is_none());
 }

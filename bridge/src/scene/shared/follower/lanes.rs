@@ -59,6 +59,30 @@ struct Far<const N: usize, const WIDTH: usize> {
     heard: u64,
 }
 
+/// What decides over hands and arms, and measures.
+struct Deciding<const N: usize, const WIDTH: usize> {
+    hands: HandLanes<N, Lanes<WIDTH>>,
+    coupling: PositionForce<N, Lanes<WIDTH>>,
+    translation: SlaveTranslation<N, Lanes<WIDTH>>,
+    watched: WatchedLanes<N, Lanes<WIDTH>>,
+}
+
+impl<const N: usize, const WIDTH: usize> Deciding<N, WIDTH> {
+    /// Of some followers before their first tick; None where it differs in more than numbers.
+    fn gather<P>(of: &[&Follower<P, N>]) -> Option<Self> {
+        let hands: Vec<_> = of.iter().map(|one| &one.near.hand).collect();
+        let couplings: Vec<_> = of.iter().map(|one| &one.near.coupling).collect();
+        let translations: Vec<_> = of.iter().map(|one| one.far.arm.translation()).collect();
+        let watched: Vec<_> = of.iter().map(|one| &one.watched).collect();
+        Some(Self {
+            hands: HandLanes::gather(&hands)?,
+            coupling: PositionForce::gather(&couplings)?,
+            translation: SlaveTranslation::gather(&translations)?,
+            watched: WatchedLanes::gather(&watched)?,
+        })
+    }
+}
+
 /// The lanes of a mask.
 #[inline(always)]
 fn lanes_of(mask: u64, count: usize) -> impl Iterator<Item = usize> {
@@ -73,11 +97,10 @@ impl<L: PlantLanes<N, Lanes<WIDTH>>, const N: usize, const WIDTH: usize> LaneFol
         P: SideBySide<N, Lanes<WIDTH>, Lanes = L> + Clone,
     {
         let count = of.len();
-        let hands = HandLanes::gather(&of.iter().map(|one| &one.near.hand).collect::<Vec<_>>())?;
-        let coupling = PositionForce::gather(&of.iter().map(|one| &one.near.coupling).collect::<Vec<_>>())?;
-        let translation =
-            SlaveTranslation::gather(&of.iter().map(|one| one.far.arm.translation()).collect::<Vec<_>>())?;
-        let watched = WatchedLanes::gather(&of.iter().map(|one| &one.watched).collect::<Vec<_>>())?;
+        if count > WIDTH {
+            return None;
+        }
+        let Deciding { hands, coupling, translation, watched } = Deciding::gather(of)?;
         let commands = of.first()?.near.commands.clone();
         Some(Self {
             rows: of.iter().map(|one| one.row).collect(),
@@ -92,7 +115,7 @@ impl<L: PlantLanes<N, Lanes<WIDTH>>, const N: usize, const WIDTH: usize> LaneFol
                 heard: 0,
             },
             far: Far {
-                plants: SlaveLanes::new(of.iter().map(|one| one.far.plant.clone()).collect()),
+                plants: SlaveLanes::new(of.iter().map(|one| one.far.plant.clone()).collect())?,
                 translation,
                 led: LeadTransition::default(),
                 commands,
@@ -102,6 +125,11 @@ impl<L: PlantLanes<N, Lanes<WIDTH>>, const N: usize, const WIDTH: usize> LaneFol
             watched,
             settled: vec![None; count],
         })
+    }
+
+    /// Whether two followers are decided over alike: all that it takes, if their devices are of one kind.
+    pub(super) fn fit<P>(one: &Follower<P, N>, other: &Follower<P, N>) -> bool {
+        Deciding::<N, WIDTH>::gather(&[one, other]).is_some()
     }
 
     /// Whether any lane is still run.

@@ -302,6 +302,13 @@ fn a_fault_ends_a_row_as_alone() {
         one.diverged.is_some_and(|diverged| matches!(diverged.cause, DivergenceCause::Fault(..)))
     };
     assert!(found.iter().any(is_fault), "{found:?}");
+    // Of more than one group under a push, the first ones leave.
+    let mut pushed = scene;
+    pushed["environment"]["pushers"] = json!([{"shape": "ramp", "at_s": 0.6, "duration_s": 2.0, "rise_s": 1.0,
+        "frequency_hz": 0.0, "force_n": [1.0], "recorded": null}]);
+    let stiffness: Vec<_> = (0..11).map(|row| if row < 3 { 3e4 } else { 10.0 + f64::from(row) }).collect();
+    let Followed { outcomes: found, abreast, .. } = followed(&rows::<1>(&pushed, path, &stiffness));
+    assert!(found[..3].iter().all(is_fault) && abreast == 8, "{abreast} {found:?}");
 }
 
 #[test]
