@@ -1,6 +1,6 @@
 //! The motion over a whole tick without an event, as one linear map that is kept from tick to tick.
 
-use crate::{Axes, DeviceParameters, Hand, path::DEGREE};
+use crate::{Axes, DeviceParameters, Hand, Real, path::DEGREE};
 
 /// Terms of the series that a map is computed from, once for many ticks: far more than what it needs.
 const TERMS: usize = 32;
@@ -36,24 +36,24 @@ pub(crate) struct Propagator<const N: usize> {
     pub(crate) tremor: [f64; 2],
 }
 
-/// The answers `(e, e')` in m and m/s of one axis to each part of the acceleration.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct AxisPropagator {
-    pub(crate) inverse_mass: f64,
+/// The answers `(e, e')` in m and m/s of one axis to each part of the acceleration, of one device or of several side by side.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct AxisPropagator<S = f64> {
+    pub(crate) inverse_mass: S,
     /// Of the hand alone, `g K_h / m`.
-    pub(crate) pull: f64,
+    pub(crate) pull: S,
     /// `B / m` of hand and device.
-    pub(crate) damping: f64,
+    pub(crate) damping: S,
     /// To an acceleration of 1.
-    pub(crate) to_acceleration: [f64; 2],
+    pub(crate) to_acceleration: [S; 2],
     /// To `-k t`, of a speed of 1.
-    pub(crate) to_speed: [f64; 2],
+    pub(crate) to_speed: [S; 2],
     /// To each power of the path, from the first.
-    pub(crate) to_path: [[f64; 2]; DEGREE],
+    pub(crate) to_path: [[S; 2]; DEGREE],
     /// To the sine and the cosine of a tremor at the begin.
-    pub(crate) to_tremor: [[f64; 2]; 2],
+    pub(crate) to_tremor: [[S; 2]; 2],
     /// Bound on `|V(t) - V|` in the tick for each unit of a bound on the right side without e.
-    pub(crate) most: f64,
+    pub(crate) most: S,
 }
 
 impl<const N: usize> Propagator<N> {
@@ -62,7 +62,7 @@ impl<const N: usize> Propagator<N> {
         Self {
             duration: 0.0,
             impedance: [0.0; 2],
-            axes: [AxisPropagator::default(); N],
+            axes: [AxisPropagator::none(); N],
             is_isotropic: false,
             reaches: false,
             shakes: [0.0; 2],
@@ -135,29 +135,62 @@ impl<const N: usize> Propagator<N> {
     }
 }
 
-impl AxisPropagator {
+impl<S: Real> AxisPropagator<S> {
+    /// Of nothing.
+    pub(crate) fn none() -> Self {
+        let zero = S::zero();
+        Self {
+            inverse_mass: zero,
+            pull: zero,
+            damping: zero,
+            to_acceleration: [zero; 2],
+            to_speed: [zero; 2],
+            to_path: [[zero; 2]; DEGREE],
+            to_tremor: [[zero; 2]; 2],
+            most: zero,
+        }
+    }
+
+    /// Takes over the map of one device.
+    pub(crate) fn load(&mut self, lane: usize, of: &AxisPropagator) {
+        self.inverse_mass.replace(lane, of.inverse_mass);
+        self.pull.replace(lane, of.pull);
+        self.damping.replace(lane, of.damping);
+        self.most.replace(lane, of.most);
+        let pairs = [&mut self.to_acceleration, &mut self.to_speed].into_iter();
+        let pairs = pairs.chain(&mut self.to_path).chain(&mut self.to_tremor);
+        let numbers = [&of.to_acceleration, &of.to_speed].into_iter().chain(&of.to_path).chain(&of.to_tremor);
+        for (pair, numbers) in pairs.zip(numbers) {
+            pair[0].replace(lane, numbers[0]);
+            pair[1].replace(lane, numbers[1]);
+        }
+    }
+
     /// By how much x, beside `V dt`, and V change over the tick: of the acceleration and V at its begin, of the target's path
     /// and of its tremor.
     #[inline(always)]
     pub(crate) fn change(
         &self,
-        acceleration: f64,
-        speed: f64,
+        acceleration: S,
+        speed: S,
         path: Option<[f64; DEGREE]>,
         wave: Option<[f64; 2]>,
-    ) -> [f64; 2] {
-        let mut e =
-            [0, 1].map(|which| self.to_acceleration[which] * acceleration + self.to_speed[which] * speed);
+    ) -> [S; 2] {
+        // Written out: a closure over lanes would be a call.
+        let mut e = [
+            self.to_acceleration[0] * acceleration + self.to_speed[0] * speed,
+            self.to_acceleration[1] * acceleration + self.to_speed[1] * speed,
+        ];
         if let Some(path) = path {
             for (answer, term) in self.to_path.iter().zip(path) {
-                e[0] += answer[0] * term;
-                e[1] += answer[1] * term;
+                e[0] += answer[0] * S::splat(term);
+                e[1] += answer[1] * S::splat(term);
             }
         }
         if let Some(wave) = wave {
             for (answer, wave) in self.to_tremor.iter().zip(wave) {
-                e[0] += answer[0] * wave;
-                e[1] += answer[1] * wave;
+                e[0] += answer[0] * S::splat(wave);
+                e[1] += answer[1] * S::splat(wave);
             }
         }
         e
@@ -166,9 +199,10 @@ impl AxisPropagator {
     /// Bounds over the tick on how far x moves and on the change of V, where the target adds at most `target` to the
     /// acceleration.
     #[inline(always)]
-    pub(crate) fn bounds(&self, acceleration: f64, speed: f64, target: f64, duration: f64) -> [f64; 2] {
-        let faster = self.most * (acceleration.abs() + self.pull * duration * speed.abs() + target);
-        [duration * (speed.abs() + faster) * (1.0 + 1e-12), faster]
+    pub(crate) fn bounds(&self, acceleration: S, speed: S, target: S, duration: S) -> [S; 2] {
+        let faster =
+            self.most * (acceleration.magnitude() + self.pull * duration * speed.magnitude() + target);
+        [duration * (speed.magnitude() + faster) * S::splat(1.0 + 1e-12), faster]
     }
 }
 

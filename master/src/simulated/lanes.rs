@@ -3,13 +3,12 @@
 
 use nalgebra::SimdBool as _;
 
-use super::SimulatedMaster;
+use super::{SimulatedMaster, add_one};
 use crate::{
     Axes, Hand, Real,
     axes::norm,
     device::{exerted, quantised},
-    path::DEGREE,
-    propagator::Outlook,
+    propagator::{AxisPropagator, Outlook},
 };
 
 /// What several devices measure at one tick.
@@ -63,7 +62,7 @@ struct Fast<const N: usize, S: Real> {
     damping: S,
     strength: S,
     device: DeviceLanes<N, S>,
-    maps: [AxisLanes<S>; N],
+    maps: [AxisPropagator<S>; N],
     /// For which gain of a grip that has or has not let go, and for ticks of which length in s, the maps are.
     regime: (f64, bool, f64),
     motion: Motion<N, S>,
@@ -109,18 +108,6 @@ struct DeviceLanes<const N: usize, S: Real> {
     max_force_n: S,
     force_quantum_n: S,
     is_exact: bool,
-}
-
-/// As [`AxisPropagator`](crate::propagator::AxisPropagator), of each device, without a tremor.
-#[derive(Clone, Copy, Debug)]
-struct AxisLanes<S: Real> {
-    inverse_mass: S,
-    pull: S,
-    damping: S,
-    to_acceleration: [S; 2],
-    to_speed: [S; 2],
-    to_path: [[S; 2]; DEGREE],
-    most: S,
 }
 
 impl<const N: usize, S: Real> MasterLanes<N, S> {
@@ -259,16 +246,6 @@ fn everywhere<S: Real>() -> S::SimdBool {
     S::zero().simd_le(S::zero())
 }
 
-/// Kahan's sum, as [`super::add`].
-#[inline(always)]
-fn add<S: Real>(sum: &mut S, lost: &mut S, step: S) {
-    let (before, step) = (*sum, step + *lost);
-    let after = before + step;
-    let taken = after - before;
-    *lost = (before - (after - taken)) + (step - taken);
-    *sum = after;
-}
-
 impl<const N: usize, S: Real> Fast<N, S> {
     /// Lanes for masters that may be in them; none is loaded yet.
     fn gather(masters: &[SimulatedMaster<N>]) -> Option<Self> {
@@ -288,16 +265,6 @@ impl<const N: usize, S: Real> Fast<N, S> {
         }
         let axes = |of: &dyn Fn(&SimulatedMaster<N>, usize) -> f64| {
             Axes::<N, S>::from_fn(|axis, _| number(masters, |master| of(master, axis)))
-        };
-        let (zero, one) = (S::zero(), S::one());
-        let map = AxisLanes {
-            inverse_mass: one,
-            pull: zero,
-            damping: zero,
-            to_acceleration: [zero; 2],
-            to_speed: [zero; 2],
-            to_path: [[zero; 2]; DEGREE],
-            most: zero,
         };
         Some(Self {
             outlook: Outlook::new(&hand, 0.0),
@@ -321,7 +288,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
                 force_quantum_n: number(masters, |master| master.device.force_quantum_n),
                 is_exact: masters.iter().all(|master| master.device.force_quantum_n == 0.0),
             },
-            maps: [map; N],
+            maps: [AxisPropagator::none(); N],
             regime: (f64::NAN, false, 0.0),
             motion: Motion { position: Axes::zeros(), velocity: Axes::zeros() },
             lost: [Axes::zeros(); 2],
@@ -340,17 +307,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
             return;
         }
         for (map, of) in self.maps.iter_mut().zip(&master.propagator.axes) {
-            map.inverse_mass.replace(lane, of.inverse_mass);
-            map.pull.replace(lane, of.pull);
-            map.damping.replace(lane, of.damping);
-            map.most.replace(lane, of.most);
-            for which in 0..2 {
-                map.to_acceleration[which].replace(lane, of.to_acceleration[which]);
-                map.to_speed[which].replace(lane, of.to_speed[which]);
-                for (to_path, of) in map.to_path.iter_mut().zip(&of.to_path) {
-                    to_path[which].replace(lane, of[which]);
-                }
-            }
+            map.load(lane, of);
         }
         set(&mut self.motion.position, lane, &master.position);
         set(&mut self.motion.velocity, lane, &master.velocity);
@@ -481,18 +438,8 @@ impl<const N: usize, S: Real> Fast<N, S> {
             let friction = coulomb.select(v.simd_gt(zero), -coulomb).select(rubs & moving, zero);
             let a = (push - friction - self.device.viscous[axis] * v) * map.inverse_mass;
             let target = map.pull * shift + zero;
-            let faster = map.most * (a.magnitude() + map.pull * step * v.magnitude() + target);
-            let farther = step * (v.magnitude() + faster) * above;
-            let mut e = [
-                map.to_acceleration[0] * a + map.to_speed[0] * v,
-                map.to_acceleration[1] * a + map.to_speed[1] * v,
-            ];
-            if moves {
-                for (answer, term) in map.to_path.iter().zip(self.outlook.path_of(axis)) {
-                    let term = S::splat(term);
-                    e = [e[0] + answer[0] * term, e[1] + answer[1] * term];
-                }
-            }
+            let [farther, faster] = map.bounds(a, v, target, step);
+            let e = map.change(a, v, moves.then(|| self.outlook.path_of(axis)), None);
             let [moved, gained] = [v * step + e[0], e[1]];
             // Where friction may turn.
             let turns = friction.simd_ne(zero) & v.magnitude().simd_le(faster);
@@ -507,8 +454,8 @@ impl<const N: usize, S: Real> Fast<N, S> {
             most_moved[axis] = zero.select(stuck, farther);
             most_gained[axis] = zero.select(stuck, faster);
             let [of_position, of_velocity] = &mut lost;
-            add(&mut position[axis], &mut of_position[axis], zero.select(stuck, moved));
-            add(&mut velocity[axis], &mut of_velocity[axis], zero.select(stuck, gained));
+            add_one(&mut position[axis], &mut of_position[axis], zero.select(stuck, moved));
+            add_one(&mut velocity[axis], &mut of_velocity[axis], zero.select(stuck, gained));
             velocity[axis] = zero.select(stuck, velocity[axis]);
             of_velocity[axis] = zero.select(stuck, of_velocity[axis]);
         }

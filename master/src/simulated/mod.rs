@@ -12,7 +12,7 @@ mod tests;
 pub use lanes::{MasterLanes, MasterLanesSample};
 
 use crate::{
-    Axes, ContinuousWall, DeviceParameters, Hand, ModelError,
+    Axes, ContinuousWall, DeviceParameters, Hand, ModelError, Real,
     device::{exerted, quantised},
     hand::gripped,
     propagator::{Outlook, Propagator},
@@ -224,15 +224,21 @@ fn across<const N: usize>(direction: &Axes<N>, along: &Axes<N>) -> f64 {
     (along - direction * direction.dot(along)).norm()
 }
 
+/// Adds a small step along each axis and what earlier steps lost.
+fn add<const N: usize>(sum: &mut Axes<N>, lost: &mut Axes<N>, step: &Axes<N>) {
+    for axis in 0..N {
+        add_one(&mut sum[axis], &mut lost[axis], step[axis]);
+    }
+}
+
 /// Adds a small step and what earlier steps lost.
 ///
 /// Source: Kahan 1965; the exact error of a sum, Knuth 1969, section 4.2.2.
-fn add<const N: usize>(sum: &mut Axes<N>, lost: &mut Axes<N>, step: &Axes<N>) {
-    for axis in 0..N {
-        let (before, step) = (sum[axis], step[axis] + lost[axis]);
-        let after = before + step;
-        let taken = after - before;
-        lost[axis] = (before - (after - taken)) + (step - taken);
-        sum[axis] = after;
-    }
+#[inline(always)] // a few operations, several times a tick
+fn add_one<S: Real>(sum: &mut S, lost: &mut S, step: S) {
+    let (before, step) = (*sum, step + *lost);
+    let after = before + step;
+    let taken = after - before;
+    *lost = (before - (after - taken)) + (step - taken);
+    *sum = after;
 }

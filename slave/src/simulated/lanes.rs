@@ -431,7 +431,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
         let mut done = 0.0;
         while done < span {
             let now = from + done;
-            let mut end = (done + LONGEST).max(done + SHORTEST);
+            let mut end = done + LONGEST;
             if span - end < SHORTEST {
                 end = span;
             }

@@ -2,7 +2,10 @@
 
 use nalgebra::SimdBool as _;
 
-use super::{Bend, Course, Line, NEARLY_CRITICAL, REACH, Transition, TransitionMap};
+use super::{
+    Bend, Course, Line,
+    transition::{NEARLY_CRITICAL, REACH, Transition, TransitionMap},
+};
 use crate::{Real, contact::law::Mode};
 
 /// A plane across the axis, of each arm.
