@@ -181,3 +181,73 @@ impl<const N: usize, S: Real> HandLanes<N, S> {
         (tick, passes & tick.seen().passes())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use haptether_safety::{
+        DeviceModel, LayerSettings, LimiterSettings,
+        controller::{ControllerKind, SafetySettings},
+        estimator::EstimatorKind,
+    };
+    use nalgebra::SimdValue as _;
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::lanes::{Lanes, NARROW};
+
+    fn hand() -> Hand<1> {
+        let [mass, viscous, coulomb] = [0.157, -0.005, 0.038].map(Axes::<1>::new);
+        let controllers = ControllerKind::ALL.into_iter().collect();
+        let settings = LayerSettings {
+            device: DeviceModel::new(mass, viscous, coulomb).unwrap(),
+            period_s: 1e-3,
+            estimator: EstimatorKind::BackwardDifference {},
+            safety: SafetySettings { controllers, ..SafetySettings::default() },
+            limiter: LimiterSettings { ramp_in_s: 0.0, ..LimiterSettings::default() },
+        };
+        Hand::new(Layer::new(settings, None).unwrap(), 1e-3)
+    }
+
+    /// Mostly a number that can be, sometimes one of which something that follows from it cannot be.
+    fn number(size: f64) -> impl Strategy<Value = f64> {
+        let odd = prop_oneof![Just(f64::NAN), Just(f64::INFINITY), Just(2e3), Just(-900.0), Just(2e4)];
+        prop_oneof![60 => -size..size, 1 => odd]
+    }
+
+    proptest! {
+        /// A lane is where its hand would not meet a fault, and decides what that does, to the bit.
+        #[test]
+        fn hands_in_lanes_are_as_alone(
+            ticks in prop::collection::vec(
+                prop::collection::vec((number(0.05), number(0.5), number(5.0)), NARROW),
+                1..40,
+            ),
+            measures_velocity in any::<bool>(),
+            gain in 0.0..=1.0f64,
+        ) {
+            let mut alone = vec![hand(); NARROW];
+            let mut beside =
+                HandLanes::<1, Lanes<NARROW>>::gather(&alone.iter().collect::<Vec<_>>()).unwrap();
+            let mut running = [true; NARROW];
+            for tick in &ticks {
+                let lanes = |which: fn(&(f64, f64, f64)) -> f64| {
+                    Axes::<1, Lanes<NARROW>>::new(crate::lanes::packed(tick, which))
+                };
+                let [x, v, force] = [lanes(|of| of.0), lanes(|of| of.1), lanes(|of| of.2)];
+                let (decided, passes) = beside.tick(&x, measures_velocity.then_some(&v), &force, gain);
+                for lane in (0..NARROW).filter(|lane| running[*lane]).collect::<Vec<_>>() {
+                    let (x, v, force) = tick[lane];
+                    let velocity = measures_velocity.then_some(Axes::<1>::new(v));
+                    let reading = MasterReading::point(Axes::<1>::new(x), velocity);
+                    let input = HandInput { requested_force: Axes::<1>::new(force), gain, ..HandInput::idle() };
+                    let (single, _) = alone[lane].tick(&reading, &input);
+                    prop_assert_eq!(passes.extract(lane), single.fault.is_none(), "lane {}: {:?}", lane, single.fault);
+                    running[lane] = single.fault.is_none();
+                    if running[lane] {
+                        prop_assert_eq!(format!("{:?}", decided.lane(lane)), format!("{:?}", single));
+                    }
+                }
+            }
+        }
+    }
+}

@@ -203,3 +203,41 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
         self.command.get_or_insert(*position);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{LadderSettings, coupling::CommandBounds};
+
+    fn translation(speed: f64) -> SlaveTranslation<1> {
+        let ladder = LadderSettings { extrapolate_ns: 20_000_000, ..LadderSettings::default() };
+        let bounds = CommandBounds { speed, ..CommandBounds::default() };
+        let settings = SlaveSettings { period_ns: 1_000_000, run_id: 1, position_scale: 2.0, bounds, ladder };
+        SlaveTranslation::new(&settings).unwrap()
+    }
+
+    /// With T = 20 ms, `v / V = 1 - t / T` and `d / V = t - t² / (2 T)` of the velocity of twice the master's: closed form.
+    #[test]
+    fn a_late_velocity_decays_and_its_position_goes_ahead() {
+        let (position, [x, v]) = (Axes::<1>::new(0.3), [0.1, 0.25].map(Axes::<1>::new));
+        let mut arm = translation(1e3);
+        for (tick, (stale_ns, share, ahead_s)) in
+            [(0, 1.0, 0.0), (5_000_000, 0.75, 4.375e-3), (10_000_000, 0.5, 7.5e-3), (90_000_000, 0.0, 0.01)]
+                .into_iter()
+                .enumerate()
+        {
+            let state = if stale_ns == 0 { LadderState::Engaged } else { LadderState::Stale };
+            let input = TranslationInput { state, stale_ns, newest: Some([&x, &v]) };
+            let led = arm.follow(1_000_000 * (tick as u64 + 1), &position, true, &input).unwrap();
+            assert!((led.velocity[0] - 0.5 * share).abs() < 1e-15, "{stale_ns}: {}", led.velocity);
+            let command = arm.last_command().unwrap()[0];
+            assert!((command - 0.3 - 0.5 * ahead_s).abs() < 1e-15, "{stale_ns}: {command}");
+            assert_eq!(led.limited, [false; 2]);
+        }
+        // What it may not do is cut, of the velocity as of the position.
+        let mut slow = translation(0.2);
+        let input = TranslationInput { state: LadderState::Engaged, stale_ns: 0, newest: Some([&x, &v]) };
+        let led = slow.follow(1_000_000, &position, true, &input).unwrap();
+        assert!((led.velocity[0] - 0.2).abs() < 1e-15 && led.limited == [true, false], "{led:?}");
+    }
+}

@@ -115,6 +115,13 @@ fn check<const N: usize>(of: &[Drawn; 4], shared: &Shared, periods_ns: &[u64], f
                 assert_eq!(in_lanes, by_itself, "signal {which} of lane {lane} at tick {tick}");
             }
         }
+        let fast = beside.fast.as_ref().unwrap();
+        for lane in lanes_of(lanes & fast.loaded, 4) {
+            // What rounding took shows only later.
+            for (lost, by_itself) in fast.lost.iter().zip(&alone[lane].lost) {
+                assert_eq!(of_lane(lost, lane), *by_itself, "of lane {lane} at tick {tick}");
+            }
+        }
         beside.write(lanes, &forces);
         for lane in lanes_of(lanes, 4) {
             alone[lane].write(&force(lane));

@@ -139,6 +139,7 @@ fn rows_of_one_connection_are_as_alone() {
         ("measured velocity", vec![("master.measures_velocity", json!(true))]),
         ("settles", vec![("run.stop_early", json!(true)), ("operator.release.at_s", json!(0.4))]),
         ("leaves", vec![("run.diverged_position", json!(0.02))]),
+        ("too fast", vec![("run.diverged_speed", json!(0.1))]),
         ("arm", vec![("coupling.position_scale", json!(3.0)), ("run.diverged_position", json!(0.047))]),
         ("no wire", vec![("link", Value::Null)]),
         ("reorders", vec![("link.forward.keep_order", json!(false)), ("link.forward.jitter_s", json!(0.02))]),
@@ -161,7 +162,7 @@ fn rows_of_one_connection_are_as_alone() {
         assert_eq!(found.branched, 0, "{name}");
         // Whose loops stall or leave ticks out, and who diverges, is run by itself.
         let abreast = match name {
-            "clocks" | "stalls" | "leaves" => 0,
+            "clocks" | "stalls" | "leaves" | "too fast" => 0,
             "arm" => found.outcomes.iter().filter(|one| one.diverged.is_none()).count(),
             _ => bandwidths.len(),
         };
