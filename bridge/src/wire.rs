@@ -552,6 +552,7 @@ impl<const N: usize> Frame<N> {
     /// all of them.
     #[inline(always)] // as all of what takes a frame: docs/architecture.md
     pub(crate) fn replace(&mut self, other: &Self) {
+        // By reference: what is not assigned is not read.
         let Self {
             role,
             kind,
@@ -573,17 +574,17 @@ impl<const N: usize> Frame<N> {
             reason,
             fault,
             text,
-        } = *other;
-        (self.role, self.kind, self.state, self.hears_peer) = (role, kind, state, hears_peer);
-        (self.clutch, self.ending, self.reason, self.fault) = (clutch, ending, reason, fault);
-        (self.run_id, self.sequence, self.sent_ns, self.echo) = (run_id, sequence, sent_ns, echo);
-        (self.position, self.velocity, self.force) = (position, velocity, force);
-        (self.energy, self.buttons, self.text) = (energy, buttons, text);
+        } = other;
+        (self.role, self.kind, self.state, self.hears_peer) = (*role, *kind, *state, *hears_peer);
+        (self.clutch, self.ending, self.reason, self.fault) = (*clutch, *ending, *reason, *fault);
+        (self.run_id, self.sequence, self.sent_ns, self.echo) = (*run_id, *sequence, *sent_ns, *echo);
+        (self.position, self.velocity, self.force) = (*position, *velocity, *force);
+        (self.energy, self.buttons, self.text) = (*energy, *buttons, *text);
         if rotation.is_some() || self.rotation.is_some() {
-            self.rotation = rotation;
+            self.rotation = *rotation;
         }
         if gripper.is_some() || self.gripper.is_some() {
-            self.gripper = gripper;
+            self.gripper = *gripper;
         }
     }
 

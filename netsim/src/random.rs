@@ -110,8 +110,8 @@ impl pulp::WithSimd for SideBySide {
 /// A uniform number strictly between 0 and 1: the middle of one of 2^53 equal parts.
 pub(crate) fn unit(bits: u64) -> f64 {
     const PART: f64 = 1.0 / 9_007_199_254_740_992.0;
-    // Halves below 2^53 round to even at the top; the last part would round to 1.
-    (((bits >> 11) as f64 + 0.5) * PART).min(1.0 - 0.5 * PART)
+    // Halves below 2^53 round to even at the top; the last part would round to 1, and its middle does.
+    (((bits >> 11) as f64 + 0.5) * PART).min(1.0 - PART)
 }
 
 /// A uniform integer in `0..=last`.
@@ -310,6 +310,16 @@ mod tests {
             assert_eq!(SideBySide { stream, first }.with_simd(pulp::Scalar), expected, "{first}");
             // With AVX2, where this machine has it.
             assert_eq!(stream.side_by_side(first), expected, "{first}");
+        }
+    }
+
+    #[test]
+    fn a_uniform_number_reaches_neither_end() {
+        let part = 0.5_f64.powi(53);
+        for (bits, wanted) in [(0, 0.5 * part), (u64::MAX, 1.0 - part), (1 << 63, 0.5), (1 << 11, 1.5 * part)]
+        {
+            assert!((unit(bits) - wanted).abs() <= 0.5 * f64::EPSILON * wanted, "{bits}: {}", unit(bits));
+            assert!(0.0 < unit(bits) && unit(bits) < 1.0, "{bits}");
         }
     }
 

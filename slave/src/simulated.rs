@@ -134,7 +134,10 @@ impl<const N: usize> SimulatedSlave<N> {
 
     /// Starts the pushers' time, once.
     pub fn start(&mut self, now_ns: u64) {
-        self.started_ns.get_or_insert(now_ns);
+        if self.started_ns.is_some() {
+            return;
+        }
+        self.started_ns = Some(now_ns);
         match &mut self.plant {
             Plant::Held(held) => held.start(now_ns),
             Plant::Continuous(_) => self.place_pushers(),

@@ -160,20 +160,26 @@ impl AgeBaseline {
             return;
         };
         let stands_ns = now_ns.saturating_sub(last_ns).min(SAMPLE_NS) as f64;
-        let deviation = (age - self.mean_ns).abs().min(MAX_DEVIATION_NS);
-        for (known, reach, value, seen) in [
-            (&mut self.present_known_ns, PRESENT_NS, &mut self.present_ns, age),
-            (&mut self.mean_known_ns, REACH_NS, &mut self.mean_ns, age),
-            (&mut self.deviation_known_ns, REACH_NS, &mut self.deviation_ns, deviation),
+        for (known, reach) in [
+            (&mut self.present_known_ns, PRESENT_NS),
+            (&mut self.mean_known_ns, REACH_NS),
+            (&mut self.deviation_known_ns, REACH_NS),
         ] {
             *known = (*known + stands_ns).min(reach);
-            *value += (seen - *value) * stands_ns / *known;
         }
+        // Of times alone: nothing waits for these divisions that waits for an age.
+        let [present_gain, mean_gain, deviation_gain] =
+            [self.present_known_ns, self.mean_known_ns, self.deviation_known_ns]
+                .map(|known| stands_ns / known);
+        let above_ns = age - self.mean_ns;
+        self.present_ns += present_gain * (age - self.present_ns);
+        self.mean_ns += mean_gain * above_ns;
+        self.deviation_ns += deviation_gain * (above_ns.abs().min(MAX_DEVIATION_NS) - self.deviation_ns);
         let higher_ns = self.present_level_ns() - self.level_ns;
         if self.mean_known_ns < LEARNT_NS {
             self.level_ns += higher_ns;
         } else {
-            self.level_ns += higher_ns.min(0.0) * stands_ns / REACH_NS;
+            self.level_ns += stands_ns / REACH_NS * higher_ns.min(0.0);
         }
     }
 
@@ -189,9 +195,11 @@ impl AgeBaseline {
     }
 
     /// The level in ns; none before the first packet.
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // finite, not negative: a mean of ages
+    #[inline]
+    #[allow(clippy::cast_possible_truncation)] // finite, not negative: a mean of ages
     pub fn level_ns(&self) -> Option<u64> {
-        self.last_ns.map(|_| self.level_ns as u64)
+        // Signed, for which processors have an instruction.
+        self.last_ns.map(|_| (self.level_ns as i64).cast_unsigned())
     }
 
     /// Clears all: for a new session of the peer.

@@ -300,6 +300,10 @@ impl PeerClock {
 /// What is reported is certain. Reported late is at most `2 rho (t4 - t1)`: the upper bound, of the time `t1`, is held
 /// against the lower line at `t4`, for that may have been made by packets after `t1`.
 fn contradiction(kept: &Lines, new: &Lines, drifted: i128) -> Option<Contradiction> {
+    if new.lower <= kept.upper && kept.lower <= new.upper {
+        // Nearly all: no drift needs to explain it.
+        return None;
+    }
     let ahead = new.lower - kept.upper - 2 * drifted;
     if ahead > 0 {
         return Some(Contradiction::Ahead(whole_up(ahead)));

@@ -222,12 +222,11 @@ impl<const N: usize> Watched<N> {
         if self.diverged.is_some() {
             return flow;
         }
-        let time_s = record.time_ns as f64 / 1e9;
         if let Some(felt) = side.felt() {
-            self.log.trigger_tripped(time_s, felt.intervention.tripped);
+            self.log.trigger_tripped(record.time_ns as f64 / 1e9, felt.intervention.tripped);
         }
         if self.near.begin_tick() {
-            self.record_near(record, side, time_s);
+            self.record_near(record, side, record.time_ns as f64 / 1e9);
         }
         flow
     }

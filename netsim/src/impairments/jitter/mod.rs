@@ -3,11 +3,13 @@
 //! With `keep_order` or a correlation time D is a [path](path) in time, else it is drawn for each packet by itself.
 
 mod cells;
+mod exponential;
 mod path;
 
 use std::{cell::RefCell, sync::Arc};
 
 use cells::Cells;
+use exponential::exponential;
 use path::{Path, Place};
 
 use crate::checks::{LinkSettingsError, MAX_DELAY_S, nanoseconds, within};
@@ -254,7 +256,7 @@ impl Wander {
     #[inline(always)]
     fn draw(&mut self, at: usize, rises: bool, begin_ns: u64, from: Place) {
         let traversal = self.path.traversal(rises);
-        let to = traversal.switch(from, -libm::log(self.lengths.unit(begin_ns)));
+        let to = traversal.switch(from, exponential(self.lengths.unit(begin_ns)));
         // Time is whole: the run stops short of its end by less than 1 ns.
         #[expect(clippy::cast_possible_truncation, reason = "saturates")]
         let length_ns = ((to.y_ns - from.y_ns) as i64).max(1);
@@ -271,8 +273,7 @@ impl Wander {
         let run = self.run();
         let traversal = self.path.traversal(run.rises);
         let y_ns = run.from.y_ns + (time_ns - run.begin_ns).cast_signed() as f64;
-        let cell = traversal.cell(y_ns, run.from.cell, run.to.cell);
-        whole(traversal.delay_ns(Place { y_ns, cell }))
+        whole(traversal.delay_between(y_ns, run.from.cell, run.to.cell))
     }
 }
 

@@ -111,12 +111,12 @@ impl Cell {
 struct Border {
     /// In ns of travel.
     start_ns: f64,
-    /// Delay in ns there.
-    delay_ns: f64,
     /// Switching rate summed up to just after it.
     hazard: f64,
     /// Switching rate in the cell, per ns.
     switching_rate: f64,
+    /// One by it: a division would be waited for.
+    per_rate: f64,
 }
 
 /// The cells in the order in which one direction meets them.
@@ -124,8 +124,13 @@ struct Border {
 pub(super) struct Traversal {
     /// Of each cell, and last where the traversal ends.
     borders: Box<[Border]>,
+    /// Delay in ns at each border.
+    delay_ns: Box<[f64]>,
     by_start: Bins,
     by_hazard: Bins,
+    /// Of a delay that goes along one line through all cells, as a normal one does at one speed: where it begins in ns, and
+    /// by how much it grows in a ns of travel.
+    line: Option<[f64; 2]>,
 }
 
 /// A place on a traversal, and the cell in which it lies.
@@ -140,21 +145,30 @@ impl Traversal {
         let cells: Vec<Cell> = cells.collect();
         let (mut start_ns, mut hazard, mut density) = (0.0, 0.0, 0.0);
         let mut delay_ns = cells.first().map_or(0.0, |cell| cell.from_ns);
-        let mut borders = Vec::with_capacity(COUNT + 1);
+        let (mut borders, mut delays) = (Vec::with_capacity(COUNT + 1), Vec::with_capacity(COUNT + 1));
         for cell in &cells {
             // Into a thinner cell a run goes on with the probability of the quotient of their densities.
             hazard += libm::log(density / cell.density).max(0.0);
             density = cell.density;
-            borders.push(Border { start_ns, delay_ns, hazard, switching_rate: cell.switching_rate });
+            let switching_rate = cell.switching_rate;
+            borders.push(Border { start_ns, hazard, switching_rate, per_rate: 1.0 / switching_rate });
+            delays.push(delay_ns);
             start_ns += cell.length_ns;
             delay_ns = cell.to_ns;
             hazard += cell.switching_rate * cell.length_ns;
         }
-        borders.push(Border { start_ns, delay_ns, hazard: f64::INFINITY, switching_rate: 0.0 });
+        borders.push(Border {
+            start_ns,
+            hazard: f64::INFINITY,
+            switching_rate: 0.0,
+            per_rate: f64::INFINITY,
+        });
+        delays.push(delay_ns);
         let begins = |value: fn(&Border) -> f64| std::array::from_fn(|cell| value(&borders[cell]));
         let by_start = Bins::of(&begins(|border| border.start_ns), start_ns);
         let by_hazard = Bins::of(&begins(|border| border.hazard), hazard);
-        Self { borders: borders.into(), by_start, by_hazard }
+        let line = line_through(&borders, &delays);
+        Self { borders: borders.into(), delay_ns: delays.into(), by_start, by_hazard, line }
     }
 
     /// The place a part into a cell.
@@ -173,13 +187,18 @@ impl Traversal {
         let first = &self.borders[from.cell];
         let passed = first.switching_rate * (from.y_ns - first.start_ns);
         let target = first.hazard + passed + exponential;
-        let near = self.by_hazard.near(target).max(from.cell);
+        let mut near = self.by_hazard.near(target).max(from.cell);
+        // Mostly the one, the one before or the one after, in no order that a processor could foresee.
+        let before = near.saturating_sub(1).max(from.cell);
+        if let Some([_, one, other]) = self.borders.get(before..before + 3) {
+            near = before + usize::from(one.hazard <= target) + usize::from(other.hazard <= target);
+        }
         let cell = self.last(near, from.cell, COUNT - 1, |border| border.hazard <= target);
-        let [Border { start_ns, hazard, switching_rate: rate, .. }, Border { start_ns: end_ns, .. }] =
+        let [Border { start_ns, hazard, switching_rate: rate, per_rate }, Border { start_ns: end_ns, .. }] =
             [self.borders[cell], self.borders[cell + 1]];
         // At the end of the cell the sum jumps.
         let rest = target - hazard;
-        let y_ns = if rate > 0.0 { (start_ns + rest / rate).min(end_ns) } else { end_ns };
+        let y_ns = if rate > 0.0 { (start_ns + rest * per_rate).min(end_ns) } else { end_ns };
         Place { y_ns, cell }
     }
 
@@ -188,9 +207,17 @@ impl Traversal {
         self.borders[COUNT].start_ns
     }
 
+    /// The delay in ns at a place between the cells of two others.
+    #[inline(always)] // once a packet
+    pub(super) fn delay_between(&self, y_ns: f64, first: usize, last: usize) -> f64 {
+        if let Some([begin_ns, slope]) = self.line {
+            return begin_ns + slope * y_ns;
+        }
+        self.delay_ns(Place { y_ns, cell: self.cell(y_ns, first, last) })
+    }
+
     /// The cell of a place between two others.
-    #[inline]
-    pub(super) fn cell(&self, y_ns: f64, first: usize, last: usize) -> usize {
+    fn cell(&self, y_ns: f64, first: usize, last: usize) -> usize {
         let near = self.by_start.near(y_ns).clamp(first, last);
         let [border, next] = [&self.borders[near], &self.borders[near + 1]];
         if (border.start_ns..next.start_ns).contains(&y_ns) {
@@ -218,11 +245,27 @@ impl Traversal {
     }
 
     /// The delay in ns at a place.
-    pub(super) fn delay_ns(&self, Place { y_ns, cell }: Place) -> f64 {
-        let [Border { start_ns: start, delay_ns: a, .. }, Border { start_ns: end, delay_ns: b, .. }] =
-            [self.borders[cell], self.borders[cell + 1]];
+    fn delay_ns(&self, Place { y_ns, cell }: Place) -> f64 {
+        let [start, end] = [self.borders[cell].start_ns, self.borders[cell + 1].start_ns];
+        let [a, b] = [self.delay_ns[cell], self.delay_ns[cell + 1]];
         a + (b - a) * ((y_ns - start) / (end - start)).clamp(0.0, 1.0)
     }
+}
+
+/// By how much a border may be off the line through all: so much of the range of the delays, as the places of the borders are
+/// rounded, and so much of the delays, as these are.
+const MAX_OFF_LINE: [f64; 2] = [1e-12, 8.0 * f64::EPSILON];
+
+/// Where the delay begins and its slope, if all borders lie on a line.
+fn line_through(borders: &[Border], delays: &[f64]) -> Option<[f64; 2]> {
+    let (&first_ns, &last_ns) = (delays.first()?, delays.last()?);
+    let range_ns = last_ns - first_ns;
+    let slope = range_ns / borders.last()?.start_ns;
+    let max_off_ns = MAX_OFF_LINE[0] * range_ns.abs() + MAX_OFF_LINE[1] * first_ns.max(last_ns);
+    let mut places = borders.iter().zip(delays);
+    let is_line =
+        places.all(|(border, delay_ns)| (first_ns + slope * border.start_ns - delay_ns).abs() <= max_off_ns);
+    is_line.then_some([first_ns, slope])
 }
 
 /// About which of the cells has a value, by bins of equal width: of cells of equal width it is the one.
@@ -263,6 +306,38 @@ mod tests {
     use super::*;
     use crate::impairments::law::DelayLaw;
     use crate::{Distribution, LinkSettings};
+
+    /// One line stands for the cells of a law that has one, to rounding, and for those of no other.
+    #[test]
+    fn a_line_is_that_of_the_cells() {
+        for (distribution, delay_s, keep_order, has_line) in [
+            (Distribution::Normal, 0.05, true, true),
+            (Distribution::Normal, 3600.0, false, true),
+            // Cut off at zero.
+            (Distribution::Normal, 0.02, true, false),
+            (Distribution::Uniform, 0.05, true, false),
+            (Distribution::Lognormal, 0.05, false, false),
+        ] {
+            let base = LinkSettings { delay_s, jitter_s: 0.005, ..LinkSettings::default() };
+            let settings = LinkSettings { distribution: distribution.clone(), ..base };
+            let cells = Cells::of(&DelayLaw::new(&settings).unwrap());
+            let path = Path::new(&cells, 0.1, 0.005, keep_order);
+            for rises in [false, true] {
+                let traversal = path.traversal(rises);
+                assert_eq!(traversal.line.is_some(), has_line, "{distribution:?} {delay_s}");
+                for step in 0..4 * COUNT {
+                    let place = traversal.within(step / 4, 0.25 * (step % 4) as f64);
+                    let by_cell = traversal.delay_ns(place);
+                    let off_ns = traversal.delay_between(place.y_ns, place.cell, place.cell) - by_cell;
+                    // What the borders may be off, and the last digits of the sum.
+                    let [by_range, by_delay] = MAX_OFF_LINE;
+                    let most_ns = by_range * 8.25e7 + 2.0 * by_delay * (delay_s * 1e9 + 4.125e7);
+                    let most_ns = if has_line { most_ns } else { 0.0 };
+                    assert!(off_ns.abs() <= most_ns, "{distribution:?} {delay_s} {step}: {off_ns}");
+                }
+            }
+        }
+    }
 
     /// Places and switches are those that a search through all cells finds, of cells of equal width and of others.
     #[test]
