@@ -110,7 +110,7 @@ impl pulp::WithSimd for SideBySide {
 /// A uniform number strictly between 0 and 1: the middle of one of 2^53 equal parts.
 pub(crate) fn unit(bits: u64) -> f64 {
     const PART: f64 = 1.0 / 9_007_199_254_740_992.0;
-    // Halves below 2^53 round to even at the top; the last part would round to 1, and its middle does.
+    // From 2^52 parts on a half rounds to even: the last draw would be 1, and is the greatest number below it.
     (((bits >> 11) as f64 + 0.5) * PART).min(1.0 - PART)
 }
 

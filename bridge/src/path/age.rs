@@ -167,7 +167,7 @@ impl AgeBaseline {
         ] {
             *known = (*known + stands_ns).min(reach);
         }
-        // Of times alone: nothing waits for these divisions that waits for an age.
+        // Of times alone: these divisions wait for no age.
         let [present_gain, mean_gain, deviation_gain] =
             [self.present_known_ns, self.mean_known_ns, self.deviation_known_ns]
                 .map(|known| stands_ns / known);
@@ -196,7 +196,7 @@ impl AgeBaseline {
 
     /// The level in ns; none before the first packet.
     #[inline]
-    #[allow(clippy::cast_possible_truncation)] // finite, not negative: a mean of ages
+    #[allow(clippy::cast_possible_truncation)] // from 0 to below 2^63, as ages of 292 years are: a mean of ages
     pub fn level_ns(&self) -> Option<u64> {
         // Signed, for which processors have an instruction.
         self.last_ns.map(|_| (self.level_ns as i64).cast_unsigned())

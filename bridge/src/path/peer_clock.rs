@@ -300,16 +300,12 @@ impl PeerClock {
 /// What is reported is certain. Reported late is at most `2 rho (t4 - t1)`: the upper bound, of the time `t1`, is held
 /// against the lower line at `t4`, for that may have been made by packets after `t1`.
 fn contradiction(kept: &Lines, new: &Lines, drifted: i128) -> Option<Contradiction> {
-    if new.lower <= kept.upper && kept.lower <= new.upper {
-        // Nearly all: no drift needs to explain it.
-        return None;
+    let apart = 2 * drifted;
+    let (upper, lower) = (kept.upper + apart, kept.lower - apart);
+    if new.lower > upper {
+        return Some(Contradiction::Ahead(whole_up(new.lower - upper)));
     }
-    let ahead = new.lower - kept.upper - 2 * drifted;
-    if ahead > 0 {
-        return Some(Contradiction::Ahead(whole_up(ahead)));
-    }
-    let behind = kept.lower - new.upper - 2 * drifted;
-    (behind > 0).then(|| Contradiction::Behind(whole_up(behind)))
+    (lower > new.upper).then(|| Contradiction::Behind(whole_up(lower - new.upper)))
 }
 
 fn upper_parts(times: &TimestampExchange) -> i128 {

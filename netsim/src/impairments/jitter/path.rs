@@ -115,7 +115,7 @@ struct Border {
     hazard: f64,
     /// Switching rate in the cell, per ns.
     switching_rate: f64,
-    /// One by it: a division would be waited for.
+    /// The reciprocal of that: a division would be waited for.
     per_rate: f64,
 }
 
@@ -188,7 +188,7 @@ impl Traversal {
         let passed = first.switching_rate * (from.y_ns - first.start_ns);
         let target = first.hazard + passed + exponential;
         let mut near = self.by_hazard.near(target).max(from.cell);
-        // Mostly the one, the one before or the one after, in no order that a processor could foresee.
+        // Mostly that cell, the one before or the one after, in no order that a processor could foresee.
         let before = near.saturating_sub(1).max(from.cell);
         if let Some([_, one, other]) = self.borders.get(before..before + 3) {
             near = before + usize::from(one.hazard <= target) + usize::from(other.hazard <= target);
@@ -252,16 +252,17 @@ impl Traversal {
     }
 }
 
-/// By how much a border may be off the line through all: so much of the range of the delays, as the places of the borders are
-/// rounded, and so much of the delays, as these are.
-const MAX_OFF_LINE: [f64; 2] = [1e-12, 8.0 * f64::EPSILON];
+/// Part of the range of the delays that a border may be off the line through all: its place is a sum over the cells.
+const MAX_OFF_BY_RANGE: f64 = COUNT as f64 * f64::EPSILON;
+/// The same as a part of the delays, which have been scaled and shifted.
+const MAX_OFF_BY_DELAY: f64 = 8.0 * f64::EPSILON;
 
-/// Where the delay begins and its slope, if all borders lie on a line.
+/// Where the delay begins and its slope, if all borders lie on a line but for rounding, or for no more than that.
 fn line_through(borders: &[Border], delays: &[f64]) -> Option<[f64; 2]> {
     let (&first_ns, &last_ns) = (delays.first()?, delays.last()?);
     let range_ns = last_ns - first_ns;
     let slope = range_ns / borders.last()?.start_ns;
-    let max_off_ns = MAX_OFF_LINE[0] * range_ns.abs() + MAX_OFF_LINE[1] * first_ns.max(last_ns);
+    let max_off_ns = MAX_OFF_BY_RANGE * range_ns.abs() + MAX_OFF_BY_DELAY * first_ns.max(last_ns);
     let mut places = borders.iter().zip(delays);
     let is_line =
         places.all(|(border, delay_ns)| (first_ns + slope * border.start_ns - delay_ns).abs() <= max_off_ns);
@@ -307,9 +308,10 @@ mod tests {
     use crate::impairments::law::DelayLaw;
     use crate::{Distribution, LinkSettings};
 
-    /// One line stands for the cells of a law that has one, to rounding, and for those of no other.
+    /// Where a law has one line, the delay on it is that by cells; where it has none, that by the cell that a search finds. At
+    /// a turn from up to down it does not jump.
     #[test]
-    fn a_line_is_that_of_the_cells() {
+    fn a_delay_is_that_of_the_cells_by_a_line_or_without() {
         for (distribution, delay_s, keep_order, has_line) in [
             (Distribution::Normal, 0.05, true, true),
             (Distribution::Normal, 3600.0, false, true),
@@ -322,18 +324,25 @@ mod tests {
             let settings = LinkSettings { distribution: distribution.clone(), ..base };
             let cells = Cells::of(&DelayLaw::new(&settings).unwrap());
             let path = Path::new(&cells, 0.1, 0.005, keep_order);
+            // Half a last digit of each sum over the cells, and some of the delays.
+            let range_ns = cells.delay_ns[COUNT] - cells.delay_ns[0];
+            let most_ns =
+                0.5 * COUNT as f64 * f64::EPSILON * range_ns + 4.0 * f64::EPSILON * cells.delay_ns[COUNT];
             for rises in [false, true] {
-                let traversal = path.traversal(rises);
+                let (traversal, other) = (path.traversal(rises), path.traversal(!rises));
                 assert_eq!(traversal.line.is_some(), has_line, "{distribution:?} {delay_s}");
-                for step in 0..4 * COUNT {
-                    let place = traversal.within(step / 4, 0.25 * (step % 4) as f64);
+                for step in 0..=4 * COUNT {
+                    let cell = (step / 4).min(COUNT - 1);
+                    let place = traversal.within(cell, 0.25 * (step - 4 * cell) as f64);
                     let by_cell = traversal.delay_ns(place);
-                    let off_ns = traversal.delay_between(place.y_ns, place.cell, place.cell) - by_cell;
-                    // What the borders may be off, and the last digits of the sum.
-                    let [by_range, by_delay] = MAX_OFF_LINE;
-                    let most_ns = by_range * 8.25e7 + 2.0 * by_delay * (delay_s * 1e9 + 4.125e7);
-                    let most_ns = if has_line { most_ns } else { 0.0 };
-                    assert!(off_ns.abs() <= most_ns, "{distribution:?} {delay_s} {step}: {off_ns}");
+                    for [first, last] in [[place.cell; 2], [0, COUNT - 1], [place.cell / 2, place.cell]] {
+                        let off_ns = traversal.delay_between(place.y_ns, first, last) - by_cell;
+                        assert!(off_ns.abs() <= most_ns, "{distribution:?} {delay_s} {step}: {off_ns}");
+                    }
+                    let back = other.mirrored(place);
+                    let jump_ns = other.delay_between(back.y_ns, back.cell, back.cell)
+                        - traversal.delay_between(place.y_ns, place.cell, place.cell);
+                    assert!(jump_ns.abs() <= 4.0 * most_ns, "{distribution:?} {delay_s} {step}: {jump_ns}");
                 }
             }
         }
@@ -355,7 +364,7 @@ mod tests {
                 let path = Path::new(&cells, 0.1, settings.jitter_s, keep_order);
                 let traversal = path.traversal(rises);
                 for step in 0..=4 * COUNT {
-                    for first in [0, step / 5, COUNT / 2 - 1] {
+                    for first in [0, step / 5, COUNT / 2 - 1, (step / 4).min(COUNT - 1)] {
                         let last = (first + step % 70).min(COUNT - 1);
                         check(traversal, step, first, last);
                     }
@@ -374,10 +383,18 @@ mod tests {
             assert_eq!(traversal.cell_before(y_ns, first, last), found);
         }
         let from = traversal.within(first, 0.25 * (step % 4) as f64);
-        let exponential = 1e-3 * (step % 97 * step % 89) as f64;
+        let exponential = 4e-3 * ((step % 97) * (step % 89)) as f64;
         let passed = borders[first].switching_rate * (from.y_ns - borders[first].start_ns);
         let target = borders[first].hazard + passed + exponential;
         let beyond = borders[first..COUNT].partition_point(|border| border.hazard <= target);
-        assert_eq!(traversal.switch(from, exponential).cell, first + beyond.max(1) - 1, "{exponential}");
+        let cell = first + beyond.max(1) - 1;
+        let Border { start_ns, hazard, switching_rate: rate, .. } = borders[cell];
+        let passed_ns = if rate > 0.0 { (target - hazard) / rate } else { f64::INFINITY };
+        let wanted_ns = (start_ns + passed_ns).min(borders[cell + 1].start_ns);
+        let to = traversal.switch(from, exponential);
+        assert_eq!(to.cell, cell, "{exponential}");
+        // The reciprocal, the product and the sum are rounded here, the quotient and the sum there.
+        let most_ns = 2.0 * f64::EPSILON * (wanted_ns + (wanted_ns - start_ns));
+        assert!((to.y_ns - wanted_ns).abs() <= most_ns, "{exponential}: {} {wanted_ns}", to.y_ns);
     }
 }
