@@ -54,6 +54,21 @@ fn an_undamped_bounce_conserves_energy() {
     }
 }
 
+/// From 20 ms on 20 N speed 0.2 kg up by 0.1 m/s a ms for 50 ms, however often they are started.
+#[test]
+fn pushers_begin_once() {
+    let push = Pusher::shaped(PushShape::Step, 0.0, 0.05, Axes::<1>::new(20.0)).unwrap();
+    let environment = Environment::new(Vec::new(), vec![push]);
+    let mut slave =
+        SimulatedSlave::in_environment(free_mass(0.2), environment, None, Axes::zeros(), 0).unwrap();
+    slave.begin(10 * MS);
+    for (now_ms, speed) in [(20, 0.0), (40, 2.0), (60, 4.0), (90, 5.0), (150, 5.0)] {
+        let seen = slave.read(now_ms * MS).velocity[0];
+        assert!((seen - speed).abs() < 1e-9, "{now_ms} ms: {seen}");
+        slave.start(now_ms * MS);
+    }
+}
+
 /// Restitution of Hunt and Crossley: `v dv / (1 + chi v)` is the same on the way in and out.
 fn restitution(chi: f64, v: f64) -> f64 {
     let work = |s: f64| s / chi - (chi * s).ln_1p() / (chi * chi);
