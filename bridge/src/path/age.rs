@@ -248,6 +248,24 @@ mod tests {
         }
     }
 
+    /// Until its reach a mean is that of all ages so far, of which the first stands for 20 ms, whatever they do in 0.1 s.
+    #[test]
+    fn mean_and_deviation_are_those_of_all_ages_so_far() {
+        let age_ms = |n: u64| if n % 700 < 350 { 10.0 } else { 30.0 };
+        let mut baseline = AgeBaseline::new();
+        feed(&mut baseline, 0, 1, age_ms);
+        let (mut sum, mut deviations) = (20.0 * age_ms(0), 20.0 * 0.5 * age_ms(0));
+        for n in 1..1900 {
+            let mean = sum / (19 + n) as f64;
+            feed(&mut baseline, n, 1, age_ms);
+            sum += age_ms(n);
+            deviations += (age_ms(n) - mean).abs();
+            let wanted = (sum + 4.0 * deviations) / (20 + n) as f64;
+            // Whole ns.
+            assert!((level_ms(&baseline) - wanted).abs() < 2e-6, "{n}: {} {wanted}", level_ms(&baseline));
+        }
+    }
+
     /// Two alternating ages, 6 ms apart, deviate by 3 ms: 12 ms above the mean.
     #[test]
     fn jitter_is_part_of_the_level() {
