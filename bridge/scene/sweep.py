@@ -429,7 +429,7 @@ def _of_plan(plan: _Plan, found: Mapping[str, Any] | None) -> dict[str, npt.NDAr
     built, rows, refused = plan.built, plan.rows, plan.refused
     if found is None or built is None:
         return _refused(refused)
-    of_rows = {name: _of_rows(name, np.asarray(column), built, rows, refused) for name, column in found.items()}
+    of_rows = {name: _of_rows(name, column, built, rows, refused) for name, column in found.items()}
     if (of_rows["outcome"] == "refused").all():
         return _refused(dict(enumerate(of_rows["reason"].tolist())))
     return of_rows

@@ -67,7 +67,8 @@ impl<const N: usize> Path<N> {
         for x in &start {
             require("start", *x, true, "finite")?;
         }
-        let (mut begins, mut rates) = (vec![0.0], Vec::with_capacity(legs.len()));
+        let (mut begins, mut rates) = (Vec::with_capacity(legs.len() + 1), Vec::with_capacity(legs.len()));
+        begins.push(0.0);
         let mut time = 0.0;
         for leg in &legs {
             let allowed = "finite and at least 1e-9";

@@ -2837,7 +2837,7 @@ def sweep_scenes(
     progress: Callable[[int], None] | None,
     research: _ResearchFactory | None = None,
     metrics: list[str] | None = None,
-) -> list[dict[str, npt.NDArray[Any] | list[str]]]:
+) -> list[dict[str, npt.NDArray[Any]]]:
     """Runs each scene once per row of its own, without the interpreter's lock. Threads and lanes change no number.
 
     Rows that differ in their controllers alone, of one scene or of several, are run once as long as none of these

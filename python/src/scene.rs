@@ -1,6 +1,8 @@
 //! Scenes: one run, or many.
 
 use std::{
+    borrow::Cow,
+    collections::HashMap,
     path::PathBuf,
     sync::{
         Arc,
@@ -288,9 +290,10 @@ fn outcome_table(
     let periods = part.variations.iter().find(|one| one.path == "run.period_s").map(|one| &one.values);
     let period = |row: usize| periods.map_or(period_s, |periods| periods[row]);
     let table = PyDict::new(py);
-    let names: Vec<_> =
-        rows.iter().map(|row| row.as_ref().map_or("refused", |outcome| outcome.ending.name())).collect();
-    table.set_item("outcome", names)?;
+    let name = |row: &Result<Outcome, Refused>| {
+        row.as_ref().map_or(Cow::Borrowed("refused"), |outcome| outcome.ending.name().into())
+    };
+    table.set_item("outcome", texts(py, rows.iter().map(name))?)?;
     // NaN stands for what was not measured. Columns of rotation are there for poses, or where they are asked for.
     let of_all = Metric::ALL.into_iter().filter(|metric| kind == SideKind::Pose || !metric.is_of_rotation());
     let asked = asked.map_or_else(|| of_all.collect(), <[Metric]>::to_vec);
@@ -305,9 +308,35 @@ fn outcome_table(
     let ticks = |row: &Result<Outcome, Refused>| row.as_ref().map_or(0, |one| one.ticks);
     table.set_item("ticks", column(py, rows.iter().map(ticks).collect::<Vec<u64>>()))?;
     let reason = |row: &Result<Outcome, Refused>| match row {
-        Ok(outcome) => outcome.diverged.map_or_else(String::new, |divergence| divergence.to_string()),
-        Err(refused) => refused.to_string(),
+        Ok(outcome) => outcome.diverged.map_or(Cow::Borrowed(""), |divergence| divergence.to_string().into()),
+        Err(refused) => refused.to_string().into(),
     };
-    table.set_item("reason", rows.iter().map(reason).collect::<Vec<_>>())?;
+    table.set_item("reason", texts(py, rows.iter().map(reason))?)?;
     Ok(table.unbind())
+}
+
+/// A column of text as NumPy makes it of a list, of each different text only once: mostly all rows have the same.
+fn texts<'py, 'a>(
+    py: Python<'py>,
+    rows: impl ExactSizeIterator<Item = Cow<'a, str>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let mut numbers = HashMap::<Cow<'a, str>, usize>::new();
+    let mut different = Vec::new();
+    let mut of_row = Vec::with_capacity(rows.len());
+    let mut last = 0;
+    for text in rows {
+        if different.get(last) != Some(&text) {
+            last = if let Some(known) = numbers.get(&text) {
+                *known
+            } else {
+                numbers.insert(text.clone(), different.len());
+                different.push(text);
+                different.len() - 1
+            };
+        }
+        #[allow(clippy::cast_possible_wrap)] // no list is longer
+        of_row.push(last as isize);
+    }
+    let different = py.import("numpy")?.call_method1("array", (different,))?;
+    different.call_method1("take", (column(py, of_row),))
 }

@@ -149,6 +149,15 @@ def test_a_row_that_cannot_be_is_refused_and_the_others_are_run(
     assert list(alone.rows()) == rows
 
 
+def test_each_row_has_its_own_outcome_and_reason() -> None:
+    speeds = [100.0, 0.02, 0.02, 100.0, 0.01, 0.02, 100.0]
+    rows = list(sweep("paper_wall", {"run.diverged_speed": speeds}).rows())
+    alone = [next(sweep("paper_wall", {"run.diverged_speed": [speed]}).rows()) for speed in speeds]
+    assert rows == alone
+    assert len({row["reason"] for row in rows}) == 3
+    assert [row["outcome"] == "diverged" for row in rows] == [speed < 1.0 for speed in speeds]
+
+
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_row_that_never_engages_has_no_metrics(threads: int, tmp_path: Path) -> None:
     delays = [0.05, 2.5, 20.0]

@@ -8,7 +8,7 @@ use std::{
     sync::atomic::{AtomicBool, AtomicUsize, Ordering},
 };
 
-use plan::{BLOCK, Column, Job, Place, Plan, bad_axes, jobs};
+use plan::{BLOCK, Job, Place, Plan, bad_axes, jobs};
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::Value;
@@ -172,10 +172,10 @@ pub fn sweep_parts(
 fn set_row<const N: usize>(
     spec: &mut SceneSpec<N>,
     scene: &mut Value,
-    columns: &[Column<'_>],
+    plan: &Plan<'_>,
     row: usize,
 ) -> Result<(), Refused> {
-    for column in columns {
+    for column in &plan.columns {
         let value = column.values[row];
         if !value.is_finite() {
             return Err(Refused(format!("{} = {value}: must be finite", column.keys.join("."))));
@@ -189,12 +189,8 @@ fn set_row<const N: usize>(
             };
         }
     }
-    let mut read = Vec::with_capacity(columns.len());
-    for table in columns.iter().map(Column::table) {
-        if !read.contains(&table) {
-            read.push(table);
-            read_table(spec, scene, table).map_err(|error| Refused(format!("{table}: {error}")))?;
-        }
+    for table in &plan.tables {
+        read_table(spec, scene, table).map_err(|error| Refused(format!("{table}: {error}")))?;
     }
     Ok(())
 }
@@ -246,7 +242,7 @@ fn run_groups<const N: usize>(
             }
             let set = read
                 .get_mut(part)
-                .map(|(spec, scene)| set_row(spec, scene, &plan.columns, *row).map(|()| spec.clone()));
+                .map(|(spec, scene)| set_row(spec, scene, plan, *row).map(|()| spec.clone()));
             specs.push(set.ok_or(SweepError::Stopped)?);
         }
         let built: Vec<_> = specs.iter().filter_map(|spec| spec.as_ref().ok()).collect();
@@ -283,7 +279,7 @@ fn run_block<const N: usize>(
     let mut stepped = Vec::new();
     for (index, row) in block.enumerate() {
         let refused = |error: SceneError| Some(Err(Refused(error.to_string())));
-        rows[index] = match set_row(&mut spec, &mut scene, &plan.columns, row) {
+        rows[index] = match set_row(&mut spec, &mut scene, plan, row) {
             Err(refused) => Some(Err(refused)),
             Ok(()) if takes_steps(&spec) => match stepped_run(&spec) {
                 Ok(run) => {

@@ -32,6 +32,8 @@ pub(super) struct Plan<'a> {
     pub(super) axes: usize,
     pub(super) rows: usize,
     pub(super) columns: Vec<Column<'a>>,
+    /// The tables that these are in, each once, in the order of the columns.
+    pub(super) tables: Vec<&'a str>,
 }
 
 /// A number of a scene that differs from row to row.
@@ -45,11 +47,6 @@ pub(super) struct Column<'a> {
 }
 
 impl Column<'_> {
-    /// The table of the scene that it is in.
-    pub(super) fn table(&self) -> &str {
-        self.keys.first().copied().unwrap_or_default()
-    }
-
     /// Its place in a scene as JSON. A JSON pointer would be split and unescaped again at each row.
     pub(super) fn place<'v>(&self, scene: &'v mut Value) -> Option<&'v mut Value> {
         self.keys.iter().try_fold(scene, |value, key| match value {
@@ -72,7 +69,7 @@ impl<'a> Plan<'a> {
         }
         let mut base: Value = serde_json::from_slice(part.scene).map_err(unread)?;
         let rows = part.variations.first().map_or(1, |first| first.values.len());
-        let mut columns = Vec::with_capacity(part.variations.len());
+        let (mut columns, mut tables) = (Vec::with_capacity(part.variations.len()), Vec::new());
         for Variation { path, values } in part.variations {
             if values.len() != rows {
                 return Err(SweepError::Length { path: path.clone(), seen: values.len(), allowed: rows });
@@ -84,11 +81,15 @@ impl<'a> Plan<'a> {
                 Some(Value::Null) => false,
                 _ => return Err(SweepError::Path(path.clone())),
             };
+            let table = column.keys.first().copied().unwrap_or_default();
+            if !tables.contains(&table) {
+                tables.push(table);
+            }
             columns.push(column);
         }
         // Outcomes need no recording.
         base["record"] = Value::Null;
-        Ok(Self { base, axes, rows, columns })
+        Ok(Self { base, axes, rows, columns, tables })
     }
 
     fn is_remote(&self) -> bool {
