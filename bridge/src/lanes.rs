@@ -168,7 +168,8 @@ impl<const WIDTH: usize> SimdBool for LaneMask<WIDTH> {
 
     #[inline(always)]
     fn all(self) -> bool {
-        self.bits().iter().fold(u64::MAX, |all, bits| all & bits) != 0
+        // Whether any bit differs from true: one test of a vector, where an "and" over lanes is reduced step by step.
+        self.bits().iter().fold(0, |differs, bits| differs | (bits ^ TRUE.to_bits())) == 0
     }
 
     #[inline(always)]
