@@ -518,10 +518,6 @@ impl<R: Copy + Default> Unseen<R> {
         Some(record)
     }
 
-    fn first(&self) -> Option<&(u64, R)> {
-        self.unseen().first()
-    }
-
     fn unseen(&self) -> &[(u64, R)] {
         &self.ticks[self.seen..self.kept]
     }
@@ -530,6 +526,11 @@ impl<R: Copy + Default> Unseen<R> {
     fn copied(&self) -> Self {
         Self { ticks: self.unseen().to_vec(), kept: self.unseen().len(), seen: 0 }
     }
+}
+
+/// True time in ns of the first of these ticks, else of the next.
+fn first_ns<R>(ticks: &[(u64, R)], next_ns: u64) -> u64 {
+    ticks.first().map_or(next_ns, |(at_ns, _)| *at_ns)
 }
 
 impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
@@ -568,32 +569,32 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
             slave.step(forward, backward, record);
         }
         backward.carry_sent();
-        // As far as neither side has anything to say of before.
-        loop {
-            let is_near = match (near.first(), far.first()) {
-                (Some((near_ns, _)), Some((far_ns, _))) => near_ns <= far_ns,
-                (Some((near_ns, _)), None) if *near_ns <= slave.pace.true_ns => true,
-                (None, Some((far_ns, _))) if *far_ns < master.pace.true_ns => false,
-                (None, None) if !master.goes_on(*end_ns) && !slave.goes_on(*end_ns) => {
-                    return ControlFlow::Break(());
-                }
-                _ => return ControlFlow::Continue(()),
-            };
-            let sides = (&*master.side, &*slave.side);
+        // In the order of time, the master first at the same instant. Where no tick of a side is kept any more, its next one bounds
+        // what may be observed.
+        let next_ns = [master.pace.true_ns, slave.pace.true_ns];
+        let has_ended = !master.goes_on(*end_ns) && !slave.goes_on(*end_ns);
+        let sides = (&*master.side, &*slave.side);
+        let (mut near_left, mut far_left) = (near.unseen(), far.unseen());
+        let flow = loop {
             // Observed where it is: a record is large to move.
-            let flow = if is_near {
-                let flow = near.first().map(|(_, record)| observe(Event::Master(record), sides));
-                near.seen += 1;
-                flow
+            let event = if first_ns(near_left, next_ns[0]) <= first_ns(far_left, next_ns[1]) {
+                let Some(((_, record), left)) = near_left.split_first() else { break None };
+                near_left = left;
+                Event::Master(record)
             } else {
-                let flow = far.first().map(|(_, record)| observe(Event::Slave(record), sides));
-                far.seen += 1;
-                flow
+                let Some(((_, record), left)) = far_left.split_first() else { break None };
+                far_left = left;
+                Event::Slave(record)
             };
-            if flow.is_some_and(|flow| flow.is_break()) {
-                return ControlFlow::Break(());
+            let flow = observe(event, sides);
+            if flow.is_break() {
+                break Some(flow);
             }
-        }
+        };
+        // All kept ticks are before the end, and so before the next one of a side that has ended.
+        debug_assert!(!has_ended || flow.is_some() || (near_left.is_empty() && far_left.is_empty()));
+        (near.seen, far.seen) = (near.kept - near_left.len(), far.kept - far_left.len());
+        flow.unwrap_or(if has_ended { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
     }
 
     pub(crate) fn counts(&self) -> VirtualCounts {
@@ -729,7 +730,8 @@ mod tests {
                 time_ns += 1;
             }
             for _ in 0..expected.len().min(round * 5 % 80) {
-                assert_eq!(unseen.first(), expected.first());
+                assert_eq!(unseen.unseen()[0], expected[0]);
+                assert_eq!(first_ns(unseen.unseen(), u64::MAX), expected[0].0);
                 unseen.seen += 1;
                 expected.remove(0);
             }
@@ -739,6 +741,7 @@ mod tests {
             }
             assert_eq!(unseen.unseen(), expected);
         }
+        assert_eq!(first_ns::<u64>(&[], 7), 7);
         assert!(time_ns > 1000, "{time_ns}");
     }
 }
