@@ -116,7 +116,9 @@ impl<const N: usize, S: Real> WindowedSafetyObserver<N, S> {
 mod tests {
     use super::*;
     use crate::Axes;
+    use nalgebra::SimdValue as _;
     use proptest::prelude::*;
+    use simba::simd::AutoF64x4;
 
     fn observer(window: usize) -> WindowedSafetyObserver<1> {
         let device = DeviceModel::uniform(0.157, 0.0, 0.0).unwrap();
@@ -143,6 +145,30 @@ mod tests {
                 prop_assert!((energy - (1e-3 * sum - 0.157 * v * v)).abs() < 1e-12);
             }
         }
+    }
+
+    /// Observers that are gathered amid their windows go on, to the bit, as each by itself.
+    #[test]
+    fn what_each_window_holds_is_gathered() {
+        let speed = |lane: usize| [0.1, -0.2, 0.3, -0.4][lane];
+        let mut alone = [7; 4].map(observer);
+        for tick in 0..10 {
+            for (lane, one) in alone.iter_mut().enumerate() {
+                one.step(&seen(speed(lane), f64::from(tick)));
+            }
+        }
+        let mut together = WindowedSafetyObserver::<1, AutoF64x4>::gather(&alone.each_ref()).unwrap();
+        for tick in 10..30 {
+            let velocity = AutoF64x4::new(speed(0), speed(1), speed(2), speed(3));
+            let force = Axes::<1, AutoF64x4>::new(AutoF64x4::splat(f64::from(tick)));
+            let energy =
+                together.step(&Observation::exact(Axes::<1, AutoF64x4>::new(velocity), Axes::zeros(), force));
+            for (lane, one) in alone.iter_mut().enumerate() {
+                let expected = one.step(&seen(speed(lane), f64::from(tick)));
+                assert_eq!(energy.extract(lane).to_bits(), expected.to_bits(), "{tick} {lane}");
+            }
+        }
+        assert!(WindowedSafetyObserver::<1, AutoF64x4>::gather(&alone.each_ref()[..3]).is_none());
     }
 
     /// `SplitMix64` as noise: the test needs 1e8 draws quickly.
