@@ -229,7 +229,7 @@ where
     let mut ended_early = false;
     let mut kept = files.map(|files| Kept::begin(files, security, is_felt)).transpose()?;
     let counts = match order {
-        // A closure for each order: one for both would be a function that both call, 2 % of a remote tick slower.
+        // A closure for each order: a remote tick in a row takes 2 % less with one that nothing else calls.
         Order::InARow => run_virtual_ahead(&settings, &mut master, &mut slave, |event, sides| {
             let flow = observe(&event, sides, stop, &mut kept, &mut watched);
             ended_early |= flow.is_break();
