@@ -8,7 +8,7 @@ use crate::{
     fault_text::TextPiece,
     path::PeerPath,
     session::{Arrival, Rejection, Rejections, ReplayWindow},
-    wire::{Echo, Frame, FrameLayout, MAX_FRAME, Role, WireError},
+    wire::{Echo, Frame, FrameLayout, MAX_FRAME, Padded, Role, WireError},
 };
 
 /// Counts of one end since it started.
@@ -70,13 +70,13 @@ impl LinkTime {
 
 /// What a sender says of its plant in each frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PortState<const N: usize> {
+pub struct PortState {
     /// Position in m.
-    pub position: Axes<N>,
+    pub position: Padded,
     /// Velocity in m/s.
-    pub velocity: Axes<N>,
+    pub velocity: Padded,
     /// Force in N.
-    pub force: Axes<N>,
+    pub force: Padded,
     /// What went in and out of the link.
     pub energy: PortEnergy,
     /// Orientation, angular velocity and torque; none but of kind `pose`.
@@ -87,17 +87,22 @@ pub struct PortState<const N: usize> {
     pub buttons: Option<u32>,
 }
 
-impl<const N: usize> PortState<N> {
+impl PortState {
     /// Takes what a plant was measured at; the rest stays.
     #[inline]
-    pub(crate) fn report(
+    pub(crate) fn report<const N: usize>(
         &mut self,
         position: &Axes<N>,
         velocity: &Axes<N>,
         force: &Axes<N>,
         rotation: Option<RotationState>,
     ) {
-        (self.position, self.velocity, self.force) = (*position, *velocity, *force);
+        // In place: the values beyond the axes stay zero.
+        for (part, values) in
+            [(&mut self.position, position), (&mut self.velocity, velocity), (&mut self.force, force)]
+        {
+            part.as_mut_slice()[..N].copy_from_slice(values.as_slice());
+        }
         // A point has none: nothing is written where there is none, and was none.
         if rotation.is_some() || self.rotation.is_some() {
             self.rotation = rotation;
@@ -105,9 +110,9 @@ impl<const N: usize> PortState<N> {
     }
 }
 
-impl<const N: usize> Default for PortState<N> {
+impl Default for PortState {
     fn default() -> Self {
-        let [position, velocity, force] = [Axes::zeros(); 3];
+        let [position, velocity, force] = [Padded::zeros(); 3];
         let energy = PortEnergy::default();
         Self { position, velocity, force, energy, rotation: None, gripper: None, buttons: None }
     }
@@ -164,15 +169,15 @@ const WINDOW: u32 = 2048;
 const MIN_PERIOD_NS: u64 = 50_000;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Newest<const N: usize> {
-    frame: Frame<N>,
+struct Newest {
+    frame: Frame,
     /// The tick that took it: silence and age count from then.
     arrived_ns: u64,
     /// When it had arrived for sure.
     by_ns: u64,
 }
 
-impl<const N: usize> Newest<N> {
+impl Newest {
     /// Whether a sequence of the same run can follow or precede it at `by_ns`.
     fn is_near(&self, sequence: u64, by_ns: u64) -> bool {
         let newest = self.frame.sequence;
@@ -202,11 +207,11 @@ pub(crate) struct FrameHead {
 
 /// One end: numbers what it sends, keeps the newest of what it receives.
 #[derive(Clone, Debug)]
-pub struct FrameLink<const N: usize> {
+pub struct FrameLink {
     role: Role,
     run_id: u64,
     next_sequence: u64,
-    newest: Option<Newest<N>>,
+    newest: Option<Newest>,
     first_sequence: u64,
     arrived: u64,
     /// Missing frames of the runs before this one.
@@ -220,9 +225,9 @@ pub struct FrameLink<const N: usize> {
     lease_ns: u64,
 }
 
-impl<const N: usize> FrameLink<N> {
+impl FrameLink {
     /// An end of role `role`; `run_id` is drawn anew at every start, so that a restarted peer is known as such.
-    pub fn new(role: Role, run_id: u64, lease_ns: u64) -> Self {
+    pub fn new(role: Role, axes: usize, run_id: u64, lease_ns: u64) -> Self {
         Self {
             role,
             run_id,
@@ -231,7 +236,7 @@ impl<const N: usize> FrameLink<N> {
             first_sequence: 0,
             arrived: 0,
             missing_before: 0,
-            layout: FrameLayout::default(),
+            layout: FrameLayout::of(axes),
             arrivals: ReplayWindow::new(WINDOW),
             statistics: LinkStatistics::default(),
             path: PeerPath::default(),
@@ -250,7 +255,7 @@ impl<const N: usize> FrameLink<N> {
     }
 
     /// The same of a frame whose bytes nobody has looked at, without them: [`Frame::received`].
-    pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame<N>) -> Result<bool, RejectReason> {
+    pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<bool, RejectReason> {
         self.take_frame(time, frame).map(|head| head.begins)
     }
 
@@ -266,7 +271,7 @@ impl<const N: usize> FrameLink<N> {
 
     /// As [`receive_frame`](Self::receive_frame), with what the frame says of itself.
     #[inline(always)] // as all of what takes a frame: docs/architecture.md
-    pub(crate) fn take_frame(&mut self, time: LinkTime, frame: &Frame<N>) -> Result<FrameHead, RejectReason> {
+    pub(crate) fn take_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<FrameHead, RejectReason> {
         let received = frame.received(self.role.peer(), self.layout);
         self.take(time, received.as_deref().map_err(|error| *error))
     }
@@ -275,7 +280,7 @@ impl<const N: usize> FrameLink<N> {
     fn take(
         &mut self,
         time: LinkTime,
-        frame: Result<&Frame<N>, WireError>,
+        frame: Result<&Frame, WireError>,
     ) -> Result<FrameHead, RejectReason> {
         let LinkTime { tick_ns: now_ns, by_ns } = time;
         let frame = frame.inspect_err(|_| self.statistics.refused += 1)?;
@@ -344,7 +349,7 @@ impl<const N: usize> FrameLink<N> {
 
     /// Bytes of each frame.
     pub fn frame_length(&self) -> usize {
-        self.layout.length(N)
+        self.layout.length()
     }
 
     /// Places a sequence of the living run: new, late or seen before.
@@ -382,7 +387,7 @@ impl<const N: usize> FrameLink<N> {
         &mut self,
         time: LinkTime,
         status: Status,
-        port: PortState<N>,
+        port: PortState,
         buffer: &'a mut [u8; MAX_FRAME],
     ) -> &'a [u8] {
         self.next_frame(time, status, &port).encode(buffer)
@@ -390,7 +395,7 @@ impl<const N: usize> FrameLink<N> {
 
     /// The next frame, not written.
     #[inline(always)] // as all that makes a frame: docs/architecture.md
-    pub fn next_frame(&mut self, time: LinkTime, status: Status, port: &PortState<N>) -> Frame<N> {
+    pub fn next_frame(&mut self, time: LinkTime, status: Status, port: &PortState) -> Frame {
         let sent_ns = time.by_ns;
         let echo = self.newest.as_ref().map(|newest| Echo {
             run_id: newest.frame.run_id,
@@ -398,9 +403,10 @@ impl<const N: usize> FrameLink<N> {
             sent_ns: newest.frame.sent_ns,
             held_ns: sent_ns.saturating_sub(newest.by_ns),
         });
-        let FrameLayout { kind, has_gripper, has_buttons } = self.layout;
+        let FrameLayout { axes, kind, has_gripper, has_buttons } = self.layout;
         let frame = Frame {
             role: self.role,
+            axes,
             kind,
             state: status.state,
             hears_peer: status.hears_peer,
@@ -445,7 +451,7 @@ impl<const N: usize> FrameLink<N> {
     }
 
     /// The newest frame of the peer.
-    pub fn newest(&self) -> Option<&Frame<N>> {
+    pub fn newest(&self) -> Option<&Frame> {
         self.newest.as_ref().map(|newest| &newest.frame)
     }
 
@@ -482,7 +488,7 @@ mod tests {
     };
 
     fn frames(count: usize, run_id: u64) -> Vec<Vec<u8>> {
-        let mut slave = FrameLink::<1>::new(Role::Slave, run_id, 200 * MS);
+        let mut slave = FrameLink::new(Role::Slave, 1, run_id, 200 * MS);
         let mut buffer = [0; MAX_FRAME];
         (0..count as u64)
             .map(|n| {
@@ -490,7 +496,7 @@ mod tests {
                     .send(
                         LinkTime::at(n * MS),
                         HEARD,
-                        PortState { position: Axes::repeat(n as f64 * 1e-3), ..PortState::default() },
+                        PortState { position: padded(&Axes::<1>::repeat(n as f64 * 1e-3)), ..PortState::default() },
                         &mut buffer,
                     )
                     .to_vec()
@@ -501,7 +507,7 @@ mod tests {
     #[test]
     fn losses_are_those_of_all_runs() {
         let (first, second) = (frames(5, 1), frames(4, 2));
-        let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
+        let mut master = FrameLink::new(Role::Master, 1, 7, 200 * MS);
         for (now_ns, frame) in [(0, &first[0]), (3 * MS, &first[3])] {
             master.receive(LinkTime::at(now_ns), frame).unwrap();
         }
@@ -516,7 +522,7 @@ mod tests {
     #[test]
     fn strictly_newest_wins() {
         let frames = frames(5, 1);
-        let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
+        let mut master = FrameLink::new(Role::Master, 1, 7, 200 * MS);
         assert_eq!(master.receive(LinkTime::at(0), &frames[1]), Ok(true));
         assert_eq!(master.receive(LinkTime::at(MS), &frames[3]), Ok(false));
         assert_eq!(master.receive(LinkTime::at(MS), &frames[2]), Err(RejectReason::Late(2)));
@@ -532,7 +538,7 @@ mod tests {
     #[test]
     fn a_gap_is_missing_until_it_arrives_late() {
         let frames = frames(10, 1);
-        let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
+        let mut master = FrameLink::new(Role::Master, 1, 7, 200 * MS);
         for n in [0, 1, 5, 9] {
             master.receive(LinkTime::at(0), &frames[n]).unwrap();
         }
@@ -544,7 +550,7 @@ mod tests {
     #[test]
     fn another_run_waits_for_silence() {
         let (first, second) = (frames(3, 1), frames(3, 2));
-        let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
+        let mut master = FrameLink::new(Role::Master, 1, 7, 200 * MS);
         master.receive(LinkTime::at(0), &first[2]).unwrap();
         assert_eq!(master.receive(LinkTime::at(199 * MS), &second[0]), Err(RejectReason::OtherRun(2)));
         assert_eq!(master.receive(LinkTime::at(201 * MS), &second[0]), Ok(true));
@@ -554,8 +560,8 @@ mod tests {
 
     #[test]
     fn the_round_trip_leaves_out_what_the_peer_held() {
-        let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
-        let mut slave = FrameLink::<1>::new(Role::Slave, 8, 200 * MS);
+        let mut master = FrameLink::new(Role::Master, 1, 7, 200 * MS);
+        let mut slave = FrameLink::new(Role::Slave, 1, 8, 200 * MS);
         let mut buffer = [0; MAX_FRAME];
         let request = master.send(LinkTime::at(10 * MS), HEARD, PortState::default(), &mut buffer).to_vec();
         // The slave's clock is off by hours; it holds the frame for 3 ms.
@@ -590,8 +596,8 @@ mod tests {
             [RUN_ID, SEQUENCE, SENT, HELD].into_iter().flat_map(|at| [(at, 1), (at, 300)])
         {
             for &value in &values {
-                let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
-                let mut slave = FrameLink::<1>::new(Role::Slave, 8, 200 * MS);
+                let mut master = FrameLink::new(Role::Master, 1, 7, 200 * MS);
+                let mut slave = FrameLink::new(Role::Slave, 1, 8, 200 * MS);
                 let (mut buffer, mut last_ms, mut lost_ms) = ([0; MAX_FRAME], 0, 0);
                 for ms in 0..4000_u64 {
                     let now_ns = 10_000 * MS + ms * MS;
@@ -629,7 +635,7 @@ mod tests {
     #[test]
     fn frames_that_overtake_a_second_of_delay_are_news() {
         let frames = frames(2000, 1);
-        let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
+        let mut master = FrameLink::new(Role::Master, 1, 7, 200 * MS);
         master.receive(LinkTime::at(1000 * MS), &frames[0]).unwrap();
         assert_eq!(master.receive(LinkTime::at(1001 * MS), &frames[1000]), Ok(false));
         assert_eq!(master.receive(LinkTime::at(1002 * MS), &frames[999]), Err(RejectReason::Late(999)));
@@ -640,7 +646,7 @@ mod tests {
         #[test]
         fn counts_balance(order in prop::collection::vec(0usize..300, 1..600)) {
             let frames = frames(300, 1);
-            let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
+            let mut master = FrameLink::new(Role::Master, 1, 7, 200 * MS);
             let mut used = None;
             for &n in &order {
                 let fresh = master.receive(LinkTime::at(0), &frames[n]).is_ok();

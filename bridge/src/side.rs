@@ -24,9 +24,11 @@ use crate::{
 
 /// One side of N axes: `receive` what has arrived, `tick`, `send`. Times are on the endpoint's own clock where not
 /// said.
-pub trait Side<const N: usize> {
+pub trait Side {
     /// The record of a tick.
-    type Record: Copy + Default + Send + 'static;
+    type Record: Copy + Default + Send + 'static
+    where
+        Self: Sized;
 
     /// True time begins at `now_ns`; called once, before the first tick.
     fn begin(&mut self, now_ns: u64);
@@ -38,12 +40,15 @@ pub trait Side<const N: usize> {
 
     /// The same of a frame whose bytes nobody has looked at, without them. A side that looks at datagrams in
     /// [`receive`](Self::receive) is run with [`encoded`](crate::VirtualSettings::encoded) frames.
-    fn receive_frame(&mut self, time: LinkTime, frame: &Frame<N>) -> Result<(), RejectReason> {
+    fn receive_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<(), RejectReason> {
         self.exchange_mut().receive_frame(time, frame)
     }
 
     /// Reads the plant, decides, writes the plant.
-    fn tick(&mut self, time: TickTime) -> Self::Record {
+    fn tick(&mut self, time: TickTime) -> Self::Record
+    where
+        Self: Sized,
+    {
         let mut record = Self::Record::default();
         self.tick_into(time, &mut record);
         record
@@ -51,7 +56,9 @@ pub trait Side<const N: usize> {
 
     /// The same into `record`, which holds another tick: all of it is written. Where it is kept, since a copy of what was just
     /// written waits for that (store forwarding).
-    fn tick_into(&mut self, time: TickTime, record: &mut Self::Record);
+    fn tick_into(&mut self, time: TickTime, record: &mut Self::Record)
+    where
+        Self: Sized;
 
     /// Writes the frame of this tick.
     fn send<'a>(&mut self, time: LinkTime, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
@@ -60,7 +67,7 @@ pub trait Side<const N: usize> {
 
     /// The frame of this tick, not written.
     #[inline(always)] // as all that makes a frame: docs/architecture.md
-    fn next_frame(&mut self, time: LinkTime) -> Frame<N> {
+    fn next_frame(&mut self, time: LinkTime) -> Frame {
         self.exchange_mut().next_frame(time)
     }
 
@@ -77,10 +84,10 @@ pub trait Side<const N: usize> {
     fn rest(&mut self);
 
     /// What talks to the peer: link, ladder, flight recorder.
-    fn exchange(&self) -> &Exchange<N>;
+    fn exchange(&self) -> &Exchange;
 
     /// The same, to report a stall, a failure of the device, or an end.
-    fn exchange_mut(&mut self) -> &mut Exchange<N>;
+    fn exchange_mut(&mut self) -> &mut Exchange;
 }
 
 /// The side of the hand; R is what its records have of a rotation.
@@ -203,7 +210,7 @@ impl<P: MasterPlant<N>, const N: usize, R> MasterSide<P, N, R> {
     }
 }
 
-impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P, N, R> {
+impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for MasterSide<P, N, R> {
     type Record = MasterRecord<N, R>;
 
     fn begin(&mut self, now_ns: u64) {
@@ -302,11 +309,11 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
         self.plant.write(&Axes::zeros());
     }
 
-    fn exchange(&self) -> &Exchange<N> {
+    fn exchange(&self) -> &Exchange {
         &self.endpoint.exchange
     }
 
-    fn exchange_mut(&mut self) -> &mut Exchange<N> {
+    fn exchange_mut(&mut self) -> &mut Exchange {
         &mut self.endpoint.exchange
     }
 }
@@ -421,7 +428,7 @@ impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
     }
 }
 
-impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side<N> for SlaveSide<P, N, R> {
+impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side for SlaveSide<P, N, R> {
     type Record = SlaveRecord<N, R>;
 
     fn begin(&mut self, now_ns: u64) {
@@ -484,20 +491,20 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side<N> for SlaveSide<P, N,
         self.plant.stop();
     }
 
-    fn exchange(&self) -> &Exchange<N> {
+    fn exchange(&self) -> &Exchange {
         &self.endpoint.exchange
     }
 
-    fn exchange_mut(&mut self) -> &mut Exchange<N> {
+    fn exchange_mut(&mut self) -> &mut Exchange {
         &mut self.endpoint.exchange
     }
 }
 
 /// The next frame of a side as a datagram of its session; none, and no frame is numbered, while there are no keys.
-pub(crate) fn sealed_frame<'a, const N: usize>(
+pub(crate) fn sealed_frame<'a>(
     session: &mut Session,
     time: LinkTime,
-    side: &mut impl Side<N>,
+    side: &mut (impl Side + ?Sized),
     buffer: &'a mut [u8; MAX_DATAGRAM],
 ) -> Option<&'a [u8]> {
     if !session.is_open(time.tick_ns) {

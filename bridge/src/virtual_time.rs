@@ -116,10 +116,10 @@ impl<T> Slab<T> {
 
 /// The network in one direction.
 #[derive(Clone)]
-struct OneWay<const N: usize> {
+struct OneWay {
     link: Link,
     in_flight: InFlight<Sent>,
-    frames: Slab<Frame<N>>,
+    frames: Slab<Frame>,
     datagrams: Slab<Datagram>,
     /// Frames that are sent and not judged yet, and the slots where they are.
     sent: Vec<Packet>,
@@ -132,7 +132,7 @@ struct OneWay<const N: usize> {
     frame_size: usize,
 }
 
-impl<const N: usize> OneWay<N> {
+impl OneWay {
     fn new(
         direction: Direction,
         seed: u64,
@@ -166,7 +166,7 @@ impl<const N: usize> OneWay<N> {
     /// The same of the next frame of a side, which is its datagram: it has bytes only where somebody changes them. Where
     /// nobody does, it waits for [`carry_sent`](Self::carry_sent).
     #[inline(always)] // as all of what takes a frame: docs/architecture.md
-    fn carry_next_frame(&mut self, side: &mut impl Side<N>, time: LinkTime, now_ns: u64, back: &mut Self) {
+    fn carry_next_frame(&mut self, side: &mut impl Side, time: LinkTime, now_ns: u64, back: &mut Self) {
         if self.link.changes_packets() {
             self.carry_changing(now_ns, &build_frame(side, time), back);
             return;
@@ -184,8 +184,8 @@ impl<const N: usize> OneWay<N> {
         self.sent_slots.push(slot);
     }
 
-    fn check_length(&self, frame: &Frame<N>) {
-        debug_assert_eq!(frame.layout().length(N), self.frame_size, "what stands in a frame never changes");
+    fn check_length(&self, frame: &Frame) {
+        debug_assert_eq!(frame.layout().length(), self.frame_size, "what stands in a frame never changes");
     }
 
     /// Judges the frames that wait. The sides tick some times in a row meanwhile: neither is then in the way of the
@@ -220,7 +220,7 @@ impl<const N: usize> OneWay<N> {
 
     // Out of the way of the many links that change nothing.
     #[inline(never)]
-    fn carry_changing(&mut self, now_ns: u64, frame: &Frame<N>, back: &mut Self) {
+    fn carry_changing(&mut self, now_ns: u64, frame: &Frame, back: &mut Self) {
         self.check_length(frame);
         self.judged(now_ns, self.frame_size, back, |to, at_ns, damage| {
             if damage.is_none() {
@@ -237,7 +237,7 @@ impl<const N: usize> OneWay<N> {
         now_ns: u64,
         size: usize,
         back: &mut Self,
-        push: impl Fn(&mut Arrivals<'_, N>, u64, &Damage),
+        push: impl Fn(&mut Arrivals<'_>, u64, &Damage),
     ) {
         let packet = self.next_packet(now_ns, size);
         let Self { link, in_flight, frames, datagrams, .. } = self;
@@ -260,7 +260,7 @@ impl<const N: usize> OneWay<N> {
 
 /// The next frame of a side where it is not made in place.
 #[inline(never)]
-fn build_frame<const N: usize>(side: &mut impl Side<N>, time: LinkTime) -> Frame<N> {
+fn build_frame(side: &mut impl Side, time: LinkTime) -> Frame {
     side.next_frame(time)
 }
 
@@ -271,16 +271,16 @@ fn earliest_ns(direction: Direction, now_ns: u64) -> u64 {
 }
 
 /// Where a direction keeps what is on its way.
-struct Arrivals<'a, const N: usize> {
+struct Arrivals<'a> {
     in_flight: &'a mut InFlight<Sent>,
-    frames: &'a mut Slab<Frame<N>>,
+    frames: &'a mut Slab<Frame>,
     datagrams: &'a mut Slab<Datagram>,
 }
 
-impl<const N: usize> Arrivals<'_, N> {
+impl Arrivals<'_> {
     // A full queue drops, as the network would, and counts it.
 
-    fn push_frame(&mut self, at_ns: u64, frame: &Frame<N>) {
+    fn push_frame(&mut self, at_ns: u64, frame: &Frame) {
         let slot = self.frames.insert(*frame);
         if self.in_flight.push(at_ns, Sent::Frame(slot)).is_err() {
             self.frames.free.push(slot);
@@ -296,7 +296,7 @@ impl<const N: usize> Arrivals<'_, N> {
 }
 
 /// A side with its session, whose entropy its seed decides, and its clock.
-struct Loop<'a, S, const N: usize> {
+struct Loop<'a, S> {
     side: &'a mut S,
     end: SessionEnd,
     entropy: SeededEntropy,
@@ -306,7 +306,7 @@ struct Loop<'a, S, const N: usize> {
     encodes: bool,
 }
 
-impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
+impl<'a, S: Side> Loop<'a, S> {
     /// Secure with the seed of its keys, insecure without.
     fn new(
         side: &'a mut S,
@@ -316,7 +316,7 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
         encoded: bool,
         pace: Pace,
     ) -> Result<Self, EndError> {
-        let settings = SessionSettings::of_frames(role, side.exchange().link().layout(), N, peer_period_ns);
+        let settings = SessionSettings::of_frames(role, side.exchange().link().layout(), peer_period_ns);
         let mut entropy = SeededEntropy::new(seed.unwrap_or_default(), role);
         let end = if seed.is_some() {
             // Nobody listens in a simulation: any key will do.
@@ -335,7 +335,7 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
     }
 
     /// The tick that is due: it takes what `inward` delivers and sends `outward`, which judges its frames in `carry_sent`.
-    fn step(&mut self, inward: &mut OneWay<N>, outward: &mut OneWay<N>, record: &mut S::Record) {
+    fn step(&mut self, inward: &mut OneWay, outward: &mut OneWay, record: &mut S::Record) {
         let (now_ns, wake) = (self.pace.true_ns, self.pace.wake());
         let clock_ns = wake.deadline_ns;
         if wake.is_stalled() {
@@ -386,7 +386,7 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
     }
 
     /// Takes a datagram of bytes.
-    fn open(&mut self, time: LinkTime, slot: usize, inward: &mut OneWay<N>, outward: &mut OneWay<N>) {
+    fn open(&mut self, time: LinkTime, slot: usize, inward: &mut OneWay, outward: &mut OneWay) {
         let (mut bytes, length) = inward.datagrams.slots[slot];
         inward.datagrams.free.push(slot);
         match self.end.receive(time.tick_ns, &mut bytes[..length], &mut self.entropy) {
@@ -429,7 +429,7 @@ pub enum Event<'a, M, S> {
 /// Both loops begin at time 0. Plants and network live in true time, each endpoint by its own clock: its loop waits
 /// on that, so that a drift stretches the true period, and where it is set forward the loop finds itself late, as a
 /// live one does that was suspended. In a secure session the first ticks send nothing but the handshake.
-pub fn run_virtual<M: Side<N>, S: Side<N>, const N: usize>(
+pub fn run_virtual<M: Side, S: Side>(
     settings: &VirtualSettings,
     master: &mut M,
     slave: &mut S,
@@ -461,7 +461,7 @@ pub(crate) const MAX_AHEAD: usize = 64;
 
 /// As [`run_virtual`], with the same records in the same order, for who does not look at what the sides have beside
 /// them: these may be some ticks ahead by then, and what they counted after a break goes further.
-pub(crate) fn run_virtual_ahead<M: Side<N>, S: Side<N>, const N: usize>(
+pub(crate) fn run_virtual_ahead<M: Side, S: Side>(
     settings: &VirtualSettings,
     master: &mut M,
     slave: &mut S,
@@ -479,8 +479,8 @@ pub(crate) fn run_virtual_ahead<M: Side<N>, S: Side<N>, const N: usize>(
 ///
 /// Source: K. M. Chandy, J. Misra, "Distributed simulation: a case study in design and verification of distributed
 /// programs", IEEE Trans. Softw. Eng. 5, 1979 (lookahead of a channel that keeps the order).
-pub(crate) struct Ahead<'a, M: Side<N>, S: Side<N>, const N: usize> {
-    run: Run<'a, M, S, N>,
+pub(crate) struct Ahead<'a, M: Side, S: Side> {
+    run: Run<'a, M, S>,
     near: Unseen<M::Record>,
     far: Unseen<S::Record>,
 }
@@ -533,7 +533,7 @@ fn first_ns<R>(ticks: &[(u64, R)], next_ns: u64) -> u64 {
     ticks.first().map_or(next_ns, |(at_ns, _)| *at_ns)
 }
 
-impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
+impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
     /// A run before its first tick.
     pub(crate) fn new(
         settings: &VirtualSettings,
@@ -613,7 +613,7 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
 
     /// The run as it stands; none where sessions have a part in it: with security, frames as bytes, or a network that
     /// changes what it carries.
-    pub(crate) fn snapshot(&self) -> Option<Snapshot<M, S, N>>
+    pub(crate) fn snapshot(&self) -> Option<Snapshot<M, S>>
     where
         M: Clone,
         S: Clone,
@@ -637,7 +637,7 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
     /// Goes on from a snapshot of a run of the same settings, with sides that are to stand as those in it.
     pub(crate) fn resume(
         settings: &VirtualSettings,
-        snapshot: &Snapshot<M, S, N>,
+        snapshot: &Snapshot<M, S>,
         master: &'a mut M,
         slave: &'a mut S,
     ) -> Result<Self, VirtualError> {
@@ -650,7 +650,7 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Ahead<'a, M, S, N> {
 }
 
 /// A run between two ticks, to go on from more than once.
-pub(crate) struct Snapshot<M: Side<N>, S: Side<N>, const N: usize> {
+pub(crate) struct Snapshot<M: Side, S: Side> {
     /// The side of the hand.
     pub(crate) master: M,
     /// The side of the robot.
@@ -658,21 +658,21 @@ pub(crate) struct Snapshot<M: Side<N>, S: Side<N>, const N: usize> {
     paces: [Pace; 2],
     counts: [LoopCounts; 2],
     /// Forward and backward.
-    network: [OneWay<N>; 2],
+    network: [OneWay; 2],
     near: Unseen<M::Record>,
     far: Unseen<S::Record>,
 }
 
 /// Both loops and the network between them.
-struct Run<'a, M, S, const N: usize> {
-    master: Loop<'a, M, N>,
-    slave: Loop<'a, S, N>,
-    forward: OneWay<N>,
-    backward: OneWay<N>,
+struct Run<'a, M, S> {
+    master: Loop<'a, M>,
+    slave: Loop<'a, S>,
+    forward: OneWay,
+    backward: OneWay,
     end_ns: u64,
 }
 
-impl<'a, M: Side<N>, S: Side<N>, const N: usize> Run<'a, M, S, N> {
+impl<'a, M: Side, S: Side> Run<'a, M, S> {
     fn new(settings: &VirtualSettings, master: &'a mut M, slave: &'a mut S) -> Result<Self, VirtualError> {
         master.begin(0);
         slave.begin(0);
@@ -687,7 +687,7 @@ impl<'a, M: Side<N>, S: Side<N>, const N: usize> Run<'a, M, S, N> {
         settings: &VirtualSettings,
         master: &'a mut M,
         slave: &'a mut S,
-        [forward, backward]: [OneWay<N>; 2],
+        [forward, backward]: [OneWay; 2],
     ) -> Result<Self, VirtualError> {
         let end_ns = settings.ticks * settings.period_ns;
         let periods_ns = [settings.period_ns, settings.slave_period_ns];

@@ -80,11 +80,30 @@ const CHECKSUM: usize = 4;
 pub const MAX_AXES: usize = 7;
 /// Bytes of the longest frame: seven joints are longer than three axes with an orientation.
 pub const MAX_FRAME: usize =
-    FrameLayout { kind: SideKind::Joints, has_gripper: true, has_buttons: true }.length(MAX_AXES);
+    FrameLayout { axes: MAX_AXES, kind: SideKind::Joints, has_gripper: true, has_buttons: true }.length();
 
-/// What stands in every frame of a session besides axes and energies.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// One value per axis of a side; zero beyond its axes.
+pub type Padded = Axes<MAX_AXES>;
+
+/// Pads the values of a side with zeros.
+#[inline]
+pub fn padded<const N: usize>(values: &Axes<N>) -> Padded {
+    let mut padded = Padded::zeros();
+    padded.as_mut_slice()[..N].copy_from_slice(values.as_slice());
+    padded
+}
+
+/// The first `N` values.
+#[inline]
+pub fn unpadded<const N: usize>(values: &Padded) -> Axes<N> {
+    Axes::from_column_slice(&values.as_slice()[..N])
+}
+
+/// Parts of every frame of a session.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameLayout {
+    /// Number of axes, 1 to [`MAX_AXES`].
+    pub axes: usize,
     /// What the coordinates are; a rotation stands in those of a pose.
     pub kind: SideKind,
     /// Gripper and trigger.
@@ -94,19 +113,24 @@ pub struct FrameLayout {
 }
 
 impl FrameLayout {
-    /// Bytes of a frame of `axes` axes.
-    pub const fn length(self, axes: usize) -> usize {
+    /// Layout of points along `axes` axes, without gripper and buttons.
+    pub const fn of(axes: usize) -> Self {
+        Self { axes, kind: SideKind::Linear, has_gripper: false, has_buttons: false }
+    }
+
+    /// Bytes of a frame.
+    pub const fn length(self) -> usize {
         let rotation = if matches!(self.kind, SideKind::Pose) { 8 * ROTATION } else { 0 };
         let gripper = if self.has_gripper { GRIPPER } else { 0 };
         let buttons = if self.has_buttons { BUTTONS } else { 0 };
-        HEADER + 24 * axes + rotation + ENERGIES + gripper + buttons + CAUSE + CHECKSUM
+        HEADER + 24 * self.axes + rotation + ENERGIES + gripper + buttons + CAUSE + CHECKSUM
     }
 
     /// What both sides say of their frames in the handshake.
     #[allow(clippy::cast_possible_truncation)] // at most 7 axes
-    pub const fn form(self, axes: usize) -> FrameForm {
+    pub const fn form(self) -> FrameForm {
         let parts = (self.has_gripper as u16) << 6 | (self.has_buttons as u16) << 7;
-        FrameForm((VERSION as u16) << 12 | parts | (self.kind.code() as u16) << 3 | axes as u16)
+        FrameForm((VERSION as u16) << 12 | parts | (self.kind.code() as u16) << 3 | self.axes as u16)
     }
 }
 
@@ -191,9 +215,11 @@ pub struct Echo {
 
 /// A frame, decoded.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Frame<const N: usize> {
+pub struct Frame {
     /// Who sent it.
     pub role: Role,
+    /// Number of axes.
+    pub axes: usize,
     /// What its coordinates are.
     pub kind: SideKind,
     /// State of the sender's ladder, [`crate::LadderState::code`].
@@ -211,11 +237,11 @@ pub struct Frame<const N: usize> {
     /// What the sender last received.
     pub echo: Option<Echo>,
     /// Position in m.
-    pub position: Axes<N>,
+    pub position: Padded,
     /// Velocity in m/s.
-    pub velocity: Axes<N>,
+    pub velocity: Padded,
     /// Force in N.
-    pub force: Axes<N>,
+    pub force: Padded,
     /// Orientation, angular velocity and torque; none but of kind `pose`.
     pub rotation: Option<RotationState>,
     /// What went in and out of the link at the sender's port.
@@ -392,11 +418,16 @@ pub(crate) fn hears_peer(frame: &[u8]) -> bool {
 /// What stands in a frame without an echo.
 const NO_ECHO: Echo = Echo { run_id: 0, sequence: 0, sent_ns: 0, held_ns: 0 };
 
-impl<const N: usize> Frame<N> {
+impl Frame {
     /// What stands in it.
     pub const fn layout(&self) -> FrameLayout {
-        let Self { kind, gripper, buttons, .. } = self;
-        FrameLayout { kind: *kind, has_gripper: gripper.is_some(), has_buttons: buttons.is_some() }
+        let Self { axes, kind, gripper, buttons, .. } = self;
+        FrameLayout {
+            axes: *axes,
+            kind: *kind,
+            has_gripper: gripper.is_some(),
+            has_buttons: buttons.is_some(),
+        }
     }
 
     fn flags(&self) -> u16 {
@@ -430,13 +461,13 @@ impl<const N: usize> Frame<N> {
     /// Writes the frame and returns the bytes written.
     pub fn encode<'a>(&self, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
         let echo = self.echo.unwrap_or(NO_ECHO);
-        let length = self.layout().length(N);
+        let (axes, length) = (self.axes, self.layout().length());
         #[allow(clippy::cast_possible_truncation)] // at most 7 axes
         let header = Header {
             magic: MAGIC,
             version: VERSION,
             role: self.role.byte(),
-            axes: N as u8 | self.kind.code() << 4,
+            axes: axes as u8 | self.kind.code() << 4,
             state: self.state,
             flags: U16::new(self.flags()),
             run_id: U64::new(self.run_id),
@@ -456,7 +487,7 @@ impl<const N: usize> Frame<N> {
             }
         };
         for part in [&self.position, &self.velocity, &self.force] {
-            put(part.as_slice());
+            put(&part.as_slice()[..axes]);
         }
         if let Some(numbers) = self.rotation_numbers() {
             put(&numbers);
@@ -480,13 +511,13 @@ impl<const N: usize> Frame<N> {
 
     /// Reads a frame from the peer of role `from`; the cheap refusals first.
     pub fn decode(bytes: &[u8], from: Role, layout: FrameLayout) -> Result<Self, WireError> {
-        let FrameLayout { kind, has_gripper, has_buttons } = layout;
-        let length = || WireError::Length { seen: bytes.len(), allowed: layout.length(N) };
-        if bytes.len() != layout.length(N) {
+        let FrameLayout { axes, kind, has_gripper, has_buttons } = layout;
+        let length = || WireError::Length { seen: bytes.len(), allowed: layout.length() };
+        if bytes.len() != layout.length() {
             return Err(length());
         }
         let (header, _) = Header::read_from_prefix(bytes).map_err(|_| length())?;
-        header.check(from, kind, N)?;
+        header.check(from, kind, axes)?;
         let (body, tail) = bytes.split_at(bytes.len() - CHECKSUM);
         let computed = crc32fast::hash(body);
         let seen = tail.iter().rev().fold(0, |sum, byte| sum << 8 | u32::from(*byte));
@@ -512,19 +543,24 @@ impl<const N: usize> Frame<N> {
                 f64::from_le_bytes(value)
             })
         };
-        let axes = |index: usize| Axes::from_iterator(numbers(N * index));
+        let part = |index: usize| {
+            let mut part = Padded::zeros();
+            part.iter_mut().zip(numbers(axes * index).take(axes)).for_each(|(slot, value)| *slot = value);
+            part
+        };
         let is_pose = kind == SideKind::Pose;
-        let mut rest = numbers(3 * N + if is_pose { ROTATION } else { 0 });
+        let mut rest = numbers(3 * axes + if is_pose { ROTATION } else { 0 });
         let energy =
             PortEnergy { in_j: rest.next().unwrap_or(f64::NAN), out_j: rest.next().unwrap_or(f64::NAN) };
         let gripper = has_gripper.then(|| std::array::from_fn(|_| rest.next().unwrap_or(f64::NAN)));
-        let mut turn = numbers(3 * N);
+        let mut turn = numbers(3 * axes);
         let rotation = is_pose.then(|| std::array::from_fn(|_| turn.next().unwrap_or(f64::NAN)));
         let word = body[..body.len() - CAUSE].last_chunk().map_or(0, |bytes| u32::from_le_bytes(*bytes));
         let mut text = TextPiece { number: cause[2], index: cause[3], bytes: [0; PIECE] };
         text.bytes.copy_from_slice(&cause[4..]);
         Self {
             role: from,
+            axes,
             kind,
             state: header.state,
             hears_peer: flags & HEARS_PEER != 0,
@@ -533,9 +569,9 @@ impl<const N: usize> Frame<N> {
             sequence,
             sent_ns: header.sent_ns.get(),
             echo: is_valid.then_some(echo),
-            position: axes(0),
-            velocity: axes(1),
-            force: axes(2),
+            position: part(0),
+            velocity: part(1),
+            force: part(2),
             rotation: None,
             energy,
             gripper: None,
@@ -555,6 +591,7 @@ impl<const N: usize> Frame<N> {
         // By reference: what is not assigned is not read.
         let Self {
             role,
+            axes,
             kind,
             state,
             hears_peer,
@@ -575,7 +612,8 @@ impl<const N: usize> Frame<N> {
             fault,
             text,
         } = other;
-        (self.role, self.kind, self.state, self.hears_peer) = (*role, *kind, *state, *hears_peer);
+        (self.role, self.axes, self.kind) = (*role, *axes, *kind);
+        (self.state, self.hears_peer) = (*state, *hears_peer);
         (self.clutch, self.ending, self.reason, self.fault) = (*clutch, *ending, *reason, *fault);
         (self.run_id, self.sequence, self.sent_ns, self.echo) = (*run_id, *sequence, *sent_ns, *echo);
         (self.position, self.velocity, self.force) = (*position, *velocity, *force);
@@ -592,11 +630,14 @@ impl<const N: usize> Frame<N> {
     /// same refusals, without the bytes: of a network that looks at none.
     pub fn received(&self, from: Role, layout: FrameLayout) -> Result<Cow<'_, Self>, WireError> {
         let own = self.layout();
-        if own != layout && own.length(N) != layout.length(N) {
-            return Err(WireError::Length { seen: own.length(N), allowed: layout.length(N) });
+        if own != layout && own.length() != layout.length() {
+            return Err(WireError::Length { seen: own.length(), allowed: layout.length() });
         }
         if self.role != from {
             return Err(WireError::Role(self.role.byte()));
+        }
+        if own.axes != layout.axes {
+            return Err(WireError::Axes { seen: own.axes as u8, allowed: layout.axes });
         }
         if own.kind != layout.kind {
             return Err(WireError::Kind { seen: own.kind.code(), allowed: layout.kind });

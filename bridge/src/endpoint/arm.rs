@@ -12,15 +12,16 @@ use crate::{
     coupling::{AlignmentStep, CouplingError, Limited, RotationState},
     ladder::{AlignmentState, LadderState},
     link::PortState,
+    wire::Padded,
 };
 
 /// What the newest frame says of the master.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct MasterState<'a, const N: usize> {
     /// x in m.
-    pub(crate) position: &'a Axes<N>,
+    pub(crate) position: Axes<N>,
     /// V in m/s.
-    pub(crate) velocity: &'a Axes<N>,
+    pub(crate) velocity: Axes<N>,
     /// Of a pose.
     pub(crate) rotation: Option<&'a RotationState>,
 }
@@ -50,8 +51,8 @@ pub(crate) struct ArmTick<const N: usize> {
 }
 
 /// Takes force and torque out of what the next frame says.
-fn without_wrench<const N: usize>(outgoing: &mut PortState<N>) {
-    outgoing.force = Axes::zeros();
+fn without_wrench(outgoing: &mut PortState) {
+    outgoing.force = Padded::zeros();
     if let Some(rotation) = &mut outgoing.rotation {
         rotation.torque = Axes::zeros();
     }
@@ -175,7 +176,7 @@ impl<const N: usize> Arm<N> {
         checked: bool,
         step: Option<&AlignmentStep>,
         input: &ArmInput<'_, N>,
-        outgoing: &mut PortState<N>,
+        outgoing: &mut PortState,
     ) -> ArmTick<N> {
         let SlaveReading { position, environment_force, .. } = reading;
         let elapsed_s = self.translation.elapsed_s(now_ns);
@@ -186,7 +187,7 @@ impl<const N: usize> Arm<N> {
             // The two engage where it has just reached the master.
             rotation.command = Some(step.orientation);
         }
-        let of_master = newest.map(|master| [master.position, master.velocity]);
+        let of_master = newest.as_ref().map(|master| [&master.position, &master.velocity]);
         let input = TranslationInput { state, stale_ns, newest: of_master };
         if let Some(led) = self.translation.follow(now_ns, position, checked, &input) {
             let [speed, reach] = led.limited;
@@ -222,7 +223,7 @@ impl<const N: usize> Arm<N> {
         angular_velocity: &Axes<3>,
         elapsed_s: f64,
         turns: bool,
-        outgoing: &mut PortState<N>,
+        outgoing: &mut PortState,
     ) {
         if self.fault.is_some() {
             without_wrench(outgoing);

@@ -51,12 +51,12 @@ enum Flight {
 
 /// The part of an endpoint that talks to the peer.
 #[derive(Clone, Debug)]
-pub struct Exchange<const N: usize> {
+pub struct Exchange {
     pub(super) ladder: Ladder,
     role: Role,
-    pub(super) link: FrameLink<N>,
+    pub(super) link: FrameLink,
     /// What the next frame says of the plant.
-    pub(super) outgoing: PortState<N>,
+    pub(super) outgoing: PortState,
     /// Shortest time in ns between two frames of the peer, as it sends them, over [`COUNTED`] of them.
     interval_ns: Option<u64>,
     /// The same over those that arrived until there were as many.
@@ -90,10 +90,11 @@ const MAX_INTERVAL_NS: u64 = 20_000_000;
 /// Frames whose mean interval is taken: one loop that wakes late shortens the next interval by its lateness.
 const COUNTED: u64 = 16;
 
-impl<const N: usize> Exchange<N> {
+impl Exchange {
     /// A part of role `role` that has not heard of its peer; `run_id` is drawn anew at every start.
     pub fn new(
         role: Role,
+        axes: usize,
         run_id: u64,
         period_ns: u64,
         settings: LadderSettings,
@@ -101,7 +102,7 @@ impl<const N: usize> Exchange<N> {
         Ok(Self {
             ladder: Ladder::new(settings)?,
             role,
-            link: FrameLink::new(role, run_id, settings.stop_after_ns),
+            link: FrameLink::new(role, axes, run_id, settings.stop_after_ns),
             outgoing: PortState::default(),
             interval_ns: None,
             first_interval_ns: None,
@@ -165,7 +166,7 @@ impl<const N: usize> Exchange<N> {
     }
 
     /// The same of a frame whose bytes nobody has looked at, without them.
-    pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame<N>) -> Result<(), RejectReason> {
+    pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<(), RejectReason> {
         let is_known = self.link.newest().is_some();
         let head = self.link.take_frame(time, frame)?;
         self.accepted(time, is_known, &head);
@@ -230,7 +231,7 @@ impl<const N: usize> Exchange<N> {
     }
 
     /// The newest frame of the peer, as far as a ladder goes.
-    fn peer_frame(&self, now_ns: u64, frame: &Frame<N>) -> PeerFrame {
+    fn peer_frame(&self, now_ns: u64, frame: &Frame) -> PeerFrame {
         // An echo of another run says nothing of this one.
         let echo = frame.echo.filter(|echo| echo.run_id == self.link.run_id());
         PeerFrame {
@@ -251,7 +252,7 @@ impl<const N: usize> Exchange<N> {
 
     /// Ends a tick: keeps measured position, command and force, and what controllers saw, in the flight recorder.
     #[inline]
-    pub(crate) fn end_tick(
+    pub(crate) fn end_tick<const N: usize>(
         &mut self,
         now_ns: u64,
         values: [&Axes<N>; 3],
@@ -259,12 +260,12 @@ impl<const N: usize> Exchange<N> {
     ) {
         self.events = TickEvents::default();
         if matches!(self.flight, Flight::Kept(_)) {
-            self.keep_flight(now_ns, values, &observed());
+            self.keep_flight(now_ns, FlightValues::new(values), &observed());
         }
     }
 
     #[inline(never)]
-    fn keep_flight(&mut self, now_ns: u64, values: [&Axes<N>; 3], observed: &[Observed; LAYERS.len()]) {
+    fn keep_flight(&mut self, now_ns: u64, values: FlightValues, observed: &[Observed; LAYERS.len()]) {
         let entry = FlightEntry {
             time_ns: now_ns,
             state: self.ladder.state(),
@@ -273,7 +274,7 @@ impl<const N: usize> Exchange<N> {
             clutch: self.inputs.clutch(),
             gain: self.ladder.gain(),
             tripped: observed.map(|seen| seen.tripped),
-            values: FlightValues::new(values),
+            values,
         };
         let diagnosis = self.diagnosis(now_ns);
         if let Flight::Kept(flight) = &mut self.flight {
@@ -303,7 +304,7 @@ impl<const N: usize> Exchange<N> {
     fn diagnosis(&self, now_ns: u64) -> Option<Diagnosis> {
         let (state, newest) = (self.ladder.state(), self.link.newest());
         let is_refused = newest.is_some_and(|frame| self.is_refused_by(now_ns, frame));
-        let stands = |frame: &Frame<N>| LadderState::from_code(frame.state).unwrap_or(LadderState::Fault);
+        let stands = |frame: &Frame| LadderState::from_code(frame.state).unwrap_or(LadderState::Fault);
         let peer_failed = newest.is_some_and(|frame| stands(frame) == LadderState::Fault);
         if !(state.is_held() || peer_failed || self.peer_ended || self.ladder.is_unanswered() || is_refused) {
             return None;
@@ -328,7 +329,7 @@ impl<const N: usize> Exchange<N> {
     }
 
     /// Whether the slave that sent `frame` ended this master's last press because of the turn that it needs.
-    fn is_refused_by(&self, now_ns: u64, frame: &Frame<N>) -> bool {
+    fn is_refused_by(&self, now_ns: u64, frame: &Frame) -> bool {
         let waits = self.ladder.state() == LadderState::Aligning || self.ladder.is_unanswered();
         waits
             && self.role == Role::Master
@@ -374,7 +375,7 @@ impl<const N: usize> Exchange<N> {
 
     /// The frame of this tick, not written.
     #[inline(always)] // as all that makes a frame: docs/architecture.md
-    pub fn next_frame(&mut self, time: LinkTime) -> Frame<N> {
+    pub fn next_frame(&mut self, time: LinkTime) -> Frame {
         // Who ends follows and leads no more, whatever its ladder says.
         let state = match self.ladder.state() {
             state if self.ending && !state.is_held() => LadderState::Disengaged,
@@ -445,7 +446,7 @@ impl<const N: usize> Exchange<N> {
     }
 
     /// The end of the link.
-    pub fn link(&self) -> &FrameLink<N> {
+    pub fn link(&self) -> &FrameLink {
         &self.link
     }
 

@@ -18,7 +18,7 @@ use crate::{
     command::OperatorCommand,
     coupling::{CouplingError, PositionForce, RotationCoupling, RotationLock, RotationState},
     ladder::{LAYERS, LadderSettings, LadderState, Observed, ROTATION, TRANSLATION, TRIGGER},
-    wire::Role,
+    wire::{Role, unpadded},
 };
 
 /// How a master endpoint is built.
@@ -69,7 +69,7 @@ pub struct MasterEndpoint<const N: usize> {
     /// Of a trigger that the finger feels.
     trigger: Option<Box<TriggerFeedback>>,
     /// What talks to the peer.
-    pub exchange: Exchange<N>,
+    pub exchange: Exchange,
     period_s: f64,
     /// The fault of the safety layer is mended, as the operator says.
     acknowledged: bool,
@@ -146,7 +146,7 @@ impl<const N: usize> MasterEndpoint<N> {
         rotation: Option<&MasterRotationSettings>,
     ) -> Result<Self, EndpointError> {
         let hand = Self::with_layer(settings, rotation)?;
-        let mut exchange = Exchange::new(Role::Master, settings.run_id, settings.period_ns, settings.ladder)?;
+        let mut exchange = Exchange::new(Role::Master, N, settings.run_id, settings.period_ns, settings.ladder)?;
         exchange.hold_against(TRANSLATION, &settings.safety);
         if let Some(rotation) = rotation {
             exchange.hold_against(ROTATION, &rotation.safety);
@@ -178,7 +178,7 @@ impl<const N: usize> MasterEndpoint<N> {
         }
         let (_, age_ns) = self.exchange.advance(now_ns, clutch);
         let newest = self.exchange.link().newest();
-        let received_force = newest.map_or(Axes::zeros(), |frame| frame.force);
+        let received_force = newest.map_or(Axes::zeros(), |frame| unpadded(&frame.force));
         let received_torque =
             newest.and_then(|frame| frame.rotation.as_ref()).map_or(Axes::zeros(), |slave| slave.torque);
         let is_heard = newest.is_some();

@@ -9,7 +9,7 @@ use crate::{
     command::OperatorCommand,
     coupling::{CommandBounds, CouplingError, Limited, RotationState},
     ladder::{LAYERS, LadderSettings, LadderState, Observed},
-    wire::Role,
+    wire::{Role, unpadded},
 };
 
 /// How a slave endpoint is built.
@@ -75,14 +75,14 @@ pub struct SlaveTick<const N: usize> {
 pub struct SlaveEndpoint<const N: usize> {
     arm: Arm<N>,
     /// What talks to the peer.
-    pub exchange: Exchange<N>,
+    pub exchange: Exchange,
 }
 
 impl<const N: usize> SlaveEndpoint<N> {
     /// An endpoint that waits for its peer.
     pub fn new(settings: &SlaveSettings) -> Result<Self, EndpointError> {
         let arm = Arm::new(settings)?;
-        let exchange = Exchange::new(Role::Slave, settings.run_id, settings.period_ns, settings.ladder)?;
+        let exchange = Exchange::new(Role::Slave, N, settings.run_id, settings.period_ns, settings.ladder)?;
         Ok(Self { arm, exchange })
     }
 
@@ -124,8 +124,8 @@ impl<const N: usize> SlaveEndpoint<N> {
         let step = alignment.and_then(|(_, step)| step);
         let (state, age_ns) = exchange.advance(now_ns, false);
         let newest = exchange.link.newest().map(|frame| MasterState {
-            position: &frame.position,
-            velocity: &frame.velocity,
+            position: unpadded(&frame.position),
+            velocity: unpadded(&frame.velocity),
             rotation: frame.rotation.as_ref(),
         });
         let turns = exchange.ladder.turns();

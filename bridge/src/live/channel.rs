@@ -56,11 +56,11 @@ impl LiveChannel {
     /// A session of frames of this layout and number of axes; without keys yet, if it is secure.
     pub(super) fn start(
         role: Role,
-        (layout, axes): (FrameLayout, usize),
+        layout: FrameLayout,
         period_ns: u64,
         security: Security,
     ) -> Result<Self, StartError> {
-        let settings = SessionSettings::of_frames(role, layout, axes, period_ns.min(PEER_PERIOD_NS));
+        let settings = SessionSettings::of_frames(role, layout, period_ns.min(PEER_PERIOD_NS));
         let cannot = EndError::from;
         Ok(match security {
             Security::Secure(key) => {
@@ -78,12 +78,12 @@ impl LiveChannel {
     }
 
     /// Opens a datagram in place and hands what it holds to the side.
-    pub(super) fn receive<const N: usize>(
+    pub(super) fn receive(
         &mut self,
         time: LinkTime,
         from: SocketAddr,
         datagram: &mut [u8],
-        side: &mut impl Side<N>,
+        side: &mut (impl Side + ?Sized),
     ) -> Received {
         let now_ns = time.tick_ns;
         match self.session.open(now_ns, datagram) {

@@ -376,8 +376,7 @@ impl<R: Copy> RecordSinks<R> {
 }
 
 /// The loop's ends of what leads to and from it.
-pub(super) struct LoopChannels<R> {
-    pub(super) records: RecordSinks<R>,
+pub(super) struct LoopChannels {
     pub(super) events: rtrb::Producer<SecurityEvent>,
     pub(super) flights: rtrb::Producer<FlightRecorder>,
     pub(super) diagnoses: rtrb::Producer<Option<Diagnosis>>,
@@ -399,7 +398,7 @@ pub(super) fn channels<R>(
     started_ns: u64,
     address: SocketAddr,
     outputs: RecordOutputs<R>,
-) -> (LoopChannels<R>, LiveWatch, RecordReader<R>, Arc<Shared>) {
+) -> (LoopChannels, RecordSinks<R>, LiveWatch, RecordReader<R>, Arc<Shared>) {
     let shared = Arc::<Shared>::default();
     let (to_reader, records) = ring(capacity);
     let (to_events, events) = rtrb::RingBuffer::new(MAX_EVENTS);
@@ -421,11 +420,11 @@ pub(super) fn channels<R>(
         recording: outputs.recorder.as_ref().map(Recorder::recording),
     };
     let channels = LoopChannels {
-        records: RecordSinks { read: to_reader, outputs },
         events: to_events,
         flights: to_flights,
         diagnoses: to_diagnoses,
         commands: CommandQueue { started_ns: Some(started_ns), given, controlled },
     };
-    (channels, watch, RecordReader(records), shared)
+    let sinks = RecordSinks { read: to_reader, outputs };
+    (channels, sinks, watch, RecordReader(records), shared)
 }

@@ -4,7 +4,7 @@ use std::{ops::ControlFlow, sync::atomic::Ordering};
 
 use super::{
     channel::{LiveChannel, RELEASES},
-    handle::{Ineffective, LoopChannels, MAX_COMMANDS, Shared},
+    handle::{Ineffective, LoopChannels, MAX_COMMANDS, RecordSinks, Shared},
     handshakes::SecurityEvent,
     socket::PeerSocket,
     system::{self, RealtimeReport, RealtimeSettings},
@@ -104,61 +104,122 @@ fn is_prompt(
     }
 }
 
-/// A side that is left without force or motion however its loop ends.
-struct RestOnDrop<S: Side<N>, const N: usize> {
-    side: S,
+/// A side with the sinks of its records. The loop steps it through this trait, so that it is compiled once for all sides.
+pub(super) trait LoopSide {
+    /// The side.
+    fn side(&self) -> &dyn Side;
+
+    /// The side, to change.
+    fn side_mut(&mut self) -> &mut dyn Side;
+
+    /// Does one tick; returns whether the reader's ring took the record.
+    fn tick(&mut self, time: TickTime) -> bool;
+
+    /// No force and no motion from here on, once.
+    fn rest(&mut self);
+
+    /// Tells the sinks the loop's time 0 on the monotonic clock.
+    fn start(&self, now_ns: u64);
+
+    /// Hands the link's counts to the sinks.
+    fn count_link(&self, link: &LinkStatistics);
+
+    /// Hands a diagnosis to the sinks, as [`RecordSinks::note`].
+    fn note(&mut self, time_ns: u64, diagnosis: Option<&Diagnosis>);
+
+    /// Ends the sinks.
+    fn end_records(&mut self) -> Option<RecordingReport>;
+}
+
+/// A side with the sinks of its records. It leaves the plant at rest when it is dropped.
+pub(super) struct RecordedSide<S: Side> {
+    pub(super) side: S,
+    sinks: Option<RecordSinks<S::Record>>,
     is_at_rest: bool,
 }
 
-impl<S: Side<N>, const N: usize> RestOnDrop<S, N> {
-    /// Once: an arm that is stopped again and again lets go of what it leans on.
+impl<S: Side> RecordedSide<S> {
+    pub(super) fn new(side: S, sinks: RecordSinks<S::Record>) -> Self {
+        Self { side, sinks: Some(sinks), is_at_rest: false }
+    }
+}
+
+impl<S: Side> LoopSide for RecordedSide<S> {
+    fn side(&self) -> &dyn Side {
+        &self.side
+    }
+
+    fn side_mut(&mut self) -> &mut dyn Side {
+        &mut self.side
+    }
+
+    fn tick(&mut self, time: TickTime) -> bool {
+        let record = self.side.tick(time);
+        self.sinks.as_mut().is_none_or(|sinks| sinks.push(record).is_ok())
+    }
+
     fn rest(&mut self) {
         if !std::mem::replace(&mut self.is_at_rest, true) {
             self.side.rest();
         }
     }
-}
 
-impl<S: Side<N>, const N: usize> Drop for RestOnDrop<S, N> {
-    fn drop(&mut self) {
-        self.rest();
+    fn start(&self, now_ns: u64) {
+        self.sinks.iter().for_each(|sinks| sinks.start(now_ns));
+    }
+
+    fn count_link(&self, link: &LinkStatistics) {
+        self.sinks.iter().for_each(|sinks| sinks.count_link(link));
+    }
+
+    fn note(&mut self, time_ns: u64, diagnosis: Option<&Diagnosis>) {
+        self.sinks.iter_mut().for_each(|sinks| sinks.note(time_ns, diagnosis));
+    }
+
+    fn end_records(&mut self) -> Option<RecordingReport> {
+        self.sinks.take().and_then(RecordSinks::end)
     }
 }
 
-/// A side in its loop.
-pub(super) struct LiveLoop<S: Side<N>, const N: usize> {
-    plant: RestOnDrop<S, N>,
+impl<S: Side> Drop for RecordedSide<S> {
+    fn drop(&mut self) {
+        LoopSide::rest(self);
+    }
+}
+
+/// One side, live.
+pub(super) struct LiveLoop {
     socket: PeerSocket,
     channel: LiveChannel,
     settings: LiveSettings,
-    channels: LoopChannels<S::Record>,
+    channels: LoopChannels,
     report: LoopReport,
     start_ns: u64,
-    /// Of the last tick.
+    /// Time of the last tick in ns.
     now_ns: u64,
+    /// State that was last shown with its flight recorder.
     shown: LadderState,
     diagnosis: DiagnosisReport,
     has_announced_end: bool,
-    /// End of the last stall, in ns.
+    /// When this loop last found itself stalled, in ns.
     stalled_ns: Option<u64>,
     buffer: [u8; MAX_DATAGRAM],
 }
 
-impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
-    /// Time begins at `start_ns`.
+impl LiveLoop {
+    /// Time begins.
     pub(super) fn begin(
-        mut side: S,
+        plant: &mut dyn LoopSide,
         socket: PeerSocket,
         channel: LiveChannel,
         settings: LiveSettings,
-        channels: LoopChannels<S::Record>,
+        channels: LoopChannels,
         start_ns: u64,
     ) -> Self {
         let secure = channel.session.is_secure();
-        side.begin(start_ns);
-        channels.records.start(start_ns);
+        plant.side_mut().begin(start_ns);
+        plant.start(start_ns);
         Self {
-            plant: RestOnDrop { side, is_at_rest: false },
             socket,
             channel,
             settings,
@@ -174,13 +235,8 @@ impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
         }
     }
 
-    /// What is driven.
-    pub(super) fn side(&mut self) -> &mut S {
-        &mut self.plant.side
-    }
-
     /// One tick; breaks where the run is over.
-    pub(super) fn step(&mut self, wake: Wake, shared: &Shared) -> ControlFlow<()> {
+    pub(super) fn step(&mut self, plant: &mut dyn LoopSide, wake: Wake, shared: &Shared) -> ControlFlow<()> {
         let Wake { deadline_ns, overshoot_ns, missed } = wake;
         // The tick's time is its deadline, or that of the device's sample: the pure part sees a steady clock, as in
         // virtual time.
@@ -189,12 +245,13 @@ impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
         self.report.skipped += missed;
         if wake.is_stalled() {
             self.stalled_ns = Some(system::now_ns());
-            self.side().exchange_mut().stalled(now_ns);
+            plant.side_mut().exchange_mut().stalled(now_ns);
             // Late already: another period for this is not much.
             self.socket.discard(system::now_ns() + self.settings.period_ns);
         }
-        self.take_commands(shared);
-        let Self { plant: RestOnDrop { side, .. }, socket, channel, settings, channels, .. } = self;
+        self.take_commands(plant.side_mut(), shared);
+        let Self { socket, channel, settings, channels, .. } = self;
+        let side = plant.side_mut();
         let late = || LinkTime::late(now_ns, system::now_ns().saturating_sub(now_ns));
         socket.drain(now_ns, now_ns + settings.period_ns / RECEIVE_SHARE, |from, datagram| {
             // It may have arrived while this loop was still asleep beyond its time.
@@ -207,11 +264,14 @@ impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
                 let _ = channels.events.push(event);
             },
         );
-        let record = side.tick(TickTime { start_ns, now_ns, clock_ns: now_ns, overshoot_ns, missed });
-        if let Some(datagram) = sealed_frame(&mut channel.session, late(), side, &mut self.buffer) {
+        let time = TickTime { start_ns, now_ns, clock_ns: now_ns, overshoot_ns, missed };
+        if !plant.tick(time) {
+            self.report.dropped_records += 1;
+        }
+        if let Some(datagram) = sealed_frame(&mut channel.session, late(), plant.side_mut(), &mut self.buffer) {
             socket.send(None, datagram);
         }
-        self.report(record, shared);
+        self.report(plant, shared);
         let limit_ns = match self.report.engaged_ns {
             u64::MAX => self.settings.patience_ns,
             engaged_ns => self.settings.duration_ns.map(|duration_ns| engaged_ns.saturating_add(duration_ns)),
@@ -224,8 +284,8 @@ impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
     }
 
     /// Carries out what the operator has commanded since the last tick, as far as it still counts.
-    fn take_commands(&mut self, shared: &Shared) {
-        let Self { plant: RestOnDrop { side, .. }, channel, channels, now_ns, stalled_ns, .. } = self;
+    fn take_commands(&mut self, side: &mut dyn Side, shared: &Shared) {
+        let Self { channel, channels, now_ns, stalled_ns, .. } = self;
         let now_ns = *now_ns;
         // As many as may wait at once: whoever commands without end does not hold the tick.
         for _ in 0..MAX_COMMANDS {
@@ -262,14 +322,11 @@ impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
     }
 
     /// Hands out what a tick has left; nobody is waited for.
-    fn report(&mut self, record: S::Record, shared: &Shared) {
-        let Self { plant: RestOnDrop { side, .. }, channels, report, now_ns, start_ns, .. } = self;
+    fn report(&mut self, plant: &mut dyn LoopSide, shared: &Shared) {
+        let Self { channels, report, now_ns, start_ns, .. } = self;
         let elapsed_ns = *now_ns - *start_ns;
         report.ticks += 1;
-        if channels.records.push(record).is_err() {
-            report.dropped_records += 1;
-        }
-        let exchange = side.exchange();
+        let exchange = plant.side().exchange();
         let state = exchange.state();
         if state.is_coupled() && report.engaged_ns == u64::MAX {
             report.engaged_ns = elapsed_ns;
@@ -284,25 +341,26 @@ impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
         if self.diagnosis.is_due(*now_ns, shared.diagnosis(exchange.flight()).as_ref()) {
             self.diagnosis.report(
                 |newest| channels.diagnoses.push(newest).is_ok(),
-                |newest| channels.records.note(elapsed_ns, newest),
+                |newest| plant.note(elapsed_ns, newest),
             );
         }
         shared.state.store(state.code(), Ordering::Relaxed);
         shared.ticks.store(report.ticks, Ordering::Relaxed);
         // A round trip is known from the first answer on.
-        let link = exchange.link().statistics();
-        channels.records.count_link(&link);
+        let link = plant.side().exchange().link().statistics();
+        plant.count_link(&link);
         shared.answered.store(link.round_trip_ns != 0, Ordering::Relaxed);
     }
 
     /// Leaves the plant at rest and announces the end of this side to the peer; nothing a second time.
-    pub(super) fn announce_end(&mut self, shared: &Shared) {
+    pub(super) fn announce_end(&mut self, plant: &mut dyn LoopSide, shared: &Shared) {
         if std::mem::replace(&mut self.has_announced_end, true) {
             return;
         }
         // First of all: what follows takes its time.
-        self.plant.rest();
-        let Self { plant: RestOnDrop { side, .. }, socket, channel, buffer, .. } = self;
+        plant.rest();
+        let side = plant.side_mut();
+        let Self { socket, channel, buffer, .. } = self;
         side.exchange_mut().end();
         for (sent, wait_ns) in END_NS.into_iter().enumerate() {
             let now_ns = system::now_ns();
@@ -322,18 +380,17 @@ impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
     }
 
     /// Leaves the plant at rest, announces the end to the peer, and closes what is open.
-    pub(super) fn end(mut self, shared: &Shared) -> (LoopReport, Box<FlightRecorder>) {
-        self.announce_end(shared);
-        let exchange = self.plant.side.exchange();
+    pub(super) fn end(mut self, plant: &mut dyn LoopSide, shared: &Shared) -> (LoopReport, Box<FlightRecorder>) {
+        self.announce_end(plant, shared);
+        let exchange = plant.side().exchange();
         let (counts, flight) = (exchange.counts(), Box::new(*exchange.flight()));
         self.report.path = exchange.link().path().report(self.now_ns);
-        let Self { plant, socket, mut channel, mut channels, mut report, now_ns, start_ns, .. } = self;
-        drop(plant);
+        let Self { socket, mut channel, mut channels, mut report, now_ns, start_ns, .. } = self;
         let mut diagnosis = self.diagnosis;
         if diagnosis.is_unreported(shared.diagnosis(&flight).as_ref()) {
             diagnosis.report(
                 |newest| channels.diagnoses.push(newest).is_ok(),
-                |newest| channels.records.note(now_ns - start_ns, newest),
+                |newest| plant.note(now_ns - start_ns, newest),
             );
         }
         report.out_of_memory = system::is_exhausted();
@@ -341,7 +398,7 @@ impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
         report.link = counts.link.with(&report.rejections);
         (report.holds, report.limited) = (counts.holds, counts.limited);
         report.unsent = socket.unsent;
-        report.recording = channels.records.end();
+        report.recording = plant.end_records();
         (report, flight)
     }
 }

@@ -9,9 +9,9 @@ use std::{
 
 use super::{
     channel::{LiveChannel, Security},
-    handle::{LiveHandle, LiveWatch, LoopChannels, RecordOutputs, RecordReader, Shared, channels},
+    handle::{LiveHandle, LiveWatch, LoopChannels, RecordOutputs, RecordReader, RecordSinks, Shared, channels},
     handshakes::StartError,
-    live_loop::{LiveLoop, LiveSettings, LoopReport},
+    live_loop::{LiveLoop, LiveSettings, LoopReport, RecordedSide},
     socket::PeerSocket,
     system::{self, Kept, RealtimeReport},
 };
@@ -33,10 +33,43 @@ pub struct LiveRun {
     realtime: RealtimeReport,
 }
 
+/// A side in its loop. The plant comes first: it is at rest before anything else is dropped.
+struct Running<S: Side> {
+    plant: RecordedSide<S>,
+    live_loop: LiveLoop,
+}
+
+impl<S: Side> Running<S> {
+    fn begin(
+        mut plant: RecordedSide<S>,
+        socket: PeerSocket,
+        channel: LiveChannel,
+        settings: LiveSettings,
+        channels: LoopChannels,
+        start_ns: u64,
+    ) -> Self {
+        let live_loop = LiveLoop::begin(&mut plant, socket, channel, settings, channels, start_ns);
+        Self { plant, live_loop }
+    }
+
+    fn step(&mut self, wake: Wake, shared: &Shared) -> ControlFlow<()> {
+        self.live_loop.step(&mut self.plant, wake, shared)
+    }
+
+    fn announce_end(&mut self, shared: &Shared) {
+        self.live_loop.announce_end(&mut self.plant, shared);
+    }
+
+    fn end(self, shared: &Shared) -> (LoopReport, Box<FlightRecorder>) {
+        let Self { mut plant, live_loop } = self;
+        live_loop.end(&mut plant, shared)
+    }
+}
+
 /// Starts the loop of one side on a thread of its own; `outputs` get every record, too.
 ///
 /// Fails where real-time scheduling is required and not all of it was granted.
-pub fn run_live<S: Side<N> + Send + 'static, const N: usize>(
+pub fn run_live<S: Side + Send + 'static>(
     side: S,
     socket: PeerSocket,
     settings: LiveSettings,
@@ -45,32 +78,33 @@ pub fn run_live<S: Side<N> + Send + 'static, const N: usize>(
 ) -> Result<(LiveRun, LiveWatch, RecordReader<S::Record>), StartError> {
     let channel = LiveChannel::start(
         settings.role,
-        (side.exchange().link().layout(), N),
+        side.exchange().link().layout(),
         settings.period_ns,
         security,
     )?;
     let started_ns = settings.started_ns.unwrap_or_else(system::now_ns);
-    let (channels, watch, records, shared) =
+    let (channels, sinks, watch, records, shared) =
         channels(settings.ring, started_ns, socket.local_address()?, outputs);
     let (to_starter, granted) = mpsc::sync_channel(1);
     let thread = std::thread::Builder::new().name("haptether-loop".into()).spawn(move || {
         let (realtime, _kept) = system::prepare(settings.realtime);
         let _ = to_starter.send(realtime);
         if realtime.check(settings.realtime.demand).is_err() {
-            let recording = channels.records.abandon();
+            let recording = sinks.abandon();
             return (LoopReport { realtime, recording, ..LoopReport::default() }, None);
         }
         let mut deadline_ns = system::now_ns();
-        let mut live_loop = LiveLoop::begin(side, socket, channel, settings, channels, deadline_ns);
+        let plant = RecordedSide::new(side, sinks);
+        let mut running = Running::begin(plant, socket, channel, settings, channels, deadline_ns);
         while !shared.must_end() {
             system::sleep_until(deadline_ns);
             let wake = Wake::new(deadline_ns, system::now_ns(), settings.period_ns);
-            if live_loop.step(wake, &shared).is_break() {
+            if running.step(wake, &shared).is_break() {
                 break;
             }
             deadline_ns = wake.deadline_ns + settings.period_ns;
         }
-        let (report, flight) = live_loop.end(&shared);
+        let (report, flight) = running.end(&shared);
         (LoopReport { realtime, ..report }, Some(flight))
     })?;
     let realtime = granted.recv().map_err(io::Error::other)?;
@@ -107,17 +141,17 @@ impl Drop for LiveRun {
 const FAILED_TICKS: u32 = 3 * PIECES as u32;
 
 /// How far the loop is.
-enum Stage<S: Side<N>, const N: usize> {
-    Ready(Box<(S, PeerSocket, LiveChannel, LoopChannels<S::Record>)>),
-    Running(Box<LiveLoop<S, N>>),
+enum Stage<S: Side> {
+    Ready(Box<(S, RecordSinks<S::Record>, PeerSocket, LiveChannel, LoopChannels)>),
+    Running(Box<Running<S>>),
     Over,
 }
 
 /// The loop of one side, a tick at a time: `begin`, then at every sample of the device `step`, at last `end`.
 ///
 /// A driver that does not wait for its device calls `wait` after each tick. All of it on one thread.
-pub struct PacedLoop<S: Side<N>, const N: usize> {
-    stage: Stage<S, N>,
+pub struct PacedLoop<S: Side> {
+    stage: Stage<S>,
     settings: LiveSettings,
     shared: Arc<Shared>,
     pace: DevicePace,
@@ -128,27 +162,27 @@ pub struct PacedLoop<S: Side<N>, const N: usize> {
 }
 
 /// A loop that is not begun, its watch and its records.
-pub type Paced<S, const N: usize> = (PacedLoop<S, N>, LiveWatch, RecordReader<<S as Side<N>>::Record>);
+pub type Paced<S> = (PacedLoop<S>, LiveWatch, RecordReader<<S as Side>::Record>);
 
 /// Prepares the loop of one side; `outputs` get every record, too.
-pub fn paced_by_device<S: Side<N>, const N: usize>(
+pub fn paced_by_device<S: Side>(
     side: S,
     socket: PeerSocket,
     settings: LiveSettings,
     security: Security,
     outputs: RecordOutputs<S::Record>,
-) -> Result<Paced<S, N>, StartError> {
+) -> Result<Paced<S>, StartError> {
     let channel = LiveChannel::start(
         settings.role,
-        (side.exchange().link().layout(), N),
+        side.exchange().link().layout(),
         settings.period_ns,
         security,
     )?;
     let started_ns = settings.started_ns.unwrap_or_else(system::now_ns);
-    let (channels, watch, records, shared) =
+    let (channels, sinks, watch, records, shared) =
         channels(settings.ring, started_ns, socket.local_address()?, outputs);
     let paced = PacedLoop {
-        stage: Stage::Ready(Box::new((side, socket, channel, channels))),
+        stage: Stage::Ready(Box::new((side, sinks, socket, channel, channels))),
         settings,
         shared,
         pace: DevicePace::new(settings.period_ns),
@@ -159,10 +193,10 @@ pub fn paced_by_device<S: Side<N>, const N: usize>(
     Ok((paced, watch, records))
 }
 
-impl<S: Side<N>, const N: usize> PacedLoop<S, N> {
+impl<S: Side> PacedLoop<S> {
     /// One tick: `before` hands the side its sample, `after` takes what it decided. None where the run is over.
     pub fn step<T>(&mut self, before: impl FnOnce(&mut S), after: impl FnOnce(&mut S) -> T) -> Option<T> {
-        let Stage::Running(live_loop) = &mut self.stage else { return None };
+        let Stage::Running(running) = &mut self.stage else { return None };
         if self.shared.must_end() {
             self.shared.stop.store(true, Ordering::Relaxed);
             return None;
@@ -175,9 +209,9 @@ impl<S: Side<N>, const N: usize> PacedLoop<S, N> {
             }
             self.pace.sampled(system::now_ns())
         };
-        before(live_loop.side());
-        match live_loop.step(wake, &self.shared) {
-            ControlFlow::Continue(()) => Some(after(live_loop.side())),
+        before(&mut running.plant.side);
+        match running.step(wake, &self.shared) {
+            ControlFlow::Continue(()) => Some(after(&mut running.plant.side)),
             ControlFlow::Break(()) => {
                 self.shared.stop.store(true, Ordering::Relaxed);
                 None
@@ -207,18 +241,19 @@ pub trait DriverLoop {
     fn end(&mut self) -> Option<Ended>;
 }
 
-impl<S: Side<N>, const N: usize> DriverLoop for PacedLoop<S, N> {
+impl<S: Side> DriverLoop for PacedLoop<S> {
     fn begin(&mut self) -> Result<RealtimeReport, StartError> {
         match std::mem::replace(&mut self.stage, Stage::Over) {
             Stage::Ready(parts) => {
                 let (realtime, kept) = system::prepare(self.settings.realtime);
                 realtime.check(self.settings.realtime.demand)?;
                 (self.realtime, self.kept) = (realtime, Some(kept));
-                let (side, socket, channel, channels) = *parts;
+                let (side, sinks, socket, channel, channels) = *parts;
                 let now_ns = system::now_ns();
                 self.pace.begin(now_ns);
-                let live_loop = LiveLoop::begin(side, socket, channel, self.settings, channels, now_ns);
-                self.stage = Stage::Running(Box::new(live_loop));
+                let plant = RecordedSide::new(side, sinks);
+                let running = Running::begin(plant, socket, channel, self.settings, channels, now_ns);
+                self.stage = Stage::Running(Box::new(running));
             }
             stage => self.stage = stage,
         }
@@ -231,27 +266,27 @@ impl<S: Side<N>, const N: usize> DriverLoop for PacedLoop<S, N> {
     }
 
     fn fail(&mut self, text: &FaultText) {
-        let Stage::Running(live_loop) = &mut self.stage else { return };
+        let Stage::Running(running) = &mut self.stage else { return };
         self.shared.ends.store(true, Ordering::Relaxed);
         for _ in 0..FAILED_TICKS {
             // Anew at each: nobody can mend what is gone.
-            live_loop.side().exchange_mut().device_failed(Some(text));
+            running.plant.side.exchange_mut().device_failed(Some(text));
             // Now, and not when the next sample would have been due: what is reported must not be of the future.
             let wake = self.pace.sampled(system::now_ns());
             let wake = Wake { overshoot_ns: 0, missed: 0, ..wake };
-            if live_loop.step(wake, &self.shared).is_break() {
+            if running.step(wake, &self.shared).is_break() {
                 break;
             }
             system::sleep_until(self.pace.next_ns());
         }
         self.shared.stop.store(true, Ordering::Relaxed);
-        live_loop.announce_end(&self.shared);
+        running.announce_end(&self.shared);
     }
 
     fn announce_end(&mut self) {
-        if let Stage::Running(live_loop) = &mut self.stage {
+        if let Stage::Running(running) = &mut self.stage {
             self.shared.stop.store(true, Ordering::Relaxed);
-            live_loop.announce_end(&self.shared);
+            running.announce_end(&self.shared);
         }
     }
 
@@ -259,14 +294,14 @@ impl<S: Side<N>, const N: usize> DriverLoop for PacedLoop<S, N> {
         self.shared.stop.store(true, Ordering::Relaxed);
         let realtime = self.realtime;
         match std::mem::replace(&mut self.stage, Stage::Over) {
-            Stage::Running(live_loop) => {
-                let (report, flight) = live_loop.end(&self.shared);
+            Stage::Running(running) => {
+                let (report, flight) = running.end(&self.shared);
                 // Locked memory is the process's: it is given back with the run, not with the last who holds the loop.
                 self.kept = None;
                 Some((LoopReport { realtime, ..report }, Some(flight)))
             }
             Stage::Ready(parts) => {
-                let recording = parts.3.records.abandon();
+                let recording = parts.1.abandon();
                 Some((
                     LoopReport { recording, realtime, engaged_ns: u64::MAX, ..LoopReport::default() },
                     None,
@@ -277,7 +312,7 @@ impl<S: Side<N>, const N: usize> DriverLoop for PacedLoop<S, N> {
     }
 }
 
-impl<S: Side<N>, const N: usize> Drop for PacedLoop<S, N> {
+impl<S: Side> Drop for PacedLoop<S> {
     fn drop(&mut self) {
         self.end();
     }

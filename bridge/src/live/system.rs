@@ -4,6 +4,9 @@ use std::{
     fmt,
     fs::{File, OpenOptions},
     io::{self, Write},
+    ops::Range,
+    os::unix::fs::FileExt,
+    ptr,
     sync::{
         Mutex, PoisonError,
         atomic::{AtomicBool, Ordering},
@@ -14,7 +17,8 @@ use std::{
 use haptether_netsim::{ScheduleBefore, schedule_fifo};
 use rustix::{
     io::Errno,
-    mm::{MlockAllFlags, mlockall, munlockall},
+    mm::{MlockAllFlags, mlock, mlockall, munlockall},
+    param::page_size,
     process::{Resource, getrlimit},
     thread::{
         ClockId, CpuSet, clock_nanosleep_absolute, sched_getaffinity, sched_setaffinity,
@@ -218,19 +222,18 @@ pub(super) fn prepare(settings: RealtimeSettings) -> (RealtimeReport, Kept) {
     }
     let schedule = ScheduleBefore::of_this_thread();
     let processors = settings.cpu.and_then(|_| ProcessorsBefore::of_this_thread());
+    // The part of the stack that a tick uses is in use before it is locked.
+    touch_stack(32);
     let memory = LockedMemory::new();
     let awake = keep_awake();
     let report = RealtimeReport {
         locked: Granted::from_errno(
-            memory.as_ref().map(|memory| memory.bytes).map_err(|errno| Some(errno.raw_os_error())),
+            memory.as_ref().map(|memory| memory.bytes).map_err(io::Error::raw_os_error),
         ),
         cpu: settings.cpu.map_or(Granted::NotRequested, |cpu| Granted::from_result(stay_on(cpu))),
         fifo: Granted::from_result(schedule_fifo(settings.priority)),
         wakeful: Granted::from_errno(awake.as_ref().map(|_| ()).map_err(io::Error::raw_os_error)),
     };
-    if memory.is_err() {
-        touch_stack(32);
-    }
     (report, Kept { memory: memory.ok(), awake: awake.ok(), schedule, processors })
 }
 
@@ -284,7 +287,7 @@ fn stay_on(cpu: u16) -> io::Result<u16> {
     if sched_getaffinity(None)? == only { Ok(cpu) } else { Err(io::Error::other("another set")) }
 }
 
-/// Has the pages of the stack that a tick uses there before the first one, where they cannot be locked.
+/// Has the pages of the stack that a tick uses there before the first one.
 #[inline(never)]
 fn touch_stack(pages: u32) -> u8 {
     let page = std::hint::black_box([0_u8; 4096]);
@@ -295,7 +298,7 @@ fn touch_stack(pages: u32) -> u8 {
 /// Loops whose memory is locked: the kernel locks whole processes, not threads.
 static LOCKING: Mutex<usize> = Mutex::new(0);
 
-/// The memory of the process stays where it is, stacks and what is allocated later included.
+/// The memory that the process uses stays where it is, what is mapped later included.
 #[derive(Debug)]
 pub(super) struct LockedMemory {
     /// As the kernel says.
@@ -303,20 +306,98 @@ pub(super) struct LockedMemory {
 }
 
 impl LockedMemory {
-    fn new() -> Result<Self, Errno> {
+    fn new() -> io::Result<Self> {
         let mut locking = LOCKING.lock().unwrap_or_else(PoisonError::into_inner);
-        // The stack of this thread is a mapping like others: this has all its pages there, too.
         // Under a bound, what is allocated later would be refused at some point, and end the process.
         let is_bounded = getrlimit(Resource::Memlock).current.is_some() && !may_lock_all();
-        mlockall(MlockAllFlags::CURRENT)?;
-        if !is_bounded {
-            // Page by page as they are used: else a thread that starts has its whole stack filled first, 3 to 8 ms for
-            // 8 MiB, in which Python's interpreter waits.
-            mlockall(MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT)?;
+        let mut locked = lock_used(is_bounded);
+        if locked.is_ok() && !is_bounded {
+            // Page by page as they are used: a stack is filled at once otherwise, 3 to 8 ms for 8 MiB, in which
+            // Python's interpreter waits.
+            locked = mlockall(MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT).map_err(io::Error::from);
+        }
+        if let Err(error) = locked {
+            if *locking == 0 {
+                let _ = munlockall();
+            }
+            return Err(error);
         }
         *locking += 1;
         Ok(Self { bytes: locked_bytes().unwrap_or(0) })
     }
+}
+
+/// Bytes on both sides of a used page that are locked with it: room for the stack and the heap, and code that runs
+/// for the first time at a fault.
+const MARGIN: usize = 512 << 10;
+
+/// Locks the pages that this process uses, what lies within [`MARGIN`] of them, and all of this library.
+///
+/// `mlockall` fills every mapping instead: 8 MiB for each stack, 32 MiB for each thread of OpenBLAS, and libraries
+/// that are larger than what is used of them. Unless the memory `is_bounded`, a refusal is left out: a thread may have
+/// unmapped it.
+#[allow(unsafe_code)] // locks pages, and neither reads nor writes them
+fn lock_used(is_bounded: bool) -> io::Result<()> {
+    let maps = std::fs::read("/proc/self/maps")?;
+    let maps = String::from_utf8_lossy(&maps);
+    let mappings: Vec<_> = maps.lines().filter_map(Mapping::of_line).collect();
+    let here = lock_used as *const () as usize;
+    let library = mappings.iter().find(|mapping| mapping.addresses.contains(&here)).map(|found| found.file);
+    let (pagemap, page) = (File::open("/proc/self/pagemap")?, page_size());
+    let mut entries = Vec::new();
+    for Mapping { addresses, file } in &mappings {
+        let pages = addresses.len() / page;
+        let locked = if library.as_ref() == Some(file) {
+            vec![0..pages]
+        } else {
+            // 8 bytes a page; the highest two bits: in memory, or paged out.
+            entries.resize(8 * pages, 0);
+            pagemap.read_exact_at(&mut entries, (addresses.start / page * 8) as u64)?;
+            stretches(entries.chunks_exact(8).map(|entry| entry[7] >> 6 != 0), MARGIN / page)
+        };
+        for Range { start, end } in locked {
+            let address = ptr::without_provenance_mut(addresses.start + start * page);
+            // SAFETY: the kernel refuses what is not mapped.
+            let result = unsafe { mlock(address, (end - start) * page) };
+            if is_bounded {
+                result?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A readable mapping of this process.
+struct Mapping<'a> {
+    addresses: Range<usize>,
+    /// Device and inode; zeros of one without a file.
+    file: [&'a str; 2],
+}
+
+impl<'a> Mapping<'a> {
+    /// Of a line of `/proc/self/maps`; none where nobody may read it.
+    fn of_line(line: &'a str) -> Option<Self> {
+        let mut fields = line.split_ascii_whitespace();
+        let (start, end) = fields.next()?.split_once('-')?;
+        let [start, end] = [start, end].map(|address| usize::from_str_radix(address, 16).ok());
+        let is_readable = fields.next()?.starts_with('r');
+        let file = [fields.nth(1)?, fields.next()?];
+        is_readable.then_some(Self { addresses: start?..end?, file })
+    }
+}
+
+/// The pages within `margin` pages of a used one, as ranges that do not touch.
+fn stretches(is_used: impl ExactSizeIterator<Item = bool>, margin: usize) -> Vec<Range<usize>> {
+    let pages = is_used.len();
+    let mut stretches: Vec<Range<usize>> = Vec::new();
+    for (page, _) in is_used.enumerate().filter(|(_, is_used)| *is_used) {
+        let (start, end) = (page.saturating_sub(margin), (page + margin + 1).min(pages));
+        match stretches.last_mut() {
+            Some(last) if start <= last.end => last.end = end,
+            _ => stretches.push(start..end),
+        }
+    }
+    stretches
 }
 
 impl Drop for LockedMemory {
@@ -420,6 +501,32 @@ mod tests {
         let status = std::fs::read_to_string("/proc/self/status").unwrap();
         let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
         line.split_whitespace().next().unwrap().parse::<u64>().unwrap() << 10
+    }
+
+    #[test]
+    fn what_lies_near_a_used_page_is_locked_with_it() {
+        for (used, margin, expected) in [
+            ("........", 1, vec![]),
+            ("#.......", 1, vec![0..2]),
+            (".......#", 1, vec![6..8]),
+            ("..#.....", 0, vec![2..3]),
+            (".#...#..", 1, vec![0..3, 4..7]),
+            (".#..#...", 1, vec![0..6]),
+            ("##....##", 3, vec![0..8]),
+        ] {
+            let found = stretches(used.bytes().map(|page| page == b'#'), margin);
+            assert_eq!(found, expected, "{used} {margin}");
+        }
+    }
+
+    #[test]
+    fn memory_that_nobody_uses_is_not_locked() {
+        const UNUSED: usize = 256 << 20;
+        const USED: usize = 8 << 20;
+        let (unused, used) = (Vec::<u8>::with_capacity(UNUSED), vec![1_u8; USED]);
+        let Ok(memory) = LockedMemory::new() else { return };
+        assert!((USED as u64..(UNUSED as u64) / 2).contains(&memory.bytes), "{}", memory.bytes);
+        drop((memory, unused, used));
     }
 
     #[test]

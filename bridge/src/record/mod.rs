@@ -30,7 +30,7 @@ pub(crate) struct LadderSnapshot {
 const NO_PEER: [u8; 3] = [u8::MAX, 0, 0];
 
 impl LadderSnapshot {
-    pub(crate) fn of<const N: usize>(exchange: &Exchange<N>) -> Self {
+    pub(crate) fn of(exchange: &Exchange) -> Self {
         let reason = exchange.ladder().history().last().map_or(0, |last| last.reason.code());
         // 0 is what the link says before the first.
         let round_trip_ns = match exchange.link().statistics().round_trip_ns {

@@ -308,7 +308,7 @@ pub(super) type Sides<'m, 's, P, A, R, Q, const N: usize> =
     (&'m Timed<MasterSide<P, N, R>>, &'s Timed<SlaveSide<A, N, Q>>);
 
 /// Leaves out what nobody will read.
-fn leave_out<const N: usize>(exchange: &mut Exchange<N>, kept: &Keeping<'_>) {
+fn leave_out(exchange: &mut Exchange, kept: &Keeping<'_>) {
     if kept.files.is_none() {
         exchange.leave_out_flight();
     }
@@ -382,12 +382,12 @@ impl<'a, M: Recorded, S: Recorded> Kept<'a, M, S> {
         })
     }
 
-    fn take<const N: usize>(
+    fn take(
         &mut self,
         event: &Event<'_, M, S>,
         felt: Option<&SafetyTick<1>>,
-        master: &Exchange<N>,
-        slave: &Exchange<N>,
+        master: &Exchange,
+        slave: &Exchange,
     ) {
         match event {
             Event::Master(record) => {
@@ -401,7 +401,7 @@ impl<'a, M: Recorded, S: Recorded> Kept<'a, M, S> {
         }
     }
 
-    fn finish<const N: usize>(self, master: &Exchange<N>, slave: &Exchange<N>) -> Result<(), SceneError> {
+    fn finish(self, master: &Exchange, slave: &Exchange) -> Result<(), SceneError> {
         let Self { files, master: (near, near_ns), slave: (far, far_ns) } = self;
         near.finish(near_ns, master.flight().diagnosis()).map_err(|error| refused(&files.master, &error))?;
         far.finish(far_ns, slave.flight().diagnosis()).map_err(|error| refused(&files.slave, &error))

@@ -75,7 +75,7 @@ impl<P, const N: usize> Timed<SlaveSide<P, N>> {
     }
 }
 
-impl<S: Side<N>, const N: usize> Side<N> for Timed<S> {
+impl<S: Side> Side for Timed<S> {
     type Record = S::Record;
 
     fn begin(&mut self, now_ns: u64) {
@@ -102,11 +102,11 @@ impl<S: Side<N>, const N: usize> Side<N> for Timed<S> {
         self.side.rest();
     }
 
-    fn exchange(&self) -> &Exchange<N> {
+    fn exchange(&self) -> &Exchange {
         self.side.exchange()
     }
 
-    fn exchange_mut(&mut self) -> &mut Exchange<N> {
+    fn exchange_mut(&mut self) -> &mut Exchange {
         self.side.exchange_mut()
     }
 }

@@ -490,8 +490,8 @@ fn turn_release_s<const N: usize>(scene: &SceneSpec<N>) -> Option<f64> {
 }
 
 /// How a loop went, as it is reported live.
-fn report<const N: usize>(
-    exchange: &Exchange<N>,
+fn report(
+    exchange: &Exchange,
     counts: &LoopCounts,
     engaged_ns: u64,
     secure: bool,

@@ -97,10 +97,10 @@ impl SessionSettings {
         }
     }
 
-    /// The same for frames of `axes` axes.
-    pub const fn of_frames(role: Role, layout: FrameLayout, axes: usize, peer_period_ns: u64) -> Self {
-        let settings = Self::new(role, layout.length(axes), peer_period_ns);
-        Self { form: layout.form(axes), ..settings }
+    /// Settings for frames of this layout.
+    pub const fn of_frames(role: Role, layout: FrameLayout, peer_period_ns: u64) -> Self {
+        let settings = Self::new(role, layout.length(), peer_period_ns);
+        Self { form: layout.form(), ..settings }
     }
 
     pub(super) fn check(&self) -> Result<(), SettingsError> {

@@ -128,15 +128,15 @@ fn leader_intervenes<const N: usize>(record: &MasterRecord<N>) -> bool {
 }
 
 /// Where runs stand that have been the same so far.
-struct Start<M: Side<N>, S: Side<N>, const N: usize> {
-    run: Snapshot<M, S, N>,
+struct Start<M: Side, S: Side, const N: usize> {
+    run: Snapshot<M, S>,
     watched: Watched<N>,
     /// Ticks of the master that are not observed yet, in which nobody intervenes.
     unseen: usize,
 }
 
 /// Runs that have been the same so far.
-struct Group<M: Side<N>, S: Side<N>, const N: usize> {
+struct Group<M: Side, S: Side, const N: usize> {
     start: Arc<Start<M, S, N>>,
     /// As far as the master of the snapshot; the first one leads.
     members: Vec<Member<N>>,

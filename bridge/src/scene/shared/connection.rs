@@ -99,8 +99,8 @@ impl Step {
 
 /// A side without hand or arm: its link, its ladder, and who works the clutch of a master.
 #[derive(Clone)]
-pub(super) struct LinkSide<const N: usize> {
-    exchange: Exchange<N>,
+pub(super) struct LinkSide {
+    exchange: Exchange,
     /// None of a slave.
     operator: Option<ClutchOperator>,
     /// Sequence of its first frame and of the peer's.
@@ -112,9 +112,12 @@ pub(super) struct LinkSide<const N: usize> {
     is_withholding: bool,
 }
 
-impl<const N: usize> LinkSide<N> {
+impl LinkSide {
     /// Those of a master and a slave; `scene` is any with that connection.
-    pub(super) fn both(connection: &Connection, scene: &SceneSpec<N>) -> Result<[Self; 2], SceneError> {
+    pub(super) fn both<const N: usize>(
+        connection: &Connection,
+        scene: &SceneSpec<N>,
+    ) -> Result<[Self; 2], SceneError> {
         let mut near = master_endpoint(scene, SESSIONS.0, None)?.exchange;
         if connection.has_buttons {
             near.carry_buttons();
@@ -124,7 +127,7 @@ impl<const N: usize> LinkSide<N> {
         Ok([Self::new(near, Some(operator)), Self::new(far, None)])
     }
 
-    fn new(mut exchange: Exchange<N>, operator: Option<ClutchOperator>) -> Self {
+    fn new(mut exchange: Exchange, operator: Option<ClutchOperator>) -> Self {
         exchange.leave_out_flight();
         exchange.leave_out_path_reports();
         let first = exchange.link().next_sequence();
@@ -152,7 +155,7 @@ impl<const N: usize> LinkSide<N> {
     }
 }
 
-impl<const N: usize> Side<N> for LinkSide<N> {
+impl Side for LinkSide {
     type Record = Step;
 
     fn begin(&mut self, now_ns: u64) {
@@ -173,7 +176,7 @@ impl<const N: usize> Side<N> for LinkSide<N> {
         if withholds {
             self.exchange.withhold(time.clock_ns);
         }
-        let zeros = Axes::zeros();
+        let zeros = Axes::<1>::zeros();
         self.exchange.end_tick(time.clock_ns, [&zeros; 3], || [Observed::NOTHING; LAYERS.len()]);
         self.ticks += 1;
         let (ladder, newest) = (self.exchange.ladder(), self.exchange.link().newest());
@@ -199,11 +202,11 @@ impl<const N: usize> Side<N> for LinkSide<N> {
 
     fn rest(&mut self) {}
 
-    fn exchange(&self) -> &Exchange<N> {
+    fn exchange(&self) -> &Exchange {
         &self.exchange
     }
 
-    fn exchange_mut(&mut self) -> &mut Exchange<N> {
+    fn exchange_mut(&mut self) -> &mut Exchange {
         &mut self.exchange
     }
 }

@@ -39,6 +39,7 @@ use crate::{
     },
     side::{LeadTransition, is_stopped},
     virtual_time::{Ahead, Snapshot},
+    wire::unpadded,
 };
 
 /// The outcomes of scenes of one connection, each as if it were run alone; none of one that is not run here.
@@ -74,11 +75,11 @@ pub(super) fn outcomes<const N: usize>(
 const TICKS_BETWEEN_CHECKPOINTS: usize = 1000;
 
 /// Where link and ladders stand, and how many ticks of the master and the slave were observed by then.
-type Checkpoint<const N: usize> = ([u64; 2], Rc<Snapshot<LinkSide<N>, LinkSide<N>, N>>);
+type Checkpoint = ([u64; 2], Rc<Snapshot<LinkSide, LinkSide>>);
 
 /// A run whose link and ladders have gone another way since its master's tick `tick`.
 struct Branch<P, const N: usize> {
-    checkpoint: Checkpoint<N>,
+    checkpoint: Checkpoint,
     tick: u64,
     follower: Follower<P, N>,
 }
@@ -217,13 +218,13 @@ impl<P: Device<N>, const N: usize> Group<P, N> {
     /// ended or goes another way.
     fn follow(
         &mut self,
-        mut ahead: Ahead<'_, LinkSide<N>, LinkSide<N>, N>,
+        mut ahead: Ahead<'_, LinkSide, LinkSide>,
         mut first: [u64; 2],
         stop: &AtomicBool,
         outcomes: &mut Outcomes,
         branches: &mut Vec<Branch<P, N>>,
     ) -> Result<(), SceneError> {
-        let mut checkpoints = VecDeque::<Checkpoint<N>>::new();
+        let mut checkpoints = VecDeque::<Checkpoint>::new();
         let mut block = Vec::new();
         let mut goes_on = true;
         while goes_on && self.is_running() {
@@ -358,7 +359,7 @@ struct Far<const N: usize> {
     arm: Arm<N>,
     led: LeadTransition,
     commands: Commands,
-    outgoing: PortState<N>,
+    outgoing: PortState,
     sent: History<N>,
     /// The newest tick of the master that it has heard of.
     heard: u64,
@@ -538,7 +539,11 @@ impl<const N: usize> Far<N> {
         let newest = step.newest().map(|tick| near.of(tick));
         self.heard = step.newest().unwrap_or(0);
         let newest =
-            newest.map(|Sent { position, velocity, .. }| MasterState { position, velocity, rotation: None });
+            newest.map(|Sent { position, velocity, .. }| MasterState {
+            position: *position,
+            velocity: *velocity,
+            rotation: None,
+        });
         let input = ArmInput { state: step.state, turns: false, stale_ns: step.stale_ns, newest };
         let tick = self.arm.tick(step.clock_ns, &reading, fault == 0, None, &input, &mut self.outgoing);
         if let Some(rest) = self.led.rest(&mut self.plant, step.state, step.state.is_coupled()) {
@@ -550,10 +555,14 @@ impl<const N: usize> Far<N> {
         if step.state.is_coupled() {
             self.plant.start(step.now_ns);
         }
-        let PortState { position: x, velocity, force, .. } = self.outgoing;
+        let outgoing = &self.outgoing;
         // A fault ends the run.
         if fault == 0 {
-            let sent = Sent { position: x, velocity, force };
+            let sent = Sent {
+                position: unpadded(&outgoing.position),
+                velocity: unpadded(&outgoing.velocity),
+                force: unpadded(&outgoing.force),
+            };
             if !self.sent.push(sent, Signal::EnvironmentForce, peer_heard) {
                 return None;
             }
