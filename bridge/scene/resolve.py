@@ -54,7 +54,8 @@ Spec: TypeAlias = dict[str, Any]
 
 PYTHON_ONLY: dict[type[Struct], frozenset[str]] = {
     Scene: frozenset({"schema", "title", "shows"}),
-    MasterTable: frozenset({"device", "driver", "options"}),
+    RunTable: frozenset({"integrator", "step_s"}),
+    MasterTable: frozenset({"device", "driver", "options", "friction_speed"}),
     RotationLegTable: frozenset({"turn"}),
     SlaveTable: frozenset({"device", "kind", "options"}),
     GripperTable: frozenset({"device", "options"}),
@@ -77,8 +78,6 @@ RELEASE_TRIES = 5
 DEFAULT_EXTRAPOLATION_S = 0.015
 MIN_FADE_IN_S = 0.2
 MAX_LINEAR_AXES = 3
-STEPS_PER_PERIOD = 10
-"""Steps per tick of an integrator whose step is not given."""
 
 
 def spec_of(scene: Scene) -> Spec:
@@ -93,7 +92,7 @@ def spec_of(scene: Scene) -> Spec:
     tables = {
         name: resolved(table, axes, (name,))
         for name, table in {
-            "run": _run(run),
+            "run": run,
             "operator": operator
             and replace(
                 operator,
@@ -192,12 +191,6 @@ def _broadcast_pairs(value: Sequence[Any], axes: int, path: Path) -> list[tuple[
 
 
 # ---------------------------------------------------------------------------------- what depends on other fields
-
-
-def _run(table: RunTable) -> RunTable:
-    if table.integrator == "exact":
-        return replace(table, step_s=None)
-    return replace(table, step_s=table.step_s or table.period_s / STEPS_PER_PERIOD)
 
 
 def _master(table: MasterTable, start: tuple[float, ...] | None) -> MasterTable:

@@ -10,26 +10,23 @@ use std::ops::{
 use nalgebra::{SimdBool, SimdPartialOrd, SimdValue};
 use num_traits::{One, Zero};
 
-/// How many scenarios fill the registers of most processors.
-pub(crate) const NARROW: usize = 8;
-
-/// How many fill those of AVX-512, which are twice as wide and twice as many.
-pub(crate) const WIDE: usize = 16;
+/// How many scenarios stand side by side: two vectors of AVX2.
+pub(crate) const WIDTH: usize = 8;
 
 /// One number of each scenario.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(64))]
-pub(crate) struct Lanes<const WIDTH: usize>([f64; WIDTH]);
+pub(crate) struct Lanes([f64; WIDTH]);
 
 /// One truth of each scenario: 1 or 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(64))]
-pub(crate) struct LaneMask<const WIDTH: usize>([f64; WIDTH]);
+pub(crate) struct LaneMask([f64; WIDTH]);
 
 const TRUE: f64 = 1.0;
 const FALSE: f64 = 0.0;
 
-impl<const WIDTH: usize> Lanes<WIDTH> {
+impl Lanes {
     #[inline(always)]
     fn each(self, f: impl Fn(f64) -> f64) -> Self {
         Self(std::array::from_fn(|lane| f(self.0[lane])))
@@ -41,12 +38,12 @@ impl<const WIDTH: usize> Lanes<WIDTH> {
     }
 
     #[inline(always)]
-    fn compare(self, other: Self, f: impl Fn(f64, f64) -> bool) -> LaneMask<WIDTH> {
+    fn compare(self, other: Self, f: impl Fn(f64, f64) -> bool) -> LaneMask {
         LaneMask(std::array::from_fn(|lane| if f(self.0[lane], other.0[lane]) { TRUE } else { FALSE }))
     }
 }
 
-impl<const WIDTH: usize> LaneMask<WIDTH> {
+impl LaneMask {
     #[inline(always)]
     fn with(self, other: Self, f: impl Fn(f64, f64) -> f64) -> Self {
         Self(std::array::from_fn(|lane| f(self.0[lane], other.0[lane])))
@@ -55,7 +52,7 @@ impl<const WIDTH: usize> LaneMask<WIDTH> {
 
 macro_rules! arithmetic {
     ($(($operator:ident, $method:ident, $assign:ident, $assign_method:ident, $sign:tt)),*) => {$(
-        impl<const WIDTH: usize> $operator for Lanes<WIDTH> {
+        impl $operator for Lanes {
             type Output = Self;
 
             #[inline(always)]
@@ -64,7 +61,7 @@ macro_rules! arithmetic {
             }
         }
 
-        impl<const WIDTH: usize> $assign for Lanes<WIDTH> {
+        impl $assign for Lanes {
             #[inline(always)]
             fn $assign_method(&mut self, other: Self) {
                 *self = *self $sign other;
@@ -80,7 +77,7 @@ arithmetic!(
     (Div, div, DivAssign, div_assign, /)
 );
 
-impl<const WIDTH: usize> Neg for Lanes<WIDTH> {
+impl Neg for Lanes {
     type Output = Self;
 
     #[inline(always)]
@@ -89,7 +86,7 @@ impl<const WIDTH: usize> Neg for Lanes<WIDTH> {
     }
 }
 
-impl<const WIDTH: usize> Zero for Lanes<WIDTH> {
+impl Zero for Lanes {
     #[inline(always)]
     fn zero() -> Self {
         Self([0.0; WIDTH])
@@ -101,7 +98,7 @@ impl<const WIDTH: usize> Zero for Lanes<WIDTH> {
     }
 }
 
-impl<const WIDTH: usize> One for Lanes<WIDTH> {
+impl One for Lanes {
     #[inline(always)]
     fn one() -> Self {
         Self([1.0; WIDTH])
@@ -110,7 +107,7 @@ impl<const WIDTH: usize> One for Lanes<WIDTH> {
 
 macro_rules! logic {
     ($(($operator:ident, $method:ident, $formula:expr)),*) => {$(
-        impl<const WIDTH: usize> $operator for LaneMask<WIDTH> {
+        impl $operator for LaneMask {
             type Output = Self;
 
             #[inline(always)]
@@ -127,7 +124,7 @@ logic!(
     (BitXor, bitxor, |a, b| (a - b) * (a - b))
 );
 
-impl<const WIDTH: usize> Not for LaneMask<WIDTH> {
+impl Not for LaneMask {
     type Output = Self;
 
     #[inline(always)]
@@ -136,7 +133,7 @@ impl<const WIDTH: usize> Not for LaneMask<WIDTH> {
     }
 }
 
-impl<const WIDTH: usize> LaneMask<WIDTH> {
+impl LaneMask {
     /// The bits of each lane, from memory. A question about all lanes at once would otherwise be answered lane by lane,
     /// and with it all that the mask was made of.
     #[inline(always)]
@@ -145,7 +142,7 @@ impl<const WIDTH: usize> LaneMask<WIDTH> {
     }
 }
 
-impl<const WIDTH: usize> SimdBool for LaneMask<WIDTH> {
+impl SimdBool for LaneMask {
     #[inline(always)]
     fn bitmask(self) -> u64 {
         self.0.iter().enumerate().fold(0, |mask, (lane, truth)| mask | u64::from(*truth != FALSE) << lane)
@@ -217,10 +214,10 @@ impl<const WIDTH: usize> SimdBool for LaneMask<WIDTH> {
 }
 
 #[allow(unsafe_code)] // the trait has methods that a caller may only use with a lane that there is
-impl<const WIDTH: usize> SimdValue for Lanes<WIDTH> {
+impl SimdValue for Lanes {
     const LANES: usize = WIDTH;
     type Element = f64;
-    type SimdBool = LaneMask<WIDTH>;
+    type SimdBool = LaneMask;
 
     #[inline(always)]
     fn splat(value: f64) -> Self {
@@ -248,13 +245,13 @@ impl<const WIDTH: usize> SimdValue for Lanes<WIDTH> {
     }
 
     #[inline(always)]
-    fn select(self, mask: LaneMask<WIDTH>, other: Self) -> Self {
+    fn select(self, mask: LaneMask, other: Self) -> Self {
         Self(std::array::from_fn(|lane| if mask.0[lane] == FALSE { other.0[lane] } else { self.0[lane] }))
     }
 }
 
 #[allow(unsafe_code)] // as above
-impl<const WIDTH: usize> SimdValue for LaneMask<WIDTH> {
+impl SimdValue for LaneMask {
     const LANES: usize = WIDTH;
     type Element = bool;
     type SimdBool = Self;
@@ -290,35 +287,35 @@ impl<const WIDTH: usize> SimdValue for LaneMask<WIDTH> {
     }
 }
 
-impl<const WIDTH: usize> SimdPartialOrd for Lanes<WIDTH> {
+impl SimdPartialOrd for Lanes {
     #[inline(always)]
-    fn simd_gt(self, other: Self) -> LaneMask<WIDTH> {
+    fn simd_gt(self, other: Self) -> LaneMask {
         self.compare(other, |a, b| a > b)
     }
 
     #[inline(always)]
-    fn simd_lt(self, other: Self) -> LaneMask<WIDTH> {
+    fn simd_lt(self, other: Self) -> LaneMask {
         self.compare(other, |a, b| a < b)
     }
 
     #[inline(always)]
-    fn simd_ge(self, other: Self) -> LaneMask<WIDTH> {
+    fn simd_ge(self, other: Self) -> LaneMask {
         self.compare(other, |a, b| a >= b)
     }
 
     #[inline(always)]
-    fn simd_le(self, other: Self) -> LaneMask<WIDTH> {
+    fn simd_le(self, other: Self) -> LaneMask {
         self.compare(other, |a, b| a <= b)
     }
 
     #[inline(always)]
     #[allow(clippy::float_cmp)] // lane-wise equality is what is needed
-    fn simd_eq(self, other: Self) -> LaneMask<WIDTH> {
+    fn simd_eq(self, other: Self) -> LaneMask {
         self.compare(other, |a, b| a == b)
     }
 
     #[inline(always)]
-    fn simd_ne(self, other: Self) -> LaneMask<WIDTH> {
+    fn simd_ne(self, other: Self) -> LaneMask {
         self.compare(other, |a, b| a != b)
     }
 
@@ -354,7 +351,7 @@ impl<const WIDTH: usize> SimdPartialOrd for Lanes<WIDTH> {
     }
 }
 
-impl<const WIDTH: usize> haptether_safety::Real for Lanes<WIDTH> {
+impl haptether_safety::Real for Lanes {
     #[inline(always)]
     fn root(self) -> Self {
         self.each(f64::sqrt)
@@ -376,7 +373,7 @@ impl<const WIDTH: usize> haptether_safety::Real for Lanes<WIDTH> {
     }
 }
 
-impl<const WIDTH: usize> haptether_master::Real for Lanes<WIDTH> {
+impl haptether_master::Real for Lanes {
     #[inline(always)]
     fn root(self) -> Self {
         self.each(f64::sqrt)
@@ -393,7 +390,7 @@ impl<const WIDTH: usize> haptether_master::Real for Lanes<WIDTH> {
     }
 }
 
-impl<const WIDTH: usize> haptether_slave::Real for Lanes<WIDTH> {
+impl haptether_slave::Real for Lanes {
     #[inline(always)]
     fn root(self) -> Self {
         self.each(f64::sqrt)
@@ -437,60 +434,49 @@ mod tests {
         ]
     }
 
-    fn same<const WIDTH: usize>(lanes: Lanes<WIDTH>, lane: usize, single: f64) -> bool {
+    fn same(lanes: Lanes, lane: usize, single: f64) -> bool {
         lanes.extract(lane).to_bits() == single.to_bits() || (lanes.extract(lane).is_nan() && single.is_nan())
     }
 
-    /// Every operation is, lane by lane, the operation on `f64`.
-    fn lanes_are_numbers<const WIDTH: usize>(
-        a: [f64; WIDTH],
-        b: [f64; WIDTH],
-        m: [bool; WIDTH],
-    ) -> Result<(), TestCaseError> {
-        let (x, y) = (Lanes(a), Lanes(b));
-        let mut mask = LaneMask::splat(false);
-        for (lane, set) in m.iter().enumerate() {
-            mask.replace(lane, *set);
-        }
-        prop_assert_eq!(mask.any(), m.contains(&true));
-        prop_assert_eq!(mask.all(), !m.contains(&false));
-        prop_assert_eq!(mask.none(), !m.contains(&true));
-        for lane in 0..WIDTH {
-            let (p, q) = (a[lane], b[lane]);
-            prop_assert!(same(x + y, lane, p + q) && same(x - y, lane, p - q));
-            prop_assert!(same(x * y, lane, p * q) && same(x / y, lane, p / q));
-            prop_assert!(same(-x, lane, -p) && same(haptether_safety::Real::magnitude(x), lane, p.abs()));
-            prop_assert!(same(haptether_safety::Real::root(x), lane, p.sqrt()));
-            prop_assert!(same(haptether_master::Real::rounded(x), lane, p.round()));
-            prop_assert!(same(x.simd_max(y), lane, p.simd_max(q)));
-            prop_assert!(same(x.simd_min(y), lane, p.simd_min(q)));
-            prop_assert!(same(x.select(mask, y), lane, p.select(m[lane], q)));
-            let most = haptether_safety::Real::magnitude(y);
-            prop_assert!(same(x.simd_clamp(-most, most), lane, p.simd_clamp(-q.abs(), q.abs())));
-            prop_assert_eq!(x.simd_lt(y).extract(lane), p < q);
-            prop_assert_eq!(x.simd_le(y).extract(lane), p <= q);
-            prop_assert_eq!(x.simd_gt(y).extract(lane), p > q);
-            prop_assert_eq!(x.simd_ge(y).extract(lane), p >= q);
-            prop_assert_eq!(x.simd_eq(y).extract(lane), p == q);
-            prop_assert_eq!(x.simd_ne(y).extract(lane), p != q);
-            prop_assert_eq!((x.simd_lt(y) | mask).extract(lane), p < q || m[lane]);
-            let is_less = p < q;
-            prop_assert_eq!((!x.simd_lt(y) & mask).extract(lane), !is_less && m[lane]);
-            prop_assert_eq!(mask.bitmask() >> lane & 1 == 1, m[lane]);
-        }
-        Ok(())
-    }
-
     proptest! {
+        /// Every operation is, lane by lane, the operation on `f64`.
         #[test]
         fn a_lane_is_a_number(
-            a in prop::array::uniform::<_, WIDE>(any_number()),
-            b in prop::array::uniform::<_, WIDE>(any_number()),
-            m in prop::array::uniform::<_, WIDE>(any::<bool>()),
+            a in prop::array::uniform::<_, WIDTH>(any_number()),
+            b in prop::array::uniform::<_, WIDTH>(any_number()),
+            m in prop::array::uniform::<_, WIDTH>(any::<bool>()),
         ) {
-            lanes_are_numbers::<WIDE>(a, b, m)?;
-            let [some, other] = [a, b].map(|of| std::array::from_fn(|lane| of[lane]));
-            lanes_are_numbers::<NARROW>(some, other, std::array::from_fn(|lane| m[lane]))?;
+            let (x, y) = (Lanes(a), Lanes(b));
+            let mut mask = LaneMask::splat(false);
+            for (lane, set) in m.iter().enumerate() {
+                mask.replace(lane, *set);
+            }
+            prop_assert_eq!(mask.any(), m.contains(&true));
+            prop_assert_eq!(mask.all(), !m.contains(&false));
+            prop_assert_eq!(mask.none(), !m.contains(&true));
+            for lane in 0..WIDTH {
+                let (p, q) = (a[lane], b[lane]);
+                prop_assert!(same(x + y, lane, p + q) && same(x - y, lane, p - q));
+                prop_assert!(same(x * y, lane, p * q) && same(x / y, lane, p / q));
+                prop_assert!(same(-x, lane, -p) && same(haptether_safety::Real::magnitude(x), lane, p.abs()));
+                prop_assert!(same(haptether_safety::Real::root(x), lane, p.sqrt()));
+                prop_assert!(same(haptether_master::Real::rounded(x), lane, p.round()));
+                prop_assert!(same(x.simd_max(y), lane, p.simd_max(q)));
+                prop_assert!(same(x.simd_min(y), lane, p.simd_min(q)));
+                prop_assert!(same(x.select(mask, y), lane, p.select(m[lane], q)));
+                let most = haptether_safety::Real::magnitude(y);
+                prop_assert!(same(x.simd_clamp(-most, most), lane, p.simd_clamp(-q.abs(), q.abs())));
+                prop_assert_eq!(x.simd_lt(y).extract(lane), p < q);
+                prop_assert_eq!(x.simd_le(y).extract(lane), p <= q);
+                prop_assert_eq!(x.simd_gt(y).extract(lane), p > q);
+                prop_assert_eq!(x.simd_ge(y).extract(lane), p >= q);
+                prop_assert_eq!(x.simd_eq(y).extract(lane), p == q);
+                prop_assert_eq!(x.simd_ne(y).extract(lane), p != q);
+                prop_assert_eq!((x.simd_lt(y) | mask).extract(lane), p < q || m[lane]);
+                let is_less = p < q;
+                prop_assert_eq!((!x.simd_lt(y) & mask).extract(lane), !is_less && m[lane]);
+                prop_assert_eq!(mask.bitmask() >> lane & 1 == 1, m[lane]);
+            }
         }
     }
 }

@@ -48,9 +48,7 @@ pub use ladder::{
     PeerCause, PeerFrame, PeerReport, Reason, Remedy, Step, Transition,
 };
 pub use link::{FrameLink, LinkStatistics, LinkTime, PortState, RejectReason, Status};
-pub use local::{
-    DelayLine, LocalLoop, LocalTick, Rendering, SceneRendering, TrueWatch, Watch, Watched, Watcher,
-};
+pub use local::{DelayLine, LocalLoop, LocalTick, Rendering, SceneRendering, TrueWatch, Watch, Watched};
 pub use pace::TickTime;
 pub use path::{PathReport, PeerPath};
 pub use plant::{MasterPlant, ModelArm, ModelPlant, RotationTruth, SlavePlant, Truth, TurningMaster};

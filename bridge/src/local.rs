@@ -1,61 +1,56 @@
 //! The loop without a network: device, hand and a force that is rendered on the spot.
 
-use haptether_master::SteppedMaster;
 use haptether_safety::{
-    Axes, Limiter, Observation, Real, SafetyLayer,
+    Axes, Limiter, Observation, SafetyLayer,
     controller::{Response, SafetyController},
 };
 use haptether_slave::{Environment, RenderedWalls};
-use nalgebra::SimdValue as _;
 
 use crate::plant::{ModelPlant, Truth};
 
 /// One tick of the loop.
 #[derive(Clone, Copy, Debug)]
-pub struct LocalTick<const N: usize, S: Real = f64> {
+pub struct LocalTick<const N: usize> {
     /// True position in m.
-    pub position: Axes<N, S>,
+    pub position: Axes<N>,
     /// True velocity in m/s.
-    pub velocity: Axes<N, S>,
+    pub velocity: Axes<N>,
     /// True force of the hand in N.
-    pub hand_force: Axes<N, S>,
+    pub hand_force: Axes<N>,
     /// Force in N of walls that act on the device at every instant.
-    pub wall_force: Axes<N, S>,
+    pub wall_force: Axes<N>,
     /// `F_v` in N, as requested.
-    pub requested_force: Axes<N, S>,
+    pub requested_force: Axes<N>,
     /// `F_v` in N, as far as the device can render it.
-    pub rendered_force: Axes<N, S>,
+    pub rendered_force: Axes<N>,
     /// `F_h` in N, as the observers saw it.
-    pub grasp_force: Axes<N, S>,
+    pub grasp_force: Axes<N>,
     /// `F_device` in N.
-    pub device_force: Axes<N, S>,
+    pub device_force: Axes<N>,
     /// `F_c` and what the observers said.
-    pub response: Response<N, S>,
+    pub response: Response<N>,
 }
 
 /// Device and hand under a force rendered at the servo rate and held over each tick, watched by the safety layer.
-///
-/// Generic over the scalar: with a lane type each lane is a scenario of its own.
 #[derive(Clone, Debug)]
-pub struct LocalLoop<P, R, W, const N: usize, S: Real = f64> {
+pub struct LocalLoop<P, R, const N: usize> {
     plant: P,
     rendering: R,
-    delay: DelayLine<N, S>,
-    watch: W,
+    delay: DelayLine<N>,
+    watch: Watch<N>,
     period_ns: u64,
     period_s: f64,
     tick: u64,
-    last_position: Axes<N, S>,
+    last_position: Axes<N>,
 }
 
-impl<P, R, W, const N: usize, S: Real> LocalLoop<P, R, W, N, S>
+impl<P, R, const N: usize> LocalLoop<P, R, N>
 where
-    P: ModelPlant<N, S>,
-    R: Rendering<N, S>,
-    W: Watcher<N, S>,
+    P: ModelPlant<N>,
+    R: Rendering<N>,
 {
     /// A loop at time 0 with a period of `period_ns`; what is rendered acts `delay` ticks late.
-    pub fn new(mut plant: P, rendering: R, delay: DelayLine<N, S>, watch: W, period_ns: u64) -> Self {
+    pub fn new(mut plant: P, rendering: R, delay: DelayLine<N>, watch: Watch<N>, period_ns: u64) -> Self {
         let (last_position, _) = plant.read(0);
         let period_s = period_ns as f64 * 1e-9;
         Self { plant, rendering, delay, watch, period_ns, period_s, tick: 0, last_position }
@@ -72,22 +67,20 @@ where
     }
 
     /// Time of the next tick in s.
-    #[inline(always)]
     pub fn time_s(&self) -> f64 {
         // The number nearest to the time: a product of seconds lies a rounding beside the times that a scene names.
         (self.tick * self.period_ns) as f64 / 1e9
     }
 
     /// One tick.
-    #[inline(always)]
-    pub fn step(&mut self) -> LocalTick<N, S> {
+    pub fn step(&mut self) -> LocalTick<N> {
         let time_s = self.time_s();
         let (position, measured_velocity) = self.plant.read(self.tick * self.period_ns);
         self.tick += 1;
         let mut velocity = Axes::zeros();
         if self.rendering.needs_velocity() {
             // What a servo loop has of V when it renders damping.
-            velocity = (position - self.last_position) / S::splat(self.period_s);
+            velocity = (position - self.last_position) / self.period_s;
             self.last_position = position;
         }
         let now = self.rendering.force(time_s, self.period_s, &position, &velocity);
@@ -109,50 +102,14 @@ where
     }
 }
 
-/// Scenarios side by side, watched by those that `watch` gathers; none if they differ in what lanes must share.
-pub(crate) fn gather<W, const N: usize, S: Real + haptether_master::Real + haptether_slave::Real>(
-    of: &[&LocalLoop<SteppedMaster<N>, RenderedWalls<N>, Watch<N>, N>],
-    watch: impl FnOnce(&[&Watch<N>]) -> Option<W>,
-) -> Option<LocalLoop<SteppedMaster<N, S>, RenderedWalls<N, S>, W, N, S>> {
-    let first = of.first()?;
-    if of.iter().any(|one| (one.period_ns, one.tick) != (first.period_ns, first.tick)) {
-        return None;
-    }
-    let watches: Vec<_> = of.iter().map(|one| &one.watch).collect();
-    let watch = watch(&watches)?;
-    let plants: Vec<_> = of.iter().map(|one| &one.plant).collect();
-    let renderings: Vec<_> = of.iter().map(|one| &one.rendering).collect();
-    let delays: Vec<_> = of.iter().map(|one| &one.delay).collect();
-    let mut last_position = Axes::<N, S>::zeros();
-    for (lane, one) in of.iter().enumerate() {
-        last_position.replace(lane, one.last_position);
-    }
-    Some(LocalLoop {
-        plant: SteppedMaster::gather(&plants)?,
-        rendering: RenderedWalls::gather(&renderings)?,
-        delay: DelayLine::gather(&delays)?,
-        watch,
-        period_ns: first.period_ns,
-        period_s: first.period_s,
-        tick: first.tick,
-        last_position,
-    })
-}
-
 /// A force field that a servo loop samples.
-pub trait Rendering<const N: usize, S: Real> {
+pub trait Rendering<const N: usize> {
     /// Whether any of it depends on the velocity.
     fn needs_velocity(&self) -> bool;
 
     /// The force in N at time t in s, for the position in m and the velocity in m/s that the loop knows; it then acts
     /// for `period_s`.
-    fn force(
-        &mut self,
-        time_s: f64,
-        period_s: f64,
-        position: &Axes<N, S>,
-        velocity: &Axes<N, S>,
-    ) -> Axes<N, S>;
+    fn force(&mut self, time_s: f64, period_s: f64, position: &Axes<N>, velocity: &Axes<N>) -> Axes<N>;
 
     /// Steps of free bodies that were too stiff to be followed to the accuracy of the others.
     fn coarse_steps(&self) -> u64 {
@@ -178,14 +135,12 @@ impl<const N: usize> Surfaces<N> for SceneRendering<N> {
     }
 }
 
-impl<const N: usize, S: Real + haptether_slave::Real> Rendering<N, S> for RenderedWalls<N, S> {
-    #[inline(always)]
+impl<const N: usize> Rendering<N> for RenderedWalls<N> {
     fn needs_velocity(&self) -> bool {
         self.is_damped()
     }
 
-    #[inline(always)]
-    fn force(&mut self, time_s: f64, _: f64, position: &Axes<N, S>, velocity: &Axes<N, S>) -> Axes<N, S> {
+    fn force(&mut self, time_s: f64, _: f64, position: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
         RenderedWalls::force(self, time_s, position, velocity)
     }
 }
@@ -194,7 +149,7 @@ impl<const N: usize, S: Real + haptether_slave::Real> Rendering<N, S> for Render
 #[derive(Clone, Debug)]
 pub struct SceneRendering<const N: usize>(pub Environment<N>);
 
-impl<const N: usize> Rendering<N, f64> for SceneRendering<N> {
+impl<const N: usize> Rendering<N> for SceneRendering<N> {
     fn needs_velocity(&self) -> bool {
         true
     }
@@ -210,133 +165,72 @@ impl<const N: usize> Rendering<N, f64> for SceneRendering<N> {
     }
 }
 
-/// Observers and controllers of a loop.
-pub trait Watcher<const N: usize, S: Real = f64> {
-    /// One tick: `position` in m and, from a device that measures it, `velocity` in m/s; `requested_force` in N.
-    fn step(
-        &mut self,
-        plant: &impl ModelPlant<N, S>,
-        position: &Axes<N, S>,
-        velocity: Option<&Axes<N, S>>,
-        requested_force: &Axes<N, S>,
-    ) -> Watched<N, S>;
-}
-
 /// Observers and controllers that see what the scene says.
 #[derive(Clone, Debug)]
-pub enum Watch<const N: usize, S: Real = f64> {
+pub enum Watch<const N: usize> {
     /// What the estimator makes of the measured positions, as live.
-    Estimated(Box<SafetyLayer<N, S>>),
+    Estimated(Box<SafetyLayer<N>>),
     /// The truth.
-    True(TrueWatch<N, S>),
+    True(Box<TrueWatch<N>>),
 }
 
 /// Observers and controllers that see the model's own velocity and force of the hand, for studies that leave estimation
 /// out.
 #[derive(Clone, Debug)]
-pub struct TrueWatch<const N: usize, S: Real = f64> {
+pub struct TrueWatch<const N: usize> {
     /// Observers and controllers.
-    pub controller: SafetyController<N, S>,
+    pub controller: SafetyController<N>,
     /// Bounds on the force, before the observers and after the controllers as in the layer; none where a study switches
     /// them off.
-    pub limiters: Option<[Limiter<N, S>; 2]>,
+    pub limiters: Option<[Limiter<N>; 2]>,
 }
 
 /// What was seen and decided at one tick.
 #[derive(Clone, Copy, Debug)]
-pub struct Watched<const N: usize, S: Real = f64> {
+pub struct Watched<const N: usize> {
     /// `F_v` in N as far as it can be rendered.
-    pub rendered_force: Axes<N, S>,
+    pub rendered_force: Axes<N>,
     /// `F_h` in N as the observers saw it.
-    pub grasp_force: Axes<N, S>,
+    pub grasp_force: Axes<N>,
     /// `F_device` in N.
-    pub device_force: Axes<N, S>,
+    pub device_force: Axes<N>,
     /// `F_c` and what the observers said.
-    pub response: Response<N, S>,
+    pub response: Response<N>,
 }
 
-/// Layers side by side; none if not all of these are layers, or are built differently.
-pub(crate) fn gather_estimated<const N: usize, S: Real>(of: &[&Watch<N>]) -> Option<Box<SafetyLayer<N, S>>> {
-    let layers: Vec<_> = of
-        .iter()
-        .map(|one| match one {
-            Watch::Estimated(layer) => Some(&**layer),
-            Watch::True(_) => None,
-        })
-        .collect::<Option<_>>()?;
-    SafetyLayer::gather(&layers).map(Box::new)
-}
-
-/// Those that see the truth side by side; none if not all of these do, or are built differently.
-pub(crate) fn gather_true<const N: usize, S: Real>(of: &[&Watch<N>]) -> Option<TrueWatch<N, S>> {
-    let watches: Vec<_> = of
-        .iter()
-        .map(|one| match one {
-            Watch::Estimated(_) => None,
-            Watch::True(watch) => Some(watch),
-        })
-        .collect::<Option<_>>()?;
-    let controllers: Vec<_> = watches.iter().map(|one| &one.controller).collect();
-    let bounds: Vec<_> = watches.iter().filter_map(|one| one.limiters.as_ref()).collect();
-    let limiter = |side: usize| {
-        let limiters: Vec<_> = bounds.iter().map(|limiters| &limiters[side]).collect();
-        Limiter::gather(&limiters)
-    };
-    let limiters = if bounds.is_empty() { None } else { Some([limiter(0)?, limiter(1)?]) };
-    Some(TrueWatch { controller: SafetyController::gather(&controllers)?, limiters })
-}
-
-impl<const N: usize, S: Real> Watcher<N, S> for Watch<N, S> {
-    #[inline(always)]
+impl<const N: usize> Watch<N> {
+    /// One tick: `position` in m and, from a device that measures it, `velocity` in m/s; `requested_force` in N.
     fn step(
         &mut self,
-        plant: &impl ModelPlant<N, S>,
-        position: &Axes<N, S>,
-        velocity: Option<&Axes<N, S>>,
-        requested_force: &Axes<N, S>,
-    ) -> Watched<N, S> {
+        plant: &impl ModelPlant<N>,
+        position: &Axes<N>,
+        velocity: Option<&Axes<N>>,
+        requested_force: &Axes<N>,
+    ) -> Watched<N> {
         match self {
-            Self::Estimated(layer) => layer.step(plant, position, velocity, requested_force),
-            Self::True(watch) => watch.step(plant, position, velocity, requested_force),
+            Self::Estimated(layer) => {
+                let tick = layer.advance(position, velocity, requested_force, 1.0);
+                Watched {
+                    rendered_force: tick.rendered_force,
+                    grasp_force: tick.grasp_force,
+                    device_force: tick.device_force,
+                    response: tick.response,
+                }
+            }
+            Self::True(watch) => watch.step(&plant.state(), requested_force),
         }
     }
 }
 
-impl<const N: usize, S: Real> Watcher<N, S> for Box<SafetyLayer<N, S>> {
-    #[inline(always)]
-    fn step(
-        &mut self,
-        _: &impl ModelPlant<N, S>,
-        position: &Axes<N, S>,
-        velocity: Option<&Axes<N, S>>,
-        requested_force: &Axes<N, S>,
-    ) -> Watched<N, S> {
-        let tick = self.advance(position, velocity, requested_force, S::splat(1.0));
-        Watched {
-            rendered_force: tick.rendered_force,
-            grasp_force: tick.grasp_force,
-            device_force: tick.device_force,
-            response: tick.response,
-        }
-    }
-}
-
-impl<const N: usize, S: Real> Watcher<N, S> for TrueWatch<N, S> {
-    #[inline(always)]
-    fn step(
-        &mut self,
-        plant: &impl ModelPlant<N, S>,
-        _: &Axes<N, S>,
-        _: Option<&Axes<N, S>>,
-        requested_force: &Axes<N, S>,
-    ) -> Watched<N, S> {
-        let Truth { velocity, hand_force: grasp_force, .. } = plant.state();
+impl<const N: usize> TrueWatch<N> {
+    fn step(&mut self, truth: &Truth<N>, requested_force: &Axes<N>) -> Watched<N> {
+        let Truth { velocity, hand_force: grasp_force, .. } = *truth;
         let rendered_force = match &mut self.limiters {
             Some([rendering, _]) => rendering.limit(requested_force, &Axes::zeros()).force,
             None => *requested_force,
         };
         let seen = Observation::exact(velocity, rendered_force, grasp_force);
-        let response = self.controller.respond(&seen, S::splat(1.0));
+        let response = self.controller.respond(&seen, 1.0);
         let sum = rendered_force + response.safety_force;
         let device_force = match &mut self.limiters {
             Some([_, limiter]) => limiter.limit(&sum, &velocity).force,
@@ -348,26 +242,19 @@ impl<const N: usize, S: Real> Watcher<N, S> for TrueWatch<N, S> {
 
 /// A line of `ticks` values: what goes in comes out so many ticks later; before that, nothing.
 #[derive(Clone, Debug, PartialEq)]
-pub struct DelayLine<const N: usize, S: Real = f64> {
-    under_way: Box<[Axes<N, S>]>,
+pub struct DelayLine<const N: usize> {
+    under_way: Box<[Axes<N>]>,
     next: usize,
 }
 
-impl<const N: usize, S: Real> DelayLine<N, S> {
-    /// Lines side by side, before their first tick; none if their lengths differ.
-    pub(crate) fn gather(of: &[&DelayLine<N>]) -> Option<Self> {
-        let ticks = of.first()?.under_way.len();
-        of.iter().all(|one| one.under_way.len() == ticks).then(|| Self::new(ticks))
-    }
-
+impl<const N: usize> DelayLine<N> {
     /// A line of that many ticks; 0 passes at once.
     pub fn new(ticks: usize) -> Self {
         Self { under_way: vec![Axes::zeros(); ticks].into_boxed_slice(), next: 0 }
     }
 
     /// Puts one in and takes one out.
-    #[inline(always)]
-    pub fn pass(&mut self, force: Axes<N, S>) -> Axes<N, S> {
+    pub fn pass(&mut self, force: Axes<N>) -> Axes<N> {
         let Some(slot) = self.under_way.get_mut(self.next) else { return force };
         let out = std::mem::replace(slot, force);
         self.next = if self.next + 1 == self.under_way.len() { 0 } else { self.next + 1 };

@@ -1,22 +1,22 @@
 //! What a runner drives: a device on one side, an arm on the other, each along N axes.
 
-use haptether_master::{MasterLanes, RotationSample, SimulatedMaster, SimulatedRotation, SteppedMaster};
+use haptether_master::{RotationSample, SimulatedMaster, SimulatedRotation};
 use haptether_safety::{Axes, Real};
 use haptether_slave::{GripperSample, SimulatedSlave, SimulatedTool};
 use nalgebra::UnitQuaternion;
 
-use crate::{buttons::ButtonWord, coupling::RotationState, lanes::padded};
+use crate::{buttons::ButtonWord, coupling::RotationState};
 
-/// A master device as a runner sees it; time is an argument. With a lane type each lane is a device of its own.
-pub trait MasterPlant<const N: usize, S: Real = f64> {
+/// A master device as a runner sees it; time is an argument.
+pub trait MasterPlant<const N: usize> {
     /// Time begins at `now_ns`; called once, before the first read.
     fn begin(&mut self, _now_ns: u64) {}
 
     /// Position in m at `now_ns` and, if the device measures it, velocity in m/s.
-    fn read(&mut self, now_ns: u64) -> (Axes<N, S>, Option<Axes<N, S>>);
+    fn read(&mut self, now_ns: u64) -> (Axes<N>, Option<Axes<N>>);
 
     /// Exerts `force` in N from now on.
-    fn write(&mut self, force: &Axes<N, S>);
+    fn write(&mut self, force: &Axes<N>);
 
     /// Whether the clutch of the device is pressed; none if it has no button.
     fn clutch(&self) -> Option<bool> {
@@ -32,7 +32,7 @@ pub trait MasterPlant<const N: usize, S: Real = f64> {
     fn engaged(&mut self) {}
 
     /// What no sensor measures, where the plant is a model.
-    fn truth(&self) -> Option<Truth<N, S>> {
+    fn truth(&self) -> Option<Truth<N>> {
         None
     }
 
@@ -73,36 +73,12 @@ pub struct Truth<const N: usize, S: Real = f64> {
 }
 
 /// A model of a device and its hand.
-pub trait ModelPlant<const N: usize, S: Real = f64>: MasterPlant<N, S> {
+pub trait ModelPlant<const N: usize>: MasterPlant<N> {
     /// What no sensor measures.
-    fn state(&self) -> Truth<N, S>;
+    fn state(&self) -> Truth<N>;
 
     /// True force in N of walls that act on the device by themselves.
-    fn wall_force(&self) -> Axes<N, S>;
-}
-
-/// Models of devices and hands side by side, in lanes. What is said of lanes without a bit in `lanes` is of no interest.
-pub(crate) trait PlantLanes<const N: usize, S: Real> {
-    /// Positions in m at `now_ns` and, if the devices measure them, velocities in m/s, of these lanes.
-    fn read(&mut self, lanes: u64, now_ns: u64) -> (Axes<N, S>, Option<Axes<N, S>>);
-
-    /// What no sensor measures, as of the last read.
-    fn state(&self) -> Truth<N, S>;
-
-    /// Those of these lanes exert `force` in N from now on.
-    fn write(&mut self, lanes: u64, force: &Axes<N, S>);
-
-    /// The two sides have engaged, in all lanes.
-    fn engaged(&mut self);
-}
-
-/// A model of a device and its hand of which several may stand side by side.
-pub(crate) trait SideBySide<const N: usize, S: Real>: ModelPlant<N> + Sized {
-    /// Several of them.
-    type Lanes: PlantLanes<N, S>;
-
-    /// Those of as many lanes or fewer before their first read; None where they differ in more than numbers.
-    fn side_by_side(of: Vec<Self>) -> Option<Self::Lanes>;
+    fn wall_force(&self) -> Axes<N>;
 }
 
 /// A slave arm as a runner sees it; time is an argument.
@@ -280,104 +256,6 @@ impl<const N: usize> ModelPlant<N> for SimulatedMaster<N> {
 
     fn wall_force(&self) -> Axes<N> {
         SimulatedMaster::wall_force(self)
-    }
-}
-
-impl<const N: usize, S: Real + haptether_master::Real> MasterPlant<N, S> for SteppedMaster<N, S> {
-    fn begin(&mut self, now_ns: u64) {
-        SteppedMaster::begin(self, now_ns);
-    }
-
-    #[inline(always)]
-    fn read(&mut self, now_ns: u64) -> (Axes<N, S>, Option<Axes<N, S>>) {
-        self.advance(now_ns);
-        (self.measured_position(), self.measured_velocity())
-    }
-
-    #[inline(always)]
-    fn write(&mut self, force: &Axes<N, S>) {
-        SteppedMaster::write(self, force);
-    }
-
-    fn engaged(&mut self) {
-        self.set_waiting(false);
-    }
-
-    fn truth(&self) -> Option<Truth<N, S>> {
-        Some(ModelPlant::state(self))
-    }
-}
-
-impl<const N: usize, S: Real + haptether_master::Real> ModelPlant<N, S> for SteppedMaster<N, S> {
-    #[inline(always)]
-    fn state(&self) -> Truth<N, S> {
-        Truth { position: *self.position(), velocity: *self.velocity(), hand_force: *self.hand_force() }
-    }
-
-    #[inline(always)]
-    fn wall_force(&self) -> Axes<N, S> {
-        SteppedMaster::wall_force(self)
-    }
-}
-
-impl<const N: usize, S: Real + haptether_master::Real> SideBySide<N, S> for SimulatedMaster<N> {
-    type Lanes = MasterLanes<N, S>;
-
-    fn side_by_side(of: Vec<Self>) -> Option<Self::Lanes> {
-        MasterLanes::new(of)
-    }
-}
-
-impl<const N: usize, S: Real + haptether_master::Real> PlantLanes<N, S> for MasterLanes<N, S> {
-    #[inline(always)]
-    fn read(&mut self, lanes: u64, now_ns: u64) -> (Axes<N, S>, Option<Axes<N, S>>) {
-        let sample = MasterLanes::read(self, lanes, now_ns);
-        (sample.position, sample.velocity)
-    }
-
-    #[inline(always)]
-    fn state(&self) -> Truth<N, S> {
-        Truth { position: *self.position(), velocity: *self.velocity(), hand_force: *self.hand_force() }
-    }
-
-    #[inline(always)]
-    fn write(&mut self, lanes: u64, force: &Axes<N, S>) {
-        MasterLanes::write(self, lanes, force);
-    }
-
-    #[inline(always)]
-    fn engaged(&mut self) {
-        self.set_waiting(false);
-    }
-}
-
-impl<const N: usize, S: Real + haptether_master::Real> SideBySide<N, S> for SteppedMaster<N> {
-    type Lanes = SteppedMaster<N, S>;
-
-    fn side_by_side(of: Vec<Self>) -> Option<Self::Lanes> {
-        SteppedMaster::gather(&padded(&of, S::LANES).collect::<Vec<_>>())
-    }
-}
-
-impl<const N: usize, S: Real + haptether_master::Real> PlantLanes<N, S> for SteppedMaster<N, S> {
-    #[inline(always)]
-    fn read(&mut self, _: u64, now_ns: u64) -> (Axes<N, S>, Option<Axes<N, S>>) {
-        MasterPlant::read(self, now_ns)
-    }
-
-    #[inline(always)]
-    fn state(&self) -> Truth<N, S> {
-        ModelPlant::state(self)
-    }
-
-    #[inline(always)]
-    fn write(&mut self, _: u64, force: &Axes<N, S>) {
-        SteppedMaster::write(self, force);
-    }
-
-    #[inline(always)]
-    fn engaged(&mut self) {
-        self.set_waiting(false);
     }
 }
 

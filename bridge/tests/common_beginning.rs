@@ -69,7 +69,6 @@ fn rows_with_other_controllers_are_those_of_runs_of_their_own() {
         ),
         ("far", json!({ "/link/forward/delay_s": 0.3, "/link/backward/delay_s": 0.3 })),
         ("another rate", json!({ "/slave/period_s": 0.002 })),
-        ("stepped", json!({ "/run/integrator": "rk4", "/run/step_s": 5e-4 })),
         ("ends early", json!({ "/run/stop_early": true })),
         ("damaged", json!({ "/link/forward/corrupt": 0.05, "/link/backward/corrupt": 0.05 })),
         ("reordered", json!({ "/link/forward/reorder": 0.1, "/link/forward/reorder_depth": 3 })),

@@ -28,7 +28,7 @@ fn ending(outcome: &Outcome) -> String {
     format!("{:?} {:?} {}", outcome.ending, outcome.diverged, outcome.ticks)
 }
 
-/// The scene of the work unit with three axes: what is one number of an axis is so of each.
+/// A scene with three axes: what is one number of an axis is so of each.
 fn of_three_axes(one: &Value) -> Value {
     match one {
         Value::Array(items) => match items.as_slice() {
@@ -51,7 +51,7 @@ fn a_metric_alone_has_the_bits_that_it_has_beside_all_others() {
     let mut early = remote.clone();
     early["run"]["duration_s"] = 6.0.into();
     early["run"]["stop_early"] = true.into();
-    let local = of(include_bytes!("../benches/work_unit.json"));
+    let local = of(include_bytes!("press.json"));
     let mut settling = local.clone();
     settling["run"]["duration_s"] = 4.0.into();
     settling["run"]["stop_early"] = true.into();
@@ -67,10 +67,10 @@ fn a_metric_alone_has_the_bits_that_it_has_beside_all_others() {
     let quiet = [Metric::InterventionTime, Metric::InterventionTicks, Metric::PassivityMin];
     let depth = "operator.legs.0.end.0";
     for (name, scene, path, endings, zeros) in [
-        ("lanes", &local, depth, &[Ending::Complete][..], &[][..]),
-        ("lanes of three axes", &three, depth, &[Ending::Complete], &[]),
-        ("lanes that settle", &settling, depth, &[Ending::Settled], &quiet),
-        ("lanes of which some diverge", &diverging, depth, &[Ending::Complete, Ending::Diverged], &[]),
+        ("local", &local, depth, &[Ending::Complete][..], &[][..]),
+        ("local of three axes", &three, depth, &[Ending::Complete], &[]),
+        ("local until it settles", &settling, depth, &[Ending::Settled], &quiet),
+        ("local of which some diverge", &diverging, depth, &[Ending::Complete, Ending::Diverged], &[]),
         ("remote", &remote, "run.seed", &[Ending::Complete], &[]),
         ("remote, until it settles", &early, "run.seed", &[Ending::Settled], &[]),
     ] {

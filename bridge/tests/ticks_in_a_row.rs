@@ -123,7 +123,6 @@ fn a_run_is_that_of_both_sides_in_turn() {
             json!({ "/slave/period_s": 0.00025 }),
         ),
         ("secure", none.clone(), json!({ "/security": { "secure": true } })),
-        ("stepped", none.clone(), json!({ "/run/integrator": "rk4", "/run/step_s": 1e-4 })),
         ("it ends early", none, json!({ "/run/stop_early": true, "/run/duration_s": 6.0 })),
     ];
     for (name, both, others) in &cases {

@@ -64,17 +64,3 @@ impl<S: SimdRealField + SimdValue<Element = f64> + Copy> Real for S {
 pub(crate) fn norm<const N: usize, S: Real>(value: &Axes<N, S>) -> S {
     if N == 1 { value[0].magnitude() } else { value.dot(value).root() }
 }
-
-/// One lane of numbers from each of `of`; `of` has as many as `S` has lanes.
-pub(crate) fn gather<T, S: Real>(of: &[T], field: impl Fn(&T) -> f64) -> S {
-    let mut lanes = S::splat(0.0);
-    for (lane, one) in of.iter().enumerate() {
-        lanes.replace(lane, field(one));
-    }
-    lanes
-}
-
-/// [`gather`] for each axis.
-pub(crate) fn gather_axes<T, const N: usize, S: Real>(of: &[T], field: impl Fn(&T) -> Axes<N>) -> Axes<N, S> {
-    Axes::from_fn(|axis, _| gather(of, |one| field(one)[axis]))
-}

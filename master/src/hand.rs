@@ -161,15 +161,6 @@ impl<const N: usize> Hand<N> {
         self.strength_n
     }
 
-    pub(crate) fn regrasp(&self) -> Option<Regrasp> {
-        self.regrasp
-    }
-
-    /// When the release has ended, the hand grips again and has its full strength again, in s; none without a release.
-    pub(crate) fn schedule(&self) -> Option<[f64; 3]> {
-        self.schedule
-    }
-
     pub(crate) fn tremor(&self) -> Option<Tremor> {
         self.tremor
     }
@@ -177,11 +168,6 @@ impl<const N: usize> Hand<N> {
     /// The path that the hand means to follow.
     pub fn path(&self) -> &Path<N> {
         &self.path
-    }
-
-    /// When it lets go.
-    pub fn release(&self) -> Option<Release> {
-        self.release
     }
 
     /// Where the hand means to be at time t in s, tremor included.

@@ -10,10 +10,6 @@ mod polynomial;
 mod propagator;
 mod rotation;
 mod simulated;
-mod stepped;
-mod stepped_hand;
-#[cfg(test)]
-mod stepped_tests;
 mod stretch;
 mod wall;
 
@@ -27,8 +23,6 @@ pub use rotation::{
     TorsionSpring,
 };
 pub use simulated::{MasterLanes, MasterLanesSample, MasterSample, SimulatedMaster, Touch};
-pub use stepped::{SteppedMaster, Stepping};
-pub use stepped_hand::SteppedHand;
 pub use wall::ContinuousWall;
 
 /// A parameter that a model cannot have.

@@ -87,22 +87,8 @@ impl<const N: usize> Path<N> {
         Ok(Self { start, legs, begins, rates })
     }
 
-    /// Position in m where the path begins.
-    pub fn start(&self) -> &Axes<N> {
-        &self.start
-    }
-
-    pub(crate) fn legs(&self) -> &[Leg<N>] {
-        &self.legs
-    }
-
-    /// When leg `index` begins, in s; the end of the path for the index after the last.
-    pub(crate) fn begins(&self, index: usize) -> f64 {
-        self.begins[index]
-    }
-
     /// Where leg `index` starts from, in m.
-    pub(crate) fn from(&self, index: usize) -> &Axes<N> {
+    fn from(&self, index: usize) -> &Axes<N> {
         if index == 0 { &self.start } else { &self.legs[index - 1].end }
     }
 

@@ -193,7 +193,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::lanes::{Lanes, NARROW};
+    use crate::lanes::{Lanes, WIDTH};
 
     fn hand() -> Hand<1> {
         let [mass, viscous, coulomb] = [0.157, -0.005, 0.038].map(Axes::<1>::new);
@@ -219,23 +219,23 @@ mod tests {
         #[test]
         fn hands_in_lanes_are_as_alone(
             ticks in prop::collection::vec(
-                prop::collection::vec((number(0.05), number(0.5), number(5.0)), NARROW),
+                prop::collection::vec((number(0.05), number(0.5), number(5.0)), WIDTH),
                 1..40,
             ),
             measures_velocity in any::<bool>(),
             gain in 0.0..=1.0f64,
         ) {
-            let mut alone = vec![hand(); NARROW];
+            let mut alone = vec![hand(); WIDTH];
             let mut beside =
-                HandLanes::<1, Lanes<NARROW>>::gather(&alone.iter().collect::<Vec<_>>()).unwrap();
-            let mut running = [true; NARROW];
+                HandLanes::<1, Lanes>::gather(&alone.iter().collect::<Vec<_>>()).unwrap();
+            let mut running = [true; WIDTH];
             for tick in &ticks {
                 let lanes = |which: fn(&(f64, f64, f64)) -> f64| {
-                    Axes::<1, Lanes<NARROW>>::new(crate::lanes::packed(tick, which))
+                    Axes::<1, Lanes>::new(crate::lanes::packed(tick, which))
                 };
                 let [x, v, force] = [lanes(|of| of.0), lanes(|of| of.1), lanes(|of| of.2)];
                 let (decided, passes) = beside.tick(&x, measures_velocity.then_some(&v), &force, gain);
-                for lane in (0..NARROW).filter(|lane| running[*lane]).collect::<Vec<_>>() {
+                for lane in (0..WIDTH).filter(|lane| running[*lane]).collect::<Vec<_>>() {
                     let (x, v, force) = tick[lane];
                     let velocity = measures_velocity.then_some(Axes::<1>::new(v));
                     let reading = MasterReading::point(Axes::<1>::new(x), velocity);

@@ -9,15 +9,14 @@ use std::{
 
 use super::{
     assemble::{
-        SceneError, clutch, contradiction, exact_master, is_continuous, period_ns, stepped_master, ticks,
-        trigger_feedback,
+        SceneError, clutch, contradiction, exact_master, is_continuous, period_ns, ticks, trigger_feedback,
     },
     coupling::commands,
     pose,
     record::SceneRun,
     research::ResearchFactory,
     sides::{coupled, master_endpoint, simulated_arm, simulated_gripper, slave_endpoint, trigger},
-    spec::{Integrator, SceneSpec, SignalsSpec},
+    spec::{SceneSpec, SignalsSpec},
     timed::Timed,
     watched::Watched,
 };
@@ -67,16 +66,7 @@ fn simulate_in<const N: usize>(
 ) -> Result<Option<SceneRun>, SceneError> {
     let slave = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, SESSIONS.1)?)
         .with_gripper(simulated_gripper(scene)?);
-    match scene.run.integrator {
-        Integrator::Exact => {
-            run(scene, master(scene, waiting(exact_master(scene)?), kept)?, slave, stop, kept, order)
-        }
-        Integrator::Stepped(stepping) => {
-            let mut plant = stepped_master::<N>(scene, stepping)?;
-            plant.set_waiting(true);
-            run(scene, master(scene, plant, kept)?, slave, stop, kept, order)
-        }
-    }
+    run(scene, master(scene, waiting(exact_master(scene)?), kept)?, slave, stop, kept, order)
 }
 
 /// The same of a hand and an arm that turn.
@@ -105,18 +95,8 @@ fn simulate_pose_in(
         .with_gripper(simulated_gripper(scene)?)
         .about(pose::reference_point(coupled(scene)?.1)?)
         .turning();
-    match scene.run.integrator {
-        Integrator::Exact => {
-            let plant = pose::turning_master(scene, waiting(exact_master(scene)?))?;
-            run(scene, master(scene, plant, kept)?.turning(), slave, stop, kept, order)
-        }
-        Integrator::Stepped(stepping) => {
-            let mut plant = stepped_master::<3>(scene, stepping)?;
-            plant.set_waiting(true);
-            let plant = pose::turning_master(scene, plant)?;
-            run(scene, master(scene, plant, kept)?.turning(), slave, stop, kept, order)
-        }
-    }
+    let plant = pose::turning_master(scene, waiting(exact_master(scene)?))?;
+    run(scene, master(scene, plant, kept)?.turning(), slave, stop, kept, order)
 }
 
 /// In which order the two sides do their ticks.

@@ -3,23 +3,21 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use haptether_master::SimulatedMaster;
-use haptether_safety::{Axes, Real, controller::ControllerKind};
-use nalgebra::SimdBool as _;
+use haptether_safety::controller::ControllerKind;
 
 use super::{
     assemble::{
         SceneError, contradiction, delay_ticks, environment, exact_master, is_continuous, is_formula,
-        period_ns, rendered_walls, stepped_master, ticks, watch,
+        period_ns, rendered_walls, ticks, watch,
     },
     measures::{Divergence, Ending, MeasureSettings, Measures, Outcome},
     record::{EventLog, Recorder, Sample, SceneRun},
     research::ResearchFactory,
-    spec::{Integrator, SceneSpec},
+    spec::SceneSpec,
 };
-use crate::{
-    local::{DelayLine, LocalLoop, LocalTick, Rendering, SceneRendering, Surfaces, Watch, Watcher},
-    plant::ModelPlant,
-};
+use crate::local::{DelayLine, LocalLoop, LocalTick, Rendering, SceneRendering, Surfaces};
+
+type Loop<R, const N: usize> = LocalLoop<SimulatedMaster<N>, R, N>;
 
 pub(crate) fn simulate<const N: usize>(
     scene: &SceneSpec<N>,
@@ -30,46 +28,24 @@ pub(crate) fn simulate<const N: usize>(
     let environment_spec = scene.environment.as_ref();
     let is_formula = environment_spec.is_none_or(is_formula);
     let is_continuous = is_continuous(scene);
-    match (scene.run.integrator, is_formula) {
-        (Integrator::Exact, true) => {
-            let rendering = rendered_walls::<N>(environment_spec, !is_continuous)?;
-            let run = local_run(scene, exact_master(scene)?, rendering, research)?;
-            if is_continuous {
-                let mut touches = Touches::default();
-                follow(run, scene, stop, move |_, _, looped, log| touches.log(looped.plant(), log))
-            } else {
-                follow(run, scene, stop, log_touch)
-            }
-        }
-        (Integrator::Exact, false) => {
-            let rendering = SceneRendering(environment::<N>(environment_spec)?);
-            follow(local_run(scene, exact_master(scene)?, rendering, research)?, scene, stop, log_touch)
-        }
-        (Integrator::Stepped(stepping), true) => {
-            // Where the device is says whether it touches, however the walls act on it.
-            let walls = rendered_walls::<N>(environment_spec, true)?;
-            let rendering = rendered_walls::<N>(environment_spec, !is_continuous)?;
-            let run = local_run(scene, stepped_master(scene, stepping)?, rendering, research)?;
-            follow(run, scene, stop, move |time_s, tick, _, log| {
-                log.touches(time_s, walls.touches(&tick.position));
-            })
-        }
-        (Integrator::Stepped(stepping), false) => {
-            let rendering = SceneRendering(environment::<N>(environment_spec)?);
-            follow(
-                local_run(scene, stepped_master(scene, stepping)?, rendering, research)?,
-                scene,
-                stop,
-                log_touch,
-            )
-        }
+    if !is_formula {
+        let rendering = SceneRendering(environment::<N>(environment_spec)?);
+        return local_run(scene, rendering, research)?.follow(scene, stop, log_touch);
+    }
+    let rendering = rendered_walls::<N>(environment_spec, !is_continuous)?;
+    let run = local_run(scene, rendering, research)?;
+    if is_continuous {
+        let mut touches = Touches::default();
+        run.follow(scene, stop, move |_, _, looped, log| touches.log(looped.plant(), log))
+    } else {
+        run.follow(scene, stop, log_touch)
     }
 }
 
-fn log_touch<P: ModelPlant<N>, R: Rendering<N, f64> + Surfaces<N>, const N: usize>(
+fn log_touch<R: Rendering<N> + Surfaces<N>, const N: usize>(
     time_s: f64,
     tick: &LocalTick<N>,
-    looped: &LocalLoop<P, R, Watch<N>, N>,
+    looped: &Loop<R, N>,
     log: &mut EventLog,
 ) {
     log.touches(time_s, looped.rendering().touches(&tick.position));
@@ -97,7 +73,7 @@ impl Touches {
 }
 
 /// Refuses tables that need an arm.
-pub(crate) fn check_local<const N: usize>(scene: &SceneSpec<N>) -> Result<(), SceneError> {
+fn check_local<const N: usize>(scene: &SceneSpec<N>) -> Result<(), SceneError> {
     if scene.link.is_some() {
         return contradiction("link: needs a [slave] at its other end");
     }
@@ -116,179 +92,89 @@ pub(crate) fn check_local<const N: usize>(scene: &SceneSpec<N>) -> Result<(), Sc
     Ok(())
 }
 
+/// A loop and what it is judged by.
+struct LocalRun<R, const N: usize> {
+    looped: Loop<R, N>,
+    measures: Measures<N>,
+    ticks: u64,
+}
+
 /// A loop of its parts.
-pub(crate) fn local_run<P: ModelPlant<N>, R: Rendering<N, f64>, const N: usize>(
+fn local_run<R: Rendering<N>, const N: usize>(
     scene: &SceneSpec<N>,
-    plant: P,
     rendering: R,
     research: Option<&dyn ResearchFactory>,
-) -> Result<LocalRun<P, R, Watch<N>, N>, SceneError> {
+) -> Result<LocalRun<R, N>, SceneError> {
+    let plant = exact_master(scene)?;
     let period_ns = period_ns("run.period_s", scene.run.period_s)?;
-    let judged = Measures::new(&MeasureSettings::of(scene), &plant.state().position);
+    let measures = Measures::new(&MeasureSettings::of(scene), plant.position());
     let delay = DelayLine::new(delay_ticks(scene)?);
     Ok(LocalRun {
         looped: LocalLoop::new(plant, rendering, delay, watch(scene, research)?, period_ns),
-        measures: judged,
+        measures,
         ticks: ticks(scene)?,
     })
 }
 
-fn follow<P: ModelPlant<N>, R: Rendering<N, f64>, const N: usize>(
-    mut run: LocalRun<P, R, Watch<N>, N>,
-    scene: &SceneSpec<N>,
-    stop: &AtomicBool,
-    mut note: impl FnMut(f64, &LocalTick<N>, &LocalLoop<P, R, Watch<N>, N>, &mut EventLog),
-) -> Result<SceneRun, SceneError> {
-    let mut log = EventLog::default();
-    let mut recorder = Recorder::new(scene.record.as_ref().map_or(0, |record| record.every), run.ticks);
-    let mut outcomes = [None];
-    run.run_observed(
-        stop,
-        |time_s, tick, looped| {
+impl<R: Rendering<N>, const N: usize> LocalRun<R, N> {
+    /// Runs the scene to its end; `note` gets each tick, its time in s and the loop.
+    fn follow(
+        mut self,
+        scene: &SceneSpec<N>,
+        stop: &AtomicBool,
+        mut note: impl FnMut(f64, &LocalTick<N>, &Loop<R, N>, &mut EventLog),
+    ) -> Result<SceneRun, SceneError> {
+        let mut log = EventLog::default();
+        let mut recorder = Recorder::new(scene.record.as_ref().map_or(0, |record| record.every), self.ticks);
+        let outcome = self.run(stop, |time_s, tick, looped| {
             note(time_s, tick, looped, &mut log);
             log.tripped(time_s, tick.response.lane(0).tripped);
             if recorder.begin_tick() {
-                // A copy, as in `end_diverged`.
-                let tick = *tick;
-                record(&mut recorder, time_s, &tick);
+                record(&mut recorder, time_s, tick);
             }
-        },
-        &mut outcomes,
-    );
-    let [Some(outcome)] = outcomes else {
-        return Err(SceneError::Stopped);
-    };
-    log.schedule(scene, 0.0, &outcome);
-    let end_s = outcome.ticks as f64 * scene.run.period_s;
-    if outcome.ending == Ending::Settled {
-        log.add(end_s, "settled", "nothing more happens");
-    }
-    log.coarse(end_s, run.looped.rendering().coarse_steps());
-    Ok(SceneRun {
-        signals: recorder.into_signals(),
-        events: log.into_events(),
-        outcome,
-        period_s: scene.run.period_s,
-        reports: None,
-    })
-}
-
-/// A loop and what it is judged by.
-pub(crate) struct LocalRun<P, R, W, const N: usize, S: Real = f64> {
-    pub(crate) looped: LocalLoop<P, R, W, N, S>,
-    /// As they are before the first tick.
-    pub(crate) measures: Measures<N, S>,
-    pub(crate) ticks: u64,
-}
-
-impl<P, R, W, const N: usize, S: Real> LocalRun<P, R, W, N, S>
-where
-    P: ModelPlant<N, S>,
-    R: Rendering<N, S>,
-    W: Watcher<N, S>,
-{
-    /// Runs all scenarios to their ends, unless `stop` is set meanwhile.
-    #[inline(always)]
-    pub(crate) fn run(&mut self, stop: &AtomicBool, outcomes: &mut [Option<Outcome>]) {
-        self.run_observed(stop, |_, _, _| {}, outcomes);
+        })?;
+        log.schedule(scene, 0.0, &outcome);
+        let end_s = outcome.ticks as f64 * scene.run.period_s;
+        if outcome.ending == Ending::Settled {
+            log.add(end_s, "settled", "nothing more happens");
+        }
+        log.coarse(end_s, self.looped.rendering().coarse_steps());
+        Ok(SceneRun {
+            signals: recorder.into_signals(),
+            events: log.into_events(),
+            outcome,
+            period_s: scene.run.period_s,
+            reports: None,
+        })
     }
 
-    /// Runs all scenarios to their ends; `observe` gets each tick, its time in s and the loop. None has an outcome
-    /// once `stop` is set before its end.
-    ///
-    /// A scenario that ends early keeps the measures of that moment; its lane runs on unseen until all have ended.
-    #[inline(always)]
-    pub(crate) fn run_observed(
+    fn run(
         &mut self,
         stop: &AtomicBool,
-        mut observe: impl FnMut(f64, &LocalTick<N, S>, &LocalLoop<P, R, W, N, S>),
-        outcomes: &mut [Option<Outcome>],
-    ) {
-        // Theirs is a copy that no call gets the address of: behind a reference, what changes at each tick would go through
-        // memory at each tick.
-        let mut measures = self.measures;
-        for tick in 0..self.ticks {
-            if stop.load(Ordering::Relaxed) || self.step(tick, &mut measures, &mut observe, outcomes) {
-                return;
+        mut observe: impl FnMut(f64, &LocalTick<N>, &Loop<R, N>),
+    ) -> Result<Outcome, SceneError> {
+        let Self { looped, measures, ticks } = self;
+        for tick in 0..*ticks {
+            if stop.load(Ordering::Relaxed) {
+                return Err(SceneError::Stopped);
+            }
+            let time_s = looped.time_s();
+            let step = looped.step();
+            let (x, v, force) = (&step.position, &step.velocity, &step.device_force);
+            if measures.may_have_diverged(x, v, force) && measures.diverged(x, v, force) {
+                let divergence = Divergence { time_s, cause: measures.cause(0, x, v) };
+                return Ok(measures.outcome(0, tick, Ending::Diverged, Some(divergence)));
+            }
+            let rendered = step.requested_force + step.wall_force;
+            let is_on = step.response.may_act.then_some(step.response.acts);
+            let settled = measures.take(time_s, x, v, &rendered, force, &step.hand_force, is_on);
+            observe(time_s, &step, looped);
+            if settled == Some(true) {
+                return Ok(measures.outcome(0, tick + 1, Ending::Settled, None));
             }
         }
-        let measures = measures;
-        end(&measures, u64::MAX, self.ticks, Ending::Complete, outcomes);
+        Ok(measures.outcome(0, *ticks, Ending::Complete, None))
     }
-
-    /// One tick; returns whether all scenarios have ended early.
-    #[inline(always)]
-    fn step(
-        &mut self,
-        tick: u64,
-        measures: &mut Measures<N, S>,
-        observe: &mut impl FnMut(f64, &LocalTick<N, S>, &LocalLoop<P, R, W, N, S>),
-        outcomes: &mut [Option<Outcome>],
-    ) -> bool {
-        let time_s = self.looped.time_s();
-        let step = self.looped.step();
-        if measures.may_have_diverged(&step.position, &step.velocity, &step.device_force) {
-            let (measures, seen) = (*measures, [step.position, step.velocity, step.device_force]);
-            if end_diverged(&measures, tick, time_s, &seen, outcomes) {
-                return true;
-            }
-        }
-        let settled = measures.take(
-            time_s,
-            &step.position,
-            &step.velocity,
-            &(step.requested_force + step.wall_force),
-            &step.device_force,
-            &step.hand_force,
-            step.response.may_act.then_some(step.response.acts),
-        );
-        observe(time_s, &step, &self.looped);
-        match settled {
-            Some(settled) if settled.any() => {
-                let measures = *measures;
-                end(&measures, settled.bitmask(), tick + 1, Ending::Settled, outcomes)
-            }
-            _ => false,
-        }
-    }
-}
-
-/// Keeps the outcome of the lanes in `mask` that have none yet; says whether now all have one.
-#[cold]
-fn end<const N: usize, S: Real>(
-    measures: &Measures<N, S>,
-    mask: u64,
-    ticks: u64,
-    ending: Ending,
-    outcomes: &mut [Option<Outcome>],
-) -> bool {
-    for (lane, outcome) in outcomes.iter_mut().enumerate().take(S::LANES) {
-        if mask >> lane & 1 == 1 && outcome.is_none() {
-            *outcome = Some(measures.outcome(lane, ticks, ending, None));
-        }
-    }
-    outcomes.iter().all(Option::is_some)
-}
-
-/// Ends the lanes that x in m, V in m/s and `F_device` in N say have diverged. It gets copies: a tick whose address
-/// went to a call would have to stand in memory, whole, at each tick.
-#[cold]
-fn end_diverged<const N: usize, S: Real>(
-    measures: &Measures<N, S>,
-    tick: u64,
-    time_s: f64,
-    [position, velocity, device_force]: &[Axes<N, S>; 3],
-    outcomes: &mut [Option<Outcome>],
-) -> bool {
-    let mask = measures.diverged(position, velocity, device_force).bitmask();
-    for (lane, outcome) in outcomes.iter_mut().enumerate().take(S::LANES) {
-        if mask >> lane & 1 == 1 && outcome.is_none() {
-            let cause = measures.cause(lane, position, velocity);
-            let divergence = Divergence { time_s, cause };
-            *outcome = Some(measures.outcome(lane, tick, Ending::Diverged, Some(divergence)));
-        }
-    }
-    outcomes.iter().all(Option::is_some)
 }
 
 #[inline(never)]

@@ -5,12 +5,13 @@ use haptether_slave::{ArmSettings, SimulatedSlave, SimulatedTool};
 use super::{
     assemble::{
         SceneError, device_model, driven_clutch, environment, exact_master, limiter, live_clutch, period_ns,
-        simulated_trigger, stepped_master, trigger_feedback,
+        simulated_trigger, trigger_feedback,
     },
+    bilateral::waiting,
     coupling::commands,
     pose,
     research::{ResearchFactory, research_controller},
-    spec::{CouplingSpec, Integrator, SceneSpec},
+    spec::{CouplingSpec, SceneSpec},
     timed::Timed,
 };
 use crate::{
@@ -160,23 +161,12 @@ pub(super) fn simulated_arm<const N: usize>(scene: &SceneSpec<N>) -> Result<Simu
     )?)
 }
 
-/// A model of a device and its hand, however it is advanced.
+/// A model of a device and its hand.
 pub type SimulatedDevice<const N: usize> = Box<dyn MasterPlant<N> + Send>;
 
 /// The scene's device in the scene's hand, which waits for the engagement.
 fn simulated_device<const N: usize>(scene: &SceneSpec<N>) -> Result<SimulatedDevice<N>, SceneError> {
-    Ok(match scene.run.integrator {
-        Integrator::Exact => {
-            let mut plant = exact_master::<N>(scene)?;
-            plant.set_waiting(true);
-            Box::new(plant)
-        }
-        Integrator::Stepped(stepping) => {
-            let mut plant = stepped_master::<N>(scene, stepping)?;
-            plant.set_waiting(true);
-            Box::new(plant)
-        }
-    })
+    Ok(Box::new(waiting(exact_master(scene)?)))
 }
 
 /// The side of the hand with the scene's device in the scene's hand; `run_id` is drawn anew at every start.

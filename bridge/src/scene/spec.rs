@@ -5,7 +5,7 @@
 //! test holds the schema of these types against that of the tables.
 
 use haptether_master::{
-    DeviceParameters, Leg, Regrasp, Release, RotationHandParameters, RotationParameters, Stepping, Tremor,
+    DeviceParameters, Leg, Regrasp, Release, RotationHandParameters, RotationParameters, Tremor,
 };
 use haptether_netsim::{ClockSettings, LinkSettings};
 use haptether_safety::{
@@ -128,27 +128,12 @@ pub struct RunSpec {
     pub period_s: f64,
     /// Seed of all randomness.
     pub seed: u64,
-    /// How device and hand are advanced.
-    pub integrator: Integrator,
-    /// Step in s of an integrator that has one; a whole fraction of the period.
-    pub step_s: Option<f64>,
     /// Ends the run when nothing that is measured can change any more.
     pub stop_early: bool,
     /// |x| in m beyond which the loop has diverged.
     pub diverged_position: f64,
     /// |V| in m/s beyond which the loop has diverged.
     pub diverged_speed: f64,
-}
-
-/// How device and hand are advanced.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Integrator {
-    /// The exact solution between located events.
-    Exact,
-    /// In steps.
-    #[serde(untagged)]
-    Stepped(Stepping),
 }
 
 /// `[master]`, after its preset has been filled in.
@@ -161,8 +146,6 @@ pub struct MasterSpec<const N: usize> {
     /// Mechanics, encoder and motors.
     #[serde(flatten)]
     pub device: DeviceParameters<N>,
-    /// |V| in m/s below which an integrator with steps takes friction as proportional to V.
-    pub friction_speed: f64,
     /// Where it starts, in m per axis.
     #[schemars(with = "Vec<f64>")]
     pub position: Axes<N>,

@@ -1,18 +1,16 @@
 //! Many scenarios of one scene, over threads and in lanes.
 
 mod plan;
-mod stepped;
 
 use std::{
     collections::HashMap,
     sync::atomic::{AtomicBool, AtomicUsize, Ordering},
 };
 
-use plan::{BLOCK, Job, Place, Plan, bad_axes, jobs};
+use plan::{Job, Place, Plan, bad_axes, jobs};
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::Value;
-use stepped::{run_stepped, stepped_run, takes_steps};
 
 use super::{
     assemble::SceneError,
@@ -137,7 +135,7 @@ pub fn sweep_parts(
             Job::Block(part, rows) => {
                 let plan = &plans[*part];
                 let run = of_axes!(plan.axes, N => run_block::<N>, axes => return Err(bad_axes(axes)));
-                run(plan, rows.clone(), settings, progress, research)?
+                run(plan, rows.clone(), settings.metrics, progress, research)?
             }
             Job::Groups(axes, groups) => {
                 let run = of_axes!(*axes, N => run_groups::<N>, axes => return Err(bad_axes(axes)));
@@ -266,84 +264,38 @@ fn run_groups<const N: usize>(
 fn run_block<const N: usize>(
     plan: &Plan<'_>,
     block: std::ops::Range<usize>,
-    SweepSettings { lanes, metrics, .. }: SweepSettings,
-    progress: &Progress,
+    metrics: Metrics,
+    Progress { done, stop }: &Progress,
     research: Option<&dyn ResearchFactory>,
 ) -> Result<Vec<Row>, SweepError> {
-    let Progress { done, stop } = progress;
     if stop.load(Ordering::Relaxed) {
         return Err(SweepError::Stopped);
     }
     let (mut spec, mut scene) = spec_of::<N>(plan, metrics)?;
-    let mut rows: Vec<Option<Row>> = vec![None; block.len()];
-    let mut stepped = Vec::new();
-    for (index, row) in block.enumerate() {
-        let refused = |error: SceneError| Some(Err(Refused(error.to_string())));
-        rows[index] = match set_row(&mut spec, &mut scene, plan, row) {
-            Err(refused) => Some(Err(refused)),
-            Ok(()) if takes_steps(&spec) => match stepped_run(&spec) {
-                Ok(run) => {
-                    stepped.push((index, Box::new(run)));
-                    if stepped.len() == BLOCK {
-                        run_stepped(std::mem::take(&mut stepped), lanes, progress, &mut rows);
-                        if stop.load(Ordering::Relaxed) {
-                            return Err(SweepError::Stopped);
-                        }
-                    }
-                    continue;
-                }
-                Err(error) => refused(error),
-            },
+    let mut rows = Vec::with_capacity(block.len());
+    for row in block {
+        rows.push(match set_row(&mut spec, &mut scene, plan, row) {
+            Err(refused) => Err(refused),
             Ok(()) => match outcome(&spec, stop, research) {
-                Ok(outcome) => Some(Ok(outcome)),
+                Ok(outcome) => Ok(outcome),
                 Err(SceneError::Stopped) => return Err(SweepError::Stopped),
-                Err(error) => refused(error),
+                Err(error) => Err(Refused(error.to_string())),
             },
-        };
+        });
         done.fetch_add(1, Ordering::Relaxed);
     }
-    run_stepped(stepped, lanes, progress, &mut rows);
-    // Only a sweep that was stopped has rows that were not run.
-    rows.into_iter().collect::<Option<_>>().ok_or(SweepError::Stopped)
+    Ok(rows)
 }
 
 #[cfg(test)]
 mod tests {
-    use std::collections::HashSet;
-
     use super::*;
-
-    /// A job of more rows than are built at once: each row has the outcome of its own run, whoever is refused among them.
-    #[test]
-    fn rows_that_are_built_one_batch_after_the_other_have_their_places() {
-        let mut scene: Value =
-            serde_json::from_slice(include_bytes!("../../benches/work_unit.json")).unwrap();
-        scene["run"]["duration_s"] = 0.1.into();
-        let scene = serde_json::to_vec(&scene).unwrap();
-        let rows = 10 * BLOCK;
-        let number = |row: usize| if row % 50 == 7 { f64::NAN } else { -0.3 * (row as f64 + 1.0) };
-        let ends =
-            Variation { path: "operator.legs.0.end.0".into(), values: (0..rows).map(number).collect() };
-        let settings = SweepSettings { threads: 1, lanes: true, metrics: Metrics::ALL };
-        let progress = Progress::default();
-        let found = sweep(&scene, std::slice::from_ref(&ends), settings, &progress, None).unwrap();
-        assert_eq!((found.len(), progress.done.into_inner()), (rows, rows));
-        let forces: HashSet<_> =
-            found.iter().flatten().map(|one| one.peak_device_force.map(f64::to_bits)).collect();
-        assert!(forces.len() > rows / 2, "the rows differ: {}", forces.len());
-        let alone = SweepSettings { lanes: false, ..settings };
-        for (row, outcome) in found.iter().enumerate() {
-            let values = vec![ends.values[row]];
-            let own = [Variation { path: ends.path.clone(), values }];
-            assert_eq!(*outcome, sweep(&scene, &own, alone, &Progress::default(), None).unwrap()[0], "{row}");
-        }
-    }
 
     /// Rows that are refused, as they are set or as they are built, keep their places among those that are run, alone or
     /// in lanes, and count as done.
     #[test]
     fn refused_rows_have_their_places() {
-        let scene = include_bytes!("../../benches/work_unit.json");
+        let scene = include_bytes!("../../tests/press.json");
         let end =
             |values: &[f64]| Variation { path: "operator.legs.0.end.0".into(), values: values.to_vec() };
         let window = |values: &[f64]| Variation { path: "safety.window".into(), values: values.to_vec() };

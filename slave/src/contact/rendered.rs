@@ -1,14 +1,12 @@
-//! Walls and pushes that a servo loop renders, for one scenario or for several side by side.
+//! Walls and pushes that a servo loop renders.
 
 use std::f64::consts::{PI, TAU};
 
 use crate::{
-    ModelError, PushShape, Real,
+    Axes, ModelError, PushShape,
     contact::window::{Window, whole_ns},
     require,
 };
-
-type Axes<const N: usize, S = f64> = nalgebra::SVector<S, N>;
 
 /// The course of a push, without its numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,35 +46,35 @@ pub struct RenderedWall<const N: usize> {
     pub is_two_sided: bool,
 }
 
-/// Walls and pushes, without branches between scenarios.
+/// Walls and pushes.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RenderedWalls<const N: usize, S = f64> {
-    walls: Vec<Plane<N, S>>,
-    pushes: Vec<Push<N, S>>,
+pub struct RenderedWalls<const N: usize> {
+    walls: Vec<Plane<N>>,
+    pushes: Vec<Push<N>>,
     /// Whether any wall has damping.
     is_damped: bool,
 }
 
 #[derive(Clone, Debug, PartialEq)]
-struct Plane<const N: usize, S> {
-    normal: Axes<N, S>,
-    surface: S,
-    stiffness: S,
-    damping: S,
+struct Plane<const N: usize> {
+    normal: Axes<N>,
+    surface: f64,
+    stiffness: f64,
+    damping: f64,
     is_damped: bool,
     is_two_sided: bool,
 }
 
 #[derive(Clone, Debug, PartialEq)]
-struct Push<const N: usize, S> {
+struct Push<const N: usize> {
     course: Course,
     /// In whole ns.
-    at: S,
+    at: f64,
     /// In whole ns, excluded.
-    ends: S,
+    ends: f64,
     /// Share per second of a ramp, or radians per second of a sine.
-    rate: S,
-    force: Axes<N, S>,
+    rate: f64,
+    force: Axes<N>,
 }
 
 impl<const N: usize> RenderedWalls<N> {
@@ -130,89 +128,35 @@ impl<const N: usize> RenderedWalls<N> {
         self.walls.iter().any(|wall| !wall.is_two_sided && wall.normal.dot(position) < wall.surface)
     }
 
-    /// Several scenarios side by side; none if they differ in which walls and courses there are.
-    pub fn gather<S: Real>(of: &[&Self]) -> Option<RenderedWalls<N, S>> {
-        let first = of.first()?;
-        let shares = |one: &Self| {
-            (one.walls.len(), one.pushes.len()) == (first.walls.len(), first.pushes.len())
-                && one.walls.iter().zip(&first.walls).all(|(a, b)| a.is_two_sided == b.is_two_sided)
-                && one.pushes.iter().zip(&first.pushes).all(|(a, b)| a.course == b.course)
-        };
-        if of.len() != S::LANES || !of.iter().all(|one| shares(one)) {
-            return None;
-        }
-        let number = |field: &dyn Fn(&Self) -> f64| {
-            let mut lanes = S::splat(0.0);
-            for (lane, one) in of.iter().enumerate() {
-                lanes.replace(lane, field(one));
-            }
-            lanes
-        };
-        let vector = |field: &dyn Fn(&Self) -> Axes<N>| {
-            Axes::<N, S>::from_fn(|axis, _| number(&|one| field(one)[axis]))
-        };
-        let wall = |index: usize| Plane {
-            normal: vector(&|one| one.walls[index].normal),
-            surface: number(&|one| one.walls[index].surface),
-            stiffness: number(&|one| one.walls[index].stiffness),
-            damping: number(&|one| one.walls[index].damping),
-            is_damped: of.iter().any(|one| one.walls[index].is_damped),
-            is_two_sided: first.walls[index].is_two_sided,
-        };
-        let push = |index: usize| Push {
-            course: first.pushes[index].course,
-            at: number(&|one| one.pushes[index].at),
-            ends: number(&|one| one.pushes[index].ends),
-            rate: number(&|one| one.pushes[index].rate),
-            force: vector(&|one| one.pushes[index].force),
-        };
-        Some(RenderedWalls {
-            walls: (0..first.walls.len()).map(wall).collect(),
-            pushes: (0..first.pushes.len()).map(push).collect(),
-            is_damped: of.iter().any(|one| one.is_damped),
-        })
-    }
-}
-
-impl<const N: usize, S: Real> RenderedWalls<N, S> {
     /// Whether any wall needs the velocity.
-    #[inline(always)]
     pub fn is_damped(&self) -> bool {
         self.is_damped
     }
 
     /// Force in N at time t in s, x in m, V in m/s.
-    #[inline(always)]
-    pub fn force(&self, t: f64, position: &Axes<N, S>, velocity: &Axes<N, S>) -> Axes<N, S> {
-        let (zero, one) = (S::splat(0.0), S::splat(1.0));
-        let mut force = Axes::<N, S>::zeros();
+    pub fn force(&self, t: f64, position: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
+        let mut force = Axes::<N>::zeros();
         for wall in &self.walls {
             let depth = wall.surface - wall.normal.dot(position);
             let mut push = wall.stiffness * depth;
             if wall.is_damped {
                 push -= wall.damping * wall.normal.dot(velocity);
             }
-            if !wall.is_two_sided {
-                push = push.select(push.simd_gt(zero), zero);
-                // Without damping there is no push but at a depth.
-                if wall.is_damped {
-                    push = push.select(depth.simd_gt(zero), zero);
-                }
-            }
-            force += wall.normal * push;
+            let acts = wall.is_two_sided || (push > 0.0 && depth > 0.0);
+            force += wall.normal * if acts { push } else { 0.0 };
         }
         if self.pushes.is_empty() {
             return force;
         }
-        let now = S::splat(whole_ns(t));
+        let now = whole_ns(t);
         for push in &self.pushes {
-            let since = (now - push.at) * S::splat(1e-9);
+            let since = (now - push.at) * 1e-9;
             let share = match push.course {
-                Course::Step => one,
-                Course::Ramp => (since * push.rate).simd_min(one),
-                Course::Sine => (since * push.rate).map_lanes(f64::sin),
+                Course::Step => 1.0,
+                Course::Ramp => (since * push.rate).min(1.0),
+                Course::Sine => (since * push.rate).sin(),
             };
-            force += push.force * share.select(now.simd_ge(push.at) & now.simd_lt(push.ends), zero);
+            force += push.force * if now >= push.at && now < push.ends { share } else { 0.0 };
         }
         force
     }

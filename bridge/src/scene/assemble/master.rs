@@ -1,6 +1,6 @@
-//! The device of a scene and the hand that holds it, and how both are advanced.
+//! The device of a scene and the hand that holds it.
 
-use haptether_master::{Hand, Leg, LegShape, Path, SimulatedMaster, SteppedMaster, Stepping};
+use haptether_master::{Hand, Leg, LegShape, Path, SimulatedMaster};
 use haptether_safety::DeviceModel;
 
 use super::{
@@ -10,41 +10,11 @@ use super::{
 };
 use crate::Clutch;
 
-/// Largest number of steps of an integrator in one run: minutes.
-const MAX_STEPS: f64 = 1e9;
-
-/// The device advanced by its exact solution.
+/// The device in the hand.
 pub(crate) fn exact_master<const N: usize>(scene: &SceneSpec<N>) -> Result<SimulatedMaster<N>, SceneError> {
     let MasterSpec { device, position, velocity, .. } = scene.master;
     device.check()?;
     let mut master = SimulatedMaster::new(device, hand(scene)?, 0)?.among(walls_on_device(scene)?)?;
-    master.place(position, velocity)?;
-    Ok(master)
-}
-
-/// The device advanced in steps.
-pub(crate) fn stepped_master<const N: usize>(
-    scene: &SceneSpec<N>,
-    stepping: Stepping,
-) -> Result<SteppedMaster<N>, SceneError> {
-    let step_s = scene.run.step_s.unwrap_or(scene.run.period_s);
-    let steps = scene.run.period_s / step_s;
-    if !(step_s > 0.0 && steps >= 1.0 - 1e-9 && (steps - steps.round()).abs() < 1e-6 * steps) {
-        return contradiction(format!(
-            "run.step_s = {step_s}: must go a whole number of times into period_s = {}",
-            scene.run.period_s
-        ));
-    }
-    let total = steps * scene.run.duration_s / scene.run.period_s;
-    if total > MAX_STEPS {
-        return contradiction(format!(
-            "run.step_s = {step_s}: makes {total:.3e} steps of the run, must be at most {MAX_STEPS:e}"
-        ));
-    }
-    let MasterSpec { device, friction_speed, position, velocity, .. } = scene.master;
-    device.check()?;
-    let (hand, walls) = (hand(scene)?, walls_on_device(scene)?);
-    let mut master = SteppedMaster::new(&device, &hand, &walls, stepping, step_s, friction_speed)?;
     master.place(position, velocity)?;
     Ok(master)
 }

@@ -13,7 +13,7 @@ use super::spec::SceneSpec;
 
 pub use touched::scene_environment;
 
-pub(super) use master::{clutch, device_model, driven_clutch, exact_master, live_clutch, stepped_master};
+pub(super) use master::{clutch, device_model, driven_clutch, exact_master, live_clutch};
 pub(super) use safety::{limiter, watch};
 pub(super) use touched::{environment, is_continuous, is_formula, rendered_walls};
 pub(super) use trigger::{simulated_trigger, trigger_feedback};

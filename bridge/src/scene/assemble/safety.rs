@@ -32,7 +32,7 @@ pub(crate) fn watch<const N: usize>(
                 Limiter::new(period_s, LimiterSettings { ramp_in_s: 0.0, ..settings })?,
             ])
         });
-        return Ok(Watch::True(TrueWatch { controller, limiters: limiters.transpose()? }));
+        return Ok(Watch::True(Box::new(TrueWatch { controller, limiters: limiters.transpose()? })));
     }
     let limiter = limiter(&scene.safety);
     let layer = SafetyLayer::new(&LayerSettings { device, period_s, estimator, safety, limiter })?;

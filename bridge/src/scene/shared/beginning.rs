@@ -13,11 +13,11 @@ use std::{
 };
 
 use super::super::{
-    assemble::{SceneError, exact_master, stepped_master},
+    assemble::{SceneError, exact_master},
     bilateral::{self, Keeping, SESSIONS, Sides},
     measures::Outcome,
     sides::{hand_alone, simulated_arm, slave_endpoint},
-    spec::{Integrator, SceneSpec},
+    spec::SceneSpec,
     timed::Timed,
     watched::Watched,
 };
@@ -63,15 +63,9 @@ pub(super) fn outcomes<const N: usize>(
     let Some(built) = members.first().map(|member| scenes[member.row]) else {
         return Ok(vec![None; scenes.len()]);
     };
-    let shared = match built.run.integrator {
-        Integrator::Exact => exact_master(built)
-            .and_then(|plant| begun(built, bilateral::waiting(plant), members))
-            .and_then(|group| run(built, group, stop, &mut outcomes)),
-        Integrator::Stepped(stepping) => stepped_master::<N>(built, stepping).and_then(|mut plant| {
-            plant.set_waiting(true);
-            run(built, begun(built, plant, members)?, stop, &mut outcomes)
-        }),
-    };
+    let shared = exact_master(built)
+        .and_then(|plant| begun(built, bilateral::waiting(plant), members))
+        .and_then(|group| run(built, group, stop, &mut outcomes));
     match shared {
         Err(SceneError::Stopped) => Err(SceneError::Stopped),
         // What cannot be built is refused once for each, as alone.

@@ -10,6 +10,7 @@ use std::{
     sync::atomic::{AtomicBool, Ordering},
 };
 
+use haptether_master::{MasterSample, SimulatedMaster};
 use haptether_safety::{Axes, Fault, SafetyTick, Signal};
 use haptether_slave::{SimulatedSlave, SlaveSample};
 
@@ -22,18 +23,17 @@ use super::{
     connection::{Connection, LinkSide, Step},
 };
 use crate::{
-    Event, MasterRecord, ModelPlant, SlaveReading, SlaveRecord,
+    Event, MasterRecord, ModelPlant as _, SlaveReading, SlaveRecord,
     coupling::PositionForce,
     endpoint::{Arm, ArmInput, Hand, HandInput, MasterReading, MasterState, Past},
-    lanes::{Lanes, NARROW},
+    lanes::WIDTH,
     link::PortState,
-    plant::{PlantLanes, SideBySide},
     scene::{
-        assemble::{SceneError, contradiction, exact_master, stepped_master},
+        assemble::{SceneError, exact_master},
         bilateral::waiting,
         coupling::commands,
         sides::{arm_alone, coupled, hand_alone, simulated_arm},
-        spec::{Integrator, SceneSpec},
+        spec::SceneSpec,
         timed::Commands,
         watched::Watched,
     },
@@ -54,19 +54,7 @@ pub(super) fn outcomes<const N: usize>(
     stop: &AtomicBool,
 ) -> Result<Outcomes, SceneError> {
     let mut outcomes = vec![None; scenes.len()];
-    let is_exact = |row: &usize| scenes[*row].run.integrator == Integrator::Exact;
-    let (exact, stepped): (Vec<_>, Vec<_>) = (0..scenes.len()).partition(is_exact);
-    let runs = Runs { connection, scenes, lanes, stop };
-    runs.follow(&exact, |scene| exact_master(scene).map(waiting), &mut outcomes)?;
-    let plant = |scene: &SceneSpec<N>| {
-        let Integrator::Stepped(stepping) = scene.run.integrator else {
-            return contradiction("run.integrator: must have steps");
-        };
-        let mut plant = stepped_master::<N>(scene, stepping)?;
-        plant.set_waiting(true);
-        Ok(plant)
-    };
-    runs.follow(&stepped, plant, &mut outcomes)?;
+    Runs { connection, scenes, lanes, stop }.follow(&mut outcomes)?;
     Ok(outcomes)
 }
 
@@ -78,19 +66,11 @@ const TICKS_BETWEEN_CHECKPOINTS: usize = 1000;
 type Checkpoint = ([u64; 2], Rc<Snapshot<LinkSide, LinkSide>>);
 
 /// A run whose link and ladders have gone another way since its master's tick `tick`.
-struct Branch<P, const N: usize> {
+struct Branch<const N: usize> {
     checkpoint: Checkpoint,
     tick: u64,
-    follower: Follower<P, N>,
+    follower: Follower<N>,
 }
-
-/// A model of a device and its hand, as it is followed.
-trait Device<const N: usize>: SideBySide<N, Lanes<NARROW>> + Clone {}
-
-impl<P: SideBySide<N, Lanes<NARROW>> + Clone, const N: usize> Device<N> for P {}
-
-/// Several of them side by side.
-type DeviceLanes<P, const N: usize> = <P as SideBySide<N, Lanes<NARROW>>>::Lanes;
 
 /// Scenes of one connection.
 struct Runs<'a, const N: usize> {
@@ -107,38 +87,50 @@ const MAX_AXES: usize = 3;
 /// Fewest runs that are worth being followed side by side.
 const MIN_ABREAST: usize = 3;
 
+/// A processor whose vectors lanes are compiled for: one with AVX2.
+#[cfg(target_arch = "x86_64")]
+type Processor = pulp::x86::V3;
+
+/// There is none of another kind.
+#[cfg(not(target_arch = "x86_64"))]
+#[derive(Clone, Copy)]
+enum Processor {}
+
+/// This processor, if it is one.
+fn processor() -> Option<Processor> {
+    #[cfg(target_arch = "x86_64")]
+    return Processor::try_new();
+    #[cfg(not(target_arch = "x86_64"))]
+    None
+}
+
+/// Runs side by side, from their first ticks on.
+type Abreast<const N: usize> = (Processor, Vec<LaneFollowers<N>>);
+
 impl<const N: usize> Runs<'_, N> {
-    /// Runs those of some scenes to their ends, side by side if they may, with their devices; there is no outcome of one that
-    /// cannot be built, as alone, or whose link and ladders would have done something else.
-    fn follow<P: Device<N>>(
-        &self,
-        rows: &[usize],
-        plant: impl Fn(&SceneSpec<N>) -> Result<P, SceneError>,
-        outcomes: &mut Outcomes,
-    ) -> Result<(), SceneError> {
-        let built = |rows: &[usize]| {
-            let follower = |row: &usize| {
-                let scene = self.scenes[*row];
-                plant(scene).and_then(|plant| Follower::new(self.connection, *row, scene, plant)).ok()
-            };
-            rows.iter().filter_map(follower).collect::<Vec<_>>()
+    /// Runs the scenes to their ends, side by side if they may; there is no outcome of one that cannot be built, as alone, or
+    /// whose link and ladders would have done something else.
+    fn follow(&self, outcomes: &mut Outcomes) -> Result<(), SceneError> {
+        let built = |row: usize| Follower::new(self.connection, row, self.scenes[row]).ok();
+        let mut alone = (0..self.scenes.len()).filter_map(built).collect();
+        let abreast = match processor() {
+            Some(processor) if self.lanes && N <= MAX_AXES => Some((processor, side_by_side(&mut alone))),
+            _ => None,
         };
-        let mut alone = built(rows);
-        let abreast = if self.lanes && N <= MAX_AXES { side_by_side(&mut alone) } else { Vec::new() };
         let departed = self.follow_all(abreast, alone, outcomes)?;
-        self.follow_all(Vec::new(), built(&departed), outcomes)?;
+        self.follow_all(None, departed.into_iter().filter_map(built).collect(), outcomes)?;
         Ok(())
     }
 
     /// Runs all to their ends; returns those that have left the others.
-    fn follow_all<P: Device<N>>(
+    fn follow_all(
         &self,
-        abreast: Vec<LaneFollowers<DeviceLanes<P, N>, N, NARROW>>,
-        alone: Vec<Follower<P, N>>,
+        abreast: Option<Abreast<N>>,
+        alone: Vec<Follower<N>>,
         outcomes: &mut Outcomes,
     ) -> Result<Vec<usize>, SceneError> {
         let mut departed = Vec::new();
-        if abreast.is_empty() && alone.is_empty() {
+        if abreast.is_none() && alone.is_empty() {
             return Ok(departed);
         }
         let Some(scene) = self.scenes.first() else { return Ok(departed) };
@@ -151,7 +143,8 @@ impl<const N: usize> Runs<'_, N> {
         let mut branches = Vec::new();
         let mut group = Group { abreast, alone };
         group.follow(ahead, [0, 0], self.stop, outcomes, &mut branches)?;
-        for (row, outcome) in group.abreast.into_iter().flat_map(LaneFollowers::outcomes) {
+        let abreast = group.abreast.map(|(_, abreast)| abreast).unwrap_or_default();
+        for (row, outcome) in abreast.into_iter().flat_map(LaneFollowers::outcomes) {
             match outcome {
                 Some(outcome) => {
                     #[cfg(test)]
@@ -165,7 +158,7 @@ impl<const N: usize> Runs<'_, N> {
             let (mut master, mut slave) = (snapshot.master.clone(), snapshot.slave.clone());
             master.withhold_from(tick);
             let Ok(ahead) = Ahead::resume(settings, &snapshot, &mut master, &mut slave) else { continue };
-            let mut group = Group { abreast: Vec::new(), alone: vec![follower] };
+            let mut group = Group { abreast: None, alone: vec![follower] };
             group.follow(ahead, first, self.stop, outcomes, &mut branches)?;
         }
         Ok(departed)
@@ -173,22 +166,19 @@ impl<const N: usize> Runs<'_, N> {
 }
 
 /// Takes those of some runs before their first tick that may stand side by side.
-fn side_by_side<P: Device<N>, const N: usize>(
-    runs: &mut Vec<Follower<P, N>>,
-) -> Vec<LaneFollowers<DeviceLanes<P, N>, N, NARROW>> {
+fn side_by_side<const N: usize>(runs: &mut Vec<Follower<N>>) -> Vec<LaneFollowers<N>> {
     let (mut abreast, mut alone) = (Vec::new(), Vec::new());
     while !runs.is_empty() {
         let gathered = |take: &[usize]| {
             let of: Vec<_> = take.iter().map(|index| &runs[*index]).collect();
-            LaneFollowers::<DeviceLanes<P, N>, N, NARROW>::gather(&of)
+            LaneFollowers::gather(&of)
         };
         // Mostly the next ones fit. Otherwise those that fit the first one are looked for.
-        let mut take: Vec<_> = (0..runs.len().min(NARROW)).collect();
+        let mut take: Vec<_> = (0..runs.len().min(WIDTH)).collect();
         let mut followers = gathered(&take);
         if followers.is_none() {
-            let fits =
-                |other: &usize| LaneFollowers::<DeviceLanes<P, N>, N, NARROW>::fit(&runs[0], &runs[*other]);
-            take = std::iter::once(0).chain((1..runs.len()).filter(fits)).take(NARROW).collect();
+            let fits = |other: &usize| LaneFollowers::fit(&runs[0], &runs[*other]);
+            take = std::iter::once(0).chain((1..runs.len()).filter(fits)).take(WIDTH).collect();
             followers = gathered(&take);
         }
         match followers.filter(|_| take.len() >= MIN_ABREAST) {
@@ -207,13 +197,12 @@ fn side_by_side<P: Device<N>, const N: usize>(
 }
 
 /// Runs that follow the same link and ladders.
-struct Group<P: Device<N>, const N: usize> {
-    /// Side by side, from their first ticks on.
-    abreast: Vec<LaneFollowers<DeviceLanes<P, N>, N, NARROW>>,
-    alone: Vec<Follower<P, N>>,
+struct Group<const N: usize> {
+    abreast: Option<Abreast<N>>,
+    alone: Vec<Follower<N>>,
 }
 
-impl<P: Device<N>, const N: usize> Group<P, N> {
+impl<const N: usize> Group<N> {
     /// Lets all follow link and ladders from where these stand, after so many ticks of the master and the slave, until each has
     /// ended or goes another way.
     fn follow(
@@ -222,7 +211,7 @@ impl<P: Device<N>, const N: usize> Group<P, N> {
         mut first: [u64; 2],
         stop: &AtomicBool,
         outcomes: &mut Outcomes,
-        branches: &mut Vec<Branch<P, N>>,
+        branches: &mut Vec<Branch<N>>,
     ) -> Result<(), SceneError> {
         let mut checkpoints = VecDeque::<Checkpoint>::new();
         let mut block = Vec::new();
@@ -253,10 +242,11 @@ impl<P: Device<N>, const N: usize> Group<P, N> {
                 .is_continue();
             let ticks = block.as_slice();
             // Lanes of more axes are not compiled.
-            if N <= MAX_AXES {
-                for followers in self.abreast.iter_mut().filter(|followers| followers.is_running()) {
-                    // No operation is across lanes, and none is fused: their width changes no bit.
-                    pulp::Arch::new().dispatch(InLanes { followers, ticks });
+            if N <= MAX_AXES
+                && let Some((processor, abreast)) = &mut self.abreast
+            {
+                for followers in abreast.iter_mut().filter(|followers| followers.is_running()) {
+                    take(*processor, followers, ticks);
                 }
             }
             let mut kept = Vec::with_capacity(self.alone.len());
@@ -287,26 +277,33 @@ impl<P: Device<N>, const N: usize> Group<P, N> {
     }
 
     fn is_running(&self) -> bool {
-        !self.alone.is_empty() || self.abreast.iter().any(LaneFollowers::is_running)
+        let abreast = self.abreast.iter().flat_map(|(_, abreast)| abreast);
+        !self.alone.is_empty() || abreast.into_iter().any(LaneFollowers::is_running)
     }
 }
 
-/// Runs side by side and what they follow: what a processor's instructions are chosen for.
-struct InLanes<'a, L, const N: usize, const WIDTH: usize> {
-    followers: &'a mut LaneFollowers<L, N, WIDTH>,
-    ticks: &'a [Tick],
+/// Lets runs side by side take some ticks, in the instructions of the processor. No operation is across lanes, and none is
+/// fused: they are those of a run by itself, to the bit.
+#[cfg(target_arch = "x86_64")]
+fn take<const N: usize>(processor: Processor, followers: &mut LaneFollowers<N>, ticks: &[Tick]) {
+    struct InLanes<'a, const N: usize>(&'a mut LaneFollowers<N>, &'a [Tick]);
+
+    impl<const N: usize> pulp::WithSimd for InLanes<'_, N> {
+        type Output = ();
+
+        #[inline(always)]
+        fn with_simd<A: pulp::Simd>(self, _: A) {
+            self.0.take(self.1);
+        }
+    }
+
+    pulp::Simd::vectorize(processor, InLanes(followers, ticks));
 }
 
-impl<L, const N: usize, const WIDTH: usize> pulp::WithSimd for InLanes<'_, L, N, WIDTH>
-where
-    L: PlantLanes<N, Lanes<WIDTH>>,
-{
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<A: pulp::Simd>(self, _: A) {
-        self.followers.take(self.ticks);
-    }
+/// There are none.
+#[cfg(not(target_arch = "x86_64"))]
+fn take<const N: usize>(processor: Processor, _: &mut LaneFollowers<N>, _: &[Tick]) {
+    match processor {}
 }
 
 /// What a tick of either side has of link and ladders.
@@ -329,9 +326,9 @@ enum Progress {
 }
 
 /// Both sides of a run without link and ladders, which do what these say.
-struct Follower<P, const N: usize> {
+struct Follower<const N: usize> {
     row: usize,
-    near: Near<P, N>,
+    near: Near<N>,
     far: Far<N>,
     watched: Watched<N>,
     /// How many ticks of the master and the slave it has done.
@@ -343,8 +340,8 @@ struct Follower<P, const N: usize> {
 }
 
 /// The side of the hand.
-struct Near<P, const N: usize> {
-    plant: P,
+struct Near<const N: usize> {
+    plant: SimulatedMaster<N>,
     hand: Hand<N>,
     coupling: PositionForce<N>,
     commands: Commands,
@@ -365,16 +362,16 @@ struct Far<const N: usize> {
     heard: u64,
 }
 
-impl<P: ModelPlant<N>, const N: usize> Follower<P, N> {
+impl<const N: usize> Follower<N> {
     /// Both sides before their first tick.
     fn new(
         Connection { settings, .. }: &Connection,
         row: usize,
         scene: &SceneSpec<N>,
-        mut plant: P,
     ) -> Result<Self, SceneError> {
+        let mut plant = waiting(exact_master(scene)?);
         let list = commands::<N>(coupled(scene)?.1)?;
-        let start = plant.state().position;
+        let start = *plant.position();
         let mut arm = simulated_arm(scene)?;
         let (hand, coupling) = hand_alone(scene)?;
         plant.begin(0);
@@ -448,7 +445,7 @@ struct Decided<const N: usize> {
     safety: SafetyTick<N>,
 }
 
-impl<P: ModelPlant<N>, const N: usize> Near<P, N> {
+impl<const N: usize> Near<N> {
     /// Reads the device and decides, as [`MasterSide`](crate::MasterSide) does.
     #[inline(always)]
     fn decide(&mut self, step: &Step, far: &History<N>) -> Decided<N> {
@@ -456,7 +453,7 @@ impl<P: ModelPlant<N>, const N: usize> Near<P, N> {
             // They were checked when the scene was built.
             let _ = self.coupling.command_at_master(command);
         }
-        let (position, velocity) = self.plant.read(step.now_ns);
+        let MasterSample { position, velocity } = self.plant.read(step.now_ns);
         let received = step.newest().map(|tick| far.of(tick).force);
         self.heard = step.newest().unwrap_or(0);
         let input = HandInput {
@@ -497,7 +494,7 @@ impl<P: ModelPlant<N>, const N: usize> Near<P, N> {
         let truth = self.plant.state();
         self.plant.write(&force);
         if step.state.is_coupled() {
-            self.plant.engaged();
+            self.plant.set_waiting(false);
         }
         // What is measured of it, and nothing else.
         Some(watched.measure_near(&MasterRecord::<N> {

@@ -12,9 +12,8 @@ use crate::scene::{
     spec::{SceneSpec, of_axes, scene_axes},
 };
 
-/// Scenarios that are built before they are run side by side: enough to fill most lanes, few enough to stay in the
-/// processor's cache. Jobs of scenarios without an arm are no smaller, those of scenarios with an arm no larger.
-pub(super) const BLOCK: usize = 64;
+/// Fewest scenarios without an arm in a job, and most with one.
+const BLOCK: usize = 64;
 
 /// Most scenarios that share a beginning.
 const MAX_GROUP: usize = 32;
@@ -286,7 +285,7 @@ fn local_size(rows: usize, threads: usize) -> usize {
     rows.div_ceil(8 * threads).clamp(BLOCK, 16 * BLOCK)
 }
 
-/// A scenario with an arm fills no lanes and takes milliseconds: small blocks keep all threads busy to the end.
+/// A scenario with an arm takes milliseconds: small blocks keep all threads busy to the end.
 fn block_size(rows: usize, threads: usize) -> usize {
     rows.div_ceil(8 * threads).clamp(1, BLOCK)
 }

@@ -1,6 +1,7 @@
 //! Runs of one connection side by side, in lanes, as long as each takes the way that nearly all take: whoever meets a fault,
 //! withholds its force or diverges leaves, and is run by itself.
 
+use haptether_master::{MasterLanes, MasterLanesSample};
 use haptether_safety::{Axes, Signal, is_within};
 use haptether_slave::{SlaveLanes, SlaveLanesSample};
 use nalgebra::SimdBool as _;
@@ -10,10 +11,10 @@ use super::{
     history::{History, Sent},
 };
 use crate::{
+    Truth,
     coupling::PositionForce,
     endpoint::{HandLanes, SlaveTranslation, TranslationInput},
-    lanes::Lanes,
-    plant::{PlantLanes, SideBySide},
+    lanes::{Lanes, WIDTH},
     scene::{
         measures::Outcome,
         shared::connection::Step,
@@ -24,52 +25,52 @@ use crate::{
 };
 
 /// Both sides of some runs without link and ladders, which do what these say.
-pub(super) struct LaneFollowers<L, const N: usize, const WIDTH: usize> {
+pub(super) struct LaneFollowers<const N: usize> {
     /// The run of each lane.
     rows: Vec<usize>,
     /// A bit for each lane that is still run, and for each that has left.
     running: u64,
     left: u64,
-    near: Near<L, N, WIDTH>,
-    far: Far<N, WIDTH>,
-    watched: WatchedLanes<N, Lanes<WIDTH>>,
+    near: Near<N>,
+    far: Far<N>,
+    watched: WatchedLanes<N, Lanes>,
     /// Of lanes that have settled.
     settled: Vec<Option<Outcome>>,
 }
 
 /// The sides of the hands.
-struct Near<L, const N: usize, const WIDTH: usize> {
-    plants: L,
-    hands: HandLanes<N, Lanes<WIDTH>>,
-    coupling: PositionForce<N, Lanes<WIDTH>>,
+struct Near<const N: usize> {
+    plants: MasterLanes<N, Lanes>,
+    hands: HandLanes<N, Lanes>,
+    coupling: PositionForce<N, Lanes>,
     commands: Commands,
-    sent: History<N, Lanes<WIDTH>>,
+    sent: History<N, Lanes>,
     /// The newest tick of the slave that they have heard of.
     heard: u64,
 }
 
 /// The sides of the robots.
-struct Far<const N: usize, const WIDTH: usize> {
-    plants: SlaveLanes<N, Lanes<WIDTH>>,
-    translation: SlaveTranslation<N, Lanes<WIDTH>>,
+struct Far<const N: usize> {
+    plants: SlaveLanes<N, Lanes>,
+    translation: SlaveTranslation<N, Lanes>,
     led: LeadTransition,
     commands: Commands,
-    sent: History<N, Lanes<WIDTH>>,
+    sent: History<N, Lanes>,
     /// The newest tick of the master that they have heard of.
     heard: u64,
 }
 
 /// What decides over hands and arms, and measures.
-struct Deciding<const N: usize, const WIDTH: usize> {
-    hands: HandLanes<N, Lanes<WIDTH>>,
-    coupling: PositionForce<N, Lanes<WIDTH>>,
-    translation: SlaveTranslation<N, Lanes<WIDTH>>,
-    watched: WatchedLanes<N, Lanes<WIDTH>>,
+struct Deciding<const N: usize> {
+    hands: HandLanes<N, Lanes>,
+    coupling: PositionForce<N, Lanes>,
+    translation: SlaveTranslation<N, Lanes>,
+    watched: WatchedLanes<N, Lanes>,
 }
 
-impl<const N: usize, const WIDTH: usize> Deciding<N, WIDTH> {
+impl<const N: usize> Deciding<N> {
     /// Of some followers before their first tick; None where it differs in more than numbers.
-    fn gather<P>(of: &[&Follower<P, N>]) -> Option<Self> {
+    fn gather(of: &[&Follower<N>]) -> Option<Self> {
         let hands: Vec<_> = of.iter().map(|one| &one.near.hand).collect();
         let couplings: Vec<_> = of.iter().map(|one| &one.near.coupling).collect();
         let translations: Vec<_> = of.iter().map(|one| one.far.arm.translation()).collect();
@@ -89,13 +90,10 @@ fn lanes_of(mask: u64, count: usize) -> impl Iterator<Item = usize> {
     (0..count).filter(move |lane| mask >> lane & 1 == 1)
 }
 
-impl<L: PlantLanes<N, Lanes<WIDTH>>, const N: usize, const WIDTH: usize> LaneFollowers<L, N, WIDTH> {
+impl<const N: usize> LaneFollowers<N> {
     /// Those of some followers before their first tick, at most as many as there are lanes; None where they differ in more than
     /// numbers.
-    pub(super) fn gather<P>(of: &[&Follower<P, N>]) -> Option<Self>
-    where
-        P: SideBySide<N, Lanes<WIDTH>, Lanes = L> + Clone,
-    {
+    pub(super) fn gather(of: &[&Follower<N>]) -> Option<Self> {
         let count = of.len();
         if count > WIDTH {
             return None;
@@ -107,7 +105,7 @@ impl<L: PlantLanes<N, Lanes<WIDTH>>, const N: usize, const WIDTH: usize> LaneFol
             running: (1 << count) - 1,
             left: 0,
             near: Near {
-                plants: P::side_by_side(of.iter().map(|one| one.near.plant.clone()).collect())?,
+                plants: MasterLanes::new(of.iter().map(|one| one.near.plant.clone()).collect())?,
                 hands,
                 coupling,
                 commands: commands.clone(),
@@ -127,9 +125,9 @@ impl<L: PlantLanes<N, Lanes<WIDTH>>, const N: usize, const WIDTH: usize> LaneFol
         })
     }
 
-    /// Whether two followers are decided over alike: all that it takes, if their devices are of one kind.
-    pub(super) fn fit<P>(one: &Follower<P, N>, other: &Follower<P, N>) -> bool {
-        Deciding::<N, WIDTH>::gather(&[one, other]).is_some()
+    /// Whether two followers are decided over alike: all that it takes.
+    pub(super) fn fit(one: &Follower<N>, other: &Follower<N>) -> bool {
+        Deciding::<N>::gather(&[one, other]).is_some()
     }
 
     /// Whether any lane is still run.
@@ -179,7 +177,7 @@ impl<L: PlantLanes<N, Lanes<WIDTH>>, const N: usize, const WIDTH: usize> LaneFol
             // They were checked when the scene was built.
             let _ = coupling.command_at_master(command);
         }
-        let (position, velocity) = plants.read(running, step.now_ns);
+        let MasterLanesSample { position, velocity } = plants.read(running, step.now_ns);
         let requested = match step.newest() {
             Some(tick) => coupling.rendered_force(&self.far.sent.of(tick).force),
             None => Axes::zeros(),
@@ -189,10 +187,14 @@ impl<L: PlantLanes<N, Lanes<WIDTH>>, const N: usize, const WIDTH: usize> LaneFol
         stays = stays & !decided.response.withheld;
         let (velocity, force) = (decided.motion.velocity, decided.device_force);
         stays = stays & sent.push(Sent { position, velocity, force }, Signal::RenderedForce, self.far.heard);
-        let truth = plants.state();
+        let truth = Truth {
+            position: *plants.position(),
+            velocity: *plants.velocity(),
+            hand_force: *plants.hand_force(),
+        };
         plants.write(running, &force);
         if step.state.is_coupled() {
-            plants.engaged();
+            plants.set_waiting(false);
         }
         let tick = NearTick { now_ns: step.now_ns, state: step.state, truth: &truth, decided: &decided };
         let [still, settled] = self.watched.near(&tick);
