@@ -32,13 +32,13 @@ type Started<Rows> = (Mutex<LiveRun>, Watched<Rows>);
 
 /// Without the interpreter: once a first loop has locked the process's memory, the rings of the next take 100 ms to
 /// map.
-fn start<S, const N: usize>(
+fn start<S>(
     py: Python<'_>,
     side: S,
     place: Place,
 ) -> PyResult<Started<<S::Record as Rowed>::Rows>>
 where
-    S: Side<N, Record: Rowed> + Send + 'static,
+    S: Side<Record: Rowed> + Send + 'static,
 {
     py.detach(|| {
         // Before the loop: it locks what memory there is.

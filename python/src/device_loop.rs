@@ -93,7 +93,7 @@ trait SlaveSteps: DriverLoop + Send {
 }
 
 /// A fault that the device reports with its sample, with its own text.
-fn report_fault<const N: usize>(side: &mut impl Side<N>, fault: Option<&str>) {
+fn report_fault(side: &mut impl Side, fault: Option<&str>) {
     if let Some(text) = fault {
         side.exchange_mut().device_failed(Some(&FaultText::new(text)));
     }
@@ -144,7 +144,7 @@ fn written<'py, const N: usize>(py: Python<'py>, value: &Axes<N>) -> PyResult<Bo
     PyTuple::new(py, value.iter())
 }
 
-impl<R: MasterTurn, const N: usize> MasterSteps for PacedLoop<Timed<MasterSide<DrivenMaster<N>, N, R>>, N> {
+impl<R: MasterTurn, const N: usize> MasterSteps for PacedLoop<Timed<MasterSide<DrivenMaster<N>, N, R>>> {
     fn step<'py>(
         &mut self,
         py: Python<'py>,
@@ -186,7 +186,7 @@ impl<R: MasterTurn, const N: usize> MasterSteps for PacedLoop<Timed<MasterSide<D
     }
 }
 
-impl<R: SlaveTurn, const N: usize> SlaveSteps for PacedLoop<Timed<SlaveSide<DrivenSlave<N>, N, R>>, N> {
+impl<R: SlaveTurn, const N: usize> SlaveSteps for PacedLoop<Timed<SlaveSide<DrivenSlave<N>, N, R>>> {
     fn step<'py>(
         &mut self,
         py: Python<'py>,
@@ -490,12 +490,12 @@ impl SlaveLoop {
 }
 
 /// The loop of a side, and what watches it.
-type Prepared<S, const N: usize> = (PacedLoop<S, N>, Watched<<<S as Side<N>>::Record as Rowed>::Rows>);
+type Prepared<S> = (PacedLoop<S>, Watched<<<S as Side>::Record as Rowed>::Rows>);
 
 /// Without the interpreter, as `start` of `LiveMaster`.
-fn prepare<S, const N: usize>(py: Python<'_>, side: S, place: Place) -> PyResult<Prepared<S, N>>
+fn prepare<S>(py: Python<'_>, side: S, place: Place) -> PyResult<Prepared<S>>
 where
-    S: Side<N, Record: Rowed> + Send,
+    S: Side<Record: Rowed> + Send,
 {
     py.detach(|| {
         let (newest, outputs) = (place.newest()?, place.outputs()?);
