@@ -67,7 +67,7 @@ fn slave(rotation: bool) -> SlaveEndpoint<3> {
 }
 
 /// Steps both sides, `ticks` of 1 ms on.
-fn run(near: &mut impl Side<3>, far: &mut impl Side<3>, from: u64, ticks: u64) {
+fn run(near: &mut impl Side, far: &mut impl Side, from: u64, ticks: u64) {
     let mut buffer = [0; MAX_FRAME];
     for tick in from..from + ticks {
         let now_ns = tick * MS;

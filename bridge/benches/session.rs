@@ -34,7 +34,7 @@ fn shake((master, slave): &mut (SessionEnd, SessionEnd)) {
 fn datagrams(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("session");
     for axes in [1, 7] {
-        let payload = vec![7; FrameLayout::default().length(axes)];
+        let payload = vec![7; FrameLayout::of(axes).length()];
         let mut pair = ends(payload.len());
         shake(&mut pair);
         let (mut master, mut slave) = pair;

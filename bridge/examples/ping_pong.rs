@@ -48,7 +48,7 @@ struct Bare;
 
 impl Side for Bare {
     fn exchange<'a>(&mut self, _: Option<&mut [u8]>, buffer: &'a mut [u8; MAX_DATAGRAM]) -> Option<&'a [u8]> {
-        Some(&buffer[..haptether_bridge::session::sealed_length(FrameLayout::default().length(1))])
+        Some(&buffer[..haptether_bridge::session::sealed_length(FrameLayout::of(1).length())])
     }
 }
 
@@ -136,7 +136,7 @@ fn endpoints() -> [Endpoint; 2] {
 }
 
 fn sessions(secure: bool) -> [Session; 2] {
-    let settings = |role| SessionSettings::new(role, FrameLayout::default().length(1), PERIOD_NS);
+    let settings = |role| SessionSettings::new(role, FrameLayout::of(1).length(), PERIOD_NS);
     let [mut master, mut slave] = [Role::Master, Role::Slave].map(|role| {
         let mut entropy = SeededEntropy::new(1, role);
         if secure {

@@ -37,7 +37,7 @@ const WARM_UP: usize = 500;
 const CASES: [(&str, bool, bool); 4] =
     [("none", false, false), ("telemetry", true, false), ("recording", false, true), ("both", true, true)];
 
-type Loop = PacedLoop<MasterSide<DrivenMaster<3>, 3>, 3>;
+type Loop = PacedLoop<MasterSide<DrivenMaster<3>, 3>>;
 
 fn master() -> MasterSide<DrivenMaster<3>, 3> {
     let endpoint = MasterEndpoint::new(&MasterSettings {

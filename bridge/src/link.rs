@@ -474,6 +474,7 @@ impl FrameLink {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::padded;
     use proptest::prelude::*;
 
     const MS: u64 = 1_000_000;

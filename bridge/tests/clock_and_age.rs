@@ -19,7 +19,7 @@ const TICKS: u64 = 20_000;
 
 /// A side that only measures.
 struct Measuring {
-    exchange: Exchange<1>,
+    exchange: Exchange,
     faults: Vec<(u64, ClockFault)>,
 }
 
@@ -39,7 +39,7 @@ impl Measuring {
     fn new(role: Role, session: u64) -> Self {
         // A link whose lease outlasts what it meets; nobody presses.
         let ladder = LadderSettings { stop_after_ns: 10 * S, ..LadderSettings::default() };
-        Self { exchange: Exchange::new(role, session, MS, ladder).unwrap(), faults: Vec::new() }
+        Self { exchange: Exchange::new(role, 1, session, MS, ladder).unwrap(), faults: Vec::new() }
     }
 
     fn path(&self) -> &PeerPath {
@@ -47,7 +47,7 @@ impl Measuring {
     }
 }
 
-impl Side<1> for Measuring {
+impl Side for Measuring {
     type Record = Known;
 
     fn begin(&mut self, _: u64) {}
@@ -79,11 +79,11 @@ impl Side<1> for Measuring {
 
     fn rest(&mut self) {}
 
-    fn exchange(&self) -> &Exchange<1> {
+    fn exchange(&self) -> &Exchange {
         &self.exchange
     }
 
-    fn exchange_mut(&mut self) -> &mut Exchange<1> {
+    fn exchange_mut(&mut self) -> &mut Exchange {
         &mut self.exchange
     }
 }

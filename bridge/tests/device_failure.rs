@@ -52,10 +52,12 @@ fn slave() -> SlaveSide<DrivenSlave<1>, 1> {
 }
 
 /// At what a test looks.
-trait Seen: Side<1> {
+trait Seen: Side {
     fn spoil(&mut self, bad: bool);
     /// State of the ladder, and the fault's code.
-    fn shown(record: &Self::Record) -> (LadderState, u8);
+    fn shown(record: &Self::Record) -> (LadderState, u8)
+    where
+        Self: Sized;
 }
 
 impl Seen for MasterSide<DrivenMaster<1>, 1> {
@@ -137,12 +139,12 @@ fn a_failure_outlasts_an_acknowledgement_of_the_same_tick() {
 }
 
 /// A loop whose driver is here, with nobody at the other end.
-fn paced<S: Seen>(side: S, role: Role) -> Paced<S, 1> {
+fn paced<S: Seen>(side: S, role: Role) -> Paced<S> {
     started(side, role, None)
 }
 
 /// One that a person started at a time of the monotonic clock.
-fn started<S: Seen>(side: S, role: Role, started_ns: Option<u64>) -> Paced<S, 1> {
+fn started<S: Seen>(side: S, role: Role, started_ns: Option<u64>) -> Paced<S> {
     let local: SocketAddr = "127.0.0.1:0".parse().unwrap();
     let settings = LiveSettings {
         role,
@@ -161,7 +163,7 @@ fn started<S: Seen>(side: S, role: Role, started_ns: Option<u64>) -> Paced<S, 1>
 fn a_loop_keeps_a_failure<S: Seen>(side: S, role: Role) {
     let (mut paced, mut watch, _) = paced(side, role);
     paced.begin().unwrap();
-    let step = |paced: &mut PacedLoop<S, 1>, failed: bool| {
+    let step = |paced: &mut PacedLoop<S>, failed: bool| {
         let before = |side: &mut S| {
             if failed {
                 side.exchange_mut().device_failed(None);
@@ -265,7 +267,7 @@ fn scene(operator: &Operator) -> SceneSpec<1> {
 
 /// Engages with a slave, loses it for 60 ms, 300 ms or as the loop stands still, and goes on for 8 s with all in order:
 /// how often it engages, with a person who presses anew after 5 s or not.
-fn engagements(mut side: impl Side<1>, slave: &mut impl Side<1>, away: Away, pressed_again: bool) -> usize {
+fn engagements(mut side: impl Side, slave: &mut impl Side, away: Away, pressed_again: bool) -> usize {
     let mut buffer = [0; MAX_FRAME];
     let (mut engagements, mut was) = (0, false);
     side.begin(0);

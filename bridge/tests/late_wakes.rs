@@ -15,7 +15,7 @@ const ONE_WAY_NS: u64 = 30 * US;
 
 /// One loop: its end of the link, its next deadline, and what is in flight to it with the time of its arrival.
 struct Loop {
-    link: FrameLink<1>,
+    link: FrameLink,
     deadline_ns: u64,
     woken_ns: u64,
     inward: Vec<(u64, Vec<u8>)>,
@@ -24,7 +24,7 @@ struct Loop {
 impl Loop {
     fn new(role: Role, run_id: u64, first_ns: u64) -> Self {
         Self {
-            link: FrameLink::new(role, run_id, 1_000 * MS),
+            link: FrameLink::new(role, 1, run_id, 1_000 * MS),
             deadline_ns: first_ns,
             woken_ns: first_ns,
             inward: Vec::new(),

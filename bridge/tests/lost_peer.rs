@@ -9,7 +9,7 @@ use haptether_bridge::{
     SlaveSide, Status, TickTime, VirtualSettings,
     coupling::CommandBounds,
     run_virtual,
-    wire::{Frame, FrameLayout, MAX_FRAME, Role},
+    wire::{Frame, FrameLayout, MAX_FRAME, Role, padded},
 };
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, SimulatedMaster};
 use haptether_netsim::{ClockSettings, EndpointClock, LinkSettings};
@@ -285,7 +285,7 @@ fn an_open_clutch_moves_the_hand_and_not_the_arm() {
 #[test]
 fn a_wild_command_is_clamped_and_counted_and_nothing_stops() {
     let mut slave = SlaveEndpoint::<1>::new(&slave_settings(2)).unwrap();
-    let mut link = FrameLink::<1>::new(Role::Master, 1, 200 * MS);
+    let mut link = FrameLink::new(Role::Master, 1, 1, 200 * MS);
     let mut buffer = [0; MAX_FRAME];
     let still = Axes::<1>::zeros();
     let mut last: f64 = 0.0;
@@ -304,7 +304,7 @@ fn a_wild_command_is_clamped_and_counted_and_nothing_stops() {
                 link.send(
                     LinkTime::at(now_ns),
                     status,
-                    PortState { position: pose, velocity: speed, ..PortState::default() },
+                    PortState { position: padded(&pose), velocity: padded(&speed), ..PortState::default() },
                     &mut buffer,
                 ),
             )
@@ -466,10 +466,10 @@ fn frames_tell_the_energy_that_went_through_each_port() {
     for tick in 0..3000 {
         let now_ns = tick * MS;
         let near = master.tick(TickTime::at(now_ns));
-        let frame = Frame::<1>::decode(
+        let frame = Frame::decode(
             master.send(LinkTime::at(now_ns), &mut buffer),
             Role::Master,
-            FrameLayout::default(),
+            FrameLayout::of(1),
         )
         .unwrap();
         let expected = add(0, -near.rendered_force[0] * frame.velocity[0]);
@@ -478,24 +478,24 @@ fn frames_tell_the_energy_that_went_through_each_port() {
         }
         // Every third frame is lost, and what it said is in the next.
         if tick % 3 != 0 {
-            let _ = slave.receive(LinkTime::at(now_ns), &buffer[..FrameLayout::default().length(1)]);
+            let _ = slave.receive(LinkTime::at(now_ns), &buffer[..FrameLayout::of(1).length()]);
         }
         let sample = SlavePlant::read(&mut slave.plant, now_ns);
         let output = slave.endpoint.tick(now_ns, &SlaveReading::point(sample));
         if let Some(command) = &output.command {
             SlavePlant::write(&mut slave.plant, command, &output.command_velocity);
         }
-        let frame = Frame::<1>::decode(
+        let frame = Frame::decode(
             slave.send(LinkTime::at(now_ns), &mut buffer),
             Role::Slave,
-            FrameLayout::default(),
+            FrameLayout::of(1),
         )
         .unwrap();
         let expected = add(1, sample[2][0] * output.command_velocity[0]);
         for (sent, expected) in [frame.energy.in_j, frame.energy.out_j].iter().zip(expected) {
             assert!((sent - expected).abs() <= 1e-12, "slave, {tick}: {sent} J, must be {expected} J");
         }
-        let _ = master.receive(LinkTime::at(now_ns), &buffer[..FrameLayout::default().length(1)]);
+        let _ = master.receive(LinkTime::at(now_ns), &buffer[..FrameLayout::of(1).length()]);
     }
     // Into the wall and pressing: energy goes into it at the slave, and comes out of the hand at the master.
     let [[master_in, _], [_, slave_out]] = sums;

@@ -375,7 +375,7 @@ fn the_energy_of_the_frames_is_that_of_the_whole_wrench() {
         let now = LinkTime::at(pair.tick * MS);
         let layout = pair.master.exchange().link().layout();
         let bytes = pair.master.send(now, &mut buffer).to_vec();
-        let energy = Frame::<3>::decode(&bytes, Role::Master, layout).unwrap().energy;
+        let energy = Frame::decode(&bytes, Role::Master, layout).unwrap().energy;
         [energy.in_j, energy.out_j]
     };
     let begun = read(&mut pair);

@@ -5,7 +5,7 @@ use haptether_bridge::{
     FrameLink, LadderSettings, LadderState, LinkTime, OperatorCommand, PortState, Side, SlaveEndpoint,
     SlaveSettings, SlaveSide, Status, TickTime,
     coupling::CommandBounds,
-    wire::{MAX_FRAME, Role},
+    wire::{MAX_FRAME, Role, padded},
 };
 use haptether_safety::Axes;
 use haptether_slave::{ArmControl, ArmModel, Environment, SimulatedSlave};
@@ -18,7 +18,7 @@ const SPEED: f64 = 0.5;
 /// A slave, and a master that moves at a constant speed and is heard when it is.
 struct Bench {
     slave: SlaveSide<SimulatedSlave<1>, 1>,
-    master: FrameLink<1>,
+    master: FrameLink,
     tick: u64,
     hand: f64,
 }
@@ -43,7 +43,7 @@ impl Bench {
             ladder: LadderSettings::default(),
         })
         .unwrap();
-        let master = FrameLink::new(Role::Master, 1, 200 * MS);
+        let master = FrameLink::new(Role::Master, 1, 1, 200 * MS);
         Self { slave: SlaveSide::new(plant, endpoint), master, tick: 0, hand: 0.0 }
     }
 
@@ -57,7 +57,11 @@ impl Bench {
             if clutch && self.slave.exchange().state().is_coupled() { LadderState::Engaged } else { state };
         let status = Status { state: state.code(), hears_peer: true, clutch, ..Status::default() };
         let [position, velocity] = [self.hand, speed].map(Axes::<1>::new);
-        let sent = PortState { position, velocity, ..PortState::default() };
+        let sent = PortState {
+            position: padded(&position),
+            velocity: padded(&velocity),
+            ..PortState::default()
+        };
         let frame = self.master.send(LinkTime::at(now_ns), status, sent, &mut buffer).to_vec();
         if heard {
             let _ = self.slave.receive(LinkTime::at(now_ns), &frame);

@@ -102,13 +102,13 @@ impl Pair {
 }
 
 /// Where, what, and the steps, as a side has it.
-fn explained(side: &impl Side<1>) -> (&'static str, String, Vec<(&'static str, Remedy)>) {
+fn explained(side: &impl Side) -> (&'static str, String, Vec<(&'static str, Remedy)>) {
     let explanation = side.exchange().flight().diagnosis().unwrap().explain();
     let steps = explanation.steps.iter().map(|step| (step.at, step.remedy)).collect();
     (explanation.at, explanation.text, steps)
 }
 
-fn reasons(side: &impl Side<1>) -> Vec<String> {
+fn reasons(side: &impl Side) -> Vec<String> {
     let flight: serde_json::Value = serde_json::from_str(&side.exchange().flight().to_json()).unwrap();
     let steps = flight["transitions"].as_array().unwrap();
     steps.iter().map(|step| step["reason"].as_str().unwrap().to_owned()).collect()

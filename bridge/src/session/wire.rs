@@ -372,8 +372,9 @@ mod tests {
             for (kind, parts) in
                 [SideKind::Joints, SideKind::Pose].into_iter().flat_map(|k| (0..4).map(move |p| (k, p)))
             {
-                let layout = FrameLayout { kind, has_gripper: parts & 1 != 0, has_buttons: parts & 2 != 0 };
-                assert_ne!(sealed_length(layout.length(axes)), HANDSHAKE_LENGTH);
+                let (has_gripper, has_buttons) = (parts & 1 != 0, parts & 2 != 0);
+                let layout = FrameLayout { axes, kind, has_gripper, has_buttons };
+                assert_ne!(sealed_length(layout.length()), HANDSHAKE_LENGTH);
             }
         }
     }

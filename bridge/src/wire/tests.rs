@@ -4,9 +4,9 @@ use super::*;
 use crate::coupling::drawn::orientation;
 use proptest::prelude::*;
 
-const LAYOUT: FrameLayout = FrameLayout { kind: SideKind::Linear, has_gripper: false, has_buttons: false };
+const LAYOUT: FrameLayout = FrameLayout::of(1);
 
-fn frame() -> Frame<1> {
+fn frame() -> Frame {
     Frame {
         role: Role::Slave,
         kind: SideKind::Linear,
@@ -81,7 +81,7 @@ fn a_gripper_is_three_numbers_and_three_flags() {
         let mut bytes = bytes[..bytes.len() - CHECKSUM].to_vec();
         change(&mut bytes);
         bytes.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
-        Frame::<1>::decode(&bytes, Role::Slave, layout)
+        Frame::decode(&bytes, Role::Slave, layout)
     };
     let unknown = Frame { gripper: Some(GripperState::default()), ..frame() };
     let blank = |bytes: &mut [u8]| {
@@ -118,7 +118,7 @@ fn a_gripper_that_follows_is_the_slaves_alone() {
     let framed = Frame { role: Role::Master, gripper: Some(follows), ..frame() };
     let mut buffer = [0; MAX_FRAME];
     let layout = FrameLayout { has_gripper: true, ..LAYOUT };
-    let refused = Frame::<1>::decode(framed.encode(&mut buffer), Role::Master, layout);
+    let refused = Frame::decode(framed.encode(&mut buffer), Role::Master, layout);
     assert_eq!(refused, Err(WireError::Flags(0x5F)));
 }
 
@@ -169,8 +169,8 @@ fn a_pose_is_ten_numbers_and_buttons_are_a_word() {
     expected.extend_from_slice(&crc32fast::hash(&expected).to_le_bytes());
     assert_eq!(bytes, expected);
     let layout = framed.layout();
-    assert_eq!((layout.length(3), without.len()), (256, 172));
-    let decoded = Frame::<3>::decode(&bytes, Role::Master, layout).unwrap();
+    assert_eq!((layout.length(), without.len()), (256, 172));
+    let decoded = Frame::decode(&bytes, Role::Master, layout).unwrap();
     assert_eq!(decoded.encode(&mut buffer), bytes);
     assert_eq!(decoded.buttons, Some(0x8000_0005));
     let resealed = |role: u8, change: &dyn Fn(&mut [u8])| {
@@ -179,7 +179,7 @@ fn a_pose_is_ten_numbers_and_buttons_are_a_word() {
         change(&mut bytes);
         bytes.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
         let from = if role == 1 { Role::Master } else { Role::Slave };
-        Frame::<3>::decode(&bytes, from, layout).unwrap_err()
+        Frame::decode(&bytes, from, layout).unwrap_err()
     };
     let put = |at: usize, value: f64| move |b: &mut [u8]| b[at..at + 8].copy_from_slice(&value.to_le_bytes());
     for (at, value) in [(144, 0.601), (144, -0.6), (136, -0.0), (136, f64::NAN), (152, f64::INFINITY)] {
@@ -213,7 +213,7 @@ fn refusals_name_what_was_seen() {
     let refuse = |change: &dyn Fn(&mut Vec<u8>)| {
         let mut bytes = good.clone();
         change(&mut bytes);
-        Frame::<1>::decode(&bytes, Role::Slave, LAYOUT).unwrap_err()
+        Frame::decode(&bytes, Role::Slave, LAYOUT).unwrap_err()
     };
     assert_eq!(refuse(&|b| b.truncate(10)), WireError::Length { seen: 10, allowed: 124 });
     assert_eq!(refuse(&|b| b[0] = b'X'), WireError::Magic(*b"XT"));
@@ -226,7 +226,7 @@ fn refusals_name_what_was_seen() {
         let mut bytes = good[..good.len() - CHECKSUM].to_vec();
         change(&mut bytes);
         bytes.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
-        Frame::<1>::decode(&bytes, Role::Slave, LAYOUT)
+        Frame::decode(&bytes, Role::Slave, LAYOUT)
     };
     assert_eq!(resealed(&|b| b[6] = 0x1F), Err(WireError::Flags(0x1F)));
     assert_eq!(resealed(&|b| b[7] = 1), Err(WireError::Flags(0x10F)));
@@ -249,7 +249,7 @@ fn refusals_name_what_was_seen() {
     assert_eq!(resealed(&|b| b[106..120].fill(0)), Ok(Frame { text: TextPiece::default(), ..frame() }));
     let mut bad = frame();
     bad.force[0] = f64::NAN;
-    let error = Frame::<1>::decode(bad.encode(&mut buffer), Role::Slave, LAYOUT).unwrap_err();
+    let error = Frame::decode(bad.encode(&mut buffer), Role::Slave, LAYOUT).unwrap_err();
     assert_eq!(error.to_string(), "frame 5: environment force is not a finite number");
 }
 
@@ -333,7 +333,7 @@ proptest! {
         let layout = session.map_or(frame.layout(), |(has_gripper, has_buttons)| FrameLayout {
             has_gripper, has_buttons, ..frame.layout()
         });
-        let through = Frame::<3>::decode(frame.encode(&mut [0; MAX_FRAME]), from, layout);
+        let through = Frame::decode(frame.encode(&mut [0; MAX_FRAME]), from, layout);
         let without = frame.received(from, layout);
         // As text, for numbers that are none differ from themselves.
         prop_assert_eq!(format!("{without:?}"), format!("{through:?}"));
@@ -356,7 +356,7 @@ proptest! {
 
     #[test]
     fn noise_is_refused_without_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
-        prop_assert!(Frame::<2>::decode(&bytes, Role::Master, LAYOUT).is_err());
+        prop_assert!(Frame::decode(&bytes, Role::Master, LAYOUT).is_err());
     }
 
     /// Random bodies under a right header and checksum: what is decoded is in range, the rest is refused.
@@ -373,7 +373,7 @@ proptest! {
         }
         let checksum = crc32fast::hash(&bytes);
         bytes.extend_from_slice(&checksum.to_le_bytes());
-        match Frame::<1>::decode(&bytes, Role::Slave, LAYOUT) {
+        match Frame::decode(&bytes, Role::Slave, LAYOUT) {
             Ok(frame) => {
                 let bounds = [1e3, 1e3, 1e4, 1e9, 1e9];
                 let PortEnergy { in_j, out_j } = frame.energy;
@@ -392,7 +392,7 @@ proptest! {
         let mut buffer = [0; MAX_FRAME];
         let mut bytes = frame().encode(&mut buffer).to_vec();
         bytes[bit / 8] ^= 1 << (bit % 8);
-        prop_assert!(Frame::<1>::decode(&bytes, Role::Slave, LAYOUT).is_err());
+        prop_assert!(Frame::decode(&bytes, Role::Slave, LAYOUT).is_err());
     }
 }
 
@@ -411,5 +411,5 @@ fn a_peer_of_another_version_is_refused_by_its_version() {
     let mut bytes = [0; MAX_FRAME];
     let mut bytes = frame().encode(&mut bytes).to_vec();
     bytes[2] = 5;
-    assert_eq!(Frame::<1>::decode(&bytes, Role::Slave, LAYOUT), Err(WireError::Version(5)));
+    assert_eq!(Frame::decode(&bytes, Role::Slave, LAYOUT), Err(WireError::Version(5)));
 }

@@ -190,9 +190,9 @@ impl Watch {
         time: LinkTime,
         frame: &[u8],
         layout: FrameLayout,
-    ) -> Option<Frame<N>> {
+    ) -> Option<Frame> {
         let (tick, role) = (TickTime::at(time.tick_ns), [Role::Master, Role::Slave][self.side]);
-        let decoded = Frame::<N>::decode(frame, role, layout);
+        let decoded = Frame::decode(frame, role, layout);
         match &decoded {
             &Ok(Frame { energy, .. }) => {
                 let said = std::mem::replace(&mut self.said, energy);
@@ -220,7 +220,7 @@ impl Watch {
         self.seen.accepted += 1;
         let time = TickTime::at(now_ns);
         let from = [Role::Slave, Role::Master][self.side];
-        let Ok(frame) = Frame::<N>::decode(datagram, from, layout) else {
+        let Ok(frame) = Frame::decode(datagram, from, layout) else {
             return self.hold(false, time, || "acted on what is no frame".into());
         };
         if let Some(sent) = &self.sent {
@@ -517,7 +517,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
 
     /// As measured, the power of a wrench is the same about any point of the tool. Of an arm that is turned to the master
     /// there is none.
-    fn power(&mut self, time: LinkTime, frame: &Frame<N>) {
+    fn power(&mut self, time: LinkTime, frame: &Frame) {
         self.turning.sent(frame.sequence);
         if self.turning.get() {
             let torque = frame.rotation.map_or(0.0, |seen| seen.torque.norm());
@@ -642,7 +642,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
     }
 }
 
-impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for Near<P, N, R> {
+impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for Near<P, N, R> {
     type Record = MasterRecord<N, Feeling<R>>;
 
     fn begin(&mut self, now_ns: u64) {
@@ -709,18 +709,18 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for Near<P, N, R>
         self.side.command(now_ns, command)
     }
 
-    fn exchange(&self) -> &Exchange<N> {
+    fn exchange(&self) -> &Exchange {
         self.side.exchange()
     }
 
-    fn exchange_mut(&mut self) -> &mut Exchange<N> {
+    fn exchange_mut(&mut self) -> &mut Exchange {
         // A runner in virtual time asks for it where the loop has slept, and for nothing else.
         self.stalled = true;
         self.side.exchange_mut()
     }
 }
 
-impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Side<N> for Far<P, N, S> {
+impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Side for Far<P, N, S> {
     type Record = SlaveRecord<N, S>;
 
     fn begin(&mut self, now_ns: u64) {
@@ -783,17 +783,17 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Side<N> for Far<P, N, S> {
         self.side.command(now_ns, command)
     }
 
-    fn exchange(&self) -> &Exchange<N> {
+    fn exchange(&self) -> &Exchange {
         self.side.exchange()
     }
 
-    fn exchange_mut(&mut self) -> &mut Exchange<N> {
+    fn exchange_mut(&mut self) -> &mut Exchange {
         self.side.exchange_mut()
     }
 }
 
 /// Does at a side what people do there by the time of a tick; whether they let go of the clutch.
-fn act<const N: usize>(side: &mut impl Side<N>, watch: &mut Watch, time: TickTime) -> bool {
+fn act(side: &mut impl Side, watch: &mut Watch, time: TickTime) -> bool {
     let mut released = false;
     let due = watch.commands.iter().take_while(|(at_ns, _)| *at_ns <= time.now_ns).count();
     for (_, command) in watch.commands.drain(..due) {
