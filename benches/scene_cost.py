@@ -105,9 +105,6 @@ def rows() -> Iterator[Row]:
     all_four = {"controllers": ["vfc", "hsc", "wsc", "pc"]}
     yield Row(name="VFC + HSC + WSC + PC", scene=scene(safety=all_four), base="local, 1 axis")
     yield Row(name="recorded", scene=scene(record={}), base="local, 1 axis")
-    for integrator in ("semi-implicit-euler", "velocity-verlet", "rk4"):
-        stepped = scene(run={"integrator": integrator})
-        yield Row(name=f"{integrator}, 10 steps", scene=stepped, base="local, 1 axis")
     for where, arm in (("local", False), ("bilateral", True)):
         base = f"{where}, 3 axes, 0 objects"
         yield Row(name=base, scene=scene(3, arm=arm, environment=far(0)))

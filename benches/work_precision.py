@@ -1,9 +1,10 @@
-"""Run time against error of every integrator of scenes, exact and with steps, beside SciPy's DOP853.
+"""Run time against error of the engine, which is exact, beside methods with steps and SciPy's DOP853.
 
 Each scenario is one axis with dT = 1 ms. The reference shares no line with ours: a closed form, a recursion in extended
 precision, or DOP853 at 1e-13, piece by piece between located events (`_piecewise.py`).
 
-The default integrator must lie on the Pareto front of every scenario: no method may be at least as accurate and faster.
+The methods with steps are those of `_stepped.py`: bare loops, compiled by Numba (`haptether[bench]`). The engine must
+lie on the Pareto front of every scenario: no method may be at least as accurate and faster.
 """
 
 import sys
@@ -11,9 +12,10 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from functools import partial
+from importlib.util import find_spec
 from math import cos, pi, sin, sqrt
 from pathlib import Path
-from typing import Literal, TextIO
+from typing import TextIO, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +25,7 @@ from rich.progress import track
 
 from _piecewise import Motion, integrate, recursion, tick_by_tick, ticks_of
 from _report import bench_options, table_file, write_json
+from _stepped import METHODS, Method, step
 from haptether.bridge import (
     ContactTable,
     EnvironmentTable,
@@ -42,11 +45,10 @@ from haptether.bridge import (
 )
 
 Array = npt.NDArray[np.float64]
-Integrator = Literal["exact", "rk4", "velocity-verlet", "semi-implicit-euler"]
+Done = TypeVar("Done")
 
 EXAMPLE = "example: python benches/work_precision.py --json - --plot out"
-DEFAULT: Integrator = "exact"
-STEPPED: tuple[Integrator, ...] = ("rk4", "velocity-verlet", "semi-implicit-euler")
+EXACT = "exact"
 STEPS_S = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
 MASS_KG, VISCOUS, COULOMB_N = 0.157, -0.005, 0.038
 OTHER_STEP_S = 0.61e-3
@@ -195,7 +197,7 @@ class Score:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
-    """All scores of one scenario; `dominated_by`: methods that beat the default."""
+    """All scores of one scenario; `dominated_by`: methods that beat the engine."""
 
     scenario: str
     stresses: str
@@ -207,49 +209,73 @@ class Panel:
     dominated_by: list[str]
 
 
-def ran(scene: Scene, integrator: Integrator, step_s: float | None = None, *, recorded: bool = True) -> Run:
-    """One run."""
-    run = replace(scene.run, integrator=integrator, step_s=step_s)
-    return simulate(replace(scene, run=run, record=RecordTable() if recorded else None))
+def ran(scene: Scene, *, recorded: bool = True) -> Run:
+    """One run of the engine."""
+    return simulate(replace(scene, record=RecordTable() if recorded else None))
 
 
-def seconds(scene: Scene, integrator: Integrator, step_s: float | None, repeats: int) -> float:
+def seconds(scene: Scene, repeats: int) -> float:
     """The call of the engine, without records: least of the repeats, less that of a scene of one tick."""
     one = replace(scene, run=replace(scene.run, duration_s=scene.run.period_s))
-    whole, start = (
-        min(ran(some, integrator, step_s, recorded=False).metrics.wall_time_s for _ in range(repeats))
-        for some in (scene, one)
-    )
+    whole, start = (min(ran(some, recorded=False).metrics.wall_time_s for _ in range(repeats)) for some in (scene, one))
     return whole - start
 
 
-def broke_s(run: Run, integrator: Integrator) -> float | None:
-    """When the wall was last left: as located, or, with steps, the first tick without its force."""
-    if integrator == "exact":
-        return max((event.time_s for event in run.events if event.kind == "free"), default=None)
-    pushed = np.flatnonzero(run.signals.wall_force)
-    return float(run.signals.time_s[min(pushed[-1] + 1, len(run.signals.time_s) - 1)]) if len(pushed) else None
+def timed(compute: Callable[[], Done], repeats: int) -> tuple[Done, float]:
+    """What a call returns, and its time in s, least of the repeats."""
+    times = []
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        done = compute()
+        times.append(time.perf_counter() - begun)
+    return done, min(times)
 
 
-def score(
-    scenario: Scenario, method: tuple[Integrator, float | None], truth: Motion, scipy_s: float, repeats: int
-) -> Score:
-    """One method with one step."""
-    scene, (integrator, step_s) = scenario.scene, method
-    run = ran(scene, integrator, step_s)
-    position, velocity = run.signals.position, run.signals.velocity
-    broke, taken = broke_s(run, integrator), seconds(scene, integrator, step_s, repeats)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Computed:
+    """A motion, when in s the wall was last left, and how long in s it took to compute."""
+
+    method: str
+    step_s: float | None = None
+    position: Array
+    velocity: Array
+    left_s: float | None
+    took_s: float
+
+
+def by_engine(scene: Scene, repeats: int) -> Computed:
+    """The engine's."""
+    run = ran(scene)
+    return Computed(
+        method=EXACT,
+        position=run.signals.position,
+        velocity=run.signals.velocity,
+        left_s=max((event.time_s for event in run.events if event.kind == "free"), default=None),
+        took_s=seconds(scene, repeats),
+    )
+
+
+def by_steps(scene: Scene, method: Method, step_s: float, repeats: int) -> Computed:
+    """That of a method with steps."""
+    done, took_s = timed(partial(step, scene, method, step_s, numba=True), repeats)
+    return Computed(
+        method=method, step_s=step_s, position=done.position, velocity=done.velocity, left_s=done.left_s, took_s=took_s
+    )
+
+
+def score(scenario: Scenario, truth: Motion, found: Computed, scipy_s: float) -> Score:
+    """A motion against the true one."""
     energy = None
     if scenario.energy_j is not None:
-        energy = abs(0.5 * MASS_KG * float(velocity[-1]) ** 2 / scenario.energy_j - 1.0)
+        energy = abs(0.5 * MASS_KG * float(found.velocity[-1]) ** 2 / scenario.energy_j - 1.0)
     return Score(
-        method=integrator,
-        step_s=step_s,
-        us_per_s=taken * 1e6 / scene.run.duration_s,
-        scipy_ratio=scipy_s / taken,
-        position_m=float(np.abs(position - truth.position).max()),
-        peak_velocity=abs(float(np.abs(velocity).max() - np.abs(truth.velocity).max())),
-        contact_s=abs(broke - truth.left_s[-1]) if broke is not None and truth.left_s else None,
+        method=found.method,
+        step_s=found.step_s,
+        us_per_s=found.took_s * 1e6 / scenario.scene.run.duration_s,
+        scipy_ratio=scipy_s / found.took_s,
+        position_m=float(np.abs(found.position - truth.position).max()),
+        peak_velocity=abs(float(np.abs(found.velocity).max() - np.abs(truth.velocity).max())),
+        contact_s=abs(found.left_s - truth.left_s[-1]) if found.left_s is not None and truth.left_s else None,
         energy=energy,
     )
 
@@ -257,21 +283,16 @@ def score(
 def measure(scenario: Scenario, repeats: int, scipy_repeats: int) -> Panel:
     """All methods of one scenario."""
     truth, scene = scenario.reference(scenario.scene), scenario.scene
-    times = []
-    for _ in range(scipy_repeats):
-        begun = time.perf_counter()
-        peer = scenario.scipy(scene)
-        times.append(time.perf_counter() - begun)
+    peer, scipy_s = timed(partial(scenario.scipy, scene), scipy_repeats)
     floor = float(np.abs(peer.position - truth.position).max())
-    methods: list[tuple[Integrator, float | None]] = [(DEFAULT, None)]
-    methods += [(integrator, step_s) for integrator in STEPPED for step_s in STEPS_S]
-    scores = [score(scenario, method, truth, min(times), repeats) for method in methods]
-    ours = scores[0]
+    found = [by_engine(scene, repeats)]
+    found += [by_steps(scene, method, step_s, repeats) for method in METHODS for step_s in STEPS_S]
+    ours, *peers = (score(scenario, truth, one, scipy_s) for one in found)
     # Below what the reference itself is good for, no method is better than another.
     known = 0.0 if scenario.reference in (thrown, recursion) else floor
     dominated_by = [
         f"{one.method} at {one.step_s:g} s"
-        for one in scores[1:]
+        for one in peers
         if max(one.position_m, known) <= max(ours.position_m, known) and one.us_per_s < ours.us_per_s
     ]
     return Panel(
@@ -279,9 +300,9 @@ def measure(scenario: Scenario, repeats: int, scipy_repeats: int) -> Panel:
         stresses=STRESSES[scenario.name],
         note=scenario.note,
         simulated_s=scene.run.duration_s,
-        scipy_us_per_s=min(times) * 1e6 / scene.run.duration_s,
+        scipy_us_per_s=scipy_s * 1e6 / scene.run.duration_s,
         scipy_error_m=floor,
-        scores=scores,
+        scores=[ours, *peers],
         dominated_by=dominated_by,
     )
 
@@ -303,7 +324,7 @@ def release_errors() -> dict[float, float]:
             master=replace(scene.master, position=-depth),
             environment=EnvironmentTable(rendering="continuous", objects=wall(stiffness)),
         )
-        velocity = float(ran(scene, DEFAULT).signals.velocity[-1])
+        velocity = float(ran(scene).signals.velocity[-1])
         errors[stiffness] = abs(velocity / (sqrt(stiffness / MASS_KG) * depth) - 1.0)
     return errors
 
@@ -322,7 +343,7 @@ def bounce_error(contacts: int = CONTACTS) -> tuple[float, int]:
         ),
         safety=UNWATCHED,
     )
-    signals = ran(scene, DEFAULT).signals
+    signals = ran(scene).signals
     x, v = signals.position, signals.velocity
     energy = 0.5 * MASS_KG * v * v + 0.5 * stiffness * np.minimum(x, 0.0) ** 2 + force * x
     made = int(np.count_nonzero((x[1:] <= 0.0) & (x[:-1] > 0.0)))
@@ -355,10 +376,10 @@ def report(panels: Iterable[Panel], out: TextIO) -> None:
             f"  {'SciPy DOP853':<20}{'-':>11}{panel.scipy_us_per_s:>11.0f}{1:>11}{panel.scipy_error_m:>11.1e}\n",
             file=out,
         )
-    legend = """us/s: us per simulated second, the least of the repeats of the engine's call without records, less that
-of a scene of one tick (building, JSON, the call itself); SciPy/x: time of DOP853 over ours
+    legend = """us/s: us per simulated second, the least of the repeats; of the engine its call without records, less
+that of a scene of one tick (building, JSON, the call itself); SciPy/x: time of DOP853 over it
 x: largest error at any tick; peak V: of the largest speed; contact: of the last break of a contact, which is located
-by the exact integrator and known to a tick with steps; energy: relative, where a closed form has it
+by the engine and known to a tick with steps; energy: relative, where a closed form has it
 the error of DOP853 is against the closed form or the recursion, else against itself with other steps"""
     print(legend, file=out)
 
@@ -371,14 +392,14 @@ def plot(panels: list[Panel], folder: Path) -> Path:
     from matplotlib import pyplot as plt  # noqa: PLC0415
 
     figure, places = plt.subplots(2, 3, figsize=(13, 8), sharex=True, sharey=True, layout="constrained")
-    marks = {"exact": "k*", "rk4": "C0o-", "velocity-verlet": "C1s-", "semi-implicit-euler": "C2^-"}
+    marks = {EXACT: "k*", "rk4": "C0o-", "velocity-verlet": "C1s-", "semi-implicit-euler": "C2^-"}
     for panel, place in zip(panels, places.flat, strict=True):
         for method, mark in marks.items():
             points = [one for one in panel.scores if one.method == method]
             place.loglog(
                 [one.us_per_s for one in points], [max(one.position_m, 1e-18) for one in points], mark,
-                label=f"{method} (default)" if method == DEFAULT else method,
-                markersize=13 if method == DEFAULT else 5, linewidth=1,
+                label=f"{method} (Haptether)" if method == EXACT else method,
+                markersize=13 if method == EXACT else 5, linewidth=1,
             )  # fmt: skip
         place.loglog(panel.scipy_us_per_s, panel.scipy_error_m, "C3D", markersize=7, label="SciPy DOP853 at 1e-13")
         place.set_title(panel.scenario)
@@ -397,7 +418,7 @@ def plot(panels: list[Panel], folder: Path) -> Path:
 
 
 def main() -> int:
-    """Measures, prints, and checks the default."""
+    """Measures, prints, and checks the engine."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--plot", metavar="DIR", type=Path, help="writes work_precision.png there")
     options.add_argument("--repeats", type=int, default=20, help="the least time counts (default 20)")
@@ -405,6 +426,8 @@ def main() -> int:
     arguments = options.parse_args()
     if min(arguments.repeats, arguments.scipy_repeats) < 1:
         options.error("--repeats and --scipy-repeats must be at least 1")
+    if find_spec("numba") is None:
+        options.error("the methods with steps need Numba: pip install 'haptether[bench]'")
 
     out = table_file(arguments.json)
     panels = [
@@ -426,8 +449,8 @@ def main() -> int:
     for panel in panels:
         if panel.dominated_by:
             met = False
-            print(f"{panel.scenario}: {DEFAULT} is beaten by {', '.join(panel.dominated_by)}", file=out)
-    print(f"{DEFAULT} is the default: {'on every Pareto front' if met else 'NOT justified'}", file=out)
+            print(f"{panel.scenario}: {EXACT} is beaten by {', '.join(panel.dominated_by)}", file=out)
+    print(f"{EXACT}: {'on every Pareto front' if met else 'NOT on every Pareto front'}", file=out)
     if arguments.plot is not None:
         print(plot(panels, arguments.plot), file=out)
     write_json(

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from haptether._core import read_recording_columns
 from haptether.bridge.flight import Cause, Step
+from haptether.bridge.scene.errors import REMOVED
 
 SCHEMA = "1"
 RECORDED = "what --record of master, slave or simulate wrote"
@@ -82,13 +83,27 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         side=about["side"],
         security=about["security"],
         version=about.get("version", ""),
-        scene=about.get("scene", "").encode(),
+        scene=_scene(about.get("scene", "").encode()),
         begun_ns=read.begun_ns,
         whole=read.whole and is_whole,
         signals={name: _signal(column) for name, column in read.columns.items()},
         meanings=read.meanings,
         causes=causes,
     )
+
+
+def _scene(recorded: bytes) -> bytes:
+    """A scene without the keys of the stepped integrators, which earlier recordings have and nothing needs."""
+    if b'"integrator"' not in recorded:
+        return recorded
+    try:
+        scene = msgspec.json.decode(recorded, type=dict[str, Any])
+    except msgspec.MsgspecError:
+        return recorded  # refused by what needs it
+    for table, key in REMOVED:
+        if isinstance(keys := scene.get(str(table)), dict):
+            keys.pop(key, None)
+    return msgspec.json.encode(scene)
 
 
 def _signal(column: npt.NDArray[Any] | tuple[list[str], npt.NDArray[np.uint8]]) -> npt.NDArray[Any]:

@@ -36,8 +36,6 @@ from haptether.bridge.scene.tables.slave import (
 )
 
 SLAVE_PERIOD_S = (1e-5, 2e-2)
-MAX_STEPS = 1e9
-"""Of the integrator in one run."""
 MAX_REFERENCE_M = 10.0
 """Of a point of the tool from the tool point."""
 JERK_DENSITIES = {"kalman": ("jerk_density",), "dual-kalman": ("velocity_jerk_density", "jerk_density")}
@@ -110,15 +108,6 @@ def _run(run: RunTable) -> Iterator[SceneError]:
     if run.duration_s / run.period_s > MAX_TICKS * (1.0 + 1e-9):
         allowed = f"at most 2e7 ticks, {MAX_TICKS * run.period_s:g} s at period_s = {run.period_s:g}"
         yield wrong(("run", "duration_s"), run.duration_s, allowed)
-    if run.step_s is not None:
-        steps = run.period_s / run.step_s
-        if run.integrator == "exact":
-            yield contradiction(("run", "step_s"), "the exact integrator has no step: leave it out or name another")
-        elif run.duration_s > MAX_STEPS * run.step_s:
-            allowed = f"such that the run has at most 1e9 steps, {run.duration_s / MAX_STEPS:g} or more"
-            yield wrong(("run", "step_s"), run.step_s, allowed)
-        elif steps < 1.0 - 1e-9 or abs(steps - round(steps)) > 1e-6 * steps:
-            yield wrong(("run", "step_s"), run.step_s, f"a whole fraction of period_s = {run.period_s:g}")
 
 
 def _operator(table: OperatorTable) -> Iterator[SceneError]:

@@ -225,6 +225,13 @@ def refuse_infinite(raw: Raw, path: Path = ()) -> None:
         raise wrong(path, raw, "a finite number")
 
 
+REMOVED: dict[Path, str] = {
+    ("run", "integrator"): "the stepped integrators were removed, leave the key out",
+    ("run", "step_s"): "was removed with the stepped integrators, leave it out",
+    ("master", "friction_speed"): "was removed with the stepped integrators, leave it out",
+}
+"""Keys, or values of a key, that earlier versions had, and what to do about them."""
+
 _WHERE = re.compile(r"(?P<said>.*?)(?: - at `\$(?P<path>.*)`)?$", re.DOTALL)
 
 
@@ -243,11 +250,14 @@ def explained(error: ValidationError, raw: Raw) -> SceneError:
     if missing := re.search(r"missing required field `(.*)`", said):
         key = missing[1]
         return SceneError(f"{place((*path, key))} is missing: must be {allowed_at((*path, key))}")
-    return wrong(path, look_up(raw, path), allowed_at(path, look_up(raw, path)))
+    seen = look_up(raw, path)
+    return wrong(path, seen, ": ".join(filter(None, (allowed_at(path, seen), REMOVED.get(path)))))
 
 
 def unknown_key(path: Path) -> SceneError:
     """A key that its table does not have."""
+    if path in REMOVED:
+        return contradiction(path, REMOVED[path])
     key, table = str(path[-1]), path[:-1]
     name = f"[{_dotted(table)}]" if table else "a scene"
     seen = abridged(key) or '""'

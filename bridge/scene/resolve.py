@@ -54,8 +54,8 @@ Spec: TypeAlias = dict[str, Any]
 
 PYTHON_ONLY: dict[type[Struct], frozenset[str]] = {
     Scene: frozenset({"schema", "title", "shows"}),
-    RunTable: frozenset({"integrator", "step_s"}),
-    MasterTable: frozenset({"device", "driver", "options", "friction_speed"}),
+    RunTable: frozenset({"integrator"}),
+    MasterTable: frozenset({"device", "driver", "options"}),
     RotationLegTable: frozenset({"turn"}),
     SlaveTable: frozenset({"device", "kind", "options"}),
     GripperTable: frozenset({"device", "options"}),

@@ -7,11 +7,10 @@ import pytest
 from msgspec.structs import replace
 
 from _piecewise import integrate, recursion
+from _stepped import Method, step
 from haptether.bridge import Run, Scene
 from work_precision import (
     CONTACTS,
-    DEFAULT,
-    Integrator,
     bounce_error,
     bounces,
     held,
@@ -45,7 +44,7 @@ def test_an_undamped_bounce_keeps_its_energy_over_ten_thousand_contacts() -> Non
 
 
 def test_the_throw_is_its_closed_form() -> None:
-    run, truth = ran(throw(), DEFAULT), thrown(throw())
+    run, truth = ran(throw()), thrown(throw())
     # Rounding of x, at most 1.4 m.
     assert np.abs(run.signals.position - truth.position).max() < 1e-15
     assert np.abs(run.signals.velocity - truth.velocity).max() < 4e-15
@@ -55,7 +54,7 @@ def test_the_throw_is_its_closed_form() -> None:
 # DOP853 agrees with itself at other steps to 3e-15 m and 2e-13 m/s (the damped wall is stiffest).
 @pytest.mark.parametrize("scene", [bounces(), path(), press(), rub()], ids=["bounces", "path", "press", "rub"])
 def test_the_motion_is_that_of_dop853(scene: Scene) -> None:
-    run, truth = ran(scene, DEFAULT), reference(scene)
+    run, truth = ran(scene), reference(scene)
     assert np.abs(run.signals.position - truth.position).max() < 2e-14
     assert np.abs(run.signals.velocity - truth.velocity).max() < 1e-12
     assert times(run, "contact") == pytest.approx(truth.met_s, abs=1e-13)
@@ -67,38 +66,26 @@ def test_the_scenes_have_what_they_are_for() -> None:
     assert len(reference(bounces()).met_s) == 18
     velocity = reference(rub()).velocity
     assert np.count_nonzero(velocity == 0.0) > 10
-    still = ran(replace(press(), operator=path().operator), DEFAULT).signals.velocity
-    assert np.abs(still).max() < 0.2 < np.abs(ran(press(), DEFAULT).signals.velocity).max()
+    still = ran(replace(press(), operator=path().operator)).signals.velocity
+    assert np.abs(still).max() < 0.2 < np.abs(ran(press()).signals.velocity).max()
 
 
 def test_a_held_wall_is_its_recursion() -> None:
-    run, truth = ran(held(), DEFAULT), recursion(held())
+    run, truth = ran(held()), recursion(held())
     assert np.abs(run.signals.position - truth.position).max() < 1e-16
     assert np.abs(run.signals.velocity - truth.velocity).max() < 1e-14
 
 
 @pytest.mark.parametrize(
-    ("integrator", "order"),
+    ("method", "order"),
     [("semi-implicit-euler", 1), ("velocity-verlet", 2), ("rk4", 4)],
 )
-def test_a_method_with_steps_has_its_order(integrator: Integrator, order: int) -> None:
+def test_a_method_of_the_bench_has_its_order(method: Method, order: int) -> None:
+    """A peer that errs would make the engine look good."""
     scene = path()
     truth = reference(scene)
     coarse, fine = (
-        float(np.abs(ran(scene, integrator, step_s).signals.position - truth.position).max()) for step_s in (1e-3, 5e-4)
+        float(np.abs(step(scene, method, step_s).position - truth.position).max()) for step_s in (1e-3, 5e-4)
     )
     # The kinks of the path lie on steps, so that each method keeps its order.
     assert np.log2(coarse / fine) == pytest.approx(order, abs=0.1)
-
-
-@pytest.mark.parametrize("integrator", ["semi-implicit-euler", "velocity-verlet", "rk4"])
-def test_steps_err_by_the_friction_that_they_soften(integrator: Integrator) -> None:
-    """No step is small enough: what helps is a lower friction speed."""
-    truth, scene = reference(rub()), rub()
-
-    def error(friction_speed: float, step_s: float) -> float:
-        softened = replace(scene, master=replace(scene.master, friction_speed=friction_speed))
-        return float(np.abs(ran(softened, integrator, step_s).signals.position - truth.position).max())
-
-    assert error(1e-3, 2e-5) == pytest.approx(error(1e-3, 1e-5), rel=0.02)
-    assert error(1e-4, 2e-5) < 0.5 * error(1e-3, 2e-5)

@@ -13,7 +13,6 @@ from haptether.bridge import Run, Scene, SceneError, simulate, sweep
 
 pytestmark = pytest.mark.slow
 
-INTEGRATORS = ("exact", "semi-implicit-euler", "velocity-verlet", "rk4")
 STIFF = 1e7
 """In N/m: four orders above a wall that a hand can tell from steel."""
 SHAPES: dict[str, dict[str, Any]] = {
@@ -39,9 +38,7 @@ def run(raw: dict[str, Any]) -> Run:
     return done
 
 
-def stressed(
-    integrator: str, axes: int, has_arm: bool, *, shape: str, law: str, period_s: float, viscous: float
-) -> dict[str, Any]:
+def stressed(axes: int, has_arm: bool, *, shape: str, law: str, period_s: float, viscous: float) -> dict[str, Any]:
     """A device of a gram that a hand presses on what is as hard as it gets."""
     duration_s = 0.02 if period_s < 1e-3 else 0.5
     contact: dict[str, Any] = {"law": law, "stiffness": STIFF, "damping": 1.0}
@@ -55,7 +52,7 @@ def stressed(
         contact["friction"] = 0.5
     raw: dict[str, Any] = {
         "schema": 1,
-        "run": {"duration_s": duration_s, "period_s": period_s, "integrator": integrator},
+        "run": {"duration_s": duration_s, "period_s": period_s},
         "master": {"axes": axes, "mass_kg": 1e-3, "viscous": viscous, "velocity": -0.1},
         "operator": {
             "stiffness": 300.0, "damping": 1.0, "start": start, "legs": [{"duration_s": duration_s / 2, "end": -0.02}]
@@ -73,29 +70,27 @@ def stressed(
 
 @pytest.mark.parametrize("has_arm", [False, True])
 @pytest.mark.parametrize("axes", [1, 3])
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_every_shape_law_and_rate_ends_with_numbers(integrator: str, axes: int, has_arm: bool) -> None:
+def test_every_shape_law_and_rate_ends_with_numbers(axes: int, has_arm: bool) -> None:
     laws = ("kelvin-voigt", "hunt-crossley")
     for shape, law, period_s, viscous in product(SHAPES, laws, (1e-5, 1e-3, 2e-2), (-0.005, -0.5)):
         if (shape, law) != ("spring", "hunt-crossley"):
-            run(stressed(integrator, axes, has_arm, shape=shape, law=law, period_s=period_s, viscous=viscous))
+            run(stressed(axes, has_arm, shape=shape, law=law, period_s=period_s, viscous=viscous))
 
 
 @pytest.mark.parametrize("axes", [1, 3])
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_continuous_walls_end_with_numbers(integrator: str, axes: int) -> None:
+def test_continuous_walls_end_with_numbers(axes: int) -> None:
     for period_s, viscous in product((1e-5, 1e-3, 2e-2), (-0.005, -0.5)):
-        raw = stressed(integrator, axes, False, shape="plane", law="kelvin-voigt", period_s=period_s, viscous=viscous)
+        raw = stressed(axes, False, shape="plane", law="kelvin-voigt", period_s=period_s, viscous=viscous)
         raw["environment"]["objects"][0]["contact"] = {"stiffness": STIFF, "damping": 1.0}
         raw["environment"]["rendering"] = "continuous"
         run(raw)
 
 
-def unstable(integrator: str, axes: int, has_arm: bool) -> dict[str, Any]:
+def unstable(axes: int, has_arm: bool) -> dict[str, Any]:
     """A spring far above what its rate and its delay allow."""
     raw: dict[str, Any] = {
         "schema": 1,
-        "run": {"duration_s": 20.0, "integrator": integrator},
+        "run": {"duration_s": 20.0},
         "master": {"axes": axes, "mass_kg": 0.1, "viscous": 0.5, "position": 1e-3},
         "environment": {"objects": [{"shape": {"kind": "spring"}, "contact": {"stiffness": 5000.0}}]},
         "safety": {"limiter": {"enabled": False}},
@@ -110,9 +105,8 @@ def unstable(integrator: str, axes: int, has_arm: bool) -> dict[str, Any]:
 
 @pytest.mark.parametrize("has_arm", [False, True])
 @pytest.mark.parametrize("axes", [1, 3])
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_a_loop_that_diverges_says_when_and_why_and_stops(integrator: str, axes: int, has_arm: bool) -> None:
-    done = run(unstable(integrator, axes, has_arm))
+def test_a_loop_that_diverges_says_when_and_why_and_stops(axes: int, has_arm: bool) -> None:
+    done = run(unstable(axes, has_arm))
     assert done.metrics.diverged
     end = done.events[-1]
     assert end.kind == "diverged"
@@ -125,7 +119,7 @@ def test_a_loop_that_diverges_says_when_and_why_and_stops(integrator: str, axes:
 @pytest.mark.parametrize("period_s", [2.4e-5, 1.1e-4, 1e-3])
 def test_what_is_too_stiff_is_taken_coarsely_and_reported_at_any_rate(period_s: float, has_arm: bool) -> None:
     """A spring that drags a body of 0.3 g with 2e5 N s/m: a rate of 7e8 / s. Short ticks have no more patience."""
-    raw = unstable("exact", 3, has_arm)
+    raw = unstable(3, has_arm)
     raw["run"] = {"duration_s": 100 * period_s, "period_s": period_s}
     drags = {"stiffness": 5e3, "damping": 2e5}
     raw["environment"]["objects"] = [
@@ -136,7 +130,7 @@ def test_what_is_too_stiff_is_taken_coarsely_and_reported_at_any_rate(period_s: 
 
 
 def test_an_arm_that_meets_impossible_numbers_has_diverged() -> None:
-    raw = unstable("exact", 1, True)
+    raw = unstable(1, True)
     raw["environment"]["objects"][0] = {
         "shape": {"kind": "spring", "anchor": 0.5}, "contact": {"stiffness": STIFF}
     }  # fmt: skip
@@ -146,7 +140,7 @@ def test_an_arm_that_meets_impossible_numbers_has_diverged() -> None:
 
 
 def test_an_arm_that_leaves_its_room_has_diverged() -> None:
-    raw = unstable("exact", 1, True)
+    raw = unstable(1, True)
     raw["run"]["diverged_position"] = 0.02
     raw["environment"]["objects"] = []
     raw["environment"]["pushers"] = [{"force_n": 100.0}]
@@ -156,7 +150,7 @@ def test_an_arm_that_leaves_its_room_has_diverged() -> None:
 
 def test_long_delays_lose_nothing_and_stay_finite() -> None:
     """More frames are under way than a queue of the network holds: in virtual time it is as long as it must be."""
-    raw = unstable("exact", 1, True)
+    raw = unstable(1, True)
     raw["run"] = {"duration_s": 2.2, "period_s": 1e-5}
     raw["link"] = {"forward": {"delay_s": 1.0}, "backward": {"delay_s": 1.0}}
     raw["record"] = {"every": 100}
@@ -167,13 +161,12 @@ def test_long_delays_lose_nothing_and_stay_finite() -> None:
     assert "hold" not in kinds
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_a_spring_five_seconds_late_diverges(integrator: str) -> None:
-    local = unstable(integrator, 1, False)
+def test_a_spring_five_seconds_late_diverges() -> None:
+    local = unstable(1, False)
     local["run"]["duration_s"] = 100.0
     local["environment"]["delay_ticks"] = 5000
     assert run(local).metrics.diverged
-    remote = unstable(integrator, 1, True)
+    remote = unstable(1, True)
     remote["run"]["duration_s"] = 100.0
     # A press waits for 5 s: over a way there and back of as much nobody can engage.
     remote["link"] = {"forward": {"delay_s": 2.5}, "backward": {"delay_s": 2.5}}
@@ -201,7 +194,7 @@ def test_ten_million_ticks() -> None:
 
 
 def test_a_diverged_row_is_marked_in_a_sweep() -> None:
-    scene = msgspec.convert(unstable("semi-implicit-euler", 1, False), Scene)
+    scene = msgspec.convert(unstable(1, False), Scene)
     stiffness = [10.0, 400.0, 2000.0, 5000.0, STIFF]
     for lanes in (True, False):
         table = sweep(scene, {"environment.objects.0.contact.stiffness": stiffness}, threads=1, lanes=lanes)
@@ -216,7 +209,7 @@ def test_a_diverged_row_is_marked_in_a_sweep() -> None:
     ],
 )
 def test_a_spring_has_no_surface_and_no_other_law(contact: dict[str, Any], message: str) -> None:
-    raw = unstable("exact", 3, False)
+    raw = unstable(3, False)
     raw["environment"]["objects"][0]["contact"] |= contact
     with pytest.raises(SceneError) as refused:
         run(raw)
@@ -224,7 +217,7 @@ def test_a_spring_has_no_surface_and_no_other_law(contact: dict[str, Any], messa
 
 
 def test_points_of_a_recording_are_apart() -> None:
-    raw = unstable("exact", 1, False)
+    raw = unstable(1, False)
     raw["operator"] = {"recorded": {"time_s": [0.0, 1e-300], "values": [0.0, 1.0]}}
     with pytest.raises(SceneError, match="at least 1e-09 s after the time before it"):
         run(raw)
@@ -233,7 +226,7 @@ def test_points_of_a_recording_are_apart() -> None:
 
 
 def test_a_normal_of_any_length_is_a_direction() -> None:
-    raw = unstable("exact", 3, False)
+    raw = unstable(3, False)
     raw["run"]["duration_s"] = 0.1
     ends = []
     for length in (1.0, 1e-200, 1e8):

@@ -3,6 +3,7 @@
 import json
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -11,6 +12,7 @@ import pytest
 from tests.recording.files import write_recording
 
 import haptether
+from haptether import _core
 from haptether.bridge import (
     LiveMaster,
     LiveSlave,
@@ -19,6 +21,7 @@ from haptether.bridge import (
     load,
     load_scene,
     read_recording,
+    recorded_scene,
     replay,
     scene_json,
     simulate,
@@ -68,6 +71,28 @@ def test_a_run_under_its_own_settings_is_the_same_bit_for_bit(
     weaker = msgspec.structs.replace(read_recording(tmp_path / "master.mcap"), signals={**done.recorded, **forces})
     if any(force.any() for force in forces.values()):
         assert not replay(weaker).identical
+
+
+@pytest.mark.parametrize(("integrator", "step_s"), [("exact", None), ("rk4", 1e-4)])
+def test_a_recording_from_before_the_stepped_integrators_were_removed_is_replayed(
+    integrator: str, step_s: float | None, push: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    columns = _core.read_recording_columns
+
+    def older(path: Path) -> SimpleNamespace:
+        read = columns(path)
+        scene = json.loads(read.about["scene"])
+        scene["run"] |= {"integrator": integrator, "step_s": step_s}
+        scene["master"]["friction_speed"] = 1e-3
+        same = {name: getattr(read, name) for name in ("begun_ns", "causes", "columns", "meanings", "whole")}
+        return SimpleNamespace(about={**read.about, "scene": json.dumps(scene)}, **same)
+
+    now = read_recording(push).scene
+    monkeypatch.setattr("haptether.bridge.recording.read.read_recording_columns", older)
+    assert json.loads(read_recording(push).scene) == json.loads(now)
+    assert replay(push).identical
+    assert not replay(push, overrides=["safety.controllers=[hsc]", "safety.damping=9"]).identical
+    assert recorded_scene(read_recording(push).scene) == recorded_scene(now)
 
 
 def test_a_clock_that_was_set_leaves_ticks_out_and_the_past_behind(tmp_path: Path) -> None:

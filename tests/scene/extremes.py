@@ -25,7 +25,6 @@ DEVICE: Raw = {
     "mass_kg": 0.2,
     "viscous": 0.01,
     "coulomb": 0.05,
-    "friction_speed": 1e-3,
     "encoder_quantum": 2e-5,
     "max_force_n": 8.0,
     "force_quantum_n": 0.01,
@@ -136,8 +135,8 @@ FAR: dict[str, Raw] = {
 }
 BASES: dict[str, Raw] = {
     "exact": _scene({}),
-    "stepped": _scene(
-        {"integrator": "rk4", "step_s": 1e-4, "diverged_position": 1.0, "diverged_speed": 10.0},
+    "adaptive window": _scene(
+        {"diverged_position": 1.0, "diverged_speed": 10.0},
         {"kind": "adaptive-window", "noise_bound_m": 2e-5, "max_window": 16},
     ),
     "continuous": _scene(

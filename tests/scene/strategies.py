@@ -10,7 +10,6 @@ from haptether.bridge import Scene
 
 Raw = dict[str, Any]
 
-STEPPED = ("semi-implicit-euler", "velocity-verlet", "rk4")
 DEVICES = ("phantom-desktop", "phantom-omni", "touch", "phantom-premium-1.5", "inverse3", "dynamixel-leader")
 
 
@@ -60,7 +59,6 @@ def masters(draw: st.DrawFn, axes: int) -> Raw:
         "force_quantum_n": real(1e-3, 0.1),
         "stops": st.just([-0.3, 0.3]),
         "velocity": per_axis(axes, -0.5, 0.5),
-        "friction_speed": real(1e-4, 1e-2),
     }
     master |= draw(table({}, **options))
     if draw(st.booleans()):
@@ -277,43 +275,30 @@ def safeties(draw: st.DrawFn, period_s: float, has_arm: bool) -> Raw:
 
 
 @st.composite
-def raw_scenes(draw: st.DrawFn, *, arm: bool | None = None, shared: bool = False) -> Raw:
+def raw_scenes(draw: st.DrawFn, *, arm: bool | None = None) -> Raw:
     """Tables of a valid scene.
 
     Args:
         draw: Given by Hypothesis.
         arm: Whether there is an arm; any by default.
-        shared: Only what rows of a sweep can advance side by side in lanes: a method with steps, resting planes.
     """
     axes = draw(st.sampled_from([1, 3]))
     period_s = draw(st.sampled_from([5e-4, 1e-3, 2e-3, 5e-3]))
     duration_s = draw(real(0.05, 0.5))
-    has_arm = False if shared else draw(st.booleans()) if arm is None else arm
-    integrator = draw(st.sampled_from(STEPPED if shared else ("exact", *STEPPED)))
+    has_arm = draw(st.booleans()) if arm is None else arm
     scene: Raw = {
         "schema": 1,
-        "run": {
-            "duration_s": duration_s,
-            "period_s": period_s,
-            "integrator": integrator,
-            "seed": draw(st.integers(0, 99)),
-        },
+        "run": {"duration_s": duration_s, "period_s": period_s, "seed": draw(st.integers(0, 99))},
         "master": draw(masters(axes)),
         "safety": draw(safeties(period_s, has_arm)),
         "record": {"every": draw(st.integers(1, 3))},
     }
-    scene["run"]["seed"] = draw(st.integers(0, 99))
     scene["run"]["stop_early"] = draw(st.booleans())
-    if integrator != "exact" and draw(st.booleans()):
-        scene["run"]["step_s"] = period_s / draw(st.integers(1, 20))
     if draw(st.booleans()):
         scene["operator"] = draw(operators(axes, duration_s, has_arm=has_arm))
     if draw(st.integers(0, 4)) > 0:
         things = st.lists(objects(axes), max_size=3)
         pushes = st.lists(pushers(axes), max_size=2)
-        if shared:
-            things = things.map(lambda all_: [part for part in all_ if is_linear(part)])
-            pushes = pushes.map(lambda all_: [push for push in all_ if push["shape"] != "recorded"])
         environment: Raw = {"objects": draw(things), "pushers": draw(pushes)}
         if not has_arm:
             linear = all(is_linear(part) and part["shape"]["kind"] == "plane" for part in environment["objects"])
@@ -348,6 +333,6 @@ def is_linear(thing: Raw) -> bool:
     )
 
 
-def scenes(*, arm: bool | None = None, shared: bool = False) -> st.SearchStrategy[Scene]:
+def scenes(*, arm: bool | None = None) -> st.SearchStrategy[Scene]:
     """Valid scenes; see `plain_scenes`."""
-    return raw_scenes(arm=arm, shared=shared).map(lambda raw: msgspec.convert(raw, Scene))
+    return raw_scenes(arm=arm).map(lambda raw: msgspec.convert(raw, Scene))

@@ -148,8 +148,8 @@ def test_a_scene_that_is_not_there_names_the_nearest(name: str) -> None:
     [
         ("safety.window=50", "safety.window", 50),
         ("safety.window = 50", "safety.window", 50),
-        ("run.integrator=rk4", "run.integrator", "rk4"),
-        ("run.integrator='velocity-verlet'", "run.integrator", "velocity-verlet"),
+        ("safety.signals=estimated", "safety.signals", "estimated"),
+        ("safety.vfc-form='product'", "safety.vfc_form", "product"),
         ("run.stop-early=true", "run.stop_early", True),
         ("safety.controllers=[]", "safety.controllers", []),
         ("safety.controllers=[hsc, wsc]", "safety.controllers", ["hsc", "wsc"]),

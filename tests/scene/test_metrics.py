@@ -16,10 +16,8 @@ from haptether.cli.entry import main
 ENDING = [name for name in METRICS if name in OF_ENDING]
 MEASURED = list(_core.METRICS)
 OF_ROTATION = {"max_ejection_rate", "peak_device_torque", "orientation_rmse_rad", "torque_rmse_n_m"}
-STEPPED = ("run.integrator=semi-implicit-euler", "run.step_s=0.001")
 CASES = {
     "paper_wall": ("paper_wall", ()),
-    "in lanes": ("paper_wall", STEPPED),
     "remote_push": ("remote_push", ("run.duration_s=3.5",)),
     "three_axis_box": ("three_axis_box", ("run.duration_s=1.5", "operator.release.at_s=0.8")),
     "torque_release": ("torque_release", ()),

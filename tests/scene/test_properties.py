@@ -284,12 +284,12 @@ def grids(draw: st.DrawFn, scene: Scene) -> dict[str, list[float]]:
     return {path: draw(st.lists(real(*ranges[path]), min_size=2, max_size=3, unique=True)) for path in paths}
 
 
-@pytest.mark.parametrize("shared", [True, False])
+@pytest.mark.parametrize("arm", [True, False])
 @seed(SEED)
 @settings(SLOW, max_examples=50, derandomize=False, database=None)
 @given(data=st.data())
-def test_a_sweep_is_its_rows_whatever_carries_them(shared: bool, data: st.DataObject) -> None:
-    scene = data.draw(scenes(shared=shared))
+def test_a_sweep_is_its_rows_whatever_carries_them(arm: bool, data: st.DataObject) -> None:
+    scene = data.draw(scenes(arm=arm))
     grid = data.draw(grids(scene))
     try:
         alone = sweep(scene, grid, threads=1, lanes=False)

@@ -143,9 +143,7 @@ def test_a_shove_of_an_arm_is_no_contact() -> None:
     "overrides",
     [
         [],
-        ["run.integrator=rk4"],
         ["environment.rendering=continuous"],
-        ["run.integrator=rk4", "environment.rendering=continuous"],
         ["environment.delay_ticks=3"],
     ],
 )

@@ -104,7 +104,7 @@ def test_the_columns_are_those_of_each_scene_by_itself() -> None:
         ({"operator.regrasp.rise_s": [1]}, "[operator.regrasp] rise_s: the scene has no such part"),
         ({"slave.max_acceleration": [1]}, "slave.max_acceleration: the scene leaves it out"),
         ({"operator.legs.3.end": [1]}, "[operator.legs.3] end: the scene has no such part"),
-        ({"run.integrator": [1]}, 'run.integrator = "exact": a sweep of numbers cannot change it'),
+        ({"safety.signals": [1]}, 'safety.signals = "estimated": a sweep of numbers cannot change it'),
         ({"safety.controllers": [1]}, 'safety.controllers.0 = "wsc": a sweep of numbers cannot change it'),
         ({"run.seed": [-1e16]}, "row 0: [run] seed = -1e+16: must be a whole number, at least 0"),
         ({"run.seed": [2.0**60]}, "row 0: [run] seed = 1.152921504606847e+18: must be a whole number below 2^53: the"),
@@ -283,7 +283,7 @@ def test_samples_are_taken_row_by_row(sweeps_run: list[dict[str, Any]]) -> None:
             "link: is a table, no number: name a key of it, link.KEY: there is backward, forward",
         ),
         ({"grid": {"operator.legs": [1]}}, "is a list of tables, no number: name a key of it, operator.legs.0.KEY: "),
-        ({"grid": {"run.integrator": [1]}}, 'run.integrator: takes no numbers, must be one of "exact", '),
+        ({"grid": {"safety.signals": [1]}}, 'safety.signals: takes no numbers, must be one of "estimated", '),
         (
             {"grid": {"safety.window": [1]}, "ties": {"safety.controllers": "safety.window"}},
             'safety.controllers is tied to safety.window: takes no numbers, must be a list of any of "hsc", ',
@@ -326,7 +326,7 @@ def test_a_sweep_of_nothing_is_refused(arguments: dict[str, Any], said: str) -> 
     [
         ("operator.legs.0.end", [[np.float64(0.01)]], [[0.01]]),
         ("operator.legs.0.end", [np.array([0.01])], [[0.01]]),
-        ("run.integrator", np.array(["exact", "rk4"]), ["exact", "rk4"]),
+        ("safety.signals", np.array(["estimated", "true"]), ["estimated", "true"]),
         ("safety.controllers", [[np.str_("wsc")], ()], [["wsc"], []]),
         ("operator.legs.0", [{"end": np.float32(0.5), "duration_s": np.int64(1)}], [{"end": 0.5, "duration_s": 1}]),
         ("safety.window", np.array([3, 4], dtype=np.uint8), [3, 4]),

@@ -25,7 +25,6 @@ from haptether.bridge import (
     MasterTable,
     ObjectTable,
     OperatorTable,
-    RunTable,
     SafetyTable,
     Scene,
     SceneError,
@@ -266,9 +265,10 @@ BAD_ARM_SCENES: list[tuple[dict[str, Any], str]] = [
     ({"operator.grip_strength_n": ABSENT}, "[operator.release] kind: a strength without bound does not decay"),
     ({"operator.stiffness": 0.0, "operator.damping": 0.0}, "[operator] release: needs a hand"),
     ({"operator.recorded": {"time_s": [0.0], "values": [0.0]}}, "[operator] recorded: stands instead of legs"),
-    ({"run.step_s": 1e-4}, "[run] step_s: the exact integrator has no step"),
-    ({"run.integrator": "rk4", "run.step_s": 3e-4}, "[run] step_s = 0.0003: must be a whole fraction of period_s = 0.001"),
-    ({"run.integrator": "rk4", "run.step_s": 2e-3}, "[run] step_s = 0.002: must be a whole fraction"),
+    # what earlier versions had
+    ({"run.integrator": "rk4"}, '[run] integrator = "rk4": must be "exact": the stepped integrators were removed, leave the'),
+    ({"run.step_s": 1e-4}, "[run] step_s: was removed with the stepped integrators, leave it out"),
+    ({"master.friction_speed": 1e-3}, "[master] friction_speed: was removed with the stepped integrators, leave it out"),
     ({"run.period_s": 1.23456789012e-3}, "[run] period_s = 0.00123456789012: must be a whole number of ns"),
     ({"run.duration_s": 20001.0}, "[run] duration_s = 20001: must be at most 2e7 ticks, 20000 s at period_s = 0.001"),
     ({"run.duration_s": 1e-4}, "[run] duration_s = 0.0001: must be at least one period of 0.001 s"),
@@ -672,12 +672,6 @@ def test_bounds_of_the_command_can_be_taken_off() -> None:
     assert (coupling["command_speed"], coupling["command_reach"], coupling["changes"]) == (3.0, None, [])
     coupling = spec(coupling=CouplingTable(command_speed="unbounded", command_reach=0.1), **tables)["coupling"]
     assert (coupling["command_speed"], coupling["command_reach"]) == (None, 0.1)
-
-
-def test_a_method_with_steps_takes_a_tenth_of_a_period() -> None:
-    master = MasterTable(device="touch")
-    assert spec(master=master, run=RunTable(integrator="rk4"))["run"]["step_s"] == pytest.approx(1e-4)
-    assert spec(master=master)["run"]["step_s"] is None
 
 
 def test_a_recorded_path_begins_where_it_begins(tmp_path: Path) -> None:

@@ -125,8 +125,6 @@ class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """c in N, 0 or more; without a preset 0."""
     friction: Literal["vector", "axis"] | None = None
     """`c V / |V|` along the motion (a stylus) or `c sign(V)` on each axis (joints); without a preset "vector"."""
-    friction_speed: Positive = 1e-3
-    """|V| in m/s below which an integrator with steps takes friction as proportional to V."""
     encoder_quantum: NonNegative | None = None
     """Resolution of the position in m; 0 is exact, also without a preset."""
     measures_velocity: bool | None = None

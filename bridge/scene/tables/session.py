@@ -44,10 +44,8 @@ class RunTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, om
     """dT of the master in s, a whole number of ns."""
     seed: Annotated[int, Meta(ge=0)] = 0
     """Seed of all randomness, 0 to 2^64 - 1."""
-    integrator: Literal["exact", "semi-implicit-euler", "velocity-verlet", "rk4"] = "exact"
-    """How device and hand are advanced: the exact solution between located events, or a method with steps."""
-    step_s: Positive | None = None
-    """Step in s of a method that has one, a whole fraction of `period_s`; by default a tenth of it."""
+    integrator: Literal["exact"] = "exact"
+    """Nothing to choose: device and hand follow the exact solution between located events."""
     stop_early: bool = False
     """Ends the run when nothing that is measured can change any more."""
     diverged_position: Positive = 10.0
