@@ -66,6 +66,7 @@ impl Damage {
     }
 
     /// Whether the bytes stay as they are.
+    #[inline]
     pub fn is_none(&self) -> bool {
         self.forged.is_none()
             && self.lead.is_none()
@@ -213,6 +214,7 @@ impl Alteration {
     pub(crate) const NONE: Self = Self { edits: [None; MAX_EDITS], checksum: None };
 
     /// Whether the bytes stay as they are.
+    #[inline]
     pub(crate) fn is_none(&self) -> bool {
         self.checksum.is_none() && self.edits.iter().all(Option::is_none)
     }

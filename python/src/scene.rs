@@ -283,10 +283,7 @@ fn outcome_table(
     rows: &[Result<Outcome, Refused>],
     asked: Option<&[Metric]>,
 ) -> PyResult<Py<PyDict>> {
-    let (period_s, kind) = of_axes!(scene_axes(part.scene)?, N => {
-        let scene = scene_spec::<N>(part.scene)?;
-        (scene.run.period_s, scene.master.kind)
-    });
+    let SceneOutline { period_s, kind, .. } = scene_outline(part.scene).map_err(refuse)?;
     let periods = part.variations.iter().find(|one| one.path == "run.period_s").map(|one| &one.values);
     let period = |row: usize| periods.map_or(period_s, |periods| periods[row]);
     let table = PyDict::new(py);

@@ -6,6 +6,7 @@ mod coupling;
 mod local;
 mod measures;
 mod metrics;
+mod outline;
 mod pose;
 mod record;
 mod replay;
@@ -15,6 +16,7 @@ mod sides;
 mod spec;
 mod sweep;
 mod timed;
+mod tool_environment;
 mod tracking;
 mod watched;
 
@@ -28,7 +30,11 @@ pub use measures::{Divergence, DivergenceCause, Ending, Outcome};
 pub use metrics::{Metric, Metrics};
 pub use pose::as_pose;
 pub use record::{SceneEvent, SceneRun, Signal};
-pub use replay::{HandImpedance, RecordedTick, Replay, ReplayedTick};
+pub use outline::{SceneOutline, scene_outline};
+pub use replay::{
+    HandImpedance, RecordedColumns, RecordedTick, Replay, ReplayError, ReplayedColumn, ReplayedColumns,
+    ReplayedTick, replay_columns,
+};
 pub use research::ResearchFactory;
 pub use sides::{
     SimulatedDevice, driven_master, driven_slave, simulated_master, simulated_pose_master,
@@ -37,6 +43,7 @@ pub use sides::{
 pub use spec::{ResearchSpec, SceneSpec, scene_axes, scene_schema};
 pub use sweep::{Progress, Refused, SweepError, SweepPart, SweepSettings, Variation, sweep, sweep_parts};
 pub use timed::Timed;
+pub use tool_environment::{ToolEnvironment, tool_environment};
 
 /// Runs a scene as JSON, in the form of [`SceneSpec`], unless `stop` is set meanwhile.
 ///
@@ -74,8 +81,8 @@ pub fn simulate_encoded(scene: &[u8], stop: &AtomicBool) -> Result<SceneRun, Sce
 fn simulate_keeping(scene: &[u8], stop: &AtomicBool, kept: &Keeping<'_>) -> Result<SceneRun, SceneError> {
     spec::of_axes!(
         scene_axes(scene)?,
-        N => run_keeping::<N>(&serde_json::from_slice(scene)?, stop, kept),
-        axes => assemble::contradiction(format!("master.axes = {axes}: must be 1 to 7"))
+        N => run_keeping::<N>(&outline::scene_spec(scene)?, stop, kept),
+        axes => Err(assemble::bad_axes(axes))
     )
 }
 

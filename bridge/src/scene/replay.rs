@@ -1,5 +1,7 @@
 //! What a recorded side of a hand would have exerted under other settings.
 
+mod columns;
+
 use haptether_safety::{Axes, SafetyTick};
 
 use super::{
@@ -12,6 +14,8 @@ use crate::{
     OperatorCommand,
     endpoint::{HandInput, MasterEndpoint, MasterReading},
 };
+
+pub use columns::{RecordedColumns, ReplayError, ReplayedColumn, ReplayedColumns, replay_columns};
 
 /// A run of its own: nobody hears of it.
 const RUN_ID: u64 = 1;

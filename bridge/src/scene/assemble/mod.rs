@@ -71,6 +71,11 @@ impl From<crate::VirtualError> for SceneError {
     }
 }
 
+/// The refusal of a number of axes.
+pub(super) fn bad_axes(axes: usize) -> SceneError {
+    SceneError::Contradiction(format!("master.axes = {axes}: must be 1 to 7"))
+}
+
 pub(super) fn contradiction<T>(text: impl Into<String>) -> Result<T, SceneError> {
     Err(SceneError::Contradiction(text.into()))
 }
