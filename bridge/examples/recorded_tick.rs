@@ -18,8 +18,8 @@ use std::{
 use haptether_bridge::{
     Clutch, DrivenMaster, LadderSettings, MasterEndpoint, MasterSettings, MasterSide,
     live::{
-        DriverLoop, LiveSettings, PacedLoop, PeerAddress, PeerSocket, RealtimeSettings, RecordOutputs,
-        Security, paced_by_device,
+        DriverLoop, LiveSettings, Newest, PacedLoop, PeerAddress, PeerSocket, RealtimeSettings,
+        RecordOutputs, Security, paced_by_device,
     },
     recorder::{Recorder, RecorderSettings, SecurityMark},
     telemetry::{Telemetry, TelemetrySettings},
@@ -59,6 +59,7 @@ fn master() -> MasterSide<DrivenMaster<3>, 3> {
 fn begun(folder: &Path, peer: SocketAddr, (name, telemetry, recording): (&str, bool, bool)) -> Loop {
     let path = folder.join(name);
     let outputs = RecordOutputs {
+        newest: Newest::of(1000).unwrap(),
         recorder: recording.then(|| {
             Recorder::begin(&RecorderSettings {
                 path: path.with_extension("mcap"),
@@ -90,19 +91,11 @@ fn begun(folder: &Path, peer: SocketAddr, (name, telemetry, recording): (&str, b
         duration_ns: None,
         patience_ns: None,
         started_ns: None,
-        ring: 1000,
         realtime: RealtimeSettings::default(),
     };
     let socket = PeerSocket::bind("127.0.0.1:0".parse().unwrap(), PeerAddress::Known(peer)).unwrap();
-    let (mut paced, watch, mut records) =
+    let (mut paced, _, _) =
         paced_by_device(master(), socket, settings, Security::Insecure, outputs).unwrap();
-    thread::spawn(move || {
-        // As a command does: it reads what the loop hands out.
-        while !watch.handle().is_at_rest() {
-            records.drain(|_| ());
-            thread::sleep(Duration::from_millis(20));
-        }
-    });
     paced.begin().unwrap();
     paced
 }

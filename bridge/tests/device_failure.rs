@@ -9,7 +9,7 @@ use haptether_bridge::{
     SlaveRotationSettings, SlaveSettings, SlaveSide, TickTime, VirtualSettings,
     coupling::{CommandBounds, RotationBounds, RotationLock, RotationState},
     live::{
-        DriverLoop, Ineffective, LiveSettings, Paced, PacedLoop, PeerAddress, PeerSocket, RealtimeDemand,
+        DriverLoop, Ineffective, LiveSettings, Newest, Paced, PacedLoop, PeerAddress, PeerSocket, RealtimeDemand,
         RealtimeSettings, RecordOutputs, Security, now_ns, paced_by_device,
     },
     run_virtual,
@@ -152,11 +152,11 @@ fn started<S: Seen>(side: S, role: Role, started_ns: Option<u64>) -> Paced<S> {
         duration_ns: None,
         patience_ns: None,
         started_ns,
-        ring: 1000,
         realtime: RealtimeSettings { demand: RealtimeDemand::Off, ..RealtimeSettings::default() },
     };
     let socket = PeerSocket::bind(local, PeerAddress::Learned).unwrap();
-    paced_by_device(side, socket, settings, Security::Insecure, RecordOutputs::default()).unwrap()
+    let outputs = RecordOutputs { newest: Newest::of(1000).unwrap(), ..RecordOutputs::default() };
+    paced_by_device(side, socket, settings, Security::Insecure, outputs).unwrap()
 }
 
 /// The same in the loop that drivers turn: an act waits when the sample comes that says so.
@@ -224,7 +224,7 @@ fn a_press_beside_a_button_is_said_to_do_nothing_from_the_first_tick_on() {
 
 /// Whoever says at any time that it is mended.
 fn a_device_that_is_gone_is_gone<S: Seen + Send + 'static>(side: S, role: Role) {
-    let (mut paced, mut watch, mut records) = paced(side, role);
+    let (mut paced, mut watch, records) = paced(side, role);
     paced.begin().unwrap();
     let failing = std::thread::spawn(move || paced.fail(&FaultText::new("the bus is down")));
     while !failing.is_finished() {
@@ -233,8 +233,7 @@ fn a_device_that_is_gone_is_gone<S: Seen + Send + 'static>(side: S, role: Role) 
         std::thread::sleep(Duration::from_micros(100));
     }
     failing.join().unwrap();
-    let mut states = Vec::new();
-    records.drain(|record| states.push(S::shown(&record).0));
+    let states: Vec<_> = records.take().iter().map(|record| S::shown(record).0).collect();
     assert!(
         states.len() > 10 && states.iter().all(|state| *state == LadderState::Fault),
         "{role:?} {states:?}"

@@ -14,7 +14,7 @@ use haptether_bridge::{
     SlaveSettings, SlaveSide, TickTime, Trigger, TriggerSettings, TurningMaster,
     coupling::{AlignmentSettings, CommandBounds, RotationBounds, RotationLock},
     live::{
-        DriverLoop, LiveSettings, PeerAddress, PeerSocket, RealtimeDemand, RealtimeSettings, RecordOutputs,
+        DriverLoop, LiveSettings, Newest, PeerAddress, PeerSocket, RealtimeDemand, RealtimeSettings, RecordOutputs,
         Security, paced_by_device,
     },
     recorder::SecurityMark,
@@ -450,7 +450,6 @@ fn a_tick_of_a_loop_that_is_looked_at_allocates_nothing() {
         duration_ns: None,
         patience_ns: None,
         started_ns: None,
-        ring: 1000,
         realtime: RealtimeSettings { demand: RealtimeDemand::Off, ..RealtimeSettings::default() },
     };
     let socket = PeerSocket::bind("127.0.0.1:0".parse().unwrap(), PeerAddress::Learned).unwrap();
@@ -460,7 +459,11 @@ fn a_tick_of_a_loop_that_is_looked_at_allocates_nothing() {
         security: SecurityMark::Insecure,
         scene: String::new(),
     });
-    let outputs = RecordOutputs { recorder: None, telemetry: Some(telemetry.unwrap()) };
+    let outputs = RecordOutputs {
+        newest: Newest::of(200).unwrap(),
+        telemetry: Some(telemetry.unwrap()),
+        ..RecordOutputs::default()
+    };
     let mut reader = UnixStream::connect(&path).unwrap();
     let (mut paced, mut watch, _records) =
         paced_by_device(side, socket, settings, Security::Insecure, outputs).unwrap();

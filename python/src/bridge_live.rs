@@ -42,11 +42,11 @@ where
 {
     py.detach(|| {
         // Before the loop: it locks what memory there is.
-        let (newest, outputs) = (place.newest()?, place.outputs()?);
+        let outputs = place.outputs()?;
         let control = (place.settings.role, place.control()?);
         let (run, watch, reader) =
             run_live(side, place.socket, place.settings, place.security, outputs).map_err(not_begun)?;
-        Ok((Mutex::new(run), Watched::new(watch, reader, newest, control, false)?))
+        Ok((Mutex::new(run), Watched::new(watch, reader, control, false)?))
     })
 }
 

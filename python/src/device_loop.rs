@@ -498,12 +498,12 @@ where
     S: Side<Record: Rowed> + Send,
 {
     py.detach(|| {
-        let (newest, outputs) = (place.newest()?, place.outputs()?);
+        let outputs = place.outputs()?;
         let control = (place.settings.role, place.control()?);
         let (paced, watch, reader) =
             paced_by_device(side, place.socket, place.settings, place.security, outputs)
                 .map_err(not_begun)?;
-        Ok((paced, Watched::new(watch, reader, newest, control, true)?))
+        Ok((paced, Watched::new(watch, reader, control, true)?))
     })
 }
 

@@ -1,7 +1,6 @@
 //! What the live classes share: their settings, and what is seen of a loop and commanded to it.
 
 use std::{
-    mem::MaybeUninit,
     path::{Path, PathBuf},
     sync::{Mutex, MutexGuard, PoisonError},
 };
@@ -9,7 +8,7 @@ use std::{
 use haptether_bridge::{
     OperatorCommand,
     live::{
-        Control, ControlSocket, LiveHandle, LiveSettings, LiveWatch, PeerAddress, PeerSocket, RealtimeDemand,
+        Control, ControlSocket, LiveHandle, LiveSettings, LiveWatch, Newest, PeerAddress, PeerSocket, RealtimeDemand,
         RealtimeSettings, RecordOutputs, RecordReader, Security, StartError, now_ns,
     },
     recorder::{Recorded, Recorder, RecorderSettings, SecurityMark},
@@ -27,8 +26,8 @@ use crate::{axes::refuse, bridge::nanoseconds, bridge_trace::Rowed, netsim::addr
 
 /// How much of a live run is kept at most, in s: an hour.
 const MAX_KEPT_S: f64 = 3600.0;
-/// Records that wait for a poll.
-const RING: usize = 1 << 16;
+/// Bytes of the records that are kept by default: 87 s along one axis, 24 s of poses of a master at 1 kHz.
+const KEPT_BYTES: usize = 1 << 24;
 
 /// The shared key of a `bytearray`, which its owner can wipe, or of `bytes`.
 fn shared_key(key: &Bound<'_, PyAny>) -> PyResult<PreSharedKey> {
@@ -62,7 +61,7 @@ pub(crate) struct Place {
     pub(crate) socket: PeerSocket,
     pub(crate) settings: LiveSettings,
     pub(crate) security: Security,
-    kept: usize,
+    keep_s: Option<f64>,
     record: Option<RecorderSettings>,
     telemetry: Option<TelemetrySettings>,
     control: Option<PathBuf>,
@@ -101,7 +100,9 @@ impl Place {
         how: How,
     ) -> PyResult<Self> {
         let How { security, duration_s, patience_s, keep_s, realtime, record, telemetry, control } = how;
-        if !(keep_s > 0.0 && keep_s <= MAX_KEPT_S) {
+        if let Some(keep_s) = keep_s
+            && !(keep_s > 0.0 && keep_s <= MAX_KEPT_S)
+        {
             let text = format!("keep_s = {keep_s}: must be above 0 and at most {MAX_KEPT_S} s");
             return Err(PyValueError::new_err(text));
         }
@@ -111,29 +112,20 @@ impl Place {
             duration_ns: duration_s.map(|time| nanoseconds("duration_s", time)).transpose()?,
             patience_ns: patience_s.map(|time| nanoseconds("patience_s", time)).transpose()?,
             started_ns: started_s.map(started).transpose()?,
-            ring: RING,
             realtime,
         };
         let local = address("listen", listen)?;
         let cannot = |error: std::io::Error| PyOSError::new_err(format!("cannot listen on {local}: {error}"));
         let socket = PeerSocket::bind(local, peer).map_err(cannot)?;
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // in range, as checked
-        let kept = (keep_s * 1e9 / period_ns as f64).ceil() as usize;
-        // Not more than there will be.
-        let longest_ns = match (settings.duration_ns, settings.patience_ns) {
-            (Some(duration_ns), Some(patience_ns)) => duration_ns.saturating_add(patience_ns),
-            _ => u64::MAX,
-        };
-        let longest = usize::try_from(longest_ns / period_ns).unwrap_or(usize::MAX).saturating_add(2);
-        let kept = kept.min(longest);
         if !reserve::fill() {
             return Err(PyMemoryError::new_err("no memory can be set aside for the end of a run"));
         }
-        Ok(Self { socket, settings, security, kept, record, telemetry, control })
+        Ok(Self { socket, settings, security, keep_s, record, telemetry, control })
     }
 
-    /// Recorder and telemetry, if there are to be any: after the socket, so that a run that cannot be replaces no file.
+    /// Who gets the records: after the socket, so that a run that cannot be replaces no file.
     pub(crate) fn outputs<R: Recorded>(&self) -> PyResult<RecordOutputs<R>> {
+        let newest = self.newest()?;
         let refused = |name: &str, path: &Path, error: std::io::Error| {
             PyOSError::new_err(format!("{name} = {}: {error}", path.display()))
         };
@@ -144,7 +136,7 @@ impl Place {
         let telemetry = self.telemetry.as_ref().map(begin).transpose()?;
         let begin =
             |to: &RecorderSettings| Recorder::begin(to).map_err(|error| refused("record", &to.path, error));
-        Ok(RecordOutputs { recorder: self.record.as_ref().map(begin).transpose()?, telemetry })
+        Ok(RecordOutputs { newest, recorder: self.record.as_ref().map(begin).transpose()?, telemetry })
     }
 
     /// The control socket, if there is to be one: before the loop, which must not begin where it cannot be.
@@ -157,9 +149,22 @@ impl Place {
     }
 
     /// Room for the newest records.
-    pub(crate) fn newest<R>(&self) -> PyResult<Newest<R>> {
-        Newest::of(self.kept.max(1)).ok_or_else(|| {
-            let mebibytes = self.kept.saturating_mul(size_of::<R>()) >> 20;
+    fn newest<R>(&self) -> PyResult<Newest<R>> {
+        let LiveSettings { period_ns, duration_ns, patience_ns, .. } = self.settings;
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // in range, as checked
+        let kept = match self.keep_s {
+            Some(keep_s) => (keep_s * 1e9 / period_ns as f64).ceil() as usize,
+            None => KEPT_BYTES / size_of::<R>(),
+        };
+        // Not more than there will be.
+        let longest_ns = match (duration_ns, patience_ns) {
+            (Some(duration_ns), Some(patience_ns)) => duration_ns.saturating_add(patience_ns),
+            _ => u64::MAX,
+        };
+        let longest = usize::try_from(longest_ns / period_ns).unwrap_or(usize::MAX).saturating_add(2);
+        let kept = kept.min(longest);
+        Newest::of(kept).ok_or_else(|| {
+            let mebibytes = kept.saturating_mul(size_of::<R>()) >> 20;
             PyMemoryError::new_err(format!(
                 "keep_s: there is no memory for it: needs {mebibytes} MiB, keep less"
             ))
@@ -184,7 +189,7 @@ pub(crate) struct How {
     pub(crate) security: Security,
     pub(crate) duration_s: Option<f64>,
     pub(crate) patience_s: Option<f64>,
-    pub(crate) keep_s: f64,
+    pub(crate) keep_s: Option<f64>,
     pub(crate) realtime: RealtimeSettings,
     pub(crate) record: Option<RecorderSettings>,
     pub(crate) telemetry: Option<TelemetrySettings>,
@@ -199,61 +204,19 @@ pub(crate) fn not_begun(error: StartError) -> PyErr {
     }
 }
 
-/// The newest records of a run, in memory that is there from the start.
-pub(crate) struct Newest<R> {
-    records: Vec<R>,
-    /// Of the oldest, once there is no room for more.
-    oldest: usize,
-    kept: usize,
-}
-
-impl<R> Newest<R> {
-    fn of(kept: usize) -> Option<Self> {
-        let mut records = Vec::new();
-        records.try_reserve_exact(kept).ok()?;
-        // Every page is touched: the memory of a run does not grow.
-        records.spare_capacity_mut().fill_with(MaybeUninit::zeroed);
-        Some(Self { records, oldest: 0, kept })
-    }
-
-    fn push(&mut self, record: R) {
-        if self.records.len() < self.kept {
-            self.records.push(record);
-        } else {
-            self.records[self.oldest] = record;
-            self.oldest = (self.oldest + 1) % self.kept;
-        }
-    }
-
-    fn take(&mut self) -> Vec<R> {
-        self.records.rotate_left(std::mem::take(&mut self.oldest));
-        std::mem::take(&mut self.records)
-    }
-}
-
-/// The reader of a loop's records, and the newest of them.
-struct Kept<R> {
-    reader: RecordReader<R>,
-    newest: Newest<R>,
-}
-
-/// The same for any number of axes.
+/// The reader of a loop's records, for any number of axes.
 trait KeptRows<Rows>: Send {
-    /// Takes the records that wait; returns how many are kept.
-    fn poll(&mut self) -> usize;
-    fn rows(&mut self) -> Rows;
+    fn kept(&self) -> usize;
+    fn take_rows(&self) -> Rows;
 }
 
-impl<R: Rowed> KeptRows<R::Rows> for Kept<R> {
-    fn poll(&mut self) -> usize {
-        let Self { reader, newest } = self;
-        reader.drain(|record| newest.push(record));
-        newest.records.len()
+impl<R: Rowed> KeptRows<R::Rows> for RecordReader<R> {
+    fn kept(&self) -> usize {
+        RecordReader::kept(self)
     }
 
-    fn rows(&mut self) -> R::Rows {
-        self.poll();
-        R::rows(self.newest.take())
+    fn take_rows(&self) -> R::Rows {
+        R::rows(self.take())
     }
 }
 
@@ -270,7 +233,6 @@ impl<Rows> Watched<Rows> {
     pub(crate) fn new<R: Rowed<Rows = Rows>>(
         mut watch: LiveWatch,
         reader: RecordReader<R>,
-        newest: Newest<R>,
         (role, control): (Role, Option<ControlSocket>),
         has_driver: bool,
     ) -> PyResult<Self> {
@@ -278,20 +240,19 @@ impl<Rows> Watched<Rows> {
         let port = watch.port();
         let control =
             control.zip(port).map(|(socket, port)| socket.serve(role, port, has_driver)).transpose()?;
-        let records: Mutex<Box<dyn KeptRows<Rows>>> = Mutex::new(Box::new(Kept { reader, newest }));
-        Ok(Self { handle, watch: Mutex::new(watch), records, _control: control })
+        Ok(Self { handle, watch: Mutex::new(watch), records: Mutex::new(Box::new(reader)), _control: control })
     }
 
     pub(crate) fn watch(&self) -> MutexGuard<'_, LiveWatch> {
         locked(&self.watch)
     }
 
-    pub(crate) fn poll(&self) -> usize {
-        locked(&self.records).poll()
+    pub(crate) fn kept(&self) -> usize {
+        locked(&self.records).kept()
     }
 
     pub(crate) fn rows(&self) -> Rows {
-        locked(&self.records).rows()
+        locked(&self.records).take_rows()
     }
 
     pub(crate) fn command(&self, command: OperatorCommand) -> PyResult<()> {
@@ -315,7 +276,7 @@ macro_rules! constructor {
         impl $class {
             #[new]
             #[pyo3(signature = (scene, *, $place, run_id, key=None, insecure=false, $($own=$default,)*
-                duration_s=None, patience_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None,
+                duration_s=None, patience_s=None, keep_s=None, realtime="auto", priority=80, cpu=None,
                 record=None, min_free_bytes=1_000_000_000, telemetry=None, control=None))]
             fn new(
                 $py: Python<'_>,
@@ -327,7 +288,7 @@ macro_rules! constructor {
                 $($own: $own_type,)*
                 duration_s: Option<f64>,
                 patience_s: Option<f64>,
-                keep_s: f64,
+                keep_s: Option<f64>,
                 realtime: &str,
                 priority: u8,
                 cpu: Option<u16>,
@@ -415,10 +376,8 @@ macro_rules! watch_methods {
 
         #[pymethods]
         impl $class {
-            fn poll(&self, py: Python<'_>) -> usize {
-                // Millions of records may move: a driver that steps a loop must not wait for that. Nothing is locked
-                // when the interpreter is taken again.
-                py.detach(|| self.watched.poll())
+            fn poll(&self) -> usize {
+                self.watched.kept()
             }
 
             #[getter]

@@ -5,10 +5,11 @@ use std::{
     sync::{
         Arc,
         atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering},
+        mpsc,
     },
 };
 
-use super::{handshakes::SecurityEvent, live_loop::PROMPT_NS, system};
+use super::{handshakes::SecurityEvent, live_loop::PROMPT_NS, newest::Newest, system};
 use crate::{
     LinkStatistics,
     command::OperatorCommand,
@@ -189,16 +190,23 @@ impl ControlPort {
     }
 }
 
-/// The outer end of the ring of a loop's records; the loop never waits for it.
+/// Gets the records that a loop has kept, once it has ended.
 #[derive(Debug)]
-pub struct RecordReader<R>(rtrb::Consumer<R>);
+pub struct RecordReader<R> {
+    records: mpsc::Receiver<Vec<R>>,
+    room: usize,
+    handle: LiveHandle,
+}
 
 impl<R> RecordReader<R> {
-    /// Takes the records that wait.
-    pub fn drain(&mut self, mut take: impl FnMut(R)) {
-        while let Ok(record) = self.0.pop() {
-            take(record);
-        }
+    /// How many records the loop keeps by now.
+    pub fn kept(&self) -> usize {
+        usize::try_from(self.handle.ticks()).map_or(self.room, |ticks| ticks.min(self.room))
+    }
+
+    /// The newest records, the oldest of them first; none before the loop has ended, and none a second time.
+    pub fn take(&self) -> Vec<R> {
+        self.records.try_recv().unwrap_or_default()
     }
 }
 
@@ -300,9 +308,11 @@ impl CommandQueue {
     }
 }
 
-/// Who gets every record of a loop besides its reader; nobody by default.
+/// Who gets every record of a loop; nobody by default.
 #[derive(Debug)]
 pub struct RecordOutputs<R> {
+    /// Its [`RecordReader`], at the end.
+    pub newest: Newest<R>,
     /// A file.
     pub recorder: Option<Recorder<R>>,
     /// Whoever looks on.
@@ -311,14 +321,14 @@ pub struct RecordOutputs<R> {
 
 impl<R> Default for RecordOutputs<R> {
     fn default() -> Self {
-        Self { recorder: None, telemetry: None }
+        Self { newest: Newest::default(), recorder: None, telemetry: None }
     }
 }
 
 /// Where the records of a loop go; nobody there is ever waited for.
 #[derive(Debug)]
 pub(super) struct RecordSinks<R> {
-    read: rtrb::Producer<R>,
+    to_reader: mpsc::SyncSender<Vec<R>>,
     outputs: RecordOutputs<R>,
 }
 
@@ -330,15 +340,15 @@ impl<R: Copy> RecordSinks<R> {
         }
     }
 
-    /// Hands a record to all; returns it where nobody reads in time.
-    pub(super) fn push(&mut self, record: R) -> Result<(), rtrb::PushError<R>> {
+    /// Hands a record to all; returns whether all before it are still kept.
+    pub(super) fn push(&mut self, record: R) -> bool {
         if let Some(recorder) = &mut self.outputs.recorder {
             recorder.take(record);
         }
         if let Some(telemetry) = &mut self.outputs.telemetry {
             telemetry.take(record);
         }
-        self.read.push(record)
+        self.outputs.newest.push(record)
     }
 
     /// Hands on what the link has counted.
@@ -369,8 +379,10 @@ impl<R: Copy> RecordSinks<R> {
 
     /// Closes both where no loop began.
     pub(super) fn abandon(self) -> Option<RecordingReport> {
-        let RecordOutputs { recorder, telemetry } = self.outputs;
+        let RecordOutputs { newest, recorder, telemetry } = self.outputs;
         drop(telemetry);
+        // Nobody may be there any more.
+        let _ = self.to_reader.try_send(newest.into_records());
         recorder.map(Recorder::end)
     }
 }
@@ -392,21 +404,21 @@ const MAX_DIAGNOSES: usize = 16;
 /// Commands that may wait for the loop, and that one tick takes.
 pub(super) const MAX_COMMANDS: usize = 16;
 
-/// Makes the rings of a loop that the operator started at `started_ns`, with room for so many records.
+/// Makes the rings of a loop that the operator started at `started_ns`.
 pub(super) fn channels<R>(
-    capacity: usize,
     started_ns: u64,
     address: SocketAddr,
     outputs: RecordOutputs<R>,
 ) -> (LoopChannels, RecordSinks<R>, LiveWatch, RecordReader<R>, Arc<Shared>) {
     let shared = Arc::<Shared>::default();
-    let (to_reader, records) = ring(capacity);
+    let (to_reader, records) = mpsc::sync_channel(1);
     let (to_events, events) = rtrb::RingBuffer::new(MAX_EVENTS);
     let (to_flights, flights) = ring(MAX_FLIGHTS);
     let (to_diagnoses, diagnoses) = ring(MAX_DIAGNOSES);
     let (commands, given) = rtrb::RingBuffer::new(MAX_COMMANDS);
     let (from_port, controlled) = rtrb::RingBuffer::new(MAX_COMMANDS);
     let handle = LiveHandle(Arc::clone(&shared));
+    let reader = RecordReader { records, room: outputs.newest.room(), handle: handle.clone() };
     let watch = LiveWatch {
         port: Some(ControlPort { handle: handle.clone(), commands: from_port }),
         handle,
@@ -425,6 +437,6 @@ pub(super) fn channels<R>(
         diagnoses: to_diagnoses,
         commands: CommandQueue { started_ns: Some(started_ns), given, controlled },
     };
-    let sinks = RecordSinks { read: to_reader, outputs };
-    (channels, sinks, watch, RecordReader(records), shared)
+    let sinks = RecordSinks { to_reader, outputs };
+    (channels, sinks, watch, reader, shared)
 }

@@ -34,8 +34,6 @@ pub struct LiveSettings {
     pub patience_ns: Option<u64>,
     /// When the operator started this side, in ns of the system's monotonic clock; when it is made, where nobody says.
     pub started_ns: Option<u64>,
-    /// Records that wait for a reader; further ones are counted and dropped.
-    pub ring: usize,
     /// What to request of the system.
     pub realtime: RealtimeSettings,
 }
@@ -47,7 +45,7 @@ pub struct LoopReport {
     pub ticks: u64,
     /// Ticks left out because the loop woke too late.
     pub skipped: u64,
-    /// Records that found the ring full.
+    /// Records that newer ones have replaced.
     pub dropped_records: u64,
     /// Frames that the system refused to send.
     pub unsent: u64,
@@ -112,7 +110,7 @@ pub(super) trait LoopSide {
     /// The side, to change.
     fn side_mut(&mut self) -> &mut dyn Side;
 
-    /// Does one tick; returns whether the reader's ring took the record.
+    /// Does one tick; returns whether all records before it are still kept.
     fn tick(&mut self, time: TickTime) -> bool;
 
     /// No force and no motion from here on, once.
@@ -155,7 +153,7 @@ impl<S: Side> LoopSide for RecordedSide<S> {
 
     fn tick(&mut self, time: TickTime) -> bool {
         let record = self.side.tick(time);
-        self.sinks.as_mut().is_none_or(|sinks| sinks.push(record).is_ok())
+        self.sinks.as_mut().is_none_or(|sinks| sinks.push(record))
     }
 
     fn rest(&mut self) {

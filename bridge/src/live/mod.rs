@@ -5,6 +5,7 @@ mod control;
 mod handle;
 mod handshakes;
 mod live_loop;
+mod newest;
 mod run;
 mod socket;
 mod system;
@@ -14,6 +15,7 @@ pub use control::{Control, ControlSocket};
 pub use handle::{ControlPort, Ineffective, LiveHandle, LiveWatch, RecordOutputs, RecordReader};
 pub use handshakes::{SecurityEvent, StartError};
 pub use live_loop::{LiveSettings, LoopReport};
+pub use newest::Newest;
 pub use run::{DriverLoop, Ended, LiveRun, Paced, PacedLoop, paced_by_device, run_live};
 pub use socket::{PeerAddress, PeerSocket};
 pub use system::{

@@ -2,6 +2,7 @@
 
 use std::{
     io,
+    mem::MaybeUninit,
     ops::ControlFlow,
     sync::{Arc, atomic::Ordering, mpsc},
     thread::JoinHandle,
@@ -84,7 +85,7 @@ pub fn run_live<S: Side + Send + 'static>(
     )?;
     let started_ns = settings.started_ns.unwrap_or_else(system::now_ns);
     let (channels, sinks, watch, records, shared) =
-        channels(settings.ring, started_ns, socket.local_address()?, outputs);
+        channels(started_ns, socket.local_address()?, outputs);
     let (to_starter, granted) = mpsc::sync_channel(1);
     let thread = std::thread::Builder::new().name("haptether-loop".into()).spawn(move || {
         let (realtime, _kept) = system::prepare(settings.realtime);
@@ -180,7 +181,7 @@ pub fn paced_by_device<S: Side>(
     )?;
     let started_ns = settings.started_ns.unwrap_or_else(system::now_ns);
     let (channels, sinks, watch, records, shared) =
-        channels(settings.ring, started_ns, socket.local_address()?, outputs);
+        channels(started_ns, socket.local_address()?, outputs);
     let paced = PacedLoop {
         stage: Stage::Ready(Box::new((side, sinks, socket, channel, channels))),
         settings,
@@ -245,6 +246,8 @@ impl<S: Side> DriverLoop for PacedLoop<S> {
     fn begin(&mut self) -> Result<RealtimeReport, StartError> {
         match std::mem::replace(&mut self.stage, Stage::Over) {
             Stage::Ready(parts) => {
+                // There before the memory is locked.
+                let room = Box::new(MaybeUninit::zeroed());
                 let (realtime, kept) = system::prepare(self.settings.realtime);
                 realtime.check(self.settings.realtime.demand)?;
                 (self.realtime, self.kept) = (realtime, Some(kept));
@@ -253,7 +256,7 @@ impl<S: Side> DriverLoop for PacedLoop<S> {
                 self.pace.begin(now_ns);
                 let plant = RecordedSide::new(side, sinks);
                 let running = Running::begin(plant, socket, channel, self.settings, channels, now_ns);
-                self.stage = Stage::Running(Box::new(running));
+                self.stage = Stage::Running(Box::write(room, running));
             }
             stage => self.stage = stage,
         }

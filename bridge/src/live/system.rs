@@ -17,7 +17,7 @@ use std::{
 use haptether_netsim::{ScheduleBefore, schedule_fifo};
 use rustix::{
     io::Errno,
-    mm::{MlockAllFlags, mlock, mlockall, munlockall},
+    mm::{mlock, munlockall},
     param::page_size,
     process::{Resource, getrlimit},
     thread::{
@@ -222,8 +222,6 @@ pub(super) fn prepare(settings: RealtimeSettings) -> (RealtimeReport, Kept) {
     }
     let schedule = ScheduleBefore::of_this_thread();
     let processors = settings.cpu.and_then(|_| ProcessorsBefore::of_this_thread());
-    // The part of the stack that a tick uses is in use before it is locked.
-    touch_stack(32);
     let memory = LockedMemory::new();
     let awake = keep_awake();
     let report = RealtimeReport {
@@ -234,6 +232,9 @@ pub(super) fn prepare(settings: RealtimeSettings) -> (RealtimeReport, Kept) {
         fifo: Granted::from_result(schedule_fifo(settings.priority)),
         wakeful: Granted::from_errno(awake.as_ref().map(|_| ()).map_err(io::Error::raw_os_error)),
     };
+    if memory.is_err() {
+        touch_stack(32);
+    }
     (report, Kept { memory: memory.ok(), awake: awake.ok(), schedule, processors })
 }
 
@@ -287,7 +288,7 @@ fn stay_on(cpu: u16) -> io::Result<u16> {
     if sched_getaffinity(None)? == only { Ok(cpu) } else { Err(io::Error::other("another set")) }
 }
 
-/// Has the pages of the stack that a tick uses there before the first one.
+/// Has the pages of the stack that a tick uses there before the first one, where they cannot be locked.
 #[inline(never)]
 fn touch_stack(pages: u32) -> u8 {
     let page = std::hint::black_box([0_u8; 4096]);
@@ -298,7 +299,7 @@ fn touch_stack(pages: u32) -> u8 {
 /// Loops whose memory is locked: the kernel locks whole processes, not threads.
 static LOCKING: Mutex<usize> = Mutex::new(0);
 
-/// The memory that the process uses stays where it is, what is mapped later included.
+/// The memory that the process uses when a loop begins stays where it is.
 #[derive(Debug)]
 pub(super) struct LockedMemory {
     /// As the kernel says.
@@ -308,15 +309,7 @@ pub(super) struct LockedMemory {
 impl LockedMemory {
     fn new() -> io::Result<Self> {
         let mut locking = LOCKING.lock().unwrap_or_else(PoisonError::into_inner);
-        // Under a bound, what is allocated later would be refused at some point, and end the process.
-        let is_bounded = getrlimit(Resource::Memlock).current.is_some() && !may_lock_all();
-        let mut locked = lock_used(is_bounded);
-        if locked.is_ok() && !is_bounded {
-            // Page by page as they are used: a stack is filled at once otherwise, 3 to 8 ms for 8 MiB, in which
-            // Python's interpreter waits.
-            locked = mlockall(MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT).map_err(io::Error::from);
-        }
-        if let Err(error) = locked {
+        if let Err(error) = lock_used() {
             if *locking == 0 {
                 let _ = munlockall();
             }
@@ -327,40 +320,40 @@ impl LockedMemory {
     }
 }
 
-/// Bytes on both sides of a used page that are locked with it: room for the stack and the heap, and code that runs
-/// for the first time at a fault.
-const MARGIN: usize = 512 << 10;
+/// Bytes of this thread's stack that are locked above and below where it stands.
+const STACK: usize = 256 << 10;
 
-/// Locks the pages that this process uses, what lies within [`MARGIN`] of them, and all of this library.
+/// Locks each page of the process that is in use, all of this library, and the stack around this frame.
 ///
-/// `mlockall` fills every mapping instead: 8 MiB for each stack, 32 MiB for each thread of OpenBLAS, and libraries
-/// that are larger than what is used of them. Unless the memory `is_bounded`, a refusal is left out: a thread may have
-/// unmapped it.
+/// `mlockall` fills whole mappings instead: 8 MiB for each stack, 32 MiB for each thread of OpenBLAS, 64 MiB for each
+/// arena of `malloc` in what the kernel counts, and all of each library.
 #[allow(unsafe_code)] // locks pages, and neither reads nor writes them
-fn lock_used(is_bounded: bool) -> io::Result<()> {
+fn lock_used() -> io::Result<()> {
     let maps = std::fs::read("/proc/self/maps")?;
     let maps = String::from_utf8_lossy(&maps);
     let mappings: Vec<_> = maps.lines().filter_map(Mapping::of_line).collect();
-    let here = lock_used as *const () as usize;
-    let library = mappings.iter().find(|mapping| mapping.addresses.contains(&here)).map(|found| found.file);
+    let (code, frame) = (lock_used as *const () as usize, (&raw const maps).addr());
+    let library = mappings.iter().find(|mapping| mapping.addresses.contains(&code)).map(|found| found.file);
     let (pagemap, page) = (File::open("/proc/self/pagemap")?, page_size());
+    // Beyond a bound the kernel refuses; without one it refuses what another thread has unmapped meanwhile.
+    let is_bounded = getrlimit(Resource::Memlock).current.is_some() && !may_lock_all();
     let mut entries = Vec::new();
     for Mapping { addresses, file } in &mappings {
-        let pages = addresses.len() / page;
-        let locked = if library.as_ref() == Some(file) {
-            vec![0..pages]
-        } else {
-            // 8 bytes a page; the highest two bits: in memory, or paged out.
-            entries.resize(8 * pages, 0);
-            pagemap.read_exact_at(&mut entries, (addresses.start / page * 8) as u64)?;
-            stretches(entries.chunks_exact(8).map(|entry| entry[7] >> 6 != 0), MARGIN / page)
+        // 8 bytes a page. The highest two bits: in memory, paged out.
+        entries.resize(addresses.len() / page, [0_u8; 8]);
+        pagemap.read_exact_at(entries.as_flattened_mut(), (addresses.start / page * 8) as u64)?;
+        let is_library = library == Some(*file);
+        let is_locked = |number: usize| {
+            is_library
+                || entries[number][7] >> 6 != 0
+                || (addresses.start + number * page).abs_diff(frame) < STACK
         };
-        for Range { start, end } in locked {
-            let address = ptr::without_provenance_mut(addresses.start + start * page);
+        for pages in runs(entries.len(), is_locked) {
+            let address = ptr::without_provenance_mut(addresses.start + pages.start * page);
             // SAFETY: the kernel refuses what is not mapped.
-            let result = unsafe { mlock(address, (end - start) * page) };
+            let locked = unsafe { mlock(address, pages.len() * page) };
             if is_bounded {
-                result?;
+                locked?;
             }
         }
     }
@@ -386,18 +379,16 @@ impl<'a> Mapping<'a> {
     }
 }
 
-/// The pages within `margin` pages of a used one, as ranges that do not touch.
-fn stretches(is_used: impl ExactSizeIterator<Item = bool>, margin: usize) -> Vec<Range<usize>> {
-    let pages = is_used.len();
-    let mut stretches: Vec<Range<usize>> = Vec::new();
-    for (page, _) in is_used.enumerate().filter(|(_, is_used)| *is_used) {
-        let (start, end) = (page.saturating_sub(margin), (page + margin + 1).min(pages));
-        match stretches.last_mut() {
-            Some(last) if start <= last.end => last.end = end,
-            _ => stretches.push(start..end),
+/// The longest ranges below `count` whose numbers all are `within`.
+fn runs(count: usize, within: impl Fn(usize) -> bool) -> Vec<Range<usize>> {
+    let mut runs: Vec<Range<usize>> = Vec::new();
+    for number in (0..count).filter(|number| within(*number)) {
+        match runs.last_mut() {
+            Some(last) if last.end == number => last.end += 1,
+            _ => runs.push(number..number + 1),
         }
     }
-    stretches
+    runs
 }
 
 impl Drop for LockedMemory {
@@ -496,48 +487,28 @@ mod tests {
         drop(kept);
     }
 
-    /// `VmRSS` of this process.
-    fn resident_bytes() -> u64 {
-        let status = std::fs::read_to_string("/proc/self/status").unwrap();
-        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
-        line.split_whitespace().next().unwrap().parse::<u64>().unwrap() << 10
-    }
-
     #[test]
-    fn what_lies_near_a_used_page_is_locked_with_it() {
-        for (used, margin, expected) in [
-            ("........", 1, vec![]),
-            ("#.......", 1, vec![0..2]),
-            (".......#", 1, vec![6..8]),
-            ("..#.....", 0, vec![2..3]),
-            (".#...#..", 1, vec![0..3, 4..7]),
-            (".#..#...", 1, vec![0..6]),
-            ("##....##", 3, vec![0..8]),
+    fn runs_are_as_long_as_can_be() {
+        for (used, expected) in [
+            ("", vec![]),
+            ("...", vec![]),
+            ("#..", vec![0..1]),
+            ("..#", vec![2..3]),
+            ("###", vec![0..3]),
+            ("#.##..#", vec![0..1, 2..4, 6..7]),
         ] {
-            let found = stretches(used.bytes().map(|page| page == b'#'), margin);
-            assert_eq!(found, expected, "{used} {margin}");
+            assert_eq!(runs(used.len(), |number| used.as_bytes()[number] == b'#'), expected, "{used}");
         }
     }
 
     #[test]
-    fn memory_that_nobody_uses_is_not_locked() {
+    fn memory_is_locked_that_is_used() {
         const UNUSED: usize = 256 << 20;
         const USED: usize = 8 << 20;
         let (unused, used) = (Vec::<u8>::with_capacity(UNUSED), vec![1_u8; USED]);
         let Ok(memory) = LockedMemory::new() else { return };
         assert!((USED as u64..(UNUSED as u64) / 2).contains(&memory.bytes), "{}", memory.bytes);
         drop((memory, unused, used));
-    }
-
-    #[test]
-    fn a_thread_that_starts_later_fills_no_stack() {
-        const STACK: usize = 256 << 20;
-        let Ok(memory) = LockedMemory::new() else { return };
-        let before = resident_bytes();
-        let after =
-            std::thread::Builder::new().stack_size(STACK).spawn(resident_bytes).unwrap().join().unwrap();
-        assert!(after < before + (STACK as u64) / 4, "{before} {after}");
-        drop(memory);
     }
 
     #[test]

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 MAX_STIFFNESS = 1e7
 MAX_DURATION_S = 600.0
-"""A live run keeps the records of ten minutes."""
+"""The records of all of it are kept."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,6 +109,7 @@ class CheckLink:
                     insecure=self.insecure,
                     # Never engages, so this is when it ends.
                     patience_s=self.duration_s,
+                    keep_s=self.duration_s + 1.0,
                     realtime=self.realtime,
                 )
             )

@@ -74,7 +74,7 @@ class Master(LiveOptions):
     """End this long after engaging, in s; without it, run until Ctrl-C."""
     patience_s: float = 10.0
     """Give up if the slave has not answered after this time in s."""
-    keep_s: float = 600.0
+    keep_s: float = 60.0
     """How much of the end of the run the figures and the trace hold, in s; its memory is taken at the start."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the result as JSON at the end; - for standard output."""

@@ -55,7 +55,7 @@ class Slave(LiveOptions):
     """Give up if no master has come after this time in s; without it, wait for one."""
     flight: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the last states and commands at a stop, at a fault and at the end; `haptether explain` prints them."""
-    keep_s: float = 600.0
+    keep_s: float = 60.0
     """How much of the end of the run the figures hold, in s; its memory is taken at the start."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the result as JSON at the end; - for standard output."""
