@@ -94,8 +94,7 @@ fn begun(folder: &Path, peer: SocketAddr, (name, telemetry, recording): (&str, b
         realtime: RealtimeSettings::default(),
     };
     let socket = PeerSocket::bind("127.0.0.1:0".parse().unwrap(), PeerAddress::Known(peer)).unwrap();
-    let (mut paced, _, _) =
-        paced_by_device(master(), socket, settings, Security::Insecure, outputs).unwrap();
+    let (mut paced, _, _) = paced_by_device(master(), socket, settings, Security::Insecure, outputs).unwrap();
     paced.begin().unwrap();
     paced
 }

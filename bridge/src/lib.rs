@@ -53,7 +53,8 @@ pub use pace::TickTime;
 pub use path::{PathReport, PeerPath};
 pub use plant::{MasterPlant, ModelArm, ModelPlant, RotationTruth, SlavePlant, Truth, TurningMaster};
 pub use record::{
-    Feeling, FingerTick, MasterRecord, MasterRotation, MasterTurn, SlaveRecord, SlaveRotation, SlaveTurn,
+    Column, Feeling, FingerTick, MasterRecord, MasterRotation, MasterTurn, SlaveRecord, SlaveRotation,
+    SlaveTurn, Trace,
 };
 pub use side::{MasterSide, Side, SlaveSide};
 pub use virtual_time::{Event, LoopCounts, VirtualCounts, VirtualError, VirtualSettings, run_virtual};

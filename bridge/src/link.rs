@@ -277,11 +277,7 @@ impl FrameLink {
     }
 
     #[inline(always)] // as all of what takes a frame: docs/architecture.md
-    fn take(
-        &mut self,
-        time: LinkTime,
-        frame: Result<&Frame, WireError>,
-    ) -> Result<FrameHead, RejectReason> {
+    fn take(&mut self, time: LinkTime, frame: Result<&Frame, WireError>) -> Result<FrameHead, RejectReason> {
         let LinkTime { tick_ns: now_ns, by_ns } = time;
         let frame = frame.inspect_err(|_| self.statistics.refused += 1)?;
         let begins = match &self.newest {
@@ -497,7 +493,10 @@ mod tests {
                     .send(
                         LinkTime::at(n * MS),
                         HEARD,
-                        PortState { position: padded(&Axes::<1>::repeat(n as f64 * 1e-3)), ..PortState::default() },
+                        PortState {
+                            position: padded(&Axes::<1>::repeat(n as f64 * 1e-3)),
+                            ..PortState::default()
+                        },
                         &mut buffer,
                     )
                     .to_vec()

@@ -9,8 +9,8 @@ use haptether_bridge::{
     SlaveRotationSettings, SlaveSettings, SlaveSide, TickTime, VirtualSettings,
     coupling::{CommandBounds, RotationBounds, RotationLock, RotationState},
     live::{
-        DriverLoop, Ineffective, LiveSettings, Newest, Paced, PacedLoop, PeerAddress, PeerSocket, RealtimeDemand,
-        RealtimeSettings, RecordOutputs, Security, now_ns, paced_by_device,
+        DriverLoop, Ineffective, LiveSettings, Newest, Paced, PacedLoop, PeerAddress, PeerSocket,
+        RealtimeDemand, RealtimeSettings, RecordOutputs, Security, now_ns, paced_by_device,
     },
     run_virtual,
     scene::{SceneSpec, driven_master, simulated_master, simulated_slave},

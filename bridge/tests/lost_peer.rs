@@ -466,12 +466,9 @@ fn frames_tell_the_energy_that_went_through_each_port() {
     for tick in 0..3000 {
         let now_ns = tick * MS;
         let near = master.tick(TickTime::at(now_ns));
-        let frame = Frame::decode(
-            master.send(LinkTime::at(now_ns), &mut buffer),
-            Role::Master,
-            FrameLayout::of(1),
-        )
-        .unwrap();
+        let frame =
+            Frame::decode(master.send(LinkTime::at(now_ns), &mut buffer), Role::Master, FrameLayout::of(1))
+                .unwrap();
         let expected = add(0, -near.rendered_force[0] * frame.velocity[0]);
         for (sent, expected) in [frame.energy.in_j, frame.energy.out_j].iter().zip(expected) {
             assert!((sent - expected).abs() <= 1e-12, "master, {tick}: {sent} J, must be {expected} J");
@@ -485,12 +482,9 @@ fn frames_tell_the_energy_that_went_through_each_port() {
         if let Some(command) = &output.command {
             SlavePlant::write(&mut slave.plant, command, &output.command_velocity);
         }
-        let frame = Frame::decode(
-            slave.send(LinkTime::at(now_ns), &mut buffer),
-            Role::Slave,
-            FrameLayout::of(1),
-        )
-        .unwrap();
+        let frame =
+            Frame::decode(slave.send(LinkTime::at(now_ns), &mut buffer), Role::Slave, FrameLayout::of(1))
+                .unwrap();
         let expected = add(1, sample[2][0] * output.command_velocity[0]);
         for (sent, expected) in [frame.energy.in_j, frame.energy.out_j].iter().zip(expected) {
             assert!((sent - expected).abs() <= 1e-12, "slave, {tick}: {sent} J, must be {expected} J");

@@ -14,8 +14,8 @@ use haptether_bridge::{
     SlaveSettings, SlaveSide, TickTime, Trigger, TriggerSettings, TurningMaster,
     coupling::{AlignmentSettings, CommandBounds, RotationBounds, RotationLock},
     live::{
-        DriverLoop, LiveSettings, Newest, PeerAddress, PeerSocket, RealtimeDemand, RealtimeSettings, RecordOutputs,
-        Security, paced_by_device,
+        DriverLoop, LiveSettings, Newest, PeerAddress, PeerSocket, RealtimeDemand, RealtimeSettings,
+        RecordOutputs, Security, paced_by_device,
     },
     recorder::SecurityMark,
     session::{Incoming, MAX_DATAGRAM, PreSharedKey, Received, SessionEnd, SessionSettings, SystemEntropy},

@@ -57,11 +57,8 @@ impl Bench {
             if clutch && self.slave.exchange().state().is_coupled() { LadderState::Engaged } else { state };
         let status = Status { state: state.code(), hears_peer: true, clutch, ..Status::default() };
         let [position, velocity] = [self.hand, speed].map(Axes::<1>::new);
-        let sent = PortState {
-            position: padded(&position),
-            velocity: padded(&velocity),
-            ..PortState::default()
-        };
+        let sent =
+            PortState { position: padded(&position), velocity: padded(&velocity), ..PortState::default() };
         let frame = self.master.send(LinkTime::at(now_ns), status, sent, &mut buffer).to_vec();
         if heard {
             let _ = self.slave.receive(LinkTime::at(now_ns), &frame);

@@ -3,19 +3,14 @@
 use std::collections::BTreeMap;
 
 use haptether_bridge::{
-    Feeling, FingerTick, LinkStatistics, MasterRecord, MasterRotation, PathReport, SlaveRecord,
-    SlaveRotation,
+    Column, LinkStatistics, PathReport, Trace,
     live::{Granted, LoopReport},
-    recorder::{Recorded, RecordingReport},
+    recorder::RecordingReport,
 };
-use haptether_safety::{Axes, controller::ControllerKind};
-use numpy::{IntoPyArray, PyArrayMethods};
+use numpy::{PyArrayMethods, ToPyArray};
 use pyo3::prelude::*;
 
-use crate::{
-    arrays::column,
-    axes::{per_axes, with_axes},
-};
+use crate::arrays::column;
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<MasterTrace>()?;
@@ -31,290 +26,86 @@ fn seconds(ns: u64) -> f64 {
     if ns == u64::MAX { f64::INFINITY } else { ns as f64 * 1e-9 }
 }
 
-type MasterRecords<const N: usize> = Vec<MasterRecord<N>>;
-type FeelingRecords<const N: usize> = Vec<MasterRecord<N, Feeling<()>>>;
-type SlaveRecords<const N: usize> = Vec<SlaveRecord<N>>;
-
-per_axes!(
-    /// Ticks of a master.
-    MasterTicks,
-    MasterRecords
-);
-per_axes!(
-    /// Ticks of a master whose finger feels its trigger.
-    FeelingTicks,
-    FeelingRecords
-);
-per_axes!(
-    /// Ticks of a slave.
-    SlaveTicks,
-    SlaveRecords
-);
-
-/// Ticks of a master: of points along any number of axes or of poses, and either with a trigger that the finger feels.
-#[derive(Clone)]
-pub(crate) enum MasterRows {
-    Points(MasterTicks),
-    Poses(Vec<MasterRecord<3, MasterRotation>>),
-    FeelingPoints(FeelingTicks),
-    FeelingPoses(Vec<MasterRecord<3, Feeling<MasterRotation>>>),
+/// A column as an array: vectors of shape `(n_ticks,)` for one axis, else `(n_ticks, axes)`; none where it is missing.
+fn array(py: Python<'_>, trace: &Trace, name: &str) -> PyResult<Option<Py<PyAny>>> {
+    let Some(values) = trace.column(name) else { return Ok(None) };
+    Ok(Some(match values {
+        Column::Vectors(1, flat) | Column::Numbers(flat) => flat.to_pyarray(py).into_any().unbind(),
+        Column::Vectors(width, flat) => {
+            flat.to_pyarray(py).reshape([trace.ticks(), *width])?.into_any().unbind()
+        }
+        // The only counts that have a column are codes of faults.
+        #[allow(clippy::cast_possible_truncation)]
+        Column::Counts(counts) => column::<u8>(py, counts.iter().map(|count| *count as u8).collect()),
+        Column::Codes(codes) => codes.to_pyarray(py).into_any().unbind(),
+    }))
 }
 
-/// Ticks of a slave: of points along any number of axes, or of poses.
-#[derive(Clone)]
-pub(crate) enum SlaveRows {
-    Points(SlaveTicks),
-    Poses(Vec<SlaveRecord<3, SlaveRotation>>),
+/// A time in s that is infinite before the first frame of the peer.
+fn times(py: Python<'_>, trace: &Trace, name: &str) -> Py<PyAny> {
+    let Some(Column::Numbers(values)) = trace.column(name) else { return column::<f64>(py, Vec::new()) };
+    column(py, values.iter().map(|value| if value.is_nan() { f64::INFINITY } else { *value }).collect())
 }
 
-/// A record of which there are many, of a known number of axes.
-pub(crate) trait Rowed: Recorded {
-    /// The same of any number of axes.
-    type Rows;
-
-    /// Takes them together.
-    fn rows(records: Vec<Self>) -> Self::Rows;
-}
-
-macro_rules! rowed {
-    ($($variant:ident $n:literal),*) => {
-        $(impl Rowed for MasterRecord<$n> {
-            type Rows = MasterRows;
-
-            fn rows(records: Vec<Self>) -> MasterRows {
-                MasterRows::Points(MasterTicks::$variant(records))
-            }
+/// The class of a trace, with a getter for each of these columns.
+macro_rules! trace_class {
+    ($(#[$doc:meta])* $class:ident, [$($name:ident),* $(,)?]) => {
+        $(#[$doc])*
+        #[pyclass(module = "haptether.bridge", frozen)]
+        pub(crate) struct $class {
+            pub(crate) trace: Trace,
         }
 
-        impl Rowed for MasterRecord<$n, Feeling<()>> {
-            type Rows = MasterRows;
-
-            fn rows(records: Vec<Self>) -> MasterRows {
-                MasterRows::FeelingPoints(FeelingTicks::$variant(records))
-            }
-        }
-
-        impl Rowed for SlaveRecord<$n> {
-            type Rows = SlaveRows;
-
-            fn rows(records: Vec<Self>) -> SlaveRows {
-                SlaveRows::Points(SlaveTicks::$variant(records))
-            }
-        })*
-    };
-}
-
-rowed!(One 1, Two 2, Three 3, Four 4, Five 5, Six 6, Seven 7);
-
-impl Rowed for MasterRecord<3, MasterRotation> {
-    type Rows = MasterRows;
-
-    fn rows(records: Vec<Self>) -> MasterRows {
-        MasterRows::Poses(records)
-    }
-}
-
-impl Rowed for MasterRecord<3, Feeling<MasterRotation>> {
-    type Rows = MasterRows;
-
-    fn rows(records: Vec<Self>) -> MasterRows {
-        MasterRows::FeelingPoses(records)
-    }
-}
-
-impl Rowed for SlaveRecord<3, SlaveRotation> {
-    type Rows = SlaveRows;
-
-    fn rows(records: Vec<Self>) -> SlaveRows {
-        SlaveRows::Poses(records)
-    }
-}
-
-/// Ticks of the master.
-#[pyclass(module = "haptether.bridge", frozen)]
-pub(crate) struct MasterTrace {
-    pub(crate) rows: MasterRows,
-}
-
-/// Ticks of the slave.
-#[pyclass(module = "haptether.bridge", frozen)]
-pub(crate) struct SlaveTrace {
-    pub(crate) rows: SlaveRows,
-}
-
-/// Vectors over ticks: of shape `(n_ticks,)` for one axis, else `(n_ticks, axes)`.
-fn vectors<const N: usize>(py: Python<'_>, values: impl Iterator<Item = Axes<N>>) -> PyResult<Py<PyAny>> {
-    let flat: Vec<f64> = values.flat_map(|value| value.data.0[0]).collect();
-    if N == 1 {
-        return Ok(column(py, flat));
-    }
-    let ticks = flat.len() / N;
-    Ok(flat.into_pyarray(py).reshape([ticks, N])?.into_any().unbind())
-}
-
-/// Runs an expression on the records of all kinds of rows of a master.
-macro_rules! of_master {
-    ($rows:expr, $records:ident => $body:expr) => {
-        match $rows {
-            MasterRows::Points(ticks) => with_axes!(ticks, MasterTicks, $records => $body),
-            MasterRows::Poses($records) => $body,
-            MasterRows::FeelingPoints(ticks) => with_axes!(ticks, FeelingTicks, $records => $body),
-            MasterRows::FeelingPoses($records) => $body,
-        }
-    };
-}
-
-/// The same of a slave.
-macro_rules! of_slave {
-    ($rows:expr, $records:ident => $body:expr) => {
-        match $rows {
-            SlaveRows::Points(ticks) => with_axes!(ticks, SlaveTicks, $records => $body),
-            SlaveRows::Poses($records) => $body,
-        }
-    };
-}
-
-impl MasterTrace {
-    /// The rotation of each tick, of a side that turns.
-    fn turns(&self) -> Option<Vec<&MasterRotation>> {
-        match &self.rows {
-            MasterRows::Poses(records) => Some(records.iter().map(|record| &record.rotation).collect()),
-            MasterRows::FeelingPoses(records) => {
-                Some(records.iter().map(|record| &record.rotation.turn).collect())
-            }
-            MasterRows::Points(_) | MasterRows::FeelingPoints(_) => None,
-        }
-    }
-
-    /// What the finger felt at each tick, of a trigger that is felt.
-    fn fingers(&self) -> Option<Vec<&FingerTick>> {
-        match &self.rows {
-            MasterRows::FeelingPoints(ticks) => with_axes!(ticks, FeelingTicks, records => {
-                Some(records.iter().map(|record| &record.rotation.finger).collect())
-            }),
-            MasterRows::FeelingPoses(records) => {
-                Some(records.iter().map(|record| &record.rotation.finger).collect())
-            }
-            MasterRows::Points(_) | MasterRows::Poses(_) => None,
-        }
-    }
-}
-
-impl SlaveTrace {
-    /// The rotation of each tick, of a side that turns.
-    fn turns(&self) -> Option<Vec<&SlaveRotation>> {
-        match &self.rows {
-            SlaveRows::Poses(records) => Some(records.iter().map(|record| &record.rotation).collect()),
-            SlaveRows::Points(_) => None,
-        }
-    }
-}
-
-/// Getters that return one array per signal.
-macro_rules! columns {
-    ($class:ident, $of_rows:ident, $record:ident,
-        { $($name:ident => $value:expr),* $(,)? }, { $($vector:ident),* $(,)? }) => {
         #[pymethods]
         impl $class {
-            $(#[getter]
-            fn $name(&self, py: Python<'_>) -> Py<PyAny> {
-                $of_rows!(&self.rows, records => {
-                    column(py, records.iter().map(|$record| $value).collect())
-                })
-            })*
+            #[getter]
+            fn time_s(&self, py: Python<'_>) -> Py<PyAny> {
+                let Some(Column::Counts(times)) = self.trace.column("time_ns") else {
+                    return column::<f64>(py, Vec::new());
+                };
+                column(py, times.iter().copied().map(seconds).collect())
+            }
+
+            #[getter]
+            fn age_s(&self, py: Python<'_>) -> Py<PyAny> {
+                times(py, &self.trace, "age_s")
+            }
+
+            #[getter]
+            fn round_trip_s(&self, py: Python<'_>) -> Py<PyAny> {
+                times(py, &self.trace, "round_trip_s")
+            }
 
             $(#[getter]
-            fn $vector(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
-                $of_rows!(&self.rows, records => {
-                    vectors(py, records.iter().map(|record| record.$vector))
-                })
+            fn $name(&self, py: Python<'_>) -> PyResult<Option<Py<PyAny>>> {
+                array(py, &self.trace, stringify!($name))
             })*
 
             fn __len__(&self) -> usize {
-                $of_rows!(&self.rows, records => records.len())
+                self.trace.ticks()
             }
         }
     };
 }
 
-columns!(MasterTrace, of_master, record, {
-    time_s => seconds(record.time_ns),
-    trigger => record.trigger,
-    velocity_force => record.observers[ControllerKind::Vfc],
-    grasp => record.observers[ControllerKind::Hsc],
-    windowed_energy_j => record.observers[ControllerKind::Wsc],
-    tripped => record.tripped,
-    acted => record.acted,
-    state => record.state.code(),
-    reason => record.reason,
-    clutch => u8::from(record.clutch),
-    age_s => seconds(record.age_ns),
-    round_trip_s => seconds(record.round_trip_ns),
-    overshoot_s => seconds(record.overshoot_ns),
-    fault => record.fault,
-}, { position, velocity, hand_force, rendered_force, grasp_force, safety_force, device_force });
+trace_class!(
+    /// Ticks of the master.
+    MasterTrace,
+    [
+        position, velocity, hand_force, rendered_force, grasp_force, safety_force, device_force, trigger,
+        velocity_force, grasp, windowed_energy_j, tripped, acted, state, reason, clutch, overshoot_s, fault,
+        orientation, angular_velocity, hand_torque, rendered_torque, grasp_torque, safety_torque, device_torque,
+        trigger_velocity, trigger_rendered_force, trigger_safety_force, trigger_device_force, trigger_tripped,
+    ]
+);
 
-columns!(SlaveTrace, of_slave, record, {
-    time_s => seconds(record.time_ns),
-    gripper => record.gripper,
-    gripper_command => record.gripper_command,
-    gripper_force => record.gripper_force,
-    holds_object => u8::from(record.holds_object),
-    limited => record.limited,
-    state => record.state.code(),
-    reason => record.reason,
-    clutch => u8::from(record.clutch),
-    age_s => seconds(record.age_ns),
-    round_trip_s => seconds(record.round_trip_ns),
-    overshoot_s => seconds(record.overshoot_ns),
-    fault => record.fault,
-}, { position, command, environment_force });
-
-/// Getters that return one array per signal of a rotation, none of a point.
-macro_rules! rotation_columns {
-    ($class:ident, { $($quaternion:ident),* }, { $($vector:ident),* }) => {
-        #[pymethods]
-        impl $class {
-            $(#[getter]
-            fn $quaternion(&self, py: Python<'_>) -> PyResult<Option<Py<PyAny>>> {
-                let Some(turns) = self.turns() else { return Ok(None) };
-                vectors(py, turns.iter().map(|turn| Axes::<4>::from(turn.$quaternion))).map(Some)
-            })*
-
-            $(#[getter]
-            fn $vector(&self, py: Python<'_>) -> PyResult<Option<Py<PyAny>>> {
-                let Some(turns) = self.turns() else { return Ok(None) };
-                vectors(py, turns.iter().map(|turn| turn.$vector)).map(Some)
-            })*
-        }
-    };
-}
-
-rotation_columns!(MasterTrace, { orientation }, {
-    angular_velocity, hand_torque, rendered_torque, grasp_torque, safety_torque, device_torque
-});
-rotation_columns!(SlaveTrace, { orientation, command_orientation }, { environment_torque });
-
-/// Getters that return one array per signal of a trigger that is felt, else none.
-macro_rules! finger_columns {
-    ($($name:ident => $field:ident),*) => {
-        #[pymethods]
-        impl MasterTrace {
-            $(#[getter]
-            fn $name(&self, py: Python<'_>) -> Option<Py<PyAny>> {
-                let fingers = self.fingers()?;
-                Some(column(py, fingers.iter().map(|finger| finger.$field).collect()))
-            })*
-        }
-    };
-}
-
-finger_columns!(
-    trigger_velocity => velocity,
-    trigger_rendered_force => rendered_force,
-    trigger_safety_force => safety_force,
-    trigger_device_force => device_force,
-    trigger_tripped => tripped
+trace_class!(
+    /// Ticks of the slave.
+    SlaveTrace,
+    [
+        position, command, environment_force, gripper, gripper_command, gripper_force, holds_object, limited,
+        state, reason, clutch, overshoot_s, fault, orientation, command_orientation, environment_torque,
+    ]
 );
 
 #[pyclass(name = "LinkStatistics", module = "haptether.bridge", frozen, get_all)]

@@ -6,11 +6,14 @@ use std::{
 };
 
 use haptether_bridge::{
-    ButtonWord, DrivenMaster, DrivenSlave, FaultText, Feeling, GripperOrder, MasterRecord, MasterSide,
-    MasterTurn, OperatorCommand, Side, SideKind, SlaveOrder, SlaveSide, SlaveTurn, Trigger,
+    FaultText, GripperOrder, OperatorCommand, SideKind, SlaveOrder, Trace,
     coupling::{RotationState, measured, quat_wxyz},
-    live::{DriverLoop, Ineffective, PacedLoop, paced_by_device},
-    scene::{Timed, as_pose, driven_master, driven_slave},
+    live::Ineffective,
+    scene::{
+        MasterDriverLoop, MasterInput, SlaveDriverLoop, SlaveInput, pace_scene_master, pace_scene_slave,
+        scene_outline,
+    },
+    wire::{Padded, padded},
 };
 use haptether_master::RotationSample;
 use haptether_safety::Axes;
@@ -25,41 +28,18 @@ use pyo3::{
 
 use crate::{
     axes::{of_axes, refuse},
-    bridge_trace::{MasterRows, MasterTrace, PyLoopReport, PyRecordingReport, Rowed, SlaveRows, SlaveTrace},
+    bridge_trace::{MasterTrace, PyLoopReport, PyRecordingReport, SlaveTrace},
     live::{
         How, Place, Watched, constructor, finished_before, locked, master_methods, not_begun,
-        realtime_settings, recorder_settings, security, slave_methods, telemetry_settings, watch_methods,
+        realtime_settings, recorder_settings, refused, security, slave_methods, telemetry_settings,
+        watch_methods,
     },
-    scene::{live_periods, scene_axes, scene_spec},
+    scene::live_periods,
 };
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<MasterLoop>()?;
     module.add_class::<SlaveLoop>()
-}
-
-/// What a master's driver has read.
-struct MasterRead<'a, 'py> {
-    position: &'a Bound<'py, PyAny>,
-    velocity: Option<&'a Bound<'py, PyAny>>,
-    clutch: Option<bool>,
-    fault: Option<&'a str>,
-    trigger: Option<f64>,
-    orientation: Option<[f64; 4]>,
-    angular_velocity: Option<[f64; 3]>,
-    buttons: Option<u32>,
-}
-
-/// What a slave's driver has read.
-struct SlaveRead<'a, 'py> {
-    position: &'a Bound<'py, PyAny>,
-    velocity: &'a Bound<'py, PyAny>,
-    force: &'a Bound<'py, PyAny>,
-    fault: Option<&'a str>,
-    gripper: Option<GripperSample>,
-    orientation: Option<[f64; 4]>,
-    angular_velocity: Option<[f64; 3]>,
-    torque: Option<[f64; 3]>,
 }
 
 /// What else a tick of a slave says: what the gripper is to do, and the buttons of the master.
@@ -73,41 +53,15 @@ impl Beside {
     const NOTHING: Self = Self { gripper: GripperOrder::Hold, buttons: None };
 }
 
-trait MasterSteps: DriverLoop + Send {
-    /// `trigger_force` in N becomes what the trigger is to exert, of one that the finger feels.
-    fn step<'py>(
-        &mut self,
-        py: Python<'py>,
-        read: MasterRead<'_, 'py>,
-        trigger_force: &mut Option<f64>,
-    ) -> PyResult<Option<Bound<'py, PyTuple>>>;
-}
-
-trait SlaveSteps: DriverLoop + Send {
-    fn step<'py>(
-        &mut self,
-        py: Python<'py>,
-        read: SlaveRead<'_, 'py>,
-        beside: &mut Beside,
-    ) -> PyResult<Option<Bound<'py, PyTuple>>>;
-}
-
-/// A fault that the device reports with its sample, with its own text.
-fn report_fault(side: &mut impl Side, fault: Option<&str>) {
-    if let Some(text) = fault {
-        side.exchange_mut().device_failed(Some(&FaultText::new(text)));
-    }
-}
-
 /// A number for one axis, or one for each axis.
-fn read_axes<const N: usize>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Axes<N>> {
+fn read_axes<const N: usize>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Padded> {
     if let Ok(values) = value.extract::<[f64; N]>() {
-        return Ok(Axes::from(values));
+        return Ok(padded(&Axes::from(values)));
     }
     if N == 1
         && let Ok(value) = value.extract::<f64>()
     {
-        return Ok(Axes::repeat(value));
+        return Ok(padded(&Axes::<1>::repeat(value)));
     }
     let of = if N == 1 { "a number".to_owned() } else { format!("a sequence of {N} numbers") };
     Err(PyTypeError::new_err(format!("{name} = {value}: must be {of}")))
@@ -140,104 +94,13 @@ fn read_part<T>(name: &str, value: Option<T>) -> PyResult<T> {
     value.ok_or_else(missing)
 }
 
-fn written<'py, const N: usize>(py: Python<'py>, value: &Axes<N>) -> PyResult<Bound<'py, PyTuple>> {
-    PyTuple::new(py, value.iter())
+/// The numbers of a sample of a side of so many axes.
+fn read_vector(axes: usize, name: &str, value: &Bound<'_, PyAny>) -> PyResult<Padded> {
+    of_axes!(axes, N => read_axes::<N>(name, value))
 }
 
-impl<R: MasterTurn, const N: usize> MasterSteps for PacedLoop<Timed<MasterSide<DrivenMaster<N>, N, R>>> {
-    fn step<'py>(
-        &mut self,
-        py: Python<'py>,
-        read: MasterRead<'_, 'py>,
-        trigger_force: &mut Option<f64>,
-    ) -> PyResult<Option<Bound<'py, PyTuple>>> {
-        let position = read_axes("position", read.position)?;
-        let velocity = read.velocity.map(|velocity| read_axes("velocity", velocity)).transpose()?;
-        let rotation = if R::TURNS {
-            let orientation = measured(read_part("orientation", read.orientation)?);
-            Some(RotationSample { orientation, angular_velocity: read.angular_velocity.map(Axes::from) })
-        } else {
-            None
-        };
-        let force = PacedLoop::step(
-            self,
-            |side| {
-                report_fault(side, read.fault);
-                let plant = &mut side.side.plant;
-                (plant.position, plant.velocity, plant.clutch) = (position, velocity, read.clutch);
-                // What a device says beside a fault is not known.
-                let buttons = ButtonWord(read.buttons.filter(|_| read.fault.is_none()));
-                (plant.rotation, plant.buttons) = (rotation, buttons);
-                if let Some(trigger) = &mut side.side.trigger {
-                    *trigger = Trigger::Driven(read.trigger);
-                }
-            },
-            |side| {
-                let felt = side.side.felt().map(|tick| tick.device_force[0]);
-                (side.side.plant.force, side.side.plant.torque, felt)
-            },
-        );
-        let Some((force, torque, felt)) = force else { return Ok(None) };
-        *trigger_force = felt;
-        if R::TURNS {
-            return PyTuple::new(py, [written(py, &force)?, written(py, &torque)?]).map(Some);
-        }
-        written(py, &force).map(Some)
-    }
-}
-
-impl<R: SlaveTurn, const N: usize> SlaveSteps for PacedLoop<Timed<SlaveSide<DrivenSlave<N>, N, R>>> {
-    fn step<'py>(
-        &mut self,
-        py: Python<'py>,
-        read: SlaveRead<'_, 'py>,
-        beside: &mut Beside,
-    ) -> PyResult<Option<Bound<'py, PyTuple>>> {
-        let sample = [
-            read_axes("position", read.position)?,
-            read_axes("velocity", read.velocity)?,
-            read_axes("force", read.force)?,
-        ];
-        let rotation = if R::TURNS {
-            Some(RotationState {
-                orientation: measured(read_part("orientation", read.orientation)?),
-                angular_velocity: Axes::from(read_part("angular_velocity", read.angular_velocity)?),
-                torque: Axes::from(read_part("torque", read.torque)?),
-            })
-        } else {
-            None
-        };
-        let order = PacedLoop::step(
-            self,
-            |side| {
-                report_fault(side, read.fault);
-                (side.side.plant.sample, side.side.plant.rotation) = (sample, rotation);
-                if let (Some(jaws), Some(read)) = (&mut side.side.gripper, read.gripper) {
-                    jaws.take(read);
-                }
-            },
-            |side| {
-                let led = side.side.gripper.as_ref().map_or(GripperOrder::Hold, |jaws| *jaws.order());
-                (*side.side.plant.order(), Beside { gripper: led, buttons: side.exchange().peer_buttons() })
-            },
-        );
-        let Some((order, said)) = order else { return Ok(None) };
-        *beside = said;
-        let named = match order {
-            SlaveOrder::Wait => (pyo3::intern!(py, "wait"), PyTuple::empty(py), PyTuple::empty(py)),
-            SlaveOrder::Stop => (pyo3::intern!(py, "stop"), PyTuple::empty(py), PyTuple::empty(py)),
-            SlaveOrder::Move { position, velocity, rotation: None } => {
-                (pyo3::intern!(py, "move"), written(py, &position)?, written(py, &velocity)?)
-            }
-            SlaveOrder::Move { position, velocity, rotation: Some((orientation, angular_velocity)) } => {
-                let turn = (PyTuple::new(py, quat_wxyz(&orientation))?, written(py, &angular_velocity)?);
-                let named = (pyo3::intern!(py, "move"), written(py, &position)?, written(py, &velocity)?);
-                return (named.0, named.1, named.2, turn.0, turn.1).into_pyobject(py).map(Some);
-            }
-        };
-        let named: (&Bound<'py, PyString>, _, _) = named;
-        named.into_pyobject(py).map(Some)
-    }
+fn written<'py>(py: Python<'py>, values: &[f64]) -> PyResult<Bound<'py, PyTuple>> {
+    PyTuple::new(py, values)
 }
 
 /// What belongs to the thread of the driver; it waits here with the GIL released, so that nobody else may wait for it.
@@ -247,7 +110,7 @@ fn own<T: ?Sized>(of: &Mutex<Box<T>>) -> PyResult<MutexGuard<'_, Box<T>>> {
 
 /// What both classes share, as their fields `paced` and `watched`.
 macro_rules! loop_methods {
-    ($class:ident, $rows:ident) => {
+    ($class:ident) => {
         #[pymethods]
         impl $class {
             fn begin(&self, py: Python<'_>) -> PyResult<String> {
@@ -291,12 +154,12 @@ macro_rules! loop_methods {
         }
 
         impl $class {
-            fn end(&self, py: Python<'_>) -> PyResult<($rows, PyLoopReport)> {
+            fn end(&self, py: Python<'_>) -> PyResult<(Trace, PyLoopReport)> {
                 let mut paced = own(&self.paced)?;
                 let paced = &mut **paced;
                 let (report, flight) = py.detach(|| paced.end()).ok_or_else(finished_before)?;
                 self.watched.watch().ended(flight);
-                Ok((self.watched.rows(), report.into()))
+                Ok((py.detach(|| self.watched.trace()), report.into()))
             }
         }
     };
@@ -324,15 +187,16 @@ fn steadily(name: &str, before: Option<bool>, is_given: bool) -> PyResult<()> {
 
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct MasterLoop {
-    paced: Mutex<Box<dyn MasterSteps>>,
+    paced: Mutex<Box<dyn MasterDriverLoop>>,
     last: Mutex<LastTick>,
-    pub(crate) watched: Watched<MasterRows>,
+    pub(crate) watched: Watched,
     kind: SideKind,
+    axes: usize,
 }
 
 constructor!(MasterLoop, peer,
     [listen: Option<&str> = None, clutch: &str = "once", started_s: Option<f64> = None],
-    |py, scene, run_id, how| {
+    |py, scene, outline, run_id, how| {
         let simulated_clutch = match clutch {
             "once" => false,
             "auto" => true,
@@ -341,17 +205,18 @@ constructor!(MasterLoop, peer,
                 return Err(PyValueError::new_err(text));
             }
         };
-        let place = Place::of_master(peer, listen, started_s, live_periods(&scene)?[0], how)?;
-        let is_felt = scene.master.gripper.is_some();
-        let (paced, watched) = if let Some(scene) = as_pose(&scene).map_err(refuse)? {
-            let side = driven_master(scene, run_id, simulated_clutch).map_err(refuse)?.turning();
-            prepare_master(py, side, place, is_felt)?
-        } else {
-            let side = driven_master::<N>(&scene, run_id, simulated_clutch).map_err(refuse)?;
-            prepare_master(py, side, place, is_felt)?
-        };
-        let last = LastTick { trigger_force: is_felt.then_some(0.0), ..LastTick::default() };
-        Ok(Self { paced: Mutex::new(paced), last: Mutex::new(last), watched, kind: scene.master.kind })
+        let place = Place::of_master(peer, listen, started_s, live_periods(&outline)?[0], how)?;
+        // Without the interpreter, as `start` of `LiveMaster`.
+        let (paced, watched) = py.detach(|| {
+            let (parts, control) = place.open()?;
+            let (paced, watch, records) =
+                pace_scene_master(scene, run_id, simulated_clutch, parts).map_err(refused)?;
+            PyResult::Ok((paced, Watched::new(watch, records, control, true)?))
+        })?;
+        let trigger_force = outline.feels_trigger.then_some(0.0);
+        let last = LastTick { trigger_force, ..LastTick::default() };
+        let (kind, axes) = (outline.kind, outline.axes);
+        Ok(Self { paced: Mutex::new(paced), last: Mutex::new(last), watched, kind, axes })
     }
 );
 
@@ -383,17 +248,35 @@ impl MasterLoop {
             }
             last.trigger_force
         };
-        let read = MasterRead {
-            position,
-            velocity,
+        let turns = self.kind == SideKind::Pose;
+        let orientation: Option<[f64; 4]> = read_optional("orientation", orientation, QUATERNION)?;
+        let rate: Option<[f64; 3]> = read_optional("angular_velocity", angular_velocity, VECTOR)?;
+        let input = MasterInput {
+            position: read_vector(self.axes, "position", position)?,
+            velocity: velocity.map(|velocity| read_vector(self.axes, "velocity", velocity)).transpose()?,
             clutch: read_optional("clutch", clutch, SWITCH)?,
             fault: fault.as_deref(),
             trigger: read_optional("trigger", trigger, NUMBER)?,
-            orientation: read_optional("orientation", orientation, QUATERNION)?,
-            angular_velocity: read_optional("angular_velocity", angular_velocity, VECTOR)?,
+            rotation: if turns {
+                let orientation = measured(read_part("orientation", orientation)?);
+                Some(RotationSample { orientation, angular_velocity: rate.map(Axes::from) })
+            } else {
+                None
+            },
             buttons: read_optional("buttons", buttons, WORD)?,
         };
-        let force = own(&self.paced)?.step(py, read, &mut trigger_force)?;
+        let output = own(&self.paced)?.step(&input);
+        let force = match &output {
+            None => None,
+            Some(output) => {
+                trigger_force = output.trigger_force;
+                let force = written(py, &output.force.as_slice()[..self.axes])?;
+                Some(match &output.torque {
+                    Some(torque) => PyTuple::new(py, [force, written(py, torque.as_slice())?])?,
+                    None => force,
+                })
+            }
+        };
         let mut last = locked(&self.last);
         last.trigger_force = trigger_force;
         if fault.is_none() {
@@ -411,26 +294,23 @@ impl MasterLoop {
 
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct SlaveLoop {
-    paced: Mutex<Box<dyn SlaveSteps>>,
+    paced: Mutex<Box<dyn SlaveDriverLoop>>,
     /// After the last tick.
     beside: Mutex<Beside>,
-    pub(crate) watched: Watched<SlaveRows>,
+    pub(crate) watched: Watched,
     kind: SideKind,
+    axes: usize,
 }
 
-constructor!(SlaveLoop, listen, [], |py, scene, run_id, how| {
-    let place = Place::of_slave(listen, live_periods(&scene)?[1], how)?;
-    let (paced, watched): (Box<dyn SlaveSteps>, _) = if let Some(scene) = as_pose(&scene).map_err(refuse)? {
-        let side = driven_slave(scene, run_id).map_err(refuse)?.turning();
-        let (paced, watched) = prepare(py, side, place)?;
-        (Box::new(paced), watched)
-    } else {
-        let side = driven_slave::<N>(&scene, run_id).map_err(refuse)?;
-        let (paced, watched) = prepare(py, side, place)?;
-        (Box::new(paced), watched)
-    };
+constructor!(SlaveLoop, listen, [], |py, scene, outline, run_id, how| {
+    let place = Place::of_slave(listen, live_periods(&outline)?[1], how)?;
+    let (paced, watched) = py.detach(|| {
+        let (parts, control) = place.open()?;
+        let (paced, watch, records) = pace_scene_slave(scene, run_id, parts).map_err(refused)?;
+        PyResult::Ok((paced, Watched::new(watch, records, control, true)?))
+    })?;
     let beside = Mutex::new(Beside::NOTHING);
-    Ok(Self { paced: Mutex::new(paced), beside, watched, kind: scene.master.kind })
+    Ok(Self { paced: Mutex::new(paced), beside, watched, kind: outline.kind, axes: outline.axes })
 });
 
 #[pymethods]
@@ -457,20 +337,45 @@ impl SlaveLoop {
             holds_object,
         });
         let fault: Option<PyBackedStr> = read_optional("fault", fault, TEXT)?;
-        let mut beside = Beside::NOTHING;
-        let read = SlaveRead {
-            position,
-            velocity,
-            force,
+        let orientation: Option<[f64; 4]> = read_optional("orientation", orientation, QUATERNION)?;
+        let rate: Option<[f64; 3]> = read_optional("angular_velocity", angular_velocity, VECTOR)?;
+        let torque: Option<[f64; 3]> = read_optional("torque", torque, VECTOR)?;
+        let input = SlaveInput {
+            position: read_vector(self.axes, "position", position)?,
+            velocity: read_vector(self.axes, "velocity", velocity)?,
+            force: read_vector(self.axes, "force", force)?,
             fault: fault.as_deref(),
             gripper,
-            orientation: read_optional("orientation", orientation, QUATERNION)?,
-            angular_velocity: read_optional("angular_velocity", angular_velocity, VECTOR)?,
-            torque: read_optional("torque", torque, VECTOR)?,
+            rotation: if self.kind == SideKind::Pose {
+                Some(RotationState {
+                    orientation: measured(read_part("orientation", orientation)?),
+                    angular_velocity: Axes::from(read_part("angular_velocity", rate)?),
+                    torque: Axes::from(read_part("torque", torque)?),
+                })
+            } else {
+                None
+            },
         };
-        let order = own(&self.paced)?.step(py, read, &mut beside);
-        *locked(&self.beside) = beside;
-        order
+        let output = own(&self.paced)?.step(&input);
+        *locked(&self.beside) = output
+            .as_ref()
+            .map_or(Beside::NOTHING, |output| Beside { gripper: output.gripper, buttons: output.buttons });
+        let Some(output) = output else { return Ok(None) };
+        let out = |values: &Padded| written(py, &values.as_slice()[..self.axes]);
+        let named = match output.order {
+            SlaveOrder::Wait => (pyo3::intern!(py, "wait"), PyTuple::empty(py), PyTuple::empty(py)),
+            SlaveOrder::Stop => (pyo3::intern!(py, "stop"), PyTuple::empty(py), PyTuple::empty(py)),
+            SlaveOrder::Move { position, velocity, rotation: None } => {
+                (pyo3::intern!(py, "move"), out(&position)?, out(&velocity)?)
+            }
+            SlaveOrder::Move { position, velocity, rotation: Some((orientation, rate)) } => {
+                let turn = (PyTuple::new(py, quat_wxyz(&orientation))?, written(py, rate.as_slice())?);
+                let named = (pyo3::intern!(py, "move"), out(&position)?, out(&velocity)?);
+                return (named.0, named.1, named.2, turn.0, turn.1).into_pyobject(py).map(Some);
+            }
+        };
+        let named: (&Bound<'py, PyString>, _, _) = named;
+        named.into_pyobject(py).map(Some)
     }
 
     #[getter]
@@ -489,45 +394,8 @@ impl SlaveLoop {
     }
 }
 
-/// The loop of a side, and what watches it.
-type Prepared<S> = (PacedLoop<S>, Watched<<<S as Side>::Record as Rowed>::Rows>);
-
-/// Without the interpreter, as `start` of `LiveMaster`.
-fn prepare<S>(py: Python<'_>, side: S, place: Place) -> PyResult<Prepared<S>>
-where
-    S: Side<Record: Rowed> + Send,
-{
-    py.detach(|| {
-        let outputs = place.outputs()?;
-        let control = (place.settings.role, place.control()?);
-        let (paced, watch, reader) =
-            paced_by_device(side, place.socket, place.settings, place.security, outputs)
-                .map_err(not_begun)?;
-        Ok((paced, Watched::new(watch, reader, control, true)?))
-    })
-}
-
-/// With records of what the finger feels where it does.
-fn prepare_master<R: MasterTurn, const N: usize>(
-    py: Python<'_>,
-    side: Timed<MasterSide<DrivenMaster<N>, N, R>>,
-    place: Place,
-    is_felt: bool,
-) -> PyResult<(Box<dyn MasterSteps>, Watched<MasterRows>)>
-where
-    MasterRecord<N, R>: Rowed<Rows = MasterRows>,
-    MasterRecord<N, Feeling<R>>: Rowed<Rows = MasterRows>,
-{
-    if is_felt {
-        let (paced, watched) = prepare(py, side.feeling(), place)?;
-        return Ok((Box::new(paced), watched));
-    }
-    let (paced, watched) = prepare(py, side, place)?;
-    Ok((Box::new(paced), watched))
-}
-
-loop_methods!(MasterLoop, MasterRows);
-loop_methods!(SlaveLoop, SlaveRows);
+loop_methods!(MasterLoop);
+loop_methods!(SlaveLoop);
 master_methods!(MasterLoop);
 slave_methods!(SlaveLoop);
 watch_methods!(MasterLoop);

@@ -6,14 +6,15 @@ use std::{
 };
 
 use haptether_bridge::{
-    OperatorCommand,
+    OperatorCommand, Trace,
     live::{
-        Control, ControlSocket, LiveHandle, LiveSettings, LiveWatch, Newest, PeerAddress, PeerSocket, RealtimeDemand,
-        RealtimeSettings, RecordOutputs, RecordReader, Security, StartError, now_ns,
+        Control, ControlSocket, LiveHandle, LiveSettings, LiveWatch, PeerAddress, PeerSocket, RealtimeDemand,
+        RealtimeSettings, Security, StartError, now_ns,
     },
-    recorder::{Recorded, Recorder, RecorderSettings, SecurityMark},
+    recorder::{RecorderSettings, SecurityMark},
+    scene::{KeptRecords, LiveError, LiveParts},
     session::{KeyError, PreSharedKey},
-    telemetry::{Telemetry, TelemetrySettings},
+    telemetry::TelemetrySettings,
     wire::Role,
 };
 use pyo3::{
@@ -22,12 +23,10 @@ use pyo3::{
     types::{PyByteArray, PyBytes},
 };
 
-use crate::{axes::refuse, bridge::nanoseconds, bridge_trace::Rowed, netsim::address, reserve};
+use crate::{axes::refuse, bridge::nanoseconds, netsim::address, reserve};
 
 /// How much of a live run is kept at most, in s: an hour.
 const MAX_KEPT_S: f64 = 3600.0;
-/// Bytes of the records that are kept by default: 87 s along one axis, 24 s of poses of a master at 1 kHz.
-const KEPT_BYTES: usize = 1 << 24;
 
 /// The shared key of a `bytearray`, which its owner can wipe, or of `bytes`.
 fn shared_key(key: &Bound<'_, PyAny>) -> PyResult<PreSharedKey> {
@@ -58,12 +57,7 @@ pub(crate) fn security(key: Option<&Bound<'_, PyAny>>, insecure: bool) -> PyResu
 
 /// Where a side is, whom it talks to, and how.
 pub(crate) struct Place {
-    pub(crate) socket: PeerSocket,
-    pub(crate) settings: LiveSettings,
-    pub(crate) security: Security,
-    keep_s: Option<f64>,
-    record: Option<RecorderSettings>,
-    telemetry: Option<TelemetrySettings>,
+    pub(crate) parts: LiveParts,
     control: Option<PathBuf>,
 }
 
@@ -120,55 +114,18 @@ impl Place {
         if !reserve::fill() {
             return Err(PyMemoryError::new_err("no memory can be set aside for the end of a run"));
         }
-        Ok(Self { socket, settings, security, keep_s, record, telemetry, control })
+        Ok(Self { parts: LiveParts { socket, settings, security, keep_s, record, telemetry }, control })
     }
 
-    /// Who gets the records: after the socket, so that a run that cannot be replaces no file.
-    pub(crate) fn outputs<R: Recorded>(&self) -> PyResult<RecordOutputs<R>> {
-        let newest = self.newest()?;
-        let refused = |name: &str, path: &Path, error: std::io::Error| {
-            PyOSError::new_err(format!("{name} = {}: {error}", path.display()))
-        };
-        // The socket first: it replaces nothing that is in use.
-        let begin = |to: &TelemetrySettings| {
-            Telemetry::begin(to).map_err(|error| refused("telemetry", &to.path, error))
-        };
-        let telemetry = self.telemetry.as_ref().map(begin).transpose()?;
-        let begin =
-            |to: &RecorderSettings| Recorder::begin(to).map_err(|error| refused("record", &to.path, error));
-        Ok(RecordOutputs { newest, recorder: self.record.as_ref().map(begin).transpose()?, telemetry })
-    }
-
-    /// The control socket, if there is to be one: before the loop, which must not begin where it cannot be.
-    pub(crate) fn control(&self) -> PyResult<Option<ControlSocket>> {
+    /// Its parts, and the control socket, if there is to be one: before the loop, which must not begin without it.
+    pub(crate) fn open(self) -> PyResult<(LiveParts, (Role, Option<ControlSocket>))> {
         let refused = |path: &Path, error: std::io::Error| {
             PyOSError::new_err(format!("control = {}: {error}", path.display()))
         };
         let listen = |path: &PathBuf| ControlSocket::listen(path).map_err(|error| refused(path, error));
-        self.control.as_ref().map(listen).transpose()
-    }
-
-    /// Room for the newest records.
-    fn newest<R>(&self) -> PyResult<Newest<R>> {
-        let LiveSettings { period_ns, duration_ns, patience_ns, .. } = self.settings;
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // in range, as checked
-        let kept = match self.keep_s {
-            Some(keep_s) => (keep_s * 1e9 / period_ns as f64).ceil() as usize,
-            None => KEPT_BYTES / size_of::<R>(),
-        };
-        // Not more than there will be.
-        let longest_ns = match (duration_ns, patience_ns) {
-            (Some(duration_ns), Some(patience_ns)) => duration_ns.saturating_add(patience_ns),
-            _ => u64::MAX,
-        };
-        let longest = usize::try_from(longest_ns / period_ns).unwrap_or(usize::MAX).saturating_add(2);
-        let kept = kept.min(longest);
-        Newest::of(kept).ok_or_else(|| {
-            let mebibytes = kept.saturating_mul(size_of::<R>()) >> 20;
-            PyMemoryError::new_err(format!(
-                "keep_s: there is no memory for it: needs {mebibytes} MiB, keep less"
-            ))
-        })
+        let control = self.control.as_ref().map(listen).transpose()?;
+        let role = self.parts.settings.role;
+        Ok((self.parts, (role, control)))
     }
 }
 
@@ -204,35 +161,29 @@ pub(crate) fn not_begun(error: StartError) -> PyErr {
     }
 }
 
-/// The reader of a loop's records, for any number of axes.
-trait KeptRows<Rows>: Send {
-    fn kept(&self) -> usize;
-    fn take_rows(&self) -> Rows;
-}
-
-impl<R: Rowed> KeptRows<R::Rows> for RecordReader<R> {
-    fn kept(&self) -> usize {
-        RecordReader::kept(self)
-    }
-
-    fn take_rows(&self) -> R::Rows {
-        R::rows(self.take())
+/// Why a side of a scene did not begin.
+pub(crate) fn refused(error: LiveError) -> PyErr {
+    match error {
+        LiveError::Start(error) => not_begun(error),
+        LiveError::Output { .. } => PyOSError::new_err(error.to_string()),
+        LiveError::Memory(_) => PyMemoryError::new_err(error.to_string()),
+        LiveError::Scene(error) => refuse(error),
     }
 }
 
 /// What is seen of a loop and commanded to it. Its mutexes are never contended: they only let it move between threads.
-pub(crate) struct Watched<Rows> {
+pub(crate) struct Watched {
     pub(crate) handle: LiveHandle,
     watch: Mutex<LiveWatch>,
-    records: Mutex<Box<dyn KeptRows<Rows>>>,
+    records: Mutex<Box<dyn KeptRecords>>,
     /// Ends with this.
     _control: Option<Control>,
 }
 
-impl<Rows> Watched<Rows> {
-    pub(crate) fn new<R: Rowed<Rows = Rows>>(
+impl Watched {
+    pub(crate) fn new(
         mut watch: LiveWatch,
-        reader: RecordReader<R>,
+        records: Box<dyn KeptRecords>,
         (role, control): (Role, Option<ControlSocket>),
         has_driver: bool,
     ) -> PyResult<Self> {
@@ -240,7 +191,7 @@ impl<Rows> Watched<Rows> {
         let port = watch.port();
         let control =
             control.zip(port).map(|(socket, port)| socket.serve(role, port, has_driver)).transpose()?;
-        Ok(Self { handle, watch: Mutex::new(watch), records: Mutex::new(Box::new(reader)), _control: control })
+        Ok(Self { handle, watch: Mutex::new(watch), records: Mutex::new(records), _control: control })
     }
 
     pub(crate) fn watch(&self) -> MutexGuard<'_, LiveWatch> {
@@ -251,8 +202,8 @@ impl<Rows> Watched<Rows> {
         locked(&self.records).kept()
     }
 
-    pub(crate) fn rows(&self) -> Rows {
-        locked(&self.records).take_rows()
+    pub(crate) fn trace(&self) -> Trace {
+        locked(&self.records).take()
     }
 
     pub(crate) fn command(&self, command: OperatorCommand) -> PyResult<()> {
@@ -267,11 +218,10 @@ pub(crate) fn locked<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
     of.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The constructor of the class of a side: where it is, the options of its own, and those that all sides share. The block
-/// begins it along `N` axes.
+/// The constructor of the class of a side: where it is, the options of its own, and those that all sides share.
 macro_rules! constructor {
     ($class:ident, $place:ident, [$($own:ident: $own_type:ty = $default:tt),*],
-        |$py:ident, $scene:ident, $run_id:ident, $how:ident| $begin:block) => {
+        |$py:ident, $scene:ident, $outline:ident, $run_id:ident, $how:ident| $begin:block) => {
         #[pymethods]
         impl $class {
             #[new]
@@ -308,10 +258,8 @@ macro_rules! constructor {
                     telemetry: telemetry_settings(telemetry, insecure, scene),
                     control,
                 };
-                of_axes!(scene_axes(scene)?, N => {
-                    let $scene = scene_spec::<N>(scene)?;
-                    $begin
-                })
+                let ($scene, $outline) = (scene, scene_outline(scene).map_err(refuse)?);
+                $begin
             }
         }
     };
@@ -332,8 +280,8 @@ macro_rules! master_methods {
             }
 
             fn finish(&self, py: Python<'_>) -> PyResult<(MasterTrace, PyLoopReport)> {
-                let (rows, report) = self.end(py)?;
-                Ok((MasterTrace { rows }, report))
+                let (trace, report) = self.end(py)?;
+                Ok((MasterTrace { trace }, report))
             }
         }
     };
@@ -354,8 +302,8 @@ macro_rules! slave_methods {
             }
 
             fn finish(&self, py: Python<'_>) -> PyResult<(SlaveTrace, PyLoopReport)> {
-                let (rows, report) = self.end(py)?;
-                Ok((SlaveTrace { rows }, report))
+                let (trace, report) = self.end(py)?;
+                Ok((SlaveTrace { trace }, report))
             }
         }
     };

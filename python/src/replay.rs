@@ -29,8 +29,7 @@ fn replay_recording(
         let values = values.extract::<SignalArray<'_>>()?;
         recorded.signals.insert(name.extract()?, values.array().as_array().iter().copied().collect());
     }
-    let columns =
-        py.detach(|| replay_columns(scene_json, &recorded, recouples, hand)).map_err(refuse)?;
+    let columns = py.detach(|| replay_columns(scene_json, &recorded, recouples, hand)).map_err(refuse)?;
     let table = PyDict::new(py);
     for (name, values) in columns {
         let values = match values {

@@ -14,8 +14,8 @@ use std::{
 };
 
 use haptether_bridge::scene::{
-    self, Metric, Metrics, Outcome, Progress, RecordingFiles, Refused, ResearchFactory, SceneError, SceneRun,
-    SceneSpec, Signal, SweepPart, SweepSettings, Variation, simulate_recorded, sweep_parts,
+    self, Metric, Metrics, Outcome, Progress, RecordingFiles, Refused, ResearchFactory, SceneOutline,
+    SceneRun, Signal, SweepPart, SweepSettings, Variation, scene_outline, simulate_recorded, sweep_parts,
 };
 use haptether_bridge::{SideKind, coupling::ROUND_TRIP_S, ladder::PRESS_NS};
 use numpy::{PyArrayMethods, PyReadonlyArray1, ToPyArray};
@@ -28,7 +28,7 @@ use pyo3::{
 
 use crate::{
     arrays::column,
-    axes::{of_axes, refuse},
+    axes::refuse,
     bridge::nanoseconds,
     bridge_trace::PyLoopReport,
     research::{PyObservation, PyResearch},
@@ -112,24 +112,9 @@ fn metrics_out(py: Python<'_>, outcome: &Outcome, period_s: f64) -> PyResult<Py<
     Ok(metrics.unbind())
 }
 
-/// The number of axes of a scene as `scene_json` writes it.
-pub(crate) fn scene_axes(json: &[u8]) -> PyResult<usize> {
-    scene::scene_axes(json).map_err(no_scene)
-}
-
-/// A scene as `scene_json` writes it, of `scene_axes` axes.
-pub(crate) fn scene_spec<const N: usize>(json: &[u8]) -> PyResult<SceneSpec<N>> {
-    serde_json::from_slice(json).map_err(no_scene)
-}
-
-fn no_scene(error: serde_json::Error) -> PyErr {
-    refuse(SceneError::from(error))
-}
-
 /// Periods of master and slave in ns.
-pub(crate) fn live_periods<const N: usize>(scene: &SceneSpec<N>) -> PyResult<[u64; 2]> {
-    let slave_s = scene.slave.as_ref().map_or(scene.run.period_s, |slave| slave.period_s);
-    Ok([nanoseconds("run.period_s", scene.run.period_s)?, nanoseconds("slave.period_s", slave_s)?])
+pub(crate) fn live_periods(scene: &SceneOutline) -> PyResult<[u64; 2]> {
+    Ok([nanoseconds("run.period_s", scene.period_s)?, nanoseconds("slave.period_s", scene.slave_period_s)?])
 }
 
 /// The JSON schema of a scene of one axis.

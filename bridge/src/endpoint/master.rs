@@ -146,7 +146,8 @@ impl<const N: usize> MasterEndpoint<N> {
         rotation: Option<&MasterRotationSettings>,
     ) -> Result<Self, EndpointError> {
         let hand = Self::with_layer(settings, rotation)?;
-        let mut exchange = Exchange::new(Role::Master, N, settings.run_id, settings.period_ns, settings.ladder)?;
+        let mut exchange =
+            Exchange::new(Role::Master, N, settings.run_id, settings.period_ns, settings.ladder)?;
         exchange.hold_against(TRANSLATION, &settings.safety);
         if let Some(rotation) = rotation {
             exchange.hold_against(ROTATION, &rotation.safety);

@@ -266,7 +266,8 @@ impl LiveLoop {
         if !plant.tick(time) {
             self.report.dropped_records += 1;
         }
-        if let Some(datagram) = sealed_frame(&mut channel.session, late(), plant.side_mut(), &mut self.buffer) {
+        if let Some(datagram) = sealed_frame(&mut channel.session, late(), plant.side_mut(), &mut self.buffer)
+        {
             socket.send(None, datagram);
         }
         self.report(plant, shared);
@@ -378,7 +379,11 @@ impl LiveLoop {
     }
 
     /// Leaves the plant at rest, announces the end to the peer, and closes what is open.
-    pub(super) fn end(mut self, plant: &mut dyn LoopSide, shared: &Shared) -> (LoopReport, Box<FlightRecorder>) {
+    pub(super) fn end(
+        mut self,
+        plant: &mut dyn LoopSide,
+        shared: &Shared,
+    ) -> (LoopReport, Box<FlightRecorder>) {
         self.announce_end(plant, shared);
         let exchange = plant.side().exchange();
         let (counts, flight) = (exchange.counts(), Box::new(*exchange.flight()));

@@ -10,7 +10,9 @@ use std::{
 
 use super::{
     channel::{LiveChannel, Security},
-    handle::{LiveHandle, LiveWatch, LoopChannels, RecordOutputs, RecordReader, RecordSinks, Shared, channels},
+    handle::{
+        LiveHandle, LiveWatch, LoopChannels, RecordOutputs, RecordReader, RecordSinks, Shared, channels,
+    },
     handshakes::StartError,
     live_loop::{LiveLoop, LiveSettings, LoopReport, RecordedSide},
     socket::PeerSocket,
@@ -77,15 +79,10 @@ pub fn run_live<S: Side + Send + 'static>(
     security: Security,
     outputs: RecordOutputs<S::Record>,
 ) -> Result<(LiveRun, LiveWatch, RecordReader<S::Record>), StartError> {
-    let channel = LiveChannel::start(
-        settings.role,
-        side.exchange().link().layout(),
-        settings.period_ns,
-        security,
-    )?;
+    let channel =
+        LiveChannel::start(settings.role, side.exchange().link().layout(), settings.period_ns, security)?;
     let started_ns = settings.started_ns.unwrap_or_else(system::now_ns);
-    let (channels, sinks, watch, records, shared) =
-        channels(started_ns, socket.local_address()?, outputs);
+    let (channels, sinks, watch, records, shared) = channels(started_ns, socket.local_address()?, outputs);
     let (to_starter, granted) = mpsc::sync_channel(1);
     let thread = std::thread::Builder::new().name("haptether-loop".into()).spawn(move || {
         let (realtime, _kept) = system::prepare(settings.realtime);
@@ -173,15 +170,10 @@ pub fn paced_by_device<S: Side>(
     security: Security,
     outputs: RecordOutputs<S::Record>,
 ) -> Result<Paced<S>, StartError> {
-    let channel = LiveChannel::start(
-        settings.role,
-        side.exchange().link().layout(),
-        settings.period_ns,
-        security,
-    )?;
+    let channel =
+        LiveChannel::start(settings.role, side.exchange().link().layout(), settings.period_ns, security)?;
     let started_ns = settings.started_ns.unwrap_or_else(system::now_ns);
-    let (channels, sinks, watch, records, shared) =
-        channels(started_ns, socket.local_address()?, outputs);
+    let (channels, sinks, watch, records, shared) = channels(started_ns, socket.local_address()?, outputs);
     let paced = PacedLoop {
         stage: Stage::Ready(Box::new((side, sinks, socket, channel, channels))),
         settings,

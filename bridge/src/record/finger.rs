@@ -111,7 +111,9 @@ impl<M> WithFinger<M> {
 }
 
 impl<M: Recorded> Recorded for WithFinger<M> {
-    const SIDE: &'static str = M::SIDE;
+    fn side(&self) -> &'static str {
+        self.record.side()
+    }
 
     fn any() -> Self {
         Self::new(M::any(), None)

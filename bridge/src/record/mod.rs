@@ -2,10 +2,12 @@
 
 mod finger;
 mod rotation;
+mod trace;
 
 pub(crate) use finger::WithFinger;
 pub use finger::{Feeling, FingerTick};
 pub use rotation::{MasterRotation, MasterTurn, SlaveRotation, SlaveTurn};
+pub use trace::{Column, Trace};
 
 use haptether_safety::{Axes, Fault, controller::PerController};
 

@@ -22,6 +22,8 @@ pub enum Value<'a> {
     Bits(u64),
     /// A name.
     Name(&'static str),
+    /// A name with its code.
+    Code(u8, &'static str),
     /// Yes or no.
     Flag(bool),
 }
@@ -33,7 +35,7 @@ impl Value<'_> {
             Self::Axes(_) => json!({"type": "array", "items": {"type": ["number", "null"]}}),
             Self::Number(_) => json!({"type": ["number", "null"]}),
             Self::Count(_) | Self::Bits(_) => json!({"type": "integer"}),
-            Self::Name(_) => json!({"type": "string"}),
+            Self::Name(_) | Self::Code(..) => json!({"type": "string"}),
             Self::Flag(_) => json!({"type": "boolean"}),
         }
     }
@@ -44,7 +46,7 @@ impl Value<'_> {
             Self::Axes(values) => serde_json::to_writer(out, values),
             Self::Number(value) => serde_json::to_writer(out, &value),
             Self::Count(value) | Self::Bits(value) => serde_json::to_writer(out, &value),
-            Self::Name(value) => serde_json::to_writer(out, value),
+            Self::Name(value) | Self::Code(_, value) => serde_json::to_writer(out, value),
             Self::Flag(value) => serde_json::to_writer(out, &value),
         };
     }
@@ -54,12 +56,14 @@ impl Value<'_> {
 pub type Field<'a> = (&'static str, &'static str, Value<'a>);
 
 /// What can be recorded.
-pub trait Recorded: Copy + Send + 'static {
+pub trait Recorded: Send + 'static {
     /// Whose record it is.
-    const SIDE: &'static str;
+    fn side(&self) -> &'static str;
 
     /// Any record, which shows what fields there are.
-    fn any() -> Self;
+    fn any() -> Self
+    where
+        Self: Sized;
 
     /// Time since the run began, in ns.
     fn time_ns(&self) -> u64;
@@ -69,8 +73,7 @@ pub trait Recorded: Copy + Send + 'static {
 }
 
 /// The JSON Schema of a record.
-pub(super) fn schema<R: Recorded>() -> String {
-    let record = R::any();
+pub(super) fn schema(record: &dyn Recorded) -> String {
     let mut properties = serde_json::Map::new();
     record.fields(&mut |(name, meaning, value)| {
         let mut field = value.schema();
@@ -80,11 +83,12 @@ pub(super) fn schema<R: Recorded>() -> String {
     let security =
         json!({"type": "string", "description": "\"secure\" or \"insecure\": whether frames were sealed"});
     properties.insert("security".to_owned(), security);
-    json!({"title": format!("haptether.{}", R::SIDE), "type": "object", "properties": properties}).to_string()
+    json!({"title": format!("haptether.{}", record.side()), "type": "object", "properties": properties})
+        .to_string()
 }
 
 /// Writes a record as one JSON object.
-pub(super) fn write_json(record: &impl Recorded, security: SecurityMark, out: &mut Vec<u8>) {
+pub(super) fn write_json(record: &dyn Recorded, security: SecurityMark, out: &mut Vec<u8>) {
     let mut before = b'{';
     record.fields(&mut |(name, _, value)| {
         out.push(before);
@@ -104,11 +108,11 @@ fn seconds(ns: u64) -> Value<'static> {
 }
 
 fn reason(code: u8) -> Value<'static> {
-    Value::Name(Reason::from_code(code).map_or("", Reason::text))
+    Value::Code(code, Reason::from_code(code).map_or("", Reason::text))
 }
 
 fn peer_state(code: u8) -> Value<'static> {
-    Value::Name(LadderState::from_code(code).map_or("", LadderState::name))
+    Value::Code(code, LadderState::from_code(code).map_or("", LadderState::name))
 }
 
 const TIME: &str = "time since the run began, in ns";
@@ -132,7 +136,9 @@ const GIVEN_FAULT: &str = "code of a fault that device or trigger gave the safet
 const FAULT: &str = "code of the fault, 0 without";
 
 impl<const N: usize, R: MasterTurn> Recorded for MasterRecord<N, R> {
-    const SIDE: &'static str = "master";
+    fn side(&self) -> &'static str {
+        "master"
+    }
 
     fn any() -> Self {
         Self::default()
@@ -165,7 +171,7 @@ impl<const N: usize, R: MasterTurn> Recorded for MasterRecord<N, R> {
         let state = [
             ("tripped", "bits of the controllers that tripped", Value::Bits(self.tripped.into())),
             ("acted", "bits of the limiter's bounds that acted", Value::Bits(self.acted.into())),
-            ("state", STATE, Value::Name(self.state.name())),
+            ("state", STATE, Value::Code(self.state.code(), self.state.name())),
             ("reason", REASON, reason(self.reason)),
             ("peer_state", PEER_STATE, peer_state(self.peer[0])),
             ("peer_reason", PEER_REASON, Value::Count(self.peer[1].into())),
@@ -188,7 +194,9 @@ impl<const N: usize, R: MasterTurn> Recorded for MasterRecord<N, R> {
 }
 
 impl<const N: usize, R: SlaveTurn> Recorded for SlaveRecord<N, R> {
-    const SIDE: &'static str = "slave";
+    fn side(&self) -> &'static str {
+        "slave"
+    }
 
     fn any() -> Self {
         Self::default()
@@ -213,7 +221,7 @@ impl<const N: usize, R: SlaveTurn> Recorded for SlaveRecord<N, R> {
             ("gripper_force", "between its jaws in N", Value::Number(self.gripper_force)),
             ("holds_object", "whether something stops its jaws", Value::Flag(self.holds_object)),
             ("limited", "bits of the bounds that acted on the command", Value::Bits(self.limited.into())),
-            ("state", STATE, Value::Name(self.state.name())),
+            ("state", STATE, Value::Code(self.state.code(), self.state.name())),
             ("reason", REASON, reason(self.reason)),
             ("peer_state", PEER_STATE, peer_state(self.peer[0])),
             ("peer_reason", PEER_REASON, Value::Count(self.peer[1].into())),

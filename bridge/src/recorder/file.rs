@@ -60,7 +60,7 @@ pub(super) struct McapFile<W: Write> {
 
 impl<W: Write> McapFile<W> {
     /// Writes the head: what the file is, the schema of its messages, their channel.
-    pub(super) fn begin<R: Recorded>(out: W, security: SecurityMark, scene: &str) -> Self {
+    pub(super) fn begin(out: W, any: &dyn Recorded, security: SecurityMark, scene: &str) -> Self {
         let (sink, refusal) = Sink::new(out);
         let mut file = Self {
             writer: None,
@@ -84,7 +84,7 @@ impl<W: Write> McapFile<W> {
         if let Some(writer) = &mut file.writer {
             let metadata = BTreeMap::from([
                 ("schema".to_owned(), "1".to_owned()),
-                ("side".to_owned(), R::SIDE.to_owned()),
+                ("side".to_owned(), any.side().to_owned()),
                 ("security".to_owned(), security.name().to_owned()),
             ]);
             let mut about = metadata.clone();
@@ -93,14 +93,14 @@ impl<W: Write> McapFile<W> {
                 about.insert("scene".to_owned(), scene.to_owned());
             }
             let _ = writer.write_metadata(&Metadata { name: METADATA.to_owned(), metadata: about });
-            let name = format!("haptether.{}", R::SIDE);
+            let name = format!("haptether.{}", any.side());
             file.channel = writer
-                .add_schema(&name, "jsonschema", schema::<R>().as_bytes())
-                .and_then(|id| writer.add_channel(id, &format!("/{}", R::SIDE), "json", &metadata))
+                .add_schema(&name, "jsonschema", schema(any).as_bytes())
+                .and_then(|id| writer.add_channel(id, &format!("/{}", any.side()), "json", &metadata))
                 .unwrap_or(0);
             file.causes = writer
                 .add_schema("haptether.cause", "jsonschema", CAUSE_SCHEMA.as_bytes())
-                .and_then(|id| writer.add_channel(id, &format!("/{}/cause", R::SIDE), "json", &metadata))
+                .and_then(|id| writer.add_channel(id, &format!("/{}/cause", any.side()), "json", &metadata))
                 .unwrap_or(0);
         }
         file
@@ -119,7 +119,7 @@ impl<W: Write> McapFile<W> {
     }
 
     /// Adds a record to the chunk.
-    pub(super) fn write(&mut self, record: &impl Recorded) {
+    pub(super) fn write(&mut self, record: &dyn Recorded) {
         let Some(writer) = &mut self.writer else { return };
         self.message.clear();
         write_json(record, self.security, &mut self.message);

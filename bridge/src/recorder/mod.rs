@@ -25,7 +25,10 @@ use file::{FreeSpace, McapFile};
 pub use read::{Column, ReadError, ReadRecording, Values, read_recording};
 pub(crate) use waiting::WaitingRecorder;
 
-use crate::{ladder::Diagnosis, ring::ring};
+use crate::{
+    ladder::Diagnosis,
+    ring::{WaitingRecords, ring},
+};
 
 /// Whether frames are sealed; a recording of an unsealed run says so in every record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -191,16 +194,16 @@ impl<R: Recorded> Recorder<R> {
         free_bytes: impl Fn() -> u64 + Send + 'static,
         settings: &RecorderSettings,
     ) -> io::Result<Self> {
-        let (records, waiting) = ring(RING);
+        let (records, mut waiting) = ring::<R>(RING);
         let (notes, noted) = ring(NOTES);
         let progress = Arc::new(Progress::default());
         let (to_recorder, ended) = mpsc::sync_channel(1);
         let (seen, min_free_bytes) = (Arc::clone(&progress), settings.min_free_bytes);
-        let (security, scene) = (settings.security, settings.scene.clone());
+        let (security, scene, any) = (settings.security, settings.scene.clone(), R::any());
         thread::Builder::new().name("haptether-recorder".into()).spawn(move || {
             // The head, too, is written there: not even that may keep a run waiting.
-            let file = McapFile::begin::<R>(out, security, &scene);
-            write_while_open(file, (waiting, noted), &seen, &|| free_bytes() < min_free_bytes);
+            let file = McapFile::begin(out, &any, security, &scene);
+            write_while_open(file, (&mut waiting, noted), &seen, &|| free_bytes() < min_free_bytes);
             let _ = to_recorder.send(());
         })?;
         Ok(Self { records, notes, progress, ended })
@@ -253,9 +256,9 @@ const CHUNKS_OF_A_SIZE: u64 = 1024;
 const MAX_CHUNK: u64 = 4096;
 
 /// Writes records until the other end of the ring is gone and all are written, or the disk has had enough.
-fn write_while_open<R: Recorded>(
+fn write_while_open(
     file: McapFile<impl io::Write>,
-    (mut records, mut notes): (rtrb::Consumer<R>, rtrb::Consumer<Note>),
+    (records, mut notes): (&mut dyn WaitingRecords, rtrb::Consumer<Note>),
     progress: &Progress,
     is_full: &dyn Fn() -> bool,
 ) {
@@ -264,12 +267,12 @@ fn write_while_open<R: Recorded>(
     loop {
         // Looked at first: what was pushed before the end is seen below.
         let is_last = records.is_abandoned();
-        while let Ok(record) = records.pop() {
+        records.take(usize::MAX, &mut |record| {
             if let Some(open) = &mut file {
                 if taken == 0 {
                     open.set_start(progress.started_ns.load(Ordering::Relaxed));
                 }
-                open.write(&record);
+                open.write(record);
                 taken += 1;
                 if taken == chunk_end {
                     look_at_disk(&mut file, taken, progress, is_full);
@@ -277,7 +280,7 @@ fn write_while_open<R: Recorded>(
                     chunk_end += (CHUNK << (chunks / CHUNKS_OF_A_SIZE).min(8)).min(MAX_CHUNK);
                 }
             }
-        }
+        });
         while let Ok(note) = notes.pop() {
             if let Some(open) = &mut file {
                 open.note(&note);

@@ -18,7 +18,7 @@ impl<R: Recorded> WaitingRecorder<R> {
     /// Opens the file and writes its head; the time of the run begins at 0 of its log times.
     pub(crate) fn begin(settings: &RecorderSettings) -> io::Result<Self> {
         let out = file::create(&settings.path)?;
-        let mut file = McapFile::begin::<R>(out, settings.security, &settings.scene);
+        let mut file = McapFile::begin(out, &R::any(), settings.security, &settings.scene);
         file.begin_at_zero();
         let diagnosis = DiagnosisReport::new(0);
         Ok(Self { file, taken: 0, refused: None, diagnosis, records: PhantomData })

@@ -315,7 +315,7 @@ enum Near<M> {
     Felt(WaitingRecorder<WithFinger<M>>),
 }
 
-impl<M: Recorded> Near<M> {
+impl<M: Recorded + Copy> Near<M> {
     fn begin(settings: &RecorderSettings, is_felt: bool) -> io::Result<Self> {
         Ok(if is_felt {
             Self::Felt(WaitingRecorder::begin(settings)?)
@@ -346,7 +346,7 @@ struct Kept<'a, M, S> {
     slave: (WaitingRecorder<S>, u64),
 }
 
-impl<'a, M: Recorded, S: Recorded> Kept<'a, M, S> {
+impl<'a, M: Recorded + Copy, S: Recorded> Kept<'a, M, S> {
     fn begin(files: &'a RecordingFiles, security: SecurityMark, is_felt: bool) -> Result<Self, SceneError> {
         let settings = |path: &PathBuf| RecorderSettings {
             path: path.clone(),

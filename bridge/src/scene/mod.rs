@@ -3,6 +3,7 @@
 mod assemble;
 mod bilateral;
 mod coupling;
+mod live;
 mod local;
 mod measures;
 mod metrics;
@@ -26,11 +27,15 @@ use bilateral::Keeping;
 
 pub use assemble::{SceneError, scene_environment};
 pub use bilateral::RecordingFiles;
+pub use live::{
+    KeptRecords, LiveError, LiveParts, LiveSide, MasterDriverLoop, MasterInput, MasterOutput,
+    SlaveDriverLoop, SlaveInput, SlaveOutput, pace_scene_master, pace_scene_slave, run_scene_side,
+};
 pub use measures::{Divergence, DivergenceCause, Ending, Outcome};
 pub use metrics::{Metric, Metrics};
+pub use outline::{SceneOutline, scene_outline};
 pub use pose::as_pose;
 pub use record::{SceneEvent, SceneRun, Signal};
-pub use outline::{SceneOutline, scene_outline};
 pub use replay::{
     HandImpedance, RecordedColumns, RecordedTick, Replay, ReplayError, ReplayedColumn, ReplayedColumns,
     ReplayedTick, replay_columns,

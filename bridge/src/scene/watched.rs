@@ -490,12 +490,7 @@ fn turn_release_s<const N: usize>(scene: &SceneSpec<N>) -> Option<f64> {
 }
 
 /// How a loop went, as it is reported live.
-fn report(
-    exchange: &Exchange,
-    counts: &LoopCounts,
-    engaged_ns: u64,
-    secure: bool,
-) -> LoopReport {
+fn report(exchange: &Exchange, counts: &LoopCounts, engaged_ns: u64, secure: bool) -> LoopReport {
     let LoopCounts { ticks, skipped, clock_ns, rejections } = *counts;
     let of_side = exchange.counts();
     LoopReport {

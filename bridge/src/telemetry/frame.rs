@@ -19,9 +19,9 @@ const MAX_SCENE: usize = 1 << 18;
 /// The first line that a reader gets: whose samples these are, and the name, kind, size and meaning of each signal.
 ///
 /// The scene is left out where it is longer than [`MAX_SCENE`], as one with recordings inside.
-pub(super) fn hello<R: Recorded>(security: SecurityMark, scene: &str) -> Vec<u8> {
+pub(super) fn hello(any: &dyn Recorded, security: SecurityMark, scene: &str) -> Vec<u8> {
     let mut signals = Vec::new();
-    R::any().fields(&mut |(name, meaning, value)| {
+    any.fields(&mut |(name, meaning, value)| {
         if name != TIME {
             signals.push(json!({
                 "name": name, "kind": kind(&value), "size": size(&value), "meaning": meaning,
@@ -31,7 +31,7 @@ pub(super) fn hello<R: Recorded>(security: SecurityMark, scene: &str) -> Vec<u8>
     let scene: Option<serde_json::Value> =
         (scene.len() <= MAX_SCENE).then(|| serde_json::from_str(scene).ok()).flatten();
     line(&json!({
-        "kind": "hello", "schema": SCHEMA, "version": env!("CARGO_PKG_VERSION"), "side": R::SIDE,
+        "kind": "hello", "schema": SCHEMA, "version": env!("CARGO_PKG_VERSION"), "side": any.side(),
         "process": std::process::id(), "security": security.name(), "scene": scene, "signals": signals,
     }))
 }
@@ -74,7 +74,7 @@ fn kind(value: &Value<'_>) -> &'static str {
         Value::Number(_) => "number",
         Value::Count(_) => "count",
         Value::Bits(_) => "bits",
-        Value::Name(_) => "name",
+        Value::Name(_) | Value::Code(..) => "name",
         Value::Flag(_) => "flag",
     }
 }
@@ -158,9 +158,9 @@ pub(super) struct Frame {
 }
 
 impl Frame {
-    pub(super) fn of<R: Recorded>() -> Self {
+    pub(super) fn of(any: &dyn Recorded) -> Self {
         let mut signals = Vec::new();
-        R::any().fields(&mut |(name, _, value)| {
+        any.fields(&mut |(name, _, value)| {
             let content = match value {
                 Value::Axes(values) => Content::Ranges(vec![Range::EMPTY; values.len()]),
                 Value::Number(_) => Content::Number(Range::EMPTY),
@@ -180,7 +180,7 @@ impl Frame {
     }
 
     /// Adds a tick.
-    pub(super) fn take(&mut self, record: &impl Recorded) {
+    pub(super) fn take(&mut self, record: &dyn Recorded) {
         let Self { signals, events, count, unsent, .. } = self;
         let time_ns = record.time_ns();
         let mut signals = signals.iter_mut();
@@ -195,7 +195,7 @@ impl Frame {
                     let now = match value {
                         Value::Count(count) => Discrete::Count(count),
                         Value::Bits(bits) => Discrete::Bits([bits, bits]),
-                        Value::Name(name) => Discrete::Name(name),
+                        Value::Name(name) | Value::Code(_, name) => Discrete::Name(name),
                         Value::Flag(flag) => Discrete::Flag(flag),
                         Value::Axes(_) | Value::Number(_) => return,
                     };

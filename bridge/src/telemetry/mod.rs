@@ -27,7 +27,7 @@ use crate::{
     LinkStatistics,
     ladder::Diagnosis,
     recorder::{Recorded, SecurityMark},
-    ring::ring,
+    ring::{WaitingRecords, ring},
 };
 
 /// How telemetry is sent.
@@ -100,15 +100,17 @@ pub struct Telemetry<R> {
 impl<R: Recorded> Telemetry<R> {
     /// Listens, and starts the thread that sends.
     pub fn begin(settings: &TelemetrySettings) -> io::Result<Self> {
-        let readers = Readers::listen(&settings.path, frame::hello::<R>(settings.security, &settings.scene))?;
-        let (records, waiting) = ring(RING);
+        let readers =
+            Readers::listen(&settings.path, frame::hello(&R::any(), settings.security, &settings.scene))?;
+        let (records, mut waiting) = ring::<R>(RING);
         let (notes, noted) = ring(NOTES);
         let counts = Arc::<Counts>::default();
         let state = Arc::new(AtomicU8::new(RUNNING));
         let (to_loop, sent) = mpsc::sync_channel(1);
         let seen = (Arc::clone(&counts), Arc::clone(&state));
         thread::Builder::new().name("haptether-telemetry".into()).spawn(move || {
-            send_while_running(readers, (waiting, noted), (&seen.0, &seen.1));
+            let frame = Frame::of(&R::any());
+            send_while_running(frame, readers, (&mut waiting, noted), (&seen.0, &seen.1));
             let _ = to_loop.send(());
         })?;
         Ok(Self { records, notes, counts, state, sent })
@@ -150,22 +152,19 @@ impl<R> Drop for Telemetry<R> {
 }
 
 /// Sends a frame every 1/60 s until the loop is over and all was sent.
-fn send_while_running<R: Recorded>(
+fn send_while_running(
+    mut frame: Frame,
     mut readers: Readers,
-    (mut records, mut notes): (rtrb::Consumer<R>, rtrb::Consumer<Note>),
+    (records, mut notes): (&mut dyn WaitingRecords, rtrb::Consumer<Note>),
     (counts, state): (&Counts, &AtomicU8),
 ) {
-    let mut frame = Frame::of::<R>();
     let mut due = Instant::now();
     loop {
         // Looked at first: what was pushed before the end is seen below.
         let state = state.load(Ordering::Acquire);
         readers.accept();
         // What comes while it is taken waits for the next frame: a loop that is faster does not hold it here.
-        for _ in 0..records.slots() {
-            let Ok(record) = records.pop() else { break };
-            frame.take(&record);
-        }
+        records.take(records.waiting(), &mut |record| frame.take(record));
         while let Ok((time_ns, diagnosis)) = notes.pop() {
             match diagnosis {
                 Some(diagnosis) => readers.cause(frame::cause(time_ns, &diagnosis)),

@@ -185,12 +185,7 @@ impl Watch {
     }
 
     /// What a side sends is a frame, and its energies are those that were seen here.
-    fn send<const N: usize>(
-        &mut self,
-        time: LinkTime,
-        frame: &[u8],
-        layout: FrameLayout,
-    ) -> Option<Frame> {
+    fn send<const N: usize>(&mut self, time: LinkTime, frame: &[u8], layout: FrameLayout) -> Option<Frame> {
         let (tick, role) = (TickTime::at(time.tick_ns), [Role::Master, Role::Slave][self.side]);
         let decoded = Frame::decode(frame, role, layout);
         match &decoded {

@@ -535,8 +535,7 @@ impl<const N: usize> Far<N> {
         let fault = self.arm.check(step.clock_ns, &reading, false).map_or_else(Fault::code, |()| 0);
         let newest = step.newest().map(|tick| near.of(tick));
         self.heard = step.newest().unwrap_or(0);
-        let newest =
-            newest.map(|Sent { position, velocity, .. }| MasterState {
+        let newest = newest.map(|Sent { position, velocity, .. }| MasterState {
             position: *position,
             velocity: *velocity,
             rotation: None,

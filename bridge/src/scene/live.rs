@@ -1,0 +1,381 @@
+//! The sides of a scene, live, whatever their number of axes: from JSON to a loop.
+
+use std::path::{Path, PathBuf};
+
+use haptether_master::RotationSample;
+use haptether_safety::Axes;
+use haptether_slave::GripperSample;
+
+use super::{
+    assemble::{SceneError, bad_axes},
+    outline::{scene_outline, scene_spec},
+    pose::as_pose,
+    sides::{
+        driven_master, driven_slave, simulated_master, simulated_pose_master, simulated_pose_slave,
+        simulated_slave,
+    },
+    spec::of_axes,
+    timed::Timed,
+};
+use crate::{
+    ButtonWord, DrivenMaster, DrivenSlave, FaultText, GripperOrder, MasterPlant, MasterSide, MasterTurn,
+    Side, SlaveOrder, SlaveSide, SlaveTurn, Trace, Trigger,
+    coupling::RotationState,
+    live::{
+        DriverLoop, LiveRun, LiveSettings, LiveWatch, Newest, PacedLoop, PeerSocket, RecordOutputs,
+        RecordReader, Security, StartError, paced_by_device, run_live,
+    },
+    recorder::{Recorded, Recorder, RecorderSettings},
+    telemetry::{Telemetry, TelemetrySettings},
+    wire::{Padded, Role, padded, unpadded},
+};
+
+/// Bytes of the records that are kept by default: 87 s along one axis, 24 s of poses of a master at 1 kHz.
+const KEPT_BYTES: usize = 1 << 24;
+
+/// A live side that does not begin.
+#[derive(Debug, thiserror::Error)]
+pub enum LiveError {
+    /// The scene is invalid.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The session or the system refuses.
+    #[error(transparent)]
+    Start(#[from] StartError),
+    /// There is no memory for the records that are to be kept.
+    #[error("keep_s: there is no memory for it: needs {0} MiB, keep less")]
+    Memory(usize),
+    /// A file or a socket refuses.
+    #[error("{name} = {}: {error}", path.display())]
+    Output {
+        /// The setting.
+        name: &'static str,
+        /// Its value.
+        path: PathBuf,
+        /// The refusal.
+        error: std::io::Error,
+    },
+}
+
+/// Socket, settings and outputs of a live side.
+#[derive(Debug)]
+pub struct LiveParts {
+    /// The socket to the peer.
+    pub socket: PeerSocket,
+    /// The settings of the loop.
+    pub settings: LiveSettings,
+    /// How frames travel.
+    pub security: Security,
+    /// How many s of records are kept; without it as many as fit into a fixed memory.
+    pub keep_s: Option<f64>,
+    /// Where the run is recorded.
+    pub record: Option<RecorderSettings>,
+    /// Where telemetry is sent.
+    pub telemetry: Option<TelemetrySettings>,
+}
+
+impl LiveParts {
+    /// Opens the outputs: after the socket, so that a run that cannot begin replaces no file.
+    fn outputs<R: Recorded>(&self) -> Result<RecordOutputs<R>, LiveError> {
+        let newest = self.newest()?;
+        let refused = |name: &'static str, path: &Path, error: std::io::Error| LiveError::Output {
+            name,
+            path: path.to_owned(),
+            error,
+        };
+        // The socket first: it replaces nothing that is in use.
+        let begin = |to: &TelemetrySettings| {
+            Telemetry::begin(to).map_err(|error| refused("telemetry", &to.path, error))
+        };
+        let telemetry = self.telemetry.as_ref().map(begin).transpose()?;
+        let begin =
+            |to: &RecorderSettings| Recorder::begin(to).map_err(|error| refused("record", &to.path, error));
+        Ok(RecordOutputs { newest, recorder: self.record.as_ref().map(begin).transpose()?, telemetry })
+    }
+
+    /// Room for the newest records, but not for more than the run has.
+    fn newest<R>(&self) -> Result<Newest<R>, LiveError> {
+        let LiveSettings { period_ns, duration_ns, patience_ns, .. } = self.settings;
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // positive, and saturates
+        let kept = match self.keep_s {
+            Some(keep_s) => (keep_s * 1e9 / period_ns as f64).ceil() as usize,
+            None => KEPT_BYTES / size_of::<R>(),
+        };
+        let longest_ns = match (duration_ns, patience_ns) {
+            (Some(duration_ns), Some(patience_ns)) => duration_ns.saturating_add(patience_ns),
+            _ => u64::MAX,
+        };
+        let longest = usize::try_from(longest_ns / period_ns).unwrap_or(usize::MAX).saturating_add(2);
+        let kept = kept.min(longest);
+        Newest::of(kept).ok_or(LiveError::Memory(kept.saturating_mul(size_of::<R>()) >> 20))
+    }
+}
+
+/// The records that a loop keeps.
+pub trait KeptRecords: Send {
+    /// Number of records so far.
+    fn kept(&self) -> usize;
+
+    /// All records, once the loop has ended; none a second time.
+    fn take(&self) -> Trace;
+}
+
+impl<R: Recorded> KeptRecords for RecordReader<R> {
+    fn kept(&self) -> usize {
+        RecordReader::kept(self)
+    }
+
+    fn take(&self) -> Trace {
+        Trace::of(&RecordReader::take(self))
+    }
+}
+
+/// A loop, what watches it, and its records.
+pub type LiveSide<L> = (L, LiveWatch, Box<dyn KeptRecords>);
+
+fn started<S: Side<Record: Recorded> + Send + 'static>(
+    side: S,
+    parts: LiveParts,
+) -> Result<LiveSide<LiveRun>, LiveError> {
+    // Before the loop: it locks what memory there is.
+    let outputs = parts.outputs()?;
+    let (run, watch, records) = run_live(side, parts.socket, parts.settings, parts.security, outputs)?;
+    Ok((run, watch, Box::new(records)))
+}
+
+fn started_master<P: MasterPlant<N> + Send + 'static, R: MasterTurn, const N: usize>(
+    side: Timed<MasterSide<P, N, R>>,
+    feels_trigger: bool,
+    parts: LiveParts,
+) -> Result<LiveSide<LiveRun>, LiveError> {
+    if feels_trigger { started(side.feeling(), parts) } else { started(side, parts) }
+}
+
+/// Starts the simulated side of a scene as JSON on a thread of its own, in the role that its parts name.
+///
+/// # Errors
+///
+/// An invalid scene, outputs that cannot be opened, or [`StartError`].
+pub fn run_scene_side(scene: &[u8], run_id: u64, parts: LiveParts) -> Result<LiveSide<LiveRun>, LiveError> {
+    let outline = scene_outline(scene)?;
+    let felt = outline.feels_trigger;
+    of_axes!(
+        outline.axes,
+        N => {
+            let scene = scene_spec::<N>(scene)?;
+            match (parts.settings.role, as_pose(&scene)?) {
+                (Role::Master, Some(scene)) => started_master(simulated_pose_master(scene, run_id)?, felt, parts),
+                (Role::Master, None) => started_master(simulated_master(&scene, run_id)?, felt, parts),
+                (Role::Slave, Some(scene)) => started(simulated_pose_slave(scene, run_id)?, parts),
+                (Role::Slave, None) => started(simulated_slave(&scene, run_id)?, parts),
+            }
+        },
+        axes => Err(bad_axes(axes).into())
+    )
+}
+
+/// One sample of a haptic device; values beyond its axes are zero.
+#[derive(Clone, Copy, Debug)]
+pub struct MasterInput<'a> {
+    /// Position in m.
+    pub position: Padded,
+    /// Velocity in m/s, if it is measured.
+    pub velocity: Option<Padded>,
+    /// Whether the clutch is pressed, of a device with a button.
+    pub clutch: Option<bool>,
+    /// The text of a fault.
+    pub fault: Option<&'a str>,
+    /// Position of the trigger, 0 to 1.
+    pub trigger: Option<f64>,
+    /// Orientation and angular velocity, of a device that turns.
+    pub rotation: Option<RotationSample>,
+    /// Buttons, one bit each.
+    pub buttons: Option<u32>,
+}
+
+/// The forces that a haptic device is to exert.
+#[derive(Clone, Copy, Debug)]
+pub struct MasterOutput {
+    /// Force in N.
+    pub force: Padded,
+    /// Torque in N m, of a device that turns.
+    pub torque: Option<Axes<3>>,
+    /// Force in N of a trigger that the finger feels.
+    pub trigger_force: Option<f64>,
+}
+
+/// The loop of a master whose device a driver reads and writes.
+pub trait MasterDriverLoop: DriverLoop + Send {
+    /// One tick; none where the run is over.
+    fn step(&mut self, input: &MasterInput<'_>) -> Option<MasterOutput>;
+}
+
+/// One sample of an arm; values beyond its axes are zero.
+#[derive(Clone, Copy, Debug)]
+pub struct SlaveInput<'a> {
+    /// Position in m.
+    pub position: Padded,
+    /// Velocity in m/s.
+    pub velocity: Padded,
+    /// Force of the environment on the tool in N.
+    pub force: Padded,
+    /// The text of a fault.
+    pub fault: Option<&'a str>,
+    /// The gripper, of an arm with one.
+    pub gripper: Option<GripperSample>,
+    /// Orientation, angular velocity and torque, of an arm that turns.
+    pub rotation: Option<RotationState>,
+}
+
+/// What an arm is to do.
+#[derive(Clone, Copy, Debug)]
+pub struct SlaveOutput {
+    /// The order to the arm.
+    pub order: SlaveOrder<{ crate::wire::MAX_AXES }>,
+    /// The order to the gripper.
+    pub gripper: GripperOrder,
+    /// The buttons of the master, in a scene with buttons.
+    pub buttons: Option<u32>,
+}
+
+/// The loop of a slave whose arm a driver reads and writes.
+pub trait SlaveDriverLoop: DriverLoop + Send {
+    /// One tick; none where the run is over.
+    fn step(&mut self, input: &SlaveInput<'_>) -> Option<SlaveOutput>;
+}
+
+/// A fault that the device reports with its sample, with its own text.
+fn report_fault(side: &mut impl Side, fault: Option<&str>) {
+    if let Some(text) = fault {
+        side.exchange_mut().device_failed(Some(&FaultText::new(text)));
+    }
+}
+
+impl<R: MasterTurn, const N: usize> MasterDriverLoop for PacedLoop<Timed<MasterSide<DrivenMaster<N>, N, R>>> {
+    fn step(&mut self, input: &MasterInput<'_>) -> Option<MasterOutput> {
+        PacedLoop::step(
+            self,
+            |side| {
+                report_fault(side, input.fault);
+                let plant = &mut side.side.plant;
+                (plant.position, plant.clutch) = (unpadded(&input.position), input.clutch);
+                plant.velocity = input.velocity.as_ref().map(unpadded);
+                // A device that reports a fault says nothing of its buttons.
+                let buttons = ButtonWord(input.buttons.filter(|_| input.fault.is_none()));
+                (plant.rotation, plant.buttons) = (input.rotation.filter(|_| R::TURNS), buttons);
+                if let Some(trigger) = &mut side.side.trigger {
+                    *trigger = Trigger::Driven(input.trigger);
+                }
+            },
+            |side| MasterOutput {
+                force: padded(&side.side.plant.force),
+                torque: R::TURNS.then_some(side.side.plant.torque),
+                trigger_force: side.side.felt().map(|tick| tick.device_force[0]),
+            },
+        )
+    }
+}
+
+impl<R: SlaveTurn, const N: usize> SlaveDriverLoop for PacedLoop<Timed<SlaveSide<DrivenSlave<N>, N, R>>> {
+    fn step(&mut self, input: &SlaveInput<'_>) -> Option<SlaveOutput> {
+        PacedLoop::step(
+            self,
+            |side| {
+                report_fault(side, input.fault);
+                let plant = &mut side.side.plant;
+                plant.sample = [&input.position, &input.velocity, &input.force].map(unpadded);
+                plant.rotation = input.rotation.filter(|_| R::TURNS);
+                if let (Some(jaws), Some(read)) = (&mut side.side.gripper, input.gripper) {
+                    jaws.take(read);
+                }
+            },
+            |side| SlaveOutput {
+                order: match *side.side.plant.order() {
+                    SlaveOrder::Wait => SlaveOrder::Wait,
+                    SlaveOrder::Stop => SlaveOrder::Stop,
+                    SlaveOrder::Move { position, velocity, rotation } => SlaveOrder::Move {
+                        position: padded(&position),
+                        velocity: padded(&velocity),
+                        rotation,
+                    },
+                },
+                gripper: side.side.gripper.as_ref().map_or(GripperOrder::Hold, |jaws| *jaws.order()),
+                buttons: side.exchange().peer_buttons(),
+            },
+        )
+    }
+}
+
+fn paced<S: Side<Record: Recorded>>(
+    side: S,
+    parts: LiveParts,
+) -> Result<(PacedLoop<S>, LiveWatch, Box<dyn KeptRecords>), LiveError> {
+    let outputs = parts.outputs()?;
+    let (paced, watch, records) =
+        paced_by_device(side, parts.socket, parts.settings, parts.security, outputs)?;
+    Ok((paced, watch, Box::new(records)))
+}
+
+fn paced_master<R: MasterTurn, const N: usize>(
+    side: Timed<MasterSide<DrivenMaster<N>, N, R>>,
+    feels_trigger: bool,
+    parts: LiveParts,
+) -> Result<LiveSide<Box<dyn MasterDriverLoop>>, LiveError> {
+    if feels_trigger {
+        let (paced, watch, records) = paced(side.feeling(), parts)?;
+        return Ok((Box::new(paced), watch, records));
+    }
+    let (paced, watch, records) = paced(side, parts)?;
+    Ok((Box::new(paced), watch, records))
+}
+
+/// Prepares the loop of the master of a scene as JSON, whose device has a driver; `simulated_clutch` as [`driven_master`].
+///
+/// # Errors
+///
+/// As [`run_scene_side`].
+pub fn pace_scene_master(
+    scene: &[u8],
+    run_id: u64,
+    simulated_clutch: bool,
+    parts: LiveParts,
+) -> Result<LiveSide<Box<dyn MasterDriverLoop>>, LiveError> {
+    let outline = scene_outline(scene)?;
+    let felt = outline.feels_trigger;
+    of_axes!(
+        outline.axes,
+        N => {
+            let scene = scene_spec::<N>(scene)?;
+            match as_pose(&scene)? {
+                Some(scene) => paced_master(driven_master(scene, run_id, simulated_clutch)?.turning(), felt, parts),
+                None => paced_master(driven_master(&scene, run_id, simulated_clutch)?, felt, parts),
+            }
+        },
+        axes => Err(bad_axes(axes).into())
+    )
+}
+
+/// Prepares the loop of the slave of a scene as JSON, whose arm has a driver.
+///
+/// # Errors
+///
+/// As [`run_scene_side`].
+pub fn pace_scene_slave(
+    scene: &[u8],
+    run_id: u64,
+    parts: LiveParts,
+) -> Result<LiveSide<Box<dyn SlaveDriverLoop>>, LiveError> {
+    of_axes!(
+        scene_outline(scene)?.axes,
+        N => {
+            let scene = scene_spec::<N>(scene)?;
+            if let Some(scene) = as_pose(&scene)? {
+                let (paced, watch, records) = paced(driven_slave(scene, run_id)?.turning(), parts)?;
+                return Ok((Box::new(paced), watch, records));
+            }
+            let (paced, watch, records) = paced(driven_slave(&scene, run_id)?, parts)?;
+            Ok((Box::new(paced), watch, records))
+        },
+        axes => Err(bad_axes(axes).into())
+    )
+}
