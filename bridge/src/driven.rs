@@ -71,6 +71,10 @@ impl<const N: usize> MasterPlant<N> for DrivenMaster<N> {
     fn write_torque(&mut self, torque: &Axes<3>) {
         self.torque = *torque;
     }
+
+    fn driven(&mut self) -> Option<&mut Self> {
+        Some(self)
+    }
 }
 
 /// What a driver is to have its arm do.

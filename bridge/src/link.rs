@@ -272,6 +272,14 @@ impl FrameLink {
     /// As [`receive_frame`](Self::receive_frame), with what the frame says of itself.
     #[inline(always)] // as all of what takes a frame: docs/architecture.md
     pub(crate) fn take_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<FrameHead, RejectReason> {
+        if frame.is_plain() && frame.role == self.role.peer() && frame.layout() == self.layout {
+            return self.take(time, frame.check_plain().map(|()| frame));
+        }
+        self.take_other_frame(time, frame)
+    }
+
+    #[inline(never)] // seldom, and its frame is a copy
+    fn take_other_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<FrameHead, RejectReason> {
         let received = frame.received(self.role.peer(), self.layout);
         self.take(time, received.as_deref().map_err(|error| *error))
     }

@@ -73,6 +73,7 @@ where
     }
 
     /// One tick.
+    #[inline(always)] // in the loop of a run
     pub fn step(&mut self) -> LocalTick<N> {
         let time_s = self.time_s();
         let (position, measured_velocity) = self.plant.read(self.tick * self.period_ns);
@@ -140,6 +141,7 @@ impl<const N: usize> Rendering<N> for RenderedWalls<N> {
         self.is_damped()
     }
 
+    #[inline(always)] // in the loop of a run
     fn force(&mut self, time_s: f64, _: f64, position: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
         RenderedWalls::force(self, time_s, position, velocity)
     }
@@ -200,6 +202,7 @@ pub struct Watched<const N: usize> {
 
 impl<const N: usize> Watch<N> {
     /// One tick: `position` in m and, from a device that measures it, `velocity` in m/s; `requested_force` in N.
+    #[inline(always)] // in the loop of a run
     fn step(
         &mut self,
         plant: &impl ModelPlant<N>,
@@ -223,6 +226,7 @@ impl<const N: usize> Watch<N> {
 }
 
 impl<const N: usize> TrueWatch<N> {
+    #[inline(always)] // in the loop of a run
     fn step(&mut self, truth: &Truth<N>, requested_force: &Axes<N>) -> Watched<N> {
         let Truth { velocity, hand_force: grasp_force, .. } = *truth;
         let rendered_force = match &mut self.limiters {
@@ -254,6 +258,7 @@ impl<const N: usize> DelayLine<N> {
     }
 
     /// Puts one in and takes one out.
+    #[inline(always)] // in the loop of a run
     pub fn pass(&mut self, force: Axes<N>) -> Axes<N> {
         let Some(slot) = self.under_way.get_mut(self.next) else { return force };
         let out = std::mem::replace(slot, force);

@@ -5,7 +5,7 @@ use haptether_safety::{Axes, Real};
 use haptether_slave::{GripperSample, SimulatedSlave, SimulatedTool};
 use nalgebra::UnitQuaternion;
 
-use crate::{buttons::ButtonWord, coupling::RotationState};
+use crate::{buttons::ButtonWord, coupling::RotationState, driven::DrivenMaster};
 
 /// A master device as a runner sees it; time is an argument.
 pub trait MasterPlant<const N: usize> {
@@ -46,6 +46,11 @@ pub trait MasterPlant<const N: usize> {
 
     /// What no sensor measures of its rotation, where the plant is a model that turns.
     fn rotation_truth(&self) -> Option<RotationTruth> {
+        None
+    }
+
+    /// The samples and forces of a driver, where the plant is a device that has one.
+    fn driven(&mut self) -> Option<&mut DrivenMaster<N>> {
         None
     }
 }
@@ -173,6 +178,10 @@ impl<P: MasterPlant<N> + ?Sized, const N: usize> MasterPlant<N> for Box<P> {
 
     fn rotation_truth(&self) -> Option<RotationTruth> {
         (**self).rotation_truth()
+    }
+
+    fn driven(&mut self) -> Option<&mut DrivenMaster<N>> {
+        (**self).driven()
     }
 }
 

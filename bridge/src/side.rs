@@ -40,6 +40,7 @@ pub trait Side {
 
     /// The same of a frame whose bytes nobody has looked at, without them. A side that looks at datagrams in
     /// [`receive`](Self::receive) is run with [`encoded`](crate::VirtualSettings::encoded) frames.
+    #[inline(always)] // as all of what takes a frame: docs/architecture.md
     fn receive_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<(), RejectReason> {
         self.exchange_mut().receive_frame(time, frame)
     }

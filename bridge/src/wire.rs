@@ -626,6 +626,19 @@ impl Frame {
         }
     }
 
+    /// Whether the frame is read as it was written: it has neither gripper nor rotation.
+    #[inline(always)] // as all of what takes a frame: docs/architecture.md
+    pub(crate) fn is_plain(&self) -> bool {
+        self.gripper.is_none() && self.rotation.is_none() && self.kind != SideKind::Pose
+    }
+
+    /// The checks of a [plain](Self::is_plain) frame of the right layout and role: without a gripper no flag is refused.
+    #[inline(always)] // as all of what takes a frame: docs/architecture.md
+    pub(crate) fn check_plain(&self) -> Result<(), WireError> {
+        self.check_energy()?;
+        self.check_body()
+    }
+
     /// What [`decode`](Self::decode) makes of what [`encode`](Self::encode) makes of the frame, to the bit and with the
     /// same refusals, without the bytes: of a network that looks at none.
     pub fn received(&self, from: Role, layout: FrameLayout) -> Result<Cow<'_, Self>, WireError> {
@@ -646,10 +659,8 @@ impl Frame {
             // Of the same length with other parts: its bytes are read as what they are not.
             return Self::decode(self.encode(&mut [0; MAX_FRAME]), from, layout).map(Cow::Owned);
         }
-        if self.gripper.is_none() && self.rotation.is_none() && self.kind != SideKind::Pose {
-            // Nothing else is read as other than what was written, and without a gripper no flag is refused.
-            self.check_energy()?;
-            self.check_body()?;
+        if self.is_plain() {
+            self.check_plain()?;
             return Ok(Cow::Borrowed(self));
         }
         self.admitted(self.flags(), self.gripper_numbers(), self.rotation_numbers()).map(Cow::Owned)

@@ -74,7 +74,6 @@ impl Direction {
 
     /// Time within which the terms beyond the last are below rounding, to 0.6 %; infinity where it is no less than `wanted` in
     /// s.
-    #[inline]
     pub(crate) fn reach(&self, wanted: f64) -> f64 {
         let last = TERMS - 5..TERMS - 2;
         // Without a root, where they need not be taken.

@@ -26,7 +26,6 @@ pub(crate) fn value(p: &Series, t: f64) -> f64 {
 }
 
 /// The product, without the terms beyond [`TERMS`].
-#[inline]
 pub(crate) fn product(a: &Series, b: &Series) -> Series {
     std::array::from_fn(|n| (0..=n).map(|i| a[i] * b[n - i]).sum())
 }
@@ -42,7 +41,6 @@ const DEPTH: u32 = 30;
 /// `p` starts at zero or above. If it starts at zero (within rounding), that zero is no crossing by itself: what counts
 /// is how `p` leaves it; `Some(0)` says that it leaves downwards. No crossing is missed, however short: an interval is
 /// given up only if bounds on the polynomial over all of it say that it stays positive, or that it is monotone.
-#[inline]
 pub(crate) fn first_negative(p: &Series, end: f64) -> Option<f64> {
     // The common case by far: the first term outweighs all others together.
     let mut power = 1.0;

@@ -166,6 +166,7 @@ impl Exchange {
     }
 
     /// The same of a frame whose bytes nobody has looked at, without them.
+    #[inline(always)] // as all of what takes a frame: docs/architecture.md
     pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<(), RejectReason> {
         let is_known = self.link.newest().is_some();
         let head = self.link.take_frame(time, frame)?;
@@ -209,6 +210,7 @@ impl Exchange {
     }
 
     /// Steps the ladder; `clutch` is the master's button. Returns the state and the silence of the peer in ns.
+    #[inline(always)] // once a tick of each side
     pub(crate) fn advance(&mut self, now_ns: u64, clutch: bool) -> (LadderState, Option<u64>) {
         let age_ns = self.link.age_ns(now_ns);
         let expected_age_ns = self.interval_ns.or(self.first_interval_ns).unwrap_or(self.period_ns);

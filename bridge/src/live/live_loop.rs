@@ -1,6 +1,6 @@
 //! The live loop of one side, whoever waits for its ticks: take commands and what has arrived, tick, send, record.
 
-use std::{ops::ControlFlow, sync::atomic::Ordering};
+use std::{any::Any, ops::ControlFlow, sync::atomic::Ordering};
 
 use super::{
     channel::{LiveChannel, RELEASES},
@@ -110,14 +110,17 @@ pub(super) trait LoopSide {
     /// The side, to change.
     fn side_mut(&mut self) -> &mut dyn Side;
 
+    /// The side as its own type, for its driver.
+    fn side_any(&mut self) -> &mut dyn Any;
+
+    /// The loop's time 0 on the monotonic clock. The plant is left at rest from here on.
+    fn begin(&mut self, now_ns: u64);
+
     /// Does one tick; returns whether all records before it are still kept.
     fn tick(&mut self, time: TickTime) -> bool;
 
     /// No force and no motion from here on, once.
     fn rest(&mut self);
-
-    /// Tells the sinks the loop's time 0 on the monotonic clock.
-    fn start(&self, now_ns: u64);
 
     /// Hands the link's counts to the sinks.
     fn count_link(&self, link: &LinkStatistics);
@@ -127,22 +130,32 @@ pub(super) trait LoopSide {
 
     /// Ends the sinks.
     fn end_records(&mut self) -> Option<RecordingReport>;
+
+    /// Closes the sinks where no loop began.
+    fn abandon(&mut self) -> Option<RecordingReport>;
 }
 
-/// A side with the sinks of its records. It leaves the plant at rest when it is dropped.
+/// A side with the sinks of its records. Once it has begun, it leaves the plant at rest when it is dropped.
 pub(super) struct RecordedSide<S: Side> {
-    pub(super) side: S,
+    side: S,
     sinks: Option<RecordSinks<S::Record>>,
     is_at_rest: bool,
 }
 
 impl<S: Side> RecordedSide<S> {
     pub(super) fn new(side: S, sinks: RecordSinks<S::Record>) -> Self {
-        Self { side, sinks: Some(sinks), is_at_rest: false }
+        Self { side, sinks: Some(sinks), is_at_rest: true }
+    }
+
+    /// Once: an arm that is stopped again and again lets go of what it leans on.
+    fn leave_at_rest(&mut self) {
+        if !std::mem::replace(&mut self.is_at_rest, true) {
+            self.side.rest();
+        }
     }
 }
 
-impl<S: Side> LoopSide for RecordedSide<S> {
+impl<S: Side + 'static> LoopSide for RecordedSide<S> {
     fn side(&self) -> &dyn Side {
         &self.side
     }
@@ -151,19 +164,23 @@ impl<S: Side> LoopSide for RecordedSide<S> {
         &mut self.side
     }
 
+    fn side_any(&mut self) -> &mut dyn Any {
+        &mut self.side
+    }
+
+    fn begin(&mut self, now_ns: u64) {
+        self.is_at_rest = false;
+        self.side.begin(now_ns);
+        self.sinks.iter().for_each(|sinks| sinks.start(now_ns));
+    }
+
     fn tick(&mut self, time: TickTime) -> bool {
         let record = self.side.tick(time);
         self.sinks.as_mut().is_none_or(|sinks| sinks.push(record))
     }
 
     fn rest(&mut self) {
-        if !std::mem::replace(&mut self.is_at_rest, true) {
-            self.side.rest();
-        }
-    }
-
-    fn start(&self, now_ns: u64) {
-        self.sinks.iter().for_each(|sinks| sinks.start(now_ns));
+        self.leave_at_rest();
     }
 
     fn count_link(&self, link: &LinkStatistics) {
@@ -177,11 +194,15 @@ impl<S: Side> LoopSide for RecordedSide<S> {
     fn end_records(&mut self) -> Option<RecordingReport> {
         self.sinks.take().and_then(RecordSinks::end)
     }
+
+    fn abandon(&mut self) -> Option<RecordingReport> {
+        self.sinks.take().and_then(RecordSinks::abandon)
+    }
 }
 
 impl<S: Side> Drop for RecordedSide<S> {
     fn drop(&mut self) {
-        LoopSide::rest(self);
+        self.leave_at_rest();
     }
 }
 
@@ -215,8 +236,7 @@ impl LiveLoop {
         start_ns: u64,
     ) -> Self {
         let secure = channel.session.is_secure();
-        plant.side_mut().begin(start_ns);
-        plant.start(start_ns);
+        plant.begin(start_ns);
         Self {
             socket,
             channel,

@@ -2,6 +2,7 @@
 
 use std::{
     io,
+    marker::PhantomData,
     mem::MaybeUninit,
     ops::ControlFlow,
     sync::{Arc, atomic::Ordering, mpsc},
@@ -10,11 +11,9 @@ use std::{
 
 use super::{
     channel::{LiveChannel, Security},
-    handle::{
-        LiveHandle, LiveWatch, LoopChannels, RecordOutputs, RecordReader, RecordSinks, Shared, channels,
-    },
+    handle::{LiveHandle, LiveWatch, LoopChannels, RecordOutputs, RecordReader, Shared, channels},
     handshakes::StartError,
-    live_loop::{LiveLoop, LiveSettings, LoopReport, RecordedSide},
+    live_loop::{LiveLoop, LiveSettings, LoopReport, LoopSide, RecordedSide},
     socket::PeerSocket,
     system::{self, Kept, RealtimeReport},
 };
@@ -37,35 +36,35 @@ pub struct LiveRun {
 }
 
 /// A side in its loop. The plant comes first: it is at rest before anything else is dropped.
-struct Running<S: Side> {
-    plant: RecordedSide<S>,
+struct Running {
+    plant: Box<dyn LoopSide + Send>,
     live_loop: LiveLoop,
 }
 
-impl<S: Side> Running<S> {
+impl Running {
     fn begin(
-        mut plant: RecordedSide<S>,
+        mut plant: Box<dyn LoopSide + Send>,
         socket: PeerSocket,
         channel: LiveChannel,
         settings: LiveSettings,
         channels: LoopChannels,
         start_ns: u64,
     ) -> Self {
-        let live_loop = LiveLoop::begin(&mut plant, socket, channel, settings, channels, start_ns);
+        let live_loop = LiveLoop::begin(&mut *plant, socket, channel, settings, channels, start_ns);
         Self { plant, live_loop }
     }
 
     fn step(&mut self, wake: Wake, shared: &Shared) -> ControlFlow<()> {
-        self.live_loop.step(&mut self.plant, wake, shared)
+        self.live_loop.step(&mut *self.plant, wake, shared)
     }
 
     fn announce_end(&mut self, shared: &Shared) {
-        self.live_loop.announce_end(&mut self.plant, shared);
+        self.live_loop.announce_end(&mut *self.plant, shared);
     }
 
     fn end(self, shared: &Shared) -> (LoopReport, Box<FlightRecorder>) {
         let Self { mut plant, live_loop } = self;
-        live_loop.end(&mut plant, shared)
+        live_loop.end(&mut *plant, shared)
     }
 }
 
@@ -79,20 +78,47 @@ pub fn run_live<S: Side + Send + 'static>(
     security: Security,
     outputs: RecordOutputs<S::Record>,
 ) -> Result<(LiveRun, LiveWatch, RecordReader<S::Record>), StartError> {
-    let channel =
-        LiveChannel::start(settings.role, side.exchange().link().layout(), settings.period_ns, security)?;
+    let (parts, watch, records) = prepared(side, socket, settings, security, outputs)?;
+    Ok((spawned(parts, &watch)?, watch, records))
+}
+
+/// The parts of a loop that has not begun.
+struct Parts {
+    plant: Box<dyn LoopSide + Send>,
+    socket: PeerSocket,
+    channel: LiveChannel,
+    channels: LoopChannels,
+    settings: LiveSettings,
+    shared: Arc<Shared>,
+}
+
+fn prepared<S: Side + Send + 'static>(
+    side: S,
+    socket: PeerSocket,
+    settings: LiveSettings,
+    security: Security,
+    outputs: RecordOutputs<S::Record>,
+) -> Result<(Parts, LiveWatch, RecordReader<S::Record>), StartError> {
+    let layout = side.exchange().link().layout();
+    let channel = LiveChannel::start(settings.role, layout, settings.period_ns, security)?;
     let started_ns = settings.started_ns.unwrap_or_else(system::now_ns);
     let (channels, sinks, watch, records, shared) = channels(started_ns, socket.local_address()?, outputs);
+    let plant = Box::new(RecordedSide::new(side, sinks));
+    Ok((Parts { plant, socket, channel, channels, settings, shared }, watch, records))
+}
+
+/// Starts a loop on a thread of its own; compiled once for all sides.
+fn spawned(parts: Parts, watch: &LiveWatch) -> Result<LiveRun, StartError> {
+    let Parts { mut plant, socket, channel, channels, settings, shared } = parts;
     let (to_starter, granted) = mpsc::sync_channel(1);
     let thread = std::thread::Builder::new().name("haptether-loop".into()).spawn(move || {
         let (realtime, _kept) = system::prepare(settings.realtime);
         let _ = to_starter.send(realtime);
         if realtime.check(settings.realtime.demand).is_err() {
-            let recording = sinks.abandon();
+            let recording = plant.abandon();
             return (LoopReport { realtime, recording, ..LoopReport::default() }, None);
         }
         let mut deadline_ns = system::now_ns();
-        let plant = RecordedSide::new(side, sinks);
         let mut running = Running::begin(plant, socket, channel, settings, channels, deadline_ns);
         while !shared.must_end() {
             system::sleep_until(deadline_ns);
@@ -107,7 +133,7 @@ pub fn run_live<S: Side + Send + 'static>(
     })?;
     let realtime = granted.recv().map_err(io::Error::other)?;
     realtime.check(settings.realtime.demand)?;
-    Ok((LiveRun { thread: Some(thread), handle: watch.handle().clone(), realtime }, watch, records))
+    Ok(LiveRun { thread: Some(thread), handle: watch.handle().clone(), realtime })
 }
 
 impl LiveRun {
@@ -139,17 +165,23 @@ impl Drop for LiveRun {
 const FAILED_TICKS: u32 = 3 * PIECES as u32;
 
 /// How far the loop is.
-enum Stage<S: Side> {
-    Ready(Box<(S, RecordSinks<S::Record>, PeerSocket, LiveChannel, LoopChannels)>),
-    Running(Box<Running<S>>),
+enum Stage {
+    Ready(Box<(Box<dyn LoopSide + Send>, PeerSocket, LiveChannel, LoopChannels)>),
+    Running(Box<Running>),
     Over,
 }
 
 /// The loop of one side, a tick at a time: `begin`, then at every sample of the device `step`, at last `end`.
 ///
 /// A driver that does not wait for its device calls `wait` after each tick. All of it on one thread.
-pub struct PacedLoop<S: Side> {
-    stage: Stage<S>,
+pub struct PacedLoop<S> {
+    paced: Pacing,
+    side: PhantomData<S>,
+}
+
+/// The same for sides of any type: it is compiled once.
+struct Pacing {
+    stage: Stage,
     settings: LiveSettings,
     shared: Arc<Shared>,
     pace: DevicePace,
@@ -163,19 +195,17 @@ pub struct PacedLoop<S: Side> {
 pub type Paced<S> = (PacedLoop<S>, LiveWatch, RecordReader<<S as Side>::Record>);
 
 /// Prepares the loop of one side; `outputs` get every record, too.
-pub fn paced_by_device<S: Side>(
+pub fn paced_by_device<S: Side + Send + 'static>(
     side: S,
     socket: PeerSocket,
     settings: LiveSettings,
     security: Security,
     outputs: RecordOutputs<S::Record>,
 ) -> Result<Paced<S>, StartError> {
-    let channel =
-        LiveChannel::start(settings.role, side.exchange().link().layout(), settings.period_ns, security)?;
-    let started_ns = settings.started_ns.unwrap_or_else(system::now_ns);
-    let (channels, sinks, watch, records, shared) = channels(started_ns, socket.local_address()?, outputs);
-    let paced = PacedLoop {
-        stage: Stage::Ready(Box::new((side, sinks, socket, channel, channels))),
+    let (parts, watch, records) = prepared(side, socket, settings, security, outputs)?;
+    let Parts { plant, socket, channel, channels, settings, shared } = parts;
+    let paced = Pacing {
+        stage: Stage::Ready(Box::new((plant, socket, channel, channels))),
         settings,
         shared,
         pace: DevicePace::new(settings.period_ns),
@@ -183,33 +213,52 @@ pub fn paced_by_device<S: Side>(
         realtime: RealtimeReport::default(),
         kept: None,
     };
-    Ok((paced, watch, records))
+    Ok((PacedLoop { paced, side: PhantomData }, watch, records))
 }
 
-impl<S: Side> PacedLoop<S> {
+impl<S: Side + 'static> PacedLoop<S> {
     /// One tick: `before` hands the side its sample, `after` takes what it decided. None where the run is over.
     pub fn step<T>(&mut self, before: impl FnOnce(&mut S), after: impl FnOnce(&mut S) -> T) -> Option<T> {
-        let Stage::Running(running) = &mut self.stage else { return None };
+        let wake = self.paced.wake()?;
+        before(self.side()?);
+        self.paced.tick(wake).is_continue().then(|| self.side().map(after))?
+    }
+
+    fn side(&mut self) -> Option<&mut S> {
+        let Stage::Running(running) = &mut self.paced.stage else { return None };
+        running.plant.side_any().downcast_mut()
+    }
+}
+
+impl Pacing {
+    /// When the next tick is; none where the run is over.
+    fn wake(&mut self) -> Option<Wake> {
+        if !matches!(self.stage, Stage::Running(_)) {
+            return None;
+        }
         if self.shared.must_end() {
             self.shared.stop.store(true, Ordering::Relaxed);
             return None;
         }
-        let wake = if std::mem::take(&mut self.waited) {
+        Some(if std::mem::take(&mut self.waited) {
             self.pace.waited(system::now_ns())
         } else {
             if system::now_ns() < self.pace.earliest_ns() {
                 system::sleep_until(self.pace.earliest_ns());
             }
             self.pace.sampled(system::now_ns())
+        })
+    }
+
+    fn tick(&mut self, wake: Wake) -> ControlFlow<()> {
+        let flow = match &mut self.stage {
+            Stage::Running(running) => running.step(wake, &self.shared),
+            Stage::Ready(_) | Stage::Over => ControlFlow::Break(()),
         };
-        before(&mut running.plant.side);
-        match running.step(wake, &self.shared) {
-            ControlFlow::Continue(()) => Some(after(&mut running.plant.side)),
-            ControlFlow::Break(()) => {
-                self.shared.stop.store(true, Ordering::Relaxed);
-                None
-            }
+        if flow.is_break() {
+            self.shared.stop.store(true, Ordering::Relaxed);
         }
+        flow
     }
 }
 
@@ -234,7 +283,29 @@ pub trait DriverLoop {
     fn end(&mut self) -> Option<Ended>;
 }
 
-impl<S: Side> DriverLoop for PacedLoop<S> {
+impl<S: Side + 'static> DriverLoop for PacedLoop<S> {
+    fn begin(&mut self) -> Result<RealtimeReport, StartError> {
+        self.paced.begin()
+    }
+
+    fn wait(&mut self) {
+        self.paced.wait();
+    }
+
+    fn fail(&mut self, text: &FaultText) {
+        self.paced.fail(text);
+    }
+
+    fn announce_end(&mut self) {
+        self.paced.announce_end();
+    }
+
+    fn end(&mut self) -> Option<Ended> {
+        self.paced.end()
+    }
+}
+
+impl DriverLoop for Pacing {
     fn begin(&mut self) -> Result<RealtimeReport, StartError> {
         match std::mem::replace(&mut self.stage, Stage::Over) {
             Stage::Ready(parts) => {
@@ -243,10 +314,9 @@ impl<S: Side> DriverLoop for PacedLoop<S> {
                 let (realtime, kept) = system::prepare(self.settings.realtime);
                 realtime.check(self.settings.realtime.demand)?;
                 (self.realtime, self.kept) = (realtime, Some(kept));
-                let (side, sinks, socket, channel, channels) = *parts;
+                let (plant, socket, channel, channels) = *parts;
                 let now_ns = system::now_ns();
                 self.pace.begin(now_ns);
-                let plant = RecordedSide::new(side, sinks);
                 let running = Running::begin(plant, socket, channel, self.settings, channels, now_ns);
                 self.stage = Stage::Running(Box::write(room, running));
             }
@@ -265,7 +335,7 @@ impl<S: Side> DriverLoop for PacedLoop<S> {
         self.shared.ends.store(true, Ordering::Relaxed);
         for _ in 0..FAILED_TICKS {
             // Anew at each: nobody can mend what is gone.
-            running.plant.side.exchange_mut().device_failed(Some(text));
+            running.plant.side_mut().exchange_mut().device_failed(Some(text));
             // Now, and not when the next sample would have been due: what is reported must not be of the future.
             let wake = self.pace.sampled(system::now_ns());
             let wake = Wake { overshoot_ns: 0, missed: 0, ..wake };
@@ -295,8 +365,8 @@ impl<S: Side> DriverLoop for PacedLoop<S> {
                 self.kept = None;
                 Some((LoopReport { realtime, ..report }, Some(flight)))
             }
-            Stage::Ready(parts) => {
-                let recording = parts.1.abandon();
+            Stage::Ready(mut parts) => {
+                let recording = parts.0.abandon();
                 Some((
                     LoopReport { recording, realtime, engaged_ns: u64::MAX, ..LoopReport::default() },
                     None,
@@ -307,7 +377,7 @@ impl<S: Side> DriverLoop for PacedLoop<S> {
     }
 }
 
-impl<S: Side> Drop for PacedLoop<S> {
+impl Drop for Pacing {
     fn drop(&mut self) {
         self.end();
     }

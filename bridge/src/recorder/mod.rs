@@ -194,20 +194,36 @@ impl<R: Recorded> Recorder<R> {
         free_bytes: impl Fn() -> u64 + Send + 'static,
         settings: &RecorderSettings,
     ) -> io::Result<Self> {
-        let (records, mut waiting) = ring::<R>(RING);
-        let (notes, noted) = ring(NOTES);
-        let progress = Arc::new(Progress::default());
-        let (to_recorder, ended) = mpsc::sync_channel(1);
-        let (seen, min_free_bytes) = (Arc::clone(&progress), settings.min_free_bytes);
-        let (security, scene, any) = (settings.security, settings.scene.clone(), R::any());
-        thread::Builder::new().name("haptether-recorder".into()).spawn(move || {
-            // The head, too, is written there: not even that may keep a run waiting.
-            let file = McapFile::begin(out, &any, security, &scene);
-            write_while_open(file, (&mut waiting, noted), &seen, &|| free_bytes() < min_free_bytes);
-            let _ = to_recorder.send(());
-        })?;
+        let (records, waiting) = ring::<R>(RING);
+        let (notes, progress, ended) =
+            spawn_writer(out, free_bytes, Box::new(waiting), Box::new(R::any()), settings)?;
         Ok(Self { records, notes, progress, ended })
     }
+}
+
+/// The loop's ends of what leads to the thread that writes.
+type Writer = (rtrb::Producer<Note>, Arc<Progress>, mpsc::Receiver<()>);
+
+/// Starts the thread that writes; compiled once for all types of records.
+fn spawn_writer(
+    out: impl io::Write + Send + 'static,
+    free_bytes: impl Fn() -> u64 + Send + 'static,
+    mut waiting: Box<dyn WaitingRecords>,
+    any: Box<dyn Recorded>,
+    settings: &RecorderSettings,
+) -> io::Result<Writer> {
+    let (notes, noted) = ring(NOTES);
+    let progress = Arc::new(Progress::default());
+    let (to_recorder, ended) = mpsc::sync_channel(1);
+    let (seen, min_free_bytes) = (Arc::clone(&progress), settings.min_free_bytes);
+    let (security, scene) = (settings.security, settings.scene.clone());
+    thread::Builder::new().name("haptether-recorder".into()).spawn(move || {
+        // The head, too, is written there: not even that may keep a run waiting.
+        let file = McapFile::begin(out, &*any, security, &scene);
+        write_while_open(file, (&mut *waiting, noted), &seen, &|| free_bytes() < min_free_bytes);
+        let _ = to_recorder.send(());
+    })?;
+    Ok((notes, progress, ended))
 }
 
 impl<R> Recorder<R> {

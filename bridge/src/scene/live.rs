@@ -11,15 +11,15 @@ use super::{
     outline::{scene_outline, scene_spec},
     pose::as_pose,
     sides::{
-        driven_master, driven_slave, simulated_master, simulated_pose_master, simulated_pose_slave,
-        simulated_slave,
+        LiveDevice, driven_master, driven_slave, simulated_master, simulated_pose_master,
+        simulated_pose_slave, simulated_slave,
     },
     spec::of_axes,
     timed::Timed,
 };
 use crate::{
-    ButtonWord, DrivenMaster, DrivenSlave, FaultText, GripperOrder, MasterPlant, MasterSide, MasterTurn,
-    Side, SlaveOrder, SlaveSide, SlaveTurn, Trace, Trigger,
+    ButtonWord, DrivenSlave, FaultText, GripperOrder, MasterPlant as _, MasterSide, MasterTurn, Side,
+    SlaveOrder, SlaveSide, SlaveTurn, Trace, Trigger,
     coupling::RotationState,
     live::{
         DriverLoop, LiveRun, LiveSettings, LiveWatch, Newest, PacedLoop, PeerSocket, RecordOutputs,
@@ -143,8 +143,8 @@ fn started<S: Side<Record: Recorded> + Send + 'static>(
     Ok((run, watch, Box::new(records)))
 }
 
-fn started_master<P: MasterPlant<N> + Send + 'static, R: MasterTurn, const N: usize>(
-    side: Timed<MasterSide<P, N, R>>,
+fn started_master<R: MasterTurn, const N: usize>(
+    side: Timed<MasterSide<LiveDevice<N>, N, R>>,
     feels_trigger: bool,
     parts: LiveParts,
 ) -> Result<LiveSide<LiveRun>, LiveError> {
@@ -251,13 +251,13 @@ fn report_fault(side: &mut impl Side, fault: Option<&str>) {
     }
 }
 
-impl<R: MasterTurn, const N: usize> MasterDriverLoop for PacedLoop<Timed<MasterSide<DrivenMaster<N>, N, R>>> {
+impl<R: MasterTurn, const N: usize> MasterDriverLoop for PacedLoop<Timed<MasterSide<LiveDevice<N>, N, R>>> {
     fn step(&mut self, input: &MasterInput<'_>) -> Option<MasterOutput> {
         PacedLoop::step(
             self,
             |side| {
                 report_fault(side, input.fault);
-                let plant = &mut side.side.plant;
+                let Some(plant) = side.side.plant.driven() else { return };
                 (plant.position, plant.clutch) = (unpadded(&input.position), input.clutch);
                 plant.velocity = input.velocity.as_ref().map(unpadded);
                 // A device that reports a fault says nothing of its buttons.
@@ -267,12 +267,16 @@ impl<R: MasterTurn, const N: usize> MasterDriverLoop for PacedLoop<Timed<MasterS
                     *trigger = Trigger::Driven(input.trigger);
                 }
             },
-            |side| MasterOutput {
-                force: padded(&side.side.plant.force),
-                torque: R::TURNS.then_some(side.side.plant.torque),
-                trigger_force: side.side.felt().map(|tick| tick.device_force[0]),
+            |side| {
+                let trigger_force = side.side.felt().map(|tick| tick.device_force[0]);
+                side.side.plant.driven().map(|plant| MasterOutput {
+                    force: padded(&plant.force),
+                    torque: R::TURNS.then_some(plant.torque),
+                    trigger_force,
+                })
             },
         )
+        .flatten()
     }
 }
 
@@ -306,7 +310,7 @@ impl<R: SlaveTurn, const N: usize> SlaveDriverLoop for PacedLoop<Timed<SlaveSide
     }
 }
 
-fn paced<S: Side<Record: Recorded>>(
+fn paced<S: Side<Record: Recorded> + Send + 'static>(
     side: S,
     parts: LiveParts,
 ) -> Result<(PacedLoop<S>, LiveWatch, Box<dyn KeptRecords>), LiveError> {
@@ -317,7 +321,7 @@ fn paced<S: Side<Record: Recorded>>(
 }
 
 fn paced_master<R: MasterTurn, const N: usize>(
-    side: Timed<MasterSide<DrivenMaster<N>, N, R>>,
+    side: Timed<MasterSide<LiveDevice<N>, N, R>>,
     feels_trigger: bool,
     parts: LiveParts,
 ) -> Result<LiveSide<Box<dyn MasterDriverLoop>>, LiveError> {

@@ -130,7 +130,9 @@ impl<R: Rendering<N>, const N: usize> LocalRun<R, N> {
             note(time_s, tick, looped, &mut log);
             log.tripped(time_s, tick.response.lane(0).tripped);
             if recorder.begin_tick() {
-                record(&mut recorder, time_s, tick);
+                // A copy: a tick whose address went to a call would stand in memory at each tick.
+                let tick = *tick;
+                record(&mut recorder, time_s, &tick);
             }
         })?;
         log.schedule(scene, 0.0, &outcome);
@@ -154,6 +156,8 @@ impl<R: Rendering<N>, const N: usize> LocalRun<R, N> {
         mut observe: impl FnMut(f64, &LocalTick<N>, &Loop<R, N>),
     ) -> Result<Outcome, SceneError> {
         let Self { looped, measures, ticks } = self;
+        // A copy in registers, for the same reason.
+        let mut measures = *measures;
         for tick in 0..*ticks {
             if stop.load(Ordering::Relaxed) {
                 return Err(SceneError::Stopped);
@@ -162,6 +166,7 @@ impl<R: Rendering<N>, const N: usize> LocalRun<R, N> {
             let step = looped.step();
             let (x, v, force) = (&step.position, &step.velocity, &step.device_force);
             if measures.may_have_diverged(x, v, force) && measures.diverged(x, v, force) {
+                let measures = measures;
                 let divergence = Divergence { time_s, cause: measures.cause(0, x, v) };
                 return Ok(measures.outcome(0, tick, Ending::Diverged, Some(divergence)));
             }
@@ -170,6 +175,7 @@ impl<R: Rendering<N>, const N: usize> LocalRun<R, N> {
             let settled = measures.take(time_s, x, v, &rendered, force, &step.hand_force, is_on);
             observe(time_s, &step, looped);
             if settled == Some(true) {
+                let measures = measures;
                 return Ok(measures.outcome(0, tick + 1, Ending::Settled, None));
             }
         }

@@ -42,8 +42,8 @@ pub use replay::{
 };
 pub use research::ResearchFactory;
 pub use sides::{
-    SimulatedDevice, driven_master, driven_slave, simulated_master, simulated_pose_master,
-    simulated_pose_slave, simulated_slave,
+    LiveDevice, driven_master, driven_slave, simulated_master, simulated_pose_master, simulated_pose_slave,
+    simulated_slave,
 };
 pub use spec::{ResearchSpec, SceneSpec, scene_axes, scene_schema};
 pub use sweep::{Progress, Refused, SweepError, SweepPart, SweepSettings, Variation, sweep, sweep_parts};

@@ -162,10 +162,10 @@ pub(super) fn simulated_arm<const N: usize>(scene: &SceneSpec<N>) -> Result<Simu
 }
 
 /// A model of a device and its hand.
-pub type SimulatedDevice<const N: usize> = Box<dyn MasterPlant<N> + Send>;
+pub type LiveDevice<const N: usize> = Box<dyn MasterPlant<N> + Send>;
 
 /// The scene's device in the scene's hand, which waits for the engagement.
-fn simulated_device<const N: usize>(scene: &SceneSpec<N>) -> Result<SimulatedDevice<N>, SceneError> {
+fn simulated_device<const N: usize>(scene: &SceneSpec<N>) -> Result<LiveDevice<N>, SceneError> {
     Ok(Box::new(waiting(exact_master(scene)?)))
 }
 
@@ -177,7 +177,7 @@ fn simulated_device<const N: usize>(scene: &SceneSpec<N>) -> Result<SimulatedDev
 pub fn simulated_master<const N: usize>(
     scene: &SceneSpec<N>,
     run_id: u64,
-) -> Result<Timed<MasterSide<SimulatedDevice<N>, N>>, SceneError> {
+) -> Result<Timed<MasterSide<LiveDevice<N>, N>>, SceneError> {
     let plant = simulated_device(scene)?;
     let side = MasterSide::new(plant, master_endpoint(scene, run_id, None)?, live_clutch(scene))?
         .with_trigger(trigger(scene, false)?)
@@ -193,8 +193,8 @@ pub fn simulated_master<const N: usize>(
 pub fn simulated_pose_master(
     scene: &SceneSpec<3>,
     run_id: u64,
-) -> Result<Timed<MasterSide<SimulatedDevice<3>, 3, MasterRotation>>, SceneError> {
-    let plant: SimulatedDevice<3> = Box::new(pose::turning_master(scene, simulated_device(scene)?)?);
+) -> Result<Timed<MasterSide<LiveDevice<3>, 3, MasterRotation>>, SceneError> {
+    let plant: LiveDevice<3> = Box::new(pose::turning_master(scene, simulated_device(scene)?)?);
     let side = MasterSide::new(plant, master_endpoint(scene, run_id, None)?, live_clutch(scene))?
         .with_trigger(trigger(scene, false)?)
         .with_buttons(scene.master.buttons)?
@@ -244,9 +244,10 @@ pub fn driven_master<const N: usize>(
     scene: &SceneSpec<N>,
     run_id: u64,
     simulated_clutch: bool,
-) -> Result<Timed<MasterSide<DrivenMaster<N>, N>>, SceneError> {
+) -> Result<Timed<MasterSide<LiveDevice<N>, N>>, SceneError> {
+    let device: LiveDevice<N> = Box::new(DrivenMaster::default());
     let side = MasterSide::new(
-        DrivenMaster::default(),
+        device,
         master_endpoint(scene, run_id, None)?,
         driven_clutch(scene, simulated_clutch)?,
     )?

@@ -100,21 +100,30 @@ pub struct Telemetry<R> {
 impl<R: Recorded> Telemetry<R> {
     /// Listens, and starts the thread that sends.
     pub fn begin(settings: &TelemetrySettings) -> io::Result<Self> {
+        let any = R::any();
         let readers =
-            Readers::listen(&settings.path, frame::hello(&R::any(), settings.security, &settings.scene))?;
-        let (records, mut waiting) = ring::<R>(RING);
-        let (notes, noted) = ring(NOTES);
-        let counts = Arc::<Counts>::default();
-        let state = Arc::new(AtomicU8::new(RUNNING));
-        let (to_loop, sent) = mpsc::sync_channel(1);
-        let seen = (Arc::clone(&counts), Arc::clone(&state));
-        thread::Builder::new().name("haptether-telemetry".into()).spawn(move || {
-            let frame = Frame::of(&R::any());
-            send_while_running(frame, readers, (&mut waiting, noted), (&seen.0, &seen.1));
-            let _ = to_loop.send(());
-        })?;
+            Readers::listen(&settings.path, frame::hello(&any, settings.security, &settings.scene))?;
+        let (records, waiting) = ring::<R>(RING);
+        let (notes, counts, state, sent) = spawn_sender(readers, Frame::of(&any), Box::new(waiting))?;
         Ok(Self { records, notes, counts, state, sent })
     }
+}
+
+/// The loop's ends of what leads to the thread that sends.
+type Sender = (rtrb::Producer<Note>, Arc<Counts>, Arc<AtomicU8>, mpsc::Receiver<()>);
+
+/// Starts the thread that sends; compiled once for all types of records.
+fn spawn_sender(readers: Readers, frame: Frame, mut waiting: Box<dyn WaitingRecords>) -> io::Result<Sender> {
+    let (notes, noted) = ring(NOTES);
+    let counts = Arc::<Counts>::default();
+    let state = Arc::new(AtomicU8::new(RUNNING));
+    let (to_loop, sent) = mpsc::sync_channel(1);
+    let seen = (Arc::clone(&counts), Arc::clone(&state));
+    thread::Builder::new().name("haptether-telemetry".into()).spawn(move || {
+        send_while_running(frame, readers, (&mut *waiting, noted), (&seen.0, &seen.1));
+        let _ = to_loop.send(());
+    })?;
+    Ok((notes, counts, state, sent))
 }
 
 impl<R> Telemetry<R> {

@@ -1,7 +1,7 @@
 //! The whole pipeline of one master tick.
 
 use haptether_safety::{
-    Fault, LayerSettings, LimiterSettings, SafetyLayer, SafetyTick, Signal, estimator::EstimatorKind,
+    Axes, Fault, LayerSettings, LimiterSettings, SafetyLayer, SafetyTick, Signal, estimator::EstimatorKind,
 };
 use pyo3::prelude::*;
 
@@ -56,8 +56,19 @@ pub(crate) struct PySafetyTicks {
     owed_energy_j: Py<PyAny>,
 }
 
+/// One tick, out of line: a call costs less than a copy for each caller and number of axes.
+#[inline(never)]
+fn tick<const N: usize>(
+    layer: &mut SafetyLayer<N>,
+    position: &Axes<N>,
+    velocity: Option<&Axes<N>>,
+    rendered: &Axes<N>,
+) -> SafetyTick<N> {
+    layer.tick(position, velocity, rendered)
+}
+
 /// The vectors of a tick, in the order of the classes.
-fn vectors<const N: usize>(tick: &SafetyTick<N>) -> [haptether_safety::Axes<N>; 6] {
+fn vectors<const N: usize>(tick: &SafetyTick<N>) -> [Axes<N>; 6] {
     let SafetyTick { motion, rendered_force, grasp_force, device_force, intervention, .. } = tick;
     let (velocity, acceleration) = (motion.velocity, motion.acceleration);
     [velocity, acceleration, *rendered_force, *grasp_force, intervention.safety_force, *device_force]
@@ -100,7 +111,8 @@ impl PySafetyLayer {
     ) -> PyResult<PySafetyTick> {
         with_axes!(&mut self.inner, AnyLayer, layer => {
             let velocity = velocity.map(|velocity| velocity.axes::<N>("velocity")).transpose()?;
-            let tick = layer.tick(
+            let tick = tick(
+                layer,
                 &position.axes("position")?,
                 velocity.as_ref(),
                 &rendered_force.axes("rendered_force")?,
@@ -146,7 +158,7 @@ impl PySafetyLayer {
             with_axes!(&mut self.inner, AnyLayer, layer => {
                 for n in 0..position.ticks {
                     let moving = measured.as_ref().map(|measured| measured.at::<N>(n));
-                    let tick = layer.tick(&position.at(n), moving.as_ref(), &rendered.at(n));
+                    let tick = tick(layer, &position.at(n), moving.as_ref(), &rendered.at(n));
                     for (column, vector) in columns.iter_mut().zip(vectors(&tick)) {
                         column.extend_from_slice(vector.as_slice());
                     }

@@ -216,7 +216,6 @@ impl Axis {
         }
     }
 
-    #[inline]
     fn step(&mut self, position: f64, rule: &Rule) {
         let Rule { fit, bound, max_window } = *rule;
         push(&mut self.positions, position, max_window);
@@ -233,7 +232,6 @@ impl Axis {
             widest_line(fit, velocities, |lag| bounds[0].max(bounds[lag]), size);
     }
 
-    #[inline]
     fn align(&mut self, force: f64, rule: &Rule) -> f64 {
         let Rule { fit, max_window, .. } = *rule;
         push(&mut self.force_path, 0.0, max_window);

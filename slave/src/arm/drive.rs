@@ -105,7 +105,6 @@ impl<const N: usize> ArmDrive<N> {
     }
 
     /// Chooses the phases of the set position that begin now.
-    #[inline]
     pub(crate) fn plan(&mut self) {
         if let (Some(target), false) = (self.command.position, self.is_velocity_control()) {
             let limits = self.model.limits();
@@ -127,7 +126,6 @@ impl<const N: usize> ArmDrive<N> {
     }
 
     /// Moves the set position on by `step` in s, no further than the present [unsteady phases](Self::unsteady_phase) last.
-    #[inline]
     pub(crate) fn advance(&mut self, step: f64) {
         if let Some(target) = self.command.position {
             let limits = self.model.limits();
@@ -216,7 +214,6 @@ impl SetPoint {
     }
 
     /// Chooses the phase that begins now.
-    #[inline]
     pub(crate) fn plan(&mut self, target: f64, limits: &Limits) {
         let away = target - self.position;
         self.arrives = true;
@@ -273,7 +270,6 @@ impl SetPoint {
     }
 
     /// Moves on by `step` in s, no further than the phase lasts, unless it then [rests](Self::arrives_steadily).
-    #[inline]
     pub(crate) fn advance(&mut self, step: f64, target: f64, limits: &Limits) {
         if self.phase.is_infinite() {
             return;

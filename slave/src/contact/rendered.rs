@@ -134,6 +134,7 @@ impl<const N: usize> RenderedWalls<N> {
     }
 
     /// Force in N at time t in s, x in m, V in m/s.
+    #[inline]
     pub fn force(&self, t: f64, position: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
         let mut force = Axes::<N>::zeros();
         for wall in &self.walls {

@@ -41,7 +41,6 @@ impl Window {
         whole_ns(time_s) < self.from_ns
     }
 
-    #[inline]
     pub(crate) fn contains(&self, time_s: f64) -> bool {
         (self.from_ns..self.until_ns).contains(&whole_ns(time_s))
     }

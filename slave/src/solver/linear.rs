@@ -452,7 +452,6 @@ impl Line {
         &self.regime
     }
 
-    #[inline]
     fn regime_of(&self, arm: [f64; 3]) -> Regime {
         let [mass, mut stiffness, mut damping] = arm;
         stiffness += self.spring[0];

@@ -59,7 +59,6 @@ impl Transition {
     }
 
     /// The map over t in s.
-    #[inline]
     pub(crate) fn over(&self, t: f64) -> TransitionMap {
         let Self { k, half, discriminant, .. } = *self;
         let z = discriminant * t * t;
