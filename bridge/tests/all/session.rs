@@ -1,8 +1,6 @@
 //! The secure session between honest sides, over a network that loses, delays, reorders and repeats.
 #![allow(clippy::unwrap_used)] // a test may
 
-mod pair;
-
 use haptether_bridge::{
     session::{
         Arrival, HANDSHAKE_LENGTH, HandshakeDecision, HandshakeEvent, MAX_DATAGRAM, Received, Rejection,
@@ -10,7 +8,7 @@ use haptether_bridge::{
     },
     wire::{FrameForm, Role},
 };
-use pair::{MS, Numbers, PAYLOAD, Pair, end, key, number, payload, peer, settings};
+use crate::pair::{MS, Numbers, PAYLOAD, Pair, end, key, number, payload, peer, settings};
 use proptest::prelude::*;
 
 const SECOND: u64 = 1000 * MS;

@@ -1,8 +1,6 @@
 //! The secure session against whoever writes datagrams without the key, or writes old ones again.
 #![allow(clippy::unwrap_used)] // a test may
 
-mod pair;
-
 use std::net::SocketAddr;
 
 use haptether_bridge::{
@@ -12,7 +10,7 @@ use haptether_bridge::{
     },
     wire::Role,
 };
-use pair::{MS, Numbers, PAYLOAD, Pair, end, key, payload, settings, state};
+use crate::pair::{MS, Numbers, PAYLOAD, Pair, end, key, payload, settings, state};
 
 /// Gives `datagram` to the end of `role` and says why it was not taken; whatever else the end knows stays.
 fn refusal(pair: &mut Pair, role: Role, datagram: &[u8]) -> Option<Rejection> {

@@ -1,0 +1,8 @@
+//! The integration tests of the safety crate, one binary.
+
+mod damping;
+mod lanes;
+mod probe;
+mod properties;
+#[cfg(feature = "serde")]
+mod settings;
