@@ -253,7 +253,7 @@ enum Operator {
 }
 
 fn scene(operator: &Operator) -> SceneSpec<1> {
-    let bytes = include_bytes!("remote_push.json");
+    let bytes = include_bytes!("../remote_push.json");
     let mut json: serde_json::Value = serde_json::from_slice(bytes).unwrap();
     match operator {
         Operator::Absent => json["operator"] = serde_json::Value::Null,
@@ -360,7 +360,8 @@ fn a_force_that_cannot_be_measured_stops_both_sides() {
     const DELAY_MS: usize = 5;
     const FADE_MS: usize = 76;
     for force_n in [1e4, 1e300, f64::MAX] {
-        let mut json: serde_json::Value = serde_json::from_slice(include_bytes!("remote_push.json")).unwrap();
+        let mut json: serde_json::Value =
+            serde_json::from_slice(include_bytes!("../remote_push.json")).unwrap();
         json["operator"]["legs"] =
             serde_json::json!([{"duration_s": 0.8, "end": [-0.03], "shape": "minimum-jerk"}]);
         json["operator"]["release"] = serde_json::Value::Null;

@@ -4,7 +4,7 @@
 use haptether_bridge::scene::{Metrics, Outcome, Progress, SweepSettings, Variation, sweep};
 use serde_json::Value;
 
-const SCENE: &[u8] = include_bytes!("../benches/work_unit.json");
+const SCENE: &[u8] = include_bytes!("../../benches/work_unit.json");
 
 fn outcomes(scene: &Value, lanes: bool) -> Vec<Outcome> {
     // Full lanes of either width, and some that are left over: 16 and 3, or 8, 8 and 3.
