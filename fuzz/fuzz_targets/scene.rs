@@ -1,6 +1,6 @@
 #![no_main]
 
-#[path = "../../bridge/tests/corpus/scene.rs"]
+#[path = "../../bridge/tests/all/corpus/scene.rs"]
 mod scene;
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| scene::check(bytes));

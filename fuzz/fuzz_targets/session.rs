@@ -1,8 +1,8 @@
 #![no_main]
 
-#[path = "../../bridge/tests/pair/mod.rs"]
+#[path = "../../bridge/tests/all/pair.rs"]
 mod pair;
-#[path = "../../bridge/tests/corpus/session.rs"]
+#[path = "../../bridge/tests/all/corpus/session.rs"]
 mod session;
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| session::check(bytes));

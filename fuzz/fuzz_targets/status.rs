@@ -1,6 +1,6 @@
 #![no_main]
 
-#[path = "../../dynamixel/tests/corpus/status.rs"]
+#[path = "../../dynamixel/tests/all/corpus/status.rs"]
 mod status;
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| status::check(bytes));

@@ -46,11 +46,6 @@ const MAX_EVENTS: usize = 32;
 /// One end of a session. It owns no clock, no socket and no randomness; sealing and opening allocate nothing.
 ///
 /// It cannot be cloned: two of it would seal different payloads with the same key and counter.
-///
-/// ```compile_fail
-/// fn needs_clone<T: Clone>() {}
-/// needs_clone::<haptether_bridge::session::Session>();
-/// ```
 #[derive(Debug)]
 pub struct Session {
     settings: SessionSettings,

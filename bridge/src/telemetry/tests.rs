@@ -70,7 +70,7 @@ fn counts() -> Counts {
 
 /// The sample of a frame, and its changes.
 fn framed(records: &[Record]) -> (Json, Vec<Json>) {
-    let mut frame = Frame::of::<Record>();
+    let mut frame = Frame::of(&Record::any());
     for record in records {
         frame.take(record);
     }
@@ -137,7 +137,7 @@ fn bits_of_any_tick_and_changes_survive() {
 /// The next frame begins with nothing of the one before, but knows what a name was.
 #[test]
 fn frames_follow_one_another() {
-    let mut frame = Frame::of::<Record>();
+    let mut frame = Frame::of(&Record::any());
     frame.take(&Record { tripped: 2, ..record(9) });
     let _ = frame.sample(&Counts::default()).unwrap();
     assert!(frame.sample(&Counts::default()).is_none(), "a frame without a tick says nothing");
@@ -152,7 +152,7 @@ fn frames_follow_one_another() {
 
 #[test]
 fn changes_without_end_are_counted() {
-    let mut frame = Frame::of::<Record>();
+    let mut frame = Frame::of(&Record::any());
     for tick in 0..1000 {
         frame.take(&Record { clutch: tick % 2 == 0, ..record(tick) });
     }
@@ -166,17 +166,17 @@ fn changes_without_end_are_counted() {
 fn a_scene_that_is_too_long_for_a_line_is_left_out() {
     for (length, is_sent) in [(1 << 17, true), (1 << 18, false)] {
         let scene = format!("{{\"title\": \"{}\"}}", "x".repeat(length));
-        let hello = frame::hello::<Record>(SecurityMark::Secure, &scene);
+        let hello = frame::hello(&Record::any(), SecurityMark::Secure, &scene);
         assert!(hello.len() < 1 << 20);
         assert_eq!(lines(&hello)[0]["scene"].is_object(), is_sent);
     }
-    assert!(lines(&frame::hello::<Record>(SecurityMark::Secure, ""))[0]["scene"].is_null());
+    assert!(lines(&frame::hello(&Record::any(), SecurityMark::Secure, ""))[0]["scene"].is_null());
 }
 
 #[test]
 fn hello_names_every_signal_with_kind_and_size() {
     let hello =
-        lines(&frame::hello::<Record>(SecurityMark::Secure, r#"{"safety": {"window": 20}}"#)).remove(0);
+        lines(&frame::hello(&Record::any(), SecurityMark::Secure, r#"{"safety": {"window": 20}}"#)).remove(0);
     assert_eq!([&hello["side"], &hello["security"]], ["master", "secure"]);
     assert_eq!(hello["scene"]["safety"]["window"], 20);
     assert_eq!(hello["version"], env!("CARGO_PKG_VERSION"));

@@ -9,6 +9,7 @@ const LAYOUT: FrameLayout = FrameLayout::of(1);
 fn frame() -> Frame {
     Frame {
         role: Role::Slave,
+        axes: 1,
         kind: SideKind::Linear,
         state: 2,
         hears_peer: true,
@@ -17,9 +18,9 @@ fn frame() -> Frame {
         sequence: 5,
         sent_ns: 1_000_000,
         echo: Some(Echo { run_id: 11, sequence: 3, sent_ns: 7, held_ns: 9 }),
-        position: Axes::<1>::new(-0.5),
-        velocity: Axes::<1>::new(0.25),
-        force: Axes::<1>::new(2.0),
+        position: padded(&Axes::<1>::new(-0.5)),
+        velocity: padded(&Axes::<1>::new(0.25)),
+        force: padded(&Axes::<1>::new(2.0)),
         energy: PortEnergy { in_j: 1.5, out_j: 0.25 },
         rotation: None,
         gripper: None,
@@ -142,9 +143,10 @@ fn a_pose_is_ten_numbers_and_buttons_are_a_word() {
         sequence: 5,
         sent_ns: 7,
         echo: None,
-        position: Axes::<3>::new(1.0, 2.0, 3.0),
-        velocity: Axes::<3>::new(4.0, 5.0, 6.0),
-        force: Axes::<3>::new(7.0, 8.0, 9.0),
+        axes: 3,
+        position: padded(&Axes::<3>::new(1.0, 2.0, 3.0)),
+        velocity: padded(&Axes::<3>::new(4.0, 5.0, 6.0)),
+        force: padded(&Axes::<3>::new(7.0, 8.0, 9.0)),
         rotation: None,
         energy: PortEnergy { in_j: 1.5, out_j: 0.25 },
         gripper: None,
@@ -266,9 +268,9 @@ proptest! {
     ) {
         let part = |i: usize| Axes::<3>::new(numbers[i], numbers[i + 1], numbers[i + 2]);
         let frame = Frame {
-            role: Role::Master, kind: SideKind::Pose, state, hears_peer, clutch, run_id, sequence, sent_ns,
+            role: Role::Master, axes: 3, kind: SideKind::Pose, state, hears_peer, clutch, run_id, sequence, sent_ns,
             echo: echo.map(|(run_id, sequence, sent_ns, held_ns)| Echo { run_id, sequence, sent_ns, held_ns }),
-            position: part(0), velocity: part(3), force: part(6),
+            position: padded(&part(0)), velocity: padded(&part(3)), force: padded(&part(6)),
             rotation: Some(RotationState {
                 orientation, angular_velocity: part(2), torque: part(5),
             }),
@@ -311,14 +313,14 @@ proptest! {
         )),
         (orientation, turned) in (orientation(), any::<bool>()),
         buttons in prop::option::of(prop_oneof![Just(0), any::<u32>()]),
-        (energy, session) in (prop_oneof![3 => 0.0..1e9f64, 1 => prop::num::f64::ANY], prop::option::of(any::<(bool, bool)>())),
+        (energy, session) in (prop_oneof![3 => 0.0..1e9f64, 1 => prop::num::f64::ANY], prop::option::of((any::<bool>(), any::<bool>(), 2..=4_usize))),
     ) {
         let part = |i: usize| Axes::<3>::new(numbers[i], numbers[i + 1], numbers[i + 2]);
         let role = if of_slave { Role::Slave } else { Role::Master };
         let frame = Frame {
-            role, kind: if is_pose { SideKind::Pose } else { SideKind::Linear }, hears_peer, clutch, ending,
+            role, axes: 3, kind: if is_pose { SideKind::Pose } else { SideKind::Linear }, hears_peer, clutch, ending,
             echo: echo.map(|(run_id, sequence, sent_ns, held_ns)| Echo { run_id, sequence, sent_ns, held_ns }),
-            position: part(0), velocity: part(1), force: part(2),
+            position: padded(&part(0)), velocity: padded(&part(1)), force: padded(&part(2)),
             rotation: (is_pose && turned)
                 .then(|| RotationState { orientation, angular_velocity: part(1), torque: part(0) }),
             energy: PortEnergy { in_j: energy, out_j: numbers[4].abs() },
@@ -330,8 +332,8 @@ proptest! {
             state: number, run_id: 7, sequence: u64::from(index), sent_ns: 3, reason: letter, fault: index,
         };
         let from = if comes_back { role.peer() } else { role };
-        let layout = session.map_or(frame.layout(), |(has_gripper, has_buttons)| FrameLayout {
-            has_gripper, has_buttons, ..frame.layout()
+        let layout = session.map_or(frame.layout(), |(has_gripper, has_buttons, axes)| FrameLayout {
+            axes, has_gripper, has_buttons, ..frame.layout()
         });
         let through = Frame::decode(frame.encode(&mut [0; MAX_FRAME]), from, layout);
         let without = frame.received(from, layout);
@@ -344,7 +346,7 @@ proptest! {
             gripper: Some(GripperState { position: Some(0.25), velocity: 3.0, force_n: 4.0, holds_object: true, follows: true }),
             role: role.peer(), kind: SideKind::Pose, state: !number, hears_peer: !hears_peer, clutch: !clutch,
             run_id: 8, sequence: 300, sent_ns: 4, echo: Some(Echo { run_id: 1, sequence: 2, sent_ns: 3, held_ns: 4 }),
-            position: part(1), velocity: part(2), force: part(0), energy: PortEnergy { in_j: 0.5, out_j: 0.25 },
+            axes: 3, position: padded(&part(1)), velocity: padded(&part(2)), force: padded(&part(0)), energy: PortEnergy { in_j: 0.5, out_j: 0.25 },
             buttons: Some(5), ending: !ending, reason: !letter, fault: !index,
             text: TextPiece { number: !number, index: !index, bytes: [letter; PIECE] },
         };
@@ -398,7 +400,7 @@ proptest! {
 
 #[test]
 fn a_peer_of_another_version_is_refused_by_its_version() {
-    let ours = FrameLayout { kind: SideKind::Pose, has_gripper: true, has_buttons: false }.form(3);
+    let ours = FrameLayout { kind: SideKind::Pose, has_gripper: true, ..FrameLayout::of(3) }.form();
     assert_eq!(ours.to_string(), "of kind pose and 3 axes, with a gripper");
     // Before version 5 the number was the length of a frame.
     for (form, version) in

@@ -3,6 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::recorder::Recorded as _;
 use crate::{
     ladder::LadderState,
     record::MasterRecord,
@@ -13,7 +14,7 @@ use crate::{
 fn file(ticks: u64) -> Vec<u8> {
     let mut out = Vec::new();
     let mut file =
-        McapFile::begin::<MasterRecord<2>>(&mut out, SecurityMark::Secure, r#"{"run": {"seed": 7}}"#);
+        McapFile::begin(&mut out, &MasterRecord::<2>::any(), SecurityMark::Secure, r#"{"run": {"seed": 7}}"#);
     file.begin_at_zero();
     for tick in 0..ticks {
         file.write(&MasterRecord::<2> {

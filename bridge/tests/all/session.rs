@@ -1,19 +1,25 @@
 //! The secure session between honest sides, over a network that loses, delays, reorders and repeats.
 #![allow(clippy::unwrap_used)] // a test may
 
-mod pair;
-
+use crate::pair::{MS, Numbers, PAYLOAD, Pair, end, key, number, payload, peer, settings};
 use haptether_bridge::{
     session::{
         Arrival, HANDSHAKE_LENGTH, HandshakeDecision, HandshakeEvent, MAX_DATAGRAM, Received, Rejection,
-        SealError, SessionEnd, SessionEvent, SessionSettings, sealed_length,
+        SealError, Session, SessionEnd, SessionEvent, SessionSettings, sealed_length,
     },
     wire::{FrameForm, Role},
 };
-use pair::{MS, Numbers, PAYLOAD, Pair, end, key, number, payload, peer, settings};
 use proptest::prelude::*;
 
 const SECOND: u64 = 1000 * MS;
+
+/// Both implementations would apply to a session that can be cloned, and the constant below would be ambiguous.
+trait NotClone<Marker> {
+    const HOLDS: () = ();
+}
+impl<T> NotClone<()> for T {}
+impl<T: Clone> NotClone<u8> for T {}
+const _: () = <Session as NotClone<_>>::HOLDS;
 
 fn epochs(end: &mut SessionEnd) -> Vec<SessionEvent> {
     std::iter::from_fn(|| end.session.poll_event()).collect()

@@ -11,7 +11,7 @@ use haptether_safety::{
 };
 use haptether_slave::{GripperCommand, GripperSample, GripperSettings, SimulatedGripper};
 
-use crate::{
+use super::{
     drawn::{Broken, Drawn, MS, Numbers, estimator, safety},
     spied::{ROUNDING, Watch},
 };

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 /// A remote push of 1.5 s with both directions of the link changed.
 fn scene(changes: &Value, seed: u64) -> Vec<u8> {
-    let mut scene: Value = serde_json::from_slice(include_bytes!("remote_push.json")).unwrap();
+    let mut scene: Value = serde_json::from_slice(include_bytes!("../remote_push.json")).unwrap();
     scene["run"]["duration_s"] = 1.5.into();
     scene["run"]["seed"] = seed.into();
     scene["record"] = json!({ "every": 1 });

@@ -6,7 +6,7 @@ use haptether_safety::Axes;
 use haptether_slave::GripperSample;
 use nalgebra::{Quaternion, Unit, UnitQuaternion};
 
-use crate::{
+use super::{
     drawn::Broken,
     pressed::DrawnButtons,
     turned::{BrokenTurn, Wrong},

@@ -1,6 +1,6 @@
 //! A scene drawn from a seed: all that one run has, so that a failing one can be printed and run again.
 
-use crate::{gripped::DrawnGripper, pressed::DrawnButtons, turned::DrawnPose};
+use super::{gripped::DrawnGripper, pressed::DrawnButtons, turned::DrawnPose};
 use haptether_bridge::{Clutch, LadderSettings, OperatorCommand, coupling::CommandBounds};
 use haptether_netsim::{
     Action, Attack, ByteRange, Checksum, ClockSettings, Direction, Edit, EndpointClock, Link, LinkSettings,

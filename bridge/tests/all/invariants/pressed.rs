@@ -2,7 +2,7 @@
 
 use haptether_bridge::{ButtonSettings, ButtonWord, LadderState, TickTime};
 
-use crate::{
+use super::{
     drawn::{MS, Numbers},
     spied::Watch,
 };

@@ -14,7 +14,7 @@ use haptether_bridge::{
 use haptether_safety::{Acted, Axes, LimiterSettings};
 use nalgebra::{Quaternion, UnitQuaternion};
 
-use crate::{
+use super::{
     drawn::Drawn,
     gripped::{DrawnGripper, FingerTickSeen, FingerWatch, GripperWatch, SeenGripper},
     plant::Plant,

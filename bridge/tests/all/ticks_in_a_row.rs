@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 /// A remote push in which the hand lets go after 1 s, with fields changed: `both` of both directions of its link.
 fn scene(both: &Value, others: &Value) -> Value {
-    let mut scene: Value = serde_json::from_slice(include_bytes!("remote_push.json")).unwrap();
+    let mut scene: Value = serde_json::from_slice(include_bytes!("../remote_push.json")).unwrap();
     scene["run"]["duration_s"] = 2.0.into();
     scene["operator"]["release"]["at_s"] = 1.0.into();
     for direction in ["forward", "backward"] {

@@ -10,7 +10,7 @@ use haptether_safety::{
 };
 use nalgebra::UnitQuaternion;
 
-use crate::{
+use super::{
     drawn::{MS, Numbers, estimator, safety},
     spied::{ROUNDING, Watch},
 };

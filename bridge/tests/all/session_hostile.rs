@@ -1,10 +1,9 @@
 //! The secure session against whoever writes datagrams without the key, or writes old ones again.
 #![allow(clippy::unwrap_used)] // a test may
 
-mod pair;
-
 use std::net::SocketAddr;
 
+use crate::pair::{MS, Numbers, PAYLOAD, Pair, end, key, payload, settings, state};
 use haptether_bridge::{
     session::{
         Entropy, HANDSHAKE_LENGTH, Handshake, HandshakeDatagram, Incoming, MAX_DATAGRAM, NoEntropy,
@@ -12,7 +11,6 @@ use haptether_bridge::{
     },
     wire::Role,
 };
-use pair::{MS, Numbers, PAYLOAD, Pair, end, key, payload, settings, state};
 
 /// Gives `datagram` to the end of `role` and says why it was not taken; whatever else the end knows stays.
 fn refusal(pair: &mut Pair, role: Role, datagram: &[u8]) -> Option<Rejection> {

@@ -5,19 +5,12 @@
 //! failing case prints its seed and all that was drawn: `HAPTETHER_SEED=<seed> PROPTEST_CASES=1` runs it again.
 #![allow(clippy::unwrap_used)] // a test may
 
-#[path = "invariants/drawn.rs"]
 mod drawn;
-#[path = "invariants/gripped.rs"]
 mod gripped;
-#[path = "invariants/plant.rs"]
 mod plant;
-#[path = "invariants/pressed.rs"]
 mod pressed;
-#[path = "invariants/spied.rs"]
 mod spied;
-#[path = "invariants/turned.rs"]
 mod turned;
-#[path = "invariants/turning.rs"]
 mod turning;
 
 use std::ops::ControlFlow;

@@ -16,7 +16,7 @@ use haptether_slave::{
 };
 use nalgebra::{Unit, UnitQuaternion};
 
-use crate::{drawn::Drawn, spied::Turning, turned::DrawnPose};
+use super::{drawn::Drawn, spied::Turning, turned::DrawnPose};
 
 /// Of a driven arm that is no longer led, in rad/s².
 const ANGULAR_DECELERATION: f64 = 25.0;

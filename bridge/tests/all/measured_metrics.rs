@@ -45,13 +45,13 @@ fn of_three_axes(one: &Value) -> Value {
 #[test]
 fn a_metric_alone_has_the_bits_that_it_has_beside_all_others() {
     let of = |bytes: &[u8]| -> Value { serde_json::from_slice(bytes).unwrap() };
-    let mut remote = of(include_bytes!("remote_push.json"));
+    let mut remote = of(include_bytes!("../remote_push.json"));
     remote["run"]["duration_s"] = 2.0.into();
     remote["operator"]["release"]["at_s"] = 1.0.into();
     let mut early = remote.clone();
     early["run"]["duration_s"] = 6.0.into();
     early["run"]["stop_early"] = true.into();
-    let local = of(include_bytes!("press.json"));
+    let local = of(include_bytes!("../press.json"));
     let mut settling = local.clone();
     settling["run"]["duration_s"] = 4.0.into();
     settling["run"]["stop_early"] = true.into();

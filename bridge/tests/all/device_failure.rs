@@ -52,7 +52,7 @@ fn slave() -> SlaveSide<DrivenSlave<1>, 1> {
 }
 
 /// At what a test looks.
-trait Seen: Side {
+trait Seen: Side + Send + 'static {
     fn spoil(&mut self, bad: bool);
     /// State of the ladder, and the fault's code.
     fn shown(record: &Self::Record) -> (LadderState, u8)
@@ -254,7 +254,7 @@ enum Operator {
 }
 
 fn scene(operator: &Operator) -> SceneSpec<1> {
-    let bytes = include_bytes!("remote_push.json");
+    let bytes = include_bytes!("../remote_push.json");
     let mut json: serde_json::Value = serde_json::from_slice(bytes).unwrap();
     match operator {
         Operator::Absent => json["operator"] = serde_json::Value::Null,
@@ -325,7 +325,7 @@ fn nobody_simulated_presses_for_a_real_device() {
                 (true, true, Some(false), 0),
             ] {
                 let mut side = driven_master::<1>(&scene, 1, simulated).unwrap();
-                side.side.plant.clutch = button;
+                side.side.plant.driven().unwrap().clutch = button;
                 let mut slave = simulated_slave::<1>(&scene, 2).unwrap();
                 let seen = engagements(side, &mut slave, away, pressed_again);
                 let what =
@@ -343,7 +343,7 @@ fn nobody_simulated_presses_for_a_real_device() {
             );
         }
     }
-    let refused = driven_master::<1>(&scene(&Times(&[(0.0, 1.0), (2.0, 3.0)])), 1, false).unwrap_err();
+    let refused = driven_master::<1>(&scene(&Times(&[(0.0, 1.0), (2.0, 3.0)])), 1, false).err().unwrap();
     assert!(
         refused.to_string().starts_with("operator.clutch: times press the clutch of a real device"),
         "{refused}"
@@ -361,7 +361,8 @@ fn a_force_that_cannot_be_measured_stops_both_sides() {
     const DELAY_MS: usize = 5;
     const FADE_MS: usize = 76;
     for force_n in [1e4, 1e300, f64::MAX] {
-        let mut json: serde_json::Value = serde_json::from_slice(include_bytes!("remote_push.json")).unwrap();
+        let mut json: serde_json::Value =
+            serde_json::from_slice(include_bytes!("../remote_push.json")).unwrap();
         json["operator"]["legs"] =
             serde_json::json!([{"duration_s": 0.8, "end": [-0.03], "shape": "minimum-jerk"}]);
         json["operator"]["release"] = serde_json::Value::Null;

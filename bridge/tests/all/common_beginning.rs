@@ -11,7 +11,7 @@ const SETTINGS: SweepSettings = SweepSettings { threads: 1, lanes: true, metrics
 
 /// A remote push in which the hand lets go after 1 s, with fields changed.
 fn scene(fields: &Value) -> Value {
-    let mut scene: Value = serde_json::from_slice(include_bytes!("remote_push.json")).unwrap();
+    let mut scene: Value = serde_json::from_slice(include_bytes!("../remote_push.json")).unwrap();
     scene["run"]["duration_s"] = 2.0.into();
     scene["operator"]["release"]["at_s"] = 1.0.into();
     for (path, value) in fields.as_object().unwrap() {

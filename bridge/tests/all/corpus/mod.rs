@@ -2,9 +2,7 @@
 #![allow(clippy::unwrap_used)] // a test may
 
 mod frame;
-#[path = "../pair/mod.rs"]
-mod pair;
-#[path = "../../../netsim/tests/corpus/replay.rs"]
+#[path = "../../../../netsim/tests/all/corpus/replay.rs"]
 mod replay;
 mod scene;
 mod session;

@@ -1,0 +1,3 @@
+//! The integration tests of netsim, one binary.
+
+mod corpus;

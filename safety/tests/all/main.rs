@@ -1,0 +1,7 @@
+//! The integration tests of the safety crate, one binary.
+
+mod damping;
+mod lanes;
+mod probe;
+mod properties;
+mod settings;
