@@ -57,7 +57,7 @@ with_retries = $(BIN)/python -m tests.retry -m '$(2)' -- $(1)
 .PHONY: test
 test: $(EXTENSION) ## cargo test and pytest
 	@rm -f out/retries.json
-	cargo test --locked
+	cargo test --locked --workspace --profile quick --lib --tests
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m 'not live and not alone$(NOT_THOROUGH)'
 	$(call with_retries,--numprocesses $(LIVE_AT_ONCE) --dist worksteal,live and not alone$(NOT_THOROUGH))
 	$(call with_retries,,alone$(NOT_THOROUGH))
@@ -77,7 +77,7 @@ quick: $(EXTENSION) ## after a change of Python, in about a minute: ruff, mypy, 
 .PHONY: lint
 lint: $(EXTENSION) ## formatting, clippy, ruff, mypy, the extension's stub, the licences
 	cargo fmt --all --check
-	cargo clippy --locked --workspace --all-targets -- -D warnings
+	cargo clippy --locked --workspace --profile quick --all-targets -- -D warnings
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy $(PYTHON_CODE)
