@@ -256,7 +256,7 @@ impl FrameLink {
 
     /// The same of a frame whose bytes nobody has looked at, without them: [`Frame::received`].
     pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<bool, RejectReason> {
-        self.take_frame(time, frame).map(|head| head.begins)
+        self.take_frame(time, frame, self.layout.axes).map(|head| head.begins)
     }
 
     /// As [`receive`](Self::receive), with what the frame says of itself.
@@ -266,14 +266,19 @@ impl FrameLink {
         datagram: &[u8],
     ) -> Result<FrameHead, RejectReason> {
         let decoded = Frame::decode(datagram, self.role.peer(), self.layout);
-        self.take(time, decoded.as_ref().map_err(|error| *error))
+        self.take(time, self.layout.axes, decoded.as_ref().map_err(|error| *error))
     }
 
     /// As [`receive_frame`](Self::receive_frame), with what the frame says of itself.
     #[inline(always)] // as all of what takes a frame: docs/architecture.md
-    pub(crate) fn take_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<FrameHead, RejectReason> {
+    pub(crate) fn take_frame(
+        &mut self,
+        time: LinkTime,
+        frame: &Frame,
+        axes: usize,
+    ) -> Result<FrameHead, RejectReason> {
         if frame.is_plain() && frame.role == self.role.peer() && frame.layout() == self.layout {
-            return self.take(time, frame.check_plain().map(|()| frame));
+            return self.take(time, axes, frame.check_plain(axes).map(|()| frame));
         }
         self.take_other_frame(time, frame)
     }
@@ -281,11 +286,16 @@ impl FrameLink {
     #[inline(never)] // seldom, and its frame is a copy
     fn take_other_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<FrameHead, RejectReason> {
         let received = frame.received(self.role.peer(), self.layout);
-        self.take(time, received.as_deref().map_err(|error| *error))
+        self.take(time, self.layout.axes, received.as_deref().map_err(|error| *error))
     }
 
     #[inline(always)] // as all of what takes a frame: docs/architecture.md
-    fn take(&mut self, time: LinkTime, frame: Result<&Frame, WireError>) -> Result<FrameHead, RejectReason> {
+    fn take(
+        &mut self,
+        time: LinkTime,
+        axes: usize,
+        frame: Result<&Frame, WireError>,
+    ) -> Result<FrameHead, RejectReason> {
         let LinkTime { tick_ns: now_ns, by_ns } = time;
         let frame = frame.inspect_err(|_| self.statistics.refused += 1)?;
         let begins = match &self.newest {
@@ -323,7 +333,7 @@ impl FrameLink {
         match &mut self.newest {
             // In place: a frame is large.
             Some(newest) => {
-                newest.frame.replace(frame);
+                newest.frame.replace(frame, axes);
                 (newest.arrived_ns, newest.by_ns) = (now_ns, by_ns);
             }
             None => self.newest = Some(Newest { frame: *frame, arrived_ns: now_ns, by_ns }),
@@ -398,43 +408,42 @@ impl FrameLink {
     }
 
     /// The next frame, not written.
-    #[inline(always)] // as all that makes a frame: docs/architecture.md
     pub fn next_frame(&mut self, time: LinkTime, status: Status, port: &PortState) -> Frame {
+        let mut frame = Frame::EMPTY;
+        self.fill_frame(time, self.layout.axes, status, port, &mut frame);
+        frame
+    }
+
+    /// Makes the next frame, of `axes` axes, of an empty one or of one that this link has made before.
+    #[inline(always)] // as all that makes a frame: docs/architecture.md
+    pub(crate) fn fill_frame(
+        &mut self,
+        time: LinkTime,
+        axes: usize,
+        status: Status,
+        port: &PortState,
+        frame: &mut Frame,
+    ) {
         let sent_ns = time.by_ns;
-        let echo = self.newest.as_ref().map(|newest| Echo {
+        let FrameLayout { kind, has_gripper, has_buttons, .. } = self.layout;
+        (frame.role, frame.kind, frame.axes) = (self.role, kind, axes);
+        let Status { state, hears_peer, clutch, ending, reason, fault, text } = status;
+        (frame.state, frame.hears_peer, frame.clutch, frame.ending) = (state, hears_peer, clutch, ending);
+        (frame.reason, frame.fault, frame.text) = (reason, fault, text);
+        (frame.run_id, frame.sequence, frame.sent_ns) = (self.run_id, self.next_sequence, sent_ns);
+        frame.echo = self.newest.as_ref().map(|newest| Echo {
             run_id: newest.frame.run_id,
             sequence: newest.frame.sequence,
             sent_ns: newest.frame.sent_ns,
             held_ns: sent_ns.saturating_sub(newest.by_ns),
         });
-        let FrameLayout { axes, kind, has_gripper, has_buttons } = self.layout;
-        let frame = Frame {
-            role: self.role,
-            axes,
-            kind,
-            state: status.state,
-            hears_peer: status.hears_peer,
-            clutch: status.clutch,
-            run_id: self.run_id,
-            sequence: self.next_sequence,
-            sent_ns,
-            echo,
-            position: port.position,
-            velocity: port.velocity,
-            force: port.force,
-            rotation: if kind == SideKind::Pose { port.rotation } else { None },
-            energy: port.energy,
-            gripper: has_gripper.then(|| port.gripper.unwrap_or_default()),
-            buttons: has_buttons.then(|| port.buttons.unwrap_or_default()),
-            ending: status.ending,
-            reason: status.reason,
-            fault: status.fault,
-            text: status.text,
-        };
+        frame.take_port(port, axes);
+        frame.rotation = if kind == SideKind::Pose { port.rotation } else { None };
+        frame.gripper = has_gripper.then(|| port.gripper.unwrap_or_default());
+        frame.buttons = has_buttons.then(|| port.buttons.unwrap_or_default());
         self.path.sent(self.next_sequence, sent_ns);
         self.next_sequence += 1;
         self.statistics.sent += 1;
-        frame
     }
 
     /// Whether the newest frame says that the peer hears this very run, not one before it or another's.

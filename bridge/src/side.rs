@@ -42,7 +42,8 @@ pub trait Side {
     /// [`receive`](Self::receive) is run with [`encoded`](crate::VirtualSettings::encoded) frames.
     #[inline(always)] // as all of what takes a frame: docs/architecture.md
     fn receive_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<(), RejectReason> {
-        self.exchange_mut().receive_frame(time, frame)
+        let axes = self.axes();
+        self.exchange_mut().receive_frame(time, frame, axes)
     }
 
     /// Reads the plant, decides, writes the plant.
@@ -68,8 +69,15 @@ pub trait Side {
 
     /// The frame of this tick, not written.
     #[inline(always)] // as all that makes a frame: docs/architecture.md
-    fn next_frame(&mut self, time: LinkTime) -> Frame {
-        self.exchange_mut().next_frame(time)
+    fn fill_frame(&mut self, time: LinkTime, frame: &mut Frame) {
+        let axes = self.axes();
+        self.exchange_mut().fill_frame(time, axes, frame);
+    }
+
+    /// Number of axes; of a side of a fixed number a constant, by which frames are copied in a few instructions.
+    #[inline(always)]
+    fn axes(&self) -> usize {
+        self.exchange().link().layout().axes
     }
 
     /// Carries out a command of the operator at this side. Returns whether it changed anything: a release where the
@@ -297,6 +305,11 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for MasterSide<P, N,
         }
     }
 
+    #[inline(always)]
+    fn axes(&self) -> usize {
+        N
+    }
+
     fn has_button(&self) -> bool {
         // Before the first tick the plant alone knows.
         self.has_mapped_clutch() || self.button.is_there() || self.plant.clutch().is_some()
@@ -490,6 +503,11 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side for SlaveSide<P, N, R>
 
     fn rest(&mut self) {
         self.plant.stop();
+    }
+
+    #[inline(always)]
+    fn axes(&self) -> usize {
+        N
     }
 
     fn exchange(&self) -> &Exchange {

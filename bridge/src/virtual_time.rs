@@ -174,12 +174,12 @@ impl OneWay {
         let packet = self.next_packet(now_ns, self.frame_size);
         self.sent.push(packet);
         let slot = if let Some(slot) = self.frames.free.pop() {
-            // In place: a frame is large.
-            self.frames.slots[slot] = side.next_frame(time);
             slot
         } else {
-            self.frames.insert(build_frame(side, time))
+            self.frames.insert(Frame::EMPTY)
         };
+        // In place: a frame is large.
+        side.fill_frame(time, &mut self.frames.slots[slot]);
         self.check_length(&self.frames.slots[slot]);
         self.sent_slots.push(slot);
     }
@@ -261,7 +261,9 @@ impl OneWay {
 /// The next frame of a side where it is not made in place.
 #[inline(never)]
 fn build_frame(side: &mut impl Side, time: LinkTime) -> Frame {
-    side.next_frame(time)
+    let mut frame = Frame::EMPTY;
+    side.fill_frame(time, &mut frame);
+    frame
 }
 
 /// When the earliest of what is sent at `now_ns` arrives. At one instant the master is first: whenever the slave does that

@@ -132,6 +132,7 @@ impl<const N: usize> Arm<N> {
 
     /// Refuses a sample that is further from the last than any arm moves in the time between, and begins anew from there:
     /// `|x - x_last| / t` and `|log(R R_last^T)| / t`.
+    #[inline(always)] // once a tick, from few places
     fn check_jump(&mut self, now_ns: u64, reading: &SlaveReading<N>) -> Result<(), Fault> {
         let orientation = reading.rotation.as_ref().map(|rotation| rotation.orientation);
         let before = std::mem::replace(&mut self.last, orientation);

@@ -167,9 +167,9 @@ impl Exchange {
 
     /// The same of a frame whose bytes nobody has looked at, without them.
     #[inline(always)] // as all of what takes a frame: docs/architecture.md
-    pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<(), RejectReason> {
+    pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame, axes: usize) -> Result<(), RejectReason> {
         let is_known = self.link.newest().is_some();
-        let head = self.link.take_frame(time, frame)?;
+        let head = self.link.take_frame(time, frame, axes)?;
         self.accepted(time, is_known, &head);
         Ok(())
     }
@@ -376,8 +376,15 @@ impl Exchange {
     }
 
     /// The frame of this tick, not written.
-    #[inline(always)] // as all that makes a frame: docs/architecture.md
     pub fn next_frame(&mut self, time: LinkTime) -> Frame {
+        let mut frame = Frame::EMPTY;
+        self.fill_frame(time, self.link.layout().axes, &mut frame);
+        frame
+    }
+
+    /// Makes the frame of this tick, of `axes` axes, of an empty one or of one that this side has made before.
+    #[inline(always)] // as all that makes a frame: docs/architecture.md
+    pub(crate) fn fill_frame(&mut self, time: LinkTime, axes: usize, frame: &mut Frame) {
         // Who ends follows and leads no more, whatever its ladder says.
         let state = match self.ladder.state() {
             state if self.ending && !state.is_held() => LadderState::Disengaged,
@@ -394,7 +401,7 @@ impl Exchange {
             fault: self.fault,
             text: self.spoken.next_piece(),
         };
-        self.link.next_frame(time, status, &self.outgoing)
+        self.link.fill_frame(time, axes, status, &self.outgoing, frame);
     }
 
     /// The loop was late by more than the ladder allows, until `now_ns`.

@@ -104,6 +104,7 @@ impl<const N: usize> SlaveEndpoint<N> {
     }
 
     /// One tick of what the arm measures.
+    #[inline(always)] // once a tick, from few places
     pub fn tick(&mut self, now_ns: u64, reading: &SlaveReading<N>) -> SlaveTick<N> {
         let Self { arm, exchange } = self;
         if exchange.events.peer_began {

@@ -410,15 +410,26 @@ pub(super) fn channels<R>(
     address: SocketAddr,
     outputs: RecordOutputs<R>,
 ) -> (LoopChannels, RecordSinks<R>, LiveWatch, RecordReader<R>, Arc<Shared>) {
-    let shared = Arc::<Shared>::default();
+    let recording = outputs.recorder.as_ref().map(Recorder::recording);
+    let (channels, watch, shared) = rings(started_ns, address, recording);
     let (to_reader, records) = mpsc::sync_channel(1);
+    let reader = RecordReader { records, room: outputs.newest.room(), handle: watch.handle().clone() };
+    (channels, RecordSinks { to_reader, outputs }, watch, reader, shared)
+}
+
+/// The same without the records; compiled once for all types of records.
+fn rings(
+    started_ns: u64,
+    address: SocketAddr,
+    recording: Option<Recording>,
+) -> (LoopChannels, LiveWatch, Arc<Shared>) {
+    let shared = Arc::<Shared>::default();
     let (to_events, events) = rtrb::RingBuffer::new(MAX_EVENTS);
     let (to_flights, flights) = ring(MAX_FLIGHTS);
     let (to_diagnoses, diagnoses) = ring(MAX_DIAGNOSES);
     let (commands, given) = rtrb::RingBuffer::new(MAX_COMMANDS);
     let (from_port, controlled) = rtrb::RingBuffer::new(MAX_COMMANDS);
     let handle = LiveHandle(Arc::clone(&shared));
-    let reader = RecordReader { records, room: outputs.newest.room(), handle: handle.clone() };
     let watch = LiveWatch {
         port: Some(ControlPort { handle: handle.clone(), commands: from_port }),
         handle,
@@ -429,7 +440,7 @@ pub(super) fn channels<R>(
         diagnosis: None,
         commands,
         address,
-        recording: outputs.recorder.as_ref().map(Recorder::recording),
+        recording,
     };
     let channels = LoopChannels {
         events: to_events,
@@ -437,6 +448,5 @@ pub(super) fn channels<R>(
         diagnoses: to_diagnoses,
         commands: CommandQueue { started_ns: Some(started_ns), given, controlled },
     };
-    let sinks = RecordSinks { to_reader, outputs };
-    (channels, sinks, watch, reader, shared)
+    (channels, watch, shared)
 }

@@ -251,12 +251,22 @@ impl<R> Recorder<R> {
     /// Waits until all is written, but not for a disk that does not answer.
     pub(crate) fn end(self) -> RecordingReport {
         let Self { records, notes, progress, ended } = self;
-        drop((notes, records));
-        if ended.recv_timeout(PATIENCE).is_err() {
-            progress.set_end(RecordingEnd::Stuck);
-        }
-        progress.report()
+        drop(records);
+        await_writer(notes, &progress, &ended)
     }
+}
+
+/// Closes the last ring of a writer and waits for it; compiled once for all types of records.
+fn await_writer(
+    notes: rtrb::Producer<Note>,
+    progress: &Progress,
+    ended: &mpsc::Receiver<()>,
+) -> RecordingReport {
+    drop(notes);
+    if ended.recv_timeout(PATIENCE).is_err() {
+        progress.set_end(RecordingEnd::Stuck);
+    }
+    progress.report()
 }
 
 /// How long an empty ring is left alone: a small part of the time in which it fills.

@@ -34,12 +34,11 @@ pub(crate) fn simulate<const N: usize>(
     }
     let rendering = rendered_walls::<N>(environment_spec, !is_continuous)?;
     let run = local_run(scene, rendering, research)?;
-    if is_continuous {
-        let mut touches = Touches::default();
-        run.follow(scene, stop, move |_, _, looped, log| touches.log(looped.plant(), log))
-    } else {
-        run.follow(scene, stop, log_touch)
-    }
+    let mut continuous = is_continuous.then(Touches::default);
+    run.follow(scene, stop, move |time_s, tick, looped, log| match &mut continuous {
+        Some(touches) => touches.log(looped.plant(), log),
+        None => log_touch(time_s, tick, looped, log),
+    })
 }
 
 fn log_touch<R: Rendering<N> + Surfaces<N>, const N: usize>(

@@ -82,6 +82,7 @@ impl<S: Side> Side for Timed<S> {
         self.side.begin(now_ns);
     }
 
+    #[inline(always)] // once a tick, from few places
     fn tick_into(&mut self, time: TickTime, record: &mut S::Record) {
         while let Some(command) = self.commands.due(time.now_ns - time.start_ns) {
             // They were checked when the scene was built.
@@ -92,6 +93,11 @@ impl<S: Side> Side for Timed<S> {
 
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {
         self.side.command(now_ns, command)
+    }
+
+    #[inline(always)]
+    fn axes(&self) -> usize {
+        self.side.axes()
     }
 
     fn has_button(&self) -> bool {

@@ -155,9 +155,14 @@ impl<R> Telemetry<R> {
 impl<R> Drop for Telemetry<R> {
     /// Waits until all was sent, but not for readers that do not take it.
     fn drop(&mut self) {
-        let _ = self.state.compare_exchange(RUNNING, FAILED, Ordering::Release, Ordering::Relaxed);
-        let _ = self.sent.recv_timeout(PATIENCE);
+        await_sender(&self.state, &self.sent);
     }
+}
+
+/// Waits for a sender; compiled once for all types of records.
+fn await_sender(state: &AtomicU8, sent: &mpsc::Receiver<()>) {
+    let _ = state.compare_exchange(RUNNING, FAILED, Ordering::Release, Ordering::Relaxed);
+    let _ = sent.recv_timeout(PATIENCE);
 }
 
 /// Sends a frame every 1/60 s until the loop is over and all was sent.

@@ -351,7 +351,7 @@ proptest! {
             text: TextPiece { number: !number, index: !index, bytes: [letter; PIECE] },
         };
         for mut before in [plain, full] {
-            before.replace(&frame);
+            before.replace(&frame, 3);
             prop_assert_eq!(format!("{before:?}"), format!("{frame:?}"));
         }
     }
