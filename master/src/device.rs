@@ -174,11 +174,7 @@ pub(crate) fn exerted<const N: usize, S: Real>(
     max_force_n: S,
     quantum: S,
     is_exact: bool,
-    is_unbounded: bool,
 ) -> Axes<N, S> {
-    if is_exact && is_unbounded {
-        return *commanded;
-    }
     let norm = if N == 1 { commanded[0].magnitude() } else { commanded.dot(commanded).root() };
     let is_within = norm.simd_le(max_force_n);
     if is_exact && is_within.all() {
@@ -233,10 +229,10 @@ mod tests {
     #[test]
     fn motors_bound_the_vector_and_round_each_axis() {
         let commanded = Axes::<2>::new(6.0, 8.0);
-        assert!((exerted(&commanded, 5.0, 0.0, true, false) - Axes::<2>::new(3.0, 4.0)).norm() < 1e-15);
-        assert_eq!(exerted(&commanded, f64::INFINITY, 0.0, true, false), commanded);
-        assert!((exerted(&commanded, 5.0, 0.7, false, false) - Axes::<2>::new(2.8, 4.2)).norm() < 1e-15);
-        assert_eq!(exerted(&Axes::<1>::zeros(), 5.0, 0.0, true, false)[0], 0.0);
+        assert!((exerted(&commanded, 5.0, 0.0, true) - Axes::<2>::new(3.0, 4.0)).norm() < 1e-15);
+        assert_eq!(exerted(&commanded, f64::INFINITY, 0.0, true), commanded);
+        assert!((exerted(&commanded, 5.0, 0.7, false) - Axes::<2>::new(2.8, 4.2)).norm() < 1e-15);
+        assert_eq!(exerted(&Axes::<1>::zeros(), 5.0, 0.0, true)[0], 0.0);
     }
 
     #[test]

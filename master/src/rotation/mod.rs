@@ -222,7 +222,7 @@ impl SimulatedRotation {
     pub fn write(&mut self, torque: &Axes<3>) {
         let commanded = if torque.iter().all(|t| t.is_finite()) { *torque } else { Axes::zeros() };
         self.held_torque = match self.device.max_torque_n_m {
-            Some(bound) => exerted(&commanded, bound, 0.0, true, false),
+            Some(bound) => exerted(&commanded, bound, 0.0, true),
             None => commanded,
         };
     }

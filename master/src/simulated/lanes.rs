@@ -345,7 +345,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
             commanded[axis] = force[axis].select(finite, zero);
         }
         let DeviceLanes { max_force_n, force_quantum_n, is_exact, .. } = self.device;
-        self.held_force = exerted(&commanded, max_force_n, force_quantum_n, is_exact, false);
+        self.held_force = exerted(&commanded, max_force_n, force_quantum_n, is_exact);
     }
 
     /// Advances those with a bit in `lanes` that may be in their lanes; returns which these are.

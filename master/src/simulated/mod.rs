@@ -177,7 +177,7 @@ impl<const N: usize> SimulatedMaster<N> {
     pub fn write(&mut self, force: &Axes<N>) {
         let commanded = if force.iter().all(|f| f.is_finite()) { *force } else { Axes::zeros() };
         let quantum = self.device.force_quantum_n;
-        self.held_force = exerted(&commanded, self.device.max_force_n, quantum, quantum == 0.0, false);
+        self.held_force = exerted(&commanded, self.device.max_force_n, quantum, quantum == 0.0);
     }
 
     /// True position in m, which no encoder measures.
