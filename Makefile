@@ -50,17 +50,17 @@ demo: $(EXTENSION) ## run `haptether demo`
 NOT_THOROUGH = $() and not thorough
 LIVE_AT_ONCE := 4
 
-# Tests of real time: which options, which markers. What fails is decided by further tries with no other test beside it,
-# which is said: a machine that others use fails them at times. More than so many are no coincidence.
-MAX_ANEW := 16
-anew = $(BIN)/python -m tests.anew --most $(MAX_ANEW) -m '$(2)' -- $(1)
+# Tests of real time: options and markers of pytest. Each test that fails is retried once, by itself; out/retries.json
+# lists the retries of both runs.
+with_retries = $(BIN)/python -m tests.retry -m '$(2)' -- $(1)
 
 .PHONY: test
 test: $(EXTENSION) ## cargo test and pytest
+	@rm -f out/retries.json
 	cargo test --locked
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m 'not live and not alone$(NOT_THOROUGH)'
-	$(call anew,--numprocesses $(LIVE_AT_ONCE) --dist worksteal,live and not alone$(NOT_THOROUGH))
-	$(call anew,,alone$(NOT_THOROUGH))
+	$(call with_retries,--numprocesses $(LIVE_AT_ONCE) --dist worksteal,live and not alone$(NOT_THOROUGH))
+	$(call with_retries,,alone$(NOT_THOROUGH))
 
 .PHONY: thorough
 thorough: NOT_THOROUGH :=

@@ -1,7 +1,7 @@
 """When each processor of a machine stood still: a sleeper above all loops on each of them.
 
-`python -m tests.ur.machine_stalls CPU SECONDS` sleeps for so long again and again until its standard input ends, and
-prints when it overslept and by how much.
+`python -m tests.ur.machine_stalls CPU` sleeps again and again until its standard input ends, and prints when it
+overslept and by how much.
 """
 
 import contextlib
@@ -20,7 +20,7 @@ MIN_S = 0.002
 """Two periods of an arm: what is shorter makes no frame late."""
 
 
-def overslept(sleep_s: float) -> list[tuple[float, float]]:
+def overslept() -> list[tuple[float, float]]:
     """Until standard input ends: when a sleep ended, on the system's monotonic clock, and how much too late, in s."""
     ended = threading.Event()
 
@@ -31,20 +31,20 @@ def overslept(sleep_s: float) -> list[tuple[float, float]]:
     threading.Thread(target=wait, daemon=True).start()
     seen = []
     while not ended.is_set():
-        due_s = time.monotonic() + sleep_s
-        time.sleep(sleep_s)
+        due_s = time.monotonic() + SLEEP_S
+        time.sleep(SLEEP_S)
         if (late_s := (now_s := time.monotonic()) - due_s) > MIN_S:
             seen.append((now_s, late_s))
     return seen
 
 
 @contextlib.contextmanager
-def machine_stalls(sleep_s: float = SLEEP_S) -> Iterator[list[tuple[float, float]]]:
+def machine_stalls() -> Iterator[list[tuple[float, float]]]:
     """At the end, when some processor stood still and for how long; empty where the system grants no real time."""
     found: list[tuple[float, float]] = []
     children = [
         subprocess.Popen(
-            [sys.executable, "-m", "tests.ur.machine_stalls", str(cpu), str(sleep_s)],
+            [sys.executable, "-m", "tests.ur.machine_stalls", str(cpu)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )
         for cpu in sorted(os.sched_getaffinity(0))
@@ -65,4 +65,4 @@ if __name__ == "__main__":
         # It would show what other processes take of the machine, the loops among them.
         print("[]")
     else:
-        print(json.dumps(overslept(float(sys.argv[2]))))
+        print(json.dumps(overslept()))

@@ -1,4 +1,4 @@
-"""Tests of several processes on a machine that others use, too: measured anew where it stood still."""
+"""Tests of several processes on a machine that others use, too: repeated after a stall of the machine."""
 
 import functools
 import os
@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import ParamSpec, Self
 
 from tests.left_runs import end_left_runs
+from tests.retry import REPEATED
 
 P = ParamSpec("P")
 SLEEP_S = 0.002
@@ -46,7 +47,7 @@ class Stalls:
 
 
 def anew_after_stalls(test: Callable[P, None]) -> Callable[P, None]:
-    """A test that fails counts only where the machine did not stand still meanwhile, or at the third time."""
+    """Repeats a test that failed during a stall of the machine, up to the third try; `tests.retry` lists it."""
 
     @functools.wraps(test)
     def run(*arguments: P.args, **named: P.kwargs) -> None:
@@ -54,9 +55,11 @@ def anew_after_stalls(test: Callable[P, None]) -> Callable[P, None]:
             with Stalls() as stalls:
                 try:
                     test(*arguments, **named)
-                except (AssertionError, subprocess.TimeoutExpired):
+                except (AssertionError, subprocess.TimeoutExpired) as error:
                     if left == 0 or stalls.worst_s < STALL_S:
                         raise
+                    message = (str(error).splitlines() or [""])[0]
+                    print(f"{REPEATED} for {1e3 * stalls.worst_s:.0f} ms: {type(error).__name__}: {message}")
                     end_left_runs()
                 else:
                     return
