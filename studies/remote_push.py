@@ -78,7 +78,7 @@ class PushResult(msgspec.Struct, frozen=True, kw_only=True):
     holds: int
     """How often the slave was silent for more than 20 ms."""
     dropped_records: int
-    """Ticks that are missing from these figures, because nobody read them in time."""
+    """Ticks that are missing from these figures, because only the last of a run are kept."""
     unsent: int
     """Frames that the system refused to send."""
     force_at_release_n: float | None

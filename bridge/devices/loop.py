@@ -324,7 +324,7 @@ class DeviceRun(_LiveSide):
         return bool(self.notes.realtime) or self.finished
 
     def poll(self) -> int:
-        """Takes over the records so far and returns their number."""
+        """Collects what is young, and returns how many ticks the trace holds by now."""
         gc.collect(0)
         return self._loop.poll()
 

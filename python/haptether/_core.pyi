@@ -2077,7 +2077,7 @@ class LoopReport:
 
     @property
     def dropped_records(self) -> int:
-        """Records lost because nobody polled in time."""
+        """Ticks that newer ones have replaced in the trace: it holds the last `keep_s`."""
 
     @property
     def unsent(self) -> int:
@@ -2201,7 +2201,7 @@ class _LiveSide:
         """How the recording stands; none without one."""
 
     def poll(self) -> int:
-        """Takes over the records so far and returns their number; up to 65536 wait between two calls."""
+        """How many ticks the trace holds by now."""
 
     def stop(self) -> None:
         """Requests the loop to end after its current tick."""
@@ -2323,7 +2323,8 @@ class LiveMaster(_MasterSide):
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
         started_s: When the operator started this side, by `time.monotonic()`; without it now. At the first tick it counts
             as a press of the clutch if it is at most 5 s old.
-        keep_s: How much of the end of the run the trace holds, in s; its memory is taken at the start.
+        keep_s: How much of the end of the run the trace holds, in s; its memory is taken at the start. By default 16 MiB:
+            87 s of a master along one axis, 24 s of poses.
         realtime: "auto": requests SCHED_FIFO and locked memory, and goes on without; "off": requests nothing; "require":
             fails without.
         priority: Under SCHED_FIFO, 1 to 99.
@@ -2352,7 +2353,7 @@ class LiveMaster(_MasterSide):
         duration_s: float | None = None,
         patience_s: float | None = None,
         started_s: float | None = None,
-        keep_s: float = 60.0,
+        keep_s: float | None = None,
         realtime: str = "auto",
         priority: int = 80,
         cpu: int | None = None,
@@ -2391,7 +2392,7 @@ class LiveSlave(_SlaveSide):
         insecure: bool = False,
         duration_s: float | None = None,
         patience_s: float | None = None,
-        keep_s: float = 60.0,
+        keep_s: float | None = None,
         realtime: str = "auto",
         priority: int = 80,
         cpu: int | None = None,
@@ -2436,7 +2437,7 @@ class MasterLoop(_MasterSide, _DrivenLoop):
         duration_s: float | None = None,
         patience_s: float | None = None,
         started_s: float | None = None,
-        keep_s: float = 60.0,
+        keep_s: float | None = None,
         realtime: str = "auto",
         priority: int = 80,
         cpu: int | None = None,
@@ -2512,7 +2513,7 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
         insecure: bool = False,
         duration_s: float | None = None,
         patience_s: float | None = None,
-        keep_s: float = 60.0,
+        keep_s: float | None = None,
         realtime: str = "auto",
         priority: int = 80,
         cpu: int | None = None,

@@ -24,8 +24,8 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<LiveSlave>()
 }
 
-/// Starts a loop on a thread of its own. Without the interpreter: once a first loop has locked the process's memory, the
-/// rings of the next take 100 ms to map.
+/// Starts a loop on a thread of its own. Without the interpreter: all room for records is touched first,
+/// which takes its time.
 fn start(py: Python<'_>, scene: &[u8], run_id: u64, place: Place) -> PyResult<(Mutex<LiveRun>, Watched)> {
     py.detach(|| {
         let (parts, control) = place.open()?;

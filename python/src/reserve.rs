@@ -82,6 +82,12 @@ pub(crate) fn fill() -> bool {
     if !RESERVE.load(Ordering::Acquire).is_null() {
         return true;
     }
+    // Memory that modules have freed while they loaded goes back: it would be locked with the rest.
+    #[cfg(target_env = "gnu")]
+    // SAFETY: it only gives back what is free.
+    unsafe {
+        libc::malloc_trim(0);
+    }
     let mut first: *mut u8 = ptr::null_mut();
     for _ in 0..BLOCKS {
         // SAFETY: not of size zero; what is written lies within.

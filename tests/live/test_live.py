@@ -309,6 +309,49 @@ def test_demo_shows_that_protection_holds(tmp_path: Path) -> None:
     assert (tmp_path / "demo.png").stat().st_size > 10_000
 
 
+MAX_MIB = 120.0
+"""Most memory that a side uses and locks by default."""
+
+def status_mib(pid: int) -> dict[str, float]:
+    """The sizes in /proc/PID/status."""
+    lines = (line.split() for line in Path(f"/proc/{pid}/status").read_text().splitlines())
+    return {name.rstrip(":"): int(size) / 1024.0 for name, size, *unit in lines if unit == ["kB"]}
+
+
+def loop_faults(pid: int) -> int:
+    """Page faults of the loop's thread so far."""
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        if (task / "comm").read_text().strip() == "haptether-loop":
+            fields = (task / "stat").read_text().rpartition(")")[2].split()
+            return int(fields[7]) + int(fields[9])
+    pytest.fail("it has no loop")
+
+
+@pytest.mark.parametrize("recorded", [False, True], ids=["alone", "recorded"])
+@pytest.mark.parametrize("scene", [[], ["--scene", "peg_in_hole"]], ids=["points", "poses"])
+def test_a_side_locks_what_its_ticks_use_and_little_more(
+    key: Path, scene: list[str], recorded: bool, children: list[Child], tmp_path: Path
+) -> None:
+    def start(side: str, *arguments: str) -> Child:
+        outputs = ["--record", str(tmp_path / f"{side}.mcap"), "--min-free-bytes", "0", "--telemetry", str(tmp_path / side)]
+        children.append(Child(side, "--key", str(key), *arguments, *scene, *(outputs if recorded else [])))
+        return children[-1]
+
+    slave = start("slave", "--listen", "127.0.0.1:0")
+    address = slave.address()
+    before = [loop_faults(slave.process.pid)]
+    master = start("master", "--peer", address)
+    master.engaged()
+    before.append(loop_faults(master.process.pid))
+    time.sleep(1.5)
+    for child, faults in zip((slave, master), before, strict=True):
+        sizes = status_mib(child.process.pid)
+        assert max(sizes["VmRSS"], sizes["VmLck"]) <= MAX_MIB, sizes
+        # Without the right to lock it is as it is.
+        if sizes["VmLck"] > 0.0:
+            assert loop_faults(child.process.pid) == faults
+
+
 def descendants(of: int) -> set[int]:
     found = set()
     for entry in Path("/proc").iterdir():

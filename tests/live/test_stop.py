@@ -20,7 +20,7 @@ from tests.scene.two_sides import two_sides
 from tests.soak.memory import anonymous_bytes
 
 from haptether.bridge import LiveSlave, read_recording, scene_json
-from haptether.cli.live.run import FlightFile
+from haptether.cli.live.run import FlightFile, print_kept
 
 pytestmark = pytest.mark.live
 
@@ -219,7 +219,7 @@ def test_a_side_that_idles_and_records_takes_no_more_memory(tmp_path: Path) -> N
     assert grown < 10 * 5_000, f"{grown / 10.0:.0f} bytes a second"
 
 
-def test_what_is_kept_of_a_run_is_bounded_and_in_order() -> None:
+def test_what_is_kept_of_a_run_is_bounded_and_in_order(capsys: pytest.CaptureFixture[str]) -> None:
     slave = LiveSlave(
         scene_json(two_sides()), listen="127.0.0.1:0", run_id=1, insecure=True, keep_s=0.25, patience_s=1.0
     )
@@ -229,6 +229,9 @@ def test_what_is_kept_of_a_run_is_bounded_and_in_order() -> None:
     trace, report = slave.finish()
     assert report.ticks > 500
     assert len(trace) == 250
+    assert report.dropped_records == report.ticks - 250
+    print_kept(trace, report)
+    assert "the figures are of the last 0.249 s: --keep-s keeps more" in capsys.readouterr().err
     assert (np.diff(trace.time_s) > 0.0).all()
     assert trace.time_s[-1] > 0.9
 

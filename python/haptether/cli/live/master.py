@@ -74,12 +74,13 @@ class Master(LiveOptions):
     """End this long after engaging, in s; without it, run until Ctrl-C."""
     patience_s: float = 10.0
     """Give up if the slave has not answered after this time in s."""
-    keep_s: float = 60.0
-    """How much of the end of the run the figures and the trace hold, in s; its memory is taken at the start."""
+    keep_s: float | None = None
+    """How much of the end of the run the figures and the trace hold, in s; its memory is taken at the start. By default
+    600 s with --trace, else 16 MiB: 87 s along one axis, 24 s of poses."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the result as JSON at the end; - for standard output."""
     trace: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Write every tick as NumPy arrays (.npz)."""
+    """Write the ticks of the last --keep-s as NumPy arrays (.npz)."""
 
     def run(self) -> int:
         """Runs until it is stopped; fails if the slave never answered."""
@@ -87,7 +88,7 @@ class Master(LiveOptions):
 
         from haptether.cli.live.options import handed_over, live_arguments, session_key
         from haptether.cli.live.panel_process import panel_process
-        from haptether.cli.live.run import FlightFile, SideWatch
+        from haptether.cli.live.run import FlightFile, SideWatch, print_kept
         from haptether.cli.live.sides import live_scene, start_master, with_clutch
         from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.output import check_distinct, check_target
@@ -115,6 +116,7 @@ class Master(LiveOptions):
         result = measure_push(controller, trace, report, release_at_s)
         answered = bool(np.isfinite(trace.age_s).any())
         self._report(result, summarise_link(trace, report), cause, answered=answered, joints=is_of_joints)
+        print_kept(trace, report)
         if self.trace is not None:
             save_master_trace(trace, self.trace)
         watch.raise_error()

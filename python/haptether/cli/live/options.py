@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 INSECURE = "INSECURE: frames are neither encrypted nor authenticated, anybody who can send can steer"
 """What the screen says of a run in the clear."""
+TRACE_S = 600.0
+"""How much of the end of a run is kept where its ticks are written."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +75,7 @@ def live_arguments(command: "Master | Slave", key: bytearray | None) -> dict[str
         "listen": command.listen,
         "duration_s": command.duration_s,
         "patience_s": command.patience_s,
-        "keep_s": command.keep_s,
+        "keep_s": TRACE_S if command.keep_s is None and getattr(command, "trace", None) else command.keep_s,
         "realtime": command.realtime,
         "priority": command.priority,
         "cpu": command.cpu,

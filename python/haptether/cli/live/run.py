@@ -18,7 +18,7 @@ from haptether.printable import printable
 from haptether.private_file import refuse_link, write_private
 
 if TYPE_CHECKING:
-    from haptether.bridge import LiveMaster, LiveSlave, LoopReport
+    from haptether.bridge import LiveMaster, LiveSlave, LoopReport, MasterTrace, SlaveTrace
     from haptether.cli.live.panel_process import PanelProcess
 
 
@@ -175,6 +175,13 @@ class SideWatch:
             return step.text
         where = f"here: kill -{name} {os.getpid()}" if step.at == self._name else f"there: kill -{name} PID"
         return f"{step.text} ({where})"
+
+
+def print_kept(trace: "MasterTrace | SlaveTrace", report: "LoopReport") -> None:
+    """Says on standard error of which part of the run the figures are, unless it is all of it."""
+    if report.dropped_records and len(trace):
+        kept_s = float(trace.time_s[-1] - trace.time_s[0])
+        print(f"the figures are of the last {kept_s:.3g} s: --keep-s keeps more", file=sys.stderr, flush=True)
 
 
 def print_security(events: list[str]) -> str | None:

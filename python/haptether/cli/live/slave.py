@@ -55,8 +55,9 @@ class Slave(LiveOptions):
     """Give up if no master has come after this time in s; without it, wait for one."""
     flight: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the last states and commands at a stop, at a fault and at the end; `haptether explain` prints them."""
-    keep_s: float = 60.0
-    """How much of the end of the run the figures hold, in s; its memory is taken at the start."""
+    keep_s: float | None = None
+    """How much of the end of the run the figures hold, in s; its memory is taken at the start. By default 16 MiB: 174 s
+    along one axis, 72 s of poses."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the result as JSON at the end; - for standard output."""
 
@@ -72,7 +73,7 @@ class Slave(LiveOptions):
 
         from haptether.cli.live.options import handed_over, live_arguments, session_key
         from haptether.cli.live.panel_process import panel_process
-        from haptether.cli.live.run import FlightFile, SideWatch
+        from haptether.cli.live.run import FlightFile, SideWatch, print_kept
         from haptether.cli.live.sides import start_slave
         from haptether.cli.shared.output import check_distinct, check_target
         from haptether.cli.shared.stop import Stopped
@@ -91,6 +92,7 @@ class Slave(LiveOptions):
             trace, report = slave.finish()
             cause = watch.after_end(report)
         state = self._report(trace, report, cause)
+        print_kept(trace, report)
         watch.raise_error()
         if state == "fault":
             reason = cause.text if cause is not None else fault_message(int(trace.fault[-1]))
