@@ -173,11 +173,8 @@ impl OneWay {
         }
         let packet = self.next_packet(now_ns, self.frame_size);
         self.sent.push(packet);
-        let slot = if let Some(slot) = self.frames.free.pop() {
-            slot
-        } else {
-            self.frames.insert(Frame::EMPTY)
-        };
+        let slot =
+            if let Some(slot) = self.frames.free.pop() { slot } else { self.frames.insert(Frame::EMPTY) };
         // In place: a frame is large.
         side.fill_frame(time, &mut self.frames.slots[slot]);
         self.check_length(&self.frames.slots[slot]);

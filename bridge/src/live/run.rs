@@ -15,7 +15,7 @@ use super::{
     handshakes::StartError,
     live_loop::{LiveLoop, LiveSettings, LoopReport, LoopSide, RecordedSide},
     socket::PeerSocket,
-    system::{self, Kept, RealtimeReport},
+    system::{self, Kept, LaterMemory, RealtimeReport},
 };
 use crate::{
     fault_text::{FaultText, PIECES},
@@ -112,7 +112,7 @@ fn spawned(parts: Parts, watch: &LiveWatch) -> Result<LiveRun, StartError> {
     let Parts { mut plant, socket, channel, channels, settings, shared } = parts;
     let (to_starter, granted) = mpsc::sync_channel(1);
     let thread = std::thread::Builder::new().name("haptether-loop".into()).spawn(move || {
-        let (realtime, _kept) = system::prepare(settings.realtime);
+        let (realtime, _kept) = system::prepare(settings.realtime, LaterMemory::Free);
         let _ = to_starter.send(realtime);
         if realtime.check(settings.realtime.demand).is_err() {
             let recording = plant.abandon();
@@ -311,7 +311,7 @@ impl DriverLoop for Pacing {
             Stage::Ready(parts) => {
                 // There before the memory is locked.
                 let room = Box::new(MaybeUninit::zeroed());
-                let (realtime, kept) = system::prepare(self.settings.realtime);
+                let (realtime, kept) = system::prepare(self.settings.realtime, LaterMemory::Locked);
                 realtime.check(self.settings.realtime.demand)?;
                 (self.realtime, self.kept) = (realtime, Some(kept));
                 let (plant, socket, channel, channels) = *parts;

@@ -17,7 +17,7 @@ use std::{
 use haptether_netsim::{ScheduleBefore, schedule_fifo};
 use rustix::{
     io::Errno,
-    mm::{mlock, munlockall},
+    mm::{MlockAllFlags, mlock, mlockall, munlockall},
     param::page_size,
     process::{Resource, getrlimit},
     thread::{
@@ -215,14 +215,14 @@ impl fmt::Display for RealtimeReport {
 }
 
 /// Requests all of it for this thread; what is returned must live as long as it is to last.
-pub(super) fn prepare(settings: RealtimeSettings) -> (RealtimeReport, Kept) {
+pub(super) fn prepare(settings: RealtimeSettings, later: LaterMemory) -> (RealtimeReport, Kept) {
     request_prompt_wakeups();
     if settings.demand == RealtimeDemand::Off {
         return (RealtimeReport::default(), Kept::default());
     }
     let schedule = ScheduleBefore::of_this_thread();
     let processors = settings.cpu.and_then(|_| ProcessorsBefore::of_this_thread());
-    let memory = LockedMemory::new();
+    let memory = LockedMemory::new(later);
     let awake = keep_awake();
     let report = RealtimeReport {
         locked: Granted::from_errno(
@@ -299,6 +299,15 @@ fn touch_stack(pages: u32) -> u8 {
 /// Loops whose memory is locked: the kernel locks whole processes, not threads.
 static LOCKING: Mutex<usize> = Mutex::new(0);
 
+/// Memory that the process maps after a loop has begun.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum LaterMemory {
+    /// Free to be paged out: the loop's thread maps none.
+    Free,
+    /// Locked page by page as it is used: a driver in Python allocates in a tick.
+    Locked,
+}
+
 /// The memory that the process uses when a loop begins stays where it is.
 #[derive(Debug)]
 pub(super) struct LockedMemory {
@@ -307,9 +316,15 @@ pub(super) struct LockedMemory {
 }
 
 impl LockedMemory {
-    fn new() -> io::Result<Self> {
+    fn new(later: LaterMemory) -> io::Result<Self> {
         let mut locking = LOCKING.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Err(error) = lock_used() {
+        // Beyond a bound the kernel refuses later memory, which would end the process.
+        let is_bounded = getrlimit(Resource::Memlock).current.is_some() && !may_lock_all();
+        let mut locked = lock_used(is_bounded);
+        if locked.is_ok() && !is_bounded && later == LaterMemory::Locked {
+            locked = mlockall(MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT).map_err(io::Error::from);
+        }
+        if let Err(error) = locked {
             if *locking == 0 {
                 let _ = munlockall();
             }
@@ -328,15 +343,14 @@ const STACK: usize = 256 << 10;
 /// `mlockall` fills whole mappings instead: 8 MiB for each stack, 32 MiB for each thread of OpenBLAS, 64 MiB for each
 /// arena of `malloc` in what the kernel counts, and all of each library.
 #[allow(unsafe_code)] // locks pages, and neither reads nor writes them
-fn lock_used() -> io::Result<()> {
+fn lock_used(is_bounded: bool) -> io::Result<()> {
     let maps = std::fs::read("/proc/self/maps")?;
     let maps = String::from_utf8_lossy(&maps);
     let mappings: Vec<_> = maps.lines().filter_map(Mapping::of_line).collect();
     let (code, frame) = (lock_used as *const () as usize, (&raw const maps).addr());
     let library = mappings.iter().find(|mapping| mapping.addresses.contains(&code)).map(|found| found.file);
     let (pagemap, page) = (File::open("/proc/self/pagemap")?, page_size());
-    // Beyond a bound the kernel refuses; without one it refuses what another thread has unmapped meanwhile.
-    let is_bounded = getrlimit(Resource::Memlock).current.is_some() && !may_lock_all();
+    // Without a bound the kernel refuses only what another thread has unmapped meanwhile.
     let mut entries = Vec::new();
     for Mapping { addresses, file } in &mappings {
         // 8 bytes a page. The highest two bits: in memory, paged out.
@@ -462,7 +476,8 @@ mod tests {
     fn a_processor_that_is_not_there_is_refused_and_nothing_else() {
         for cpu in [u16::MAX, 1023] {
             let settings = RealtimeSettings { cpu: Some(cpu), ..RealtimeSettings::default() };
-            let (report, _kept) = std::thread::spawn(move || prepare(settings)).join().unwrap();
+            let (report, _kept) =
+                std::thread::spawn(move || prepare(settings, LaterMemory::Locked)).join().unwrap();
             assert!(report.cpu.is_refused());
             assert!(!report.is_complete());
         }
@@ -471,7 +486,8 @@ mod tests {
     #[test]
     fn what_the_kernel_says_is_what_is_reported() {
         let settings = RealtimeSettings { priority: 3, ..RealtimeSettings::default() };
-        let (report, kept) = std::thread::spawn(move || prepare(settings)).join().unwrap();
+        let (report, kept) =
+            std::thread::spawn(move || prepare(settings, LaterMemory::Locked)).join().unwrap();
         // Whether it is granted is this machine's; the report must be true either way.
         match report.fifo {
             Granted::Yes(priority) => assert_eq!(priority, 3),
@@ -506,7 +522,7 @@ mod tests {
         const UNUSED: usize = 256 << 20;
         const USED: usize = 8 << 20;
         let (unused, used) = (Vec::<u8>::with_capacity(UNUSED), vec![1_u8; USED]);
-        let Ok(memory) = LockedMemory::new() else { return };
+        let Ok(memory) = LockedMemory::new(LaterMemory::Free) else { return };
         assert!((USED as u64..(UNUSED as u64) / 2).contains(&memory.bytes), "{}", memory.bytes);
         drop((memory, unused, used));
     }
@@ -514,7 +530,8 @@ mod tests {
     #[test]
     fn nothing_is_asked_for_that_nobody_wants() {
         let settings = RealtimeSettings { demand: RealtimeDemand::Off, ..RealtimeSettings::default() };
-        let (report, kept) = std::thread::spawn(move || prepare(settings)).join().unwrap();
+        let (report, kept) =
+            std::thread::spawn(move || prepare(settings, LaterMemory::Locked)).join().unwrap();
         assert_eq!(report, RealtimeReport::default());
         assert!(kept.memory.is_none() && kept.awake.is_none());
     }
