@@ -13,7 +13,6 @@ others take of it shows in the other rounds.
 
 import contextlib
 import json
-import os
 import struct
 import subprocess
 import sys
@@ -25,11 +24,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler  # type: ignore[import-untyped]
 
+from _programs import built
 from _report import bench_options, table_file, write_json
 from haptether.dynamixel import DynamixelBus, SyncRead
 
 EXAMPLE = "example: python benches/dynamixel.py --servos 7 --rounds 5 --json -"
-ROOT = Path(__file__).resolve().parents[1]
 BAUD = 4_000_000
 """Of the clients, which a pseudo-terminal does not go by."""
 WIRES = (0, 1_000_000, 3_000_000, 4_000_000)
@@ -52,13 +51,6 @@ class Round(NamedTuple):
     """Of each."""
     overruns: int
     """How many were not over when the next began."""
-
-
-def built() -> Path:
-    """The example that answers, and runs the clients in Rust."""
-    command = ["cargo", "build", "--quiet", "--release", "--locked", "-p", "haptether-dynamixel"]
-    subprocess.run([*command, "--example", "bus_cycle"], check=True, cwd=ROOT)
-    return Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"), "release", "examples", "bus_cycle")
 
 
 @contextlib.contextmanager
@@ -171,7 +163,7 @@ def main() -> int:
     chosen = options.parse_args()
     if not (1 <= chosen.servos <= 20 and 1 <= chosen.rounds <= 50 and 100 <= chosen.cycles <= 20_000):
         options.error("--servos must be 1 to 20, --rounds 1 to 50, --cycles 100 to 20000")
-    program = built()
+    program = built("bus_cycle")
     cases = [(0, 0), *((wire, rate) for wire in WIRES for rate in RATES)]
     seen: dict[tuple[int, int, str], list[Round]] = {}
     out = table_file(chosen.json)

@@ -24,11 +24,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import cast
 
+from _programs import built
 from _report import bench_options, table_file, write_json
 from haptether.netsim import LinkSettings, Proxy, ProxyStatistics
 
 EXAMPLE = "example: python benches/netsim_live.py --json -"
-ROOT = Path(__file__).resolve().parents[1]
 DELAY_S = 0.02
 EXACT_HZ = 1000
 RATES_HZ = (2_000, 4_000, 8_000, 10_000, 20_000, 30_000, 50_000, 70_000, 100_000)
@@ -152,14 +152,6 @@ class Run:
         return self.lost == 0 and self.offered_hz >= OFFERED * self.rate_hz
 
 
-def build_load() -> Path:
-    """The load's program."""
-    command = ["cargo", "build", "--quiet", "--release", "--locked", "-p", "haptether-netsim"]
-    subprocess.run([*command, "--example", "load"], cwd=ROOT, check=True)
-    target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
-    return target / "release" / "examples" / "load"
-
-
 def free_address() -> str:
     """An address that nobody has, so far."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -251,7 +243,7 @@ def main() -> int:
         options.error("--seconds and --ramp-seconds must be above 0, at most 600")
 
     out = table_file(arguments.json)
-    load = build_load()
+    load = built("load")
     names = ["haptether", "asyncio"]
     if importlib.util.find_spec("uvloop") is not None:
         names.append("uvloop")

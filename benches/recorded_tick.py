@@ -10,7 +10,6 @@ tick and of the lateness are at most 1.05 times those without, by the median ove
 """
 
 import json
-import os
 import socket
 import statistics
 import subprocess
@@ -23,21 +22,14 @@ from typing import Any
 
 import numpy as np
 
+from _programs import built
 from _report import bench_options, print_requirements, table_file, write_json
 from haptether.bridge import LiveMaster, TelemetryReader, load_scene, scene_json
 
 EXAMPLE = "example: python benches/recorded_tick.py --rounds 10 --json -"
-ROOT = Path(__file__).resolve().parents[1]
 CASES = ("telemetry", "recording", "both")
 LATE = ("none", "telemetry", "both")
 REQUIRED_NS, REQUIRED = 100.0, 1.05
-
-
-def built() -> Path:
-    """The example that ticks."""
-    command = ["cargo", "build", "--quiet", "--release", "--locked", "-p", "haptether-bridge"]
-    subprocess.run([*command, "--example", "recorded_tick"], check=True, cwd=ROOT)
-    return Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"), "release", "examples", "recorded_tick")
 
 
 def read_all(path: Path) -> None:
@@ -82,7 +74,7 @@ def main() -> int:
     chosen = options.parse_args()
     if not (1 <= chosen.rounds <= 100 and 1.0 <= chosen.seconds <= 120.0):
         options.error("--rounds must be 1 to 100, --seconds 1 to 120")
-    program = built()
+    program = built("recorded_tick")
     rounds: list[dict[str, dict[str, float]]] = []
     late: list[dict[str, tuple[float, float]]] = []
     for number in range(chosen.rounds):

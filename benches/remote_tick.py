@@ -10,18 +10,17 @@ two runs of a scene differ.
 """
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
+from _programs import built
 from _report import bench_options, print_requirements, table_file, write_json
 from haptether.bridge import load_scene, scene_json
 
 EXAMPLE = "example: python benches/remote_tick.py --repeats 20 --json -"
-ROOT = Path(__file__).resolve().parents[1]
 SHORT_S, LONG_S = 2.0, 12.0
 NETWORK = ["delay_s=0.05", "jitter_s=0.005", "loss=0.01"]
 NONE = ["delay_s=0.0", "jitter_s=0.0", "loss=0.0"]
@@ -32,13 +31,6 @@ ROWS = {
     "3 axes, perfect link": ("three_axis_box", NONE, None),
 }
 """Scene, both directions of its link, and the most that a tick may take in ns."""
-
-
-def build_example() -> Path:
-    """Builds the example that runs the scenes; the path of its program."""
-    command = ["cargo", "build", "--quiet", "--release", "--locked", "-p", "haptether-bridge"]
-    subprocess.run([*command, "--example", "remote_tick"], check=True, cwd=ROOT)
-    return Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"), "release", "examples", "remote_tick")
 
 
 def write_scene(folder: Path, name: str, link: list[str], duration_s: float) -> Path:
@@ -65,7 +57,7 @@ def main() -> int:
     chosen = options.parse_args()
     if not 1 <= chosen.repeats <= 1000:
         options.error("--repeats must be 1 to 1000")
-    program = build_example()
+    program = built("remote_tick")
     rows = []
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)

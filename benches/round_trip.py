@@ -12,23 +12,21 @@ import asyncio
 import importlib
 import json
 import multiprocessing
-import os
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
+from _programs import built
 from _report import bench_options, table_file, write_json
 
 EXAMPLE = "example: python benches/round_trip.py --json -"
-ROOT = Path(__file__).resolve().parents[1]
 BYTES = 164
 """Of a sealed frame of one axis."""
 REQUIRED = 1.3
@@ -192,9 +190,7 @@ def main() -> int:
     arguments = options.parse_args()
     if not (1 <= arguments.turns <= 100 and 100 <= arguments.pings <= 20_000):
         options.error("--turns must be 1 to 100, --pings 100 to 20000")
-    command = ["cargo", "build", "--quiet", "--release", "--locked", "-p", "haptether-bridge"]
-    subprocess.run([*command, "--example", "ping_pong"], check=True, cwd=ROOT)
-    ping_pong = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"), "release", "examples", "ping_pong")
+    ping_pong = built("ping_pong")
 
     rounds: dict[str, list[Taken]] = {}
     for _ in range(arguments.turns):

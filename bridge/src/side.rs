@@ -449,6 +449,7 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side for SlaveSide<P, N, R>
         self.plant.begin(now_ns);
     }
 
+    #[inline(always)] // once a tick, from few places
     fn tick_into(&mut self, time: TickTime, record: &mut SlaveRecord<N, R>) {
         let brakes = self.plant.braking_speeds();
         self.endpoint.set_braking(self.reference_point.map_or(brakes, |point| point.speeds(brakes)));

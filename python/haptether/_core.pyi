@@ -91,7 +91,6 @@ __all__ = [
     "record",
     "replay_recording",
     "run_local",
-    "scene_schema",
     "simulate_scene",
     "sweep_scenes",
     "translate_netem",
@@ -2744,9 +2743,6 @@ class SceneRun:
     @property
     def reports(self) -> tuple[LoopReport, LoopReport] | None:
         """How the loops of master and slave went; none without an arm."""
-
-def scene_schema() -> str:
-    """The JSON schema of a scene of one axis, as `haptether.bridge.scene_json` writes it."""
 
 @type_check_only
 class _ResearchFactory(Protocol):

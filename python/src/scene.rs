@@ -40,7 +40,6 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("PRESS_S", PRESS_NS as f64 / 1e9)?;
     module.add("ROUND_TRIP_S", ROUND_TRIP_S)?;
     module.add("METRICS", PyTuple::new(module.py(), Metric::ALL.map(Metric::name))?)?;
-    module.add_function(wrap_pyfunction!(scene_schema, module)?)?;
     module.add_function(wrap_pyfunction!(simulate_scene, module)?)?;
     module.add_function(wrap_pyfunction!(sweep_scenes, module)?)
 }
@@ -115,12 +114,6 @@ fn metrics_out(py: Python<'_>, outcome: &Outcome, period_s: f64) -> PyResult<Py<
 /// Periods of master and slave in ns.
 pub(crate) fn live_periods(scene: &SceneOutline) -> PyResult<[u64; 2]> {
     Ok([nanoseconds("run.period_s", scene.period_s)?, nanoseconds("slave.period_s", scene.slave_period_s)?])
-}
-
-/// The JSON schema of a scene of one axis.
-#[pyfunction]
-fn scene_schema() -> String {
-    scene::scene_schema()
 }
 
 /// Runs a scene, recorded to the files of master and slave where there are any.

@@ -312,6 +312,7 @@ def test_demo_shows_that_protection_holds(tmp_path: Path) -> None:
 MAX_MIB = 120.0
 """Most memory that a side uses and locks by default."""
 
+
 def status_mib(pid: int) -> dict[str, float]:
     """The sizes in /proc/PID/status."""
     lines = (line.split() for line in Path(f"/proc/{pid}/status").read_text().splitlines())
@@ -333,7 +334,14 @@ def test_a_side_locks_what_its_ticks_use_and_little_more(
     key: Path, scene: list[str], recorded: bool, children: list[Child], tmp_path: Path
 ) -> None:
     def start(side: str, *arguments: str) -> Child:
-        outputs = ["--record", str(tmp_path / f"{side}.mcap"), "--min-free-bytes", "0", "--telemetry", str(tmp_path / side)]
+        outputs = [
+            "--record",
+            str(tmp_path / f"{side}.mcap"),
+            "--min-free-bytes",
+            "0",
+            "--telemetry",
+            str(tmp_path / side),
+        ]
         children.append(Child(side, "--key", str(key), *arguments, *scene, *(outputs if recorded else [])))
         return children[-1]
 

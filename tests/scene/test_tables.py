@@ -5,6 +5,7 @@
 import copy
 import json
 import re
+import subprocess
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptether import _core
+from _programs import built
 from haptether.bridge import (
     ContactTable,
     CouplingTable,
@@ -370,7 +371,7 @@ def test_a_scene_made_in_python_is_held_against_its_ranges_too() -> None:
 # ---------------------------------------------------------------------------------- the Rust side
 
 Schema = dict[str, Any]
-RUST: Schema = json.loads(_core.scene_schema())
+RUST: Schema = json.loads(subprocess.run(built("scene_schema", "quick"), check=True, capture_output=True).stdout)
 PYTHON: Schema = msgspec.json.schema(Scene)
 TABLES: Schema = PYTHON["$defs"]
 LEFT_OUT = {table.__name__: fields for table, fields in PYTHON_ONLY.items()} | {
