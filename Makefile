@@ -57,7 +57,7 @@ with_retries = $(BIN)/python -m tests.retry -m '$(2)' -- $(1)
 .PHONY: test
 test: $(EXTENSION) ## cargo test and pytest
 	@rm -f out/retries.json
-	cargo test --locked --workspace --profile quick --lib --tests
+	cargo test --locked --workspace --profile quick --tests
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m 'not live and not alone$(NOT_THOROUGH)'
 	$(call with_retries,--numprocesses $(LIVE_AT_ONCE) --dist worksteal,live and not alone$(NOT_THOROUGH))
 	$(call with_retries,,alone$(NOT_THOROUGH))

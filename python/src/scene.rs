@@ -14,7 +14,7 @@ use std::{
 };
 
 use haptether_bridge::scene::{
-    self, Metric, Metrics, Outcome, Progress, RecordingFiles, Refused, ResearchFactory, SceneOutline,
+    Metric, Metrics, Outcome, Progress, RecordingFiles, Refused, ResearchFactory, SceneOutline,
     SceneRun, Signal, SweepPart, SweepSettings, Variation, scene_outline, simulate_recorded, sweep_parts,
 };
 use haptether_bridge::{SideKind, coupling::ROUND_TRIP_S, ladder::PRESS_NS};
