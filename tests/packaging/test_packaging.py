@@ -78,7 +78,11 @@ def maturin(*arguments: str, cwd: Path = ROOT, target: Path = TARGET) -> None:
     assert answer.returncode == 0, answer.stdout + answer.stderr
 
 
-def build_wheel(out: Path, cwd: Path = ROOT, target: Path = TARGET, profile: str = "release") -> Path:
+PROFILE = (ROOT / ".tools" / "profile").read_text("utf-8").strip()
+"""The profile of the editable installation: the wheel takes what it has compiled."""
+
+
+def build_wheel(out: Path, cwd: Path = ROOT, target: Path = TARGET, profile: str = PROFILE) -> Path:
     python = ["--interpreter", sys.executable]
     maturin("build", "--profile", profile, "--locked", *python, "--out", str(out), cwd=cwd, target=target)
     (wheel,) = out.glob("*.whl")
