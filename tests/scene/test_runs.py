@@ -26,7 +26,9 @@ CASES: dict[str, tuple[str, list[str], str, npt.NDArray[np.float64]]] = {
     "local, true": ("paper_wall", [*SHORT, "safety.signals=true"], STIFFNESS, np.linspace(100, 500, ROWS)),
     "local, moving wall": ("moving_wall", [], "operator.stiffness", np.linspace(150, 500, ROWS)),
     "bilateral": ("remote_push", [], "run.seed", np.linspace(0, ROWS - 1, ROWS)),
-    "bilateral, lanes apart": ("remote_push", [], "safety.window", np.array([50.0, 100.0, 150.0] * 7)),
+    "bilateral, lanes apart": (
+        "remote_push", ["safety.energy_threshold_j=-0.003"], "safety.window", np.array([50.0, 100.0, 150.0] * 7)
+    ),
     "bilateral, delay": ("remote_push", [], "link.forward.delay_s", np.linspace(0.01, 0.1, ROWS)),
 }  # fmt: skip
 
