@@ -14,8 +14,8 @@ use std::{
 };
 
 use haptether_bridge::scene::{
-    Metric, Metrics, Outcome, Progress, RecordingFiles, Refused, ResearchFactory, SceneOutline,
-    SceneRun, Signal, SweepPart, SweepSettings, Variation, scene_outline, simulate_recorded, sweep_parts,
+    Metric, Metrics, Outcome, Progress, RecordingFiles, Refused, ResearchFactory, SceneOutline, SceneRun,
+    Signal, SweepPart, SweepSettings, Variation, scene_outline, simulate_recorded, sweep_parts,
 };
 use haptether_bridge::{SideKind, coupling::ROUND_TRIP_S, ladder::PRESS_NS};
 use numpy::{PyArrayMethods, PyReadonlyArray1, ToPyArray};

@@ -486,8 +486,7 @@ mod tests {
     #[test]
     fn what_the_kernel_says_is_what_is_reported() {
         let settings = RealtimeSettings { priority: 3, ..RealtimeSettings::default() };
-        let (report, kept) =
-            std::thread::spawn(move || prepare(settings, LaterMemory::Free)).join().unwrap();
+        let (report, kept) = std::thread::spawn(move || prepare(settings, LaterMemory::Free)).join().unwrap();
         // Whether it is granted is this machine's; the report must be true either way.
         match report.fifo {
             Granted::Yes(priority) => assert_eq!(priority, 3),
@@ -530,8 +529,7 @@ mod tests {
     #[test]
     fn nothing_is_asked_for_that_nobody_wants() {
         let settings = RealtimeSettings { demand: RealtimeDemand::Off, ..RealtimeSettings::default() };
-        let (report, kept) =
-            std::thread::spawn(move || prepare(settings, LaterMemory::Free)).join().unwrap();
+        let (report, kept) = std::thread::spawn(move || prepare(settings, LaterMemory::Free)).join().unwrap();
         assert_eq!(report, RealtimeReport::default());
         assert!(kept.memory.is_none() && kept.awake.is_none());
     }
