@@ -695,6 +695,7 @@ impl Frame {
             return Err(WireError::Role(self.role.byte()));
         }
         if own.axes != layout.axes {
+            #[allow(clippy::cast_possible_truncation)] // at most 7
             return Err(WireError::Axes { seen: own.axes as u8, allowed: layout.axes });
         }
         if own.kind != layout.kind {

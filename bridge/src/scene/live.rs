@@ -313,7 +313,7 @@ impl<R: SlaveTurn, const N: usize> SlaveDriverLoop for PacedLoop<Timed<SlaveSide
 fn paced<S: Side<Record: Recorded> + Send + 'static>(
     side: S,
     parts: LiveParts,
-) -> Result<(PacedLoop<S>, LiveWatch, Box<dyn KeptRecords>), LiveError> {
+) -> Result<LiveSide<PacedLoop<S>>, LiveError> {
     let outputs = parts.outputs()?;
     let (paced, watch, records) =
         paced_by_device(side, parts.socket, parts.settings, parts.security, outputs)?;

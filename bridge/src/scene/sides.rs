@@ -245,7 +245,7 @@ pub fn driven_master<const N: usize>(
     run_id: u64,
     simulated_clutch: bool,
 ) -> Result<Timed<MasterSide<LiveDevice<N>, N>>, SceneError> {
-    let device: LiveDevice<N> = Box::new(DrivenMaster::default());
+    let device: LiveDevice<N> = Box::<DrivenMaster<N>>::default();
     let side = MasterSide::new(
         device,
         master_endpoint(scene, run_id, None)?,
