@@ -17,10 +17,11 @@ use haptether_bridge::live::{end_for_lack_of_memory, is_exhausted, memory_is_bac
 #[global_allocator]
 static ALLOCATOR: Reserving = Reserving;
 
-/// Bytes of one block: below what `malloc` maps by itself, so that a block that is freed stays within the process.
-const BLOCK: usize = 1 << 16;
+/// Bytes of one block: below the 128 KiB that `malloc` maps by itself, so that a block that is freed stays within the
+/// process; above the gaps between used pages that are locked, so that the reserve is not.
+const BLOCK: usize = 120 << 10;
 /// 16 MiB: the end of a run, its report included.
-const BLOCKS: usize = 256;
+const BLOCKS: usize = 136;
 /// How often an allocation is tried anew: another thread may be about to free the reserve.
 const ATTEMPTS: usize = 64;
 /// Bytes that must be there to be mapped for a run to go on: what Python allocates at a time.

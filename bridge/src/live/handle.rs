@@ -424,7 +424,7 @@ fn rings(
     recording: Option<Recording>,
 ) -> (LoopChannels, LiveWatch, Arc<Shared>) {
     let shared = Arc::<Shared>::default();
-    let (to_events, events) = rtrb::RingBuffer::new(MAX_EVENTS);
+    let (to_events, events) = ring(MAX_EVENTS);
     let (to_flights, flights) = ring(MAX_FLIGHTS);
     let (to_diagnoses, diagnoses) = ring(MAX_DIAGNOSES);
     let (commands, given) = rtrb::RingBuffer::new(MAX_COMMANDS);

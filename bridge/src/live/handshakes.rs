@@ -12,10 +12,13 @@ use std::{
 };
 
 use super::system;
-use crate::session::{
-    Bucket, EndError, Handshake, HandshakeDatagram, HandshakeDecision, HandshakeError, HandshakeEvent,
-    Outcome, PreSharedKey, Rejection, Rejections, Session, SessionEvent, SessionSettings, Shares, Standing,
-    StillHeard, SystemEntropy, message_is_answer, session_and_epoch,
+use crate::{
+    ring::ring,
+    session::{
+        Bucket, EndError, Handshake, HandshakeDatagram, HandshakeDecision, HandshakeError, HandshakeEvent,
+        Outcome, PreSharedKey, Rejection, Rejections, Session, SessionEvent, SessionSettings, Shares,
+        Standing, StillHeard, SystemEntropy, message_is_answer, session_and_epoch,
+    },
 };
 
 /// What waits in either direction; more is dropped, as a network would.
@@ -114,7 +117,7 @@ impl Handshakes {
     pub(super) fn start(settings: SessionSettings, key: PreSharedKey) -> Result<Self, StartError> {
         let mut entropy = SystemEntropy::new();
         let handshake = Handshake::new(settings, key, &mut entropy).map_err(EndError::from)?;
-        let (requests, to_answer) = rtrb::RingBuffer::new(WAITING);
+        let (requests, to_answer) = ring(WAITING);
         let (to_loop, answers) = rtrb::RingBuffer::new(WAITING);
         let is_over = Arc::new(AtomicBool::new(false));
         let over = Arc::clone(&is_over);
