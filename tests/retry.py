@@ -39,7 +39,7 @@ class Retry:
         return f"{self.test}: {'passed' if self.passed else 'failed'} at try {self.tries}: {self.reason}"
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Outcomes:
     """Pytest plugin: the reason of each failed test, and the repetitions after stalls."""
 
