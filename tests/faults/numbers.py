@@ -56,7 +56,7 @@ def from_device(signal: str) -> Row:
 def from_arm() -> Row:
     """A force at the arm beyond what can be measured: fault at the slave in its tick, where a scene ends.
 
-    What the two sides do then is tested at the endpoints: `bridge/tests/device_failure.rs`.
+    What the two sides do then is tested at the endpoints: `bridge/tests/all/device_failure.rs`.
     """
     found = Complaints()
     took_s, force_n = 0.0, 0.0
