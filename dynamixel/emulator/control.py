@@ -33,11 +33,13 @@ class ControlLine:
     Args:
         bus: The servos.
         process: The process that the bus runs in, if any.
+        made: Makes the bus as it was at the start, for `reset`.
     """
 
-    def __init__(self, bus: "Bus", process: "Server | None" = None) -> None:
+    def __init__(self, bus: "Bus", process: "Server | None" = None, made: "Callable[[], Bus] | None" = None) -> None:
         self._bus = bus
         self._process = process
+        self._made = made
         self.quit = False
         """Whether the process is to end."""
         self._commands: dict[str, Callable[[list[str], float], str | None]] = {
@@ -45,6 +47,7 @@ class ControlLine:
             "status": lambda _a, now_s: json.dumps(self.status(now_s)),
             "log": self._log,
             "quit": self._quit,
+            "reset": self._reset,
             "drop": self._fault("drop"),
             "corrupt": self._fault("corrupt"),
             "mute": self._fault("mute"),
@@ -90,6 +93,12 @@ class ControlLine:
 
     def _quit(self, _arguments: list[str], _now_s: float) -> None:
         self.quit = True
+
+    def _reset(self, _arguments: list[str], _now_s: float) -> None:
+        if self._made is None:
+            _refuse("the bus cannot be made a second time")
+        else:
+            self._bus = self._server.bus = self._made()
 
     def _fault(self, name: str) -> "Callable[[list[str], float], None]":
         def set_fault(arguments: list[str], _now_s: float) -> None:

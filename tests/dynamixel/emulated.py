@@ -22,6 +22,13 @@ class EmulatedBus(Emulated):
         """Path of its terminal."""
         return self.host
 
+    def as_new(self) -> "EmulatedBus":
+        """Itself, as after its start, behind a new terminal: no client of an earlier test has it open."""
+        self.do("unplug")
+        self.do("reset")
+        self.host = self.do("plug")
+        return self
+
     def servo(self, servo_id: int) -> dict[str, Any]:
         """State of one servo."""
         servos: list[dict[str, Any]] = self.status()["servos"]

@@ -57,10 +57,15 @@ def opened(emulated: EmulatedBus, **changes: Any) -> Iterator[ServoArm]:  # noqa
         arm.close()
 
 
-@pytest.fixture
-def emulated() -> Iterator[EmulatedBus]:
+@pytest.fixture(scope="module")
+def shared() -> Iterator[EmulatedBus]:
     with emulated_bus("--servos", *SERVOS, "--start", "0.3", "0.5", "0.2") as running:
         yield running
+
+
+@pytest.fixture
+def emulated(shared: EmulatedBus) -> EmulatedBus:
+    return shared.as_new()
 
 
 def until(condition: Callable[[], bool], patience_s: float = PATIENCE_S) -> float:

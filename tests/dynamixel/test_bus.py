@@ -225,6 +225,7 @@ def test_garbage_does_no_harm(pieces: list[bytes]) -> None:
         ("push 1 1e9", "error: push: 1e+09: must be at most 1000 N m"),
         ("place 1 -2000", "error: place: -2000: must be at most 1000 rad"),
         ("unplug", "error: unplug: there is no port"),
+        ("reset", "error: reset: the bus cannot be made a second time"),
         ("help", "ok brown-out corrupt drop"),
         ("push 1 0.5", "ok"),
         ("place 2 0.25", "ok"),

@@ -27,10 +27,15 @@ OFFSETS = (math.pi / 2, math.pi)
 SIGNS = (1, -1)
 
 
-@pytest.fixture
-def emulated() -> Iterator[EmulatedBus]:
+@pytest.fixture(scope="module")
+def shared() -> Iterator[EmulatedBus]:
     with emulated_bus("--servos", "1=XM430-W350", "2=XL330-M288", "--baud", "1000000") as running:
         yield running
+
+
+@pytest.fixture
+def emulated(shared: EmulatedBus) -> EmulatedBus:
+    return shared.as_new()
 
 
 class Calibration:

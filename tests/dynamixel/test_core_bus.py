@@ -236,11 +236,9 @@ def test_a_late_answer_is_not_taken_for_that_to_the_next_instruction() -> None:
     # Each answer comes 300 ms late, which is after the timeout of 200 ms.
     with emulated_bus("--servos", "1=XM430-W350", "--latency-ms", "300") as emulated:
         bus = DynamixelBus(emulated.port, baud=BAUD, timeout_s=TIMEOUT_S)
-        for _ in range(3):
+        for entry in (PRESENT_POSITION, PRESENT_CURRENT):
             with pytest.raises(TimeoutError):
-                bus.sync_read(SyncRead(PRESENT_POSITION, 4, [1]))
-            with pytest.raises(TimeoutError):
-                bus.sync_read(SyncRead(PRESENT_CURRENT, 4, [1]))
+                bus.sync_read(SyncRead(entry, 4, [1]))
         bus.close()
         patient = DynamixelBus(emulated.port, baud=BAUD, timeout_s=2.0)
         assert patient.sync_read(SyncRead(PRESENT_POSITION, 4, [1])) == (2048).to_bytes(4, "little")

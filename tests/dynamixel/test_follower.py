@@ -32,10 +32,15 @@ high_rad = 1.0
 """
 
 
-@pytest.fixture
-def emulated() -> Iterator[EmulatedBus]:
+@pytest.fixture(scope="module")
+def shared() -> Iterator[EmulatedBus]:
     with emulated_bus("--servos", "1=XM430-W350", "2=XL330-M288", "--start", "0.3", "0.5") as running:
         yield running
+
+
+@pytest.fixture
+def emulated(shared: EmulatedBus) -> EmulatedBus:
+    return shared.as_new()
 
 
 @contextmanager

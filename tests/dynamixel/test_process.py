@@ -28,6 +28,16 @@ def test_it_ends_cleanly(how: str, tmp_path: Path) -> None:
         assert not link.is_symlink()
 
 
+def test_a_reset_makes_all_as_at_the_start() -> None:
+    with emulated_bus("--servos", "1=XM430-W350", "--start", "0.3", "--stops", "1=0.2:0.8") as running:
+        before = running.status()
+        for line in ("place 1 0.7", "voltage 9 1", "silent 1 on", "hardware-error 1 overload"):
+            running.do(line)
+        assert running.status() != before
+        running.do("reset")
+        assert running.status() == before
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -26,10 +26,15 @@ WATCHDOG, STARTUP, RETURN_LEVEL, SECONDARY_ID = 98, 60, 68, 12
 ONE = (ServoSettings(servo_id=1, model="XM430-W350"),)
 
 
-@pytest.fixture
-def two() -> Iterator[EmulatedBus]:
+@pytest.fixture(scope="module")
+def shared() -> Iterator[EmulatedBus]:
     with emulated_bus("--servos", "1=XM430-W350", "2=XM430-W350") as running:
         yield running
+
+
+@pytest.fixture
+def two(shared: EmulatedBus) -> EmulatedBus:
+    return shared.as_new()
 
 
 def set_register(emulated: EmulatedBus, servo_id: int, address: int, value: int) -> None:

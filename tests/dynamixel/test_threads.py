@@ -24,10 +24,15 @@ SOON_S = 1.0
 PATIENCE_S = 20.0
 
 
-@pytest.fixture
-def emulated() -> Iterator[EmulatedBus]:
+@pytest.fixture(scope="module")
+def shared() -> Iterator[EmulatedBus]:
     with emulated_bus("--servos", "1=XM430-W350", "2=XM430-W350", "--start", "0.3", "0.5") as running:
         yield running
+
+
+@pytest.fixture
+def emulated(shared: EmulatedBus) -> EmulatedBus:
+    return shared.as_new()
 
 
 class Call:

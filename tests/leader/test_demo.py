@@ -28,7 +28,8 @@ class Never:
         time.sleep(seconds)
 
 
-@pytest.mark.sampled(1)
+# The same task with a simulated hand: tests/ur/driver/test_demo.py; the leader arm: tests/leader/test_driver.py.
+@pytest.mark.thorough
 @pytest.mark.alone
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("slave", ["simulated", "ur"])

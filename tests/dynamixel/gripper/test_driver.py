@@ -28,12 +28,17 @@ CLOSE = GripperCommand(position=1.0, speed=2.0, force_n=2.0)
 OPEN = GripperCommand(position=0.0, speed=2.0, force_n=2.0)
 
 
-@pytest.fixture
-def emulated() -> Iterator[EmulatedBus]:
+@pytest.fixture(scope="module")
+def shared() -> Iterator[EmulatedBus]:
     """With something between the jaws, at half their way."""
     servos = ("--servos", "1=XM430-W350", "2=XL330-M288", "7=XL330-M288", "--start", "0.3", "0.5", "0.2")
     with emulated_bus(*servos, "--stops", "7=0.2:-0.3") as running:
         yield running
+
+
+@pytest.fixture
+def emulated(shared: EmulatedBus) -> EmulatedBus:
+    return shared.as_new()
 
 
 class Pair:

@@ -60,6 +60,6 @@ def test_busy_processes_end_with_the_run() -> None:
 @pytest.mark.skipif(importlib.util.find_spec("rtde_control") is None, reason="the extra ur is not installed")
 def test_the_first_engagements_of_an_arm_make_no_frame_late() -> None:
     rows: list[str] = []
-    result = measured(4, 2, 0, 3, rows.append)
+    result = measured(2, 2, 0, 3, rows.append)
     assert result["good"], rows
-    assert len(rows) == result["starts"] == 2
+    assert len(rows) == result["starts"] == 1

@@ -277,6 +277,7 @@ def test_a_protective_stop_is_unlocked_after_5_s_by_a_person() -> None:
         watching.end()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("mode", ["servoj", "speedl"])
 @anew_after_stalls
 def test_a_controller_that_dies_is_a_fault_and_the_end_is_bounded(mode: str) -> None:

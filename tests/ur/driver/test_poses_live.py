@@ -34,7 +34,8 @@ def measured(mode: str) -> dict[str, dict[str, Any]]:
     return {row["path"]: row for row in rows}
 
 
-@pytest.mark.sampled(1)
+# In virtual time: tests/ur/driver/test_poses.py; with the real client: the demonstration that turns what it picks up.
+@pytest.mark.thorough
 @pytest.mark.parametrize("mode", LATE_S)
 @anew_after_stalls
 def test_the_arm_follows_poses_and_goes_through_its_wrist(mode: str) -> None:

@@ -84,7 +84,7 @@ class DynamixelEmulator:
         from haptether.cli.emulators.serving import serve
         from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.output import check_target, write_report
-        from haptether.dynamixel.emulator import Bus, ControlLine, Server
+        from haptether.dynamixel.emulator import ControlLine, Server
 
         check_duration("duration_s", self.duration_s)
         check_target(self.json)
@@ -94,9 +94,7 @@ class DynamixelEmulator:
         if not 0.0 <= self.latency_ms <= 1000.0:
             message = f"latency_ms = {self.latency_ms:g}: must be 0 to 1000 ms"
             raise ValueError(message)
-        servos, load = self._servos()
-        bus = Bus(servos, self.seed, load)
-        self._stop(bus)
+        bus = self._bus()
         tcp = self._stream()
         server = Server(
             bus,
@@ -106,7 +104,7 @@ class DynamixelEmulator:
             any_rate=self.any_rate,
             tcp=tcp,
         )
-        line = ControlLine(bus, server)
+        line = ControlLine(bus, server, self._bus)
         reached = "" if tcp is None else f", {'TCP' if self.socket is None else 'socket'} {tcp.address}"
         figures = serve(
             server, line, f"{self._headline(server)}{reached}", lambda: line.status(time.monotonic()),
@@ -115,6 +113,14 @@ class DynamixelEmulator:
         if self.json is not None:
             write_report(self.json, figures)
         return 0
+
+    def _bus(self) -> "Bus":
+        from haptether.dynamixel.emulator import Bus
+
+        servos, load = self._servos()
+        bus = Bus(servos, self.seed, load)
+        self._stop(bus)
+        return bus
 
     def _stream(self) -> "StreamLine | None":
         """The second way to the bus.
