@@ -116,6 +116,7 @@ pub struct FrameLayout {
 impl FrameLayout {
     /// Layout of points along `axes` axes, without gripper and buttons.
     pub const fn of(axes: usize) -> Self {
+        debug_assert!(axes <= MAX_AXES);
         Self { axes, kind: SideKind::Linear, has_gripper: false, has_buttons: false }
     }
 
@@ -423,8 +424,8 @@ pub(crate) fn hears_peer(frame: &[u8]) -> bool {
     frame.get(6).is_some_and(|flags| u16::from(*flags) & HEARS_PEER != 0)
 }
 
-/// What stands in a frame without an echo.
 const NO_NUMBERS: nalgebra::ArrayStorage<f64, MAX_AXES, 1> = nalgebra::ArrayStorage([[0.0; MAX_AXES]]);
+/// The echo of a frame without one.
 const NO_ECHO: Echo = Echo { run_id: 0, sequence: 0, sent_ns: 0, held_ns: 0 };
 
 impl Frame {

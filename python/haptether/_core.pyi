@@ -2252,7 +2252,7 @@ class _MasterSide(_LiveSide):
         """
 
     def finish(self) -> tuple[MasterTrace, LoopReport]:
-        """Ends the loop and returns all its ticks and how it went.
+        """Ends the loop and returns its newest ticks (`keep_s`) and how it went.
 
         Raises:
             RuntimeError: Called a second time, or the loop panicked.
@@ -2274,7 +2274,7 @@ class _SlaveSide(_LiveSide):
         """
 
     def finish(self) -> tuple[SlaveTrace, LoopReport]:
-        """Ends the loop and returns all its ticks and how it went.
+        """Ends the loop and returns its newest ticks (`keep_s`) and how it went.
 
         Raises:
             RuntimeError: Called a second time, or the loop panicked.

@@ -336,6 +336,8 @@ impl SlaveLoop {
             force_n,
             holds_object,
         });
+        // A step that fails leaves no command to the gripper.
+        *locked(&self.beside) = Beside::NOTHING;
         let fault: Option<PyBackedStr> = read_optional("fault", fault, TEXT)?;
         let orientation: Option<[f64; 4]> = read_optional("orientation", orientation, QUATERNION)?;
         let rate: Option<[f64; 3]> = read_optional("angular_velocity", angular_velocity, VECTOR)?;

@@ -193,7 +193,7 @@ impl ControlPort {
 /// Gets the records that a loop has kept, once it has ended.
 #[derive(Debug)]
 pub struct RecordReader<R> {
-    records: mpsc::Receiver<Vec<R>>,
+    records: mpsc::Receiver<Newest<R>>,
     room: usize,
     handle: LiveHandle,
 }
@@ -206,7 +206,7 @@ impl<R> RecordReader<R> {
 
     /// The newest records, the oldest of them first; none before the loop has ended, and none a second time.
     pub fn take(&self) -> Vec<R> {
-        self.records.try_recv().unwrap_or_default()
+        self.records.try_recv().unwrap_or_default().into_records()
     }
 }
 
@@ -328,7 +328,7 @@ impl<R> Default for RecordOutputs<R> {
 /// Where the records of a loop go; nobody there is ever waited for.
 #[derive(Debug)]
 pub(super) struct RecordSinks<R> {
-    to_reader: mpsc::SyncSender<Vec<R>>,
+    to_reader: mpsc::SyncSender<Newest<R>>,
     outputs: RecordOutputs<R>,
 }
 
@@ -382,7 +382,7 @@ impl<R: Copy> RecordSinks<R> {
         let RecordOutputs { newest, recorder, telemetry } = self.outputs;
         drop(telemetry);
         // Nobody may be there any more.
-        let _ = self.to_reader.try_send(newest.into_records());
+        let _ = self.to_reader.try_send(newest);
         recorder.map(Recorder::end)
     }
 }

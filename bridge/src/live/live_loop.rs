@@ -116,8 +116,11 @@ pub(super) trait LoopSide {
     /// The loop's time 0 on the monotonic clock. The plant is left at rest from here on.
     fn begin(&mut self, now_ns: u64);
 
-    /// Does one tick; returns whether all records before it are still kept.
-    fn tick(&mut self, time: TickTime) -> bool;
+    /// Does one tick.
+    fn tick(&mut self, time: TickTime);
+
+    /// Hands the record of the last tick to the sinks; returns whether all records before it are still kept.
+    fn record(&mut self) -> bool;
 
     /// No force and no motion from here on, once.
     fn rest(&mut self);
@@ -139,12 +142,13 @@ pub(super) trait LoopSide {
 pub(super) struct RecordedSide<S: Side> {
     side: S,
     sinks: Option<RecordSinks<S::Record>>,
+    record: S::Record,
     is_at_rest: bool,
 }
 
 impl<S: Side> RecordedSide<S> {
     pub(super) fn new(side: S, sinks: RecordSinks<S::Record>) -> Self {
-        Self { side, sinks: Some(sinks), is_at_rest: true }
+        Self { side, sinks: Some(sinks), record: S::Record::default(), is_at_rest: true }
     }
 
     /// Once: an arm that is stopped again and again lets go of what it leans on.
@@ -174,9 +178,13 @@ impl<S: Side + 'static> LoopSide for RecordedSide<S> {
         self.sinks.iter().for_each(|sinks| sinks.start(now_ns));
     }
 
-    fn tick(&mut self, time: TickTime) -> bool {
-        let record = self.side.tick(time);
-        self.sinks.as_mut().is_none_or(|sinks| sinks.push(record))
+    fn tick(&mut self, time: TickTime) {
+        self.side.tick_into(time, &mut self.record);
+    }
+
+    fn record(&mut self) -> bool {
+        let Self { sinks, record, .. } = self;
+        sinks.as_mut().is_none_or(|sinks| sinks.push(*record))
     }
 
     fn rest(&mut self) {
@@ -283,9 +291,7 @@ impl LiveLoop {
             },
         );
         let time = TickTime { start_ns, now_ns, clock_ns: now_ns, overshoot_ns, missed };
-        if !plant.tick(time) {
-            self.report.dropped_records += 1;
-        }
+        plant.tick(time);
         if let Some(datagram) = sealed_frame(&mut channel.session, late(), plant.side_mut(), &mut self.buffer)
         {
             socket.send(None, datagram);
@@ -345,6 +351,7 @@ impl LiveLoop {
         let Self { channels, report, now_ns, start_ns, .. } = self;
         let elapsed_ns = *now_ns - *start_ns;
         report.ticks += 1;
+        report.dropped_records += u64::from(!plant.record());
         let exchange = plant.side().exchange();
         let state = exchange.state();
         if state.is_coupled() && report.engaged_ns == u64::MAX {

@@ -357,13 +357,21 @@ fn lock_used(is_bounded: bool) -> io::Result<()> {
     let mappings: Vec<_> = maps.lines().filter_map(Mapping::of_line).collect();
     let (code, frame) = (lock_used as *const () as usize, (&raw const maps).addr());
     let library = mappings.iter().find(|mapping| mapping.addresses.contains(&code)).map(|found| found.file);
-    let (pagemap, page) = (File::open("/proc/self/pagemap")?, page_size());
+    let page = page_size();
+    // A process that may not be dumped reads it as root alone: then all is locked.
+    let Ok(pagemap) = File::open("/proc/self/pagemap") else {
+        return mlockall(MlockAllFlags::CURRENT).map_err(io::Error::from);
+    };
     // Without a bound the kernel refuses only what another thread has unmapped meanwhile.
     let mut entries = Vec::new();
     for Mapping { addresses, file, name } in &mappings {
         // 8 bytes a page. The highest two bits: in memory, paged out.
         entries.resize(addresses.len() / page, [0_u8; 8]);
-        pagemap.read_exact_at(entries.as_flattened_mut(), (addresses.start / page * 8) as u64)?;
+        let offset = (addresses.start / page * 8) as u64;
+        if pagemap.read_exact_at(entries.as_flattened_mut(), offset).is_err() {
+            // A mapping of the kernel, beyond those of the process.
+            continue;
+        }
         let is_library = library == Some(*file) || CALLED.iter().any(|called| name.starts_with(called));
         let gap = if *file == ["00:00", "0"] { GAP / page } else { 0 };
         let is_locked = |number: usize| {
