@@ -181,7 +181,7 @@ def print_kept(trace: "MasterTrace | SlaveTrace", report: "LoopReport") -> None:
     """Says on standard error of which part of the run the figures are, unless it is all of it."""
     if report.dropped_records and len(trace):
         kept_s = float(trace.time_s[-1] - trace.time_s[0])
-        print(f"the figures are of the last {kept_s:.3g} s: --keep-s keeps more", file=sys.stderr, flush=True)
+        print(f"the figures cover the last {kept_s:.3g} s: --keep-s keeps more", file=sys.stderr, flush=True)
 
 
 def print_security(events: list[str]) -> str | None:
