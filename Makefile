@@ -130,10 +130,15 @@ faults: $(EXTENSION) ## every fault, what is expected, what was seen (about 8 mi
 .PHONY: setup
 setup: $(EXTENSION) ## only make the environment in .venv and build the extension
 
+.PHONY: wheel
+wheel: $(ENVIRONMENT) ## build a wheel for Python 3.11 and newer, and the source distribution, into dist
+	$(BIN)/maturin build --release --locked --out dist
+	$(BIN)/maturin sdist --out dist
+
 .PHONY: lock
 lock: $(PINNED_UV) ## renew tools/*.txt (UPGRADE=--upgrade takes the newest versions)
 	@$(USE_INDEX); set -x; \
-	    $(COMPILE) --extra analysis --extra console --extra haply --extra parquet --extra record --extra ur --extra view --group dev --output-file tools/requirements.txt pyproject.toml
+	    $(COMPILE) --extra all --group dev --output-file tools/requirements.txt pyproject.toml
 	@$(USE_INDEX); set -x; \
 	    $(COMPILE) --group bench --constraint tools/requirements.txt --output-file tools/bench.txt
 	@$(USE_INDEX); set -x; $(COMPILE) --output-file tools/uv.txt tools/uv.in

@@ -153,12 +153,13 @@ def _follow(
         stopped.sleep(0.05)
 
 
-def draw_demo(scene: DemoScene, results: Sequence[PushResult], path: Path, columns: Columns = 2) -> None:
-    """Draws hand velocity, device force and position of every run, whose traces lie beside `path`.
+def draw_demo(scene: DemoScene, results: Sequence[PushResult], folder: Path, path: Path, columns: Columns = 2) -> None:
+    """Draws hand velocity, device force and position of every run, whose traces lie in `folder`.
 
     Args:
         scene: What was run.
         results: One for each controller.
+        folder: Of the files of the runs.
         path: Of the picture: .png, .pdf or .svg.
         columns: Width, in columns of a page.
 
@@ -176,7 +177,7 @@ def draw_demo(scene: DemoScene, results: Sequence[PushResult], path: Path, colum
         figure = new_figure(columns, 3.0 if columns == 2 else 5.6, title if columns == 2 else title.replace(": ", "\n"))
         panels = list(figure.subplots(1, 3) if columns == 2 else figure.subplots(3, 1, sharex=True))
         for result in results:
-            with np.load(path.parent / f"{result.controller}.npz") as arrays:
+            with np.load(folder / f"{result.controller}.npz") as arrays:
                 trace = {signal: arrays[signal] for signal in ("time_s", *signals)}
             time_s = trace["time_s"] - (result.release_s or 0.0)
             shown = (time_s > -1.0) & (time_s < 0.8)

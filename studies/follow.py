@@ -329,12 +329,15 @@ def scene_text(scene: FollowScene, controller: str, arm: ArmDescription, ports: 
     ).replace("'", '"')
 
 
-def draw_follow(scene: FollowScene, results: Sequence[FollowResult], path: Path, columns: Columns = 2) -> None:
-    """Draws joints and gripper of the first run, and of each run what the hand felt, from the files beside `path`.
+def draw_follow(
+    scene: FollowScene, results: Sequence[FollowResult], folder: Path, path: Path, columns: Columns = 2
+) -> None:
+    """Draws joints and gripper of the first run, and of each run what the hand felt, from the files in `folder`.
 
     Args:
         scene: What was run.
         results: One for each controller.
+        folder: Of the files of the runs.
         path: Of the picture: .png, .pdf or .svg.
         columns: Width, in columns of a page.
 
@@ -355,7 +358,7 @@ def draw_follow(scene: FollowScene, results: Sequence[FollowResult], path: Path,
             ("position", f"angle, joint {JOINT} [rad]"),
         )
         for result in results:
-            with np.load(path.parent / f"follow-{result.controller}.npz") as arrays:
+            with np.load(folder / f"follow-{result.controller}.npz") as arrays:
                 near = {name: arrays[name] for name in (*NEAR, "trigger", "state")}
             near_s = near["time_s"] - _begun_s(scene, near)
             for panel, (signal, label) in zip(panels[1], signals, strict=True):
@@ -363,8 +366,8 @@ def draw_follow(scene: FollowScene, results: Sequence[FollowResult], path: Path,
                            **controller_look(result.controller))  # fmt: skip
                 panel.set_ylabel(label)
         first = results[0].controller
-        far = read_recording(path.parent / f"follow-{first}.mcap").signals
-        with np.load(path.parent / f"follow-{first}.npz") as arrays:
+        far = read_recording(folder / f"follow-{first}.mcap").signals
+        with np.load(folder / f"follow-{first}.npz") as arrays:
             near = {name: arrays[name] for name in (*NEAR, "trigger", "state")}
         near_s = near["time_s"] - _begun_s(scene, near)
         # Each side has a clock of its own: they engage at the same time, but for the delay.

@@ -37,6 +37,7 @@ from haptether.bridge.scene.sweeps.population import Population, with_population
 from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice, with_scenes
 from haptether.bridge.scene.sweeps.table_file import check_suffix, table_file, values_of
 from haptether.bridge.scene.tables.session import Scene
+from haptether.extras import require
 from haptether.private_file import private_file, refuse_link
 
 Array: TypeAlias = npt.NDArray[np.float64]
@@ -124,9 +125,7 @@ class Sweep:
         Raises:
             ImportError: Polars is not installed.
         """
-        if importlib.util.find_spec("polars") is None:
-            message = "to_polars needs polars: install it beside haptether"
-            raise ImportError(message)
+        require("to_polars", "polars")
         return importlib.import_module("polars").DataFrame({name: self.values_of(name) for name in self.columns})
 
 

@@ -5,6 +5,8 @@ import socket
 import time
 from typing import Final
 
+from haptether.extras import missing
+
 try:
     from websockets.client import ClientProtocol
     from websockets.exceptions import WebSocketException
@@ -12,8 +14,7 @@ try:
     from websockets.protocol import State
     from websockets.uri import parse_uri
 except ImportError as error:
-    _message = f"the driver inverse3 needs the extra haply: pip install 'haptether[haply]' ({error})"
-    raise ImportError(_message) from None
+    raise missing("the driver inverse3", "websockets", error) from None
 
 CONNECT_S: Final = 2.0
 RECEIVE: Final = 65536

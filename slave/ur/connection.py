@@ -7,6 +7,7 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any, Final, TypeAlias
 
+from haptether.extras import missing
 from haptether.slave.ur.options import UrOptions
 from haptether.slave.ur.services import DashboardError, stop_program
 from haptether.slave.ur.state import RAW_WRENCH, VARIABLES, RuntimeState, UrState, read_state
@@ -46,11 +47,7 @@ def vendor_module() -> Any:  # noqa: ANN401  # it has no types
         import_module("rtde_control")
         module = import_module("rtde_receive")
     except ImportError as error:
-        message = (
-            f"ur-rtde is not installed ({error}): pip install 'haptether[ur]' under Python 3.11 or 3.12; it has no"
-            " wheels for later ones"
-        )
-        raise RtdeConnectionError(message) from None
+        raise RtdeConnectionError(str(missing("the driver ur", "rtde_control", error))) from None
     return module
 
 

@@ -13,6 +13,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from haptether.bridge import Scene, override_scene, simulate, sweep
+from haptether.extras import require
 from haptether.safety import EjectionBound, ejection_bound, rising_push
 from haptether.studies.falsifier.release import STRONGEST, Release, ReleaseBounds, Releases
 
@@ -161,9 +162,7 @@ class _Search:
 
     def run(self, seed: int, is_over: Callable[[], bool]) -> None:
         """Starts again and again, each time elsewhere, until it is over."""
-        if importlib.util.find_spec("cma") is None:
-            message = "a search needs cma, of the extra analysis: install haptether[analysis]"
-            raise ImportError(message)
+        require("a search", "cma")
         cma: Any = importlib.import_module("cma")
         rng = np.random.default_rng(seed)
         while self.best is None or not is_over():

@@ -14,6 +14,7 @@ import pytest
 
 from haptether.bridge import DeviceError, load_scene
 from haptether.cli import main
+from haptether.cli.entry import COMMANDS
 from haptether.cli.live.sides import _opened, with_clutch
 from haptether.cli.shared.stop import Stopped
 
@@ -43,10 +44,16 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytes
         return capsys.readouterr().out
 
     assert run("--version").stdout.startswith("haptether 0.")
-    assert "check-link" in run("--help").stdout
+    assert main(["--help"]) == 0
+    overview = capsys.readouterr().out
+    assert all(f"\n  {name} " in overview for name in COMMANDS)
+    assert main(["help"]) == 0
+    assert capsys.readouterr().out == overview
+    assert main([]) == 2
+    assert capsys.readouterr().err == overview
+    assert shown("help", "netsim", "sample") == shown("netsim", "sample", "--help")
     for name in ("demo", "paper", "simulate", "sweep", "master", "slave", "netsim", "keygen", "explain", "check-link",
                  "check-device", "identify", "new-driver"):  # fmt: skip
-        assert name in shown("--help")
         assert "Examples" in shown(name, "--help")
     for name in ("list", "sample", "proxy", "set", "echo", "record", "compare"):
         assert "Examples" in shown("netsim", name, "--help")

@@ -280,7 +280,7 @@ def test_parquet_without_polars_is_refused_before_the_run(
     log = tmp_path / "log.parquet"
     arguments = ["netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", "127.0.0.1:9", "--log", str(log)]
     assert main(arguments) == 1
-    assert "Parquet needs polars: install haptether[analysis]" in capsys.readouterr().err
+    assert "polars is not installed: install haptether[analysis]" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

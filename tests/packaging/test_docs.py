@@ -40,10 +40,10 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert (page.parent / target).exists(), target
 
 
-def test_the_scene_of_the_readme_can_be_built(tmp_path: Path) -> None:
+def test_the_scene_of_the_page_can_be_built(tmp_path: Path) -> None:
     from haptether.bridge import load_scene
 
-    (text,) = re.findall(r"```toml\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    (text,) = re.findall(r"```toml\n(.*?)```", (ROOT / "docs/scenes.md").read_text(), re.DOTALL)
     (tmp_path / "scene.toml").write_text(text)
     assert load_scene(tmp_path / "scene.toml").record is not None
 
@@ -92,12 +92,11 @@ def test_the_arm_of_ones_own_has_every_key_and_the_torque_that_the_page_says(tmp
     assert f"{0.1 * 9.81 * 0.1:.3f} N m" in page
 
 
-def test_the_readme_names_the_commands_without_json() -> None:
+def test_the_page_names_the_commands_without_json() -> None:
     from haptether.cli.entry import COMMANDS, GROUPS
 
-    (sentence,) = re.findall(
-        r"Every command takes `--json PATH`.*?\.(?= Exit)", (ROOT / "README.md").read_text(), re.DOTALL
-    )
+    page = (ROOT / "docs/commands.md").read_text()
+    (sentence,) = re.findall(r"Every command takes `--json PATH`.*?\.(?= Output)", page, re.DOTALL)
     named = set(re.findall(r"`([a-z -]+)`", sentence)) - {"-"}
     without = {
         name if group == "" else f"{group} {name}"
@@ -108,23 +107,33 @@ def test_the_readme_names_the_commands_without_json() -> None:
     assert {f"dynamixel {name}" if name == "calibrate" else name for name in named} == without
 
 
-def test_commands_of_the_readme_exist(capsys: pytest.CaptureFixture[str]) -> None:
-    shown = re.findall(
-        r"^haptether ((?:netsim )?[a-z0-9-]+)(.*?)(?:#|$)", (ROOT / "README.md").read_text(), re.MULTILINE
-    )
-    assert {name for name, _ in shown} == {
-        "demo", "paper", "raven", "simulate", "sweep", "view", "slave", "netsim list", "netsim sample", "netsim proxy",
-        "master", "keygen", "list", "explain", "check-link", "ur-emulator", "dynamixel-emulator", "inverse3-emulator",
-        "check-device", "identify", "new-driver", "info", "plot", "export", "watch", "replay", "playback", "console",
-        "falsify", "thresholds", "tune", "evaluate", "check", "netsim set", "netsim echo", "netsim record",
-        "netsim compare",
-    }  # fmt: skip
-    for name, arguments in shown:
+def shown_commands(page: Path) -> list[tuple[str, str]]:
+    """Command and arguments of each line of a page that begins with `haptether`."""
+    pattern = r"^(?:\.venv/bin/|env/bin/)?haptether ((?:(?:netsim|dynamixel) )?[a-z0-9-]+)(.*?)(?:#|$)"
+    return re.findall(pattern, page.read_text(), re.MULTILINE)
+
+
+def test_the_page_of_commands_shows_every_command() -> None:
+    from haptether.cli.entry import COMMANDS, GROUPS
+
+    shown = {name.split()[0] for name, _ in shown_commands(ROOT / "docs/commands.md")}
+    assert set(COMMANDS) - {"dynamixel"} <= shown
+    network = {name.split()[1] for name, _ in shown_commands(ROOT / "docs/network.md") if name.startswith("netsim ")}
+    assert network == set(GROUPS["netsim"])
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/commands.md", "docs/network.md", "docs/install.md"])
+def test_flags_of_shown_commands_exist(page: str, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, arguments in shown_commands(ROOT / page):
         flags = re.findall(r"--[a-z-]+", arguments)
         with pytest.raises(SystemExit):
             main([*name.split(), "--help"])
         text = capsys.readouterr().out
         assert all(flag in text for flag in flags), (name, flags)
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 120
 
 
 def test_make_targets_of_the_documents_exist() -> None:

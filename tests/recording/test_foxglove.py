@@ -168,11 +168,11 @@ def test_what_has_no_place_is_refused(
 def test_only_the_export_needs_the_library_of_the_format(
     files: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("haptether.bridge.recording.foxglove.write.find_spec", lambda _: None)
+    monkeypatch.setattr("haptether.extras.is_installed", lambda _: False)
     for module in [name for name in sys.modules if name.partition(".")[0] == "mcap"]:
         monkeypatch.setitem(sys.modules, module, None)
     assert len(load(*files).signals.time_s) > 1000
-    with pytest.raises(ImportError, match=r"needs mcap: install haptether\[record\]"):
+    with pytest.raises(ImportError, match=r"mcap is not installed: install haptether\[record\]"):
         write_foxglove(tmp_path / "out.mcap", *files)
 
 

@@ -232,7 +232,7 @@ def demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Figure:
             dropped_records=0, unsent=0, force_at_release_n=1.0, final_state="engaged", fault=None,
         ))  # fmt: skip
     for columns in (1, 2):
-        draw_demo(DemoScene(), results, tmp_path / f"{columns}.png", columns)
+        draw_demo(DemoScene(), results, tmp_path, tmp_path / f"{columns}.png", columns)
         check(kept[tmp_path / f"{columns}.png"])
     return kept[tmp_path / "2.png"]
 

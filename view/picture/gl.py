@@ -1,9 +1,10 @@
 """Whether there is an OpenGL to draw with, asked before VTK is: it would end the process, or draw nothing."""
 
 import ctypes
-import importlib.util
 import os
 import sys
+
+from haptether.extras import require
 
 PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"
 """Of Debian and Ubuntu: EGL, and Mesa's, which draws on the processor where there is no graphics card."""
@@ -70,9 +71,7 @@ def require_gl(*, window: bool = False) -> None:
         ImportError: PyVista is not installed.
         NoGlError: No display for a window, or no OpenGL, with the packages that bring it.
     """
-    if importlib.util.find_spec("pyvista") is None:
-        message = "the view needs PyVista: install haptether[view]"
-        raise ImportError(message)
+    require("the view", "pyvista", "PIL", "matplotlib", extra="view")
     if window and not has_display():
         message = "no display (DISPLAY is not set), so no window: give --screenshot, --movie or --html"
         raise NoGlError(message)

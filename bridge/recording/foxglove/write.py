@@ -4,7 +4,6 @@ import heapq
 import os
 import struct
 from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +11,7 @@ from msgspec import json
 
 from haptether.bridge.recording.foxglove.messages import FoxgloveMessage, messages_of
 from haptether.bridge.recording.read import Recording, read_recording
+from haptether.extras import require
 from haptether.private_file import private_file, refuse_link
 
 LAYOUT = Path(__file__).parent / "layout.json"
@@ -49,9 +49,7 @@ def write_foxglove(
         OSError: A file cannot be read or written; a symbolic link.
         ValueError: It is no recording of Haptether; two of one side; joints, which have no place.
     """
-    if find_spec("mcap") is None:
-        message = "writing a file for Foxglove needs mcap: install haptether[record]"
-        raise ImportError(message)
+    require("a file for Foxglove", "mcap")
     paths = [Path(path) for path in (file, other) if path is not None]
     recordings = [read_recording(path) for path in paths]
     if len({recording.side for recording in recordings}) < len(recordings):

@@ -13,6 +13,7 @@ from haptether.bridge.scene.load import Checked
 from haptether.bridge.scene.research import ControllerTime, count_controller_time, thread_controller_time
 from haptether.bridge.scene.sweep import SweepSettings, measured
 from haptether.bridge.scene.sweeps.design import Design
+from haptether.extras import require
 
 Metrics: TypeAlias = "dict[str, npt.NDArray[Any]]"
 
@@ -61,9 +62,7 @@ def computed_by_cluster(
         OSError: No scheduler answers.
         RuntimeError: Batches whose workers were lost again and again.
     """
-    if importlib.util.find_spec("distributed") is None:
-        message = "the engine dask needs dask.distributed: install distributed beside haptether"
-        raise ImportError(message)
+    require("the engine dask", "distributed")
     distributed = importlib.import_module("distributed")
     settings = replace(settings, progress=None)
     ranges = _ranges(design, gaps)

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.bridge.scene.errors import shown
+from haptether.extras import require
 
 Array: TypeAlias = npt.NDArray[np.float64]
 
@@ -210,9 +211,7 @@ def sobol_points(names: Iterable[str], count: int, seed: int) -> dict[str, Array
     if not names:
         message = "--sobol: give --draw or --population, what is drawn"
         raise ValueError(message)
-    if importlib.util.find_spec("scipy") is None:
-        message = "--sobol needs scipy: install it beside haptether"
-        raise ImportError(message)
+    require("--sobol", "scipy")
     qmc = importlib.import_module("scipy.stats.qmc")
     with warnings.catch_warnings():
         # Of a count that is no power of two; the help says it.

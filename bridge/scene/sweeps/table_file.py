@@ -12,6 +12,8 @@ from typing import IO, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from haptether.extras import require
+
 ROW_GROUP = 65_536
 """Rows of a row group of Parquet."""
 STREAMED = frozenset({".csv", ".parquet"})
@@ -85,9 +87,8 @@ def check_suffix(path: Path) -> None:
     if path.suffix not in SUFFIXES:
         message = f"{path}: must end in .csv, .parquet or .npz"
         raise ValueError(message)
-    if path.suffix == ".parquet" and importlib.util.find_spec("pyarrow") is None:
-        message = f"{path}: Parquet needs pyarrow: install haptether[parquet]"
-        raise ImportError(message)
+    if path.suffix == ".parquet":
+        require(str(path), "pyarrow")
 
 
 def table_file(suffix: str, file: IO[bytes], metadata: Mapping[str, str]) -> TableFile:

@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
+from haptether.extras import missing
+
 try:
     from websockets.exceptions import WebSocketException
     from websockets.frames import Frame, Opcode
@@ -14,8 +16,7 @@ try:
     from websockets.protocol import State
     from websockets.server import ServerProtocol
 except ImportError as error:
-    _message = f"the emulated Inverse Service needs the extra haply: pip install 'haptether[haply]' ({error})"
-    raise ImportError(_message) from None
+    raise missing("the emulated Inverse Service", "websockets", error) from None
 
 if TYPE_CHECKING:
     from haptether.control_channel import ControlChannel

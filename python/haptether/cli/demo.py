@@ -63,8 +63,8 @@ class Demo(PictureOptions):
     emulated follower arm of Dynamixel servos."""
     task: Literal["push", "pick"] | None = None
     """A push that reaches the hand; or something that a gripper picks up. By default what the two arms can."""
-    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("out/demo")
-    """Folder of the picture and of every tick (.npz)."""
+    out: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("out/demo")
+    """Folder of the picture and of every tick (.npz); or the picture (.png, .pdf, .svg), with a folder beside it."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Also write the table as JSON; - for standard output."""
 
@@ -74,7 +74,7 @@ class Demo(PictureOptions):
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         from haptether.cli.shared.numbers import check_seed
-        from haptether.cli.shared.output import check_target, require_matplotlib
+        from haptether.cli.shared.output import check_target
         from haptether.cli.shared.screen import screen
         from haptether.cli.shared.stop import Stopped
         from haptether.netsim import LinkSettings, link_spec
@@ -82,7 +82,6 @@ class Demo(PictureOptions):
 
         check_seed(self.seed)
         check_target(self.json)
-        require_matplotlib()  # before the runs, not after them
         times = {"delay_s": self.delay_s, "jitter_s": self.jitter_s}
         given = {name: value for name, value in times.items() if value is not None}
         task = self._task()
@@ -96,7 +95,8 @@ class Demo(PictureOptions):
         scene = msgspec.structs.replace(scene, **given)
         # Refuses early.
         link_spec(LinkSettings(delay_s=scene.delay_s, jitter_s=scene.jitter_s, loss=scene.loss), "forward")
-        self.out.mkdir(parents=True, exist_ok=True)
+        self._picture("demo")  # Refuses a bad path before the runs.
+        self._folder.mkdir(parents=True, exist_ok=True)
         if isinstance(scene, FollowScene):
             return self._follow(scene)
         if isinstance(scene, PickScene):
@@ -121,12 +121,43 @@ class Demo(PictureOptions):
                     progress.update(bar, completed=begun + at_s, description=text)
 
                 try:
-                    results.append(run_demo(scene, controller, self.out, show, stopped))
+                    results.append(run_demo(scene, controller, self._folder, show, stopped))
                 except Interrupted:
                     console.print("interrupted: all processes have ended")
                     return 130
             progress.update(bar, completed=len(DEMO_CONTROLLERS) * scene.duration_s)
         return self._report(console, scene, results)
+
+    @property
+    def _folder(self) -> Path:
+        """Where ticks go: `--out`, or beside a picture that `--out` names, in a folder of its name."""
+        return self.out.with_suffix("") if self._is_picture else self.out
+
+    @property
+    def _is_picture(self) -> bool:
+        return bool(self.out.suffix) and not self.out.is_dir()
+
+    def _picture(self, name: str) -> Path | None:
+        """Where the picture goes; None without matplotlib.
+
+        Raises:
+            ValueError: `--out` ends in another suffix than a picture's.
+            OSError: `--out` names a picture that cannot be written.
+        """
+        from haptether.cli.shared.picture import picture_file
+        from haptether.extras import is_installed
+
+        if not is_installed("matplotlib"):
+            return None
+        return (
+            picture_file(self.out, self.format) if self._is_picture else self._folder / f"{name}.{self.format or 'png'}"
+        )
+
+    def _name_picture(self, console: "Screen", picture: Path | None) -> None:
+        from haptether.extras import missing
+
+        found = f"picture: {picture}" if picture is not None else f"no picture: {missing('drawing', 'matplotlib')}"
+        console.print(found, highlight=False)
 
     def _task(self) -> str:
         """What is shown.
@@ -174,17 +205,18 @@ class Demo(PictureOptions):
                     progress.update(bar, completed=begun + at_s, description=f"{stage:<34}")
 
                 try:
-                    results.append(run_follow(scene, controller, self.out, show, stopped))
+                    results.append(run_follow(scene, controller, self._folder, show, stopped))
                 except Interrupted:
                     console.print("interrupted: all processes have ended")
                     return 130
-        picture = self.out / f"follow.{self.format or 'png'}"
-        draw_follow(scene, results, picture, self.page_columns)
+        picture = self._picture("follow")
+        if picture is not None:
+            draw_follow(scene, results, self._folder, picture, self.page_columns)
         bare, *guarded = results
         protected = all(one.thrown_rad_s < bare.thrown_rad_s for one in guarded) and not any(r.holds for r in results)
         carried = all(one.is_carried for one in results)
-        write_report(self.json, {"scene": scene, "protected": protected, "carried": carried, "picture": str(picture),
-                                 "results": results})  # fmt: skip
+        report = {"scene": scene, "protected": protected, "carried": carried, "picture": picture and str(picture)}
+        write_report(self.json, {**report, "results": results})
         for one in results:
             console.print(
                 f"{one.controller}: {'carried' if one.is_carried else 'NOT carried as it was led'}: gripped "
@@ -195,7 +227,7 @@ class Demo(PictureOptions):
                 f"holds, {one.final_state} at the end",
                 highlight=False,
             )
-        console.print(f"picture: {picture}", highlight=False)
+        self._name_picture(console, picture)
         return 0 if protected and carried else 1
 
     def _pick(self, scene: "PickScene") -> int:
@@ -224,13 +256,16 @@ class Demo(PictureOptions):
                 progress.update(bar, completed=at_s, description=f"{stage:<34}")
 
             try:
-                result = run_pick(scene, self.out, show, stopped)
+                result = run_pick(scene, self._folder, show, stopped)
             except Interrupted:
                 console.print("interrupted: all processes have ended")
                 return 130
-        picture = self.out / f"pick.{self.format or 'png'}"
-        draw_pick(scene, self.out, picture, self.page_columns)
-        write_report(self.json, {"scene": scene, "done": result.is_done, "picture": str(picture), "result": result})
+        picture = self._picture("pick")
+        if picture is not None:
+            draw_pick(scene, self._folder, picture, self.page_columns)
+        write_report(
+            self.json, {"scene": scene, "done": result.is_done, "picture": picture and str(picture), "result": result}
+        )
         done = "done" if result.is_done else "NOT done as the hand did it"
         console.print(
             f"{done}: it was gripped {result.grips} time(s), lifted by {result.lifted_m * 1e3:.0f} mm, carried "
@@ -238,7 +273,7 @@ class Demo(PictureOptions):
             f"{', and let go' if result.open_at_end else ', and is still held'}; {result.holds} holds",
             highlight=False,
         )
-        console.print(f"picture: {picture}", highlight=False)
+        self._name_picture(console, picture)
         return 0 if result.is_done else 1
 
     def _report(self, console: "Screen", scene: "DemoScene", results: "list[PushResult]") -> int:
@@ -265,8 +300,11 @@ class Demo(PictureOptions):
                 )
         if broken:
             console.print(f"the link did not last in: {', '.join(broken)} (see holds and the final state)")
-        picture = self.out / f"demo.{self.format or 'png'}"
-        write_report(self.json, {"scene": scene, "protected": protected, "picture": str(picture), "results": results})
-        draw_demo(scene, results, picture, self.page_columns)
-        console.print(f"picture: {picture}", highlight=False)
+        picture = self._picture("demo")
+        if picture is not None:
+            draw_demo(scene, results, self._folder, picture, self.page_columns)
+        write_report(
+            self.json, {"scene": scene, "protected": protected, "picture": picture and str(picture), "results": results}
+        )
+        self._name_picture(console, picture)
         return 0 if protected else 1

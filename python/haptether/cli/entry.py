@@ -21,48 +21,68 @@ import tyro
 
 from haptether import __version__
 from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS, has_lost_output
+from haptether.cli.overview import overview, summary
 from haptether.cli.shared.assignments import refuse_twice
 from haptether.cli.shared.commands import Command, CommandTable
 from haptether.cli.shared.numbers import NUMBERS
 from haptether.cli.shared.output import QueuedBuffer, QueuedOutput, queued_output
 from haptether.printable import printable
 
-COMMANDS = CommandTable(
-    {
-        "demo": "demo:Demo",
-        "paper": "paper:Paper",
-        "raven": "raven:Raven",
-        "simulate": "scene.simulate:Simulate",
-        "sweep": "scene.sweep:Sweep",
-        "falsify": "scene.falsify:Falsify",
-        "thresholds": "scene.thresholds:Thresholds",
-        "evaluate": "scene.evaluate:Evaluate",
-        "check": "scene.check:Check",
-        "console": "view.console:Console",
-        "view": "view.view:View",
-        "master": "live.master:Master",
-        "slave": "live.slave:Slave",
-        "netsim": "netsim:Netsim",
-        "ur-emulator": "emulators.ur:UrEmulator",
-        "dynamixel": "dynamixel:Dynamixel",
-        "dynamixel-emulator": "emulators.dynamixel:DynamixelEmulator",
-        "inverse3-emulator": "emulators.inverse3:Inverse3Emulator",
-        "check-link": "live.check_link:CheckLink",
-        "check-device": "device.check_device:CheckDevice",
-        "identify": "device.identify:Identify",
-        "new-driver": "device.new_driver:NewDriver",
-        "watch": "view.watch:Watch",
-        "explain": "live.explain:Explain",
-        "info": "recording.info:Info",
-        "plot": "recording.plot:Plot",
-        "export": "recording.export:Export",
-        "tune": "recording.tune:Tune",
-        "replay": "recording.replay:Replay",
-        "playback": "recording.playback:Playback",
-        "keygen": "keygen:Keygen",
-        "list": "list:List",
-    }
-)
+PURPOSES = {
+    "see it": CommandTable(
+        {"demo": "demo:Demo", "console": "view.console:Console", "view": "view.view:View", "watch": "view.watch:Watch"}
+    ),
+    "run it": CommandTable(
+        {
+            "master": "live.master:Master",
+            "slave": "live.slave:Slave",
+            "check-link": "live.check_link:CheckLink",
+            "explain": "live.explain:Explain",
+            "keygen": "keygen:Keygen",
+        }
+    ),
+    "ask it": CommandTable(
+        {
+            "simulate": "scene.simulate:Simulate",
+            "sweep": "scene.sweep:Sweep",
+            "check": "scene.check:Check",
+            "evaluate": "scene.evaluate:Evaluate",
+            "thresholds": "scene.thresholds:Thresholds",
+            "tune": "recording.tune:Tune",
+            "falsify": "scene.falsify:Falsify",
+            "paper": "paper:Paper",
+            "raven": "raven:Raven",
+        }
+    ),
+    "recordings": CommandTable(
+        {
+            "info": "recording.info:Info",
+            "plot": "recording.plot:Plot",
+            "export": "recording.export:Export",
+            "replay": "recording.replay:Replay",
+            "playback": "recording.playback:Playback",
+        }
+    ),
+    "devices": CommandTable(
+        {
+            "list": "list:List",
+            "check-device": "device.check_device:CheckDevice",
+            "identify": "device.identify:Identify",
+            "new-driver": "device.new_driver:NewDriver",
+            "dynamixel": "dynamixel:Dynamixel",
+        }
+    ),
+    "network": CommandTable({"netsim": "netsim:Netsim"}),
+    "emulators": CommandTable(
+        {
+            "ur-emulator": "emulators.ur:UrEmulator",
+            "dynamixel-emulator": "emulators.dynamixel:DynamixelEmulator",
+            "inverse3-emulator": "emulators.inverse3:Inverse3Emulator",
+        }
+    ),
+}
+"""Commands by what they are for."""
+COMMANDS = CommandTable.joined(PURPOSES.values())
 GROUPS = {
     "netsim": CommandTable(
         {
@@ -89,6 +109,7 @@ of it.
 Tab completion: `source <(haptether --completion bash)` in bash, the same with zsh in zsh, and
 `haptether --completion fish | source` in fish."""
 COMPLETION = "--completion"
+HELP = ("--help", "-h")
 SHELLS = ("bash", "zsh", "fish")
 
 FAILED, BAD_REQUEST = 1, 2
@@ -148,6 +169,11 @@ def _main(arguments: Sequence[str]) -> int:
             return 0
         if arguments and arguments[0] == COMPLETION:
             return complete(arguments[1:])
+        arguments = with_help(arguments)
+        if not arguments or arguments[0] in HELP:
+            text = overview(DESCRIPTION, PURPOSES, shutil.get_terminal_size().columns)
+            print(text, file=sys.stdout if arguments else sys.stderr, flush=True)
+            return 0 if arguments else BAD_REQUEST
         command = parse(arguments)
     except ValueError as error:
         return complain(error, BAD_REQUEST)
@@ -346,6 +372,11 @@ def union_of(commands: Mapping[str, type[Any]]) -> Any:  # noqa: ANN401  # put t
     ]
 
 
+def with_help(arguments: Sequence[str]) -> Sequence[str]:
+    """The arguments of `haptether help X` as those of `haptether X --help`."""
+    return [*arguments[1:], "--help"] if arguments and arguments[0] == "help" else arguments
+
+
 def check_command(arguments: Sequence[str], commands: Mapping[str, type[Any]]) -> None:
     """Refuses a command that there is not.
 
@@ -449,11 +480,6 @@ def _with_assignments(
             elif name == option and equals:
                 note(value)
     return changed
-
-
-def summary(command: type[object]) -> str:
-    """The first line of what a command says of itself."""
-    return (inspect.getdoc(command) or "").partition("\n")[0]
 
 
 def folded(text: str) -> str:

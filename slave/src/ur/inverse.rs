@@ -137,7 +137,7 @@ pub(crate) fn closed_form(arm: &UrLengths, flange: &UrPose, q6: Option<f64>, sla
     let (rotation, place) = (&flange.rotation, &flange.place);
     let z6 = rotation.column(2);
     let centre = place - z6 * arm.d6;
-    let radius = centre.x.hypot(centre.y);
+    let radius = libm::hypot(centre.x, centre.y);
     let inner = arm.d4.abs();
     if radius < inner - slack.place_m {
         found.unreached = Some(UrUnreached::Shoulder { radius_m: radius, min_m: inner });
@@ -151,7 +151,7 @@ pub(crate) fn closed_form(arm: &UrLengths, flange: &UrPose, q6: Option<f64>, sla
         let q1 = bearing + arm.d4.atan2(side * along);
         let (s1, c1) = q1.sin_cos();
         let m = rotation.tr_mul(&Vector3::new(s1, -c1, 0.0));
-        let across = m.x.hypot(m.y);
+        let across = libm::hypot(m.x, m.y);
         let open = (slack.rotation / across.max(f64::MIN_POSITIVE)).min(PI);
         let in_plane = |v: &Vector3<f64>| Vector2::new(c1 * v.x + s1 * v.y, v.z);
         let wrist = Wrist {
@@ -227,7 +227,7 @@ impl Wrist {
         let (along_x, along_y) = (self.centre.dot(&self.x6), self.centre.dot(&self.y6));
         let phase = along_x.atan2(along_y);
         let cosine = (limit * limit - self.centre.norm_squared() - self.d5 * self.d5)
-            / (2.0 * self.d5 * along_x.hypot(along_y));
+            / (2.0 * self.d5 * libm::hypot(along_x, along_y));
         // Where no q6 has it within reach, the one that comes nearest.
         let away = cosine.clamp(-1.0, 1.0).acos();
         away.is_finite().then(|| phase + away.copysign(wrapped(q6 - phase)))

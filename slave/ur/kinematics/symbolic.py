@@ -6,6 +6,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from haptether.extras import require
 from haptether.slave.ur.kinematics.pose import Array, Numbers
 
 Symbol: TypeAlias = Any
@@ -13,7 +14,12 @@ Symbol: TypeAlias = Any
 
 
 def casadi_module() -> Any:  # noqa: ANN401  # its own stubs leave out that a buffer takes a memoryview
-    """The module `casadi`."""
+    """The module `casadi`.
+
+    Raises:
+        ImportError: It is not installed.
+    """
+    require("kinematics of an arm", "casadi")
     return import_module("casadi")
 
 

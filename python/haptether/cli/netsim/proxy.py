@@ -1,7 +1,6 @@
 """`haptether netsim proxy`."""
 
 import contextlib
-import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
@@ -9,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import tyro
 
 from haptether.cli.netsim.link_options import LinkOptions, Links
+from haptether.extras import require
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -141,9 +141,7 @@ class Log:
         if target.suffix == ".csv":
             check_target(target)
             return cls(target, target)
-        if importlib.util.find_spec("polars") is None:
-            message = f"log = {target}: Parquet needs polars: install haptether[analysis], or give a .csv"
-            raise ImportError(message)
+        require(f"log = {target}", "polars")
         check_target(target)
         csv = target.with_name(f"{target.name}.csv")
         if csv.exists():

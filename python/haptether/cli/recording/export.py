@@ -109,11 +109,7 @@ class Export:
 
     def _write_tables(self, run: "Run") -> None:
         side = self.side or ("master" if "time_s" in run.signals else "slave")
-        try:
-            table = run.to_polars(side)
-        except ImportError:
-            message = "tables need polars: install haptether[analysis]"
-            raise ImportError(message) from None
+        table = run.to_polars(side)
         if self.parquet is not None:
             _write_parquet(self.parquet, table)
         if self.csv is not None:

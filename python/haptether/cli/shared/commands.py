@@ -1,8 +1,8 @@
 """Commands by their names: the one that is asked for is imported, and no other."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib import import_module
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 
 class Command(Protocol):
@@ -21,6 +21,11 @@ class CommandTable(Mapping[str, type[Any]]):
 
     def __init__(self, places: Mapping[str, str]) -> None:
         self._places = places
+
+    @classmethod
+    def joined(cls, tables: "Iterable[CommandTable]") -> Self:
+        """The commands of all tables, in their order."""
+        return cls({name: place for table in tables for name, place in table._places.items()})
 
     def __getitem__(self, name: str) -> type[Any]:
         module, _, of = self._places[name].partition(":")

@@ -1,7 +1,6 @@
 """Where results go: files, JSON for machines, and streams of a command that nobody's reading may hold up."""
 
 import contextlib
-import importlib.util
 import io
 import os
 import queue
@@ -15,6 +14,7 @@ from json import dumps as _dumps
 from pathlib import Path
 from typing import BinaryIO, TextIO, cast
 
+from haptether.extras import require
 from haptether.private_file import is_stream, refuse_link, write_private
 
 
@@ -54,9 +54,7 @@ def require_matplotlib() -> None:
     Raises:
         ImportError: With what to install.
     """
-    if importlib.util.find_spec("matplotlib") is None:
-        message = "pictures need matplotlib: install haptether[analysis]"
-        raise ImportError(message)
+    require("pictures", "matplotlib")
 
 
 def check_target(*targets: Path | None) -> None:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from haptether.extras import require
+
 if TYPE_CHECKING:
     from haptether.cli.shared.stop import Stopped
 
@@ -82,13 +84,7 @@ class Console:
         if not 0 <= self.port <= 65535:
             message = f"port = {self.port}: must be 0 to 65535"
             raise ValueError(message)
-        try:
-            import starlette  # noqa: F401
-            import uvicorn  # noqa: F401
-            import websockets  # noqa: F401
-        except ImportError as error:
-            message = f"{error.name} is not installed: pip install haptether[console]"
-            raise RuntimeError(message) from None
+        require("the console", "starlette", "uvicorn", "websockets", extra="console")
         with Stopped() as stopped, contextlib.ExitStack() as stack:
             if self.scene is None:
                 self._serve(connect, self.control, self.flight, stopped)
