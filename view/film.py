@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
 
 from haptether.private_file import private_file, refuse_link
 from haptether.view.scene3d import colours
@@ -38,6 +37,8 @@ def write_picture(path: Path, pixels: Pixels) -> None:
     Raises:
         OSError: It cannot be written; a symbolic link.
     """
+    from PIL import Image
+
     refuse_link(path)
     with private_file(path) as file:
         Image.fromarray(pixels).save(file, format="PNG", compress_level=6)
@@ -91,6 +92,8 @@ def write_film(
 def _write_gif(
     path: Path, image: Callable[[float], Pixels], times_s: Sequence[float], fps: float, frames: Iterable[Pixels]
 ) -> None:
+    from PIL import Image
+
     # One palette for all, without dithering: what stands still is then the same from frame to frame, and costs nothing.
     some = [image(times_s[n]) for n in np.unique(np.linspace(0, len(times_s) - 1, PALETTE_FRAMES).astype(int))]
     frequent = Image.fromarray(np.concatenate(some)).quantize(COLOURS, method=Image.Quantize.MEDIANCUT)

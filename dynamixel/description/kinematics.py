@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.dynamixel.description.tables import ArmDescription
+from haptether.extras import require
 
 Symbol: TypeAlias = Any
 """A casadi.SX."""
@@ -21,7 +22,7 @@ class _Function:
     __slots__ = ("_given", "_kept", "_run", "found")
 
     def __init__(self, name: str, arguments: Sequence[Symbol], results: Sequence[Symbol]) -> None:
-        casadi: Any = import_module("casadi")
+        casadi = _casadi()
         function = casadi.Function(name, list(arguments), casadi.cse([casadi.densify(result) for result in results]))
         buffer, self._run = function.buffer()
         given: tuple[Any, ...] = tuple(np.zeros(argument.numel()) for argument in arguments)
@@ -52,7 +53,7 @@ class ArmKinematics:
     """
 
     def __init__(self, arm: ArmDescription) -> None:
-        casadi: Any = import_module("casadi")
+        casadi = _casadi()
         self.arm = arm
         self.joints = n = len(arm.joints)
         q, dq, wrench = casadi.SX.sym("q", n), casadi.SX.sym("dq", n), casadi.SX.sym("w", 6)
@@ -142,6 +143,11 @@ class ArmKinematics:
                     torque += strength * joint.link.mass_kg * (reach + float(np.linalg.norm(joint.link.com_m)))
             most.append(torque)
         return most
+
+
+def _casadi() -> Any:  # noqa: ANN401  # a module
+    require("kinematics of an arm of servos", "casadi", extra="dynamixel")
+    return import_module("casadi")
 
 
 def _rotation(casadi: Any, quat: Symbol) -> Symbol:  # noqa: ANN401  # a module

@@ -163,30 +163,85 @@ def test_the_sdist_builds_the_same_wheel(sdist: Path, wheel: Path, tmp_path: Pat
     assert contents(of_sdist)[0] == contents(wheel)[0]
 
 
+UV = os.environ.get("UV", str(ROOT / ".tools" / "uv" / "bin" / "uv"))
+
+
+def interpreters() -> dict[str, str]:
+    """The interpreters of this machine by version, those of pyenv included."""
+    pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
+    found: dict[str, str] = {}
+    for version in ("3.11", "3.12", "3.13", "3.14"):
+        name = f"python{version}"
+        for program in filter(None, [shutil.which(name), *sorted(map(str, pyenv.glob(f"versions/*/bin/{name}")))]):
+            # A shim of pyenv exists for versions that are not selected, and fails.
+            if subprocess.run([program, "-c", "import venv"], capture_output=True, check=False).returncode == 0:
+                found.setdefault(version, program)
+    return found
+
+
+PYTHONS = interpreters()
+MAX_INSTALLED_MB = 90
+
+
+@pytest.fixture(scope="session", params=PYTHONS)
+def installed(request: pytest.FixtureRequest, wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A clean environment with the wheel and what it requires, and nothing else."""
+    place: Path = tmp_path_factory.mktemp("installed") / request.param
+    subprocess.run([UV, "venv", "--quiet", "--python", PYTHONS[request.param], str(place)], check=True)
+    arguments = ["--quiet", "--python", str(place / "bin" / "python"), str(wheel)]
+    subprocess.run([UV, "pip", "install", *arguments], check=True, timeout=300)
+    return place
+
+
+def haptether(place: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "VIRTUAL_ENV"))}
+    command = [str(place / "bin" / "haptether"), *arguments]
+    return subprocess.run(
+        command, cwd=place, env=environment, capture_output=True, text=True, timeout=120, check=False
+    )  # fmt: skip
+
+
 @building
-def test_the_wheel_works_where_it_is_installed(wheel: Path, tmp_path: Path) -> None:
-    site = tmp_path / "site"
-    uv = os.environ.get("UV", str(ROOT / ".tools" / "uv" / "bin" / "uv"))
-    place = ["--python", sys.executable, "--target", str(site)]
-    subprocess.run(
-        [uv, "pip", "install", "--quiet", "--offline", "--no-deps", *place, str(wheel)],
-        cwd=tmp_path,
-        check=True,
-    )
-    program = """
-import haptether, haptether._core, haptether.safety
-print(haptether.__file__, haptether._core.__file__, haptether.safety.__file__, sep="\\n")
-"""
-    answer = subprocess.run(
-        [sys.executable, "-P", "-W", "error", "-c", program],
-        cwd=tmp_path,
-        env={"PATH": os.defpath, "PYTHONPATH": str(site)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+def test_the_wheel_alone_is_small_and_runs(installed: Path) -> None:
+    (site,) = installed.glob("lib/python*/site-packages")
+    files = [path for path in site.rglob("*") if path.is_file() and path.suffix != ".pyc"]
+    assert sum(path.stat().st_size for path in files) < MAX_INSTALLED_MB * 1e6
+    for arguments in (["simulate", "remote_push"], ["check", "paper_wall"], ["console", "--help"], ["list"]):
+        answer = haptether(installed, *arguments)
+        assert answer.returncode == 0, answer.stderr
+        assert answer.stdout
+
+
+@building
+def test_the_wheel_alone_shows_the_demo_without_a_picture(installed: Path) -> None:
+    if installed.name != max(PYTHONS):
+        pytest.skip("one interpreter stands for all: the demo takes 25 s")
+    answer = haptether(installed, "demo")
     assert answer.returncode == 0, answer.stderr
-    assert all(Path(line).is_relative_to(site) for line in answer.stdout.splitlines())
+    assert "no picture: drawing: matplotlib is not installed: install haptether[analysis]" in answer.stdout
+
+
+NEEDS_EXTRA = [
+    (["view", "remote_push"], "view"),
+    (["console", "--connect", "none"], "console"),
+    (["simulate", "remote_push", "--plot", "a.png"], "analysis"),
+    (["sweep", "remote_push", "--samples", "2", "--out", "a.parquet"], "parquet"),
+    (["sweep", "remote_push", "--samples", "2", "--plot", "a.png"], "analysis"),
+    (["falsify", "remote_push"], "analysis"),
+    (["paper", "--plot", "out"], "analysis"),
+    (["ur-emulator"], "ur"),
+    (["demo", "--slave", "ur"], "ur"),
+    (["dynamixel-emulator"], "dynamixel"),
+    (["inverse3-emulator"], "haply"),
+]
+
+
+@building
+@pytest.mark.parametrize(("arguments", "extra"), NEEDS_EXTRA, ids=[" ".join(one) for one, _ in NEEDS_EXTRA])
+def test_a_command_names_the_extra_before_it_computes(installed: Path, arguments: list[str], extra: str) -> None:
+    answer = haptether(installed, *arguments)
+    assert answer.returncode == 1, answer.stdout
+    assert f"install haptether[{extra}]" in answer.stderr
 
 
 def locked() -> list[Requirement]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from haptether.bridge import TelemetryHello, TelemetryMessage
 from haptether.view.page.geometry import geometry, packed
-from haptether.view.picture.picture import CAMERAS
+from haptether.view.picture.cameras import CAMERAS
 from haptether.view.scene3d.description import Description
 from haptether.view.scene3d.live import LiveDescription
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from haptether.private_file import refuse_link, write_private
 from haptether.view.page.geometry import geometry, packed
-from haptether.view.picture.picture import CAMERAS
+from haptether.view.picture.cameras import CAMERAS
 from haptether.view.scene3d import colours
 from haptether.view.scene3d.description import Description
 from haptether.view.scene3d.parts import Part, Trail

@@ -3,12 +3,13 @@
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, Final, Self, cast
+from typing import Any, Self, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from haptether.view.picture.bands import Bands, Pixels, caption
+from haptether.view.picture.cameras import CAMERAS
 from haptether.view.picture.gl import PACKAGES, NoGlError, require_gl
 from haptether.view.picture.layout import STATIONS, Column, Rectangle, layout, letter_of
 from haptether.view.scene3d import colours
@@ -17,13 +18,6 @@ from haptether.view.scene3d.parts import Part, Station, Trail
 
 Array = npt.NDArray[np.float64]
 
-CAMERAS: Final = {
-    "front": (0.18, -1.0, 0.42),
-    "side": (1.0, -0.25, 0.3),
-    "top": (0.0, -0.02, 1.0),
-    "corner": (0.85, -0.85, 0.6),
-}
-"""Where from one looks, by the keys 1 to 4."""
 VIEW_ANGLE = 28.0
 """Of the camera, in degrees."""
 ROOM = 1.06

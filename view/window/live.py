@@ -4,7 +4,7 @@ import time
 from typing import Final
 
 from haptether.view.following import Following
-from haptether.view.picture.picture import CAMERAS
+from haptether.view.picture.cameras import CAMERAS
 from haptether.view.window.window import Window
 
 KEYS: Final = (

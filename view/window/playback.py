@@ -4,7 +4,7 @@ import time
 from collections.abc import Sequence
 from typing import Final
 
-from haptether.view.picture.picture import CAMERAS
+from haptether.view.picture.cameras import CAMERAS
 from haptether.view.scene3d.description import Description
 from haptether.view.window.window import Window
 

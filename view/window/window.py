@@ -4,7 +4,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar, Final
 
-from haptether.view.picture.picture import CAMERAS, Picture
+from haptether.view.picture.cameras import CAMERAS
+from haptether.view.picture.picture import Picture
 from haptether.view.scene3d import colours
 from haptether.view.scene3d.description import Description
 

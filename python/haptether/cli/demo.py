@@ -77,6 +77,7 @@ class Demo(PictureOptions):
         from haptether.cli.shared.output import check_target
         from haptether.cli.shared.screen import screen
         from haptether.cli.shared.stop import Stopped
+        from haptether.extras import require
         from haptether.netsim import LinkSettings, link_spec
         from haptether.studies import DEMO_CONTROLLERS, DemoScene, FollowScene, Interrupted, PickScene, run_demo
 
@@ -85,6 +86,10 @@ class Demo(PictureOptions):
         times = {"delay_s": self.delay_s, "jitter_s": self.jitter_s}
         given = {name: value for name, value in times.items() if value is not None}
         task = self._task()
+        if self.slave == "ur":
+            require("--slave ur", "casadi", "daqp", "rtde_control")
+        if "dynamixel" in {self.master, self.slave}:
+            require("an arm of servos", "casadi", extra="dynamixel")
         scene: DemoScene | PickScene | FollowScene
         if self.slave == "dynamixel":
             scene = FollowScene(loss=self.loss, seed=self.seed)

@@ -1,0 +1,11 @@
+"""The directions from which a picture, a window or a page shows a run."""
+
+from typing import Final
+
+CAMERAS: Final = {
+    "front": (0.18, -1.0, 0.42),
+    "side": (1.0, -0.25, 0.3),
+    "top": (0.0, -0.02, 1.0),
+    "corner": (0.85, -0.85, 0.6),
+}
+"""From the scene towards the camera; the keys 1 to 4 of the window."""
