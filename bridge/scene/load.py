@@ -258,7 +258,7 @@ def override_texts(overrides: Iterable[str]) -> tuple[str, ...]:
 
 
 def overridden(raw: dict[str, Raw], override: str) -> dict[str, Raw]:
-    """Tables with one field changed, `table.key=value`; what is given stays as it is.
+    """A copy of the tables with one field changed, `table.key=value`. Files are relative to the working folder.
 
     Raises:
         SceneError: No `=`, a path that is not in the schema, or a value that TOML does not know.
@@ -268,7 +268,17 @@ def overridden(raw: dict[str, Raw], override: str) -> dict[str, Raw]:
         message = f"{shown(override)}: must be table.key=value"
         raise SceneError(message)
     path = path_of(key.strip())
-    return cast("dict[str, Raw]", with_value(raw, path, toml_value(text.strip(), path)))
+    value = _with_absolute_files(toml_value(text.strip(), path), path[-1] if path else "")
+    return cast("dict[str, Raw]", with_value(raw, path, value))
+
+
+def _with_absolute_files(value: Raw, key: str | int) -> Raw:
+    """The value of a key, with each relative path under a key `file` joined to the working folder."""
+    if isinstance(value, dict):
+        return {name: _with_absolute_files(one, name) for name, one in value.items()}
+    if isinstance(value, list):
+        return [_with_absolute_files(one, "") for one in value]
+    return str(FilePath(value).absolute()) if key == "file" and isinstance(value, str) else value
 
 
 def leaf_values(tree: object, path: str = "") -> Iterator[tuple[str, Leaf]]:
