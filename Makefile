@@ -142,6 +142,7 @@ lock: $(PINNED_UV) ## renew tools/*.txt (UPGRADE=--upgrade takes the newest vers
 	@$(USE_INDEX); set -x; \
 	    $(COMPILE) --group bench --constraint tools/requirements.txt --output-file tools/bench.txt
 	@$(USE_INDEX); set -x; $(COMPILE) --output-file tools/uv.txt tools/uv.in
+	@$(BIN)/python tools/sbom.py >python/haptether.cdx.json
 
 .PHONY: images
 images: $(EXTENSION) ## make the pictures of docs/images anew, where Chromium and EGL are (some minutes)

@@ -65,7 +65,7 @@ CLASSIFIERS = {
     "The Unlicense (Unlicense)": "Unlicense",
 }
 
-EXTRAS = ("", "analysis", "console", "haply", "parquet", "record", "ur", "view")
+EXTRAS = ("", "analysis", "console", "dynamixel", "haply", "parquet", "record", "ur", "view")
 """The optional dependencies that tools/requirements.txt holds, and none at all."""
 
 

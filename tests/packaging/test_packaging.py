@@ -126,6 +126,18 @@ def test_the_wheel_holds_the_package_and_the_rooms_and_nothing_else(wheel: Path)
 
 
 @building
+def test_the_wheel_lists_the_crates_of_the_lock(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = [name for name in archive.namelist() if "/sboms/" in name]
+        text = archive.read(name).decode()
+    current = subprocess.run(
+        [sys.executable, str(ROOT / "tools" / "sbom.py")], capture_output=True, text=True, check=True
+    )
+    assert text == current.stdout, "run `make lock`"
+    assert str(ROOT) not in text
+
+
+@building
 def test_no_file_is_in_the_wheel_twice(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
@@ -136,7 +148,15 @@ def test_no_file_is_in_the_wheel_twice(wheel: Path) -> None:
 def test_the_sdist_holds_the_sources_of_both_languages_once(sdist: Path) -> None:
     with tarfile.open(sdist) as archive:
         members = [member.name.partition("/")[2] for member in archive if not member.isdir()]
-    root = ["Cargo.toml", "Cargo.lock", "pyproject.toml", "README.md", "LICENSE", "PKG-INFO"]
+    root = [
+        "Cargo.toml",
+        "Cargo.lock",
+        "pyproject.toml",
+        "README.md",
+        "LICENSE",
+        "PKG-INFO",
+        "python/haptether.cdx.json",
+    ]
     rust = [
         str(path)
         for path in tree()
