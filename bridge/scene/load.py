@@ -268,17 +268,18 @@ def overridden(raw: dict[str, Raw], override: str) -> dict[str, Raw]:
         message = f"{shown(override)}: must be table.key=value"
         raise SceneError(message)
     path = path_of(key.strip())
-    value = _with_absolute_files(toml_value(text.strip(), path), path[-1] if path else "")
+    value = of_working_folder(toml_value(text.strip(), path), path[-1] if path else "")
     return cast("dict[str, Raw]", with_value(raw, path, value))
 
 
-def _with_absolute_files(value: Raw, key: str | int) -> Raw:
-    """The value of a key, with each relative path under a key `file` joined to the working folder."""
+def of_working_folder(value: Raw, key: str | int = "") -> Raw:
+    """The value of a key, with each relative path of a file in it joined to the working folder."""
     if isinstance(value, dict):
-        return {name: _with_absolute_files(one, name) for name, one in value.items()}
+        return {name: of_working_folder(one, name) for name, one in value.items()}
     if isinstance(value, list):
-        return [_with_absolute_files(one, "") for one in value]
-    return str(FilePath(value).absolute()) if key == "file" and isinstance(value, str) else value
+        return [of_working_folder(one) for one in value]
+    is_file = isinstance(value, str) and (key == "file" or (key == "distribution" and value.endswith(".dist")))
+    return str(FilePath(value).absolute()) if is_file else value
 
 
 def leaf_values(tree: object, path: str = "") -> Iterator[tuple[str, Leaf]]:

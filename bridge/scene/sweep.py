@@ -31,6 +31,7 @@ from haptether.bridge.scene.load import (
 )
 from haptether.bridge.scene.research import Research, research_of
 from haptether.bridge.scene.run import named_scene
+from haptether.bridge.scene.series import embed_recordings
 from haptether.bridge.scene.sweeps.design import Values, counts_of, design_of
 from haptether.bridge.scene.sweeps.limits import EXACT, LARGEST_EXACT, as_typed, check_rows, out_of_range, whole_number
 from haptether.bridge.scene.sweeps.population import Population, with_population
@@ -316,7 +317,9 @@ _MOST_KINDS = 256
 
 
 def _of_kind(base: Checked, values: Mapping[str, "Raw | SceneChoice"]) -> Checked:
-    """The scene with what is no number changed; the last ones are cached, for the batches of one sweep.
+    """The scene with what is no number changed; files are relative to the working folder.
+
+    The last ones that name no file are cached, for the batches of one sweep.
 
     Raises:
         SceneError: A scene that cannot be built.
@@ -332,11 +335,13 @@ def _of_kind(base: Checked, values: Mapping[str, "Raw | SceneChoice"]) -> Checke
         changed: Raw = cast("dict[str, Raw]", msgspec.to_builtins(base.scene))
         for path, value in fields.items():
             changed = with_value(changed, path_of(path), value)
-        scene = typed_scene(changed)
+        written = typed_scene(changed)
+        scene = embed_recordings(written, FilePath())
         cached = Checked(scene, checked_spec(scene))
-        if len(_KINDS) >= _MOST_KINDS:
-            _KINDS.clear()
-        _KINDS[key] = cached
+        if scene == written:
+            if len(_KINDS) >= _MOST_KINDS:
+                _KINDS.clear()
+            _KINDS[key] = cached
     return cached
 
 

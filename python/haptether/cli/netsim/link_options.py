@@ -61,18 +61,17 @@ class LinkOptions:
         Raises:
             SceneError: A scene, flag or setting that cannot be.
         """
-        from haptether.bridge.scene.load import overridden
+        from haptether.bridge.scene.load import of_working_folder, overridden
         from haptether.cli.shared.numbers import check_seed
 
         raw, seed, folder = _read(scene)
         flags = {name: value for name in FLAGS if (value := getattr(self, name)) is not None}
         self._refuse_twice()
         if self.trace is not None:
-            # Of the working folder, not of the scene's.
-            flags["trace"] = {"file": str(self.trace.absolute())}
+            flags["trace"] = {"file": str(self.trace)}
         link: dict[str, Any] = raw.setdefault("link", {})
         for direction in ("forward", "backward"):
-            link[direction] = {**link.get(direction, {}), **flags}
+            link[direction] = {**link.get(direction, {}), **of_working_folder(flags)}
         for direction, settings in (("forward", self.set), ("backward", (*self.set, *self.backward_set))):
             for setting in settings:
                 raw = overridden(raw, f"link.{direction}.{setting}")
