@@ -1,4 +1,4 @@
-"""Numbers of a scene that lie far outside what they usually are: a unit that slipped, 50 for 0.05."""
+"""Numbers far outside what they usually are in a scene: a unit that slipped, 50 for 0.05."""
 
 import math
 import re
@@ -28,6 +28,8 @@ _USUAL = (
     # A geostationary satellite twice over takes 0.6 s one way.
     _usual(r"link\.(forward|backward)\.(timeline\.\d+\.)?delay_s", "s", 2.0, _MS, _US),
     _usual(r"link\.(forward|backward)\.jitter_s", "s", 0.5, _MS, _US),
+    _usual(r"link\.(forward|backward)\.jitter_correlation_s", "s", 10.0, _MS, _US),
+    _usual(r"round_trip_s", "s", 4.0, _MS, _US),
     _usual(r"(run|slave)\.period_s", "s", 0.02, _MS, _US),
     _usual(r"master\.stops\.\d+(\.\d+)?|operator\.(start|legs\.\d+\.end)(\.\d+)?", "m", 3.0, _MM),
     _usual(r"slave\.position(\.\d+)?|master\.encoder_quantum", "m", 3.0, _MM),
@@ -43,13 +45,20 @@ _USUAL = (
 
 
 def unusual_numbers(scene: Scene) -> list[str]:
+    """As `unusual_values`, of all numbers of a scene."""
+    return unusual_values(scene, of_joints=scene.master.kind == "joints")
+
+
+def unusual_values(value: object, path: str = "", *, of_joints: bool = False) -> list[str]:
     """One line for each number far outside what it usually is, with the unit it may have been meant in; mostly none.
 
-    Of joints, whose units are others, nothing is said of positions and forces.
+    Args:
+        value: A number, or tables and lists of them.
+        path: Where in a scene they belong, as `link.forward.delay_s`; "round_trip_s" is the sum of both delays.
+        of_joints: The units of positions and forces are others: nothing is said of them.
     """
-    of_joints = scene.master.kind == "joints"
     found = []
-    for path, value in leaf_values(msgspec.to_builtins(scene)):
+    for path, value in leaf_values(msgspec.to_builtins(value), path):
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             continue
         usual = next((one for one in _USUAL if one.path.fullmatch(path)), None)

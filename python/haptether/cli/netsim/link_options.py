@@ -62,6 +62,7 @@ class LinkOptions:
             SceneError: A scene, flag or setting that cannot be.
         """
         from haptether.bridge.scene.load import of_working_folder, overridden
+        from haptether.bridge.scene.unusual import unusual_values
         from haptether.cli.shared.numbers import check_seed
 
         raw, seed, folder = _read(scene)
@@ -77,7 +78,7 @@ class LinkOptions:
                 raw = overridden(raw, f"link.{direction}.{setting}")
         seed = seed if self.seed is None else self.seed
         check_seed(seed)
-        return _typed(raw, folder, seed)
+        return _typed(raw, folder, seed, unusual_values(raw))
 
     def _refuse_twice(self) -> None:
         """Refuses a setting that is given twice, be it by a flag of its own and by `--set`: the last would count.
@@ -101,6 +102,8 @@ class Links:
     forward: "LinkSettings"
     backward: "LinkSettings"
     seed: int
+    unusual: list[str]
+    """A line for each number whose unit may have slipped."""
 
 
 def _read(scene: str | None) -> tuple[dict[str, Any], int, Path]:
@@ -149,7 +152,7 @@ def _toml(path: Path) -> dict[str, Any]:
     raise SceneError(message)
 
 
-def _typed(raw: dict[str, Any], folder: Path, seed: int) -> Links:
+def _typed(raw: dict[str, Any], folder: Path, seed: int, unusual: list[str]) -> Links:
     import msgspec
 
     from haptether.bridge.scene.errors import explained, refuse_infinite
@@ -168,4 +171,4 @@ def _typed(raw: dict[str, Any], folder: Path, seed: int) -> Links:
         raise explained(error, raw) from None
     links = embedded_links(links, folder)
     spec_of_links(links)  # refuses what does not go together
-    return Links(links.forward or LinkSettings(), links.backward or LinkSettings(), seed)
+    return Links(links.forward or LinkSettings(), links.backward or LinkSettings(), seed, unusual)

@@ -1,6 +1,7 @@
 """`haptether netsim proxy`."""
 
 import contextlib
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
@@ -75,6 +76,8 @@ class Proxy(LinkOptions):
             raise ValueError(message)
         check_target(self.json)
         links = self.links(self.scene)
+        for line in links.unusual:
+            print(line, file=sys.stderr, flush=True)
         log = None if self.log is None else Log.checked(self.log)
         if log is not None:
             begin_private(log.csv)

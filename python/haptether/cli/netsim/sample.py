@@ -67,6 +67,9 @@ class Sample(LinkOptions, PictureOptions):
         sent_ns = sending_times(self.packets, self.rate)
         verdicts = judge_all(settings, sent_ns, direction=self.direction, seed=links.seed, sizes=self.size)
         console = screen(self.csv if table_goes_to_stderr(self.csv) else self.json)
+        for line in links.unusual:
+            if line.startswith(f"link.{self.direction}."):
+                console.print(line, soft_wrap=True)
         figures = {"asked": asked(settings, self.direction), "realised": realised(verdicts)}
         console.print(figures_table(f"{self.packets} packets {self.direction}, seed {links.seed}", figures))
         if self.csv is not None:

@@ -35,7 +35,9 @@ class Set:
 
     def run(self) -> int:
         """Sends the request and says what was answered."""
+        from haptether.bridge.scene.unusual import unusual_values
         from haptether.cli.shared.output import check_target, write_report
+        from haptether.cli.shared.screen import screen
         from haptether.netsim import ask_control
 
         check_target(self.json)
@@ -48,6 +50,8 @@ class Set:
         if answer.pop("ok", None) is not True:
             message = f"the proxy changed nothing: {answer.get('error', 'it did not say why')}"
             raise ValueError(message)
+        for line in unusual_values(request, "link"):
+            screen(self.json).print(line, soft_wrap=True)
         self._print(answer)
         write_report(self.json, answer)
         return 0

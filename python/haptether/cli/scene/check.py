@@ -42,11 +42,13 @@ class Check:
         from haptether.cli.shared.design import WORDS, summary
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
+        from haptether.cli.shared.unusual import ask_units
         from haptether.studies import check_scene
 
         check_target(self.json)
-        found = check_scene(load_scene(self.scene, self.set), speed=self.speed)
-        console = screen(self.json)
+        scene, console = load_scene(self.scene, self.set), screen(self.json)
+        ask_units(console, [scene])
+        found = check_scene(scene, speed=self.speed)
         console.print(f"{self.scene}, by design:")
         for finding in found.findings:
             said = "not judged: " if finding.state == "not judged" else ""

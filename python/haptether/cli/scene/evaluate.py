@@ -68,11 +68,13 @@ class Evaluate:
 
     def run(self) -> int:
         """Runs all tasks; 0."""
+        from haptether.bridge import load_scene
         from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.controller_time import controller_timed
         from haptether.cli.shared.numbers import check_random_seed
         from haptether.cli.shared.output import check_target, make_folder, require_matplotlib
         from haptether.cli.shared.screen import screen
+        from haptether.cli.shared.unusual import ask_units
         from haptether.studies import (
             EVALUATED_CONTROLLERS,
             EVALUATED_NETWORKS,
@@ -97,10 +99,15 @@ class Evaluate:
             require_matplotlib()
             make_folder(self.out)
         limits = {"speed": self.speed, "false_trips_per_h": self.false_trips_per_h}
-        console = screen(self.json)
+        console, tasks = screen(self.json), self._tasks()
+        ask_units(
+            console,
+            (load_scene(task, self.set) for task in tasks),
+            (("round_trip_s", each) for each in self.round_trip_s or ()),
+        )
         with controller_timed(console), spinner("evaluate") as say:
             found = evaluate(
-                self._tasks(),
+                tasks,
                 controllers=self.controller or (QUICK_CONTROLLERS if self.quick else EVALUATED_CONTROLLERS),
                 round_trips_s=self.round_trip_s or (QUICK_ROUND_TRIPS_S if self.quick else ROUND_TRIPS_S),
                 networks=[known[name] for name in chosen],

@@ -74,6 +74,7 @@ class Falsify:
         from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.output import check_target
         from haptether.cli.shared.screen import screen
+        from haptether.cli.shared.unusual import ask_units
         from haptether.studies import falsify
 
         check_duration("seconds", self.seconds)
@@ -82,7 +83,9 @@ class Falsify:
             message = f"{out}: must end in .toml"
             raise ValueError(message)
         check_target(self.json, out)
-        scene = load_scene(self.scene, self.set)
+        scene, console = load_scene(self.scene, self.set), screen(self.json)
+        searched = {"link.forward.delay_s": self.delay_s, "link.forward.jitter_s": self.jitter_s}
+        ask_units(console, [scene], searched.items())
         controllers = (
             None if self.controller is None else tuple(filter(None, self.controller.replace("+", ",").split(",")))
         )
@@ -102,7 +105,7 @@ class Falsify:
             print("haptether: interrupted before the first releases were done: there is no worst one", file=sys.stderr)
             raise
         save_scene(found.scene, out, self._comment(found))
-        self._report(screen(self.json), found, out)
+        self._report(console, found, out)
         if found.margin is not None and found.margin < 0.0:
             message = f"{out}: {found.worst:.4f} m/s exceeds the bound of {found.bound.speed:.4f} m/s"
             raise RuntimeError(message)

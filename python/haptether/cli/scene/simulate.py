@@ -60,11 +60,12 @@ class Simulate(PictureOptions):
 
     def run(self) -> int:
         """Runs the scene; 0, or 1 if it diverged or the two sides never engaged."""
-        from haptether.bridge import SceneError, load_scene, simulate, unusual_numbers
+        from haptether.bridge import SceneError, load_scene, simulate
         from haptether.cli.shared.controller_time import controller_timed
         from haptether.cli.shared.output import check_target, make_folder
         from haptether.cli.shared.picture import check_picture_options, picture_in
         from haptether.cli.shared.screen import screen
+        from haptether.cli.shared.unusual import ask_units
 
         console = screen(self.json)
         if self.list:
@@ -91,8 +92,7 @@ class Simulate(PictureOptions):
         if scene.record is None and (self.plot is not None or self.out is not None):
             message = f"{self.scene} has no [record], so there are no signals to keep: add --set record.every=1"
             raise SceneError(message)
-        for line in unusual_numbers(scene):
-            console.print(line)
+        ask_units(console, [scene])
         with controller_timed(console), spinner(f"running {self.scene}"):
             run = simulate(self.scene, overrides=self.set, record=files)
         named = {

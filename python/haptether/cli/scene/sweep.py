@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from haptether.bridge import RowReason, StoredSweep
+    from haptether.bridge import RowReason, Scene, StoredSweep
     from haptether.bridge import Sweep as SweepResult
     from haptether.bridge.scene.sweeps.design import Design
     from haptether.bridge.scene.sweeps.laws import SampleLaw
@@ -123,6 +123,7 @@ class Sweep(PictureOptions):
         from haptether.cli.shared.output import write_report
         from haptether.cli.shared.picture import asked_picture
         from haptether.cli.shared.screen import screen
+        from haptether.cli.shared.unusual import ask_units
         from haptether.view.figures.sweep import check_varied, draw_sweep
         from haptether.view.style.figure import write_figure
 
@@ -139,6 +140,7 @@ class Sweep(PictureOptions):
             check_varied(paths, labelled({**design.factors, **design.samples}))
         picture = asked_picture(self.plot, self)
         console = screen(self.json)
+        ask_units(console, *self._numbers({**varied, **drawn}, ties))
         with controller_timed(console, here=self.engine == "local"):
             whole, stored = self._run_rows(design, {"grid": varied, "samples": drawn, "ties": ties}, collect=collect)
         shown = whole if stored is None else stored.head
@@ -290,6 +292,22 @@ class Sweep(PictureOptions):
                     message = f"{option} {path}, --set {path}: one field is given twice: leave one of the two out"
                     raise ValueError(message)
         return varied, ties
+
+    def _numbers(
+        self, values: dict[str, Any], ties: dict[str, str]
+    ) -> "tuple[list[Scene], list[tuple[str, object]]]":
+        """The scenes, and of each path the largest number and whatever else it takes."""
+        from haptether.bridge import load_scene
+        from haptether.bridge.scene.sweeps.scenes import SCENE
+
+        scenes = [choice.checked.scene for choice in values.get(SCENE, ())] or [load_scene(self.scene, self.set)]
+        found: list[tuple[str, object]] = []
+        of = {**values, **{path: values[leading] for path, leading in ties.items() if leading in values}}
+        for path in of.keys() - {SCENE}:
+            numbers = [float(each) for each in of[path] if isinstance(each, int | float)]
+            found += [(path, max(numbers, key=abs))] if numbers else []
+            found += [(path, each) for each in of[path] if not isinstance(each, int | float)]
+        return scenes, sorted(found, key=lambda each: each[0])
 
     def _drawn(self, varied: dict[str, list[Any]]) -> dict[str, "npt.NDArray[np.float64]"]:
         """The samples that each combination has."""

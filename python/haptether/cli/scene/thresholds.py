@@ -56,11 +56,13 @@ class Thresholds(PictureOptions):
 
     def run(self) -> int:
         """Runs all tasks and prints, for each law, its thresholds over round trips."""
+        from haptether.bridge import load_scene
         from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.numbers import check_random_seed
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.picture import asked_picture
         from haptether.cli.shared.screen import screen
+        from haptether.cli.shared.unusual import ask_units
         from haptether.studies import THRESHOLD_LAWS, THRESHOLD_TASKS, HandBounds, draw_trade_off, measure_thresholds
         from haptether.studies.task import HANDS, RELEASES, ROUND_TRIPS_S
         from haptether.view.style.figure import write_figure
@@ -73,9 +75,15 @@ class Thresholds(PictureOptions):
             message = f"--controller {self.controller}: {unknown[0]!r} is none of {', '.join(known)}"
             raise ValueError(message)
         picture = asked_picture(self.plot, self)
+        tasks, console = self.task or THRESHOLD_TASKS, screen(self.json)
+        ask_units(
+            console,
+            (load_scene(task, self.set) for task in tasks),
+            (("round_trip_s", each) for each in self.round_trip_s or ()),
+        )
         with spinner("thresholds") as say:
             found = measure_thresholds(
-                tasks=self.task or THRESHOLD_TASKS,
+                tasks=tasks,
                 laws=[law for law in THRESHOLD_LAWS if law.controller in names],
                 round_trips_s=ROUND_TRIPS_S if self.round_trip_s is None else self.round_trip_s,
                 hands=HANDS if self.hands is None else self.hands,
@@ -86,7 +94,6 @@ class Thresholds(PictureOptions):
                 threads=self.threads,
                 progress=say,
             )
-        console = screen(self.json)
         self._print(console, found)
         if self.json is not None:
             points = {"laws": found.laws, "points": found.points(), "rows": found.rows}

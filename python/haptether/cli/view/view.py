@@ -131,7 +131,7 @@ class View:
         console = screen(self.json)
         if self.connect and not self._writes:
             return self._show_live(size, console)
-        described = self._followed(console) if self.connect else self._described()
+        described = self._followed(console) if self.connect else self._described(console)
         self._check_times(described)
         for note in dict.fromkeys(note for one in described for note in one.notes):
             console.print(f"note: {note}")
@@ -165,7 +165,7 @@ class View:
             message = f"--speed {self.speed:g}: must be 0.001 to 100"
             raise ValueError(message)
 
-    def _described(self) -> "list[Description]":
+    def _described(self, console: "Screen") -> "list[Description]":
         """What is seen of each run."""
         from haptether.bridge import load_scene
         from haptether.cli.scene.simulate import spinner
@@ -179,10 +179,10 @@ class View:
                 run = recorded(Path(what), *map(Path, others), slave_begun_s=self.slave_begun_s)
                 return describe_beside([(run, scene, "".join(self.title[:1]))], **arms)
         with spinner(f"running {what}"):
-            runs = [simulated(what, self.set)]
+            runs = [simulated(what, self.set, console)]
             titles = [""]
             if self.compare:
-                runs.append(simulated(what, (*self.set, *self.compare)))
+                runs.append(simulated(what, (*self.set, *self.compare), console))
                 titles = [", ".join(self.set) or "as the scene says", ", ".join(self.compare)]
             titles = [*self.title, *titles[len(self.title) :]]
             of = [(run, scene, title) for (run, scene), title in zip(runs, titles, strict=True)]
@@ -362,11 +362,13 @@ def size_of(text: str) -> tuple[int, int]:
     return size
 
 
-def simulated(what: str, overrides: tuple[str, ...]) -> "tuple[Run, Scene]":
+def simulated(what: str, overrides: tuple[str, ...], console: "Screen") -> "tuple[Run, Scene]":
     """A scene that is run, with its signals kept even if it keeps none."""
     from haptether.bridge import load_scene, simulate
+    from haptether.cli.shared.unusual import ask_units
 
     scene = load_scene(what, overrides)
+    ask_units(console, [scene])
     kept = overrides if scene.record is not None else (*overrides, "record.every=1")
     return simulate(what, overrides=kept), scene
 

@@ -1,0 +1,26 @@
+"""The unit question: numbers far outside what they usually are, asked about before anything runs."""
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from haptether.bridge import Scene
+    from haptether.cli.shared.screen import Screen
+
+
+def ask_units(console: "Screen", scenes: Iterable["Scene"], values: Iterable[tuple[str, object]] = ()) -> None:
+    """Prints one line for each unusual number, each line once.
+
+    Args:
+        console: Where they are printed.
+        scenes: All their numbers are asked about.
+        values: More of them, each with its path: what varies, or what is searched.
+    """
+    from haptether.bridge.scene.unusual import unusual_numbers, unusual_values
+
+    scenes = tuple(scenes)
+    of_joints = any(scene.master.kind == "joints" for scene in scenes)
+    lines = [line for scene in scenes for line in unusual_numbers(scene)]
+    lines += [line for path, value in values for line in unusual_values(value, path, of_joints=of_joints)]
+    for line in dict.fromkeys(lines):
+        console.print(line, soft_wrap=True)
