@@ -44,9 +44,9 @@ _LONG_KEY = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_PAR
 _BARE_WORD = re.compile(r"(?<![\"\w.+-])(?!(?:true|false)\b)([A-Za-z_][\w-]*)(?![\"\w])")
 
 
-def scene_names() -> tuple[str, ...]:
-    """Names of the scenes that Haptether ships."""
-    return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
+def scene_names(*, attacks: bool = False) -> tuple[str, ...]:
+    """Names of the scenes that Haptether ships; on request also those of `haptether raven`, the attacks."""
+    return tuple(sorted(path.stem for path in _SHIPPED.glob("**/*.toml" if attacks else "*.toml")))
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def load_scene(name_or_path: str | PathLike[str], overrides: Iterable[str] = ())
     """Reads a scene.
 
     Args:
-        name_or_path: One of `scene_names()`, or the path of a TOML file.
+        name_or_path: One of `scene_names(attacks=True)`, or the path of a TOML file.
         overrides: `table.key=value` each, in TOML; bare words are strings. `operator.legs.0.end=-0.03` reaches into
             a list.
 
@@ -141,8 +141,8 @@ def scene_path(name_or_path: str | PathLike[str]) -> FilePath:
             " `simulate` and `sweep` take a Scene, too"
         )
         raise SceneError(message)
-    if isinstance(name_or_path, str) and name_or_path in scene_names():
-        return _SHIPPED / f"{name_or_path}.toml"
+    if isinstance(name_or_path, str) and name_or_path in scene_names(attacks=True):
+        return next(_SHIPPED.glob(f"**/{name_or_path}.toml"))
     if name_or_path == "":
         message = 'scene = "": must be the name of a shipped scene or the path of a TOML file'
         raise SceneError(message)

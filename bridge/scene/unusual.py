@@ -58,13 +58,13 @@ def unusual_values(value: object, path: str = "", *, of_joints: bool = False) ->
         of_joints: The units of positions and forces are others: nothing is said of them.
     """
     found = []
-    for path, value in leaf_values(msgspec.to_builtins(value), path):
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    for at, number in leaf_values(msgspec.to_builtins(value), path):
+        if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
             continue
-        usual = next((one for one in _USUAL if one.path.fullmatch(path)), None)
-        if usual is None or abs(value) <= usual.most or (of_joints and usual.unit != "s"):
+        usual = next((one for one in _USUAL if one.path.fullmatch(at)), None)
+        if usual is None or abs(number) <= usual.most or (of_joints and usual.unit != "s"):
             continue
-        meant = next((one for one in usual.slipped if abs(value) * one[1] <= usual.most), None)
-        question = f"; did you mean {value * meant[1]:.6g} ({value:g} {meant[0]})?" if meant is not None else ""
-        found.append(f"{path} = {value:g}: {usual.unit}, and beyond the usual {usual.most:g}{question}")
+        meant = next((one for one in usual.slipped if abs(number) * one[1] <= usual.most), None)
+        question = f"; did you mean {number * meant[1]:.6g} ({number:g} {meant[0]})?" if meant is not None else ""
+        found.append(f"{at} = {number:g}: {usual.unit}, and beyond the usual {usual.most:g}{question}")
     return found

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from haptether.cli.entry import main
-from haptether.netsim import ControlSocket, Controlled, LinkSettings, ProxyStatistics
+from haptether.netsim import Controlled, ControlSocket, LinkSettings, ProxyStatistics
 
 SHORT = ["--set", "run.duration_s=0.05"]
 FORWARD = "link.forward.delay_s = 50: s, and beyond the usual 2; did you mean 0.05 (50 ms)?"
@@ -24,7 +24,7 @@ ASKED = {
     "sweep of tables": (["sweep", "remote_push", *SHORT, "--vary", "link.backward={},{delay_s=50}"], [BACKWARD]),
     "sweep of draws": (
         ["sweep", "remote_push", *SHORT, "--samples", "2", "--draw", "safety.limiter.max_force_n=uniform:7900:7900.001"],
-        [PUSH.split(" = ")[0]],
+        [PUSH.split(" = ", maxsplit=1)[0]],
     ),
     "sweep of scenes": (["sweep", "remote_push", "--vary", "scene=slow.toml,remote_push", *SHORT], [FORWARD]),
     "evaluate": (

@@ -10,11 +10,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from haptether.bridge import SceneError, load_scene, scene_names
+from haptether.bridge.scene.load import scene_path
 
 ROOT = Path(__file__).resolve().parents[2]
 CORPUS = ROOT / "fuzz" / "corpus" / "toml"
 FILES = sorted(CORPUS.iterdir())
-GOOD = [ROOT / "bridge" / "scenes" / f"{name}.toml" for name in scene_names()]
+GOOD = [scene_path(name) for name in scene_names(attacks=True)]
 WORDS = [
     b"nan", b"-inf", b"1e999", b"-0.0", b"5e-324", b"9223372036854775807", b"99999999999999999999", b"0x7F",
     b"1979-05-27", b"true", b'""', b"''", b"[]", b"{}", b"[[]]", b"[run]\n", b"[[run]]\n", b"=", b".", b"#", b"\n",

@@ -72,7 +72,7 @@ def file(folder: Path, text: str) -> Path:
 
 
 def test_the_shipped_scenes_are_found_by_name() -> None:
-    assert set(scene_names()) == SHIPPED
+    assert set(scene_names(attacks=True)) == SHIPPED
 
 
 def test_the_paper_wall_is_the_operator_of_the_paper() -> None:

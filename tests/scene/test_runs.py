@@ -40,7 +40,7 @@ def same(one: Sweep, other: Sweep) -> None:
 
 
 @pytest.mark.sampled(12)
-@pytest.mark.parametrize("name", scene_names())
+@pytest.mark.parametrize("name", scene_names(attacks=True))
 def test_the_same_scene_and_seed_give_the_same_bytes(name: str) -> None:
     first, second = shipped(name), simulate(name)
     assert first.events == second.events

@@ -7,7 +7,7 @@ import pytest
 from haptether.bridge import load_scene, save_scene, scene_json, scene_names, scene_toml
 
 
-@pytest.mark.parametrize("name", scene_names())
+@pytest.mark.parametrize("name", scene_names(attacks=True))
 def test_a_shipped_scene_reads_as_it_was_written(name: str, tmp_path: Path) -> None:
     scene = load_scene(name)
     written = tmp_path / "scene.toml"

@@ -89,7 +89,7 @@ def test_a_shipped_scene_shows_what_it_says(shown: Shown) -> None:
 
 def test_every_shipped_scene_is_held() -> None:
     """Here, or with the attacks."""
-    assert {name for name, *_ in SHOWN} | {attack.scene for attack in RAVEN_ATTACKS} == set(scene_names())
+    assert {name for name, *_ in SHOWN} | {attack.scene for attack in RAVEN_ATTACKS} == set(scene_names(attacks=True))
 
 
 @pytest.mark.parametrize("name", ["active_force", "playback", "free_motion"])
@@ -210,7 +210,7 @@ def test_a_run_that_diverges_says_why() -> None:
 
 
 @pytest.mark.sampled(8)
-@pytest.mark.parametrize("name", scene_names())
+@pytest.mark.parametrize("name", scene_names(attacks=True))
 def test_a_shipped_scene_is_drawn(name: str, tmp_path: Path) -> None:
     """Also where hand and arm have periods of their own, and so as many samples."""
     changed = [] if load_scene(name).record is not None else ["--set", "record.every=1"]

@@ -540,7 +540,7 @@ def test_what_does_not_fit_the_rust_side_would_be_found() -> None:
     assert faults(changed(spec, {"run.seed": None}), RUST) == ["scene.run.seed: nothing"]
 
 
-@pytest.mark.parametrize("name", scene_names())
+@pytest.mark.parametrize("name", scene_names(attacks=True))
 def test_a_shipped_scene_is_what_the_rust_side_reads(name: str) -> None:
     scene = load_scene(name)
     assert scene.title

@@ -12,7 +12,9 @@ MAX_S = 3.0
 
 def remote() -> list[tuple[str, list[str]]]:
     """Every scene with an arm that is shipped, and two with more."""
-    found: list[tuple[str, list[str]]] = [(name, []) for name in scene_names() if load_scene(name).slave is not None]
+    found: list[tuple[str, list[str]]] = [
+        (name, []) for name in scene_names(attacks=True) if load_scene(name).slave is not None
+    ]
     more = [("felt_trigger", ["safety.gripper.controllers=[wsc]"]), ("pick_and_place", ["security.secure=true"])]
     return [*found, *more]
 

@@ -1,18 +1,19 @@
 """The attacks of the RAVEN II study: what each does, and that whatever holds, holds still."""
 
+import contextlib
 import json
 from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
 
-from haptether.bridge import load_scene, simulate
+from haptether.bridge import load_scene, scene_names, simulate
 from haptether.cli.entry import main
 from haptether.studies import RAVEN_ATTACKS, RavenReport, RavenRow, raven_suite
 from haptether.studies.raven import COASTING_S, COMMAND_SPEED, SECURITY
 from haptether.studies.raven_attacks import Security
 
-SCENES = Path(__file__).resolve().parents[2] / "bridge" / "scenes"
+SCENES = Path(__file__).resolve().parents[2] / "bridge" / "scenes" / "raven"
 
 
 @pytest.fixture(scope="module")
@@ -161,3 +162,21 @@ def test_every_scene_names_its_attack_and_its_source() -> None:
         text = (SCENES / f"{attack.scene}.toml").read_text(encoding="utf-8")
         assert "Source: arXiv 1504.04339" in text, attack.scene
         assert load_scene(attack.scene).link is not None
+
+
+def test_only_raven_lists_the_attacks(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["raven"]) == 0
+    said = "".join(capsys.readouterr())
+    assert all(attack.scene.removeprefix("raven_").replace("_", " ") in said for attack in RAVEN_ATTACKS)
+    assert "raven_" in said
+    for arguments in (["simulate", "--list"], ["list"], ["list", "--json", "-"], ["simulate", "raven_dro"], ["--help"]):
+        with contextlib.suppress(SystemExit):
+            main(arguments)
+        said = "".join(capsys.readouterr())
+        assert "raven_" not in said.replace("raven_dro:", ""), arguments
+    assert not [name for name in scene_names() if "raven" in name]
+    for command in (["simulate"], ["netsim", "sample", "--packets", "9"]):
+        assert main([*command, "raven_drop", "--json", "-"]) == 0

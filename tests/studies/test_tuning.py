@@ -178,7 +178,7 @@ def held(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return record_hands(tmp_path_factory.mktemp("held"), RECORDINGS, seed=7)
 
 
-@pytest.mark.parametrize("name", scene_names())
+@pytest.mark.parametrize("name", scene_names(attacks=True))
 def test_the_scene_of_a_recording_is_the_one_that_was_run(name: str) -> None:
     scene = load_scene(name)
     if scene.operator is not None and scene.operator.recorded is not None:

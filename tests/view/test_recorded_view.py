@@ -25,7 +25,7 @@ def run_of(signals: Mapping[str, Any]) -> Run:
     return Run(scene="of a test", seed=0, version="", signals=Signals(arrays), events=(), metrics=Metrics())
 
 
-@pytest.mark.parametrize("name", scene_names())
+@pytest.mark.parametrize("name", scene_names(attacks=True))
 def test_settings_are_the_scene_as_far_as_it_is_drawn(name: str) -> None:
     scene = load_scene(name)
     again = scene_of_settings(json.loads(scene_json(scene)))

@@ -56,7 +56,10 @@ class List:
             ),
             "[safety.research] controller": ("controllers in Python, of simulated runs", controller_names()),
             "[master] device": ("presets of haptic devices", tuple(DEVICE_PRESETS)),
-            "SCENE": ("scenes: haptether simulate --list says what they show", scene_names()),
+            "SCENE": (
+                "scenes: haptether simulate --list says what they show, haptether raven lists attacks",
+                scene_names(),
+            ),
             "--population": ("hands that haptether sweep draws: docs/populations.md has them", population_names()),
             "preset": ("networks: haptether netsim list says where they come from", tuple(PRESETS)),
         }

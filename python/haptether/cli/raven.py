@@ -19,8 +19,8 @@ COLOURS = {"yes": "red", "denies": "yellow", "delays": "yellow", "no": "green"}
 class Raven:
     """Attack a teleoperation as the RAVEN II study did, and say what each attack does.
 
-    Each attack is a scene that comes with Haptether, raven_drop and the others of `haptether simulate --list`. Exit
-    status 1 says that one did what it is not known to do, or that something moved which should have held.
+    Each attack is a scene of its name, as raven_drop. Exit status 1 says that one did what it is not known to do, or
+    that something moved which should have held.
 
     Examples:
 
@@ -76,7 +76,8 @@ class Raven:
             "arm followed, late. stopped: nothing moves until a person presses the clutch; no key makes packets "
             "arrive, so whoever sits on the path can always do that. astray: farthest that the arm was led from where "
             "the hand had been; off: from the run that nobody attacks; extra: force on the hand beyond that run's; "
-            "refused: datagrams that changed nothing.",
+            "refused: datagrams that changed nothing. Each attack is a scene of its name: haptether simulate "
+            "raven_hijack.",
         )
 
 

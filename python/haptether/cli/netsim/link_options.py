@@ -113,7 +113,7 @@ def _read(scene: str | None) -> tuple[dict[str, Any], int, Path]:
     if scene is None:
         return {}, 0, Path()
     path = Path(scene)
-    if scene in scene_names() or not path.is_file():
+    if scene in scene_names(attacks=True) or not path.is_file():
         path = _shipped(scene)
     raw = _toml(path)
     if "master" in raw:

@@ -293,9 +293,7 @@ class Sweep(PictureOptions):
                     raise ValueError(message)
         return varied, ties
 
-    def _numbers(
-        self, values: dict[str, Any], ties: dict[str, str]
-    ) -> "tuple[list[Scene], list[tuple[str, object]]]":
+    def _numbers(self, values: dict[str, Any], ties: dict[str, str]) -> "tuple[list[Scene], list[tuple[str, object]]]":
         """The scenes, and of each path the largest number and whatever else it takes."""
         from haptether.bridge import load_scene
         from haptether.bridge.scene.sweeps.scenes import SCENE
