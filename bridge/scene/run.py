@@ -62,6 +62,15 @@ class Signals(Mapping[str, npt.NDArray[Any]]):
             return "time_s"
         return "slave_time_s" if name.startswith(SLAVE_SIGNALS) or "time_s" not in self._arrays else "time_s"
 
+    def between(self, begin_s: float, end_s: float) -> "Signals":
+        """The same signals from `begin_s` to `end_s`, each by its own times."""
+
+        def cut(name: str) -> npt.NDArray[Any]:
+            times = self[name] if name in {"time_s", "slave_time_s"} else self[self.time_of(name)]
+            return self[name][(times >= begin_s) & (times <= end_s)]
+
+        return Signals({name: cut(name) for name in self})
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._arrays)
 

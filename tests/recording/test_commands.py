@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 from tests.recording.files import BEGUN_NS, write_recording
 
-from haptether.bridge import load
+from haptether.bridge import Run, load
 from haptether.cli import main
 
 ENGAGED = {"state": "engaged", "reason": "both sides aligned"}
@@ -156,3 +156,40 @@ def test_what_cannot_be_done_is_refused(
         said = capfd.readouterr().err
         assert text in said, (arguments, said)
         assert said.count("\n") <= 4, said
+
+
+@pytest.mark.parametrize(
+    ("states", "options", "drawn"),
+    [
+        ({40: "engaged", 60: "hold", 62: "stop"}, [], (3.5, 6.6)),
+        ({40: "engaged"}, [], (3.5, 9.9)),
+        ({2: "engaged", 95: "disengaged"}, [], None),
+        ({40: "engaged", 50: "stop", 70: "engaged", 75: "fault"}, [], (3.5, 7.9)),
+        ({40: "engaged", 60: "stop"}, ["--whole"], None),
+        ({40: "fault"}, [], None),
+    ],
+)
+@pytest.mark.parametrize("sides", [("master", "slave"), ("slave", "master"), ("slave",)])
+def test_plot_draws_the_engaged_part(
+    states: dict[int, str],
+    options: list[str],
+    drawn: tuple[float, float] | None,
+    sides: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    ticks = [
+        {"time_ns": n * 100_000_000, **({"state": states[n], "reason": "peer"} if n in states else {})}
+        for n in range(100)
+    ]
+    files = [write_recording(tmp_path / f"{side}.mcap", side, ticks) for side in sides]
+    given: list[Run] = []
+    monkeypatch.setattr(Run, "plot", lambda run, *_, **__: given.append(run))
+    assert main(["plot", *map(str, files), "--out", str(tmp_path / "run.png"), *options]) == 0
+    (run,) = given
+    for time in {"time_s", "slave_time_s"} & set(run.signals):
+        assert (run.signals[time][0], run.signals[time][-1]) == pytest.approx(drawn or (0.0, 9.9), abs=0.101)
+    assert all(len(values) == len(run.signals[run.signals.time_of(name)]) for name, values in run.signals.items())
+    said = " ".join(capfd.readouterr().out.split())
+    assert ("while the two were engaged; --whole draws all" in said) == (drawn is not None)

@@ -2,11 +2,17 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from haptether.cli.shared.picture import PictureOptions
+
+if TYPE_CHECKING:
+    from haptether.bridge import Signals
+
+MARGIN_S = 0.5
+"""Drawn before the two engage and after they part."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -14,7 +20,7 @@ class Plot(PictureOptions):
     """Draw a recorded run: positions, forces, what turns, the ladder and trips, with the events marked.
 
     With the recordings of both sides, both are in the picture, on the master's time as the clocks of the two machines
-    have it.
+    have it. The picture shows the part in which the two were engaged; --whole shows all of it.
 
     Examples:
 
@@ -29,6 +35,8 @@ class Plot(PictureOptions):
     """What the other side wrote."""
     slave_begun_s: float | None = None
     """When the slave's run began after the master's in s, where the clocks of two machines differ."""
+    whole: bool = False
+    """Draw all that was recorded, also before the two engaged and after they parted."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
     """The picture: .png, .pdf or .svg; by default FILE with .png or --format."""
 
@@ -38,12 +46,39 @@ class Plot(PictureOptions):
         Raises:
             ValueError: No recording, or the name of no picture.
         """
+        from msgspec.structs import replace
+
         from haptether.cli.recording.files import read_run
         from haptether.cli.shared.picture import picture_file
         from haptether.cli.shared.screen import screen
 
         picture = picture_file(self.out or self.file.with_suffix(f".{self.format or 'png'}"), self.format)
         run = read_run(self.file, self.other, self.slave_begun_s)
+        console = screen()
+        span = None if self.whole else coupled_span(run.signals)
+        if span is not None:
+            console.print(f"drawn: {span[0]:.3f} to {span[1]:.3f} s, while the two were engaged; --whole draws all")
+            run = replace(run, signals=run.signals.between(*span))
         run.plot(picture, columns=self.page_columns)
-        screen().print(f"picture: {picture}")
+        console.print(f"picture: {picture}")
         return 0
+
+
+def coupled_span(signals: "Signals") -> tuple[float, float] | None:
+    """From when to when a run is drawn, in s: a margin before the two engage and after they part.
+
+    None where they never engage, or where that is all of it.
+    """
+    import numpy as np
+
+    from haptether.bridge.codes import LADDER_STATES
+
+    coupled = [LADDER_STATES.index(state) for state in ("engaged", "stale", "hold")]
+    of_sides = [(signals[signals.time_of(name)], signals[name]) for name in ("state", "slave_state") if name in signals]
+    times = np.concatenate([time_s[np.isin(states, coupled)] for time_s, states in of_sides] or [np.empty(0)])
+    if not times.size:
+        return None
+    begin, end = float(times.min()) - MARGIN_S, float(times.max()) + MARGIN_S
+    first = min(float(time_s[0]) for time_s, _ in of_sides if len(time_s))
+    last = max(float(time_s[-1]) for time_s, _ in of_sides if len(time_s))
+    return None if begin <= first and end >= last else (max(begin, first), min(end, last))
