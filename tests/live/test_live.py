@@ -238,6 +238,25 @@ def test_ipv6_works_and_a_mix_is_refused(key: Path, children: list[Child]) -> No
 
 
 @anew_after_stalls
+def test_a_slave_ends_its_duration_after_engaging_however_long_it_waited(
+    key: Path, children: list[Child], tmp_path: Path
+) -> None:
+    result = tmp_path / "slave.json"
+    slave = Child("slave", "--key", str(key), "--listen", "127.0.0.1:0", "--duration-s", "0.4", "--json", str(result))
+    children.append(slave)
+    assert "waits for a master, and ends 0.4 s after engaging; --patience-s bounds the wait" in slave.headline
+    time.sleep(0.8)
+    assert slave.process.poll() is None, "the wait for a master was counted"
+    master = Child("master", "--key", str(key), "--peer", slave.address(), "--duration-s", "20")
+    children.append(master)
+    master.engaged()
+    slave.end()
+    assert slave.process.returncode == 0
+    assert master.process.poll() is None or "slave" in master.end()
+    assert json.loads(result.read_text())["ticks"] > 800
+
+
+@anew_after_stalls
 def test_a_second_master_is_refused_while_the_first_lives(key: Path, children: list[Child], tmp_path: Path) -> None:
     slave = Child("slave", "--key", str(key), "--listen", "127.0.0.1:0")
     children.append(slave)

@@ -71,7 +71,7 @@ class Master(LiveOptions):
     flight: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the last states and commands at a stop, at a fault and at the end; `haptether explain` prints them."""
     duration_s: float | None = None
-    """End this long after engaging, in s; without it, run until Ctrl-C."""
+    """End this long after the two first engage, in s; without it, run until Ctrl-C."""
     patience_s: float = 10.0
     """Give up if the slave has not answered after this time in s."""
     keep_s: float | None = None

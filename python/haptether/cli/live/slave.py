@@ -50,7 +50,8 @@ class Slave(LiveOptions):
     push_duration_s: float = 2.0
     """For how long in s."""
     duration_s: float | None = None
-    """End this long after engaging, in s; without it, run until Ctrl-C."""
+    """End this long after the two first engage, in s; without it, run until Ctrl-C. The wait for a master is not
+    counted: --patience-s bounds it."""
     patience_s: float | None = None
     """Give up if no master has come after this time in s; without it, wait for one."""
     flight: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -88,7 +89,7 @@ class Slave(LiveOptions):
             slave = start_slave(self, scene, stopped, arguments)
             handed_over(key)
             watch = SideWatch("slave", slave, stopped, flight, insecure=self.insecure)
-            watch.until_end(f"slave listens on {slave.address}", panel, quiet=self.quiet)
+            watch.until_end(f"slave listens on {slave.address}{self._ending()}", panel, quiet=self.quiet)
             trace, report = slave.finish()
             cause = watch.after_end(report)
         state = self._report(trace, report, cause)
@@ -100,6 +101,12 @@ class Slave(LiveOptions):
         if not np.isfinite(report.engaged_s) and not stopped:
             raise RuntimeError(f"no master came within {self.patience_s} s")
         return 0
+
+    def _ending(self) -> str:
+        """When it ends by itself, where that is not as soon as it seems."""
+        if self.duration_s is None or self.patience_s is not None:
+            return ""
+        return f", waits for a master, and ends {self.duration_s:g} s after engaging; --patience-s bounds the wait"
 
     def _report(self, trace: "SlaveTrace", report: "LoopReport", cause: "Cause | None") -> str:
         import numpy as np
