@@ -23,6 +23,7 @@ from haptether import __version__
 from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS, has_lost_output
 from haptether.cli.overview import overview, summary
 from haptether.cli.shared.assignments import refuse_twice
+from haptether.cli.shared.busy import busy_port_remedy
 from haptether.cli.shared.commands import Command, CommandTable
 from haptether.cli.shared.numbers import NUMBERS
 from haptether.cli.shared.output import QueuedBuffer, QueuedOutput, queued_output
@@ -219,7 +220,8 @@ def _status(command: Command) -> int:
         except OSError:
             # What it still holds would be tried again at exit.
             _discard(sys.stdout)
-        return complain(error, status, debug=getattr(command, "debug", False))
+        remedy = busy_port_remedy(error, command)
+        return complain(error, status, debug=getattr(command, "debug", False), remedy=remedy)
     return status
 
 
@@ -494,7 +496,7 @@ def folded(text: str) -> str:
     )
 
 
-def complain(error: Exception, status: int, *, debug: bool = False) -> int:
+def complain(error: Exception, status: int, *, debug: bool = False, remedy: str = "") -> int:
     """Says what is wrong in one line, whatever it repeats; before it the traceback, if requested."""
     if debug:
         lines = "".join(traceback.format_exception(error)).splitlines()
@@ -502,6 +504,6 @@ def complain(error: Exception, status: int, *, debug: bool = False) -> int:
     text = str(error) or ("no memory was left" if isinstance(error, MemoryError) else type(error).__name__)
     if isinstance(error, OSError) and error.strerror and text.startswith("[Errno"):
         text = error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
-    text = LONG_NUMBER.sub(lambda number: repr(float(number[0])), " ".join(text.split()))
+    text = LONG_NUMBER.sub(lambda number: repr(float(number[0])), " ".join(f"{text}{remedy}".split()))
     print(f"haptether: {printable(text)}", file=sys.stderr)
     return status
