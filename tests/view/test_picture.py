@@ -174,7 +174,7 @@ def test_a_title_cannot_leave_the_script_of_a_page() -> None:
         (["no_such_scene", "--html", "a.html"], "no shipped scene"),
         (["remote_push", "--size", "10x10"], "--size 10x10: must be WxH"),
         (["remote_push", "--fps", "0", "--movie", "a.gif"], "--fps 0: must be 1 to 60"),
-        (["remote_push", "--at-s", "9", "--screenshot", "a.png"], "--at-s 9: must be within the run, 0 to 3.999 s"),
+        (["remote_push", "--at-s", "9", "--screenshot", "a.png"], "--at-s 9: must be within the run, 0 to 4 s"),
         (["remote_push", "--screenshot", "a.jpg"], "must end in .png"),
         (["remote_push", "--movie", "a.avi"], "must end in .gif or .mp4"),
         (["remote_push", "--html", "a.htm"], "must end in .html"),
@@ -275,3 +275,18 @@ def test_what_is_shown_as_json(tmp_path: Path) -> None:
     (run,) = json.loads(report.read_text())["runs"]
     assert "gripper" in run["parts"]
     assert [event["kind"] for event in run["events"]].count("grip") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status"),
+    [
+        (["--until-s", "4"], 0),
+        (["--until-s", "0.3", "--set", "run.duration_s=0.3"], 0),
+        (["--until-s", "0.7", "--set", "run.duration_s=0.7", "--set", "record.every=10"], 0),
+        (["--from-s", "3.5", "--until-s", "4"], 0),
+        (["--until-s", "4.001"], 2),
+        (["--until-s", "0.31", "--set", "run.duration_s=0.3"], 2),
+    ],
+)
+def test_a_run_may_be_shown_until_its_last_tick_is_over(arguments: list[str], status: int, tmp_path: Path) -> None:
+    assert main(["view", "remote_push", "--fps", "2", "--html", str(tmp_path / "a.html"), *arguments]) == status

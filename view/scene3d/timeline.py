@@ -37,6 +37,9 @@ class Timeline:
 
     begin_s: float
     end_s: float
+    """Time of the last tick."""
+    over_s: float
+    """When the last tick is over: it lasts as long as the one before it."""
     marks: tuple[Mark, ...]
     """Every event, at its time."""
     ladder: tuple[tuple[float, float, str], ...]
@@ -71,6 +74,7 @@ def timeline_of(signals: Signals, events: Iterable[Event]) -> Timeline:
     return Timeline(
         begin_s=float(time_s[0]),
         end_s=float(time_s[-1]),
+        over_s=float(2.0 * time_s[-1] - time_s[-2] if len(time_s) > 1 else time_s[-1]),
         marks=tuple(marks),
         ladder=tuple(_ladder(signals, time_s)),
         trips=tuple(spans(time_s, _tripped(signals, len(time_s)) > 0)),

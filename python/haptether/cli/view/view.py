@@ -20,6 +20,7 @@ MAX_FRAMES = 20_000
 RECORDINGS = (".mcap", ".npz")
 MOST_SIDES = 2
 MAX_LIVE_S = 86_400.0
+ROUNDING_S = 1e-9
 MAX_HISTORY_S, LIVE_HISTORY_S = 120.0, 20.0
 """What is remembered of a live run: for files, and in a window."""
 LIVE_PICTURE_S, LIVE_FILM_S = 1.0, 5.0
@@ -267,12 +268,12 @@ class View:
             raise ValueError(message)
 
     def _check_times(self, described: "list[Description]") -> None:
-        begin_s, end_s = bounds(described)
+        begin_s, end_s = bounds(described)[0], max(one.timeline.over_s for one in described)
         if self.connect:
             # The run may have ended before, or begun to be followed after.
             begin_s, end_s = 0.0, MAX_LIVE_S
         for option, time_s in (("--at-s", self.at_s), ("--from-s", self.from_s), ("--until-s", self.until_s)):
-            if time_s is not None and not begin_s <= time_s <= end_s:
+            if time_s is not None and not begin_s - ROUNDING_S <= time_s <= end_s + ROUNDING_S:
                 message = f"{option} {time_s:g}: must be within the run, {begin_s:g} to {end_s:g} s"
                 raise ValueError(message)
         begin_s, end_s = self._span(described)
@@ -288,15 +289,13 @@ class View:
         begin_s, end_s = bounds(described)
         from_s = begin_s if self.from_s is None else self.from_s
         until_s = end_s if self.until_s is None else self.until_s
-        if self.connect:
-            return min(max(from_s, begin_s), end_s), min(max(until_s, begin_s), end_s)
-        return from_s, until_s
+        return min(max(from_s, begin_s), end_s), min(max(until_s, begin_s), end_s)
 
     def _at(self, described: "list[Description]") -> float:
         begin_s, end_s = bounds(described)
-        if self.connect:
-            return end_s if self.at_s is None else min(max(self.at_s, begin_s), end_s)
-        return 0.5 * (begin_s + end_s) if self.at_s is None else self.at_s
+        if self.at_s is None:
+            return end_s if self.connect else 0.5 * (begin_s + end_s)
+        return min(max(self.at_s, begin_s), end_s)
 
     def _show(self, described: "list[Description]", size: tuple[int, int]) -> None:
         from haptether.view.window.playback import Playback
