@@ -5,6 +5,7 @@ Each attack is a shipped scene. One run of it is compared with one of the same s
 Source: arXiv 1504.04339 (Bonaci et al. 2015).
 """
 
+from collections.abc import Callable
 from typing import Literal, TypeAlias
 
 import msgspec
@@ -94,11 +95,19 @@ class RavenReport(msgspec.Struct, frozen=True, kw_only=True):
         return msgspec.json.format(msgspec.json.encode({"rows": rows, "is_as_expected": self.is_as_expected}), indent=2)
 
 
-def raven_suite() -> RavenReport:
-    """Runs every attack on every kind of frames, beside runs that nobody attacks."""
-    return RavenReport(
-        rows=tuple(measure_attack(attack, security) for attack in RAVEN_ATTACKS for security in SECURITY)
-    )
+def raven_suite(*, progress: Callable[[int, int], None] | None = None) -> RavenReport:
+    """Runs every attack on every kind of frames, beside runs that nobody attacks.
+
+    Args:
+        progress: Called after each with how many are done, and of how many.
+    """
+    pairs = [(attack, security) for attack in RAVEN_ATTACKS for security in SECURITY]
+    rows = []
+    for attack, security in pairs:
+        rows.append(measure_attack(attack, security))
+        if progress is not None:
+            progress(len(rows), len(pairs))
+    return RavenReport(rows=tuple(rows))
 
 
 def measure_attack(attack: RavenAttack, security: Security) -> RavenRow:

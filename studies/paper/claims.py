@@ -3,7 +3,7 @@
 Source: "Safety Control for Impedance Haptic Interfaces", sections 4.1 to 4.5.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import msgspec
@@ -161,19 +161,30 @@ def held_trip(trace: LocalTrace, release_tick: int) -> str:
     return "tripped before the release" if (held > 0).any() else ""
 
 
-def reproduce_paper(operator: Operator | None = None, *, encoder_quantum: float = 0.0) -> PaperReport:
+def reproduce_paper(
+    operator: Operator | None = None,
+    *,
+    encoder_quantum: float = 0.0,
+    progress: Callable[[int, int], None] | None = None,
+) -> PaperReport:
     """Runs every experiment.
 
     Args:
         operator: Who presses and lets go; the declared one by default.
         encoder_quantum: Resolution of the device in m; 0 measures position and velocity exactly, else the estimator is
             the Kalman filter of `ESTIMATORS`.
+        progress: Called after each experiment with how many are done, and of how many.
 
     Raises:
         ValueError: A parameter that no operator or device has, with its bound.
     """
     conditions = Conditions(operator=operator or Operator(), encoder_quantum=encoder_quantum)
     device = Bench(conditions).device
+    bench, rows = Bench(conditions), list[PaperRow]()
+    for done, experiment in enumerate(EXPERIMENTS, start=1):
+        rows += experiment(bench)
+        if progress is not None:
+            progress(done, len(EXPERIMENTS))
     return PaperReport(
         operator=conditions.operator,
         device={
@@ -182,18 +193,14 @@ def reproduce_paper(operator: Operator | None = None, *, encoder_quantum: float 
             "coulomb": device.coulomb,
             "encoder_quantum": device.encoder_quantum,
         },
-        rows=list(claims(Bench(conditions))),
+        rows=rows,
     )
 
 
 def claims(bench: Bench) -> Iterator[PaperRow]:
     """All rows, in the same order under all conditions."""
-    yield from ejection_rows(bench)
-    yield from closed_form_rows(bench.operator)
-    yield from observer_rows(bench)
-    yield from controller_rows(bench)
-    yield from table_1_rows(bench)
-    yield from active_force_rows(bench)
+    for experiment in EXPERIMENTS:
+        yield from experiment(bench)
 
 
 def ejection_rows(bench: Bench) -> Iterator[PaperRow]:
@@ -437,3 +444,14 @@ def active_force_rows(bench: Bench) -> Iterator[PaperRow]:
             controller="hgo", amplitude_n=amplitude, paper=1.0,
             ours=float(np.median(trace.grasp[pushing])), unit="1", note="where |F_v| > F_t = 0.1 N",
         )  # fmt: skip
+
+
+EXPERIMENTS: tuple[Callable[[Bench], Iterator[PaperRow]], ...] = (
+    ejection_rows,
+    lambda bench: closed_form_rows(bench.operator),
+    observer_rows,
+    controller_rows,
+    table_1_rows,
+    active_force_rows,
+)
+"""In the order of their rows."""

@@ -47,6 +47,7 @@ class Paper(PictureOptions):
         """Runs the experiments (about a second) and prints them."""
         from haptether.cli.shared.output import check_target, make_folder, require_matplotlib, write_json
         from haptether.cli.shared.picture import check_picture_options
+        from haptether.cli.shared.progress import counted
         from haptether.cli.shared.screen import screen
         from haptether.studies import draw_paper, paper_sensitivity, reproduce_paper
 
@@ -55,15 +56,11 @@ class Paper(PictureOptions):
         if self.plot is not None:
             require_matplotlib()
             make_folder(self.plot)
-        report = reproduce_paper(encoder_quantum=self.encoder_quantum)
+        with counted("experiments") as progress:
+            report = reproduce_paper(encoder_quantum=self.encoder_quantum, progress=progress)
         if self.sensitivity:
-            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
-
-            from haptether.cli.shared.screen import Screen
-
-            with Progress(BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=Screen(stderr=True)) as bar:
-                task = bar.add_task("")
-                report = paper_sensitivity(report, progress=lambda done, of: bar.update(task, completed=done, total=of))
+            with counted("sensitivity") as progress:
+                report = paper_sensitivity(report, progress=progress)
         console = screen(self.json)
         self._print(console, report)
         if self.json is not None:

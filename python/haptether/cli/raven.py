@@ -37,11 +37,13 @@ class Raven:
     def run(self) -> int:
         """Runs every attack (a second or two) and prints what it did; 0, or 1 if that is not what is expected."""
         from haptether.cli.shared.output import check_target, write_json
+        from haptether.cli.shared.progress import counted
         from haptether.cli.shared.screen import screen
         from haptether.studies import raven_suite
 
         check_target(self.json)
-        report = raven_suite()
+        with counted("attacks") as progress:
+            report = raven_suite(progress=progress)
         self._print(screen(self.json), report)
         if self.json is not None:
             write_json(self.json, report.as_json())
