@@ -40,7 +40,7 @@ def master(path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
 
 
 def view(path: Path, *arguments: str) -> list[str]:
-    return [sys.executable, "-m", "haptether", "view", "--connect", str(path), *SMALL, *arguments]
+    return [sys.executable, "-m", "haptether", "view", "--connect", str(path), "--wait-s", "30", *SMALL, *arguments]
 
 
 def test_a_live_run_as_picture_film_and_page_without_a_display(tmp_path: Path) -> None:

@@ -12,6 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from haptether.cli.entry import main
+
+
 pytestmark = pytest.mark.live
 
 TIMEOUT_S = 60.0
@@ -33,7 +36,7 @@ def master(path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
 
 
 def watch(path: Path, *arguments: str) -> list[str]:
-    return [sys.executable, "-m", "haptether", "watch", str(path), *arguments]
+    return [sys.executable, "-m", "haptether", "watch", str(path), "--wait-s", "30", *arguments]
 
 
 def test_it_prints_lines_until_the_run_ends(tmp_path: Path) -> None:
@@ -82,15 +85,46 @@ def test_on_a_terminal_it_is_a_panel_that_ctrl_c_ends(tmp_path: Path) -> None:
     assert b"ALIGNING" in screen
 
 
-def test_nobody_there_is_one_line(tmp_path: Path) -> None:
+def test_nobody_there_is_one_line_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("no socket")
-    # Each waits for 10 s, both at once.
-    waiting = [
-        subprocess.Popen(watch(path), stderr=subprocess.PIPE, text=True)
-        for path in (tmp_path / "none.sock", tmp_path / "file")
-    ]
-    for seen in waiting:
-        _, error = seen.communicate(timeout=TIMEOUT_S)
-        assert seen.returncode == 1
-        assert "nobody sends there" in error
+    none, file = str(tmp_path / "none.sock"), str(tmp_path / "file")
+    begun_s = time.monotonic()
+    for arguments, option, said in (
+        (["watch", none], "telemetry", "no such file"),
+        (["watch", file], "telemetry", "nobody sends there"),
+        (["console", "--connect", none], "telemetry", "no such file"),
+        (["console", "--connect", file], "telemetry", "nobody sends there"),
+        (["view", "--connect", none, "--html", str(tmp_path / "a.html")], "telemetry", "no such file"),
+    ):
+        path = none if none in arguments else file
+        assert main(arguments) == 1, arguments
+        error = capsys.readouterr().err
         assert error.count("\n") == 1
+        assert f"{path}: {said}: start master or slave with --{option} {path} first, or give --wait-s" in error
+    # No wait of seconds, on a loaded machine either.
+    assert time.monotonic() - begun_s < 5.0
+
+
+def test_a_control_socket_that_is_missing_ends_the_console_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, missing = tmp_path / "m.sock", tmp_path / "m.ctl"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as side:
+        side.bind(str(path))
+        side.listen()
+        assert main(["console", "--connect", str(path), "--control", str(missing)]) == 1
+    assert f"{missing}: no such file: start master or slave with --control {missing}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("wait_s", ["-1", "nan"])
+def test_a_wait_is_a_time(wait_s: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["watch", str(tmp_path / "none.sock"), "--wait-s", wait_s]) == 2
+    assert "wait-s = " in capsys.readouterr().err
+
+
+def test_a_side_that_comes_later_may_be_waited_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "none.sock"
+    begun_s = time.monotonic()
+    assert main(["watch", str(path), "--wait-s", "0.4"]) == 1
+    assert time.monotonic() - begun_s >= 0.4
+    assert "no such file" in capsys.readouterr().err

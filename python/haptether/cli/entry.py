@@ -293,7 +293,8 @@ def parse(arguments: Sequence[str]) -> Command:
     if arguments and arguments[0] in GROUPS:
         check_command(arguments[1:], GROUPS[arguments[0]])
         group = COMMANDS[arguments[0]]
-        return _parsed(GROUPS[arguments[0]], f"haptether {arguments[0]}", group, with_backward(arguments[1:]))
+        changed = (with_port if arguments[0] == "dynamixel" else with_backward)(arguments[1:])
+        return _parsed(GROUPS[arguments[0]], f"haptether {arguments[0]}", group, changed)
     return _parsed(COMMANDS, "haptether", None, with_overrides(arguments))
 
 
@@ -413,6 +414,18 @@ def complete(arguments: Sequence[str]) -> int:
         )
     sys.stdout.flush()
     return 0
+
+
+def with_port(arguments: Sequence[str]) -> list[str]:
+    """The arguments of a command of dynamixel with `--port PORT` as the first of those without an option."""
+    changed = list(arguments)
+    for place, argument in enumerate(changed[1:], start=1):
+        name, equals, port = argument.partition("=")
+        if name != "--port":
+            continue
+        given = [port] if equals else changed[place + 1 : place + 2]
+        return [*changed[:1], *given, *changed[1:place], *changed[place + (1 if equals else 2) :]]
+    return changed
 
 
 def with_backward(arguments: Sequence[str]) -> list[str]:

@@ -29,7 +29,7 @@ class Calibrate:
     """
 
     port: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PORT")]
-    """The serial port."""
+    """The serial port; also as --port PORT."""
     path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """Where the file of the arm is written."""
     baud: int | None = None

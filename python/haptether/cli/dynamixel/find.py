@@ -18,7 +18,7 @@ class Find:
     """
 
     port: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PORT")]
-    """The serial port."""
+    """The serial port; also as --port PORT."""
     baud: int | None = None
     """This rate alone, in bit/s; by default all."""
     ids: tuple[int, ...] = tuple(range(1, 21))

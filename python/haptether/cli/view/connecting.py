@@ -1,13 +1,21 @@
 """Finds a running side, and waits for it to send what it does."""
 
+import socket
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from haptether.bridge import TelemetryReader
 
-WAIT_S = 10.0
+
+@dataclass(frozen=True, kw_only=True)
+class WaitOptions:
+    """Of a command that connects to a running side."""
+
+    wait_s: float = 0.0
+    """Wait for a side that does not run yet for up to this time in s; by default that fails at once."""
 
 
 def only_side() -> Path:
@@ -44,21 +52,49 @@ def sides_here() -> tuple[Path, ...]:
     return tuple(sides)
 
 
-def connected(path: Path) -> "TelemetryReader":
-    """Reads the telemetry of a side, for which it waits up to 10 s.
+def connected(path: Path, wait_s: float) -> "TelemetryReader":
+    """Reads the telemetry of a side, for which it waits up to `wait_s`.
 
     Raises:
         OSError: Nobody sends there.
-        ValueError: What is sent is no telemetry.
+        ValueError: What is sent is no telemetry; a time that nobody waits.
     """
     from haptether.bridge import TelemetryReader
 
-    until_s = time.monotonic() + WAIT_S
+    wait_for(path, "telemetry", time.monotonic() + checked_wait_s(wait_s))
+    return TelemetryReader(path)
+
+
+def checked_wait_s(wait_s: float) -> float:
+    """The time, refused where it cannot be.
+
+    Raises:
+        ValueError: With the bounds.
+    """
+    from haptether.cli.shared.numbers import check_duration
+
+    check_duration("wait-s", wait_s)
+    return wait_s
+
+
+def wait_for(path: Path, option: str, until_s: float) -> None:
+    """Returns once a side listens at a socket, whose `option` names it.
+
+    Raises:
+        OSError: Nobody listens there by `until_s` of the monotonic clock.
+    """
     while True:
         try:
-            return TelemetryReader(path)
-        except (FileNotFoundError, ConnectionRefusedError):
-            if time.monotonic() > until_s:
-                message = f"{path}: nobody sends there: start master or slave with --telemetry {path}"
+            with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+                probe.settimeout(0.5)
+                probe.connect(str(path))
+                return
+        except (FileNotFoundError, ConnectionRefusedError) as error:
+            if time.monotonic() >= until_s:
+                seen = "no such file" if isinstance(error, FileNotFoundError) else "nobody sends there"
+                message = (
+                    f"{path}: {seen}: start master or slave with --{option} {path} first, or give --wait-s, how long"
+                    " to wait for it in s"
+                )
                 raise FileNotFoundError(message) from None
             time.sleep(0.1)

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from haptether.cli.view.connecting import WaitOptions
 from haptether.extras import require
 
 if TYPE_CHECKING:
@@ -20,7 +22,7 @@ LONG_S = "1000000"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Console:
+class Console(WaitOptions):
     """Show running sides in a browser, and stop, engage and scale them from there.
 
     A page for this machine alone, at the address that is printed; it needs no network. What it shows is the telemetry
@@ -58,11 +60,11 @@ class Console:
 
         Raises:
             ValueError: Nothing to show, or too much.
-            OSError: The port is taken.
+            OSError: The port is taken, or nobody listens at a path.
             RuntimeError: A side of the scene did not start, or the extra is not installed.
         """
         from haptether.cli.shared.stop import Stopped
-        from haptether.cli.view.connecting import sides_here
+        from haptether.cli.view.connecting import checked_wait_s, sides_here, wait_for
 
         connect = self.connect
         if self.scene is None and not connect and not (connect := sides_here()):
@@ -87,6 +89,10 @@ class Console:
         require("the console", "starlette", "uvicorn", "websockets", extra="console")
         with Stopped() as stopped, contextlib.ExitStack() as stack:
             if self.scene is None:
+                until_s = time.monotonic() + checked_wait_s(self.wait_s)
+                for option, paths in (("telemetry", connect), ("control", self.control)):
+                    for path in paths:
+                        wait_for(path, option, until_s)
                 self._serve(connect, self.control, self.flight, stopped)
             else:
                 folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="haptether-console-")))

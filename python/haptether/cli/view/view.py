@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from haptether.cli.view.connecting import WaitOptions
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
@@ -28,7 +30,7 @@ LIVE_PICTURE_S, LIVE_FILM_S = 1.0, 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class View:
+class View(WaitOptions):
     """Show a run in three dimensions: hand and robot, what they touch, forces, trails, observers and a time line.
 
     WHAT is the name of a scene that comes with Haptether, or the path of a TOML file, which are run first; or the
@@ -197,7 +199,7 @@ class View:
         from haptether.view.following import Following
 
         with ExitStack() as stack:
-            readers = [(path, stack.enter_context(connected(path))) for path in self.connect]
+            readers = [(path, stack.enter_context(connected(path, self.wait_s))) for path in self.connect]
             following = Following(
                 readers, title="".join(self.title), arm=self.arm, leader=self.leader, history_s=history_s
             )
@@ -240,6 +242,9 @@ class View:
     def _check_what(self) -> None:
         from haptether.bridge import SceneError
 
+        if self.wait_s and not self.connect:
+            message = f"--wait-s {self.wait_s:g}: give --connect, which side is waited for"
+            raise ValueError(message)
         if self.connect:
             given = {"a run or scene": self.what, "--set": self.set, "--compare": self.compare, "--scene": self.scene}
             if found := [name for name, value in given.items() if value]:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from haptether.cli.view.connecting import WaitOptions
+
 if TYPE_CHECKING:
     from haptether.bridge import TelemetryReader
     from haptether.cli.shared.screen import Screen
@@ -18,7 +20,7 @@ LINE_S = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Watch:
+class Watch(WaitOptions):
     """Show what a running side does: ladder, forces, observers against their thresholds, link, loop, gripper.
 
     It reads the telemetry that `--telemetry PATH` of master or slave sends, in a process of its own: the loop does not
@@ -35,8 +37,8 @@ class Watch:
     """
 
     path: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")] = None
-    """The Unix socket that --telemetry of the running side names, waited for up to 10 s; without it that of the one
-    side of this user that runs here."""
+    """The Unix socket that --telemetry of the running side names; without it that of the one side of this user that
+    runs here."""
     duration_s: float | None = None
     """End after this time in s; without it, with the run."""
 
@@ -55,7 +57,7 @@ class Watch:
         check_duration("duration_s", self.duration_s)
         screen = Screen()
         path = only_side() if self.path is None else self.path
-        with connected(path) as telemetry:
+        with connected(path, self.wait_s) as telemetry:
             state = SideState(telemetry.hello)
             (self._live if screen.is_terminal else self._lines)(screen, telemetry, state)
         if not state.has_ended and not self._is_over(state):
