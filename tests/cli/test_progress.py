@@ -18,6 +18,7 @@ Progress = Callable[[int, int], None]
 )
 @pytest.mark.parametrize("is_long", [True, False])
 def test_a_command_that_takes_long_shows_how_much_is_done(
+    *,
     arguments: list[str],
     text: str,
     of: int,

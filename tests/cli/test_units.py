@@ -23,7 +23,7 @@ ASKED = {
     ),
     "sweep of tables": (["sweep", "remote_push", *SHORT, "--vary", "link.backward={},{delay_s=50}"], [BACKWARD]),
     "sweep of draws": (
-        ["sweep", "remote_push", *SHORT, "--samples", "2", "--draw", "safety.limiter.max_force_n=uniform:7900:7900.001"],
+        ["sweep", "remote_push", *SHORT, "--samples=2", "--draw=safety.limiter.max_force_n=uniform:7900:7900.001"],
         [PUSH.split(" = ", maxsplit=1)[0]],
     ),
     "sweep of scenes": (["sweep", "remote_push", "--vary", "scene=slow.toml,remote_push", *SHORT], [FORWARD]),
@@ -34,7 +34,7 @@ ASKED = {
     ),
     "netsim sample": (["netsim", "sample", "--delay-s", "50", "--packets", "10"], [FORWARD]),
     "netsim sample backward": (
-        ["netsim", "sample", "--direction", "backward", "--packets", "9", "--delay-s", "0.1", "--backward.delay-s", "50"],
+        ["netsim", "sample", "--direction=backward", "--packets=9", "--delay-s=0.1", "--backward.delay-s", "50"],
         [BACKWARD],
     ),
     "netsim proxy": (

@@ -200,8 +200,19 @@ def test_the_torque_ends_after_enter_and_what_loses_it_is_said_before(emulated: 
         run.close()
 
 
-def test_find(emulated: EmulatedBus) -> None:
-    command = [sys.executable, "-m", "haptether", "dynamixel", "find", emulated.port, "--ids", "2", "1", "9"]
+@pytest.mark.parametrize(
+    "arguments",
+    [["PORT", "--ids", "2", "1", "9"], ["--ids", "2", "1", "9", "--port", "PORT"], ["--port=PORT", "--ids", "2", "1"]],
+)
+def test_find(arguments: list[str], emulated: EmulatedBus) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "haptether",
+        "dynamixel",
+        "find",
+        *(each.replace("PORT", emulated.port) for each in arguments),
+    ]
     found = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert found.returncode == 0, found.stderr
     assert found.stdout.splitlines() == [

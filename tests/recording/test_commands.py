@@ -171,6 +171,7 @@ def test_what_cannot_be_done_is_refused(
 )
 @pytest.mark.parametrize("sides", [("master", "slave"), ("slave", "master"), ("slave",)])
 def test_plot_draws_the_engaged_part(
+    *,
     states: dict[int, str],
     options: list[str],
     drawn: tuple[float, float] | None,

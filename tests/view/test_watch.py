@@ -14,7 +14,6 @@ import pytest
 
 from haptether.cli.entry import main
 
-
 pytestmark = pytest.mark.live
 
 TIMEOUT_S = 60.0

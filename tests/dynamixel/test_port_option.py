@@ -1,0 +1,32 @@
+"""`--port PORT` of the commands of a bus, which is their first argument, too."""
+
+import pytest
+
+from haptether.cli.dynamixel.calibrate import Calibrate
+from haptether.cli.dynamixel.find import Find
+from haptether.cli.entry import main, parse
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["/dev/a", "arm.toml", "--ids", "1", "2"],
+        ["--port", "/dev/a", "arm.toml", "--ids", "1", "2"],
+        ["arm.toml", "--port", "/dev/a", "--ids", "1", "2"],
+        ["arm.toml", "--ids", "1", "2", "--port=/dev/a"],
+    ],
+)
+def test_a_port_is_an_argument_or_an_option(arguments: list[str]) -> None:
+    command = parse(["dynamixel", "calibrate", *arguments])
+    assert isinstance(command, Calibrate)
+    assert (command.port, str(command.path), command.ids) == ("/dev/a", "arm.toml", (1, 2))
+    found = parse(["dynamixel", "find", *(each for each in arguments if each != "arm.toml")])
+    assert isinstance(found, Find)
+    assert (found.port, found.ids) == ("/dev/a", (1, 2))
+
+
+@pytest.mark.parametrize("arguments", [["--port"], [], ["--port", "a", "--port", "b"]])
+def test_a_port_that_is_missing_or_there_twice_is_refused(arguments: list[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["dynamixel", "find", *arguments])
+    assert ended.value.code == 2
