@@ -27,6 +27,7 @@ from haptether.bridge.scene.errors import (
     types_at,
     unknown_key,
 )
+from haptether.bridge.scene.research import with_own_controllers
 from haptether.bridge.scene.resolve import Spec
 from haptether.bridge.scene.series import embed_recordings
 from haptether.bridge.scene.tables.session import Scene
@@ -178,6 +179,7 @@ def typed_scene(raw: Raw) -> Scene:
     Raises:
         SceneError: A key, type or range that is not the schema's.
     """
+    raw = with_own_controllers(raw)
     try:
         return msgspec.convert(raw, Scene)
     except msgspec.ValidationError as error:

@@ -13,7 +13,7 @@ from msgspec import json
 
 from haptether.bridge.devices.find import RESEARCH_CONTROLLERS, device_names, load_controller, load_maker
 from haptether.bridge.devices.open import DeviceError
-from haptether.bridge.scene.errors import SceneError
+from haptether.bridge.scene.errors import Raw, SceneError
 from haptether.bridge.scene.tables.session import Scene
 from haptether.safety import CONTROLLERS
 
@@ -51,6 +51,33 @@ def controller_names() -> tuple[str, ...]:
     """Names of the controllers in Python that there are: of installed packages, and registered in this process."""
     names = {*_REGISTERED, *device_names(RESEARCH_CONTROLLERS)}
     return tuple(sorted(name for name in names if _NAME.fullmatch(name) and name not in _BUILT_IN))
+
+
+def with_own_controllers(raw: Raw) -> Raw:
+    """Tables in which a controller in Python that `safety.controllers` names is that of `safety.research`.
+
+    `safety.research.controller = "none"` stands for no such table, so that a sweep may vary it.
+
+    Raises:
+        SceneError: Two in Python, or another one than `safety.research` names.
+    """
+    safety = raw.get("safety") if isinstance(raw, dict) else None
+    if not isinstance(raw, dict) or not isinstance(safety, dict):
+        return raw
+    research, named = safety.get("research"), safety.get("controllers")
+    if isinstance(research, dict) and research.get("controller") == "none":
+        safety = {**safety, "research": None}
+        research = None
+    unknown = [name for name in named if name not in _BUILT_IN] if isinstance(named, list | tuple) else []
+    own = [name for name in unknown if name in controller_names()] if unknown else []
+    if own:
+        of_table = [research["controller"]] if isinstance(research, dict) and "controller" in research else []
+        if len(both := list(dict.fromkeys([*own, *of_table]))) > 1:
+            message = f"[safety] controllers: {' and '.join(map(str, both))}: at most one in Python"
+            raise SceneError(message)
+        table = {**(research if isinstance(research, dict) else {}), "controller": own[0]}
+        safety = {**safety, "controllers": [name for name in named or () if name != own[0]], "research": table}
+    return {**raw, "safety": safety}
 
 
 def _check_name(name: str) -> None:

@@ -391,6 +391,72 @@ class Braking:
 '''
 
 
+@pytest.mark.parametrize(
+    ("controllers", "beside"),
+    [(["by-hand"], []), (["by-hand", "hsc"], ["hsc"]), (["wsc", "by-hand", "hsc"], ["wsc", "hsc"])],
+)
+def test_controllers_may_name_one_in_python(controllers: list[str], beside: list[str]) -> None:
+    short = load_scene("paper_wall", [f"safety.controllers={controllers}"])
+    assert short == load_scene("paper_wall", [f"safety.controllers={beside}", 'safety.research.controller="by-hand"'])
+    options = ["safety.research.options.velocity_threshold=0.2"]
+    named = load_scene(
+        "paper_wall", [f"safety.controllers={controllers}", 'safety.research.controller="by-hand"', *options]
+    )
+    assert named.safety.research is not None
+    assert named.safety.research.options == {"velocity_threshold": 0.2}
+    found = sweep("paper_wall", {"safety.controllers": [[], controllers]}, overrides=["run.duration_s=0.3"])
+    alone = simulate(short, overrides=["run.duration_s=0.3"]).metrics
+    assert found["peak_device_force"][1] == alone.peak_device_force
+
+
+def test_none_stands_for_none_in_python() -> None:
+    values = ["none", "by-hand"]
+    found = sweep("paper_wall", {"safety.research.controller": values}, overrides=["safety.controllers=[]"])
+    assert list(found["max_ejection_velocity"]) == [
+        simulate("paper_wall", overrides=["safety.controllers=[]"]).metrics.max_ejection_velocity,
+        simulate("paper_wall", overrides=["safety.controllers=[by-hand]"]).metrics.max_ejection_velocity,
+    ]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (["safety.controllers=[by-hand,other]"], "by-hand and other: at most one in Python"),
+        (["safety.controllers=[by-hand]", "safety.research.controller=other"], "by-hand and other: at most one"),
+        (["safety.controllers=[by-hant]"], 'controllers.0 = "by-hant": must be one of'),
+    ],
+)
+def test_names_of_controllers_that_cannot_be_are_refused(overrides: list[str], said: str) -> None:
+    register_controller("other", ByHand)
+    with pytest.raises(SceneError, match=said):
+        load_scene("paper_wall", overrides)
+
+
+def test_a_resume_sees_that_one_of_several_controllers_was_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    changed = iter(["before", "after"])
+    current = next(changed)
+    monkeypatch.setattr("haptether.bridge.scene.sweeps.store.source_of", lambda name: f"{name} {current}")
+
+    def stored(*, resume: bool) -> int:
+        def stop(done: int) -> None:
+            if done >= 64 and not resume:
+                raise KeyboardInterrupt
+
+        grid = {"safety.controllers": [["wsc"], ["by-hand"]], "run.seed": list(range(1, 61))}
+        short = ["run.duration_s=0.05"]
+        return sweep_to_file("paper_wall", tmp_path / "a.csv", grid, overrides=short, resume=resume, progress=stop).rows
+
+    with pytest.raises(KeyboardInterrupt):
+        stored(resume=False)
+    current = next(changed)
+    with pytest.raises(ValueError, match="controllers in Python"):
+        stored(resume=True)
+    current = "before"
+    assert stored(resume=True) == 120
+
+
 def test_a_package_names_one_by_an_entry_point(tmp_path: Path) -> None:
     (tmp_path / "braking.py").write_text(CONTROLLER)
     metadata = tmp_path / "braking-1.0.dist-info"
@@ -413,5 +479,10 @@ def test_a_package_names_one_by_an_entry_point(tmp_path: Path) -> None:
     said = ran("simulate", "paper_wall", "--set", 'safety.research={controller="brake", options={after_s=0.2}}')
     assert "controller in Python: 1500 ticks" in said or "controller in Python: " in said
     assert "us each" in said
+    swept = ran("sweep", "paper_wall", "--vary", "safety.controllers=none,[wsc],[brake],[hsc,brake]")
+    assert "hsc+brake  complete" in swept
+    assert "4 rows: 4 complete" in swept
+    asked = ["--quick", "--hands", "1", "--releases", "1", "--round-trip-s", "0", "--network", "steady"]
+    assert "HSC + brake: " in ran("evaluate", "paper_wall", *asked, "--controller", "none", "hsc+brake")
     assert "brake" not in controller_names()
     assert "no such controller" in ran("simulate", "paper_wall", "--safety.research.controller", "brak", status=2)

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether import __version__
-from haptether.bridge.scene.load import Checked, override_texts
-from haptether.bridge.scene.research import source_of
+from haptether.bridge.scene.load import Checked, leaf_values, override_texts
+from haptether.bridge.scene.research import controller_names, source_of
 from haptether.bridge.scene.run import named_scene
 from haptether.bridge.scene.save import scene_toml
 from haptether.bridge.scene.sweep import (
@@ -187,9 +187,9 @@ def _controller_sources(base: Checked, design: Design) -> dict[str, str] | None:
     tables = [scene.safety.research for scene in (base.scene, *(each.checked.scene for each in _scenes(design)))]
     names = {table.controller for table in tables if table is not None}
     for path, values in design.factors.items():
-        if path.startswith("safety.research"):
-            names |= {value["controller"] for value in values.tolist() if isinstance(value, dict)}
-            names |= {value for value in values.tolist() if isinstance(value, str)}
+        if path.partition(".")[0] == "safety" and values.dtype == object:
+            leaves = {leaf for value in values.tolist() for _, leaf in leaf_values(value)}
+            names |= leaves & {*controller_names()}
     return {name: source_of(name) for name in sorted(names)} or None
 
 
