@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether import __version__
+from haptether.bridge.scene.errors import SceneError
 from haptether.bridge.scene.load import Checked, leaf_values, override_texts
 from haptether.bridge.scene.research import controller_names, source_of
 from haptether.bridge.scene.run import named_scene
@@ -227,7 +228,12 @@ def _written(
     names = journal.types()
     if "ticks" not in names:
         _, metrics = next(journal.batches())
-        refuse_empty(Sweep({**labelled(design.columns(0, len(metrics["outcome"]))), **metrics}))
+        try:
+            refuse_empty(Sweep({**labelled(design.columns(0, len(metrics["outcome"]))), **metrics}))
+        except SceneError:
+            # There is nothing to go on with.
+            journal.remove()
+            raise
     outcomes: Counter[str] = Counter()
     measured_columns: set[str] = set()
     reasons = RowReasons()

@@ -1,6 +1,7 @@
 """`haptether sweep`."""
 
 import contextlib
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 ROWS_SHOWN = 20
 SEED = "run.seed"
+FAILED_ROWS = frozenset({"refused", "diverged", "never-engaged"})
+"""Outcomes with which `haptether simulate` exits with 1 or 2."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +38,7 @@ class Sweep(PictureOptions):
     included; a list is v1,v2,... of numbers or of whatever else the field takes, as --set has it (none is an empty
     list). The last path varies fastest. --samples runs each combination for so many seeds and draws, the same for all
     combinations. Prints the first rows; --out and --json have all. Exit status 2 says that the scene cannot be, or no
-    row of it.
+    row of it; 1 that every row was refused, diverged or never engaged.
 
     The outcome of a row is complete, settled, diverged, not-released (it ended before the release), never-engaged,
     refused (a scene that cannot be built: the reason is printed), or the state of the ladder where the two were coupled
@@ -153,6 +156,10 @@ class Sweep(PictureOptions):
         if picture is not None and whole is not None:
             write_figure(draw_sweep(self.scene, whole.columns, paths, self.page_columns), picture)
             console.print(f"picture: {picture}")
+        outcomes = outcomes_of(shown, stored)
+        if outcomes.keys() <= FAILED_ROWS:
+            message = f"every row failed: {counted(outcomes)}"
+            raise RuntimeError(message)
         return 0
 
     def _summarised(self, console: "Screen", whole: "SweepResult | None", by: list[str]) -> "tuple[SummaryRow, ...]":
@@ -255,8 +262,6 @@ class Sweep(PictureOptions):
 
     def _varied(self) -> tuple[dict[str, list[Any]], dict[str, str]]:
         """The values of each path that varies, and which path takes whose."""
-        from collections import Counter
-
         from haptether.bridge.scene.sweep import label
 
         if not self.vary and self.samples is None:
@@ -455,8 +460,6 @@ class Sweep(PictureOptions):
                 raise ValueError(message)
 
     def _report(self, console: "Screen", result: "SweepResult", keys: int, stored: "StoredSweep | None" = None) -> None:
-        from collections import Counter
-
         from haptether.cli.scene.simulate import shown
 
         shows = self._columns(result, stored)
@@ -475,9 +478,7 @@ class Sweep(PictureOptions):
             console.print(f"and {total - ROWS_SHOWN} more rows; --out and --json have all")
         for line in reason_lines(*(_reasons(result) if stored is None else (stored.reasons, stored.other_reasons))):
             console.print(line, soft_wrap=True)
-        outcomes = Counter(result.columns["outcome"].tolist() if stored is None else stored.outcomes)
-        counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common())
-        console.print(f"{total} rows: {counts}")
+        console.print(f"{total} rows: {counted(outcomes_of(result, stored))}")
         if stored is not None:
             console.print(f"rows: {stored.path}" + (f", {stored.resumed} kept before" if stored.resumed else ""))
 
@@ -491,6 +492,16 @@ class Sweep(PictureOptions):
         if "intervention_s" in result.columns:
             absent |= {"intervention_ticks"}
         return [name for name in result.columns if name not in absent | {"reason"}]
+
+
+def outcomes_of(result: "SweepResult", stored: "StoredSweep | None") -> Counter[str]:
+    """How many rows of a sweep ended how."""
+    return Counter(result.columns["outcome"].tolist() if stored is None else stored.outcomes)
+
+
+def counted(outcomes: Counter[str]) -> str:
+    """How many rows ended how, the most frequent first."""
+    return ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common())
 
 
 def _reasons(result: "SweepResult") -> "tuple[tuple[RowReason, ...], int]":
