@@ -33,7 +33,7 @@ def poisson_interval(count: int) -> tuple[float, float]:
     return 0.0 if count == 0 else mean_where(count - 1, 0.975), mean_where(count, 0.025)
 
 
-def wilson_interval(count: int, of: int) -> tuple[float, float]:
+def wilson_interval(count: float, of: float) -> tuple[float, float]:
     """95 % interval of a share of at least one.
 
     Source: Wilson 1927.

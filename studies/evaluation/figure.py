@@ -1,12 +1,13 @@
 """The figure of an evaluation: verdicts as a map, and what they come from over the round trip."""
 
+from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from haptether.studies.evaluation.result import Evaluation, Verdict, totals
+from haptether.studies.evaluation.result import MOST_HANDS, Evaluation, EvaluationCell, Verdict, totals
 from haptether.view.style.colours import THRESHOLD, controller_look, controller_title
-from haptether.view.style.figure import Columns, letter, new_figure, styled
+from haptether.view.style.figure import Columns, letter, new_figure, styled, written
 from haptether.view.style.legend import legend_below
 
 if TYPE_CHECKING:
@@ -37,17 +38,39 @@ VERDICT_WORDS: dict[Verdict, str] = {
 }
 
 
-def draw_evaluation(found: Evaluation, columns: Columns = 2) -> "Figure":
+HATCH = "//////"
+"""Over a cell that is safe, and unconfirmed."""
+
+
+def words_of(found: Evaluation, cells: "Sequence[EvaluationCell]") -> str:
+    """A verdict in words, with the hands that an unconfirmed one needs."""
+    verdict = found.verdict(cells)
+    if verdict != "safe" or found.is_confirmed(cells):
+        return VERDICT_WORDS[verdict]
+    needed = found.hands_needed(cells)
+    return f"safe? {'over ' if needed == MOST_HANDS else ''}{needed} hands"
+
+
+def draw_evaluation(found: Evaluation, path: str | PathLike[str] | None = None, columns: Columns = 2) -> "Figure":
     """Draws verdicts over controllers and round trips, and speeds, throws and false trips over the round trip.
 
-    All tasks together: the worst verdict, the largest speed, and counts of the worst network with 95 % intervals.
+    All tasks together: the worst verdict, the largest speed, and counts of the worst network with 95 % intervals. A
+    safe cell that the intervals do not confirm is hatched and has the hands that would.
+
+    Args:
+        found: What is drawn.
+        path: Of a .png, .pdf or .svg that is written.
+        columns: Width, in columns of a page.
 
     Raises:
         ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
+        ValueError: Another ending.
+        OSError: The file cannot be written; a symbolic link.
     """
     with styled():
         several = f"{len(found.tasks)} tasks" if len(found.tasks) > 1 else found.tasks[0]
-        title = f"{several}, {len(found.networks)} networks, {found.hands} hands each"
+        networks = f"{len(found.networks)} networks" if len(found.networks) > 1 else f"network {found.networks[0].name}"
+        title = f"{several}, {networks}, {found.hands} hands each"
         figure = new_figure(columns, 5.2 if columns == 2 else 9.5, title)
         shape = (2, 2) if columns == 2 else (4, 1)
         panels = figure.subplots(*shape, squeeze=False).ravel().tolist()
@@ -59,7 +82,7 @@ def draw_evaluation(found: Evaluation, columns: Columns = 2) -> "Figure":
             panel.set_xlabel("round trip [ms]")
         legend_below(figure, panels[1].get_legend_handles_labels()[0])
         letter(panels)
-    return figure
+    return written(figure, path)
 
 
 def _verdicts(panel: "Axes", found: Evaluation) -> None:
@@ -68,9 +91,20 @@ def _verdicts(panel: "Axes", found: Evaluation) -> None:
     panel.grid(visible=False)
     for row, controllers in enumerate(found.controllers):
         for column, round_trip_s in enumerate(found.round_trips_s):
-            verdict = found.verdict(found.of(controllers=controllers, round_trip_s=round_trip_s))
-            panel.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, fc=VERDICT_COLOURS[verdict], ec="white"))
-            panel.text(column, row, VERDICT_WORDS[verdict].replace(" ", "\n"), ha="center", va="center", fontsize=5.0)
+            cells = found.of(controllers=controllers, round_trip_s=round_trip_s)
+            words = words_of(found, cells)
+            hatch = HATCH if words.startswith("safe?") else None
+            panel.add_patch(
+                Rectangle(
+                    (column - 0.5, row - 0.5),
+                    1.0,
+                    1.0,
+                    fc=VERDICT_COLOURS[found.verdict(cells)],
+                    ec="white",
+                    hatch=hatch,
+                )
+            )
+            panel.text(column, row, words.replace(" ", "\n"), ha="center", va="center", fontsize=5.0)
     panel.set_xlim(-0.5, len(found.round_trips_s) - 0.5)
     panel.set_ylim(len(found.controllers) - 0.5, -0.5)
     panel.set_xticks(range(len(found.round_trips_s)), [f"{trip_s * 1e3:g}" for trip_s in found.round_trips_s])
@@ -84,6 +118,8 @@ def _over_trips(found: Evaluation) -> "list[float]":
 
 
 def _speeds(panel: "Axes", found: Evaluation) -> None:
+    from matplotlib.ticker import LogFormatter
+
     for controllers in found.controllers:
         most = [totals(found.of(controllers=controllers, round_trip_s=trip)).max_speed for trip in found.round_trips_s]
         speeds = [np.nan if speed is None else speed for speed in most]
@@ -92,6 +128,7 @@ def _speeds(panel: "Axes", found: Evaluation) -> None:
     panel.axhline(found.limits.speed, color=THRESHOLD, lw=0.8, ls=":")
     panel.set_yscale("log")
     panel.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    panel.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.6)))
     panel.set_ylabel("largest speed after a release [m/s]")
 
 

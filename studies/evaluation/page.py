@@ -7,19 +7,19 @@ from typing import TypeAlias
 
 from msgspec import Struct
 
-from haptether.studies.evaluation.figure import VERDICT_COLOURS, VERDICT_WORDS, draw_evaluation
-from haptether.studies.evaluation.result import Evaluation, EvaluationCell, Totals, Verdict, totals
+from haptether.studies.evaluation.figure import VERDICT_COLOURS, VERDICT_WORDS, draw_evaluation, words_of
+from haptether.studies.evaluation.result import Evaluation, EvaluationCell, Totals, totals
 from haptether.view.style.colours import controller_title
 
-Cell: TypeAlias = "str | tuple[str, Verdict]"
-
-
+Cell: TypeAlias = "str | tuple[str, str]"
+UNCONFIRMED = "unconfirmed"
+"""Class of a cell that is safe, and unconfirmed."""
 MOST_NAMED = 3
 """Tasks that a statement names."""
 
 
 class Table(Struct, frozen=True):
-    """A table; a cell may have a verdict, which colours it."""
+    """A table; a cell may have a verdict, or `UNCONFIRMED`, which colours it."""
 
     head: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
@@ -43,7 +43,7 @@ def sections(found: Evaluation, worst: str | None) -> Iterator[Section]:
         f"Safe: in every task and network no release leaves the device faster than {limits.speed:g} m/s, the two are"
         f" coupled throughout, and all together have at most {limits.false_trips_per_h:g} false trips per hour held. A"
         " cell says the worst that happened there, and the largest speed after a release; not measured: nobody let go"
-        " where something can be felt.",
+        f" where something can be felt. {confirmation(found)}",
         items=statements(found),
         table=_verdict_table(found, None),
     )
@@ -68,6 +68,21 @@ def sections(found: Evaluation, worst: str | None) -> Iterator[Section]:
     )
     yield Section("Worst releases", _worst_text(worst), table=_worst(found))
     yield Section("What was assumed", items=tuple(_assumptions(found)))
+
+
+def confirmation(found: Evaluation) -> str:
+    """When a safe cell is confirmed, and how many are."""
+    cells = [
+        found.of(controllers=name, round_trip_s=trip_s) for name in found.controllers for trip_s in found.round_trips_s
+    ]
+    safe = sum(found.verdict(of) == "safe" for of in cells)
+    hatched = sum(len(found.unconfirmed(controllers)) for controllers in found.controllers)
+    limits = found.limits
+    return (
+        f"Safe is confirmed where the 95 % intervals exclude more than {_percent(limits.thrown_share)} of releases"
+        f" thrown and more than {limits.false_trips_per_h:g} false trips per hour; safe? is hatched, and has the hands"
+        f" that it needs for that. Hatched: {hatched} of {safe} safe cells."
+    )
 
 
 def statements(found: Evaluation) -> tuple[str, ...]:
@@ -121,6 +136,8 @@ def evaluation_html(found: Evaluation, *, command: str = "", worst: str | None =
         if place == 0:
             body.append(f"<figure>{picture}</figure>")
     colours = "".join(f".{verdict}{{background:{colour}}}" for verdict, colour in VERDICT_COLOURS.items())
+    green = VERDICT_COLOURS["safe"]
+    colours += f".{UNCONFIRMED}{{background:repeating-linear-gradient(135deg,{green} 0 7px,#fff 7px 10px)}}"
     return (
         "<!doctype html>\n<html lang=en><head><meta charset=utf-8>"
         "<meta name=viewport content='width=device-width, initial-scale=1'>"
@@ -165,7 +182,7 @@ def _statement(found: Evaluation, controllers: str) -> str:
     said = f"{controller_title(controllers)}: {', '.join(parts)}."
     beyond = [trip_s for trip_s in sorted(found.round_trips_s) if safe_s is None or trip_s > safe_s]
     if not beyond:
-        return f"{said} No longer one was tried."
+        return f"{said} No longer one was tried.{_confirmed(found, controllers)}"
     cells = list(found.of(controllers=controllers, round_trip_s=beyond[0]))
     verdict = found.verdict(cells)
     where = {
@@ -173,7 +190,18 @@ def _statement(found: Evaluation, controllers: str) -> str:
         for cell in cells
         if (cell.releases == 0 if verdict == "not-measured" else cell.verdict(found.limits) == verdict)
     }
-    return f"{said} At {beyond[0] * 1e3:g} ms: {VERDICT_WORDS[verdict]}, in {', '.join(list(where)[:MOST_NAMED])}."
+    ending = f"At {beyond[0] * 1e3:g} ms: {VERDICT_WORDS[verdict]}, in {', '.join(list(where)[:MOST_NAMED])}."
+    return f"{said} {ending}{_confirmed(found, controllers)}"
+
+
+def _confirmed(found: Evaluation, controllers: str) -> str:
+    """Up to which round trip the intervals confirm that a set of controllers is safe, where that is not as far."""
+    safe_s, confirmed_s = found.safe_up_to_s(controllers), found.confirmed_up_to_s(controllers)
+    if safe_s is None or confirmed_s == safe_s:
+        return ""
+    trips = [trip_s for trip_s in found.unconfirmed(controllers) if trip_s <= safe_s]
+    needed = max(found.hands_needed(found.of(controllers=controllers, round_trip_s=trip_s)) for trip_s in trips)
+    return f" {_up_to('Confirmed', confirmed_s)}; {needed} hands of which none is thrown would confirm the rest."
 
 
 def _up_to(what: str, round_trip_s: float | None) -> str:
@@ -186,11 +214,13 @@ def _verdict_table(found: Evaluation, task: str | None) -> Table:
         cells: list[Cell] = [controller_title(controllers)]
         for round_trip_s in found.round_trips_s:
             of = found.of(task=task, controllers=controllers, round_trip_s=round_trip_s)
-            verdict, speed = found.verdict(of), totals(of).max_speed
-            said = VERDICT_WORDS[verdict] + ("" if speed is None else f", {speed:.2f} m/s")
-            cells.append((said, verdict))
+            words, speed = words_of(found, of), totals(of).max_speed
+            said = words + ("" if speed is None else f", {speed:.2f} m/s")
+            cells.append((said, UNCONFIRMED if words.startswith("safe?") else found.verdict(of)))
+        cells.append(str(len(found.unconfirmed(controllers, task))))
         rows.append(tuple(cells))
-    return Table(("controllers", *(f"{trip_s * 1e3:g} ms" for trip_s in found.round_trips_s)), tuple(rows))
+    trips = (f"{trip_s * 1e3:g} ms" for trip_s in found.round_trips_s)
+    return Table(("controllers", *trips, "hatched"), tuple(rows))
 
 
 def _numbers(found: Evaluation) -> Table:

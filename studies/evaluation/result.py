@@ -1,6 +1,7 @@
 """What an evaluation finds: cells, what they say of a set-up at a delay, and the worst release."""
 
 from collections.abc import Iterable, Sequence
+from math import ceil, inf
 from statistics import median
 from typing import Literal, TypeAlias, get_args
 
@@ -16,6 +17,8 @@ VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 """The worst first."""
 UNSAFE: frozenset[Verdict] = frozenset({"diverged", "thrown", "not-engaged", "not-measured"})
 """Verdicts that do not exclude a thrown device."""
+MOST_HANDS = 100_000
+"""Hands that nobody runs: as many are needed, or more."""
 INTERFERING: frozenset[Verdict] = frozenset({"uncoupled", "trips"})
 """Verdicts of a loop that interrupts the task and throws no device."""
 
@@ -37,6 +40,8 @@ class EvaluationLimits(Struct, frozen=True, kw_only=True):
     """Speed in m/s above which a release has thrown the device."""
     false_trips_per_h: float = 60.0
     """Interventions per hour while a hand holds, above which a controller interferes with the task."""
+    thrown_share: float = 0.1
+    """Share of releases that throw, which the 95 % interval must exclude before "safe" is confirmed."""
 
 
 class EvaluationCell(Struct, frozen=True, kw_only=True):
@@ -223,6 +228,56 @@ class Evaluation(Struct, frozen=True, kw_only=True):
         ):
             return "trips"
         return "safe" if has_releases(cells) else "not-measured"
+
+    def hands_needed(self, cells: Sequence[EvaluationCell]) -> int:
+        """How many hands each task takes until the 95 % intervals confirm that the cells are safe, at most 100 000.
+
+        The intervals are Wilson's of the share of releases that throw and Garwood's of the false trips per hour, of
+        counts that grow with the hands. Neither may reach its limit. `hands` where those that ran are enough.
+        """
+        counted = totals(cells)
+
+        def confirm(hands: int) -> bool:
+            more = hands / self.hands
+            releases, hours = counted.releases * more, counted.hours * more
+            if not releases or not hours:
+                return False
+            thrown = wilson_interval(counted.thrown * more, releases)[1]
+            trips = poisson_interval(ceil(counted.false_trips * more))[1] / hours
+            return thrown <= self.limits.thrown_share and trips <= self.limits.false_trips_per_h
+
+        low = high = self.hands
+        while not confirm(high):
+            if high >= MOST_HANDS:
+                return MOST_HANDS
+            low, high = high, min(2 * high, MOST_HANDS)
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (low, middle) if confirm(middle) else (middle, high)
+        return high
+
+    def is_confirmed(self, cells: Sequence[EvaluationCell]) -> bool:
+        """Whether the cells are safe, and the hands that ran are enough to say so."""
+        return self.verdict(cells) == "safe" and self.hands_needed(cells) <= self.hands
+
+    def unconfirmed(self, controllers: str, task: str | None = None) -> tuple[float, ...]:
+        """Round trips in s at which cells are safe, and too few hands ran to say so."""
+        trips = (
+            (trip_s, self.of(task=task, controllers=controllers, round_trip_s=trip_s)) for trip_s in self.round_trips_s
+        )
+        return tuple(
+            trip_s for trip_s, cells in trips if self.verdict(cells) == "safe" and not self.is_confirmed(cells)
+        )
+
+    def confirmed_up_to_s(self, controllers: str, task: str | None = None) -> float | None:
+        """As `safe_up_to_s`, as far as each round trip is confirmed.
+
+        Raises:
+            ValueError: A set of controllers or a task that was not evaluated.
+        """
+        safe_s, unconfirmed = self.safe_up_to_s(controllers, task), self.unconfirmed(controllers, task)
+        trips = [trip_s for trip_s in self.round_trips_s if safe_s is not None and trip_s <= safe_s]
+        return max((trip_s for trip_s in trips if trip_s < min(unconfirmed, default=inf)), default=None)
 
     def safe_up_to_s(self, controllers: str, task: str | None = None) -> float | None:
         """Largest round trip in s up to which each one that was tried is safe; none if already the least is not.

@@ -1,12 +1,13 @@
 """The figure of a trade-off: missed releases over false trips per hour, a panel for each controller."""
 
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 from haptether.studies.task import WITHIN_S
 from haptether.studies.thresholds.law import ThresholdLaw
 from haptether.studies.thresholds.trade_off import TradeOff
 from haptether.view.style.colours import AXES, CONTROLLERS, HELD, PAPER, THRESHOLD
-from haptether.view.style.figure import Columns, letter, new_figure, styled
+from haptether.view.style.figure import Columns, letter, new_figure, styled, written
 from haptether.view.style.legend import legend_below
 
 if TYPE_CHECKING:
@@ -20,11 +21,18 @@ OURS = (AXES[0], AXES[5], AXES[3])
 """Of the first law of ours of a controller, and of others."""
 
 
-def draw_trade_off(found: TradeOff, columns: Columns = 2) -> "Figure":
+def draw_trade_off(found: TradeOff, path: str | PathLike[str] | None = None, columns: Columns = 2) -> "Figure":
     """Draws each law as a line over its thresholds, all tasks together; a ring is the threshold that is its default.
+
+    Args:
+        found: What is drawn.
+        path: Of a .png, .pdf or .svg that is written.
+        columns: Width, in columns of a page.
 
     Raises:
         ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
+        ValueError: Another ending.
+        OSError: The file cannot be written; a symbolic link.
     """
     controllers = [name for name in CONTROLLERS if any(law.controller == name for law in found.laws)]
     trips = found.round_trips_s
@@ -50,7 +58,7 @@ def draw_trade_off(found: TradeOff, columns: Columns = 2) -> "Figure":
             handles += panels[0].plot([], [], line, color=THRESHOLD, label=label)
         legend_below(figure, handles)
         letter(panels)
-    return figure
+    return written(figure, path)
 
 
 def _panel(panel: "Axes", found: TradeOff, laws: list[ThresholdLaw], trips: list[float]) -> list[Any]:

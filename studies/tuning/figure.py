@@ -1,5 +1,6 @@
 """The figure of a tuning: what each observer saw with its threshold, and missed releases over false trips."""
 
+from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from haptether.studies.tuning.normal_operation import TUNED_FIELDS
 from haptether.studies.tuning.tune import TunedThreshold, Tuning
 from haptether.view.style.colours import CONTROLLERS, HELD, PAPER, THRESHOLD
-from haptether.view.style.figure import Columns, letter, new_figure, styled
+from haptether.view.style.figure import Columns, letter, new_figure, styled, written
 from haptether.view.style.legend import legend_below
 
 if TYPE_CHECKING:
@@ -15,11 +16,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def draw_tuning(found: Tuning, columns: Columns = 2) -> "Figure":
+def draw_tuning(found: Tuning, path: str | PathLike[str] | None = None, columns: Columns = 2) -> "Figure":
     """Draws, for each threshold, events per hour over the observer's values, and below it the ROC curve.
+
+    Args:
+        found: What is drawn.
+        path: Of a .png, .pdf or .svg that is written.
+        columns: Width, in columns of a page.
 
     Raises:
         ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
+        ValueError: Another ending.
+        OSError: The file cannot be written; a symbolic link.
     """
     tuned = found.thresholds
     with styled():
@@ -38,7 +46,7 @@ def draw_tuning(found: Tuning, columns: Columns = 2) -> "Figure":
             handles = handles or drawn
         legend_below(figure, handles)
         letter(panels.ravel().tolist())
-    return figure
+    return written(figure, path)
 
 
 def _events(panel: "Axes", each: TunedThreshold, found: Tuning) -> list[object]:

@@ -3,10 +3,11 @@
 import json
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
+from matplotlib.patches import Rectangle
 from msgspec.structs import replace
 
 from haptether.bridge import RecordTable, load_scene, simulate
@@ -19,12 +20,14 @@ from haptether.studies import (
     EvaluationCell,
     EvaluationLimits,
     Network,
+    draw_evaluation,
     evaluate,
     evaluation_html,
     evaluation_markdown,
 )
 from haptether.studies.evaluation.evaluate import transmitted_impedance
-from haptether.studies.evaluation.result import totals
+from haptether.studies.evaluation.result import MOST_HANDS, totals
+from haptether.studies.intervals import poisson_interval, wilson_interval
 
 pytestmark = pytest.mark.slow
 
@@ -139,6 +142,72 @@ def test_false_trips_of_all_tasks_and_networks_count_together() -> None:
     assert evaluation({"false_trips": 61}, *quiet).safe_up_to_s("wsc") is None
     # A task that is asked for by itself has its own rate.
     assert evaluation({"false_trips": 7}, *quiet).safe_up_to_s("wsc", "push") is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "hands", "needed"),
+    [
+        # 3.84 / (n + 3.84) of n releases without a throw, and 3.69 / T of T hours without a trip.
+        ({"releases": 2, "hours": 1.0}, 2, 35),
+        ({"releases": 8, "hours": 1.0}, 8, 35),
+        ({"releases": 4, "hours": 1.0}, 8, 70),
+        ({"releases": 8, "hours": 0.01}, 8, 50),
+        ({"releases": 34, "hours": 1.0}, 34, 35),
+        ({"releases": 35, "hours": 1.0}, 35, 35),
+        ({"releases": 80, "hours": 1.0}, 40, 40),
+        # A rate that was seen, and is close to what is allowed.
+        ({"releases": 1000, "hours": 0.1, "false_trips": 5}, 1000, 23_700),
+        ({"releases": 8, "hours": 0.1, "false_trips": 6}, 8, MOST_HANDS),
+    ],
+)
+def test_a_safe_cell_is_confirmed_by_its_intervals(changes: dict[str, Any], hands: int, needed: int) -> None:
+    found = replace(evaluation(changes), hands=hands)
+    assert found.verdict(found.cells) == "safe"
+    assert found.hands_needed(found.cells) == pytest.approx(needed, rel=0.1 if needed > 1000 else 0.0)
+    assert found.is_confirmed(found.cells) == (needed <= hands)
+    counted = totals(found.cells)
+    bounds = (wilson_interval(0, counted.releases)[1], poisson_interval(counted.false_trips)[1] / counted.hours)
+    assert found.is_confirmed(found.cells) == (bounds[0] <= 0.1 and bounds[1] <= 60.0)
+    assert found.unconfirmed("wsc") == (() if needed <= hands else (0.0,))
+    assert found.confirmed_up_to_s("wsc") == (0.0 if needed <= hands else None)
+
+
+def test_a_share_that_may_throw_decides_how_many_hands_are_needed() -> None:
+    found = evaluation({"hours": 10.0})
+    for share, needed in ((0.4, 8), (0.2, 16), (0.05, 73), (0.01, 381)):
+        assert replace(found, limits=EvaluationLimits(thrown_share=share)).hands_needed(found.cells) == needed
+
+
+def test_confirmed_up_to_is_before_the_first_round_trip_that_is_not() -> None:
+    many = {"releases": 80, "hours": 1.0}
+    cells = [{"round_trip_s": 0.0, **many}, {"round_trip_s": 0.1}, {"round_trip_s": 0.3, **many}]
+    found = evaluation(*cells)
+    assert (found.confirmed_up_to_s("wsc"), found.safe_up_to_s("wsc")) == (0.0, 0.3)
+    assert found.unconfirmed("wsc") == (0.1,)
+    # What is unsafe is neither confirmed nor hatched.
+    assert evaluation({"thrown": 1}).unconfirmed("wsc") == ()
+    assert not evaluation({"thrown": 1, **many}).is_confirmed(evaluation({"thrown": 1, **many}).cells)
+
+
+@pytest.mark.parametrize("columns", [1, 2])
+def test_an_unconfirmed_cell_is_hatched_and_says_how_many_hands_it_needs(
+    columns: Literal[1, 2], tmp_path: Path
+) -> None:
+    many = {"releases": 80, "hours": 1.0}
+    found = evaluation({"round_trip_s": 0.0, **many}, {"round_trip_s": 0.1, "hours": 1.0})
+    path = tmp_path / "evaluation.svg"
+    figure = draw_evaluation(found, path, columns)
+    cells = [patch for patch in figure.axes[0].patches if isinstance(patch, Rectangle)]
+    assert [bool(cell.get_hatch()) for cell in cells] == [False, True]
+    assert [text.get_text() for text in figure.axes[0].texts if text.get_text() != "a"] == ["safe", "safe?\n35\nhands"]
+    assert path.read_bytes().startswith(b"<?xml")
+    page, text = evaluation_html(found), evaluation_markdown(found)
+    assert "<td class=safe>safe, 0.40 m/s</td><td class=unconfirmed>safe? 35 hands, 0.40 m/s</td><td>1</td>" in page
+    assert "| safe, 0.40 m/s | safe? 35 hands, 0.40 m/s | 1 |" in text
+    assert "Hatched: 1 of 2 safe cells." in text
+    assert "Confirmed up to 0 ms; 35 hands of which none is thrown would confirm the rest." in text
+    with pytest.raises(ValueError, match="must end in"):
+        draw_evaluation(found, tmp_path / "evaluation.gif")
 
 
 # ------------------------------------------------------------------------------------------------------- measured
@@ -287,6 +356,11 @@ def test_the_command_writes_page_scene_and_cells(tmp_path: Path, capsys: pytest.
     report = json.loads(target.read_text())
     assert [cell["controllers"] for cell in report["cells"]] == ["none", "hsc"] * 2
     assert report["safe_up_to_s"] == {"none": None, "hsc": 0.05}
+    assert report["confirmed_up_to_s"] == {"none": None, "hsc": None}
+    assert report["hatched"] == {"none": 0, "hsc": 1}
+    shown = [[row[name] for name in ("controllers", "verdict", "hands_needed")] for row in report["verdicts"]]
+    assert shown == [["none", "thrown", None], ["hsc", "safe", 35]]
+    assert not any(row["confirmed"] for row in report["verdicts"])
     worst = next(release for release in report["worst"] if release["controllers"] == "hsc")
     run = simulate(replace(load_scene(str(out / "worst.toml")), record=RecordTable()))
     assert run.metrics.max_ejection_velocity == pytest.approx(worst["speed"], rel=1e-12)
@@ -322,6 +396,7 @@ def test_the_worst_release_of_an_earlier_run_is_removed(tmp_path: Path) -> None:
         (["--releases", "0"], "releases = 0: must be 1 or more"),
         (["--seed", "-1"], "seed = -1: must be 0 or more"),
         (["--speed", "nan"], "speed = nan: must be a number of at least 0"),
+        (["--thrown-share", "-1"], "thrown-share = -1.0: must be a number of at least 0"),
         (["--controller", "wsc+abc"], "'abc' is none of none, vfc, hsc, wsc, pc"),
         (["--controller", "none+wsc"], "'none' is none of"),
         (["--controller", "wsc", "wsc"], "must be one or more, each once"),

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -155,6 +156,18 @@ def check_picture(path: Path) -> str:
         message = f"{path}: must end in {', '.join(f'.{name}' for name in FORMATS)}"
         raise ValueError(message)
     return kind
+
+
+def written(figure: "Figure", path: str | PathLike[str] | None) -> "Figure":
+    """The figure, written to a path where one is given.
+
+    Raises:
+        ValueError: Another ending than .png, .pdf, .svg.
+        OSError: The file cannot be written; a symbolic link.
+    """
+    if path is not None:
+        write_figure(figure, Path(path))
+    return figure
 
 
 def write_figure(figure: "Figure", path: Path) -> None:

@@ -78,7 +78,6 @@ class Tune(PictureOptions):
         from haptether.cli.shared.picture import asked_picture
         from haptether.cli.shared.screen import screen
         from haptether.studies import HandBounds, draw_tuning, tune
-        from haptether.view.style.figure import write_figure
 
         check_target(self.json)
         check_random_seed(self.seed)
@@ -106,7 +105,7 @@ class Tune(PictureOptions):
             fields = {name: getattr(found, name) for name in found.__struct_fields__}
             write_report(self.json, {**fields, "reached": found.reached, "toml": found.toml()})
         if picture is not None:
-            write_figure(draw_tuning(found, self.page_columns), picture)
+            draw_tuning(found, picture, self.page_columns)
             console.print(f"picture: {picture}")
         return 0 if found.reached else 1
 

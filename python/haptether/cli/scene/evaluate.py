@@ -52,6 +52,9 @@ class Evaluate:
     """Speed in m/s above which a release has thrown the device; by default 0.5."""
     false_trips_per_h: float | None = None
     """False trips per hour held above which a controller interferes with the task; by default 60."""
+    thrown_share: float | None = None
+    """Share of releases that throw, which the 95 % interval must exclude before a cell is green; by default 0.1. Else
+    it is hatched, and has the hands that it needs."""
     population: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE.toml")] = None
     """A population whose hands do the tasks, instead of hands of 200 to 600 N/m and 8 to 25 N s/m; those too soft for
     what a task lets them feel are passed over: docs/populations.md."""
@@ -68,13 +71,12 @@ class Evaluate:
 
     def run(self) -> int:
         """Runs all tasks; 0."""
-        from haptether.bridge import load_scene
         from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.controller_time import controller_timed
         from haptether.cli.shared.numbers import check_random_seed
         from haptether.cli.shared.output import check_target, make_folder, require_matplotlib
         from haptether.cli.shared.screen import screen
-        from haptether.cli.shared.unusual import ask_units
+        from haptether.cli.shared.unusual import ask_units, tasks_of
         from haptether.studies import (
             EVALUATED_CONTROLLERS,
             EVALUATED_NETWORKS,
@@ -86,9 +88,12 @@ class Evaluate:
 
         check_target(self.json)
         check_random_seed(self.seed)
-        for name, value in (("speed", self.speed), ("false-trips-per-h", self.false_trips_per_h)):
+        limits = {
+            "speed": self.speed, "false_trips_per_h": self.false_trips_per_h, "thrown_share": self.thrown_share
+        }  # fmt: skip
+        for name, value in limits.items():
             if value is not None and not 0.0 <= value < float("inf"):
-                message = f"{name} = {value}: must be a number of at least 0"
+                message = f"{name.replace('_', '-')} = {value}: must be a number of at least 0"
                 raise ValueError(message)
         known = {network.name: network for network in EVALUATED_NETWORKS}
         chosen = self.network or (("steady", "jitter+loss") if self.quick else tuple(known))
@@ -98,11 +103,10 @@ class Evaluate:
         if self.out is not None:
             require_matplotlib()
             make_folder(self.out)
-        limits = {"speed": self.speed, "false_trips_per_h": self.false_trips_per_h}
         console, tasks = screen(self.json), self._tasks()
         ask_units(
             console,
-            (load_scene(task, self.set) for task in tasks),
+            tasks_of(tasks, self.set),
             (("round_trip_s", each) for each in self.round_trip_s or ()),
         )
         with controller_timed(console), spinner("evaluate") as say:
@@ -167,11 +171,26 @@ class Evaluate:
             {name: getattr(release, name) for name in ("controllers", "task", "round_trip_s", "network", "speed")}
             for release in found.worst
         ]
-        safe = {controllers: found.safe_up_to_s(controllers) for controllers in found.controllers}
-        unthrown = {controllers: found.unthrown_up_to_s(controllers) for controllers in found.controllers}
+        up_to = {
+            name: {controllers: getattr(found, name)(controllers) for controllers in found.controllers}
+            for name in ("safe_up_to_s", "confirmed_up_to_s", "unthrown_up_to_s")
+        }
+        verdicts = [
+            {
+                "controllers": controllers,
+                "round_trip_s": round_trip_s,
+                "verdict": found.verdict(cells),
+                "confirmed": found.is_confirmed(cells),
+                "hands_needed": found.hands_needed(cells) if found.verdict(cells) == "safe" else None,
+            }
+            for controllers in found.controllers
+            for round_trip_s in found.round_trips_s
+            for cells in [found.of(controllers=controllers, round_trip_s=round_trip_s)]
+        ]
+        hatched = {controllers: len(found.unconfirmed(controllers)) for controllers in found.controllers}
         fields = ("tasks", "networks", "limits", "hands", "releases", "seed", "version", "assumed", "cells")
         report = {name: getattr(found, name) for name in fields}
-        write_report(path, {**report, "safe_up_to_s": safe, "unthrown_up_to_s": unthrown, "worst": worst})
+        write_report(path, {**report, "verdicts": verdicts, "hatched": hatched, **up_to, "worst": worst})
 
     def _tasks(self) -> tuple[str, ...]:
         from haptether.bridge import load_scene
@@ -195,7 +214,8 @@ class Evaluate:
                 given += [f"--{option}", *(value if isinstance(value, str) else repr(value) for value in values)]
         for option, value, default in (
             ("hands", self.hands, None), ("releases", self.releases, None), ("speed", self.speed, None),
-            ("false-trips-per-h", self.false_trips_per_h, None), ("seed", self.seed, 1),
+            ("false-trips-per-h", self.false_trips_per_h, None), ("thrown-share", self.thrown_share, None),
+            ("seed", self.seed, 1),
         ):  # fmt: skip
             if value != default:
                 given += [f"--{option}", repr(value)]
@@ -207,7 +227,7 @@ class Evaluate:
 
     def _print(self, console: "Console", found: "Evaluation") -> None:
         from haptether.cli.shared.table import Column, Rows
-        from haptether.studies.evaluation.page import statements, verdict_rows
+        from haptether.studies.evaluation.page import confirmation, statements, verdict_rows
 
         head, rows = verdict_rows(found)
         table = Rows(head[0], *(Column(name, numbers=True) for name in head[1:]), gap=1)
@@ -222,5 +242,5 @@ class Evaluate:
         console.print(
             f"\nsafe: no release above {found.limits.speed:g} m/s, coupled throughout, at most"
             f" {found.limits.false_trips_per_h:g} false trips per hour held; {found.hands} hands, all networks"
-            " together. Not measured: nobody let go where something can be felt."
+            f" together. Not measured: nobody let go where something can be felt. {confirmation(found)}"
         )

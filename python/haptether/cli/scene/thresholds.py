@@ -56,16 +56,14 @@ class Thresholds(PictureOptions):
 
     def run(self) -> int:
         """Runs all tasks and prints, for each law, its thresholds over round trips."""
-        from haptether.bridge import load_scene
         from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.numbers import check_random_seed
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.picture import asked_picture
         from haptether.cli.shared.screen import screen
-        from haptether.cli.shared.unusual import ask_units
+        from haptether.cli.shared.unusual import ask_units, tasks_of
         from haptether.studies import THRESHOLD_LAWS, THRESHOLD_TASKS, HandBounds, draw_trade_off, measure_thresholds
         from haptether.studies.task import HANDS, RELEASES, ROUND_TRIPS_S
-        from haptether.view.style.figure import write_figure
 
         check_target(self.json)
         check_random_seed(self.seed)
@@ -78,7 +76,7 @@ class Thresholds(PictureOptions):
         tasks, console = self.task or THRESHOLD_TASKS, screen(self.json)
         ask_units(
             console,
-            (load_scene(task, self.set) for task in tasks),
+            tasks_of(tasks, self.set),
             (("round_trip_s", each) for each in self.round_trip_s or ()),
         )
         with spinner("thresholds") as say:
@@ -99,7 +97,7 @@ class Thresholds(PictureOptions):
             points = {"laws": found.laws, "points": found.points(), "rows": found.rows}
             write_report(self.json, {"seed": found.seed, "hands": found.hands, "tasks": found.tasks, **points})
         if picture is not None:
-            write_figure(draw_trade_off(found, self.page_columns), picture)
+            draw_trade_off(found, picture, self.page_columns)
             console.print(f"picture: {picture}")
         return 0
 

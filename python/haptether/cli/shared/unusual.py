@@ -1,6 +1,7 @@
 """The unit question: numbers far outside what they usually are, asked about before anything runs."""
 
-from collections.abc import Iterable
+import contextlib
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -24,3 +25,13 @@ def ask_units(console: "Screen", scenes: Iterable["Scene"], values: Iterable[tup
     lines += [line for path, value in values for line in unusual_values(value, path, of_joints=of_joints)]
     for line in dict.fromkeys(lines):
         console.print(line, soft_wrap=True)
+
+
+def tasks_of(names: Iterable[str], overrides: Iterable[str]) -> Iterator["Scene"]:
+    """Scenes by name or path, without those that cannot be built: the study that runs them says why."""
+    from haptether.bridge import SceneError, load_scene
+
+    overrides = tuple(overrides)
+    for name in names:
+        with contextlib.suppress(SceneError):
+            yield load_scene(name, overrides)
