@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from haptether.studies.raven_attacks import RAVEN_ATTACKS, RavenAttack
     from haptether.studies.remote_push import PushResult, measure_push, save_master_trace
     from haptether.studies.sampled import SummaryRow, sweep_summary
-    from haptether.studies.task import THRESHOLD_TASKS, HandBounds, Network
+    from haptether.studies.task import THRESHOLD_TASKS, HandBounds, Network, network_of
     from haptether.studies.thresholds import (
         THRESHOLD_LAWS,
         ThresholdLaw,
@@ -147,6 +147,7 @@ __all__ = [
     "measure_attack",
     "measure_push",
     "measure_thresholds",
+    "network_of",
     "paper_sensitivity",
     "raven_suite",
     "reproduce_paper",
@@ -248,7 +249,7 @@ if not TYPE_CHECKING:  # else any name would do
                 "save_master_trace",
             ),
             "sampled": ("SummaryRow", "sweep_summary"),
-            "task": ("THRESHOLD_TASKS", "HandBounds", "Network"),
+            "task": ("THRESHOLD_TASKS", "HandBounds", "Network", "network_of"),
             "thresholds": (
                 "THRESHOLD_LAWS",
                 "ThresholdLaw",

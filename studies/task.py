@@ -30,8 +30,19 @@ from haptether.bridge import (
     simulate,
 )
 from haptether.bridge.codes import LADDER_STATES
+from haptether.bridge.scene.errors import closest
 from haptether.bridge.scene.load import path_of, toml_value
-from haptether.netsim import LinkSettings
+from haptether.netsim import (
+    PRESETS,
+    DelayTrace,
+    LinkSettings,
+    asked,
+    judge_all,
+    realised,
+    repeats_every_s,
+    with_files,
+)
+from haptether.netsim.link.settings import Direction
 from haptether.safety import CONTROLLERS
 from haptether.studies.design.contact import scene_numbers, touched
 
@@ -59,6 +70,9 @@ HANDS = 8
 """How many hands do each task by default."""
 RELEASES = 4
 """At how many places of what they feel hands let go by default."""
+DIRECTIONS: tuple[Direction, Direction] = ("forward", "backward")
+MEASURED_S, LONGEST_MEASURED_S = 60.0, 600.0
+"""Time in s for which packets are sent at 1 kHz to have the mean delay of a network."""
 WITHIN_S = 0.5
 """Time in s after the grip is gone within which the device is watched."""
 
@@ -118,15 +132,65 @@ class Network(Struct, frozen=True, kw_only=True):
     """Share of packets that are lost."""
     mean_burst: float = 1.0
     """Mean number of packets that are lost together."""
+    title: str = ""
+    """Where one with a delay of its own comes from."""
+    own: tuple[LinkSettings, LinkSettings] | None = None
+    """Of a network with a delay of its own: forward and backward."""
+    own_delay_s: tuple[float, float] | None = None
+    """Mean delays in s of these two."""
+
+    @property
+    def round_trip_s(self) -> float | None:
+        """Its own round trip in s, to 0.1 ms; none of a network that takes any."""
+        return None if self.own_delay_s is None else round(sum(self.own_delay_s), 4)
+
+    def links(self, delay_s: float) -> tuple[LinkSettings, LinkSettings]:
+        """Forward and backward; `delay_s` is that of each, unless the network has its own."""
+        return self.own or (self.link(delay_s),) * 2
 
     def link(self, delay_s: float) -> LinkSettings:
-        """One direction of it."""
+        """One direction of a network without a delay of its own."""
         settings = LinkSettings(delay_s=delay_s)
         if self.jitter > 0.0 and delay_s > 0.0:
             settings = replace(settings, jitter_s=self.jitter * delay_s, distribution="gamma")
         if self.loss > 0.0:
             settings = replace(settings, loss=self.loss, mean_burst=self.mean_burst)
         return settings
+
+
+def network_of(name: str) -> Network:
+    """A preset of `haptether netsim list`, or a recording of `haptether netsim record` or IRTT, with its own delays.
+
+    Args:
+        name: Of the preset, or the path of the .csv or .json file.
+
+    Raises:
+        ValueError: Neither, a file that cannot be read, or a network through which nothing arrives.
+    """
+    if name in PRESETS:
+        title, settings = f"the preset {name}, {PRESETS[name].title}", LinkSettings(preset=name)
+        of: tuple[LinkSettings, LinkSettings] = (settings, settings)
+    elif Path(name).is_file():
+        trace = LinkSettings(trace=DelayTrace(file=name))
+        title = f"the recording {name}, from its beginning in each run"
+        of = (with_files(trace, Path(), "forward"), with_files(trace, Path(), "backward"))
+    else:
+        message = f"{name}: no preset of `haptether netsim list` and no such file: {closest(name, PRESETS)}"
+        raise ValueError(message)
+    forward_s, backward_s = (_mean_delay_s(link, way) for link, way in zip(of, DIRECTIONS, strict=True))
+    if forward_s is None or backward_s is None:
+        message = f"{name}: nothing arrives through it"
+        raise ValueError(message)
+    return Network(name=Path(name).stem, title=title, own=of, own_delay_s=(forward_s, backward_s))
+
+
+def _mean_delay_s(settings: LinkSettings, direction: Direction) -> float | None:
+    """Mean delay in s of the packets that arrive, of a minute or as long as the link's recording lasts."""
+    if (known := asked(settings, direction).mean_s) is not None:
+        return known
+    lasts_s = repeats_every_s(settings, direction) or MEASURED_S
+    sent_ns = np.arange(0.0, min(lasts_s, LONGEST_MEASURED_S), 1e-3) * 1e9
+    return realised(judge_all(settings, np.rint(sent_ns).astype(np.int64), direction=direction)).mean_s
 
 
 class HeldRun(Struct, frozen=True, kw_only=True):
@@ -267,8 +331,8 @@ class Task:
         """It with forces that come back after the round trip."""
         delay_s = 0.5 * self.round_trip_s
         if scene.slave is not None and self.network is not None:
-            link = self.network.link(delay_s)
-            return replace(scene, link=replace(scene.link or LinksTable(), forward=link, backward=link))
+            forward, backward = self.network.links(delay_s)
+            return replace(scene, link=replace(scene.link or LinksTable(), forward=forward, backward=backward))
         if scene.slave is not None:
 
             def direction(link: LinkSettings | None) -> LinkSettings:

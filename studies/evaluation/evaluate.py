@@ -70,8 +70,10 @@ def evaluate(
     Args:
         tasks: Names of bundled scenes, or paths of scenes, in which a hand works.
         controllers: Sets of controllers, their names joined by "+", at most one of them in Python; "none" for nobody.
-        round_trips_s: In s: both delays of a link together, or by how much a force without an arm is late.
-        networks: What the network does beside its delay; a scene without an arm meets the first one only.
+        round_trips_s: In s: both delays of a link together, or by how much a force without an arm is late. A network
+            with a delay of its own is met at that alone.
+        networks: What the network does beside its delay, or one of `network_of`; a scene without an arm meets the first
+            one of each round trip only.
         hands: How many hold each task.
         releases: Places, of the time in which much is felt, at which hands let go; they share them.
         seed: Of hands and networks.
@@ -88,13 +90,18 @@ def evaluate(
     _check(tasks, controllers, round_trips_s, networks, {"hands": hands, "releases": releases})
     overrides, bounds, limits = tuple(overrides), bounds or HandBounds(), limits or EvaluationLimits()
     refuse_fixed(overrides, (*FIXED, *REPLACED), "is what an evaluation varies")
+    at = {network.name: round_trips_of(network, round_trips_s) for network in networks}
+    if any(network.own for network in networks):
+        # Of their own round trips, in order with those that are asked for.
+        round_trips_s = sorted({round_trip_s for trips in at.values() for round_trip_s in trips})
     assumed: dict[str, None] = {}
     cells: list[EvaluationCell] = []
     worst: dict[str, WorstRelease] = {}
     for name in tasks:
         for round_trip_s in round_trips_s:
-            for place, network in enumerate(networks):
-                if network.link(0.5 * round_trip_s) in [one.link(0.5 * round_trip_s) for one in networks[:place]]:
+            met = [network for network in networks if round_trip_s in at[network.name]]
+            for place, network in enumerate(met):
+                if network.links(0.5 * round_trip_s) in [one.links(0.5 * round_trip_s) for one in met[:place]]:
                     continue  # jitter of no delay
                 if progress is not None:
                     progress(f"{name}, {round_trip_s * 1e3:g} ms, {network.name}")
@@ -123,6 +130,11 @@ def evaluate(
         assumed=tuple(assumed),
         worst=tuple(sorted(worst.values(), key=lambda release: -release.speed)),
     )
+
+
+def round_trips_of(network: Network, round_trips_s: Sequence[float]) -> Sequence[float]:
+    """At which of the round trips that are asked for a network is met: one of its own at that alone."""
+    return round_trips_s if network.round_trip_s is None else (network.round_trip_s,)
 
 
 def _check(

@@ -51,6 +51,12 @@ def words_of(found: Evaluation, cells: "Sequence[EvaluationCell]") -> str:
     return f"safe? {'over ' if needed == MOST_HANDS else ''}{needed} hands"
 
 
+def trip_words(found: Evaluation, round_trip_s: float) -> list[str]:
+    """A round trip, with the networks whose own it is."""
+    own = [network.name for network in found.networks if network.round_trip_s == round_trip_s]
+    return [f"{round_trip_s * 1e3:g} ms", *own]
+
+
 def draw_evaluation(found: Evaluation, path: str | PathLike[str] | None = None, columns: Columns = 2) -> "Figure":
     """Draws verdicts over controllers and round trips, and speeds, throws and false trips over the round trip.
 
@@ -107,7 +113,8 @@ def _verdicts(panel: "Axes", found: Evaluation) -> None:
             panel.text(column, row, words.replace(" ", "\n"), ha="center", va="center", fontsize=5.0)
     panel.set_xlim(-0.5, len(found.round_trips_s) - 0.5)
     panel.set_ylim(len(found.controllers) - 0.5, -0.5)
-    panel.set_xticks(range(len(found.round_trips_s)), [f"{trip_s * 1e3:g}" for trip_s in found.round_trips_s])
+    trips = ["\n".join(trip_words(found, trip_s)).replace(" ms", "") for trip_s in found.round_trips_s]
+    panel.set_xticks(range(len(found.round_trips_s)), trips)
     panel.set_yticks(range(len(found.controllers)), [controller_title(name) for name in found.controllers])
     panel.tick_params(length=0.0)
     panel.set_xlabel("round trip [ms]")
@@ -118,8 +125,6 @@ def _over_trips(found: Evaluation) -> "list[float]":
 
 
 def _speeds(panel: "Axes", found: Evaluation) -> None:
-    from matplotlib.ticker import LogFormatter
-
     for controllers in found.controllers:
         most = [totals(found.of(controllers=controllers, round_trip_s=trip)).max_speed for trip in found.round_trips_s]
         speeds = [np.nan if speed is None else speed for speed in most]
@@ -128,7 +133,7 @@ def _speeds(panel: "Axes", found: Evaluation) -> None:
     panel.axhline(found.limits.speed, color=THRESHOLD, lw=0.8, ls=":")
     panel.set_yscale("log")
     panel.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    panel.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.6)))
+    panel.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
     panel.set_ylabel("largest speed after a release [m/s]")
 
 

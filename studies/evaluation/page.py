@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 from msgspec import Struct
 
-from haptether.studies.evaluation.figure import VERDICT_COLOURS, VERDICT_WORDS, draw_evaluation, words_of
+from haptether.studies.evaluation.figure import VERDICT_COLOURS, VERDICT_WORDS, draw_evaluation, trip_words, words_of
 from haptether.studies.evaluation.result import Evaluation, EvaluationCell, Totals, totals
 from haptether.view.style.colours import controller_title
 
@@ -219,7 +219,7 @@ def _verdict_table(found: Evaluation, task: str | None) -> Table:
             cells.append((said, UNCONFIRMED if words.startswith("safe?") else found.verdict(of)))
         cells.append(str(len(found.unconfirmed(controllers, task))))
         rows.append(tuple(cells))
-    trips = (f"{trip_s * 1e3:g} ms" for trip_s in found.round_trips_s)
+    trips = (" ".join(trip_words(found, trip_s)) for trip_s in found.round_trips_s)
     return Table(("controllers", *trips, "hatched"), tuple(rows))
 
 
@@ -313,6 +313,13 @@ def _assumptions(found: Evaluation) -> Iterator[str]:
             parts.append(f"jitter of {100.0 * network.jitter:g} % of the delay (gamma, 0.1 s)")
         if network.loss:
             parts.append(f"{100.0 * network.loss:g} % lost, {network.mean_burst:g} at once in the mean")
+        if network.own_delay_s is not None:
+            forward_ms, backward_ms = (1e3 * delay_s for delay_s in network.own_delay_s)
+            yield (
+                f"Network {network.name}: {network.title}: {forward_ms:.4g} ms there and {backward_ms:.4g} ms back in"
+                " the mean, whatever the round trips that are asked for."
+            )
+            continue
         yield f"Network {network.name}: {', '.join(parts)}, each direction half of the round trip."
     yield "A scene without an arm has no network: what it renders is late by the round trip."
 

@@ -10,10 +10,10 @@ import pytest
 from matplotlib.patches import Rectangle
 from msgspec.structs import replace
 
-from haptether.bridge import RecordTable, load_scene, simulate
+from haptether.bridge import LinksTable, RecordTable, load_scene, simulate
 from haptether.cli.entry import main
 from haptether.cli.scene.evaluate import Evaluate
-from haptether.netsim import LinkSettings
+from haptether.netsim import PRESETS, LinkSettings
 from haptether.studies import (
     EVALUATED_NETWORKS,
     Evaluation,
@@ -24,10 +24,12 @@ from haptether.studies import (
     evaluate,
     evaluation_html,
     evaluation_markdown,
+    network_of,
 )
 from haptether.studies.evaluation.evaluate import transmitted_impedance
 from haptether.studies.evaluation.result import MOST_HANDS, totals
 from haptether.studies.intervals import poisson_interval, wilson_interval
+from haptether.studies.task import Task
 
 pytestmark = pytest.mark.slow
 
@@ -326,6 +328,79 @@ def test_a_network_without_delay_has_no_jitter() -> None:
         networks=EVALUATED_NETWORKS[:2], threads=1,
     )  # fmt: skip
     assert [cell.network for cell in found.cells] == ["steady"]
+
+
+def recording(folder: Path, delay_s: float) -> Path:
+    path = folder / "measured.csv"
+    path.write_text(f"time_s,delay_s\n0,{delay_s}\n0.5,{delay_s}\n1,\n1.01,{delay_s}\n")
+    return path
+
+
+def test_a_network_with_a_delay_of_its_own_is_met_at_that_alone(tmp_path: Path) -> None:
+    lte, measured = network_of("lte-driving"), network_of(str(recording(tmp_path, 0.04)))
+    assert (lte.name, measured.name) == ("lte-driving", "measured")
+    assert measured.round_trip_s == 0.08
+    assert lte.round_trip_s == pytest.approx(0.086, abs=0.005)
+    own_s = (measured.round_trip_s, lte.round_trip_s)
+    found = evaluate(
+        ["remote_push", "paper_wall"], controllers=("none",), round_trips_s=(0.0,), hands=1, releases=1,
+        networks=(lte, EVALUATED_NETWORKS[0], measured), threads=1,
+    )  # fmt: skip
+    assert found.round_trips_s == tuple(sorted((0.0, *own_s)))
+    assert [(cell.network, cell.round_trip_s) for cell in found.of(task="remote_push")] == [
+        ("steady", 0.0), ("measured", 0.08), ("lte-driving", lte.round_trip_s)
+    ]  # fmt: skip
+    # What renders without an arm is late by the same times.
+    assert [cell.round_trip_s for cell in found.of(task="paper_wall")] == [0.0, *own_s]
+    (worst,) = found.worst
+    assert simulate(worst.scene).metrics.max_ejection_velocity == worst.speed
+    text = evaluation_markdown(found)
+    assert "| controllers | 0 ms | 80 ms measured |" in text
+    assert "Network lte-driving: the preset lte-driving, LTE, in a moving car: 44" in text
+    assert "measured.csv, from its beginning in each run: 40 ms there and 40 ms back in the mean" in text
+    assert [tick.get_text() for tick in draw_evaluation(found).axes[0].get_xticklabels()][1] == "80\nmeasured"
+
+
+@pytest.mark.parametrize("name", list(PRESETS))
+def test_every_preset_may_be_evaluated(name: str) -> None:
+    network = network_of(name)
+    claimed = {figure.quantity: figure.value for figure in PRESETS[name].figures}
+    assert network.round_trip_s is not None
+    assert 0.0 < network.round_trip_s < 1.0
+    if "round-trip-p50" in claimed:
+        assert network.round_trip_s == pytest.approx(claimed["round-trip-p50"], rel=0.5)
+    task = Task("remote_push", network.round_trip_s, network=network)
+    assert task.base.link is not None
+    assert task.held.link == LinksTable(forward=LinkSettings(preset=name), backward=LinkSettings(preset=name))
+
+
+def test_the_delays_of_both_directions_of_a_recording_are_kept_apart(tmp_path: Path) -> None:
+    path = tmp_path / "both.csv"
+    path.write_text("time_s,forward_delay_s,backward_delay_s\n0,0.01,0.05\n1,0.01,0.05\n")
+    assert network_of(str(path)).own_delay_s == pytest.approx((0.01, 0.05))
+
+
+def test_the_command_takes_presets_and_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, target = recording(tmp_path, 0.04), tmp_path / "cells.json"
+    arguments = ["--controller", "none", "--hands", "1", "--releases", "1", "--json", str(target)]
+    assert main(["evaluate", "remote_push", *arguments, "--network", "starlink", str(path)]) == 0
+    report = json.loads(target.read_text())
+    assert [cell["network"] for cell in report["cells"]] == ["starlink", "measured"]
+    assert [sum(network["own_delay_s"]) for network in report["networks"]] == pytest.approx(
+        [cell["round_trip_s"] for cell in report["cells"]], abs=1e-4
+    )
+    assert "27.6 ms 80 ms controllers starlink measured" in " ".join(capsys.readouterr().out.split())
+    (tmp_path / "bad.csv").write_text("a,b\n1,2\n")
+    (tmp_path / "lost.csv").write_text("time_s,delay_s\n0,\n1,\n")
+    for network, said in (
+        (["starlin"], "--network starlin: must be of steady, jitter, loss, jitter+loss, or have a delay of its own"),
+        (["starlin"], "did you mean starlink?"),
+        ([str(tmp_path / "bad.csv")], "bad.csv"),
+        ([str(tmp_path / "lost.csv")], "nothing arrives"),
+        (["starlink", "--round-trip-s", "0.1"], "--round-trip-s: each --network has a delay of its own"),
+    ):
+        assert main(["evaluate", "remote_push", *arguments, "--network", *network]) == 2
+        assert said in " ".join(capsys.readouterr().err.split())
 
 
 # -------------------------------------------------------------------------------------------------- page and command

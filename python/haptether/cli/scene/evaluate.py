@@ -9,7 +9,7 @@ import tyro
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from haptether.studies import Evaluation
+    from haptether.studies import Evaluation, Network
 
 QUICK_ROUND_TRIPS_S = (0.0, 0.1, 0.3)
 QUICK_CONTROLLERS = ("none", "hsc", "wsc", "hsc+wsc")
@@ -31,6 +31,8 @@ class Evaluate:
 
     haptether evaluate remote_push --controller none hsc hsc+wsc --round-trip-s 0 0.05 0.1 --out evaluation
 
+    haptether evaluate remote_push --quick --network lte-driving measured.csv
+
     haptether evaluate all --quick --json - --set safety.window=10
     """
 
@@ -41,9 +43,10 @@ class Evaluate:
     controller: tuple[str, ...] | None = None
     """Sets of controllers, the names of each joined by +, at most one of them in Python; none for nobody."""
     round_trip_s: tuple[float, ...] | None = None
-    """Round trips in s."""
-    network: tuple[str, ...] | None = None
-    """Of steady, jitter, loss and jitter+loss: what the network does beside its delay."""
+    """Round trips in s, of the networks without a delay of their own."""
+    network: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME|PRESET|FILE ...")] = None
+    """What the network does: steady, jitter, loss or jitter+loss beside each round trip; or at a delay of its own a
+    preset of `haptether netsim list`, or a recording of `haptether netsim record` (.csv) or IRTT (.json)."""
     hands: int | None = None
     """How many hands do each task, 1 or more."""
     releases: int | None = None
@@ -79,7 +82,6 @@ class Evaluate:
         from haptether.cli.shared.unusual import ask_units, tasks_of
         from haptether.studies import (
             EVALUATED_CONTROLLERS,
-            EVALUATED_NETWORKS,
             EvaluationLimits,
             HandBounds,
             evaluate,
@@ -95,11 +97,7 @@ class Evaluate:
             if value is not None and not 0.0 <= value < float("inf"):
                 message = f"{name.replace('_', '-')} = {value}: must be a number of at least 0"
                 raise ValueError(message)
-        known = {network.name: network for network in EVALUATED_NETWORKS}
-        chosen = self.network or (("steady", "jitter+loss") if self.quick else tuple(known))
-        if unknown := [name for name in chosen if name not in known]:
-            message = f"--network {unknown[0]}: must be of {', '.join(known)}"
-            raise ValueError(message)
+        networks = self._networks()
         if self.out is not None:
             require_matplotlib()
             make_folder(self.out)
@@ -114,7 +112,7 @@ class Evaluate:
                 tasks,
                 controllers=self.controller or (QUICK_CONTROLLERS if self.quick else EVALUATED_CONTROLLERS),
                 round_trips_s=self.round_trip_s or (QUICK_ROUND_TRIPS_S if self.quick else ROUND_TRIPS_S),
-                networks=[known[name] for name in chosen],
+                networks=networks,
                 hands=self.hands if self.hands is not None else QUICK_HANDS if self.quick else HANDS,
                 releases=self.releases if self.releases is not None else QUICK_RELEASES if self.quick else RELEASES,
                 seed=self.seed,
@@ -190,7 +188,31 @@ class Evaluate:
         hatched = {controllers: len(found.unconfirmed(controllers)) for controllers in found.controllers}
         fields = ("tasks", "networks", "limits", "hands", "releases", "seed", "version", "assumed", "cells")
         report = {name: getattr(found, name) for name in fields}
+        # Without the numbers of recordings.
+        of_network = ("name", "jitter", "loss", "mean_burst", "title", "own_delay_s")
+        report["networks"] = [{name: getattr(network, name) for name in of_network} for network in found.networks]
         write_report(path, {**report, "verdicts": verdicts, "hatched": hatched, **up_to, "worst": worst})
+
+    def _networks(self) -> "list[Network]":
+        """Those that are named.
+
+        Raises:
+            ValueError: A name of none, or round trips for networks that have their own.
+        """
+        from haptether.studies import EVALUATED_NETWORKS, network_of
+
+        known = {network.name: network for network in EVALUATED_NETWORKS}
+        networks = []
+        for name in self.network or (("steady", "jitter+loss") if self.quick else tuple(known)):
+            try:
+                networks.append(known.get(name) or network_of(name))
+            except ValueError as error:
+                message = f"--network {name}: must be of {', '.join(known)}, or have a delay of its own: {error}"
+                raise ValueError(message) from None
+        if self.round_trip_s is not None and all(network.own for network in networks):
+            message = "--round-trip-s: each --network has a delay of its own: leave it out, or name steady, too"
+            raise ValueError(message)
+        return networks
 
     def _tasks(self) -> tuple[str, ...]:
         from haptether.bridge import load_scene
