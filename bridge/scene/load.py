@@ -280,8 +280,9 @@ def of_working_folder(value: Raw, key: str | int = "") -> Raw:
         return {name: of_working_folder(one, name) for name, one in value.items()}
     if isinstance(value, list):
         return [of_working_folder(one) for one in value]
-    is_file = isinstance(value, str) and (key == "file" or (key == "distribution" and value.endswith(".dist")))
-    return str(FilePath(value).absolute()) if is_file else value
+    if isinstance(value, str) and (key == "file" or (key == "distribution" and value.endswith(".dist"))):
+        return str(FilePath(value).absolute())
+    return value
 
 
 def leaf_values(tree: object, path: str = "") -> Iterator[tuple[str, Leaf]]:

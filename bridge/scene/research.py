@@ -70,13 +70,13 @@ def with_own_controllers(raw: Raw) -> Raw:
         research = None
     unknown = [name for name in named if name not in _BUILT_IN] if isinstance(named, list | tuple) else []
     own = [name for name in unknown if name in controller_names()] if unknown else []
-    if own:
+    if own and isinstance(named, list | tuple):
         of_table = [research["controller"]] if isinstance(research, dict) and "controller" in research else []
         if len(both := list(dict.fromkeys([*own, *of_table]))) > 1:
             message = f"[safety] controllers: {' and '.join(map(str, both))}: at most one in Python"
             raise SceneError(message)
         table = {**(research if isinstance(research, dict) else {}), "controller": own[0]}
-        safety = {**safety, "controllers": [name for name in named or () if name != own[0]], "research": table}
+        safety = {**safety, "controllers": [name for name in named if name != own[0]], "research": table}
     return {**raw, "safety": safety}
 
 

@@ -29,6 +29,7 @@ def test_an_override_names_a_file_of_the_working_folder(
         override_scene(load_scene("remote_push", [BARE]), [override]),
     ):
         assert scene.link is not None
+        assert scene.link.forward is not None
         assert scene.link.forward.trace is not None
         assert scene.link.forward.trace.delay_s == (0.05, 0.06)
 
@@ -67,6 +68,7 @@ def test_a_scene_takes_a_distribution_of_the_working_folder(tmp_path: Path, monk
     (tmp_path / "few.dist").write_text(TABLE)
     link = load_scene("remote_push", ["link.forward.distribution=few.dist"]).link
     assert link is not None
+    assert link.forward is not None
     assert not isinstance(link.forward.distribution, str)
 
 

@@ -444,7 +444,9 @@ def test_a_resume_sees_that_one_of_several_controllers_was_changed(
             if done >= 64 and not resume:
                 raise KeyboardInterrupt
 
-        grid = {"safety.controllers": [["wsc"], ["by-hand"]], "run.seed": list(range(1, 61))}
+        grid: dict[str, list[object]] = {
+            "safety.controllers": [["wsc"], ["by-hand"]], "run.seed": list(range(1, 61))
+        }  # fmt: skip
         short = ["run.duration_s=0.05"]
         return sweep_to_file("paper_wall", tmp_path / "a.csv", grid, overrides=short, resume=resume, progress=stop).rows
 

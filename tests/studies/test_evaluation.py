@@ -340,6 +340,7 @@ def test_a_network_with_a_delay_of_its_own_is_met_at_that_alone(tmp_path: Path) 
     lte, measured = network_of("lte-driving"), network_of(str(recording(tmp_path, 0.04)))
     assert (lte.name, measured.name) == ("lte-driving", "measured")
     assert measured.round_trip_s == 0.08
+    assert lte.round_trip_s is not None
     assert lte.round_trip_s == pytest.approx(0.086, abs=0.005)
     own_s = (measured.round_trip_s, lte.round_trip_s)
     found = evaluate(
@@ -433,8 +434,8 @@ def test_the_command_writes_page_scene_and_cells(tmp_path: Path, capsys: pytest.
     assert report["safe_up_to_s"] == {"none": None, "hsc": 0.05}
     assert report["confirmed_up_to_s"] == {"none": None, "hsc": None}
     assert report["hatched"] == {"none": 0, "hsc": 1}
-    shown = [[row[name] for name in ("controllers", "verdict", "hands_needed")] for row in report["verdicts"]]
-    assert shown == [["none", "thrown", None], ["hsc", "safe", 35]]
+    verdicts = [[row[name] for name in ("controllers", "verdict", "hands_needed")] for row in report["verdicts"]]
+    assert verdicts == [["none", "thrown", None], ["hsc", "safe", 35]]
     assert not any(row["confirmed"] for row in report["verdicts"])
     worst = next(release for release in report["worst"] if release["controllers"] == "hsc")
     run = simulate(replace(load_scene(str(out / "worst.toml")), record=RecordTable()))

@@ -22,9 +22,10 @@ from haptether.view import describe
 from haptether.view.film import frame_times
 from haptether.view.page.page import page
 from haptether.view.picture.bands import Pixels
+from haptether.view.picture.cameras import CAMERAS
 from haptether.view.picture.gl import require_gl
 from haptether.view.picture.layout import layout
-from haptether.view.picture.picture import CAMERAS, Picture
+from haptether.view.picture.picture import Picture
 from haptether.view.scene3d import colours
 from haptether.view.window.playback import SPEEDS, Playback, Player
 

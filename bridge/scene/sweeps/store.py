@@ -190,7 +190,7 @@ def _controller_sources(base: Checked, design: Design) -> dict[str, str] | None:
     for path, values in design.factors.items():
         if path.partition(".")[0] == "safety" and values.dtype == object:
             leaves = {leaf for value in values.tolist() for _, leaf in leaf_values(value)}
-            names |= leaves & {*controller_names()}
+            names |= {name for name in controller_names() if name in leaves}
     return {name: source_of(name) for name in sorted(names)} or None
 
 

@@ -70,9 +70,10 @@ class LinkOptions:
         self._refuse_twice()
         if self.trace is not None:
             flags["trace"] = {"file": str(self.trace)}
+        flags = {name: of_working_folder(value, name) for name, value in flags.items()}
         link: dict[str, Any] = raw.setdefault("link", {})
         for direction in ("forward", "backward"):
-            link[direction] = {**link.get(direction, {}), **of_working_folder(flags)}
+            link[direction] = {**link.get(direction, {}), **flags}
         for direction, settings in (("forward", self.set), ("backward", (*self.set, *self.backward_set))):
             for setting in settings:
                 raw = overridden(raw, f"link.{direction}.{setting}")
