@@ -202,7 +202,8 @@ def _drive(
     gripper: "Gripper | None" = None,
 ) -> None:
     """Steps an open device until `step` says that the run is over; whatever ends it, the device comes to rest."""
-    realtime = loop.begin(type(device).__name__)
+    name = type(device).__name__
+    realtime = loop.begin(name if gripper is None else f"{name} or {type(gripper).__name__}")
     QUIET.prioritise()
     notes.realtime = realtime
     wait = None if device.paces else loop.wait

@@ -1,5 +1,6 @@
 """The driver of a Haply Inverse3: `inverse3`."""
 
+import contextlib
 import math
 import sys
 import threading
@@ -33,8 +34,10 @@ ADDED_REPLIES: Final = 20
 """So many replies in a row that say so are a fault: it may be told some ticks late."""
 CLOSED: Final = "closed before it was open"
 JOIN_S: Final = 3.0
+ZERO_S: Final = 0.1
+"""How long each reply may take before the end."""
 CLOSE_S: Final = 1.0
-"""How long the service may take to hear a zero force and close."""
+"""How long the service may take to close."""
 MAX_UNASKED: Final = 20
 """Frames that are dropped in a tick: a flood must not hold it up."""
 UNASKED_S: Final = 0.005
@@ -54,8 +57,12 @@ class Session(NamedTuple):
         """Sends a zero force, whatever was received before."""
         self.channel.send_last(self.force(REST))
 
-    def close(self) -> None:
-        """Ends both within 1 s; the service then lets the device idle."""
+    def close(self, owed: int = 0) -> None:
+        """Hears so many replies, the last to the zero force, and ends both; the service then lets the device idle."""
+        with contextlib.suppress(ChannelError):
+            # A goodbye in one packet with the zero may cost a service both.
+            while owed > 0 and self.channel.frame(ZERO_S) is not None:
+                owed -= 1
         self.channel.close(CLOSE_S)
         self.events.close()
 
@@ -195,7 +202,7 @@ class Inverse3:
         session, self._session = self._session, None
         if session is not None:
             session.rest()
-            session.close()
+            session.close(self._owed + 1)
         for thread in (self._closing, self._mending):
             if thread is not None:
                 thread.join(JOIN_S)
@@ -351,7 +358,9 @@ class Inverse3:
         if session is not None:
             session.rest()
             self._forced = session.device_id
-            self._closing = threading.Thread(target=session.close, name="inverse3-close", daemon=True)
+            self._closing = threading.Thread(
+                target=session.close, args=(self._owed + 1,), name="inverse3-close", daemon=True
+            )
             self._closing.start()
         self._latch(f"{fault}: acknowledge to connect anew", anew=True)
 

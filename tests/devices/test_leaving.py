@@ -13,6 +13,7 @@ from tests.dynamixel.test_description import TWO_LINKS
 from tests.haptic.emulated import emulated_service
 from tests.haptic.standins import Standin, built
 from tests.ur.fake_rtde import START_POSE, Arm, install
+from tests.ur.stalls import anew_after_stalls
 
 from haptether.bridge.devices.loop import drive_master, drive_slave
 from haptether.bridge.devices.open import DeviceError
@@ -319,6 +320,7 @@ def test_a_device_of_any_driver_is_left_at_rest(devices: Callable[[str], Device]
 
 @pytest.mark.parametrize("way", ["end", "read raises", "write raises", "Ctrl-C in read", "the loop raises"])
 @pytest.mark.parametrize("name", [name for name in MAKERS if not name.startswith("another")])
+@anew_after_stalls
 def test_a_device_of_ours_is_left_at_rest(devices: Callable[[str], Device], name: str, way: str) -> None:
     device = devices(name)
     acted = False
@@ -336,6 +338,7 @@ def test_a_device_of_ours_is_left_at_rest(devices: Callable[[str], Device], name
 
 
 @pytest.mark.parametrize("name", ["inverse3", "force-dimension", "touch", "dynamixel leader", "dynamixel follower"])
+@anew_after_stalls
 def test_a_driver_that_gives_up_leaves_its_device_at_rest(devices: Callable[[str], Device], name: str) -> None:
     """Before it is closed, which may be much later: the run goes on until its fault is acknowledged."""
     device = devices(name)

@@ -21,6 +21,8 @@ const LOOKS: u32 = 10;
 /// The same of the first `read`, in which an arm may be given its torque.
 const FIRST_LOOKS: u32 = 20;
 
+/// Bytes of its stack, which are locked: a tick takes a few tens of KiB.
+const STACK: usize = 1 << 19;
 /// How long the watch waits for a loop that another thread has.
 const MAX_TURN_NS: u64 = 10_000_000;
 
@@ -75,7 +77,8 @@ where
     L: DriverLoop + Send + ?Sized + 'static,
 {
     let (paced, calls) = (Arc::downgrade(paced), Arc::clone(calls));
-    thread::Builder::new().name("haptether-watch".into()).spawn(move || watch(&paced, &calls, &name))?;
+    let builder = thread::Builder::new().name("haptether-watch".into()).stack_size(STACK);
+    builder.spawn(move || watch(&paced, &calls, &name))?;
     Ok(())
 }
 
