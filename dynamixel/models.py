@@ -45,6 +45,14 @@ class Stall:
     current_a: float
 
 
+@dataclass(frozen=True, slots=True)
+class Published:
+    """A torque constant that somebody has published."""
+
+    nm_per_a: float
+    source: str
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoModel:
     """A servo as its maker describes it."""
@@ -59,6 +67,8 @@ class ServoModel:
     """At the recommended voltage."""
     torque_constant_nm_per_a: float | None = None
     """Torque at the output per ampere of `Present Current`; none where the maker states none."""
+    other_constants: tuple[Published, ...] = ()
+    """What others than that and the stalls state."""
     fast_read_firmware: int = 45
     """First firmware that knows fast sync read and fast bulk read. Source: e-Manual, Protocol 2.0."""
 
@@ -99,6 +109,26 @@ class ServoModel:
         return self.recommended.torque_nm / self.recommended.current_a
 
     @property
+    def nominal_nm_per_a(self) -> float:
+        """K_t that is taken for the likely one: the maker's, else torque over current at the stall."""
+        return self.torque_constant_nm_per_a or self.stall_ratio_nm_per_a
+
+    @property
+    def published(self) -> tuple[Published, ...]:
+        """Every K_t that is published of it, be it as torque and current of a stall."""
+        maker = self.torque_constant_nm_per_a
+        return (
+            *(() if maker is None else (Published(maker, "the maker"),)),
+            *(Published(at.torque_nm / at.current_a, f"stall at {at.voltage_v:g} V") for at in self.stall),
+            *self.other_constants,
+        )
+
+    @property
+    def largest_nm_per_a(self) -> float:
+        """The largest K_t that is published: with i = tau / K_t no servo exerts more than tau by any of them."""
+        return max(one.nm_per_a for one in self.published)
+
+    @property
     def no_load_rad_s(self) -> float:
         """In rad/s, at the recommended voltage."""
         return self.no_load_rpm * 2.0 * math.pi / 60.0
@@ -134,6 +164,9 @@ class _Start:
         return family.changed(changes)
 
 
+WORKBENCH: Final = Published(
+    1.0 / (149.795386991 * 2.69e-3), "ROBOTIS dynamixel-workbench, torque_to_current_value_ratio of the XM430, 2.69 mA"
+)
 SERVO_MODELS: Final = {
     model.name: model
     for model in (
@@ -183,6 +216,7 @@ SERVO_MODELS: Final = {
             no_load_rpm=65,
             # dynamixel-sdk 4.1.0, xc330_t288.model: 0.00096748 N m a unit.
             torque_constant_nm_per_a=0.9674796740,
+            other_constants=(Published(1e3 / 1158.73, "FACTR and GELLO, 1158.73 mA per N m"),),
             fast_read_firmware=46,
         ),
         ServoModel(
@@ -238,6 +272,10 @@ SERVO_MODELS: Final = {
             table=_Start(velocity=200, voltage=(95, 160), current=1193).table(XM430_TABLE),
             stall=(Stall(11.1, 3.8, 2.1), Stall(12.0, 4.1, 2.3), Stall(14.8, 4.8, 2.7)),
             no_load_rpm=46,
+            other_constants=(
+                WORKBENCH,
+                Published(1.61 / 0.9, "slope of the e-Manual's performance graph, forum.robotis.com/t/5827"),
+            ),
         ),
         ServoModel(
             name="XM430-W210",
@@ -245,6 +283,8 @@ SERVO_MODELS: Final = {
             table=_Start(velocity=330, voltage=(95, 160), current=1193).table(XM430_TABLE),
             stall=(Stall(11.1, 2.7, 2.1), Stall(12.0, 3.0, 2.3), Stall(14.8, 3.7, 2.7)),
             no_load_rpm=77,
+            # In FACTR's 1000 / 2.69 a unit may be 1 mA, as its comment says, or 2.69 mA, as of this servo: that is 1.
+            other_constants=(WORKBENCH, Published(2.69, "FACTR and GELLO, 1000 / 2.69 mA per N m")),
         ),
         ServoModel(
             name="XM540-W270",

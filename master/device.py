@@ -32,9 +32,9 @@ class MasterDevice(Protocol):
     """A haptic device: `read -> tick -> write` at each sample, on one thread.
 
     An exception ends the run: the force goes to zero, and the peer is notified. A `read` or `write` that blocks for
-    more than 20 ms holds both sides. Loaded by the name of an entry point of the group `haptether.masters`, which is
-    called with the options of the command line as keywords. A driver may have `acknowledge()`, called when the
-    operator at this side says that a fault is mended.
+    more than 20 ms holds both sides; one of 0.5 s is a fault. Loaded by the name of an entry point of the group
+    `haptether.masters`, which is called with the options of the command line as keywords. A driver may have
+    `acknowledge()`, called when the operator at this side says that a fault is mended.
 
     A driver may have `kinds`, those of the scenes that it can be in: "linear", "joints", "pose"; without it, the first
     two. In a scene of kind "pose" every sample has an orientation, and `write` is called with force and torque.
@@ -68,7 +68,8 @@ class MasterDevice(Protocol):
         """
 
     def close(self) -> None:
-        """Disconnects; called once, also after an exception, when the last force was zero.
+        """Disconnects; called once, also after an exception, when zero was written last.
 
-        Where the command is ended while `open` blocks, it is called on another thread, after 1 s.
+        Where the command is ended while another method blocks, it is called on another thread, after 1 s; before it
+        `write` with zero, unless that method is `open`.
         """

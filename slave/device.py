@@ -29,8 +29,8 @@ class SlaveDevice(Protocol):
     """An arm: `read -> tick -> write` at each sample, on one thread.
 
     An exception ends the run: the arm is stopped, and the peer is notified. A `read` or `write` that blocks for more
-    than 20 ms holds both sides. Loaded by the name of an entry point of the group `haptether.slaves`, which is
-    called with the options of the command line as keywords.
+    than 20 ms holds both sides; one of 0.5 s is a fault. Loaded by the name of an entry point of the group
+    `haptether.slaves`, which is called with the options of the command line as keywords.
 
     A driver may have `acknowledge()`, called when the operator at this side says that a fault is mended; `axes`, held
     against those of the scene; and `max_speed` in m/s: `haptether slave` then lets no command be faster, for an arm
@@ -65,5 +65,6 @@ class SlaveDevice(Protocol):
     def close(self) -> None:
         """Disconnects; called once, also after an exception, when the arm was commanded to stop.
 
-        Where the command is ended while `open` blocks, it is called on another thread, after 1 s.
+        Where the command is ended while another method blocks, it is called on another thread, after 1 s; before it
+        `stop`, unless that method is `open`.
         """

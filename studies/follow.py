@@ -59,6 +59,7 @@ port = "{leader}"
 arm = "{arm}"
 offsets = {offsets} # rad: the emulated unit is as it is described
 signs = {signs}
+torque_constant = {constants} # of the emulated servos
 timeout_s = 0.1
 watchdog_s = 0.5
 
@@ -93,6 +94,7 @@ model = "{grip_model}"
 open_rad = {open_rad}
 closed_rad = {closed_rad}
 lever_m = {lever}
+torque_constant = {grip_constant}
 
 [safety]
 controllers = {controllers}
@@ -305,6 +307,7 @@ def scene_text(scene: FollowScene, controller: str, arm: ArmDescription, ports: 
     return SCENE.format(
         offsets=[joint.offset_rad for joint in arm.joints],
         signs=[joint.sign for joint in arm.joints],
+        constants=[joint.servo_model.nominal_nm_per_a for joint in arm.joints],
         duration_s=scene.duration_s,
         axes=len(arm.joints),
         mass=[round(load.inertia, 6) for load in loads],
@@ -322,6 +325,7 @@ def scene_text(scene: FollowScene, controller: str, arm: ArmDescription, ports: 
         grip_n=GRIP_N,
         grip_id=trigger.servo,
         grip_model=trigger.model,
+        grip_constant=trigger.servo_model.nominal_nm_per_a,
         open_rad=trigger.open_rad,
         closed_rad=trigger.closed_rad,
         lever=trigger.lever_m,

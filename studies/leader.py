@@ -126,6 +126,8 @@ def led_leader(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest", 
         "master.driver=dynamixel", f"master.options.port={leader.port}", f"master.options.arm={LEADER}",
         f"master.options.offsets={[joint.offset_rad for joint in leader.arm.joints]}",
         f"master.options.signs={[joint.sign for joint in leader.arm.joints]}",
+        # As those of the emulated servos are known.
+        f"master.options.torque_constant={[joint.servo_model.nominal_nm_per_a for joint in arm.joints]}",
         f"master.options.kind={kind}", "run.period_s=0.004", *(f"master.options.{key}" for key in SLOW),
     ]  # fmt: skip
     if kind == "pose":

@@ -15,11 +15,10 @@ from haptether.bridge.devices.open import (
     DeviceNotes,
     check_kind,
     check_trigger,
-    close_once,
-    comes_to_rest,
     encodable,
     failure,
     fault_text,
+    leave_blocked,
     opened,
     opened_gripper,
 )
@@ -34,7 +33,9 @@ else:
     _LiveSide = object
 
 JOIN_S = 10.0
-"""How long the end of a run waits for a driver that blocks."""
+"""How long the end of a run waits for a driver, such as one that lets an arm down."""
+LOOK_S = 0.05
+"""Between two looks whether the driver is in a call that does not return."""
 PROMPT_S = 0.25
 """Longest age of an acknowledgement when the loop reads it."""
 NO_WRENCH = ((0.0,) * 3,) * 2
@@ -65,10 +66,9 @@ def drive_master(
     turns = loop.kind == "pose"
     write: Callable[..., None] = device.write
     write_trigger = check_trigger(device, is_felt=loop.trigger_force is not None)
-    rest: tuple[tuple[float, ...], ...] = ()
+    rest = NO_WRENCH if turns else ((0.0,) * loop.axes,)
 
     def step() -> bool:
-        nonlocal rest
         position, velocity, clutch, fault, trigger, orientation, angular_velocity, buttons = device.read()
         if fault is not None:
             notes.fault = fault = fault_text(fault)
@@ -80,24 +80,22 @@ def drive_master(
             return False
         if turns:
             write(*force)
-            rest = NO_WRENCH
         else:
             write(force)
-            rest = ((0.0,) * len(force),)
         if write_trigger is not None:
             write_trigger(loop.trigger_force or 0.0)
         return True
 
     def come_to_rest() -> None:
         try:
-            if rest:
-                write(*rest)
+            write(*rest)
         finally:
-            if rest and write_trigger is not None:
+            if write_trigger is not None:
                 write_trigger(0.0)
 
+    notes.come_to_rest = come_to_rest
     with opened(device, notes, "[run] period_s", period_s):
-        _drive(device, loop, notes, step, come_to_rest)
+        _drive(device, loop, notes, step)
 
 
 def drive_slave(
@@ -160,9 +158,10 @@ def drive_slave(
                 with contextlib.suppress(Exception):
                     gripper.hold()
 
+    notes.come_to_rest = come_to_rest
     # The arm is closed first: a gripper's driver may take its time.
     with opened_gripper(gripper, device), opened(device, notes, "[slave] period_s", period_s):
-        _drive(device, loop, notes, step, come_to_rest, gripper=gripper)
+        _drive(device, loop, notes, step, gripper=gripper)
 
 
 class LedJaws:
@@ -199,12 +198,12 @@ def _drive(
     loop: MasterLoop | SlaveLoop,
     notes: DeviceNotes,
     step: Callable[[], bool],
-    come_to_rest: Callable[[], None],
     *,
     gripper: "Gripper | None" = None,
 ) -> None:
     """Steps an open device until `step` says that the run is over; whatever ends it, the device comes to rest."""
-    realtime = loop.begin()
+    name = type(device).__name__
+    realtime = loop.begin(name if gripper is None else f"{name} or {type(gripper).__name__}")
     QUIET.prioritise()
     notes.realtime = realtime
     wait = None if device.paces else loop.wait
@@ -219,11 +218,12 @@ def _drive(
                 break
             if wait is not None:
                 wait()
-        come_to_rest()
+        notes.come_to_rest()
+        notes.is_at_rest = True
         loop.announce_end()
     except BaseException as error:
         # Also where somebody presses Ctrl-C: first the device, then the peer.
-        rests = comes_to_rest(come_to_rest)
+        rests = notes.rest()
         if not isinstance(error, Exception):
             loop.fail(f"{type(device).__name__}: {'' if rests else KEEPS}{type(error).__name__}")
             if not rests:
@@ -297,8 +297,13 @@ class DeviceRun(_LiveSide):
         self._thread.start()
 
     def _leave(self) -> None:
+        """Ends the loop; a device whose driver does not return is brought to rest and closed by other threads."""
         self._loop.stop()
-        self._thread.join(JOIN_S)
+        end_s = time.monotonic() + JOIN_S
+        while self._thread.is_alive() and time.monotonic() < end_s and not self._loop.is_blocked:
+            self._thread.join(LOOK_S)
+        if self._thread.is_alive():
+            leave_blocked(self._device, self.notes)
 
     def _run(self) -> None:
         try:
@@ -330,8 +335,8 @@ class DeviceRun(_LiveSide):
 
     @property
     def finished(self) -> bool:
-        """Whether the loop has ended."""
-        return not self._thread.is_alive()
+        """Whether the loop has ended, be it that its driver has not returned."""
+        return not self._thread.is_alive() or (self._loop.finished and self._loop.is_blocked)
 
     @property
     def realtime(self) -> str:
@@ -352,7 +357,7 @@ class DeviceRun(_LiveSide):
         self._thread.join(GIVE_UP_S)
         atexit.unregister(self._leave)
         if self._thread.is_alive():
-            close_once(self._device, self.notes)
+            leave_blocked(self._device, self.notes)
         self._unquiet()
 
     def _unquiet(self) -> None:
@@ -365,8 +370,8 @@ class DeviceRun(_LiveSide):
         atexit.unregister(self._leave)
         self._unquiet()
         if self._thread.is_alive():
-            message = f"the driver has blocked for {JOIN_S:g} s: its device keeps its last command"
-            raise RuntimeError(message)
+            kept = "" if self.notes.is_at_rest else KEEPS
+            self.error = DeviceError(f"{type(self._device).__name__}: {kept}the driver has not returned")
 
 
 class MasterRun(DeviceRun):
@@ -384,7 +389,7 @@ class MasterRun(DeviceRun):
         """Ends the loop and returns all its ticks and how it went; `error` says what ended it, if anything did.
 
         Raises:
-            RuntimeError: The driver blocks, or the run was finished before.
+            RuntimeError: The run was finished before.
         """
         self._end()
         return self._master.finish()
@@ -423,7 +428,7 @@ class SlaveRun(DeviceRun):
         """Ends the loop and returns all its ticks and how it went; `error` says what ended it, if anything did.
 
         Raises:
-            RuntimeError: The driver blocks, or the run was finished before.
+            RuntimeError: The run was finished before.
         """
         self._end()
         return self._slave.finish()

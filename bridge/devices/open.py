@@ -26,6 +26,8 @@ KEEPS = "KEEPS ITS LAST COMMAND, switch it off: "
 REST_ATTEMPTS = 5
 """How often a device whose driver has failed is brought to rest, where that fails."""
 REST_EVERY_S = 2e-3
+LEAVE_S = 1.0
+"""How long rest and close of a driver may take that another thread blocks."""
 
 BRIDGE = Path(__file__).parents[1]
 """Whose lines led to an exception of a driver, and say nothing about what is wrong with the driver."""
@@ -84,6 +86,22 @@ class DeviceNotes:
     """What the loop's thread got of the system, once it has begun."""
     closing: threading.Lock = field(default_factory=threading.Lock)
     """Whoever gets it closes the device, and nobody else does."""
+    come_to_rest: Callable[[], None] = lambda: None
+    """Writes zero force, or stops an arm."""
+    is_at_rest: bool = True
+    """Whether the device took that last; false from `open` on."""
+
+    def rest(self) -> bool:
+        """Brings the device to rest, again where that fails; returns whether it took it."""
+        for _ in range(REST_ATTEMPTS):
+            try:
+                self.come_to_rest()
+            except BaseException:  # Ctrl-C and a driver's own exit, too: whoever leaves does so without force
+                time.sleep(REST_EVERY_S)
+            else:
+                self.is_at_rest = True
+                return True
+        return False
 
 
 @contextlib.contextmanager
@@ -102,19 +120,26 @@ def opened(
         DeviceError: It could not be opened, or paces the loop by another period.
     """
     try:
-        device.open()
+        try:
+            device.open()
+        finally:
+            # Whatever it did by then: what leaves it from here on brings it to rest first.
+            notes.is_at_rest = False
         if notes.closing.locked():
             # It was closed while it was not open yet.
+            notes.rest()
             with contextlib.suppress(Exception):
                 device.close()
             message = "opened when nobody waited for it any more"
             raise TimeoutError(message)
         _check_period(device, key, period_s)
         QUIET.settle()
-    except Exception as error:
+    except BaseException as error:
         # What it had opened by then, nobody else closes.
         close_once(device, notes)
-        raise error if isinstance(error, DeviceError) else failure(device, error) from error
+        if isinstance(error, DeviceError) or not isinstance(error, Exception):
+            raise
+        raise failure(device, error) from error
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         yield
@@ -173,24 +198,23 @@ def _check_period(device: "MasterDevice | SlaveDevice", key: str, period_s: floa
 
 
 def close_once(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None:
-    """Closes it, unless somebody does already."""
+    """Brings it to rest, unless it is, and closes it, unless somebody does already."""
     if notes.closing.acquire(blocking=False):
+        if not notes.is_at_rest:
+            notes.rest()
         try:
             device.close()
         except Exception as error:  # nobody is left to whom it could be raised
             print(f"{type(device).__name__}: not closed: {error}", file=sys.stderr, flush=True)
 
 
-def comes_to_rest(come_to_rest: Callable[[], None]) -> bool:
-    """Brings a device to rest whose driver has failed, again where that fails, too; returns whether it took it."""
-    for _ in range(REST_ATTEMPTS):
-        try:
-            come_to_rest()
-        except Exception:
-            time.sleep(REST_EVERY_S)
-        else:
-            return True
-    return False
+def leave_blocked(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None:
+    """Leaves a driver one of whose methods does not return: rest and close, each on a thread of its own, for 1 s."""
+    calls: tuple[Callable[[], object], ...] = (notes.rest, lambda: close_once(device, notes))
+    for call in calls if not notes.is_at_rest else calls[1:]:
+        beside = threading.Thread(target=call, name="haptether-leave", daemon=True)
+        beside.start()
+        beside.join(LEAVE_S)
 
 
 def failure(device: object, error: BaseException, *, rests: bool = True) -> DeviceError:

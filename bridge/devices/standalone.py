@@ -11,9 +11,8 @@ from typing import Literal, NamedTuple, Protocol
 from haptether.bridge.devices.open import (
     DeviceError,
     DeviceNotes,
-    close_once,
-    comes_to_rest,
     failure,
+    leave_blocked,
     opened,
 )
 from haptether.bridge.interpreter import QUIET
@@ -148,7 +147,7 @@ class StandaloneRun:
         stopped: Callable[[], bool] = lambda: False,
     ) -> None:
         self.watched = WatchedDevice(device)
-        self.notes = DeviceNotes()
+        self.notes = DeviceNotes(come_to_rest=self._come_to_rest)
         self.error: DeviceError | None = None
         """What ended it, if anything did."""
         self.failed_at: str | None = None
@@ -198,9 +197,7 @@ class StandaloneRun:
             return True
         self.failed_at = self.watched.stage
         self._unquiet()
-        beside = threading.Thread(target=close_once, args=(self.watched, self.notes), daemon=True)
-        beside.start()
-        beside.join(LEAVE_S)
+        leave_blocked(self.watched, self.notes)  # type: ignore[arg-type]  # it calls those of the driver
         return False
 
     def _unquiet(self) -> None:
@@ -245,7 +242,7 @@ class StandaloneRun:
             raise failure(self.watched.device, error) from error
         finally:
             if self._rest is not None or self._rest_by is not None:
-                self.rests = comes_to_rest(self._come_to_rest)
+                self.rests = self.notes.rest()
 
     def _turn(self) -> None:
         watched, paces = self.watched, self.watched.paces

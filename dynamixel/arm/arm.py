@@ -28,6 +28,7 @@ from haptether.dynamixel.arm.checks import (
 )
 from haptether.dynamixel.arm.faults import ArmFaultError, FaultKind, hardware_error
 from haptether.dynamixel.arm.grip import GripServo
+from haptether.dynamixel.arm.roll_call import RollCall
 from haptether.dynamixel.arm.settings import TURN, ArmSettings, ServoSettings
 from haptether.dynamixel.control_table import (
     BUS_WATCHDOG,
@@ -85,6 +86,9 @@ class ServoArm:
     Raises:
         ValueError: The gripper has the id of a joint.
     """
+
+    _roll_call: RollCall | None = None
+    """Who answers of a bus that fell silent, while that is asked."""
 
     def __init__(
         self, settings: ArmSettings, report: Callable[[str], None] | None = None, grip: GripServo | None = None
@@ -187,7 +191,7 @@ class ServoArm:
                 if self._ends != begun:
                     message = f"{self.name}: closed or stopped before it was open"
                     raise ArmRefusedError(message)
-                self._fault = self._stopped = self._unsent = self._ticking = None
+                self._fault = self._stopped = self._unsent = self._ticking = self._roll_call = None
                 self._ending, self._held = False, frozenset()
                 self._is_waiting = not give_torque
                 self._alive_s = _awake_s()
@@ -306,7 +310,8 @@ class ServoArm:
         """Measures; whether the values are those of now. It never raises for what an arm can do: see `fault`."""
         self._ticking = threading.get_ident()
         if self._fault is not None:
-            return self._read_at_rest()
+            roll_call = None if self._bus is None else self._roll_call
+            return self._read_at_rest() if roll_call is None else self._ask_next(roll_call)
         now_s = time.monotonic()
         try:
             read = self._measure()
@@ -428,7 +433,7 @@ class ServoArm:
         with self._faulting:
             if self._fault is None or str(self._fault) != shown or self._recovery is not None or self._ending:
                 return
-            self._recovered = self._stopped = None
+            self._recovered = self._stopped = self._roll_call = None
             self._alive_s = _awake_s()
         self._recovery = threading.Thread(target=self._recover, name="dynamixel-recovery", daemon=True)
         self._recovery.start()
@@ -708,8 +713,7 @@ class ServoArm:
         elif now_s - (self._heard_s if since_s is None else since_s) > self.settings.lost_after_s and (
             since_s is not None or not self._misses_grip_alone()
         ):
-            self._end_torque()
-            self._latch(self._lost(error))
+            self._lose(error)
 
     def _misses_grip_alone(self) -> bool:
         """Whether the joints answer and the gripper does not, which is a fault of the gripper."""
@@ -736,28 +740,28 @@ class ServoArm:
         self.grip.fail(error)
         self._report(f"{self.name}: fault of the gripper: {error}")
 
-    def _lost(self, error: Exception) -> ArmFaultError:
-        """Who does not answer any more."""
-        missing = []
-        for servo_id in self._members:
-            try:
-                self._opened.ping(servo_id)
-            except TimeoutError:
-                missing.append(servo_id)
-            except OSError as gone:
-                return ArmFaultError(FaultKind.UNPLUGGED, f"{gone}: plug the adapter in, then acknowledge")
-            except RuntimeError as garbled:
-                return ArmFaultError(FaultKind.UNREADABLE, f"{garbled}: see cables and rate, then acknowledge")
-        if not missing:
-            if isinstance(error, TimeoutError):
-                return ArmFaultError(FaultKind.SILENT, f"{error}; it does again: see cables, then acknowledge")
-            return ArmFaultError(FaultKind.UNREADABLE, f"{error}: see cables and rate, then acknowledge")
-        if len(missing) == len(self._members):
-            return ArmFaultError(
-                FaultKind.BROWN_OUT, "no servo answers any more: see the supply and the cable, then acknowledge"
-            )
-        names = ", ".join(map(str, missing))
-        return ArmFaultError(FaultKind.SILENT, f"of servo {names}: see its cable, then acknowledge")
+    def _lose(self, error: Exception) -> None:
+        """Nothing was heard for too long: torque ends at once, and the reads that follow find who does not answer."""
+        silent = isinstance(error, TimeoutError)
+        kind = FaultKind.SILENT if silent else FaultKind.UNREADABLE
+        seen = "supply and cables" if silent else "cables and rate"
+        lost = ArmFaultError(kind, f"{error}: see {seen}, then acknowledge")
+        self._latch(lost)
+        with self._faulting:
+            if self._fault is lost:
+                self._roll_call = RollCall(lost, self._members)
+
+    def _ask_next(self, roll_call: RollCall) -> bool:
+        """With a bus that fell silent: asks one servo; names those that do not answer once all were asked."""
+        found = roll_call.ask(self._opened)
+        with self._faulting:
+            if roll_call.is_over and self._roll_call is roll_call:
+                self._roll_call = None
+            if found is None or self._fault is not roll_call.lost:
+                return False
+            self._fault = found
+        self._report(f"{self.name}: fault: {found}")
+        return False
 
     def _look_at_alert(self, servo_id: int) -> None:
         try:

@@ -26,6 +26,8 @@ class _Servo(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     high_rad: Angle = 3.141592653589793
     near_rad: Angle | None = None
     cap_a: float | None = None
+    torque_constant: float | None = None
+    torque_constant_uncertainty: float = 0.0
     shadows: tuple[int, ...] = ()
 
 
@@ -126,6 +128,9 @@ def calibration_text(baud: int, servos: tuple[ServoSettings, ...]) -> str:
             lines.append(f"near_rad = {servo.near_rad:.4f}\n")
         if servo.cap_a is not None:
             lines.append(f"cap_a = {servo.cap_a:.4f}\n")
+        if servo.torque_constant is not None:
+            lines.append(f"torque_constant = {servo.torque_constant:.5f}\n")
+            lines.append(f"torque_constant_uncertainty = {servo.torque_constant_uncertainty:.5f}\n")
         if servo.shadows:
             lines.append(f"shadows = {list(servo.shadows)}\n")
     return "".join(lines)

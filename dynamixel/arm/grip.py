@@ -51,7 +51,7 @@ class GripSettings:
     """The servo of a gripper, and how its angle becomes an opening.
 
     p = (a - open) / (closed - open), with the angle a from the mechanical centre in the turn that fits; the jaws press
-    with F = K_t i / lever.
+    with F = K_t i / lever: by the likely K_t as it is told, by the largest as it is commanded.
 
     Raises:
         ValueError: A setting that cannot be.
@@ -65,8 +65,6 @@ class GripSettings:
     """From the axis of the servo to where the jaws press."""
     max_speed: float
     """Of the servo, rad/s."""
-    constant_nm_per_a: float
-    """K_t."""
 
     @property
     def way_rad(self) -> float:
@@ -75,8 +73,8 @@ class GripSettings:
 
     @property
     def most_n(self) -> float:
-        """Force of the jaws at the cap."""
-        return self.servo.current_cap_a * self.constant_nm_per_a / self.lever_m
+        """Greatest force of the jaws at the cap."""
+        return self.servo.current_cap_a * self.servo.most_nm_per_a / self.lever_m
 
 
 class GripServo:
@@ -212,7 +210,7 @@ class GripServo:
         self.position = self._position_of(ticks)
         self.velocity = velocity_units * RAD_S_PER_UNIT / self.settings.way_rad
         self._current_a = closing * current_units * self._unit_a
-        self.force_n = abs(self._current_a) * self.settings.constant_nm_per_a / self.settings.lever_m
+        self.force_n = abs(self._current_a) * self.settings.servo.nm_per_a / self.settings.lever_m
         if self.holds_object:
             # Left behind where it gives way, or where the goal is on its other side.
             on = (self.position - self._held_at) * self._held_side
@@ -232,7 +230,7 @@ class GripServo:
         way = abs(settings.way_rad)
         speed_units = self._speed_of(min(speed * way, settings.max_speed))
         cap_units = self._units_of(
-            min(force_n * settings.lever_m / settings.constant_nm_per_a, settings.servo.current_cap_a)
+            min(force_n * settings.lever_m / settings.servo.most_nm_per_a, settings.servo.current_cap_a)
         )
         if (speed_units, cap_units) != (self._speed_units, self._cap_units):
             self._speed_units, self._cap_units, self._are_limits_sent = speed_units, cap_units, False

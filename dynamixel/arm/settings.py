@@ -11,6 +11,8 @@ MAX_SERVOS: Final = 32
 MAX_ID: Final = 252
 MAX_ANGLE: Final = 512.0 * math.pi
 """Where the multi-turn modes end, rad."""
+MAX_CONSTANT: Final = 20.0
+"""N m/A."""
 CAP_SHARE: Final = 0.3
 """Of the greatest current of a model, where no cap is given: no maker states what a servo bears for long."""
 ARM_MODES: Final = frozenset(
@@ -49,6 +51,10 @@ class ServoSettings:
     """Where q is about at power-on: decides between turns that both fit; by default the middle of its limits."""
     cap_a: float | None = None
     """Greatest current in A; by default 0.3 of what the model can."""
+    torque_constant: float | None = None
+    """K_t of this servo in N m/A, as it was measured; by default what is published of its model."""
+    torque_constant_uncertainty: float = 0.0
+    """How far the true one may be from that, in N m/A."""
     mode: OperatingMode = OperatingMode.CURRENT
     shadows: tuple[int, ...] = ()
     """Servos of the same model that turn the same joint, and obey this one's id (address 12 of each)."""
@@ -75,6 +81,13 @@ class ServoSettings:
         if self.mode not in ARM_MODES & self.servo.operating_modes:
             allowed = ", ".join(f"{mode.value} ({mode.name.lower()})" for mode in sorted(self._modes))
             self._refuse(f"mode = {int(self.mode)}: a {self.model} must have one of {allowed}")
+        if self.torque_constant is not None and not 0.0 < self.torque_constant <= MAX_CONSTANT:
+            self._refuse(
+                f"torque_constant = {self.torque_constant:g}: must be above 0 and at most {MAX_CONSTANT:g} N m/A"
+            )
+        if not 0.0 <= self.torque_constant_uncertainty <= (self.torque_constant or 0.0):
+            given = f"torque_constant_uncertainty = {self.torque_constant_uncertainty:g}"
+            self._refuse(f"{given}: must be 0 to torque_constant")
         most_a = self.servo.max_current_a
         if self.cap_a is not None and (most_a is None or not 0.0 < self.cap_a <= most_a):
             what = "has no current control" if most_a is None else f"must be above 0 and at most {most_a:g} A"
@@ -84,6 +97,18 @@ class ServoSettings:
     def servo(self) -> ServoModel:
         """The model."""
         return SERVO_MODELS[self.model]
+
+    @property
+    def nm_per_a(self) -> float:
+        """The likely K_t: by it a current is told as a torque."""
+        return self.servo.nominal_nm_per_a if self.torque_constant is None else self.torque_constant
+
+    @property
+    def most_nm_per_a(self) -> float:
+        """The largest K_t that it may have: by it a torque is commanded as a current, so that no more is exerted."""
+        if self.torque_constant is None:
+            return self.servo.largest_nm_per_a
+        return self.torque_constant + self.torque_constant_uncertainty
 
     @property
     def middle_rad(self) -> float:

@@ -114,7 +114,8 @@ class Joint:
         self.hand: HeldBy | None = None
         self.hand_nm = 0.0
         """Of the hand, in the last step."""
-        self.constant_nm_per_a = model.torque_constant_nm_per_a or model.stall_ratio_nm_per_a
+        self.constant_nm_per_a = model.nominal_nm_per_a
+        """K_t of this servo, which may be another than its clients take it for."""
         self._stall_nm = model.recommended.torque_nm
         self._no_load_rad_s = model.no_load_rad_s
         self._time_s: float | None = None

@@ -37,15 +37,13 @@ class DynamixelMaster:
         self._joints = len(arm.joints)
         self.max_speed = speed_limits(self.options, arm)
         """Of each joint in rad/s; beyond it is a fault."""
-        self._amperes = [
-            1.0 / (servo.servo.torque_constant_nm_per_a or servo.servo.stall_ratio_nm_per_a)
-            for servo in settings.servos
-        ]
+        # By the largest constant that a servo may have: no joint exerts more than its limit in N m.
+        self._amperes = [1.0 / servo.most_nm_per_a for servo in settings.servos]
         for index, joint in enumerate(arm.joints):
             self._amperes[index] /= joint.motors
         greatest = [servo.current_cap_a / per_nm for servo, per_nm in zip(settings.servos, self._amperes, strict=True)]
         self.most_nm = tuple(greatest)
-        """Greatest torque of each joint, and of the trigger, by the caps of current."""
+        """Greatest torque of each joint, and of the trigger, by the caps of current and the largest constants."""
         left = 1.0 - self.options.force_share
         bounds = [left * most for most in greatest[: self._joints]]
         self.compensation = Compensation(self.options, arm, self._kinematics, bounds)
@@ -105,7 +103,12 @@ class DynamixelMaster:
         return self._sample._replace(fault=self._shown)
 
     def write(self, force: Sequence[float], torque: Sequence[float] | None = None) -> None:
-        """Exerts F_device, in N m at the joints, or in N and N m at the tool point, until the next call."""
+        """Exerts F_device, in N m at the joints, or in N and N m at the tool point, until the next call.
+
+        Nothing before the first `read`: the arm has no torque yet.
+        """
+        if self._sample is None:
+            return
         reflected = self._kinematics.torques(self._q, (*force, *(torque or (0.0,) * 3))) if self._poses else force
         if len(reflected) != self._joints:
             message = f"force = {tuple(reflected)}: {self.arm.name} has {self._joints} joints: must be as many"

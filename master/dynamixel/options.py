@@ -38,6 +38,9 @@ class LeaderOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     calibration: str | None = None
     """File of this unit that `haptether dynamixel calibrate` wrote: by the ids of its servos signs and offsets, limits
     and caps beside those of the description; and its rate."""
+    torque_constant: tuple[Annotated[float, Meta(gt=0.0, le=20.0, extra={"unit": "N m/A"})], ...] | None = None
+    """Largest torque at the output per ampere that each joint's servo may have; by default what `calibrate` measured,
+    or the largest that is published of its model."""
     gravity_gain: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
     """Share of the described gravity that is compensated; by default 1 where the masses are known."""
     friction_gain: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.0
@@ -81,7 +84,10 @@ def leader_options(given: Mapping[str, Any]) -> tuple[LeaderOptions, ArmDescript
         raise refused(DRIVER, "arm", options.arm, str(error)) from None
     if options.baud is not None and options.baud not in BAUD_RATES:
         raise refused(DRIVER, "baud", options.baud, f"must be one of {', '.join(map(str, BAUD_RATES))}")
-    for key, values in (("offsets", options.offsets), ("signs", options.signs), ("max_speed", options.max_speed)):
+    for key, values in (
+        ("offsets", options.offsets), ("signs", options.signs), ("torque_constant", options.torque_constant),
+        ("max_speed", options.max_speed),
+    ):  # fmt: skip
         if values is not None and len(values) != len(arm.joints):
             raise refused(DRIVER, key, values, f"must be {len(arm.joints)} numbers, one of each joint of {arm.name}")
     if options.gravity_gain and not arm.knows_masses:
@@ -135,6 +141,9 @@ def with_unit(options: LeaderOptions, arm: ArmDescription) -> tuple[LeaderOption
             message = f"must be {baud}, which {options.calibration} has"
             raise refused(DRIVER, "baud", options.baud, message)
         options = msgspec.structs.replace(options, baud=baud)
+        if options.torque_constant is None:
+            most = tuple(found[joint.servo].most_nm_per_a for joint in joints)
+            options = msgspec.structs.replace(options, torque_constant=most)
     if options.offsets is not None:
         for index, (joint, at) in enumerate(zip(joints, options.offsets, strict=True)):
             try:
@@ -178,13 +187,14 @@ def speed_limits(options: LeaderOptions, arm: ArmDescription) -> tuple[float, ..
 
 def arm_settings(options: LeaderOptions, arm: ArmDescription) -> ArmSettings:
     """The servos as a bus knows them: those of the joints, and that of the trigger, whose q is 0 where it is open."""
+    constants = options.torque_constant or (None,) * len(arm.joints)
     servos = [
         ServoSettings(
             servo_id=joint.servo, model=joint.model, sign=joint.sign, offset_rad=joint.offset_rad,
             low_rad=joint.low_rad - BEYOND_RAD, high_rad=joint.high_rad + BEYOND_RAD, near_rad=joint.start_rad,
-            cap_a=joint.cap_a, shadows=joint.shadows,
+            cap_a=joint.cap_a, torque_constant=constant, shadows=joint.shadows,
         )
-        for joint in arm.joints
+        for joint, constant in zip(arm.joints, constants, strict=True)
     ]  # fmt: skip
     if (trigger := arm.trigger) is not None:
         servos.append(

@@ -17,7 +17,10 @@ except ImportError as error:
     raise missing("the driver inverse3", "websockets", error) from None
 
 CONNECT_S: Final = 2.0
-RECEIVE: Final = 65536
+RECEIVE: Final = 512
+"""Bytes that are read at once: as pings of 2 bytes they take 1 ms, 64 KiB of them 0.2 s and more."""
+DRAIN_S: Final = 0.002
+"""How long bytes that are there already are taken beyond the time that a call may wait."""
 MAX_FRAME: Final = 1 << 20
 
 
@@ -80,18 +83,20 @@ class Channel:
             ChannelError: The connection is lost.
         """
         end_s = time.monotonic() + limit_s
-        left_s = limit_s
-        while not self._frames:
+        while not self._frames and (left_s := end_s - time.monotonic()) > -DRAIN_S:
             try:
                 self._receive(max(0.0, left_s))
             except (TimeoutError, BlockingIOError):
                 return None
             except (OSError, WebSocketException) as error:
                 raise ChannelError(_text(error)) from None
-            left_s = end_s - time.monotonic()
-            if left_s <= 0.0:
-                break
         return self._frames.pop(0) if self._frames else None
+
+    def send_last(self, message: bytes) -> None:
+        """Sends a text frame before `close`, be it that what was received is no WebSocket."""
+        with contextlib.suppress(OSError):
+            self._socket.settimeout(0.0)
+            self._socket.send(Frame(Opcode.TEXT, message).serialize(mask=True))
 
     def close(self, wait_s: float = 0.0) -> None:
         """Says goodbye, and waits for the end of the other side for so many s at most.
@@ -101,6 +106,7 @@ class Channel:
         with contextlib.suppress(OSError, WebSocketException):
             self._protocol.send_close()
             self._flush()
+        with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_WR)
             end_s = time.monotonic() + wait_s
             while (left_s := end_s - time.monotonic()) > 0.0:

@@ -1,5 +1,6 @@
 """The checklist before an Inverse3 exerts a force: what the service says of it, and what changes forces silently."""
 
+import time
 from typing import Any, Final
 
 from haptether.checklist import Checklist
@@ -29,6 +30,8 @@ STATUS: Final = (
 """What each flag must be, the fault where it is not, and the remedy."""
 MAX_EVENTS: Final = 100
 """That are heard in a tick: a flood must not hold it up."""
+EVENTS_S: Final = 0.005
+"""How long events are heard in a tick; the rest waits for the next."""
 EBRAKE: Final = "e-brake"
 TRIPS: Final = {
     "ebrake_triggered": f"{EBRAKE}: the emergency brake is on: see why, release it, acknowledge",
@@ -185,7 +188,8 @@ def pending_events(events: Channel) -> list[Event]:
         ChannelError: The channel is lost, or says something else.
     """
     found: list[Event] = []
-    while (received := events.frame(0.0)) is not None:
+    end_s = time.monotonic() + EVENTS_S
+    while time.monotonic() < end_s and (received := events.frame(0.0)) is not None:
         if len(found) >= MAX_EVENTS:
             message = f"more than {MAX_EVENTS} events at once"
             raise ChannelError(message)

@@ -4,6 +4,7 @@ import contextlib
 import math
 import sys
 import threading
+import time
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
@@ -33,9 +34,14 @@ ADDED_REPLIES: Final = 20
 """So many replies in a row that say so are a fault: it may be told some ticks late."""
 CLOSED: Final = "closed before it was open"
 JOIN_S: Final = 3.0
-CLOSE_S: Final = 0.1
+ZERO_S: Final = 0.1
+"""How long each reply may take before the end."""
+CLOSE_S: Final = 1.0
+"""How long the service may take to close."""
 MAX_UNASKED: Final = 20
 """Frames that are dropped in a tick: a flood must not hold it up."""
+UNASKED_S: Final = 0.005
+"""How long that may take."""
 
 
 class Session(NamedTuple):
@@ -47,9 +53,17 @@ class Session(NamedTuple):
     grip_id: str | None
     force: ForceMessage
 
-    def close(self, wait_s: float = 0.0) -> None:
-        """Ends both, and waits for the service for so many s at most; it then lets the device idle."""
-        self.channel.close(wait_s)
+    def rest(self) -> None:
+        """Sends a zero force, whatever was received before."""
+        self.channel.send_last(self.force(REST))
+
+    def close(self, owed: int = 0) -> None:
+        """Hears so many replies, the last to the zero force, and ends both; the service then lets the device idle."""
+        with contextlib.suppress(ChannelError):
+            # A goodbye in one packet with the zero may cost a service both.
+            while owed > 0 and self.channel.frame(ZERO_S) is not None:
+                owed -= 1
+        self.channel.close(CLOSE_S)
         self.events.close()
 
 
@@ -90,6 +104,10 @@ class Inverse3:
         self._sent: list[float] = [0.0, 0.0, 0.0]
         """Norms of the forces that were sent last, in N."""
         self._added = 0
+        self._forced: str | None = None
+        """The device of a lost connection: nobody knows whether the zero arrived that was sent last."""
+        self._closing: threading.Thread | None = None
+        """Ends a connection that was given up."""
         self._mended: Session | str | None = None
         """What a thread that connects anew has found: a session, or why there is none."""
         self._mending: threading.Thread | None = None
@@ -183,14 +201,11 @@ class Inverse3:
         self._ending.set()
         session, self._session = self._session, None
         if session is not None:
-            with contextlib.suppress(ChannelError):
-                self._send(session, REST)
-                # Its reply says that it was taken.
-                while self._owed > 0 and session.channel.frame(self.options.reply_timeout_s) is not None:
-                    self._owed -= 1
-            session.close(CLOSE_S)
-        if self._mending is not None:
-            self._mending.join(JOIN_S)
+            session.rest()
+            session.close(self._owed + 1)
+        for thread in (self._closing, self._mending):
+            if thread is not None:
+                thread.join(JOIN_S)
         mended, self._mended = self._mended, None
         if isinstance(mended, Session):
             mended.close()
@@ -214,6 +229,11 @@ class Inverse3:
                 checklist.finish()
                 raise
             checklist.ok("service", f"port {options.port}")
+            if (forced := self._forced) is not None:
+                # Before anything is refused.
+                channel.send(ForceMessage(forced, None)(REST))
+                channel.frame(options.reply_timeout_s)
+                self._forced = None
             device = chosen_device(found, options, checklist)
             grip = chosen_grip(found, options, checklist)
             events = opened_events(options, checklist)
@@ -292,10 +312,13 @@ class Inverse3:
 
     def _drop_unasked(self, session: Session) -> None:
         """A frame that nobody asked for would make each reply after it the one of the tick before."""
+        end_s = time.monotonic() + UNASKED_S
         for _ in range(MAX_UNASKED):
             if self._owed != 0 or session.channel.frame(0.0) is None:
                 return
             self._latch("unasked frame: does another program use this session? acknowledge")
+            if time.monotonic() > end_s:
+                break
         message = f"more than {MAX_UNASKED} unasked frames at once"
         raise ChannelError(message)
 
@@ -329,11 +352,16 @@ class Inverse3:
             print(f"{self._name}: fault: {fault}", file=sys.stderr, flush=True)
 
     def _lose(self, fault: str) -> None:
-        """Nothing is sent any more, and the service lets the device idle."""
+        """A zero force is the last that is sent; the connection ends on a thread of its own."""
         self._fresh = False
         session, self._session = self._session, None
         if session is not None:
-            session.close()
+            session.rest()
+            self._forced = session.device_id
+            self._closing = threading.Thread(
+                target=session.close, args=(self._owed + 1,), name="inverse3-close", daemon=True
+            )
+            self._closing.start()
         self._latch(f"{fault}: acknowledge to connect anew", anew=True)
 
     def _faulty(self) -> MasterSample:

@@ -130,13 +130,16 @@ class VendorDevice(ABC, Generic[Session]):
         return sample
 
     def write(self, force: tuple[float, ...], torque: tuple[float, ...] | None = None) -> None:
-        """Exerts the force; zero unless this tick was read and nothing is wrong."""
+        """Exerts the force; all of it ends where this tick was not read, and nothing is exerted with a fault."""
         fresh, self._fresh = self._fresh, False
         session = self._session
         if session is None or self._fault is not None:
             return
+        if not fresh:
+            self._halt(session)
+            return
         try:
-            self._exert(session, force if fresh else REST[: self._axes], (torque or REST) if fresh else REST)
+            self._exert(session, force, torque or REST)
         except LostError as error:
             self._lose(str(error))
         except BadSampleError as error:

@@ -2284,11 +2284,24 @@ class _SlaveSide(_LiveSide):
 class _DrivenLoop:
     """What a loop has that a driver steps."""
 
-    def begin(self) -> str:
+    @property
+    def axes(self) -> int:
+        """Number of axes of a sample."""
+
+    @property
+    def is_blocked(self) -> bool:
+        """Whether the driver that `begin` named is in a call that has not returned for 0.5 s."""
+
+    def begin(self, driver: str | None = None) -> str:
         """Time begins; requests real time of the system for this thread, and returns what was granted.
 
+        Args:
+            driver: Its name; a thread then watches it. Each turn begins with `take_acknowledgement`. If `read` (before
+                `step`) or `write` (after it) does not return for 0.5 s, or the first `read` for 1 s, the thread ticks in
+                the driver's place: a fault that names the driver and the call, on both sides.
+
         Raises:
-            OSError: Real time is required and refused; the loop is over.
+            OSError: Real time is required and refused, or there is no room for a thread; the loop is over.
         """
 
     def wait(self) -> None:

@@ -2,13 +2,14 @@
 
 use std::{
     path::PathBuf,
-    sync::{Mutex, MutexGuard},
+    sync::{Arc, Mutex, MutexGuard, TryLockError},
+    time::Duration,
 };
 
 use haptether_bridge::{
     FaultText, GripperOrder, OperatorCommand, SideKind, SlaveOrder, Trace,
     coupling::{RotationState, measured, quat_wxyz},
-    live::Ineffective,
+    live::{DriverCall, DriverCalls, Ineffective, watch_driver},
     scene::{
         MasterDriverLoop, MasterInput, SlaveDriverLoop, SlaveInput, pace_scene_master, pace_scene_slave,
         scene_outline,
@@ -103,25 +104,55 @@ fn written<'py>(py: Python<'py>, values: &[f64]) -> PyResult<Bound<'py, PyTuple>
     PyTuple::new(py, values)
 }
 
-/// What belongs to the thread of the driver; it waits here with the GIL released, so that nobody else may wait for it.
-fn own<T: ?Sized>(of: &Mutex<Box<T>>) -> PyResult<MutexGuard<'_, Box<T>>> {
-    of.try_lock().map_err(|_| PyRuntimeError::new_err("the loop is turned by another thread"))
+/// How long, and how often, a thread waits for a loop that another turns.
+const WAIT: Duration = Duration::from_micros(100);
+const MAX_WAITS: u32 = 1000;
+
+/// A loop, and where the thread of its driver is.
+struct Driven<T: ?Sized> {
+    paced: Arc<Mutex<Box<T>>>,
+    calls: Arc<DriverCalls>,
 }
 
-/// What both classes share, as their fields `paced` and `watched`.
+impl<T: ?Sized> Driven<T> {
+    fn new(paced: Box<T>) -> Self {
+        Self { paced: Arc::new(Mutex::new(paced)), calls: Arc::default() }
+    }
+
+    /// What belongs to the thread of the driver; it waits here with the GIL released, so that nobody else may wait for
+    /// it. The watch of a driver that does not return has it for a tick at a time.
+    fn own(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, Box<T>>> {
+        for _ in 0..MAX_WAITS {
+            match self.paced.try_lock() {
+                Ok(paced) => return Ok(paced),
+                Err(TryLockError::WouldBlock) => py.detach(|| std::thread::sleep(WAIT)),
+                Err(TryLockError::Poisoned(_)) => break,
+            }
+        }
+        Err(PyRuntimeError::new_err("the loop is turned by another thread"))
+    }
+}
+
+/// What both classes share, as their fields `driven` and `watched`.
 macro_rules! loop_methods {
     ($class:ident) => {
         #[pymethods]
         impl $class {
-            fn begin(&self, py: Python<'_>) -> PyResult<String> {
-                let mut paced = own(&self.paced)?;
+            #[pyo3(signature = (driver=None))]
+            fn begin(&self, py: Python<'_>, driver: Option<&str>) -> PyResult<String> {
+                let mut paced = self.driven.own(py)?;
                 let paced = &mut **paced;
                 // Memory is locked here, which takes its time where much is mapped.
-                py.detach(|| paced.begin()).map(|realtime| realtime.to_string()).map_err(not_begun)
+                let realtime = py.detach(|| paced.begin()).map_err(not_begun)?;
+                if let Some(driver) = driver {
+                    watch_driver(&self.driven.paced, &self.driven.calls, driver.to_owned())?;
+                }
+                Ok(realtime.to_string())
             }
 
             fn wait(&self, py: Python<'_>) -> PyResult<()> {
-                let mut paced = own(&self.paced)?;
+                self.driven.calls.enter(DriverCall::None);
+                let mut paced = self.driven.own(py)?;
                 let paced = &mut **paced;
                 py.detach(|| paced.wait());
                 Ok(())
@@ -130,18 +161,22 @@ macro_rules! loop_methods {
             #[pyo3(signature = (text=""))]
             fn fail(&self, py: Python<'_>, text: &str) -> PyResult<()> {
                 let text = FaultText::new(text);
-                let mut paced = own(&self.paced)?;
+                self.driven.calls.enter(DriverCall::None);
+                let mut paced = self.driven.own(py)?;
                 let paced = &mut **paced;
                 py.detach(|| paced.fail(&text));
                 Ok(())
             }
 
             fn take_acknowledgement(&self) -> bool {
+                // A turn of the driver begins with this.
+                self.driven.calls.enter(DriverCall::Read);
                 self.watched.handle.take_acknowledgement()
             }
 
             fn announce_end(&self, py: Python<'_>) -> PyResult<()> {
-                let mut paced = own(&self.paced)?;
+                self.driven.calls.enter(DriverCall::None);
+                let mut paced = self.driven.own(py)?;
                 let paced = &mut **paced;
                 py.detach(|| paced.announce_end());
                 Ok(())
@@ -151,11 +186,21 @@ macro_rules! loop_methods {
             fn finished(&self) -> bool {
                 self.watched.handle.is_stopped()
             }
+
+            #[getter]
+            fn is_blocked(&self) -> bool {
+                self.driven.calls.is_blocked()
+            }
+
+            #[getter]
+            fn axes(&self) -> usize {
+                self.axes
+            }
         }
 
         impl $class {
             fn end(&self, py: Python<'_>) -> PyResult<(Trace, PyLoopReport)> {
-                let mut paced = own(&self.paced)?;
+                let mut paced = self.driven.own(py)?;
                 let paced = &mut **paced;
                 let (report, flight) = py.detach(|| paced.end()).ok_or_else(finished_before)?;
                 self.watched.watch().ended(flight);
@@ -187,7 +232,7 @@ fn steadily(name: &str, before: Option<bool>, is_given: bool) -> PyResult<()> {
 
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct MasterLoop {
-    paced: Mutex<Box<dyn MasterDriverLoop>>,
+    driven: Driven<dyn MasterDriverLoop>,
     last: Mutex<LastTick>,
     pub(crate) watched: Watched,
     kind: SideKind,
@@ -216,7 +261,7 @@ constructor!(MasterLoop, peer,
         let trigger_force = outline.feels_trigger.then_some(0.0);
         let last = LastTick { trigger_force, ..LastTick::default() };
         let (kind, axes) = (outline.kind, outline.axes);
-        Ok(Self { paced: Mutex::new(paced), last: Mutex::new(last), watched, kind, axes })
+        Ok(Self { driven: Driven::new(paced), last: Mutex::new(last), watched, kind, axes })
     }
 );
 
@@ -265,7 +310,8 @@ impl MasterLoop {
             },
             buttons: read_optional("buttons", buttons, WORD)?,
         };
-        let output = own(&self.paced)?.step(&input);
+        let output = self.driven.own(py)?.step(&input);
+        self.driven.calls.enter(DriverCall::Write);
         let force = match &output {
             None => None,
             Some(output) => {
@@ -294,7 +340,7 @@ impl MasterLoop {
 
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct SlaveLoop {
-    paced: Mutex<Box<dyn SlaveDriverLoop>>,
+    driven: Driven<dyn SlaveDriverLoop>,
     /// After the last tick.
     beside: Mutex<Beside>,
     pub(crate) watched: Watched,
@@ -310,7 +356,7 @@ constructor!(SlaveLoop, listen, [], |py, scene, outline, run_id, how| {
         PyResult::Ok((paced, Watched::new(watch, records, control, true)?))
     })?;
     let beside = Mutex::new(Beside::NOTHING);
-    Ok(Self { paced: Mutex::new(paced), beside, watched, kind: outline.kind, axes: outline.axes })
+    Ok(Self { driven: Driven::new(paced), beside, watched, kind: outline.kind, axes: outline.axes })
 });
 
 #[pymethods]
@@ -358,7 +404,8 @@ impl SlaveLoop {
                 None
             },
         };
-        let output = own(&self.paced)?.step(&input);
+        let output = self.driven.own(py)?.step(&input);
+        self.driven.calls.enter(DriverCall::Write);
         *locked(&self.beside) = output
             .as_ref()
             .map_or(Beside::NOTHING, |output| Beside { gripper: output.gripper, buttons: output.buttons });

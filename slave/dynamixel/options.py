@@ -1,13 +1,14 @@
 """What the driver of an arm of servos is called with: `[slave.options]` of a scene."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
 import msgspec
 from msgspec import Meta
 
-from haptether.dynamixel.arm import ArmSettings, ServoSettings, read_calibration
+from haptether.dynamixel.arm import ArmSettings, read_calibration
 from haptether.dynamixel.models import OperatingMode
 from haptether.options import converted, refused
 
@@ -40,7 +41,7 @@ class DynamixelSlaveOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_un
     start: Literal["refuse", "ramp"] = "refuse"
     """What a first command does that is further: it is a fault, or the joints go there at `max_speed`."""
     torque_constant: tuple[Annotated[float, Meta(gt=0.0, le=20.0, extra={"unit": "N m/A"})], ...] = ()
-    """Torque at the output per ampere; by default what the maker states, or torque over current at the stall."""
+    """Torque at the output per ampere; by default that of `arm`, what the maker states, or that of the stall."""
     coulomb: tuple[Torque, ...] = ()
     """Dry friction of each gear; by default 0, for no maker states it."""
     viscous: tuple[Viscous, ...] = ()
@@ -74,7 +75,7 @@ class DynamixelSlaveOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_un
         if len(servos) > MAX_JOINTS:
             raise refused(DEVICE, "arm", self.arm, f"has {len(servos)} servos: must have 1 to {MAX_JOINTS}")
         try:
-            joints = tuple(_with_mode(servo, MODES[self.mode]) for servo in servos)
+            joints = tuple(replace(servo, mode=MODES[self.mode]) for servo in servos)
         except ValueError as error:
             raise refused(DEVICE, "mode", self.mode, str(error)) from None
         for key in ("torque_constant", "coulomb", "viscous"):
@@ -92,21 +93,6 @@ class DynamixelSlaveOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_un
             release_s=self.release_s,
             verify_watchdog=self.verify_watchdog,
         )
-
-
-def _with_mode(servo: ServoSettings, mode: OperatingMode) -> ServoSettings:
-    return ServoSettings(
-        servo_id=servo.servo_id,
-        model=servo.model,
-        sign=servo.sign,
-        offset_rad=servo.offset_rad,
-        low_rad=servo.low_rad,
-        high_rad=servo.high_rad,
-        near_rad=servo.near_rad,
-        cap_a=servo.cap_a,
-        mode=mode,
-        shadows=servo.shadows,
-    )
 
 
 def dynamixel_slave_options(given: Mapping[str, Any]) -> DynamixelSlaveOptions:

@@ -21,7 +21,7 @@ class JointTorque:
 
     Args:
         servos: Of the arm.
-        constant: K_t in N m/A; by default what the maker states, or torque over current at the stall.
+        constant: K_t in N m/A; by default the likely one of each.
         coulomb: c in N m; by default 0.
         viscous: b in N m s/rad; by default 0.
         filter_hz: Corner of the low-pass of first order; none for none.
@@ -37,8 +37,7 @@ class JointTorque:
         filter_hz: float | None = None,
     ) -> None:
         models = [one.servo for one in servos]
-        default = [model.torque_constant_nm_per_a or model.stall_ratio_nm_per_a for model in models]
-        self._constant = np.array(constant or default)
+        self._constant = np.array(constant or [one.nm_per_a for one in servos])
         self._coulomb = np.array(coulomb or [0.0] * len(models))
         self._viscous = np.array(viscous or [0.0] * len(models))
         self._blind = np.array([not model.has_current_control for model in models])

@@ -337,6 +337,8 @@ def driven_into(emulated: EmulatedBus, arm: ServoArm, fault: str) -> float:
 def test_a_fault_has_a_name_and_ends_the_current(emulated: EmulatedBus, fault: str, kind: FaultKind) -> None:
     with opened(emulated) as arm:
         took_s = driven_into(emulated, arm, fault)
+        # Who is silent is asked for once there is no torque, with the reads that follow.
+        until(lambda: arm.read() or arm.fault_kind == kind)
         assert arm.fault_kind == kind
         # The watchdog's half a second where nothing can be sent, and what a loaded machine takes.
         assert took_s < 5.0
@@ -345,6 +347,32 @@ def test_a_fault_has_a_name_and_ends_the_current(emulated: EmulatedBus, fault: s
         arm.read()
         assert arm.fault_kind == kind
         assert at_rest(emulated)
+
+
+@pytest.mark.parametrize("fault", ["mute 1000000", "corrupt 1000000"])
+def test_no_read_of_a_bus_that_fails_waits_for_more_than_one_servo(
+    emulated: EmulatedBus, monkeypatch: pytest.MonkeyPatch, fault: str
+) -> None:
+    with opened(emulated) as arm:
+        assert arm.read()
+        bus, pings = arm._opened, [0]
+
+        class Counted:
+            """The bus, and how often it was asked who is there."""
+
+            def __getattr__(self, name: str) -> object:
+                pings[-1] += name == "ping"
+                return getattr(bus, name)
+
+        monkeypatch.setattr(arm, "_bus", Counted())
+        emulated.do(fault)
+        found, begin_s = {FaultKind.BROWN_OUT, FaultKind.UNREADABLE}, time.monotonic()
+        while arm.fault_kind not in found:
+            assert time.monotonic() < begin_s + PATIENCE_S
+            pings.append(0)
+            arm.read()
+        assert max(pings) <= 1
+        emulated.do("reset")
 
 
 @pytest.mark.parametrize("fault", ["corrupt 1000000", "drop 1000000"])

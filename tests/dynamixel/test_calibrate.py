@@ -45,8 +45,8 @@ class Calibration:
         self, emulated: EmulatedBus, path: Path, *arguments: str, ids: tuple[str, ...] = ("1", "2"), yes: bool = True
     ) -> None:
         command = [
-            sys.executable, "-m", "haptether", "dynamixel", "calibrate", emulated.port, str(path), "--ids", *ids,
-            *(("--yes",) if yes else ()), *arguments,
+            sys.executable, "-m", "haptether", "dynamixel", "calibrate", emulated.port, str(path),
+            *(("--ids", *ids) if ids else ()), *(("--yes",) if yes else ()), *arguments,
         ]  # fmt: skip
         self.emulated = emulated
         self.process = subprocess.Popen(

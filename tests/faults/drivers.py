@@ -267,6 +267,30 @@ def blocking(side: str, blocked_s: float, limit_s: float) -> Row:
     )  # fmt: skip
 
 
+def hanging(side: str, limit_s: float) -> Row:
+    """The driver does not return from `read` for longer than the watch waits: a fault that names it."""
+    device = PythonHand() if side == "master" else PythonArm()
+    seen = watch(device, InjectedFault("block", 1.2))
+    found = Complaints()
+    peer = "slave" if side == "master" else "master"
+    named = "has not returned for 0.5 s"
+    found.check(seen.run.error is None, f"the run ended by {seen.run.error!r}")
+    found.check(named in (seen.run.cause() or ""), f"the {side} says {seen.run.cause()}")
+    found.check(seen.faults[side] == "the device failed", f"fault: {seen.faults[side]}")
+    for name in (side, peer):
+        found.check(not seen.engaged_again(name), f"the {name} engaged again by itself")
+    took_s, named_s = seen.after_s(peer), seen.after_s(side)
+    found.check(took_s <= limit_s, f"the {peer} held after {took_s:g} s")
+    found.check(named_s <= 1.0 + limit_s, f"the {side} named it after {named_s:g} s")
+    force_n = float(np.abs(seen.force[-100:]).max())
+    found.check(force_n == 0.0, f"{force_n:g} N at the end")
+    return Row(
+        fault=f"the {side}'s driver does not return for 1.2 s", how="calls",
+        expected="fault that names it; no engagement", measured=f"named after {named_s:.2f} s; the {peer} held",
+        reaction_s=took_s, limit_s=limit_s, force_n=force_n, complaints=found.all(),
+    )  # fmt: skip
+
+
 def bad_number(side: str, limit_s: float) -> Row:
     """NaN in a sample: a fault that stays, until a person has acknowledged it and the numbers are right."""
     device = PythonHand() if side == "master" else PythonArm()
@@ -325,5 +349,5 @@ def rows(limit_s: float = 0.05) -> list[Callable[[], Row]]:
     def blocked(side: str, limit_s: float) -> Row:
         return blocking(side, 0.06, limit_s)
 
-    measures = (raising, bad_number, says_so, blocked)
+    measures = (raising, bad_number, says_so, blocked, hanging)
     return [each(measure, side, limit_s) for measure in measures for side in ("master", "slave")]

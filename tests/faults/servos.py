@@ -16,6 +16,8 @@ from haptether.dynamixel.arm import ArmSettings, FaultKind, ServoArm, ServoSetti
 
 PATIENCE_S = 10.0
 STARTED_S = 30.0
+ASKED_S = 1.0
+"""In which each servo is asked whether it answers."""
 WATCHED_S = 0.3
 """After the fault: nothing comes back."""
 CURRENT_A = 0.1
@@ -120,6 +122,10 @@ def _row(name: str, line: str, kinds: tuple[FaultKind, ...], patient: bool) -> R
                     arm.write_currents([CURRENT_A, CURRENT_A])
                 time.sleep(0.001)
             took_s = watch.finish()
+            # Who is silent is asked for once there is no torque, with the reads that follow.
+            asked_s = time.monotonic() + ASKED_S
+            while time.monotonic() < asked_s:
+                arm.read()
             fault, kind = arm.fault, arm.fault_kind
             wrong.check(kind in kinds, f"the fault is {fault}")
             wrong.check(took_s is not None and took_s < limit_s, f"no current after {took_s} s")

@@ -80,10 +80,11 @@ def returns_within(seconds: float, call: "threading.Thread") -> None:
 @pytest.mark.parametrize(
     ("first", "sent"),
     [
+        (b"", text_frame(b"", 0x89)),  # pings
         (b"", text_frame(b"", 0x8A)),  # answers to pings that nobody sent
         (text_frame(b"", 0x01), text_frame(b"", 0x00)),  # parts of a message that never ends
     ],
-    ids=["pongs", "parts"],
+    ids=["pings", "pongs", "parts"],
 )
 @pytest.mark.parametrize("limit_s", [0.0, 0.01])
 @anew_after_stalls
@@ -99,6 +100,33 @@ def test_a_wait_for_a_frame_ends_whatever_else_arrives(first: bytes, sent: bytes
 
         returns_within(PATIENT_S, threading.Thread(target=wait, daemon=True))
         assert found == [None] or isinstance(found[0], ChannelError)
+
+
+@pytest.mark.parametrize("first", [0x89, 0x8A], ids=["pings", "pongs"])
+@anew_after_stalls
+def test_a_call_that_does_not_wait_takes_no_more_than_a_few_kilobytes(
+    monkeypatch: pytest.MonkeyPatch, first: int
+) -> None:
+    """64 KiB of them are 32768 frames: half a second where this machine does much else."""
+    with flooding(text_frame(b"", first)) as channel:
+        time.sleep(0.1)
+        taken: list[int] = []
+        receive = channel._protocol.receive_data
+
+        def counted(received: bytes | bytearray) -> None:
+            taken.append(len(received))
+            receive(received)
+
+        monkeypatch.setattr(channel._protocol, "receive_data", counted)
+        shortest_s = 10.0
+        for _ in range(5):
+            taken.clear()
+            begun_s = time.monotonic()
+            with contextlib.suppress(ChannelError):
+                channel.frame(0.0)
+            shortest_s = min(shortest_s, time.monotonic() - begun_s)
+            assert sum(taken) <= 8192
+        assert shortest_s < 0.1
 
 
 def test_a_flood_of_events_ends_the_connection() -> None:

@@ -258,6 +258,34 @@ def test_a_reply_of_before_is_never_taken_for_a_new_one(service: EmulatedInverse
         assert sample.position == pytest.approx((0.03, 0.0, 0.0), abs=5e-4)
 
 
+@pytest.mark.parametrize(
+    "wrong", ["drop 1", "delay 60", "garble text", "garble nan", "garble infinite", "garble statusless", "grip gone"]
+)
+@anew_after_stalls
+def test_the_last_that_a_lost_connection_is_sent_is_a_zero_force(service: EmulatedInverse, wrong: str) -> None:
+    with opened(service, grip="wireless") as driver:
+        step(driver, (0.5, 0.0, 0.0), 20)
+        assert any(service.status()["sent"])
+        service.do(wrong)
+        until(driver, lambda sample: "acknowledge to connect anew" in str(sample.fault), (0.5, 0.0, 0.0))
+        service.do("delay 0")
+        service.wait_for("clients", 0)
+        assert service.status()["sent"] == [0.0, 0.0, 0.0]
+
+
+def test_a_device_that_a_lost_connection_left_is_sent_zero_before_it_is_refused(service: EmulatedInverse) -> None:
+    with opened(service) as driver:
+        step(driver, (0.5, 0.0, 0.0), 20)
+        # The service is gone before a zero can be sent, and comes back in a state that is refused.
+        service.do("disconnect")
+        until(driver, lambda sample: "acknowledge to connect anew" in str(sample.fault), (0.5, 0.0, 0.0))
+        assert any(service.status()["sent"])
+        service.do("set calibrated off")
+        driver.acknowledge()
+        until(driver, lambda sample: "not calibrated" in str(sample.fault))
+        assert service.status()["sent"] == [0.0, 0.0, 0.0]
+
+
 def test_a_frame_that_nobody_asked_for_is_a_fault(service: EmulatedInverse) -> None:
     with opened(service) as driver:
         step(driver, ticks=5)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.dynamixel.emulated import EmulatedBus, emulated_bus
@@ -82,7 +83,8 @@ def test_a_calibrated_arm_is_compensated_in_its_own_frame_and_one_that_is_not_is
     bus.do("hand 3 0.6 40 1")
     weight = ArmKinematics(load_arm(two)).gravity(q)
     wanted = [joint.sign * torque for joint, torque in zip(built.joints, weight, strict=True)]
-    patient = {"ramp_s": 0.1, "watchdog_s": 0.5, "verify_watchdog": False}
+    constants = [joint.servo_model.nominal_nm_per_a for joint in built.joints]
+    patient: dict[str, Any] = {"ramp_s": 0.1, "watchdog_s": 0.5, "verify_watchdog": False, "torque_constant": constants}
     found = {}
     for name, given in (("calibrated", {"calibration": str(file)}), ("described", {})):
         leader = DynamixelMaster(port=bus.port, arm=str(two), **patient, **given)

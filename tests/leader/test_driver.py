@@ -32,7 +32,10 @@ def two(tmp_path: Path) -> Path:
 @contextmanager
 def opened(arm: Path | str, *start: float, **given: object) -> Iterator[tuple[DynamixelMaster, EmulatedBus]]:
     """A driver with torque on an emulated arm that a stiff hand holds."""
-    options: dict[str, Any] = {"ramp_s": 0.1, "timeout_s": 0.02, "watchdog_s": 0.5, "verify_watchdog": False, **given}
+    known = [joint.servo_model.nominal_nm_per_a for joint in load_arm(arm).joints]
+    options: dict[str, Any] = {"ramp_s": 0.1, "timeout_s": 0.02, "watchdog_s": 0.5, "verify_watchdog": False}
+    # As those of the emulated servos are.
+    options |= {"torque_constant": known, **given}
     with emulated_bus("--arm", str(arm), *(("--start", *map(str, start)) if start else ())) as bus:
         for servo in bus.status()["servos"]:
             bus.do(f"hand {servo['id']} {servo['position_rad']} 40 1")

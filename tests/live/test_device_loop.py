@@ -649,8 +649,143 @@ def test_a_driver_that_blocks_is_reported_while_it_does(tmp_path: Path) -> None:
          "--set", "slave.device=bench", "--patience-s", "4"],
         env=packaged(tmp_path, BLOCKING), capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
-    said = "slave: the driver has blocked for 0.5 s: its device keeps its last command, switch it off"
+    said = (
+        "\nfault: the slave has a fault: Arm: KEEPS ITS LAST COMMAND, switch it off: read has not returned for 0.5 s\n"
+    )
     assert ended.stderr.count(said) == 1, ended.stderr
+
+
+class Stuck:
+    """One method of a driver that hangs once it is told to, until it is let go."""
+
+    def __init__(self, driver: Any, method: str) -> None:  # noqa: ANN401
+        self.driver, self.method = driver, method
+        self.hangs, self.let = threading.Event(), threading.Event()
+        self.calls: list[str] = []
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        found = getattr(self.driver, name)
+        if name not in {"read", "write", "stop", "close"}:
+            return found
+
+        def called(*arguments: object) -> object:
+            if name == self.method and self.hangs.is_set() and threading.current_thread().name == "haptether-loop":
+                assert self.let.wait(60.0)
+            self.calls.append(name)
+            return found(*arguments)
+
+        return called
+
+
+@pytest.mark.parametrize("method", ["read", "write"])
+@pytest.mark.parametrize("side", ["master", "slave"])
+@anew_after_stalls
+def test_a_driver_that_does_not_return_is_named_on_both_screens_and_left_at_rest(side: str, method: str) -> None:
+    device: Any = Stuck(Hand(1) if side == "master" else Arm(1), method)
+    run: MasterRun | SlaveRun
+    other: LiveMaster | LiveSlave
+    if side == "master":
+        other = LiveSlave(ONE, listen="127.0.0.1:0", **how())
+        run = MasterRun(device, MasterLoop(ONE, peer=other.address, **how()))
+    else:
+        loop = SlaveLoop(ONE, listen="127.0.0.1:0", **how())
+        run = SlaveRun(device, loop)
+        other = LiveMaster(ONE, peer=loop.address, **how())
+    try:
+        until(lambda: run.state == other.state == "engaged")
+        # A slave is written to once it is led.
+        until(lambda: device.calls[-20:].count(method) > 0)
+        hung_s = time.monotonic()
+        device.hangs.set()
+        named = f"Stuck: KEEPS ITS LAST COMMAND, switch it off: {method} has not returned for 0.5 s"
+        for screen in (run, other):
+            until(lambda screen=screen: named in (screen.cause() or ""))  # type: ignore[misc]
+        shown_s = time.monotonic() - hung_s
+        assert run.state == "fault"
+        # The loop goes on without the driver, for whoever reads telemetry or a recording.
+        ticks = run.ticks
+        until(lambda: run.ticks > ticks + 10)
+        device.calls.clear()
+        begun_s = time.monotonic()
+        _, report = run.finish()
+        took_s = time.monotonic() - begun_s
+    finally:
+        device.let.set()
+        other.stop()
+        other.finish()
+    assert report.ticks > ticks
+    assert "the driver has not returned" in str(run.error)
+    # By other threads: zero or a stop, then the end.
+    assert device.calls[:2] == ["write" if side == "master" else "stop", "close"]
+    if side == "master":
+        assert device.driver.force == (0.0,)
+    assert shown_s < 1.5
+    assert took_s < 5.0
+
+
+def test_a_driver_that_returns_after_all_goes_on_once_its_fault_is_acknowledged() -> None:
+    device: Any = Stuck(Hand(1), "read")
+    run = MasterRun(device, MasterLoop(ONE, peer="127.0.0.1:9", **how()))
+    try:
+        until(lambda: run.ticks > 20)
+        device.hangs.set()
+        until(lambda: run.state == "fault")
+        device.hangs.clear()
+        device.let.set()
+        device.calls.clear()
+        until(lambda: device.calls.count("write") > 20)
+        assert run.state == "fault"
+        assert device.driver.force == (0.0,)
+        run.acknowledge()
+        until(lambda: run.state == "disengaged")
+    finally:
+        device.let.set()
+        run.finish()
+    assert run.error is None
+
+
+HANGING = """
+import sys, time
+from haptether.slave import SlaveSample
+
+class Arm:
+    paces = False
+    reads = 0
+    def open(self): pass
+    def read(self):
+        self.reads += 1
+        if self.reads == 100:
+            time.sleep(120.0)
+        return SlaveSample(0.02, 0.0, 0.0)
+    def write(self, position, velocity): pass
+    def stop(self): print("stopped", file=sys.stderr, flush=True)
+    def close(self): print("closed", file=sys.stderr, flush=True)
+"""
+
+
+def test_ctrl_c_says_that_a_second_one_ends_at_once_and_leaves_a_driver_that_hangs(tmp_path: Path) -> None:
+    slave = subprocess.Popen(
+        [sys.executable, "-m", "haptether", "slave", "--listen", "127.0.0.1:0", "--insecure", "--scene", "remote_push",
+         "--set", "slave.device=bench"],
+        env=packaged(tmp_path, HANGING), stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        assert slave.stderr is not None
+        while "read has not returned" not in (line := slave.stderr.readline()):
+            assert line, "it ended"
+        begun_s = time.monotonic()
+        slave.send_signal(signal.SIGINT)
+        _, said = slave.communicate(timeout=60)
+        took_s = time.monotonic() - begun_s
+    finally:
+        slave.kill()
+        slave.wait()
+    assert said.count("a second Ctrl-C ends at once") == 1
+    assert said.index("stopped") < said.index("closed")
+    assert "the driver has not returned" in said
+    assert slave.returncode == 1
+    # Not the 10 s that an arm may take to be let down.
+    assert took_s < 8.0
 
 
 SLOW = """

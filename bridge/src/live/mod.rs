@@ -2,6 +2,7 @@
 
 mod channel;
 mod control;
+mod driver_watch;
 mod handle;
 mod handshakes;
 mod live_loop;
@@ -12,6 +13,7 @@ mod system;
 
 pub use channel::Security;
 pub use control::{Control, ControlSocket};
+pub use driver_watch::{DriverCall, DriverCalls, watch_driver};
 pub use handle::{ControlPort, Ineffective, LiveHandle, LiveWatch, RecordOutputs, RecordReader};
 pub use handshakes::{SecurityEvent, StartError};
 pub use live_loop::{LiveSettings, LoopReport};

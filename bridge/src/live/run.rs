@@ -276,6 +276,10 @@ pub trait DriverLoop {
     /// one.
     fn fail(&mut self, text: &FaultText);
 
+    /// One tick in place of a driver that does not return: zero force and no motion, with `text` as the fault. Returns
+    /// when the next is due in ns; none where the run is over, whose end it has then announced.
+    fn turn_blocked(&mut self, text: &FaultText) -> Option<u64>;
+
     /// The device is at rest: announces the end of this side to the peer, before whoever waits for the report does.
     fn announce_end(&mut self);
 
@@ -294,6 +298,10 @@ impl<S: Side + 'static> DriverLoop for PacedLoop<S> {
 
     fn fail(&mut self, text: &FaultText) {
         self.paced.fail(text);
+    }
+
+    fn turn_blocked(&mut self, text: &FaultText) -> Option<u64> {
+        self.paced.turn_blocked(text)
     }
 
     fn announce_end(&mut self) {
@@ -346,6 +354,18 @@ impl DriverLoop for Pacing {
         }
         self.shared.stop.store(true, Ordering::Relaxed);
         running.announce_end(&self.shared);
+    }
+
+    fn turn_blocked(&mut self, text: &FaultText) -> Option<u64> {
+        let wake = self.wake();
+        if let (Some(wake), Stage::Running(running)) = (wake, &mut self.stage) {
+            running.plant.side_mut().exchange_mut().device_failed(Some(text));
+            if self.tick(wake).is_continue() {
+                return Some(self.pace.next_ns());
+            }
+        }
+        self.announce_end();
+        None
     }
 
     fn announce_end(&mut self) {

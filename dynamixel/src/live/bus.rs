@@ -22,8 +22,9 @@ const STATUS_OVERHEAD: usize = 11;
 const SECOND_NS: u64 = 1_000_000_000;
 /// So often a stop is sent: nobody answers it.
 const STOPS: u32 = 3;
-/// A line that does not fall silent after a failure is given up after so many timeouts.
-const MAX_SETTLING: u64 = 8;
+/// A line that does not fall silent after a failure is given up so many timeouts after the last byte that may belong to
+/// it: the next call waits on.
+const MAX_SETTLING: u64 = 2;
 /// So often a call that waits looks whether a stop does.
 const LOOK_NS: u64 = 2_000_000;
 
@@ -278,7 +279,7 @@ impl Bus {
             return Ok(());
         }
         let mut buffer = [0; 256];
-        let given_up_ns = now_ns() + MAX_SETTLING * self.timeout_ns;
+        let given_up_ns = now_ns().max(self.answer_until_ns) + MAX_SETTLING * self.timeout_ns;
         self.late = buffer.len();
         while self.receive(&mut buffer, now_ns() + self.timeout_ns)? > 0 {
             if now_ns() > given_up_ns {

@@ -59,6 +59,8 @@ class Service:
         self._received = 0
         self._idles = True
         self._commanded: Vector = (0.0, 0.0, 0.0)
+        self._sent: Vector = (0.0, 0.0, 0.0)
+        """The last force of a client, be it that the device idles since."""
         self._last_s = -math.inf
         self._config: dict[str, Any] = {"force_gate": {"gain": 0.3}, "damping": {"scalar": 0.0}}
         self._transform = {
@@ -129,6 +131,7 @@ class Service:
             "velocity": list(device.velocity),
             "force": list(device.force),
             "commanded": list(self._commanded),
+            "sent": list(self._sent),
             "idle": self._idles,
             "braked": self.braked,
             "awake": self.awake,
@@ -148,7 +151,7 @@ class Service:
             if "set_cursor_force" in commands:
                 vector = commands["set_cursor_force"]["vector"]
                 x, y, z = (float(vector[axis]) for axis in "xyz")
-                self._idles, self._commanded = False, (x, y, z)
+                self._idles, self._commanded, self._sent = False, (x, y, z), (x, y, z)
             else:
                 self._idle()
             self._exert()

@@ -35,7 +35,7 @@ class DynamixelGripperOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_
     max_speed: Annotated[float, Meta(gt=0.0, le=10.0, extra={"unit": "rad/s"})] = 3.0
     """Fastest that the servo turns."""
     torque_constant: Annotated[float, Meta(gt=0.0, le=20.0, extra={"unit": "N m/A"})] | None = None
-    """Torque at the output per ampere; by default what the maker states, or torque over current at the stall."""
+    """Torque at the output per ampere, as it was measured; by default forces hold for the largest that is published."""
 
     def settings(self) -> GripSettings:
         """Those of the servo.
@@ -54,18 +54,17 @@ class DynamixelGripperOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_
                 low_rad=min(self.open_rad, self.closed_rad),
                 high_rad=max(self.open_rad, self.closed_rad),
                 cap_a=self.cap_a,
+                torque_constant=self.torque_constant,
                 mode=OperatingMode.CURRENT_BASED_POSITION,
             )
         except ValueError as error:
             raise refused(DEVICE, "model", self.model, str(error)) from None
-        known = servo.servo.torque_constant_nm_per_a or servo.servo.stall_ratio_nm_per_a
         return GripSettings(
             servo=servo,
             open_rad=self.open_rad,
             closed_rad=self.closed_rad,
             lever_m=self.lever_m,
             max_speed=self.max_speed,
-            constant_nm_per_a=known if self.torque_constant is None else self.torque_constant,
         )
 
 

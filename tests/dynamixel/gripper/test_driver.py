@@ -23,7 +23,15 @@ pytestmark = pytest.mark.live
 
 PATIENCE_S = 10.0
 ARM = '[[servo]]\nid = 1\nmodel = "XM430-W350"\n[[servo]]\nid = 2\nmodel = "XL330-M288"\n'
-GRIPPER = {"id": 7, "model": "XL330-M288", "open_rad": 0.2, "closed_rad": -0.8, "lever_m": 0.05}
+GRIPPER = {
+    "id": 7,
+    "model": "XL330-M288",
+    "open_rad": 0.2,
+    "closed_rad": -0.8,
+    "lever_m": 0.05,
+    "torque_constant": 0.354,
+}
+"""With the constant that the emulated servo has."""
 CLOSE = GripperCommand(position=1.0, speed=2.0, force_n=2.0)
 OPEN = GripperCommand(position=0.0, speed=2.0, force_n=2.0)
 

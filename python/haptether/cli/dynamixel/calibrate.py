@@ -21,11 +21,16 @@ class Calibrate:
     near the calibration's pose when its supply comes on. Shadows of a joint and the ends of a gripper are not
     found: write `shadows` into the file, and `open_rad` and `closed_rad` into the scene.
 
+    With --weigh it measures the torque constant of one servo of a file that is there, by a known weight: published
+    constants of a servo differ by up to a factor of two.
+
     Examples:
 
     haptether dynamixel calibrate /dev/ttyUSB0 arm.toml --round
 
     haptether dynamixel calibrate /dev/ttyUSB0 arm.toml --ids 1 2 3 4 5 6 --pose 0 -1.57 1.57 -1.57 -1.57 0
+
+    haptether dynamixel calibrate /dev/ttyUSB0 arm.toml --weigh 2 --mass 0.5 --lever 0.12
     """
 
     port: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PORT")]
@@ -42,6 +47,15 @@ class Calibrate:
     """Round offsets to multiples of pi/2, where the horns are mounted so."""
     margin: float = 0.05
     """By which the limits are inside of what is shown, in rad."""
+    weigh: Annotated[int | None, tyro.conf.arg(metavar="ID")] = None
+    """Measure the torque constant of this servo of FILE instead: the arm holds its joints, with torque, and moves this
+    one by 0.1 rad up and down, without a weight and with it."""
+    mass: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None
+    """Of the weight."""
+    lever: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
+    """Level distance from the axis of the joint to the weight."""
+    tolerance: float = 0.02
+    """How far mass times lever may be wrong, as a share."""
     force: bool = False
     """Replace a file that is there."""
     yes: bool = False
@@ -62,6 +76,8 @@ class Calibrate:
         if not self.path.name:
             message = "FILE: is empty: must name the file to write"
             raise ValueError(message)
+        if self.weigh is not None or self.mass is not None or self.lever is not None:
+            return self._weigh()
         if self.path.exists() and not self.force:
             message = f"{self.path}: exists: name another, or take --force"
             raise ValueError(message)
@@ -103,6 +119,88 @@ class Calibrate:
             self._print(joint, one, float(left[joint]))
         print(f"{self.path}: written; [slave.options] arm = {str(self.path)!r}")
         return 0
+
+    def _weigh(self) -> int:
+        """Measures one constant, and writes it into the file."""
+        from dataclasses import replace
+
+        from haptether.cli.dynamixel.prompt import Operator
+        from haptether.dynamixel.arm import ArmSettings, ServoArm, read_calibration, write_calibration
+        from haptether.dynamixel.arm.weigh import GRAVITY, Weighing, weighed_constant
+        from haptether.dynamixel.models import OperatingMode
+
+        baud, servos = read_calibration(self.path)
+        index = self._weighed(servos)
+        weighed = servos[index]
+        assert self.mass is not None
+        assert self.lever is not None
+        load_nm = self.mass * GRAVITY * self.lever
+        modes = OperatingMode.EXTENDED_POSITION, OperatingMode.CURRENT_BASED_POSITION
+        holding = tuple(replace(servo, mode=modes[servo.servo.has_current_control]) for servo in servos)
+        operator = Operator()
+        arm = ServoArm(ArmSettings(port=self.port, servos=holding, baud=self.baud or baud, timeout_s=0.05))
+
+        def ask(what: str) -> None:
+            operator.forget()
+            operator.say(what)
+            weighing.hold(lambda: operator.answer(0.0) is not None)
+
+        operator.forget()
+        operator.say(
+            f"clamp the base, nobody and nothing in reach. Hold the arm so that the lever of servo {weighed.servo_id}"
+            " is level, WITHOUT the weight, and press Enter: all joints then hold where they are, WITH TORQUE"
+        )
+        operator.wait()
+        weighing = Weighing(arm, index)
+        try:
+            arm.open()
+            ask("it holds: take your hands off and press Enter; the joint then moves by 0.1 rad up and down")
+            without = weighing.swing()
+            ask(f"hang {self.mass:g} kg onto it, {self.lever:g} m from the axis, hands off, and press Enter")
+            with_weight = weighing.swing()
+            ask("hold the arm, take the weight off, and press Enter: it then loses its torque")
+        finally:
+            arm.close()
+        found = weighed_constant(weighed, load_nm, self.tolerance, without, with_weight)
+        constant, uncertainty = found.nm_per_a, found.uncertainty_nm_per_a
+        measured = replace(weighed, torque_constant=constant, torque_constant_uncertainty=uncertainty)
+        write_calibration(self.path, baud, (*servos[:index], measured, *servos[index + 1 :]))
+        published = sorted(one.nm_per_a for one in weighed.servo.published)
+        print(
+            f"servo {weighed.servo_id}: {constant:.3f} +- {uncertainty:.3f} N m/A; published of a {weighed.model}:"
+            f" {published[0]:.3f} to {published[-1]:.3f}; friction {found.friction_a * constant:.3f} N m"
+        )
+        print(f"{self.path}: written")
+        return 0
+
+    def _weighed(self, servos: "tuple[ServoSettings, ...]") -> int:
+        """Which of the servos is weighed.
+
+        Raises:
+            ValueError: An option that is missing or cannot be, or a servo without current control.
+        """
+        for name, value, most, unit in (("mass", self.mass, 20.0, "kg"), ("lever", self.lever, 2.0, "m")):
+            if value is None or not 0.0 < value <= most:
+                seen = "is missing" if value is None else f"= {value:g}"
+                message = f"{name} {seen}: with --weigh it must be above 0 and at most {most:g} {unit}"
+                raise ValueError(message)
+        if not 0.0 <= self.tolerance <= 0.1:
+            message = f"tolerance = {self.tolerance:g}: must be 0 to 0.1"
+            raise ValueError(message)
+        ids = [servo.servo_id for servo in servos]
+        if self.weigh not in ids:
+            message = f"weigh = {self.weigh}: must be a servo of {self.path}: {', '.join(map(str, ids))}"
+            raise ValueError(message)
+        servo = servos[ids.index(self.weigh)]
+        if not servo.servo.has_current_control:
+            message = f"weigh = {self.weigh}: a {servo.model} measures no current: must be a servo with current control"
+            raise ValueError(message)
+        if servo.shadows:
+            message = (
+                f"weigh = {self.weigh}: turns its joint with servo {', '.join(map(str, servo.shadows))}: take them off"
+            )
+            raise ValueError(message)
+        return ids.index(self.weigh)
 
     def _servos(self) -> "list[FoundServo]":
         """Those that answer, all of known models and of one rate."""

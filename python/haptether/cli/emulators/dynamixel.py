@@ -9,6 +9,9 @@ import tyro
 if TYPE_CHECKING:
     from haptether.dynamixel.emulator import ArmLoad, Bus, Server, Servo, StreamLine
 
+MAX_CONSTANT = 20.0
+"""N m/A."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class DynamixelEmulator:
@@ -53,6 +56,8 @@ class DynamixelEmulator:
     stops: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID=A:B")] = ()
     """Something rigid stops the output of a servo at two angles from its mechanical centre, such as jaws or an object
     between them, as ID=A:B in rad."""
+    constants: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID=NM_PER_A")] = ()
+    """Torque constants in N m/A of servos, as ID=NM_PER_A; by default the likely one of each model."""
     return_delay: int = 0
     """Return Delay Time that they begin with, in 2 us; out of the box it is 250."""
     wire_time: bool = False
@@ -120,6 +125,7 @@ class DynamixelEmulator:
         servos, load = self._servos()
         bus = Bus(servos, self.seed, load)
         self._stop(bus)
+        self._set_constants(bus)
         return bus
 
     def _stream(self) -> "StreamLine | None":
@@ -150,6 +156,19 @@ class DynamixelEmulator:
                 why = f"{error}" if number.isdecimal() else "must be ID=A:B"
                 message = f"stops = {text}: {why}"
                 raise ValueError(message) from None
+
+    def _set_constants(self, bus: "Bus") -> None:
+        for text in self.constants:
+            number, _, given = text.partition("=")
+            try:
+                servo, constant = bus.servo(int(number)), float(given)
+            except ValueError as error:
+                message = f"constants = {text}: must be ID=NM_PER_A with the id of a servo: {error}"
+                raise ValueError(message) from None
+            if not 0.0 < constant <= MAX_CONSTANT:
+                message = f"constants = {text}: must be above 0 and at most {MAX_CONSTANT:g} N m/A"
+                raise ValueError(message)
+            servo.joint.constant_nm_per_a = constant
 
     def _headline(self, server: "Server") -> str:
         names = ", ".join(f"{servo.id} {servo.model.name}" for servo in server.bus.servos)

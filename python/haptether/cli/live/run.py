@@ -22,10 +22,6 @@ if TYPE_CHECKING:
     from haptether.cli.live.panel_process import PanelProcess
 
 
-BLOCKED_S = 0.5
-"""A driver that blocks for longer is reported."""
-
-
 class SideWatch:
     """Shows how a side stands until its loop ends, and afterwards why it was not coupled."""
 
@@ -55,8 +51,6 @@ class SideWatch:
         self._cause: Cause | None = None
         self._ineffective_presses = 0
         self._is_engaged = False
-        self._ticks = 0
-        self._ticked_s = time.monotonic()
 
     def until_end(self, headline: str, panel: "PanelProcess | None", *, quiet: bool) -> None:
         """Says `headline` and what real time there is, then shows the side until its loop has ended or is stopped.
@@ -74,7 +68,7 @@ class SideWatch:
             if self._side.finished or self._stopped:
                 return
             # What it was passed may have been lost with it: said once more.
-            self._cause, self._ticked_s = None, time.monotonic()
+            self._cause = None
         wait(headline, self._status, lambda: self._side.finished, self._stopped, None, shown=not quiet)
 
     def after_end(self, report: "LoopReport") -> Cause | None:
@@ -146,20 +140,6 @@ class SideWatch:
         if is_engaged and not self._is_engaged:
             print(f"{self._name}: engaged", file=sys.stderr, flush=True)
         self._is_engaged = is_engaged
-        self._print_blocked()
-
-    def _print_blocked(self) -> None:
-        """Says once that the driver has not returned: nobody else can take the device's force away."""
-        ticks, now_s = self._side.ticks, time.monotonic()
-        if not isinstance(self._side, DeviceRun):
-            return
-        # One that is being closed ticks no more: an arm may be let down meanwhile.
-        if ticks != self._ticks or self._side.finished or self._side.notes.closing.locked():
-            self._ticks, self._ticked_s = ticks, now_s
-        elif now_s - self._ticked_s > BLOCKED_S:
-            self._ticked_s = float("inf")
-            text = f"the driver has blocked for {BLOCKED_S:g} s: its device keeps its last command, switch it off"
-            print(f"{self._name}: {text}", file=sys.stderr, flush=True)
 
     def _current_cause(self) -> Cause | None:
         cause = self._side.cause()

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 Loop = TypeVar("Loop", "LiveMaster", "LiveSlave", "MasterLoop", "SlaveLoop")
 
 POLL_S = 0.05
+SECOND = "ending: a second Ctrl-C ends at once, whatever a driver does"
 
 
 class Stopped:
@@ -30,6 +31,7 @@ class Stopped:
         """Those of before, which are put back."""
         self._signals: SignalRelay | None = None
         self._wakeup = -1
+        self._has_announced = False
 
     def __enter__(self) -> Self:
         from haptether.bridge import SignalRelay
@@ -43,7 +45,7 @@ class Stopped:
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
             handled.append(signal.SIGHUP)
         for number in handled:
-            self._handlers[number] = signal.signal(number, _nothing)
+            self._handlers[number] = signal.signal(number, self._handle)
         return self
 
     def __exit__(
@@ -84,6 +86,14 @@ class Stopped:
         """Whether the loops were ended because no memory was left."""
         return self._signals is not None and self._signals.out_of_memory
 
+    def _handle(self, number: int, _frame: FrameType | None) -> None:
+        """`SignalRelay` has it already: what is left is to say how the end can be cut short."""
+        if number == signal.SIGINT and not self._has_announced:
+            self._has_announced = True
+            # In the middle of another line it may not be possible.
+            with contextlib.suppress(RuntimeError, ValueError, OSError):
+                print(SECOND, file=sys.stderr, flush=True)
+
     def __bool__(self) -> bool:
         return self._signals is not None and self._signals.stopped
 
@@ -92,10 +102,6 @@ class Stopped:
         end = time.monotonic() + seconds
         while not self and (left := end - time.monotonic()) > 0.0:
             time.sleep(min(left, POLL_S))
-
-
-def _nothing(_number: int, _frame: FrameType | None) -> None:
-    """`SignalRelay` has it."""
 
 
 def wait(

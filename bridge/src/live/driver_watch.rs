@@ -1,0 +1,121 @@
+//! A driver that does not return: a thread of its own turns the loop meanwhile, so that both sides say why.
+
+use std::{
+    io,
+    sync::{
+        Arc, Mutex, TryLockError, Weak,
+        atomic::{AtomicU64, Ordering},
+    },
+    thread,
+    time::Duration,
+};
+
+use super::{run::DriverLoop, system};
+use crate::fault_text::FaultText;
+
+/// From one look at the driver to the next.
+const LOOK: Duration = Duration::from_millis(50);
+/// A driver has not returned if so many looks in a row find it in the same call. While this process stands still, there
+/// are none.
+const LOOKS: u32 = 10;
+/// The same of the first `read`, in which an arm may be given its torque.
+const FIRST_LOOKS: u32 = 20;
+
+/// Bytes of its stack, which are locked: a tick takes a few tens of KiB.
+const STACK: usize = 1 << 19;
+/// How long the watch waits for a loop that another thread has.
+const MAX_TURN_NS: u64 = 10_000_000;
+
+/// Where the thread of a driver is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DriverCall {
+    /// In the loop, or at rest.
+    None = 0,
+    /// In `read`.
+    Read = 1,
+    /// In `write`, or in what else follows a tick.
+    Write = 2,
+}
+
+/// The calls of a driver: its thread notes them, and [`watch_driver`] reads them.
+#[derive(Debug, Default)]
+pub struct DriverCalls {
+    /// How many there were, times 4, and the newest [`DriverCall`].
+    newest: AtomicU64,
+    /// The one that the watch found not to return.
+    blocked: AtomicU64,
+}
+
+impl DriverCalls {
+    /// The driver's thread is there from now on. Only that thread calls it.
+    pub fn enter(&self, call: DriverCall) {
+        let before = self.newest.load(Ordering::Relaxed) | 3;
+        self.newest.store(before.wrapping_add(1) | call as u64, Ordering::Relaxed);
+    }
+
+    /// Whether the newest call has not returned for so long that the watch has told both sides.
+    pub fn is_blocked(&self) -> bool {
+        let newest = self.newest();
+        newest != 0 && newest == self.blocked.load(Ordering::Relaxed)
+    }
+
+    fn newest(&self) -> u64 {
+        self.newest.load(Ordering::Relaxed)
+    }
+}
+
+/// Starts the thread that looks after the driver `name` of a loop; it ends with the loop.
+///
+/// Once a call has not returned for 0.5 s, the side goes to FAULT with a text that names the call. The thread turns the
+/// loop until the driver returns: frames, records and telemetry go on. At a stop it announces the end to the peer.
+///
+/// # Errors
+///
+/// The system has no room for a thread.
+pub fn watch_driver<L>(paced: &Arc<Mutex<Box<L>>>, calls: &Arc<DriverCalls>, name: String) -> io::Result<()>
+where
+    L: DriverLoop + Send + ?Sized + 'static,
+{
+    let (paced, calls) = (Arc::downgrade(paced), Arc::clone(calls));
+    let builder = thread::Builder::new().name("haptether-watch".into()).stack_size(STACK);
+    builder.spawn(move || watch(&paced, &calls, &name))?;
+    Ok(())
+}
+
+fn watch<L: DriverLoop + ?Sized>(paced: &Weak<Mutex<Box<L>>>, calls: &DriverCalls, name: &str) {
+    let (mut seen, mut looks) = (0, 0);
+    loop {
+        thread::sleep(LOOK);
+        let Some(paced) = paced.upgrade() else { return };
+        let newest = calls.newest();
+        looks = if newest == seen { looks + 1 } else { 0 };
+        seen = newest;
+        let call = match newest & 3 {
+            1 => "read",
+            2 => "write",
+            _ => continue,
+        };
+        let allowed = if newest >> 2 == 1 { FIRST_LOOKS } else { LOOKS };
+        if looks < allowed {
+            continue;
+        }
+        calls.blocked.store(seen, Ordering::Relaxed);
+        let blocked_s = (LOOK * allowed).as_secs_f64();
+        let text = format!(
+            "{name}: KEEPS ITS LAST COMMAND, switch it off: {call} has not returned for {blocked_s:.1} s"
+        );
+        let text = FaultText::new(&text);
+        while calls.newest() == seen {
+            let next_ns = match paced.try_lock() {
+                Ok(mut paced) => match paced.turn_blocked(&text) {
+                    Some(next_ns) => next_ns,
+                    None => return,
+                },
+                // Whoever ends the loop has it.
+                Err(TryLockError::WouldBlock) => system::now_ns() + MAX_TURN_NS,
+                Err(TryLockError::Poisoned(_)) => return,
+            };
+            system::sleep_until(next_ns);
+        }
+    }
+}

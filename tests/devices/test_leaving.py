@@ -1,0 +1,369 @@
+"""Every way out of a driver ends in zero force or a stop, of every driver: by end, exception, Ctrl-C, refusal, loss."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+from tests.dynamixel.emulated import EmulatedBus, emulated_bus
+from tests.dynamixel.test_description import TWO_LINKS
+from tests.haptic.emulated import emulated_service
+from tests.haptic.standins import Standin, built
+from tests.ur.fake_rtde import START_POSE, Arm, install
+from tests.ur.stalls import anew_after_stalls
+
+from haptether.bridge.devices.loop import drive_master, drive_slave
+from haptether.bridge.devices.open import DeviceError
+from haptether.master import MasterSample
+from haptether.master.dynamixel import DynamixelMaster
+from haptether.master.force_dimension import ForceDimension
+from haptether.master.inverse3 import Inverse3
+from haptether.master.touch import Touch
+from haptether.slave import SlaveSample, UrSlave
+from haptether.slave.dynamixel.driver import DynamixelSlave
+
+pytestmark = pytest.mark.live
+
+PATIENCE_S = 10.0
+TICKS = 20
+FORCE = (0.5, 0.3, -0.2)
+
+
+@dataclass
+class Loop:
+    """A loop that has the device exert something, and ends in the way that is wanted."""
+
+    order: tuple[Any, ...]
+    axes: int
+    kind: str = "linear"
+    wrong: BaseException | None = None
+    begins: bool = True
+    trigger_force: float | None = None
+    gripper_command: None = None
+    ticks: int = 0
+    said: list[str] = field(default_factory=list)
+
+    def begin(self, _driver: str = "") -> str:
+        if not self.begins:
+            message = "real time is required and refused"
+            raise OSError(message)
+        return "none"
+
+    def step(self, *_sample: object, **_rest: object) -> tuple[Any, ...] | None:
+        self.ticks += 1
+        if self.ticks <= TICKS:
+            return self.order
+        if self.wrong is not None:
+            raise self.wrong
+        return None
+
+    def wait(self) -> None:
+        time.sleep(0.002)
+
+    def take_acknowledgement(self) -> bool:
+        return False
+
+    def announce_end(self) -> None:
+        self.said.append("end")
+
+    def fail(self, text: str) -> None:
+        self.said.append(text)
+
+
+class Failing:
+    """A driver one of whose methods raises after so many calls, once the device has done what it was called for."""
+
+    def __init__(self, driver: Any, method: str, error: BaseException, after: int) -> None:  # noqa: ANN401
+        self._driver, self._method, self._error, self._left = driver, method, error, after
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        found = getattr(self._driver, name)
+        if name != self._method:
+            return found
+
+        def fails(*arguments: object) -> object:
+            result = found(*arguments)
+            self._left -= 1
+            if self._left == 0:
+                raise self._error
+            return result
+
+        return fails
+
+
+class Plain:
+    """A driver of another package: a device that keeps what it was written last, and closes as it is."""
+
+    paces = False
+
+    def __init__(self) -> None:
+        self.kept: object = 0.0
+        self.calls: list[str] = []
+
+    def open(self) -> None:
+        self.kept = FORCE
+        self.calls.append("open")
+
+    def write(self, force: tuple[float, ...], _velocity: tuple[float, ...] | None = None) -> None:
+        self.kept = force if any(force) else 0.0
+
+    def close(self) -> None:
+        self.calls.append("close")
+
+
+class PlainMaster(Plain):
+    """A haptic device."""
+
+    def read(self) -> MasterSample:
+        return MasterSample((0.0, 0.0, 0.0))
+
+
+class PlainSlave(Plain):
+    """An arm."""
+
+    def read(self) -> SlaveSample:
+        return SlaveSample((0.0, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3)
+
+    def stop(self) -> None:
+        self.kept = 0.0
+
+
+@dataclass
+class Device:
+    """A driver, its loop, whether something acts on what it drives, and whether that has come to rest."""
+
+    driver: Any
+    loop: Callable[[], Loop]
+    acts: Callable[[], bool]
+    rests: Callable[[], bool]
+    lose: Callable[[], object] | None = None
+    """What makes the driver give up while it is read."""
+
+
+def master(order: tuple[float, ...] = FORCE, kind: str = "linear") -> Callable[[], Loop]:
+    return lambda: Loop(order=order, axes=len(order), kind=kind)
+
+
+class Parts:
+    """Processes and libraries that stand for devices, each begun once."""
+
+    def __init__(self, stack: ExitStack, folder: Path) -> None:
+        self.stack, self.folder = stack, folder
+        self._begun: dict[str, Any] = {}
+
+    def once(self, name: str, begin: Callable[[], Any]) -> Any:  # noqa: ANN401  # of any kind
+        if name not in self._begun:
+            self._begun[name] = begin()
+        return self._begun[name]
+
+    def bus(self, name: str, *arguments: str) -> EmulatedBus:
+        begun: EmulatedBus = self.once(name, lambda: self.stack.enter_context(emulated_bus(*arguments)))
+        return begun.as_new()
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Parts]:
+    with ExitStack() as stack:
+        yield Parts(stack, tmp_path_factory.mktemp("parts"))
+
+
+@pytest.fixture
+def devices(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Device]:
+    return lambda name: MAKERS[name](parts, monkeypatch)
+
+
+def inverse3(parts: Parts, _patch: pytest.MonkeyPatch) -> Device:
+    service = parts.once("inverse3", lambda: parts.stack.enter_context(emulated_service()))
+
+    def sent() -> list[float]:
+        return cast("list[float]", service.status()["sent"])
+
+    return Device(
+        Inverse3(**service.options), master(), lambda: any(sent()), lambda: not any(sent()),
+        lambda: service.do("drop 1"),
+    )  # fmt: skip
+
+
+def force_dimension(parts: Parts, _patch: pytest.MonkeyPatch) -> Device:
+    dhd = parts.once("dhd", lambda: Standin(built("force_dimension/dhd.c", parts.folder)))
+    dhd.reset()
+    dhd.set(watchdog_slack=50.0)
+    return Device(
+        ForceDimension(library=str(dhd.path), watchdog_s=0.0318), master(), lambda: any(dhd.force()),
+        lambda: not any(dhd.force()) and dhd.get("force") == 0, lambda: dhd.fail("dhdGetPosition", 2),
+    )  # fmt: skip
+
+
+def touch(parts: Parts, _patch: pytest.MonkeyPatch) -> Device:
+    hd = parts.once("hd", lambda: Standin(built("touch/hd.c", parts.folder)))
+    hd.reset()
+    return Device(
+        Touch(library=str(hd.path), watchdog_s=0.05, sample_timeout_s=0.018), master(), lambda: any(hd.force()),
+        lambda: not any(hd.force()), lambda: hd.error(0x0302),
+    )  # fmt: skip
+
+
+def torque_is_off(bus: EmulatedBus) -> bool:
+    return not any(servo["torque"] for servo in bus.status()["servos"])
+
+
+PATIENT = {"timeout_s": 0.05, "watchdog_s": 0.5, "ramp_s": 0.1, "verify_watchdog": False}
+
+
+def leader(parts: Parts, _patch: pytest.MonkeyPatch) -> Device:
+    path = parts.folder / "two.toml"
+    path.write_text(TWO_LINKS)
+    bus = parts.bus("leader", "--arm", str(path))
+    for servo in bus.status()["servos"]:
+        bus.do(f"hand {servo['id']} {servo['position_rad']} 40 1")
+    return Device(
+        DynamixelMaster(port=bus.port, arm=str(path), **PATIENT), master((0.05, 0.02), "joints"),
+        lambda: not torque_is_off(bus), lambda: torque_is_off(bus), lambda: bus.do("silent 2 on"),
+    )  # fmt: skip
+
+
+def follower(parts: Parts, _patch: pytest.MonkeyPatch) -> Device:
+    path = parts.folder / "arm.toml"
+    path.write_text('[[servo]]\nid = 1\nmodel = "XM430-W350"\n[[servo]]\nid = 2\nmodel = "XL330-M288"\n')
+    bus = parts.bus("follower", "--servos", "1=XM430-W350", "2=XL330-M288")
+    return Device(
+        DynamixelSlave(port=bus.port, arm=str(path), release_s=0.0, **PATIENT),
+        lambda: Loop(order=("move", (0.05, 0.05), (0.0, 0.0)), axes=2, kind="joints"),
+        lambda: not torque_is_off(bus), lambda: torque_is_off(bus), lambda: bus.do("silent 2 on"),
+    )  # fmt: skip
+
+
+def ur(parts: Parts, patch: pytest.MonkeyPatch) -> Device:
+    arm = Arm()
+    install(patch, arm)
+    parts.stack.callback(arm.released.set)
+    moves = ("speedL", "servoL", "servoJ")
+
+    def stopped() -> bool:
+        last = max((index for index, name in enumerate(arm.names) if name in moves), default=-1)
+        return any(name.endswith("Stop") for name in arm.names[last + 1 :])
+
+    return Device(
+        UrSlave(host="fake", mode="speedl"), lambda: Loop(order=("move", (START_POSE[0],), (0.0,)), axes=1),
+        lambda: any(name in moves for name in arm.names), stopped,
+    )  # fmt: skip
+
+
+def plain(kind: type[Plain], order: tuple[Any, ...]) -> Callable[..., Device]:
+    def made(_parts: Parts, _patch: pytest.MonkeyPatch) -> Device:
+        driver = kind()
+        return Device(driver, lambda: Loop(order=order, axes=3), lambda: driver.kept != 0.0, lambda: driver.kept == 0.0)
+
+    return made
+
+
+MAKERS: dict[str, Callable[..., Device]] = {
+    "inverse3": inverse3,
+    "force-dimension": force_dimension,
+    "touch": touch,
+    "dynamixel leader": leader,
+    "dynamixel follower": follower,
+    "ur": ur,
+    "another master": plain(PlainMaster, FORCE),
+    "another slave": plain(PlainSlave, ("move", FORCE, (0.0,) * 3)),
+}
+UNPLUGGED = OSError(19, "No such device")
+WAYS: dict[str, tuple[str, str, BaseException | None, int]] = {
+    "end": ("", "", None, 0),
+    "read raises": ("driver", "read", UNPLUGGED, TICKS),
+    "write raises": ("driver", "write", UNPLUGGED, TICKS),
+    "the first write raises": ("driver", "write", UNPLUGGED, 1),
+    "Ctrl-C in read": ("driver", "read", KeyboardInterrupt(), TICKS),
+    "exit in write": ("driver", "write", SystemExit(1), TICKS),
+    "open raises": ("driver", "open", UNPLUGGED, 1),
+    "Ctrl-C in open": ("driver", "open", KeyboardInterrupt(), 1),
+    "the loop raises": ("loop", "step", TypeError("of a sample"), 0),
+    "the loop does not begin": ("loop", "begin", None, 0),
+    "another period": ("period", "", None, 0),
+}
+"""Whose method raises what after how many calls."""
+
+
+def left_at_rest(device: Device, way: str) -> None:
+    """Drives a device until the way out, and looks what is left on it."""
+    whose, method, error, after = WAYS[way]
+    loop, driver, period_s = device.loop(), device.driver, None
+    if whose == "driver":
+        driver = Failing(driver, method, cast("BaseException", error), after)
+    elif whose == "loop":
+        loop.wrong, loop.begins = error, method != "begin"
+    elif whose == "period":
+        driver = type("Paced", (), {"__getattr__": lambda _, name: getattr(device.driver, name)})()
+        driver.paces, driver.period_s, period_s = True, 0.5, 0.001
+    drives = drive_slave if hasattr(driver, "stop") else drive_master
+    if way == "end":
+        drives(driver, loop, period_s=period_s)  # type: ignore[arg-type]  # what it needs of a loop
+    else:
+        with pytest.raises((DeviceError, OSError, KeyboardInterrupt, SystemExit)):
+            drives(driver, loop, period_s=period_s)  # type: ignore[arg-type]
+    end_s = time.monotonic() + PATIENCE_S
+    while not device.rests():
+        assert time.monotonic() < end_s, f"{way}: it keeps its last command"
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("name", [name for name in MAKERS if name.startswith("another")])
+def test_a_device_of_any_driver_is_left_at_rest(devices: Callable[[str], Device], name: str, way: str) -> None:
+    device = devices(name)
+    left_at_rest(device, way)
+    assert device.driver.calls == ["open", "close"]
+
+
+@pytest.mark.parametrize("way", ["end", "read raises", "write raises", "Ctrl-C in read", "the loop raises"])
+@pytest.mark.parametrize("name", [name for name in MAKERS if not name.startswith("another")])
+@anew_after_stalls
+def test_a_device_of_ours_is_left_at_rest(devices: Callable[[str], Device], name: str, way: str) -> None:
+    device = devices(name)
+    acted = False
+
+    class Watched(Loop):
+        def step(self, *sample: object, **rest: object) -> tuple[Any, ...] | None:
+            nonlocal acted
+            acted = acted or (self.ticks >= TICKS // 2 and device.acts())
+            return super().step(*sample, **rest)
+
+    made = device.loop
+    device.loop = lambda: Watched(**vars(made()))
+    left_at_rest(device, way)
+    assert acted, "nothing was exerted before"
+
+
+@pytest.mark.parametrize("name", ["inverse3", "force-dimension", "touch", "dynamixel leader", "dynamixel follower"])
+@anew_after_stalls
+def test_a_driver_that_gives_up_leaves_its_device_at_rest(devices: Callable[[str], Device], name: str) -> None:
+    """Before it is closed, which may be much later: the run goes on until its fault is acknowledged."""
+    device = devices(name)
+    driver, order = device.driver, device.loop().order
+    command = order[1:] if order[0] == "move" else (order,)
+    driver.open()
+    try:
+        end_s = time.monotonic() + PATIENCE_S
+        while not device.acts():
+            assert time.monotonic() < end_s
+            assert driver.read().fault is None
+            driver.write(*command)
+            time.sleep(0.002)
+        assert device.lose is not None
+        device.lose()
+        while driver.read().fault is None:
+            assert time.monotonic() < end_s
+            driver.write(*command)
+            time.sleep(0.002)
+        for _ in range(TICKS):
+            driver.write(*command)
+            driver.read()
+        while not device.rests():
+            assert time.monotonic() < end_s, "it keeps its last command"
+            driver.read()
+            time.sleep(0.01)
+    finally:
+        driver.close()
