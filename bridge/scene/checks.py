@@ -572,6 +572,9 @@ def _of_numbers(spec: Spec) -> Iterator[SceneError]:
     allowed = f"at most m / (5 dT) = {limit:g}"
     if set(safety["controllers"]) - {"pc"} and safety["damping"] > limit:
         yield wrong(("safety", "damping"), safety["damping"], allowed)
+    if safety["damping"] == 0.0 and safety["probe_force_n"] > 0.0:
+        allowed = "0 where damping is 0, as nothing slows the probe"
+        yield wrong(("safety", "probe_force_n"), safety["probe_force_n"], allowed)
     if "pc" in safety["controllers"] and safety["pc_max_damping"] > limit:
         yield wrong(("safety", "pc_max_damping"), safety["pc_max_damping"], allowed)
     if safety["rotation"] is not None and master["rotation"] is not None:

@@ -2,7 +2,8 @@
 
 from math import hypot, inf
 
-from haptether.bridge.scene.resolve import Spec, spec_of
+from haptether.bridge.scene.checks import checked_spec
+from haptether.bridge.scene.resolve import Spec
 from haptether.bridge.scene.tables.session import Scene
 from haptether.safety import EjectionSettings, EstimatorKind
 
@@ -15,9 +16,9 @@ def settings_of(scene: Scene) -> EjectionSettings:
     Raises:
         SceneError: A scene that cannot be built.
     """
-    spec = spec_of(scene)
+    spec = checked_spec(scene)
     master, safety, run = spec["master"], spec["safety"], spec["run"]
-    limiter = safety["limiter"] or {"max_force_n": inf, "max_slew_n_per_s": inf}
+    limiter = safety["limiter"] or {"max_force_n": inf, "max_slew_n_per_s": inf, "ramp_in_s": 0.0}
     stops = master["stops"]
     is_exact = safety["signals"] == "true" or master["measures_velocity"]
     return EjectionSettings(
@@ -48,9 +49,23 @@ def settings_of(scene: Scene) -> EjectionSettings:
         probe_force_n=safety["probe_force_n"],
         release_tries=safety["release_tries"],
         travel_m=None if stops is None else hypot(*(high - low for low, high in stops)),
+        free_s=_free_s(spec),
+        fades=spec["slave"] is not None,
+        ramp_in_s=limiter["ramp_in_s"],
         turns=scene.master.kind == "pose",
         outside=_outside(spec),
     )
+
+
+def _free_s(spec: Spec) -> float:
+    """Longest time in s that nobody holds the device in the run; a grip that bears the cap holds to the release."""
+    operator, limiter = spec["operator"], spec["safety"]["limiter"]
+    lasts_s: float = spec["run"]["duration_s"]
+    if operator is None or operator["release"] is None or limiter is None:
+        return lasts_s
+    grip_n = operator["grip_strength_n"]
+    holds = grip_n is None or grip_n > limiter["max_force_n"]
+    return max(0.0, lasts_s - operator["release"]["at_s"]) if holds else lasts_s
 
 
 def _outside(spec: Spec) -> str | None:

@@ -1,7 +1,7 @@
 """How fast a device can become after a hand has let it go, whatever it is told to render."""
 
 from collections.abc import Callable
-from math import inf, isfinite, sqrt
+from math import expm1, inf, isfinite, sqrt
 from typing import Literal, Protocol
 
 import numpy as np
@@ -81,6 +81,12 @@ class EjectionSettings(Struct, frozen=True, kw_only=True):
     """After how many tries the force is withheld; 0 is no end. The bound holds for any."""
     travel_m: float | None = None
     """X in m: the way from one mechanical stop to the other; none without stops."""
+    free_s: float = inf
+    """T in s: how long a free device moves at most, as a run ends; infinite on a real device."""
+    fades: bool = True
+    """Whether the damping may fade while the device moves, as the ladder has it where the link is lost."""
+    ramp_in_s: float = 0.0
+    """Time in s over which every force, damping included, rises from zero at the start."""
 
     hand_speed: float = 0.0
     """V0 in m/s: of the hand when it lets go."""
@@ -128,6 +134,10 @@ class EjectionTerms(Struct, frozen=True, kw_only=True):
     """F_e in N: the push that HSC never sees (Eq. 13)."""
     floor: float = 0.0
     """r without noise in m/s: no threshold guarantees less (Eq. 6a)."""
+    driven_speed: float = 0.0
+    """What negative viscous friction adds after the trip, in m/s (Eq. 17)."""
+    driven_until: str | None = None
+    """What ends that; none where it adds nothing."""
 
 
 class ControllerBound(Struct, frozen=True, kw_only=True):
@@ -170,6 +180,7 @@ def ejection_bound(
     hand_speed: float | None = None,
     late_s: float | None = None,
     mass_error: float | None = None,
+    free_s: float | None = None,
 ) -> EjectionBound:
     """Largest speed in m/s of a device after a hand has let it go, whatever force it is then told to render.
 
@@ -181,15 +192,18 @@ def ejection_bound(
         hand_speed: V0 in m/s, of the hand when it lets go; 0 where the settings say nothing.
         late_s: J in s, how much longer than a tick the device may keep a force, 0 to 0.02.
         mass_error: Largest relative error of the mass that the safety layer knows, 0 to 1.
+        free_s: T in s, how long a free device moves at most. By default the run of a scene ends it; give infinity for a
+            real device.
 
     Raises:
         TypeError: What is neither a scene nor settings.
         ValueError: A number outside its range.
+        SceneError: A scene that cannot be built.
 
-    Source: `docs/ejection_bound.md`, Eq. 6a to 16, on paper Eq. 1, 5, 11, 13 and 14.
+    Source: `docs/ejection_bound.md`, Eq. 6a to 19, on paper Eq. 1, 5, 11, 13 and 14.
     """
     settings = _settings(of)
-    changes = {"hand_speed": hand_speed, "late_s": late_s, "mass_error": mass_error}
+    changes = {"hand_speed": hand_speed, "late_s": late_s, "mass_error": mass_error, "free_s": free_s}
     settings = replace(settings, **{name: value for name, value in changes.items() if value is not None})
     _check(settings)
     if reason := _no_bound(settings):
@@ -200,24 +214,23 @@ def ejection_bound(
         )
     except ValueError as error:
         return EjectionBound(speed=None, reason=str(error), controller=None, of=(), assumptions=())
-    model = _Model(settings, known)
-    bounds = tuple(
-        model.of_wsc() if name == "wsc" else model.of_hsc() for name in BOUNDED if name in settings.controllers
-    )
-    if (of_both := model.of_wsc_and_vfc()) is not None:
-        bounds = (*bounds, of_both)
-    if settings.probe_force_n > 0.0:
+    # Numbers at the ends of their ranges lead to infinity, which is no bound.
+    with np.errstate(over="ignore", invalid="ignore"):
+        model = _Model(settings, known)
         bounds = tuple(
-            bound if bound.speed is None else replace(bound, speed=max(bound.speed, model.probed())) for bound in bounds
+            model.of_wsc() if name == "wsc" else model.of_hsc() for name in BOUNDED if name in settings.controllers
         )
+        if (of_both := model.of_wsc_and_vfc()) is not None:
+            bounds = (*bounds, of_both)
     found = [(bound.speed, bound) for bound in bounds if bound.speed is not None]
     if not found:
         reason = "; ".join(f"{bound.controller}: {bound.reason}" for bound in bounds)
         return EjectionBound(speed=None, reason=reason, controller=None, of=bounds, assumptions=_assumptions(settings))
     speed, least = min(found, key=lambda pair: pair[0])
-    return EjectionBound(
-        speed=speed, reason=None, controller=least.controller, of=bounds, assumptions=_assumptions(settings)
-    )
+    assumptions = _assumptions(settings)
+    if least.terms is not None and least.terms.driven_until is not None:
+        assumptions = (*assumptions, f"negative viscous friction drives the device {least.terms.driven_until}")
+    return EjectionBound(speed=speed, reason=None, controller=least.controller, of=bounds, assumptions=assumptions)
 
 
 def rising_push(of: EjectionSettings | HasEjectionSettings) -> tuple[float, ...]:
@@ -258,17 +271,42 @@ def _settings(of: EjectionSettings | HasEjectionSettings) -> EjectionSettings:
 
 
 def _check(settings: EjectionSettings) -> None:
-    for name, low, high in (("hand_speed", 0.0, 1e3), ("late_s", 0.0, MAX_LATE_S), ("mass_error", 0.0, 0.999)):
+    for name, (low, high) in RANGES.items():
         value = getattr(settings, name)
-        if not low <= value <= high:
-            message = f"{name} = {value}: must be between {low:g} and {high:g}"
+        for each in value if isinstance(value, tuple) else (value,):
+            # A comparison with NaN is false.
+            if each is not None and not low <= each <= high:
+                allowed = f"above 0 and at most {high:g}" if low == LEAST else f"between {low:g} and {high:g}"
+                message = f"{name} = {each}: must be {allowed}"
+                raise ValueError(message)
+    axes = len(settings.mass_kg)
+    if axes == 0:
+        message = "mass_kg = (): must have one number an axis, at least one"
+        raise ValueError(message)
+    for name in ("viscous", "coulomb"):
+        value = getattr(settings, name)
+        if len(value) not in {1, axes}:
+            message = f"{name} = {value}: must have one number, or one for each of the {axes} axes of mass_kg"
             raise ValueError(message)
+    if settings.probe_force_n > 0.0 and settings.damping == 0.0:
+        message = f"probe_force_n = {settings.probe_force_n}: must be 0 where damping is 0, as nothing slows the probe"
+        raise ValueError(message)
 
 
 def _no_bound(settings: EjectionSettings) -> str | None:
     if not any(name in settings.controllers for name in BOUNDED):
         return "none of hsc and wsc watches"
-    return settings.outside
+    if settings.outside is not None:
+        return settings.outside
+    if settings.max_force_n == inf:
+        return "the force has no cap"
+    if settings.probe_force_n > 0.0 and SafetySettings.PROBED_DAMPING * settings.damping <= -min(settings.viscous):
+        return f"{_negative(settings)}, and the probe pushes while damping of {settings.damping:g} does not outweigh it"
+    return None
+
+
+def _negative(settings: EjectionSettings) -> str:
+    return f"viscous friction is negative (b = {min(settings.viscous):g})"
 
 
 def _assumptions(settings: EjectionSettings) -> tuple[str, ...]:
@@ -310,6 +348,7 @@ class _Model:
         self.held = self.force if settings.held_force_n is None else min(settings.held_force_n, self.force)
         self.viscous = max(abs(one) for one in settings.viscous)
         self.drives = max(0.0, -min(settings.viscous))
+        self.least_coulomb = min(settings.coulomb)
         per_axis = axes > 1 and settings.friction == "axis"
         coulomb = np.broadcast_to(settings.coulomb, axes)
         self.coulomb = float(np.linalg.norm(coulomb) if per_axis else coulomb.max())
@@ -351,18 +390,65 @@ class _Model:
             )
 
         free = most(self.lag_s + self.settings.period_s, self.kernel.lag_norm_s + self.settings.period_s, 0.0)
-        if self.settings.wsc_force_threshold_n > 0.0:
-            # V may have been greater before: a push of F_w is not seen.
+        if self.settings.wsc_force_threshold_n > 0.0 or self.driven_n(speed) > 0.0:
+            # V may have been greater before: neither a push of F_w nor negative friction is seen.
             return free + self.velocity_noise
         lifted = most(self.rising.most, self.rising_norm_s, float(self.rising.lift[0]))
         return min(free, lifted) + self.velocity_noise
 
-    def probed(self) -> float:
-        """What a probe may drive a free device to, in m/s: `A / 1.25 mu + e + a (dT + J)`, damped on V^."""
-        settings, force = self.settings, self.settings.probe_force_n + self.rounded
-        speed = force / (SafetySettings.PROBED_DAMPING * settings.damping)
+    def probed(self, speed: float) -> float:
+        """Speed in m/s to which a probe drives a free device that stays below `speed`; 0 without a probe.
+
+        `(A + 1.25 mu e) / (1.25 mu - d) + a (dT + J)`, damped on V^.
+        """
+        settings = self.settings
+        if settings.probe_force_n == 0.0:
+            return 0.0
+        force, damping = settings.probe_force_n + self.rounded, SafetySettings.PROBED_DAMPING * settings.damping
         late_s = settings.period_s + self.late_s
-        return speed + self.lag(speed) + (force + self.drives * speed) / self.mass * late_s
+        steady = (force + damping * self.lag(speed)) / (damping - self.drives)
+        return steady + (force + self.drives * speed) / self.mass * late_s
+
+    def driven_n(self, speed: float) -> float:
+        """Force in N with which negative viscous friction drives the device at that speed: `(d V - c)+` of Eq. 17."""
+        return max(0.0, self.drives * speed - self.least_coulomb)
+
+    def driven(self, start: float, speed: float) -> tuple[float, str | None]:
+        """Largest speed in m/s of a device that trips at `start` and stays below `speed`, and what ends its growth.
+
+        The least over the travel (Eq. 18a), within the time (18b) and under damping that never fades (18c).
+        """
+        settings, top = self.settings, max(start, speed)
+        if self.driven_n(start) == 0.0:
+            return start, None
+        found = [(self._driven_for(start, settings.free_s), f"for at most {settings.free_s:g} s")]
+        if settings.travel_m is not None:
+            over = start + self.driven_n(top) / top * settings.travel_m / self.mass
+            found.append((over, "over its whole travel"))
+        if not settings.fades:
+            found.append((self._driven_against(start, top), "until damping outweighs it, which never fades"))
+        return min(found)
+
+    def _driven_for(self, start: float, seconds: float) -> float:
+        """Speed in m/s after so long of Eq. 17, from `start` above c / d (Eq. 18b)."""
+        rate = self.drives * seconds / self.mass
+        return start + (start - self.least_coulomb / self.drives) * expm1(rate) if rate < MOST_RATE else inf
+
+    def _driven_against(self, start: float, top: float) -> float:
+        """Speed in m/s under damping that never fades (Eq. 18c); infinite where that does not outweigh the friction."""
+        settings, lag, rounded = self.settings, self.lag(top), self.rounded
+        if settings.damping <= self.drives:
+            return inf
+        balanced = (settings.damping * lag + rounded - self.least_coulomb) / (settings.damping - self.drives)
+        level = max(start, balanced)
+        if (settings.max_force_n - rounded) * (level - lag) < self.driven_n(top) * level:
+            return inf
+        # From that level on so much of the damping suffices, at every speed above it, too.
+        needed = max((self.driven_n(level) + rounded) / (level - lag), self.drives) / settings.damping
+        step_n = settings.max_slew_n_per_s * settings.period_s
+        slews_s = settings.period_s * (self.driven_n(top) + rounded) / step_n
+        undamped_s = needed * settings.ramp_in_s + slews_s + settings.period_s + self.late_s
+        return self._driven_for(level, undamped_s)
 
     def phantom_force(self, speed: float) -> float:
         """What a hand that is long gone seems to exert, rho in N: `|F_h^|` below that speed (Eq. 8)."""
@@ -475,10 +561,13 @@ class _Model:
         ages = min(len(weights), len(since))
         highest[:, :ages] = np.minimum(limit[:, :ages], 1.0)
         most, norm_s = np.full(len(estimated), np.inf), np.zeros(len(estimated))
-        lifts = [share * self.rising.lift for share in (0.0, 0.5, 1.0, 1.5)]
-        # Where the force is limited another lift is the best: that of the greatest V^ is tried for all.
-        of_greatest = best_rising_push(weights, self.growth, highest=highest[-1]).lift
-        for lift in (*lifts, *(share * of_greatest for share in (0.5, 0.75, 1.0))):
+        lifts = [np.zeros(len(weights))]
+        if self.driven_n(speed) == 0.0:
+            # Where the force is limited another lift is the best: that of the greatest V^ is tried for all.
+            of_greatest = best_rising_push(weights, self.growth, highest=highest[-1]).lift
+            lifts += [share * self.rising.lift for share in (0.5, 1.0, 1.5)]
+            lifts += [share * of_greatest for share in (0.5, 0.75, 1.0)]
+        for lift in lifts:
             lifted = weights + lift
             found = best_push(np.broadcast_to(lifted, highest.shape), self.growth, highest=highest).max(axis=-1)
             norm_s = np.where(found < most, np.abs(lifted).sum(), norm_s)
@@ -509,24 +598,48 @@ class _Model:
             late_s = self.late_s + settings.period_s * np.arange(1, settings.window + 2) + self.late_s
             sooner = np.minimum(settings.hand_speed + self.acceleration(speed) * late_s, reached)
             # After the window has passed nothing depends on the time any more.
-            return float(max(settings.hand_speed, sooner.max(), reached[-1]))
+            return float(max(settings.hand_speed, sooner.max(), reached[-1], self.probed(speed)))
 
         unseen_n = settings.wsc_force_threshold_n
 
         def pushed_on(speed: float) -> float:
-            """With a push of F_w over the travel, which is not seen (Eq. 16)."""
+            """With a push of F_w over the travel, which is not seen (Eq. 16), or negative friction (Eq. 17)."""
+            tripped = next_speed(speed)
             if unseen_n == 0.0:
-                return next_speed(speed)
+                return self.driven(tripped, speed)[0]
             work = 2.0 * (unseen_n + self.rounded + self.drives * speed) * (settings.travel_m or 0.0) / self.mass
-            return sqrt(next_speed(speed) ** 2 + work)
+            return sqrt(tripped * tripped + work)
 
         speed = _least_fixed_point(pushed_on, settings.hand_speed)
         if speed is None:
             reason = "friction, noise or errors of the model look like a hand that feeds any speed"
+            if self.drives > 0.0 and _least_fixed_point(next_speed, settings.hand_speed) is not None:
+                reason = self._undamped()
             return ControllerBound(controller=name, speed=None, reason=reason)
         energy, threshold = self._allowed(speed)
-        terms = replace(self._terms(speed), threshold_speed=float(threshold[-1]), phantom_energy_j=energy)
+        tripped = next_speed(speed)
+        driven, until = self.driven(tripped, speed) if unseen_n == 0.0 else (tripped, None)
+        terms = replace(
+            self._terms(speed),
+            threshold_speed=float(threshold[-1]),
+            phantom_energy_j=energy,
+            driven_speed=driven - tripped,
+            driven_until=until,
+        )
         return ControllerBound(controller=name, speed=speed, reason=None, terms=terms)
+
+    def _undamped(self) -> str:
+        """Why negative viscous friction leaves no bound."""
+        settings = self.settings
+        if settings.damping == 0.0:
+            damped = "nothing damps"
+        elif settings.fades:
+            damped = "nothing damps once the link is lost"
+        else:
+            damped = f"damping of {settings.damping:g} does not outweigh it"
+        is_endless = settings.travel_m is None and settings.free_s == inf
+        ends = "without mechanical stops nothing ends it" if is_endless else f"it may add more than {FASTEST:g}"
+        return f"{_negative(settings)} and {damped}: {ends}"
 
     def _terms(self, speed: float) -> EjectionTerms:
         a = self.acceleration(speed)
@@ -569,7 +682,8 @@ class _Model:
                 reached: Array = np.sqrt((gained + a_tick) ** 2 + work)
                 return reached
 
-            return float(min(over_travel(push).min(), over_travel(limit).min() + impulse))
+            reached = float(min(over_travel(push).min(), over_travel(limit).min() + impulse))
+            return max(reached, self.driven(self.probed(speed), speed)[0])
 
         speed = _least_fixed_point(next_speed, settings.hand_speed)
         if speed is None:
@@ -585,7 +699,7 @@ class _Model:
         whole cap may act over the tick (Eq. 13a).
         """
         settings = self.settings
-        slowest = settings.hsc_velocity_threshold
+        slowest, push = settings.hsc_velocity_threshold, push + self.driven_n(speed)
         if slowest == 0.0:
             added = np.cumsum(push) * settings.period_s / self.mass
             return settings.hand_speed + np.concatenate(([0.0], added))
@@ -654,6 +768,45 @@ def _halved(of: Callable[[float], float], low: float, high: float) -> float:
     return high
 
 
+LEAST = 5e-324
+"""The least positive number: what is above 0."""
+LARGEST = 1e9
+"""No number of a scene is larger."""
+RANGES = {
+    "mass_kg": (LEAST, LARGEST),
+    "viscous": (-LARGEST, LARGEST),
+    "coulomb": (0.0, LARGEST),
+    "period_s": (LEAST, 1.0),
+    "quantum_m": (0.0, LARGEST),
+    "max_force_n": (LEAST, inf),
+    "max_slew_n_per_s": (LEAST, inf),
+    "force_quantum_n": (0.0, LARGEST),
+    "energy_threshold_j": (-LARGEST, 0.0),
+    "wsc_force_threshold_n": (0.0, LARGEST),
+    "energy_ratio": (LEAST, 1.0),
+    "window": (1, 3_600_000),
+    "grasp_threshold": (0.0, LARGEST),
+    "grasp_floor_n": (0.0, LARGEST),
+    "hsc_force_threshold_n": (0.0, LARGEST),
+    "hsc_velocity_threshold": (0.0, LARGEST),
+    "velocity_threshold": (0.0, LARGEST),
+    "vfc_force_threshold_n": (0.0, LARGEST),
+    "release_ramp_s": (0.0, LARGEST),
+    "damping": (0.0, LARGEST),
+    "probe_force_n": (0.0, LARGEST),
+    "release_tries": (0, LARGEST),
+    "travel_m": (0.0, LARGEST),
+    "free_s": (0.0, inf),
+    "ramp_in_s": (0.0, LARGEST),
+    "hand_speed": (0.0, 1e3),
+    "hand_power_w": (0.0, LARGEST),
+    "held_force_n": (0.0, inf),
+    "late_s": (0.0, MAX_LATE_S),
+    "mass_error": (0.0, 0.999),
+}
+"""Least and largest of each number."""
+MOST_RATE = 700.0
+"""Beyond it an exponential is infinite."""
 PLAIN_ITERATIONS = 10
 WORTH = 0.05
 """Share of the largest weight below which a force of the past is left out of the worst push."""

@@ -57,7 +57,7 @@ def check_scene(scene: Scene, *, speed: float | None = None, remedies: bool = Tr
         # Most changes leave what the bound depends on.
         key = repr(settings)
         if key not in bounds:
-            bounds[key] = ejection_bound(settings)
+            bounds[key] = ejection_bound(settings, free_s=inf)
         found = (*_round_trip(changed, spec), *_at_once(changed, spec, limit, bounds[key]))
         return (*found, *_idle(changed, spec)) if link else found
 
@@ -227,7 +227,7 @@ def _ejection(
     if "force" in what and scene.safety.research is not None:
         yield _unknown(scene.safety.research.controller, limit, Units.of(spec).speed)
     elif "force" in what:
-        yield _bounded(ejection_bound(scene) if bound is None else bound, limit, Units.of(spec).speed)
+        yield _bounded(ejection_bound(scene, free_s=inf) if bound is None else bound, limit, Units.of(spec).speed)
     safety = spec["safety"]
     for part, table, who in (("torque", "rotation", "the handle"), ("trigger", "gripper", "the trigger")):
         if part not in what:

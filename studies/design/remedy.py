@@ -7,6 +7,7 @@ from typing import Any, Literal, Protocol
 from msgspec.structs import replace
 
 from haptether.bridge import Scene, SceneError, override_scene
+from haptether.bridge.scene.resolve import DEFAULT_DAMPING, max_damping
 from haptether.safety import ejection_bound
 from haptether.studies.design.contact import scene_numbers
 from haptether.studies.design.delay import ContactLoop, largest_delay_s
@@ -307,6 +308,9 @@ def _within_assumptions(spec: dict[str, Any]) -> list[str]:
         changes.append(f"safety.limiter.max_force_n={device_n:g}")
     if spec["slave"] is None and environment is not None and environment["rendering"] == "continuous":
         changes.append("environment.rendering=sampled")
+    if spec["slave"] is None and spec["safety"]["damping"] <= -min(spec["master"]["viscous"]):
+        damping = min(DEFAULT_DAMPING, max_damping(spec["master"]["mass_kg"], spec["run"]["period_s"]))
+        changes.append(f"safety.damping={damping:g}")
     return changes
 
 
@@ -326,7 +330,7 @@ def _held_to(
         return
 
     def speed(share: float) -> float | None:
-        return ejection_bound(replace(settings, **{by: now * share**2})).speed
+        return ejection_bound(replace(settings, **{by: now * share**2}), free_s=inf).speed
 
     least = LEAST_SHARE_OF_CAP if by == "max_force_n" else min(1.0, LEAST_ENERGY_J / abs(now))
     low, high = sqrt(least), 1.0

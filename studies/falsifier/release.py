@@ -133,6 +133,11 @@ class Releases:
         self.at_s = round(settled_s + window_s, 3)
 
     @property
+    def free_s(self) -> float:
+        """Longest time in s from a release to the end of its run."""
+        return self.engaged_s + self.bounds.decay_s + self.bounds.span_s + self.after_s
+
+    @property
     def size(self) -> int:
         """How many numbers describe a release."""
         return 3 + 2 * self.bounds.steps + (self.axes - 1) + 4 * self.has_link

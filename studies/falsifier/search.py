@@ -96,8 +96,8 @@ def falsify(
         raise ValueError(message)
     if controllers is not None:
         scene = override_scene(scene, [f"safety.controllers=[{','.join(controllers)}]"])
-    bound = ejection_bound(scene)
     bounds = bounds or ReleaseBounds()
+    bound = ejection_bound(scene, free_s=Releases(scene, bounds).free_s)
     if bounds.push == "auto":
         bounds = replace(bounds, push="steady" if bound.controller == "hsc" else "any")
     search = _Search(Releases(scene, bounds), threads, progress)

@@ -467,6 +467,11 @@ def test_the_examples_in_the_help_work(
     [
         ("[wsc]", "after a release at most 0.88 m/s, by wsc (the hand rested", 0.873),
         ("[vfc]", "no bound on the speed after a release: none of hsc and wsc watches", None),
+        (
+            "[wsc] master.viscous=-1 master.stops=[-1000,1000]",
+            "viscous friction is negative (b = -1) and nothing damps once the link is lost: it may add more than 1000",
+            None,
+        ),
         ("[]", None, None),
     ],
 )
@@ -474,7 +479,7 @@ def test_the_bound_on_ejection_is_said_where_a_controller_watches(
     controllers: str, said: str | None, speed: float | None, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     written = tmp_path / "run.json"
-    settings = (f"safety.controllers={controllers}", "safety.estimator={kind=kalman}")
+    settings = (*f"safety.controllers={controllers}".split(), "safety.estimator={kind=kalman}")
     arguments = ["simulate", "remote_push", *(each for setting in settings for each in ("--set", setting))]
     assert main([*arguments, "--json", str(written)]) == 0
     printed = capsys.readouterr().out

@@ -2,21 +2,21 @@
 
 import itertools
 from collections.abc import Callable
-from math import sqrt
+from math import exp, inf, nan, sqrt
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 from scipy.optimize import linprog
 
 import ejection_bound as bench
-from haptether.bridge import Scene, load_scene, override_scene, simulate, sweep
+from haptether.bridge import Scene, SceneError, load_scene, override_scene, simulate, sweep
 from haptether.safety import EjectionSettings, EstimatorKind, ejection_bound, rising_push
-from haptether.safety.ejection.bound import GRID, _least_fixed_point
+from haptether.safety.ejection.bound import GRID, RANGES, _least_fixed_point
 from haptether.safety.ejection.kernel import _convolved, exact, kernel
 from haptether.safety.ejection.push import LEVEL_OF_LIMIT, best_push, best_rising_push, worst_push
 
@@ -510,7 +510,7 @@ def test_axes_that_are_alike_have_the_bound_of_one() -> None:
     "worse",
     [
         {"mass_error": 0.1}, {"late_s": 1e-3}, {"hand_speed": 0.1}, {"quantum_m": 2.3e-5}, {"coulomb": (0.1,)},
-        {"viscous": (0.2,)}, {"viscous": (-0.2,)}, {"max_force_n": 9.0}, {"energy_threshold_j": -0.04},
+        {"viscous": (0.2,)}, {"viscous": (-0.2,), "free_s": 0.0}, {"max_force_n": 9.0}, {"energy_threshold_j": -0.04},
         {"energy_ratio": 0.6}, {"held_force_n": 7.9}, {"force_quantum_n": 0.1},
     ],
     ids=lambda worse: next(iter(worse)),
@@ -539,6 +539,119 @@ def test_a_quick_estimate_of_v_lowers_the_bound_at_the_same_grasp_force() -> Non
     assert calm is not None
     assert quick is not None
     assert quick < 0.8 * calm
+
+
+# -------------------------------------------------------------------------------------------------- negative friction
+
+DRIVEN: dict[str, Any] = {**IDEAL, "estimator": None, "viscous": (-0.05,)}
+"""Viscous friction that drives the device; V measured, so that r is one tick of the cap."""
+
+
+def test_negative_friction_drives_over_the_travel_or_within_the_time() -> None:
+    """Eq. 18a by its own differential equation, Eq. 18b in closed form: whichever is less."""
+    coasts = {**DRIVEN, "coulomb": (0.01,)}
+    short, long = speed_of(**coasts, travel_m=1e-9), speed_of(**coasts, free_s=1e-9)
+    assert short == pytest.approx(long, rel=1e-6)
+    travelled = speed_of(**coasts, travel_m=0.16)
+    # m dV/dx = d - c / V from V_1 on, with the steepest slope over the whole travel.
+    assert travelled == pytest.approx(short + (0.05 - 0.01 / travelled) * 0.16 / 0.157, rel=2e-3)
+    timed = speed_of(**coasts, free_s=2.0)
+    assert timed == pytest.approx(0.2 + (short - 0.2) * exp(0.05 * 2.0 / 0.157), rel=2e-2)
+    assert speed_of(**coasts, travel_m=0.16, free_s=2.0) == travelled
+    assert speed_of(**coasts, travel_m=16.0, free_s=2.0) == timed
+    # Below c / d Coulomb friction takes more than viscous friction gives.
+    held = speed_of(**{**coasts, "coulomb": (0.05,)})
+    assert held == speed_of(**{**coasts, "coulomb": (0.05,)}, free_s=2.0)
+
+
+def test_damping_that_never_fades_ends_what_negative_friction_drives() -> None:
+    """Eq. 18c: with mu above d the bound is that of a tick more; with mu up to d there is none."""
+    undriven = speed_of(estimator=None, viscous=(0.0,))
+    kept = {**DRIVEN, "fades": False, "max_slew_n_per_s": 1000.0}
+    assert undriven < speed_of(**kept, damping=5.0) < 1.01 * undriven
+    assert undriven < speed_of(**kept, damping=0.06) < 1.2 * undriven
+    ramped = speed_of(**kept, damping=0.06, ramp_in_s=1.0)
+    assert speed_of(**kept, damping=0.06) < ramped < speed_of(**DRIVEN, free_s=1.1)
+    for damping, fades, why in (
+        (0.0, False, "and nothing damps: without mechanical stops nothing ends it"),
+        (0.05, False, "and damping of 0.05 does not outweigh it"),
+        (5.0, True, "and nothing damps once the link is lost"),
+    ):
+        bound = ejection_bound(EjectionSettings(**{**DRIVEN, "damping": damping, "fades": fades}))
+        assert bound.speed is None
+        assert "viscous friction is negative (b = -0.05)" in bound.text()
+        assert why in bound.text()
+
+
+LONG_COAST = (
+    "run.duration_s=9.2", "master.coulomb=0", "run.diverged_position=1000", "safety.controllers=[wsc,vfc]",
+)  # fmt: skip
+DEAF = "[{times={kind=once,at_s=0.6717,duration_s=1000.0}}]"
+FADES = (
+    "run.duration_s=3.7", "operator.legs=[]", "operator.start=0", "operator.grip_strength_n=50",
+    "operator.stiffness=3000", "operator.damping=40", "operator.release={at_s=0.7,decay_s=0.0}",
+    "environment.objects=[]", "environment.pushers=[{shape=step,force_n=6.2656}]", "slave={}", "master.coulomb=0",
+    "master.viscous=-0.05", "run.diverged_position=1000",
+)  # fmt: skip
+"""A link of 2 ms that dies so that the force has gone once the device is just below v_th."""
+
+
+@pytest.mark.parametrize(
+    ("overrides", "least"),
+    [
+        ((*LONG_COAST, "master.viscous=-0.05", "safety.damping=0"), 1.0),
+        ((*LONG_COAST, "master.viscous=-0.05", "safety.damping=0.03"), 0.5),
+        ((*LONG_COAST, "master.viscous=-0.05", "safety.damping=0.06"), 0.4),
+        ((*LONG_COAST, "master.viscous=-0.005", "safety.damping=0"), 0.48),
+        ((*FADES, f"link.backward={{delay_s=0.002,outages={DEAF}}}"), 1.0),
+        ((*FADES, f"link.forward={{delay_s=0.002,outages={DEAF}}}"), 1.0),
+        ((*FADES, f"link.forward={{delay_s=0.002,outages={DEAF}}}", f"link.backward={{delay_s=0.002,outages={DEAF}}}"),
+         1.0),
+        ((*FADES, "link.forward={delay_s=0.002}", "link.backward={delay_s=0.002}", "operator.clutch=[[0,0.695]]"), 1.0),
+        ((*FADES, f"link.backward={{delay_s=0.002,outages={DEAF}}}", "master.stops=[-0.001,0.399]"), 0.5),
+    ],
+)  # fmt: skip
+def test_what_negative_friction_drives_stays_below_the_bound(overrides: tuple[str, ...], least: float) -> None:
+    """Without damping, with too little, and with all of it until each path of the ladder takes it away."""
+    scene = load_scene("paper_wall", overrides)
+    bound, seen = ejection_bound(scene), simulate(scene).metrics.max_ejection_velocity
+    assert bound.speed is not None
+    assert seen is not None
+    assert least < seen <= bound.speed
+    # A real device moves on where a run ends.
+    endless = ejection_bound(scene, free_s=inf)
+    has_end = scene.master.stops is not None or (scene.slave is None and scene.safety.damping == 0.06)
+    assert (endless.speed is not None) == has_end
+    assert has_end or "viscous friction is negative" in endless.text()
+
+
+@pytest.mark.parametrize("group", bench.GROUPS)
+def test_no_release_exceeds_the_bound_whatever_the_sign_of_the_friction(group: str) -> None:
+    """1440 releases: b of both signs, mu from 0, dying links; `benches/ejection_bound.py` has 100 000."""
+    seen = [bench.driven_ratios(seed, bench.GROUPS[group], rows=20) for seed in range(12)]
+    worst = [float(each.max()) for each in seen if not isinstance(each, str)]
+    assert len(worst) >= 8
+    assert 0.4 < max(worst) <= 1.0
+
+
+def test_a_probe_that_damping_does_not_outweigh_leaves_no_bound() -> None:
+    probed = {**DRIVEN, "free_s": 1.0, "probe_force_n": 0.5}
+    # A / (1.25 mu - d), and the tick in which it is decided.
+    assert speed_of(**probed, damping=0.2) == pytest.approx(0.5 / (0.25 - 0.05) * exp(0.05 / 0.157), rel=1e-2)
+    bound = ejection_bound(EjectionSettings(**{**probed, "damping": 0.04}))
+    assert bound.speed is None
+    assert "the probe pushes while damping of 0.04 does not outweigh it" in bound.text()
+
+
+def test_a_probe_without_damping_is_refused_and_not_divided_by() -> None:
+    with pytest.raises(ValueError, match=r"probe_force_n = 0.5: must be 0 where damping is 0"):
+        ejection_bound(EjectionSettings(**IDEAL, damping=0.0, probe_force_n=0.5))
+    with pytest.raises(SceneError, match=r"\[safety\] probe_force_n = 0.5: must be 0 where damping is 0"):
+        load_scene("paper_wall", ["safety.damping=0", "safety.probe_force_n=0.5"])
+    built = load_scene("paper_wall")
+    unchecked = replace(built, safety=replace(built.safety, damping=0.0, probe_force_n=0.5))
+    with pytest.raises(SceneError, match="must be 0 where damping is 0"):
+        ejection_bound(unchecked)
 
 
 # ----------------------------------------------------------------------------------------- which there is, and why not
@@ -598,6 +711,63 @@ def test_numbers_outside_their_range_are_refused(changes: dict[str, float]) -> N
     (name, value) = next(iter(changes.items()))
     with pytest.raises(ValueError, match=f"{name} = {value}: must be between 0 and"):
         ejection_bound(EjectionSettings(**IDEAL), **changes)
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_settings_outside_their_range_are_refused(name: str) -> None:
+    low, high = RANGES[name]
+    for bad in (nan, -inf, low - 1.0, high * 2.0 + 1.0):
+        if low <= bad <= high:
+            continue
+        value = (bad,) if name in {"mass_kg", "viscous", "coulomb"} else bad
+        with pytest.raises(ValueError, match=f"{name} = {bad}: must be"):
+            ejection_bound(EjectionSettings(**{**IDEAL, name: value}))
+
+
+def test_every_number_of_the_settings_has_a_range() -> None:
+    named = {"controllers", "friction", "estimator", "vfc_form", "fades", "turns", "outside"}
+    assert set(RANGES) | named == set(EjectionSettings.__struct_fields__)
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"mass_kg": ()}, "mass_kg = .*: must have one number an axis"),
+        ({"viscous": (0.1, 0.2)}, "viscous = .*: must have one number, or one for each of the 1 axes"),
+        ({"coulomb": ()}, "coulomb = .*: must have one number"),
+    ],
+)
+def test_settings_of_another_number_of_axes_are_refused(changes: dict[str, Any], why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        ejection_bound(EjectionSettings(**{**IDEAL, **changes}))
+
+
+@given(st.data())
+@settings(max_examples=60)
+def test_every_number_within_its_range_leads_to_a_bound_or_a_reason(data: st.DataObject) -> None:
+    """The ends of the ranges, and sizes of all orders between."""
+
+    def number(low: float, high: float) -> st.SearchStrategy[float]:
+        sizes = st.floats(-12.0, 9.0).map(lambda order: min(max(10.0**order, low), high))
+        negative = sizes.map(lambda size: max(-size, low)) if low < 0.0 else st.just(low)
+        return st.sampled_from([low, min(high, 1e300)]) | sizes | negative
+
+    changes: dict[str, Any] = {"controllers": data.draw(st.sampled_from([("wsc",), ("hsc",), ("wsc", "vfc", "hsc")]))}
+    for name in data.draw(st.lists(st.sampled_from(list(RANGES)), max_size=6, unique=True)):
+        drawn = data.draw(number(*RANGES[name]))
+        whole = min(int(drawn), 1000) if name in {"window", "release_tries"} else drawn
+        changes[name] = (drawn,) if name in {"mass_kg", "viscous", "coulomb"} else whole
+    changes["estimator"] = data.draw(st.sampled_from([None, ESTIMATORS["kalman"]]))
+    changes["fades"] = data.draw(st.booleans())
+    try:
+        bound = ejection_bound(EjectionSettings(**{**IDEAL, **changes}))
+    except ValueError as error:
+        assert "probe_force_n" in str(error)  # noqa: PT017  # and damping of 0
+        return
+    if bound.speed is None:
+        assert bound.reason
+    else:
+        assert changes.get("hand_speed", 0.0) <= bound.speed < inf
 
 
 # ------------------------------------------------------------------------------------------------ simulated releases

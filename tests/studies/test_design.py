@@ -212,6 +212,8 @@ def states(scene: str, overrides: tuple[str, ...] = (), **options: Any) -> dict[
         ("remote_push", ("safety.controllers=[]",), "ejection", "bad"),
         ("paper_wall", ("safety.controllers=[hsc]",), "ejection", "bad"),
         ("remote_push", (), "ejection", "bad"),
+        ("paper_wall", ("master.viscous=-0.05", "master.coulomb=0"), "ejection", "good"),
+        ("paper_wall", ("master.viscous=-0.05", "master.coulomb=0", "safety.damping=0"), "ejection", "bad"),
         ("remote_push", ("safety.energy_threshold_j=-30",), "ejection", "bad"),
         ("remote_push", ("safety.limiter={enabled=false}",), "ejection", "bad"),
         ("free_motion", ("safety.controllers=[]",), "ejection", "note"),
@@ -309,6 +311,7 @@ def test_every_shipped_scene_can_be_checked_and_what_its_remedies_change_mends_i
         ("paper_wall", ("safety.wsc_force_threshold_n=0.1",), "ejection", "safety.wsc_force_threshold_n=0"),
         ("paper_wall", ("safety.controllers=[hsc]",), "ejection", "wsc"),
         ("paper_wall", ("environment.rendering=continuous",), "ejection", "environment.rendering=sampled"),
+        ("paper_wall", ("master.viscous=-0.05", "master.coulomb=0", "safety.damping=0"), "ejection", "damping=5"),
         ("remote_push", ("safety.limiter.max_force_n=40",), "ejection", "safety.limiter.max_force_n=7.9"),
         ("remote_push", ("safety.energy_threshold_j=-30",), "ejection", "safety.energy_threshold_j=-0.00"),
         # A threshold that mends WSC would take the bound of the device away, which has no stops.

@@ -1,6 +1,7 @@
 """The bound on ejection speed, and who gets the force back after a trip, as commands say it."""
 
 from collections.abc import Iterator
+from math import inf
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -11,11 +12,11 @@ CANCELLING = frozenset({"vfc", "hsc", "wsc"})
 """Controllers whose intervention takes the force away."""
 
 
-def scene_bound(scene: "Scene") -> "EjectionBound | None":
-    """The bound of a scene; none where no controller watches."""
+def scene_bound(scene: "Scene", free_s: float | None = None) -> "EjectionBound | None":
+    """The bound of a scene, by default to the end of its run; none where no controller watches."""
     from haptether.safety import ejection_bound
 
-    return ejection_bound(scene) if scene.safety.controllers else None
+    return ejection_bound(scene, free_s=free_s) if scene.safety.controllers else None
 
 
 def bound_line(scene: "Scene", bound: "EjectionBound") -> str:
@@ -79,7 +80,7 @@ def release_law(scene: "Scene") -> dict[str, object] | None:
 def announcement(scene: "Scene") -> Iterator[str]:
     """What is said before a loop begins: the greatest speed after a release, and who gets the force back."""
     try:
-        bound = scene_bound(scene)
+        bound = scene_bound(scene, free_s=inf)
     except (ValueError, ArithmeticError) as error:
         # What is only said must not keep a side from running.
         yield f"no bound on the speed after a release: {error}"
