@@ -2219,6 +2219,10 @@ class _LiveSide:
         with a button of its own, and a start that was more than 5 s ago when the loop began; 0 at a slave.
         """
 
+    @property
+    def start_is_void(self) -> bool:
+        """True if the start was to press the clutch, was too long ago, and no button of the device can press instead."""
+
     def cause(self) -> str | None:
         """Why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; none where all is well.
 

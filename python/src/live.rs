@@ -386,6 +386,11 @@ macro_rules! watch_methods {
                 self.command(OperatorCommand::Acknowledge)
             }
         }
+            #[getter]
+            fn start_is_void(&self) -> bool {
+                self.watched.handle.is_start_void()
+            }
+
     };
 }
 pub(crate) use watch_methods;
