@@ -51,7 +51,8 @@ class Master(LiveOptions):
     controller: Controller = "wsc"
     """Safety controller: velocity and force (vfc), windowed energy (wsc), grasp (hsc), or none."""
     listen: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
-    """Own address, of the peer's kind (IPv4 or IPv6); any free port by default."""
+    """Own address, of the peer's kind (IPv4 or IPv6). By default that of the route to the peer, which is loopback for a
+    peer on this machine, with a free port; 0.0.0.0:0 where the route may change during the run."""
     key: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Key file of the secure session, the same at both sides; `haptether keygen` makes one."""
     insecure: bool = False
@@ -122,13 +123,13 @@ class Master(LiveOptions):
         if self.trace is not None:
             save_master_trace(trace, self.trace)
         watch.raise_error()
-        alone = result.final_state == "disengaged" and _uncoupled_s(trace) < ALONE_S
         if watch.has_void_start:
             message = (
                 f"{OLD_START}: start it again; where a start takes longer, give --clutch open and press later, by"
                 " `kill -USR1` or the console"
             )
             raise RuntimeError(message)
+        alone = result.final_state == "disengaged" and _uncoupled_s(trace) < ALONE_S
         answered = report.link.fresh > 0
         self._judge(result, answered=answered, stopped=bool(stopped) or alone, refused=watch.refused, cause=cause)
         return 0
