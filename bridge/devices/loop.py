@@ -270,6 +270,7 @@ class DeviceRun(_LiveSide):
             "kind",
             "recording",
             "security_events",
+            "start_is_void",
             "state",
             "ticks",
         }

@@ -63,6 +63,10 @@ fn refused(text: &str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidInput, text)
 }
 
+fn is_exhausted(error: &io::Error) -> bool {
+    matches!(Errno::from_io_error(error), Some(Errno::MFILE | Errno::NFILE))
+}
+
 fn unix_socket() -> io::Result<OwnedFd> {
     let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;
     Ok(socket_with(AddressFamily::UNIX, SocketType::STREAM, flags, None)?)
@@ -133,11 +137,18 @@ impl LiveSocket {
         Ok(Self { listener, file })
     }
 
-    /// The next program that waits, whose connection never blocks; none at once where none waits.
-    pub(crate) fn accept(&self) -> Option<UnixStream> {
-        let (stream, _) = self.listener.accept().ok()?;
-        stream.set_nonblocking(true).ok()?;
-        Some(stream)
+    /// The next program that waits, whose connection never blocks; none at once where none waits. Fails where the process
+    /// or the system has no descriptor left.
+    pub(crate) fn accept(&self) -> io::Result<Option<UnixStream>> {
+        match self.listener.accept() {
+            Ok((stream, _)) => {
+                stream.set_nonblocking(true)?;
+                Ok(Some(stream))
+            }
+            Err(error) if is_exhausted(&error) => Err(error),
+            // None waits, or it is gone already.
+            Err(_) => Ok(None),
+        }
     }
 
     /// Removes its file; those that are connected stay so.

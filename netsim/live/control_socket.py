@@ -1,6 +1,5 @@
 """The control socket of a proxy that runs, and its client."""
 
-import contextlib
 import ipaddress
 import os
 import re
@@ -18,11 +17,13 @@ from haptether.netsim.link.errors import refuse_infinite
 from haptether.netsim.live.controlled import Controlled, refused_line
 
 MAX_CONNECTIONS = 4
+"""A further one closes the idlest."""
 MAX_LINE_BYTES = 2**16
 """Of a request, its end included."""
+_MAX_AT_ONCE = 8
+"""Requests of a connection that are answered before others have their turn."""
 _POLL_S = 0.1
-_SEND_TIMEOUT_S = 1.0
-"""For a client that does not read its answer."""
+_DISPLACED = f"another program has connected; {MAX_CONNECTIONS} may at once, and this one was the idlest"
 
 
 class ControlSocket:
@@ -77,33 +78,51 @@ class ControlSocket:
         self.close()
 
     def _run(self, controlled: Controlled) -> None:
-        with selectors.DefaultSelector() as selector, contextlib.ExitStack() as stack:
-            selector.register(self._listening, selectors.EVENT_READ)
-            open_now = 0
-            while not self._end.is_set():
-                for key, _ in selector.select(_POLL_S):
-                    client: _Client | None = key.data
-                    if client is None:
-                        if (accepted := self._accepted(open_now)) is not None:
-                            stack.enter_context(accepted)
-                            selector.register(accepted, selectors.EVENT_READ, _Client(accepted))
-                            open_now += 1
-                    elif not client.is_served(controlled):
-                        selector.unregister(client.socket)
-                        client.socket.close()
-                        open_now -= 1
+        # The idlest first.
+        clients: list[_Client] = []
+        with selectors.DefaultSelector() as selector:
 
-    def _accepted(self, already: int) -> socket.socket | None:
+            def end(client: _Client) -> None:
+                clients.remove(client)
+                selector.unregister(client.socket)
+                client.socket.close()
+
+            def serve(client: _Client) -> None:
+                answered = client.answered
+                if not client.is_served(controlled):
+                    end(client)
+                elif client.answered != answered:
+                    clients.remove(client)
+                    clients.append(client)
+
+            selector.register(self._listening, selectors.EVENT_READ)
+            while not self._end.is_set():
+                has_requests = any(client.has_request for client in clients)
+                ready = {key.data for key, _ in selector.select(0.0 if has_requests else _POLL_S)}
+                for client in [one for one in clients if one in ready or one.has_request]:
+                    serve(client)
+                if None not in ready or (accepted := self._accepted()) is None:
+                    continue
+                if len(clients) == MAX_CONNECTIONS:
+                    idlest = clients[0]
+                    # A request that has arrived counts.
+                    serve(idlest)
+                    if idlest in clients:
+                        _send(idlest.socket, refused_line(_DISPLACED))
+                        end(idlest)
+                clients.append(_Client(accepted))
+                selector.register(accepted, selectors.EVENT_READ, clients[-1])
+        for client in clients:
+            client.socket.close()
+
+    def _accepted(self) -> socket.socket | None:
         try:
             client, _ = self._listening.accept()
         except OSError:
             return None
-        client.settimeout(_SEND_TIMEOUT_S)
-        if already < MAX_CONNECTIONS:
-            return client
-        with client:
-            _send(client, refused_line(f"{already} connections are open, there may be no more"))
-        return None
+        # A client that does not read its answers is not waited for.
+        client.setblocking(False)
+        return client
 
 
 def ask_control(address: str, request: dict[str, Any], *, patience_s: float = 5.0) -> dict[str, Any]:
@@ -232,29 +251,46 @@ class _Client:
 
     def __init__(self, connection: socket.socket) -> None:
         self.socket = connection
+        self.answered = 0
+        """Requests so far."""
         self._waiting = bytearray()
 
+    @property
+    def has_request(self) -> bool:
+        """True if a whole request has arrived and waits, or a line that is too long for one."""
+        return b"\n" in self._waiting or len(self._waiting) >= MAX_LINE_BYTES
+
     def is_served(self, controlled: Controlled) -> bool:
-        """Answers the requests that have arrived; whether there may be more."""
-        try:
-            received = self.socket.recv(MAX_LINE_BYTES)
-        except OSError:
-            return False
-        self._waiting += received
-        while (end := self._waiting.find(b"\n")) >= 0 or len(self._waiting) >= MAX_LINE_BYTES:
+        """Answers a few of the requests that have arrived; false where the connection is to be closed."""
+        if not self.has_request:
+            try:
+                received = self.socket.recv(MAX_LINE_BYTES)
+            except BlockingIOError:
+                return True
+            except OSError:
+                return False
+            if not received:
+                return False
+            self._waiting += received
+        for _ in range(_MAX_AT_ONCE):
+            if not self.has_request:
+                break
+            end = self._waiting.find(b"\n")
             if not 0 <= end < MAX_LINE_BYTES:
                 _send(self.socket, refused_line(f"request: longer than {MAX_LINE_BYTES} bytes"))
                 return False
             answer, goes_on = controlled.answer(bytes(self._waiting[:end]))
             del self._waiting[: end + 1]
+            self.answered += 1
             if not _send(self.socket, answer) or not goes_on:
                 return False
-        return bool(received)
+        return True
 
 
 def _send(client: socket.socket, answer: dict[str, Any]) -> bool:
+    """True if the system took all of it at once, as it does for a client that reads its answers."""
+    line = msgspec.json.encode(answer) + b"\n"
     try:
-        client.sendall(msgspec.json.encode(answer) + b"\n")
+        return client.send(line) == len(line)
     except OSError:
         return False
-    return True

@@ -2219,6 +2219,10 @@ class _LiveSide:
         with a button of its own, and a start that was more than 5 s ago when the loop began; 0 at a slave.
         """
 
+    @property
+    def start_is_void(self) -> bool:
+        """True if the start was to press the clutch, was too long ago, and no button of the device can press instead."""
+
     def cause(self) -> str | None:
         """Why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; none where all is well.
 
@@ -2330,7 +2334,8 @@ class LiveMaster(_MasterSide):
         run_id: Drawn anew at every start, 0 to 2⁶⁴ - 1.
         key: The 32 bytes that both sides share, of `read_key`; copied: a bytearray may be wiped then.
         insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
-        listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6); any free port if not given.
+        listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6). If not given, that from which the system
+            sends to the peer, with any free port: a peer on this machine is talked to on loopback.
         duration_s: Ends this long after the two sides engaged, in s; without it only by a stop.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
         started_s: When the operator started this side, by `time.monotonic()`; without it now. At the first tick it counts

@@ -1,6 +1,7 @@
 //! What the live classes share: their settings, and what is seen of a loop and commanded to it.
 
 use std::{
+    net::SocketAddr,
     path::{Path, PathBuf},
     sync::{Mutex, MutexGuard, PoisonError},
 };
@@ -9,7 +10,7 @@ use haptether_bridge::{
     OperatorCommand, Trace,
     live::{
         Control, ControlSocket, LiveHandle, LiveSettings, LiveWatch, PeerAddress, PeerSocket, RealtimeDemand,
-        RealtimeSettings, Security, StartError, now_ns,
+        RealtimeSettings, Security, StartError, local_address, now_ns,
     },
     recorder::{RecorderSettings, SecurityMark},
     scene::{KeptRecords, LiveError, LiveParts},
@@ -62,7 +63,7 @@ pub(crate) struct Place {
 }
 
 impl Place {
-    /// Where a master goes; without `listen` any free port.
+    /// Binds a master; without `listen` to the address of the route to the peer, with any free port.
     pub(crate) fn of_master(
         peer: &str,
         listen: Option<&str>,
@@ -71,23 +72,31 @@ impl Place {
         how: How,
     ) -> PyResult<Self> {
         let known = address("peer", peer)?;
-        let listen = listen.unwrap_or(if known.is_ipv6() { "[::]:0" } else { "0.0.0.0:0" });
-        if address("listen", listen)?.is_ipv6() != known.is_ipv6() {
+        let local = match listen {
+            Some(listen) => address("listen", listen)?,
+            None => local_address(known).map_err(|error| {
+                let text =
+                    format!("peer = {peer:?}: no way there ({error}): connect the network, or give listen");
+                PyOSError::new_err(text)
+            })?,
+        };
+        if local.is_ipv6() != known.is_ipv6() {
+            let listen = listen.unwrap_or_default();
             let text =
                 format!("listen = {listen:?}: must be of the same kind, IPv4 or IPv6, as peer = {peer:?}");
             return Err(PyValueError::new_err(text));
         }
-        Self::new(Role::Master, listen, PeerAddress::Known(known), started_s, period_ns, how)
+        Self::new(Role::Master, local, PeerAddress::Known(known), started_s, period_ns, how)
     }
 
     /// Where a slave waits.
     pub(crate) fn of_slave(listen: &str, period_ns: u64, how: How) -> PyResult<Self> {
-        Self::new(Role::Slave, listen, PeerAddress::Learned, None, period_ns, how)
+        Self::new(Role::Slave, address("listen", listen)?, PeerAddress::Learned, None, period_ns, how)
     }
 
     fn new(
         role: Role,
-        listen: &str,
+        local: SocketAddr,
         peer: PeerAddress,
         started_s: Option<f64>,
         period_ns: u64,
@@ -108,7 +117,6 @@ impl Place {
             started_ns: started_s.map(started).transpose()?,
             realtime,
         };
-        let local = address("listen", listen)?;
         let cannot = |error: std::io::Error| PyOSError::new_err(format!("cannot listen on {local}: {error}"));
         let socket = PeerSocket::bind(local, peer).map_err(cannot)?;
         if !reserve::fill() {
@@ -376,6 +384,11 @@ macro_rules! watch_methods {
             fn ineffective_presses(&self) -> (u64, Option<&'static str>) {
                 let (count, why) = self.watched.handle.ineffective_presses();
                 (count, why.and_then(Ineffective::text))
+            }
+
+            #[getter]
+            fn start_is_void(&self) -> bool {
+                self.watched.handle.is_start_void()
             }
 
             fn cause(&self) -> Option<String> {

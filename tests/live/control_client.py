@@ -1,7 +1,9 @@
 """A program at a control socket, as tests need it: lines out, lines in."""
 
+import contextlib
 import json
 import socket
+import time
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -12,8 +14,9 @@ class Control:
 
     def __init__(self, path: Path) -> None:
         self.socket = socket.socket(socket.AF_UNIX)
-        self.socket.settimeout(10.0)
+        # With a timeout it would fail where others wait to be accepted.
         self.socket.connect(str(path))
+        self.socket.settimeout(10.0)
         self._lines = self.socket.makefile("rb")
 
     def __enter__(self) -> Self:
@@ -38,3 +41,19 @@ class Control:
     def set(self, do: str, **given: object) -> dict[str, Any]:
         """A request that changes something, with the token of a status of now."""
         return self.ask(do, **given, token=self.ask("status")["token"])
+
+
+def fill(path: Path, count: int, stack: contextlib.ExitStack, sent: bytes = b"") -> None:
+    """Opens so many connections until the end of `stack`, each of which sends this and reads nothing."""
+    for _ in range(count):
+        one = stack.enter_context(socket.socket(socket.AF_UNIX))
+        one.setblocking(False)
+        # Where too many wait to be accepted, it fails at once.
+        while True:
+            with contextlib.suppress(BlockingIOError):
+                one.connect(str(path))
+                break
+            time.sleep(0.001)
+        # It may have been closed already.
+        with contextlib.suppress(OSError):
+            one.send(sent)

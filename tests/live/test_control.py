@@ -5,13 +5,14 @@ import socket
 import stat
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.live.control_client import Control
+from tests.live.control_client import Control, fill
 from tests.scene.two_sides import two_sides
 
 from haptether.bridge import LiveMaster, LiveSlave, override_scene, scene_json
@@ -19,6 +20,8 @@ from haptether.bridge import LiveMaster, LiveSlave, override_scene, scene_json
 pytestmark = pytest.mark.live
 
 BEAT_S = 0.1
+MOST = 32
+"""Connections at once."""
 
 
 @pytest.fixture
@@ -124,6 +127,133 @@ def test_a_stop_is_at_rest_at_once_whatever_others_do(
         assert took_s < 0.1
     wait_for(lambda: sides[side].finished)
     wait_for(lambda: not path.exists())
+
+
+def test_a_further_connection_closes_the_idlest_which_is_told_why(
+    sides: tuple[LiveMaster, LiveSlave], tmp_path: Path
+) -> None:
+    path = tmp_path / "master"
+    with contextlib.ExitStack() as stack:
+        idle, *others = [stack.enter_context(Control(path)) for _ in range(MOST)]
+        # For 0.1 s a new one counts as busy.
+        time.sleep(0.2)
+        for other in others:
+            assert other.ask("status")["done"]
+        # Half a request is none.
+        idle.send(b'{"do":"st')
+        with Control(path) as new:
+            assert new.ask("status")["done"]
+            told = idle.answer()
+            assert (told["to"], told["done"], "another program has connected" in told["text"]) == ("", False, True)
+            assert idle.answer() == {}
+            # Nobody else is.
+            for other in others:
+                assert other.ask("status")["done"]
+    assert not sides[0].finished
+
+
+@pytest.mark.parametrize("sent", [b"", b'{"do":"st', b'{"do":"status"}\n'])
+@pytest.mark.parametrize("many", [MOST, 3 * MOST])
+def test_a_stop_from_a_new_connection_works_whoever_is_connected(
+    many: int, sent: bytes, sides: tuple[LiveMaster, LiveSlave], tmp_path: Path
+) -> None:
+    path = tmp_path / "slave"
+    with contextlib.ExitStack() as stack:
+        fill(path, many, stack, sent)
+        with Control(path) as stops:
+            begun_s = time.monotonic()
+            answer = stops.ask("stop")
+            took_s = time.monotonic() - begun_s
+        assert (answer["done"], answer["is_at_rest"]) == (True, True)
+        assert took_s < 0.3
+    wait_for(lambda: sides[1].finished)
+
+
+def test_a_stop_works_while_others_request_and_connect_without_end(
+    sides: tuple[LiveMaster, LiveSlave], tmp_path: Path
+) -> None:
+    path = tmp_path / "master"
+    ended = threading.Event()
+
+    def talk() -> None:
+        while not ended.is_set():
+            with contextlib.suppress(OSError, ValueError), contextlib.ExitStack() as stack:
+                fill(path, 20, stack, b'{"do":"status"}\n' * 5)
+
+    others = [threading.Thread(target=talk) for _ in range(3)]
+    for other in others:
+        other.start()
+    time.sleep(0.3)
+    try:
+        for _ in range(5):
+            with Control(path) as control:
+                assert control.ask("status")["done"]
+        with Control(path) as stops:
+            answer = stops.ask("stop")
+        assert (answer["done"], answer["is_at_rest"]) == (True, True)
+    finally:
+        ended.set()
+        for other in others:
+            other.join(10.0)
+    wait_for(lambda: sides[0].finished)
+
+
+EXHAUSTED = """
+import os, resource, sys
+from haptether.bridge import LiveSlave, scene_json
+from tests.scene.two_sides import two_sides
+resource.setrlimit(resource.RLIMIT_NOFILE, (128, 128))
+slave = LiveSlave(
+    scene_json(two_sides()), listen="127.0.0.1:0", run_id=2, insecure=True, control=sys.argv[1], telemetry=sys.argv[2]
+)
+try:
+    while True:
+        os.open(os.devnull, os.O_RDONLY)
+except OSError as error:
+    print(error.strerror, flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_stop_acts_while_the_side_has_no_descriptor_left(tmp_path: Path) -> None:
+    path = tmp_path / "slave"
+    with subprocess.Popen(
+        [sys.executable, "-c", EXHAUSTED, str(path), str(tmp_path / "telemetry")],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        try:
+            assert process.stdout is not None
+            assert "Too many open files" in process.stdout.readline()
+            with contextlib.ExitStack() as stack:
+                # More than one, of which each takes the place of the one before.
+                for _ in range(3):
+                    control = stack.enter_context(Control(path))
+                    assert control.ask("status")["done"]
+                begun_s = time.monotonic()
+                answer = stack.enter_context(Control(path)).ask("stop")
+                assert (answer["is_at_rest"], time.monotonic() - begun_s < 0.3) == (True, True)
+        finally:
+            process.kill()
+
+
+def test_programs_at_the_telemetry_keep_no_stop_out(tmp_path: Path) -> None:
+    """They are 16 at most, whether they read or not."""
+    path, telemetry = tmp_path / "slave", tmp_path / "telemetry"
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    slave = LiveSlave(
+        scene_json(two_sides()), listen="127.0.0.1:0", run_id=2, insecure=True, control=path, telemetry=telemetry
+    )
+    with contextlib.ExitStack() as stack:
+        for _ in range(60):
+            one = stack.enter_context(socket.socket(socket.AF_UNIX))
+            one.connect(str(telemetry))
+        time.sleep(0.3)
+        # Both ends are in this process.
+        assert len(list(Path("/proc/self/fd").iterdir())) < before + 60 + 16 + 20
+        with Control(path) as stops:
+            answer = stops.ask("stop")
+        assert (answer["done"], answer["is_at_rest"]) == (True, True)
+    slave.finish()
 
 
 BUSY = """

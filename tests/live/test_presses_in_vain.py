@@ -1,6 +1,9 @@
 """Presses of the clutch that do nothing, and what is said of them."""
 
+import io
+import os
 import secrets
+import select
 import signal
 import subprocess
 import sys
@@ -11,7 +14,9 @@ from typing import Any
 import pytest
 
 from haptether.bridge import LiveMaster, LiveSlave, MasterLoop, MasterRun, load_scene, scene_json
+from haptether.cli.live.run import FlightFile, SideWatch
 from haptether.cli.live.sides import started_s
+from haptether.cli.shared.stop import Stopped
 from haptether.master import MasterSample
 
 pytestmark = pytest.mark.live
@@ -126,10 +131,11 @@ def test_a_start_that_is_still_to_come_is_refused(side: type[LiveMaster | Master
         side(SCENE, peer="127.0.0.1:9", started_s=time.monotonic() + 1.0, **how())
 
 
-def test_a_command_that_stood_still_while_it_loaded_couples_nobody() -> None:
+def test_a_command_that_stood_still_while_it_loaded_ends_at_once_and_says_why() -> None:
     slave = LiveSlave(SCENE, listen="127.0.0.1:0", **how())
     master = subprocess.Popen(
-        [sys.executable, "-m", "haptether", "master", "--insecure", "--peer", slave.address, "--depth", "0"],
+        [sys.executable, "-m", "haptether", "master", "--insecure", "--peer", slave.address, "--depth", "0",
+         "--patience-s", "60"],
         stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, stdin=subprocess.DEVNULL, text=True,
     )  # fmt: skip
     try:
@@ -138,27 +144,117 @@ def test_a_command_that_stood_still_while_it_loaded_couples_nobody() -> None:
         master.send_signal(signal.SIGSTOP)
         time.sleep(OLD_S)
         master.send_signal(signal.SIGCONT)
-        states = set()
-
-        def answered() -> bool:
-            slave.poll()
-            states.add(slave.state)
-            return slave.is_answered
-
-        assert until(answered, 20.0)
-        end_s = time.monotonic() + 1.0
-        while time.monotonic() < end_s:
-            answered()
-            time.sleep(0.01)
-        assert states == {"disengaged"}
-        master.send_signal(signal.SIGINT)
-        _, said = master.communicate(timeout=20.0)
-        assert "the clutch was pressed for nothing: the start was more than 5 s ago" in said
-        assert f"press anew by its button or kill -USR1 {master.pid}" in said
+        _, said = master.communicate(timeout=30.0)
+        assert master.returncode == 1
+        assert "haptether: the start was more than 5 s ago when the loop began" in said
+        assert "start it again" in said
+        slave.poll()
+        assert slave.state == "disengaged"
     finally:
         master.kill()
         master.communicate()
         slave.finish()
+
+
+ELSEWHERE = "elsewhere"
+"""In the place of what is typed: the clutch is pressed by a signal or at the console."""
+
+
+class Typing(io.StringIO):
+    """Standard error that types on the terminal when it is asked something, or presses the clutch elsewhere."""
+
+    def __init__(self, terminal: int, press: Callable[[], None], *typed: str) -> None:
+        super().__init__()
+        self._terminal = terminal
+        self._press = press
+        self._typed = list(typed)
+
+    def write(self, text: str) -> int:
+        if "Type yes" in text and self._typed:
+            typed = self._typed.pop(0)
+            if typed == ELSEWHERE:
+                self._press()
+            else:
+                os.write(self._terminal, typed.encode())
+        return super().write(text)
+
+
+def asked(
+    monkeypatch: pytest.MonkeyPatch, *typed: str, before: str = "", starts_by_press: bool = True
+) -> tuple[SideWatch, bool, str]:
+    """A master whose start was long ago, and a person who types: its watch, whether it engaged, and what was said."""
+    slave = LiveSlave(SCENE, listen="127.0.0.1:0", **how())
+    scene = scene_json(load_scene("remote_push", ["environment.pushers=[]", "operator.clutch=once"]))
+    patience_s = 8.0 if starts_by_press else 2.0
+    master = LiveMaster(
+        scene, peer=slave.address, started_s=time.monotonic() - OLD_S, patience_s=patience_s, duration_s=0.2, **how()
+    )
+    terminal, side = os.openpty()
+    said = Typing(terminal, master.press_clutch, *typed)
+    with open(side, closefd=False) as stdin, Stopped() as stopped:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        monkeypatch.setattr(sys, "stderr", said)
+        os.write(terminal, before.encode())
+        try:
+            until(lambda: master.is_answered)
+            press = master.press_clutch if starts_by_press else None
+            stopped.attached(master)
+            watch = SideWatch("master", master, stopped, FlightFile(None), insecure=True, press=press)
+            begun_s = time.monotonic()
+            watch.until_end("master", None, quiet=True)
+            assert time.monotonic() - begun_s < 20.0
+        finally:
+            trace, report = master.finish()
+            slave.finish()
+            os.close(terminal)
+            os.close(side)
+    assert len(trace) > 0
+    return watch, report.engaged_s < 1e3, said.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("typed", "before", "engages"),
+    [
+        (("yes\n",), "", True),
+        ((ELSEWHERE,), "", True),
+        (("no\n",), "", False),
+        (("\n",), "", False),
+        # Typed before the question, it is no answer.
+        (("\n",), "yes\n", False),
+    ],
+)
+def test_a_person_at_the_terminal_is_asked_and_presses(
+    typed: tuple[str, ...], before: str, engages: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watch, engaged, said = asked(monkeypatch, *typed, before=before)
+    assert "more than 5 s ago" in said
+    assert (engaged, watch.has_void_start) == (engages, not engages)
+
+
+def test_an_answer_of_uncertain_time_is_asked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = ["yes\n", "no\n"]
+    stood_still = False
+
+    def late(readers: list[int], *_: object) -> tuple[list[int], list[int], list[int]]:
+        # The process stands still between the question and the look at the answer.
+        nonlocal stood_still
+        if not stood_still:
+            stood_still = True
+            time.sleep(0.7)
+        return real(readers, [], [], 0.0)
+
+    real = select.select
+    monkeypatch.setattr(select, "select", late)
+    watch, engaged, said = asked(monkeypatch, *answers)
+    assert "stood still while this was typed" in said
+    assert (engaged, watch.has_void_start) == (False, True)
+
+
+def test_a_start_that_is_to_press_nothing_is_not_said_to_be_in_vain(monkeypatch: pytest.MonkeyPatch) -> None:
+    watch, engaged, said = asked(monkeypatch, starts_by_press=False)
+    assert (engaged, watch.has_void_start) == (False, False)
+    assert "for nothing" not in said
+    assert "Type yes" not in said
 
 
 def test_the_start_of_a_process_is_its_own_and_not_of_its_loading() -> None:
@@ -167,7 +263,9 @@ def test_the_start_of_a_process_is_its_own_and_not_of_its_loading() -> None:
 import time
 time.sleep(1.0)
 from haptether.cli.interrupts import INTERRUPTS
+from haptether.cli.live.run import FlightFile, SideWatch
 from haptether.cli.live.sides import started_s
+from haptether.cli.shared.stop import Stopped
 INTERRUPTS.begun = True
 print(time.monotonic() - started_s())
 """

@@ -3,6 +3,7 @@
 import json
 import re
 import socket
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -155,22 +156,38 @@ def test_a_line_without_an_end_is_refused() -> None:
         assert ask_control(address, {"show": True})["ok"] is True
 
 
-def test_there_may_be_a_few_connections_and_they_are_let_go() -> None:
-    with proxied(LinkSettings()) as (address, _):
-        with ExitStack() as stack:
-            for _ in range(4):
-                client = stack.enter_context(connected(address))
-                client.sendall(b'{"show": true}\n')
-                assert client.recv(1 << 16).startswith(b'{"ok":true')
-            assert ask_control(address, {"show": True}) == {
-                "ok": False, "error": "4 connections are open, there may be no more",
-            }  # fmt: skip
-        # The other end sees them go within a moment.
-        for _ in range(100):
-            if ask_control(address, {"show": True})["ok"]:
-                break
-        else:
-            raise AssertionError
+def test_a_further_connection_closes_the_idlest_which_is_told_why() -> None:
+    with proxied(LinkSettings()) as (address, _), ExitStack() as stack:
+        clients = [stack.enter_context(connected(address)) for _ in range(4)]
+        for client in clients:
+            client.sendall(b'{"show": true}\n')
+            assert client.recv(1 << 16).startswith(b'{"ok":true')
+        # Half a line is no request, and what nobody reads is no answer.
+        clients[0].sendall(b'{"sh')
+        clients[1].sendall(b'{"show": true}\n')
+        assert clients[1].recv(1 << 16).startswith(b'{"ok":true')
+        begun_s = time.monotonic()
+        assert ask_control(address, {"show": True})["ok"] is True
+        assert time.monotonic() - begun_s < 1.0
+        told = json.loads(clients[0].recv(1 << 16))
+        assert (told["ok"], "another program has connected" in told["error"]) == (False, True)
+        assert clients[0].recv(1) == b""
+        clients[1].sendall(b'{"show": true}\n')
+        assert clients[1].recv(1 << 16).startswith(b'{"ok":true')
+
+
+def test_a_client_that_reads_nothing_keeps_no_other_waiting() -> None:
+    with proxied(LinkSettings()) as (address, _), ExitStack() as stack:
+        for _ in range(3):
+            client = stack.enter_context(connected(address))
+            client.setblocking(False)
+            # Full, or closed for it.
+            with suppress(OSError):
+                while True:
+                    client.send(b'{"show": true}\n' * 1000)
+        begun_s = time.monotonic()
+        assert ask_control(address, {"show": True})["ok"] is True
+        assert time.monotonic() - begun_s < 1.0
 
 
 def test_a_unix_socket_is_its_owners_and_is_removed(tmp_path: Path) -> None:

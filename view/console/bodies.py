@@ -18,6 +18,8 @@ FRAME_S = 1.0 / 20
 """Between two frames: a browser without a graphics card draws no more."""
 HISTORY_S = 2.0
 """How long a trail is."""
+CLOSE_S = 0.2
+"""The longest wait for the thread at the end."""
 WAITING = 1024
 """Messages that wait for the thread; what comes beyond them is not drawn."""
 
@@ -52,7 +54,7 @@ class Bodies:
     def close(self) -> None:
         """Ends it."""
         self._closed.set()
-        self._thread.join(1.0)
+        self._thread.join(CLOSE_S)
 
     def take(self, hello: TelemetryHello, message: TelemetryMessage | None = None) -> None:
         """Takes a message of the run that began with `hello`, or that it begins; never waits."""

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,6 +12,12 @@ import msgspec
 ANSWER_S = 1.0
 """The thread that answers waits for nothing but a stop, and for that 0.3 s."""
 MAX_ANSWER = 1 << 13
+RETRY_S = 0.01
+"""Between a request that met no answer and its repetition."""
+MAX_TRIES = 100
+"""Attempts of a stop; the timeout ends them before."""
+KEEP_S = 0.5
+"""Between two requests for the status at a connection that is kept for a stop."""
 
 
 class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -45,23 +52,41 @@ class ControlConnection:
         self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
 
     async def ask(self, request: dict[str, Any]) -> dict[str, Any]:
-        """The answer to a request; one that there is no answer to says why, and closes the connection."""
+        """The answer to a request; without one it says why, and closes the connection.
+
+        A side closes the idlest of too many connections. A request that meets that is repeated at a new one, a stop
+        for up to a second: no request does more when it is carried out twice.
+        """
+        text = "no answer within a second: the side hangs"
         try:
             async with asyncio.timeout(ANSWER_S):
-                if self._streams is None:
-                    self._streams = await asyncio.open_unix_connection(self._path, limit=MAX_ANSWER)
-                reader, writer = self._streams
-                writer.write(json.dumps(request).encode() + b"\n")
-                await writer.drain()
-                line = await reader.readline()
-                answer = json.loads(line)
-                return dict(answer)
+                for _ in range(MAX_TRIES if request["do"] == "stop" else 2):
+                    try:
+                        answer = await self._answer(request)
+                    except (FileNotFoundError, ConnectionRefusedError) as error:
+                        text = f"nobody answers at {self._path}: {error.strerror}"
+                        break
+                    except (OSError, ValueError) as error:
+                        why = getattr(error, "strerror", None) or "the side has ended"
+                        text = f"nobody answers at {self._path}: {why}"
+                    else:
+                        if answer.get("to") == request["do"]:
+                            return answer
+                        text = str(answer.get("text"))
+                    self.close()
+                    await asyncio.sleep(RETRY_S)
         except TimeoutError:
-            text = "no answer within a second: the side hangs"
-        except (OSError, ValueError) as error:
-            text = f"nobody answers at {self._path}: {getattr(error, 'strerror', None) or 'the side has ended'}"
+            pass
         self.close()
-        return {"to": request.get("do", ""), "done": False, "text": text}
+        return {"to": request["do"], "done": False, "text": text}
+
+    async def _answer(self, request: dict[str, Any]) -> dict[str, Any]:
+        if self._streams is None:
+            self._streams = await asyncio.open_unix_connection(self._path, limit=MAX_ANSWER)
+        reader, writer = self._streams
+        writer.write(json.dumps(request).encode() + b"\n")
+        await writer.drain()
+        return msgspec.json.decode(await reader.readline(), type=dict[str, Any])
 
     def close(self) -> None:
         """Ends a hold, too."""
@@ -71,14 +96,48 @@ class ControlConnection:
             self._streams = None
 
 
-async def stop_all(paths: "dict[str, Path]") -> dict[str, dict[str, Any]]:
-    """Stops every side at once, each by a connection of its own, behind no other request."""
+class StopConnections:
+    """A connection to every control socket, open before it is needed: a stop finds it whatever else the console serves.
 
-    async def stop(path: Path) -> dict[str, Any]:
-        connection = ControlConnection(path)
+    Args:
+        paths: Of `--control`.
+    """
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self._paths = list(dict.fromkeys(paths))
+        self._kept: dict[Path, ControlConnection] = {}
+        self.sides: dict[str, Path] = {}
+        """Control sockets by the side that answers there."""
+
+    async def keep(self) -> None:
+        """Asks each side for its status: a side that begins later is connected, and the connection is not idle."""
+        await asyncio.gather(*map(self._keep, self._paths))
+
+    async def _keep(self, path: Path) -> None:
+        connection = self._take(path)
+        try:
+            answer = await connection.ask({"do": "status"})
+        finally:
+            self._kept[path] = connection
+        if answer.get("done"):
+            self.sides[str(answer.get("side"))] = path
+
+    def _take(self, path: Path) -> ControlConnection:
+        """The connection, for one request at a time; another one while it is in use."""
+        return self._kept.pop(path, None) or ControlConnection(path)
+
+    async def stop_all(self) -> dict[str, dict[str, Any]]:
+        """Stops every side at once."""
+        answers = await asyncio.gather(*map(self._stop, self._paths))
+        return {str(path): answer for path, answer in zip(self._paths, answers, strict=True)}
+
+    async def _stop(self, path: Path) -> dict[str, Any]:
+        connection = self._take(path)
         answer = await connection.ask({"do": "stop"})
         connection.close()
         return answer
 
-    answers = await asyncio.gather(*(stop(path) for path in paths.values()))
-    return dict(zip(paths, answers, strict=True))
+    def close(self) -> None:
+        """Closes them."""
+        for connection in self._kept.values():
+            connection.close()

@@ -11,6 +11,8 @@ from haptether.view.terminal.state import SideState
 
 RETRY_S = 0.5
 """Between two attempts to connect."""
+CLOSE_S = 0.2
+"""The longest wait for the thread at the end."""
 PLACES = ("position", "command")
 VECTORS = (
     "rendered_force",
@@ -55,7 +57,7 @@ class SideFeed:
         reader = self._reader
         if reader is not None:
             reader.close()
-        self._thread.join(1.0)
+        self._thread.join(CLOSE_S)
 
     @property
     def side(self) -> str:

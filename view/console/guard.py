@@ -4,6 +4,8 @@ import hmac
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 HEADERS = {
@@ -26,10 +28,12 @@ class Guard:
         inner: What answers the rest; it sees the path without the token.
         port: Where the console listens.
         token: Of the address.
+        admit: Takes the scope of each request that has the token.
     """
 
-    def __init__(self, inner: "ASGIApp", port: int, token: str) -> None:
+    def __init__(self, inner: "ASGIApp", port: int, token: str, admit: "Callable[[Scope], None]") -> None:
         self._inner = inner
+        self._admit = admit
         self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
         self._prefix = f"/{token}/".encode()
         sources = " ".join(f"ws://{host}" for host in sorted(self._hosts))
@@ -46,6 +50,7 @@ class Guard:
             return
         refused = self._refused(scope)
         if refused is None:
+            self._admit(scope)
             path = scope["path"][len(self._prefix) - 1 :]
             scope = {**scope, "path": path, "raw_path": path.encode("ascii", "replace")}
             await self._inner(scope, receive, self._with_headers(send))
@@ -53,7 +58,8 @@ class Guard:
             # Before it is accepted: the browser is answered 403.
             await send({"type": "websocket.close", "code": 1008, "reason": refused})
         else:
-            headers = [*self._headers, (b"content-type", b"text/plain; charset=utf-8")]
+            # Closed, whatever is still sent: nobody without the token keeps a connection.
+            headers = [*self._headers, (b"content-type", b"text/plain; charset=utf-8"), (b"connection", b"close")]
             await send({"type": "http.response.start", "status": 403, "headers": headers})
             await send({"type": "http.response.body", "body": f"{refused}\n".encode()})
 

@@ -3,8 +3,11 @@
 import asyncio
 import contextlib
 import json
+import math
+import os
 import secrets
 import socket
+import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from pathlib import Path
@@ -13,7 +16,8 @@ from typing import TYPE_CHECKING, Any, Self
 import msgspec
 
 from haptether.view.console.bodies import Bodies
-from haptether.view.console.control import Asked, ControlConnection, stop_all
+from haptether.view.console.connections import MAX_KNOWN, MAX_UNKNOWN, Connections
+from haptether.view.console.control import KEEP_S, Asked, ControlConnection, StopConnections
 from haptether.view.console.feed import SideFeed
 from haptether.view.console.guard import Guard
 from haptether.view.console.recorder import FlightWatch
@@ -23,6 +27,7 @@ if TYPE_CHECKING:
     from starlette.applications import Starlette
     from starlette.requests import Request
     from starlette.responses import Response
+    from starlette.types import Scope
     from starlette.websockets import WebSocket
 
 FILES = {
@@ -49,6 +54,15 @@ MAX_PAGES = 8
 MAX_ASKED = 32
 """Requests of a page that wait; a page with more is closed."""
 MAX_MESSAGE = 4096
+BACKLOG = 4
+"""Connections that one round of the event loop accepts; a request is read within a few rounds."""
+WAITING = 512
+"""Connections that wait to be accepted."""
+DESCRIPTORS = MAX_UNKNOWN + MAX_KNOWN + 4 * BACKLOG + 64
+"""The most that the console holds: connections, those of a moment that are still to be closed, and its own: two control
+sockets for each page and for stops, telemetry, files."""
+END_S = 0.3
+"""How long pages may take to be told the end."""
 
 
 class Console:
@@ -61,30 +75,32 @@ class Console:
         port: Where it listens on 127.0.0.1; 0 lets the system choose.
 
     Raises:
-        OSError: The port is taken.
+        OSError: The port is taken, or there are too few descriptors.
     """
 
     def __init__(self, telemetry: Sequence[Path], control: Sequence[Path], *, flight: Sequence[Path] = (),
                  port: int = 0) -> None:  # fmt: skip
-        self._socket = socket.create_server(("127.0.0.1", port))
+        _check_descriptors()
+        self._socket = socket.create_server(("127.0.0.1", port), backlog=BACKLOG)
         # Of each page: what it does not take waits here and no longer in the system.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         self.port: int = self._socket.getsockname()[1]
         self._token = secrets.token_urlsafe(24)
         self.bodies = Bodies()
         self.feeds = [SideFeed(path, f"side {number}", self.bodies) for number, path in enumerate(telemetry, start=1)]
-        self._control = list(control)
+        self._connections = Connections()
+        self._controls = StopConnections(control)
+        self._files: dict[str, tuple[bytes, str]] = {}
         self._recorders = [FlightWatch(path) for path in flight]
         self.flights: list[dict[str, Any]] = []
         """What was recorded at the last hold or end of each side; another list whenever one was written."""
-        self._sides: dict[str, Path] = {}
-        """Of each control socket that has said whose it is."""
         self.rows = Rows(ROWS)
         self._words: list[dict[str, Any]] = []
         self._pages = 0
-        self._stops: set[asyncio.Task[dict[str, dict[str, Any]]]] = set()
-        """Under way; no page that closes ends one."""
+        self._stopping: asyncio.Task[dict[str, dict[str, Any]]] | None = None
+        """The newest stop; no page that closes ends it."""
         self._begun_s = time.monotonic()
+        self._ended = threading.Event()
 
     @property
     def address(self) -> str:
@@ -94,6 +110,7 @@ class Console:
     def serve(self, stopped: Callable[[], bool]) -> None:
         """Serves until `stopped` says so; the loops of the sides do not notice."""
         import uvicorn
+        from uvicorn.protocols.http.h11_impl import H11Protocol
 
         class Server(uvicorn.Server):
             @contextlib.contextmanager
@@ -101,8 +118,28 @@ class Console:
                 # Whoever runs it says when it ends.
                 yield
 
+            async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+                await super().startup(sockets)
+                # `asyncio` accepts as many at once as it lets wait. More may wait: they hold no descriptor here.
+                for listening in sockets or ():
+                    listening.listen(WAITING)
+
+        connections = self._connections
+
+        class Counted(H11Protocol):
+            def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as there
+                super().connection_made(transport)
+                # Each request has it in its scope, also as a WebSocket.
+                self.app_state = {"connection": transport}
+                connections.add(transport, time.monotonic())
+
+        def admit(scope: "Scope") -> None:
+            connections.admit(scope["state"]["connection"], time.monotonic())
+
         config = uvicorn.Config(
-            Guard(self._application(), self.port, self._token),
+            Guard(self._application(), self.port, self._token, admit),
+            http=Counted,
+            backlog=BACKLOG,
             ws="websockets-sansio",
             ws_max_size=MAX_MESSAGE,
             ws_per_message_deflate=False,
@@ -116,22 +153,26 @@ class Console:
         server = Server(config)
 
         async def run() -> None:
-            rows = asyncio.create_task(self._sample())
-            end = asyncio.create_task(self._end(server, stopped))
-            recorders = asyncio.create_task(self._read_recorders())
+            # Before anything is served: no request can take what a stop needs.
+            await self._controls.keep()
+            works = (self._sample(), self._end(server, stopped), self._keep_controls())
+            tasks = [asyncio.create_task(work) for work in works]
             try:
                 await server.serve(sockets=[self._socket])
             finally:
-                rows.cancel()
-                end.cancel()
-                recorders.cancel()
+                for task in tasks:
+                    task.cancel()
+                self._controls.close()
 
+        self._files = _files()
         self.bodies.start()
+        threading.Thread(target=self._read_recorders, name="console-flights", daemon=True).start()
         for feed in self.feeds:
             feed.start()
         try:
             asyncio.run(run())
         finally:
+            self._ended.set()
             for feed in self.feeds:
                 feed.close()
             self.bodies.close()
@@ -139,8 +180,17 @@ class Console:
 
     async def _end(self, server: Any, stopped: Callable[[], bool]) -> None:  # noqa: ANN401  # of a library of an extra
         while not stopped():
+            self._connections.close_late(time.monotonic())
             await asyncio.sleep(0.05)
         server.should_exit = True
+        await asyncio.sleep(END_S)
+        # A page that reads nothing is not waited for.
+        self._connections.close_late(math.inf)
+
+    async def _keep_controls(self) -> None:
+        while True:
+            await asyncio.sleep(KEEP_S)
+            await self._controls.keep()
 
     def _application(self) -> "Starlette":
         from starlette.applications import Starlette
@@ -158,10 +208,7 @@ class Console:
     async def _file(self, request: "Request") -> "Response":
         from starlette.responses import Response
 
-        name, kind = FILES[request.url.path.strip("/")]
-        text = (Path(__file__).parent / name).read_bytes()
-        if name == "page.html":
-            text = text.replace(b"COLOURS", json.dumps(_colours()).encode(), 1)
+        text, kind = self._files[request.url.path.strip("/")]
         return Response(text, media_type=kind)
 
     async def _geometry(self, _: "Request") -> "Response":
@@ -174,9 +221,6 @@ class Console:
         from starlette.responses import Response
 
         return Response(json.dumps(await self.stop()), media_type="application/json")
-
-    async def _stop_all(self) -> dict[str, dict[str, Any]]:
-        return await stop_all({str(path): path for path in self._control})
 
     async def _sample(self) -> None:
         """A row of all sides, 30 times a second."""
@@ -192,13 +236,12 @@ class Console:
             due = max(due + ROW_S, time.monotonic() - ROW_S)
             await asyncio.sleep(max(0.0, due - time.monotonic()))
 
-    async def _read_recorders(self) -> None:
-        """In a thread: a disk that hangs keeps no stop waiting."""
-        while True:
-            news = [await asyncio.to_thread(one.read) for one in self._recorders]
+    def _read_recorders(self) -> None:
+        """On a thread that nobody waits for: a disk that hangs keeps no stop waiting, nor the end."""
+        while not self._ended.wait(RECORDERS_S):
+            news = [one.read() for one in self._recorders]
             if any(news):
                 self.flights = [one.content for one in self._recorders if one.content is not None]
-            await asyncio.sleep(RECORDERS_S)
 
     async def _live(self, page: "WebSocket") -> None:
         await page.accept()
@@ -208,23 +251,18 @@ class Console:
             return
         self._pages += 1
         self.bodies.is_watched = True
+        self._connections.keep(page.scope["state"]["connection"])
         try:
             async with _Page(page, self) as one:
                 await one.serve()
         finally:
+            self._connections.admit(page.scope["state"]["connection"], time.monotonic())
             self._pages -= 1
             self.bodies.is_watched = self._pages > 0
 
-    async def path_of(self, side: str) -> Path | None:
-        """The control socket of a side; none where none was named, or it does not answer."""
-        if side not in self._sides:
-            for path in self._control:
-                connection = ControlConnection(path)
-                answer = await connection.ask({"do": "status"})
-                connection.close()
-                if answer.get("done"):
-                    self._sides[str(answer["side"])] = path
-        return self._sides.get(side)
+    def path_of(self, side: str) -> Path | None:
+        """The control socket of a side; none where none was named, or it has not answered."""
+        return self._controls.sides.get(side)
 
     def message_since(self, row: int) -> tuple[int, dict[str, Any]]:
         """What a page that has had row `row` is sent next, and the row that it then has."""
@@ -239,11 +277,35 @@ class Console:
         return await asyncio.shield(self.begin_stop())
 
     def begin_stop(self) -> "asyncio.Task[dict[str, dict[str, Any]]]":
-        """The same, begun."""
-        task = asyncio.create_task(self._stop_all())
-        self._stops.add(task)
-        task.add_done_callback(self._stops.discard)
-        return task
+        """Begins a stop, or returns the one that is under way."""
+        if self._stopping is None or self._stopping.done():
+            self._stopping = asyncio.create_task(self._controls.stop_all())
+        return self._stopping
+
+
+def _check_descriptors() -> None:
+    """Takes as many descriptors as the console may hold, and gives them back.
+
+    Raises:
+        OSError: There are too few.
+    """
+    taken: list[int] = []
+    try:
+        while len(taken) < DESCRIPTORS:
+            taken.append(os.open(os.devnull, os.O_RDONLY))
+    except OSError as error:
+        message = f"the console needs {DESCRIPTORS} free descriptors, and {len(taken)} are left: raise `ulimit -n`"
+        raise OSError(error.errno, message) from None
+    finally:
+        for descriptor in taken:
+            os.close(descriptor)
+
+
+def _files() -> dict[str, tuple[bytes, str]]:
+    """The files of the page and their types, read before they are served: no disk holds up a stop."""
+    found = {path: ((Path(__file__).parent / name).read_bytes(), kind) for path, (name, kind) in FILES.items()}
+    text, kind = found[""]
+    return {**found, "": (text.replace(b"COLOURS", json.dumps(_colours()).encode(), 1), kind)}
 
 
 def _colours() -> dict[str, str]:
@@ -333,7 +395,7 @@ class _Page(contextlib.AbstractAsyncContextManager["_Page"]):
 
     async def _answer(self, asked: Asked) -> dict[str, Any]:
         if asked.side not in self._connections:
-            path = await self._console.path_of(asked.side)
+            path = self._console.path_of(asked.side)
             if path is None:
                 text = f"no --control of the {asked.side} was given, or nobody answers there"
                 return {"to": asked.do, "done": False, "text": text}

@@ -74,6 +74,11 @@ impl LiveHandle {
         (count, Ineffective::from_code(self.0.ineffective.load(Ordering::Relaxed)))
     }
 
+    /// True if the start was to press the clutch, was too long ago, and no button of the device can press instead.
+    pub fn is_start_void(&self) -> bool {
+        self.0.is_start_void.load(Ordering::Relaxed)
+    }
+
     /// Where the ladder stands.
     pub fn state(&self) -> LadderState {
         LadderState::from_code(self.0.state.load(Ordering::Relaxed)).unwrap_or(LadderState::Disengaged)
@@ -256,6 +261,8 @@ pub(super) struct Shared {
     /// Presses that did nothing, and why the last of them did not.
     ineffective_presses: AtomicU64,
     ineffective: AtomicU8,
+    /// The start was too old, and no button of the device can press instead.
+    pub(super) is_start_void: AtomicBool,
     /// The device has failed, and the loop ends by that.
     pub(super) ends: AtomicBool,
     /// No force, no motion, and the peer has been sent the end.

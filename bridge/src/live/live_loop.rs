@@ -322,6 +322,7 @@ impl LiveLoop {
                 OperatorCommand::Start => {
                     if !counts && side.command(now_ns, OperatorCommand::Release) == Ok(true) {
                         shared.reject_press(Ineffective::OldStart);
+                        shared.is_start_void.store(!side.has_button(), Ordering::Relaxed);
                     }
                 }
                 // A press that is said to do nothing must not couple once its obstacle is gone.

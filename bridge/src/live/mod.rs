@@ -19,7 +19,7 @@ pub use handshakes::{SecurityEvent, StartError};
 pub use live_loop::{LiveSettings, LoopReport};
 pub use newest::Newest;
 pub use run::{DriverLoop, Ended, LiveRun, Paced, PacedLoop, paced_by_device, run_live};
-pub use socket::{PeerAddress, PeerSocket};
+pub use socket::{PeerAddress, PeerSocket, local_address};
 pub use system::{
     Granted, RealtimeDemand, RealtimeReport, RealtimeSettings, end_for_lack_of_memory, is_exhausted,
     memory_is_back, now_ns,

@@ -3,7 +3,7 @@
 
 use std::{
     io,
-    net::{SocketAddr, UdpSocket},
+    net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket},
 };
 
 use super::system;
@@ -21,6 +21,21 @@ pub enum PeerAddress {
     Known(SocketAddr),
     /// Answers to the address of the last good frame.
     Learned,
+}
+
+/// The address from which the system sends to `peer`, with any free port. For a peer on this machine it is on loopback, which
+/// no other machine reaches.
+pub fn local_address(peer: SocketAddr) -> io::Result<SocketAddr> {
+    let any: SocketAddr = match peer {
+        SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
+        SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
+    };
+    let route = UdpSocket::bind(any)?;
+    // Sends nothing: the system chooses.
+    route.connect(peer)?;
+    let mut local = route.local_addr()?;
+    local.set_port(0);
+    Ok(local)
 }
 
 /// A non-blocking UDP socket and its peer.
@@ -353,6 +368,24 @@ mod tests {
         let (longest_ns, _) =
             silence(4000, 1400 * MS, &senders, |tick| if tick < 1060 { at(1) } else { at(3) });
         assert!(longest_ns <= 20 * MS, "{longest_ns}");
+    }
+
+    #[test]
+    fn a_peer_on_this_machine_is_sent_to_from_loopback() {
+        for peer in ["127.0.0.1:9000", "127.0.0.9:9000", "[::1]:9000", "[::ffff:127.0.0.1]:9000"] {
+            let peer: SocketAddr = peer.parse().unwrap();
+            // Not every machine has IPv6.
+            if UdpSocket::bind((peer.ip(), 0)).is_err() {
+                continue;
+            }
+            let local = local_address(peer).unwrap();
+            assert!(local.ip().to_canonical().is_loopback(), "{peer}: {local}");
+            assert_eq!(local.is_ipv6(), peer.is_ipv6());
+            let mut socket = PeerSocket::bind(local, PeerAddress::Known(peer)).unwrap();
+            assert_ne!(socket.local_address().unwrap().port(), 0);
+            socket.send(None, &[0]);
+            assert_eq!(socket.unsent, 0, "{peer}");
+        }
     }
 
     #[test]

@@ -83,7 +83,7 @@ impl Readers {
     /// Lets those in who wait; not more than one frame's worth.
     pub(super) fn accept(&mut self) {
         for _ in 0..MAX_READERS {
-            let Some(stream) = self.socket.accept() else { return };
+            let Ok(Some(stream)) = self.socket.accept() else { return };
             if self.connected.len() == MAX_READERS {
                 // Some may have gone since.
                 self.flush();

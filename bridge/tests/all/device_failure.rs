@@ -207,7 +207,18 @@ fn only_a_start_of_the_last_seconds_is_a_press() {
             if counts { (0, None) } else { void },
             "{started_ns}"
         );
+        assert_eq!(watch.handle().is_start_void(), !counts, "{started_ns}");
     }
+}
+
+/// A button presses where the start does not.
+#[test]
+fn a_start_of_long_ago_is_not_void_where_a_button_can_press() {
+    let (mut paced, watch, _) = started(master(), Role::Master, Some(0));
+    paced.begin().unwrap();
+    paced.step(|side| side.plant.clutch = Some(true), |_| {});
+    assert_eq!(watch.handle().ineffective_presses(), (1, Some(Ineffective::OldStart)));
+    assert!(!watch.handle().is_start_void());
 }
 
 /// Before the first tick as well: what is passed over is said.

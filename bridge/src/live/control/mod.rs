@@ -9,7 +9,7 @@ mod request;
 
 use std::{
     io::{self, Read},
-    os::unix::net::UnixStream,
+    os::{fd::OwnedFd, unix::net::UnixStream},
     path::{Path, PathBuf},
     sync::{
         Arc,
@@ -21,7 +21,7 @@ use std::{
 
 use rustix::{
     event::{PollFd, PollFlags, Timespec, poll},
-    io::Errno,
+    io::{Errno, fcntl_dupfd_cloexec},
     net::{SendFlags, send},
     time::{ClockId, clock_gettime},
 };
@@ -33,8 +33,12 @@ use self::{
 use super::{handle::ControlPort, handle::Ineffective};
 use crate::{command::OperatorCommand, live_socket::LiveSocket, wire::Role};
 
-/// At once; another is told so and closed. So many that no page that was left open keeps a stop out.
+/// At once; a further one closes the idlest, so that no program keeps a stop out.
 const MAX_CONNECTIONS: usize = 32;
+/// Connections that are accepted before those that are open have their turn.
+const MAX_ACCEPTED: usize = 8;
+/// How long a new connection counts as busy, in us: its first request is on its way.
+const NEW_US: u64 = 100_000;
 /// Bytes of a request, without its end.
 const MAX_REQUEST: usize = 512;
 /// Requests of a connection that are answered before others have their turn.
@@ -65,9 +69,10 @@ impl ControlSocket {
         let is_over = Arc::<AtomicBool>::default();
         let theirs = Arc::clone(&is_over);
         let Self { socket, path } = self;
+        let spare = Some(spare(&socket)?);
         let thread = thread::Builder::new().name("haptether-control".into()).spawn(move || {
             let (hold, connected) = (Hold::default(), Vec::new());
-            let server = Server { socket, role, port, has_driver, hold, connected, next: 0 };
+            let server = Server { socket, spare, role, port, has_driver, hold, connected, next: 0 };
             server.serve(&theirs);
         })?;
         Ok(Control { thread: Some(thread), is_over, path })
@@ -112,10 +117,17 @@ fn is_fresh(token: u64) -> bool {
     now_us().checked_sub(token).is_some_and(|age_us| age_us <= MAX_TOKEN_US)
 }
 
+/// A descriptor to be closed for a connection where no other is left.
+fn spare(socket: &LiveSocket) -> io::Result<OwnedFd> {
+    Ok(fcntl_dupfd_cloexec(socket, 0)?)
+}
+
 struct Connection {
     number: u64,
     stream: UnixStream,
     received: Vec<u8>,
+    /// Time of its last request, in us; for a new connection the time until which the first is awaited.
+    active_us: u64,
 }
 
 impl Connection {
@@ -163,6 +175,8 @@ impl Connection {
 
 struct Server {
     socket: LiveSocket,
+    /// None while a connection has it.
+    spare: Option<OwnedFd>,
     role: Role,
     port: ControlPort,
     has_driver: bool,
@@ -186,6 +200,8 @@ impl Server {
                     self.hold.end(connection.number);
                 }
             }
+            // A connection that has ended may have held it.
+            self.spare = self.spare.take().or_else(|| spare(&self.socket).ok());
         }
     }
 
@@ -201,18 +217,39 @@ impl Server {
         }
     }
 
+    /// Takes connections; where there are too many, or no descriptor is left, the idlest is closed.
     fn accept(&mut self) {
-        for _ in 0..MAX_CONNECTIONS {
-            let Some(stream) = self.socket.accept() else { return };
-            let connection = Connection { number: self.next, stream, received: Vec::new() };
-            self.next += 1;
-            if self.connected.len() == MAX_CONNECTIONS {
-                let text = format!("{MAX_CONNECTIONS} programs are connected already: end one of them");
-                connection.send(&Answer { text, ..Answer::default() }.line());
-            } else {
-                self.connected.push(connection);
+        for _ in 0..MAX_ACCEPTED {
+            match self.socket.accept() {
+                Ok(Some(stream)) => {
+                    if self.connected.len() == MAX_CONNECTIONS {
+                        self.displace();
+                    }
+                    let active_us = now_us() + NEW_US;
+                    let connection =
+                        Connection { number: self.next, stream, received: Vec::new(), active_us };
+                    self.connected.push(connection);
+                    self.next += 1;
+                }
+                Ok(None) => return,
+                Err(_) if self.spare.take().is_some() || self.displace() => {}
+                // Other parts of this process hold all descriptors.
+                Err(_) => return thread::sleep(Duration::from_millis(1)),
             }
         }
+    }
+
+    /// Closes the idlest connection, with a reason; a request that has arrived is answered before. False without any.
+    fn displace(&mut self) -> bool {
+        let idlest = (0..self.connected.len()).min_by_key(|at| self.connected[*at].active_us);
+        let Some(mut idlest) = idlest.map(|at| self.connected.swap_remove(at)) else { return false };
+        if self.serve_one(&mut idlest) {
+            let text =
+                format!("another program has connected: {MAX_CONNECTIONS} may, and this was the idlest");
+            idlest.send(&Answer { text, ..Answer::default() }.line());
+        }
+        self.hold.end(idlest.number);
+        true
     }
 
     /// Answers what a connection has sent; whether it stays.
@@ -229,6 +266,7 @@ impl Server {
             };
             match Request::of(&line) {
                 Ok(request) => {
+                    connection.active_us = now_us();
                     let answer = self.answer(connection.number, request);
                     if !connection.send(&answer.line()) {
                         return false;

@@ -4,7 +4,7 @@ import os
 import select
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 WAITS_S = 60.0
 """For an answer; then it is no."""
 POLL_S = 0.02
+PROMPT_S = 0.5
+"""Largest uncertainty of when an answer was typed; beyond it the answer does not count."""
 
 
 def check_terminal(what: str, *, yes: bool) -> None:
@@ -44,19 +46,55 @@ def consents(question: str, stopped: "Stopped", *, yes: bool) -> bool:
     if yes:
         print("--yes was given", file=sys.stderr, flush=True)
         return not stopped
+    return says_yes("Type yes and press Enter to begin, anything else to leave it: ", lambda: bool(stopped))
+
+
+def can_ask() -> bool:
+    """True if a person can answer on the terminal; the system stops a background job that reads from it."""
+    if not sys.stdin.isatty():
+        return False
+    try:
+        return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    except OSError:
+        # A terminal without jobs.
+        return True
+
+
+def says_yes(prompt: str, is_over: Callable[[], bool]) -> bool:
+    """Asks on the terminal; true if a person types yes after `prompt`, now.
+
+    An answer from before the prompt does not count. After a standstill of the process the time of an answer is unknown:
+    it asks again.
+
+    Args:
+        prompt: What to type.
+        is_over: Ends the wait; it is called at least every 20 ms.
+    """
     import termios
 
     descriptor = sys.stdin.fileno()
-    termios.tcflush(descriptor, termios.TCIFLUSH)
-    print("Type yes and press Enter to begin, anything else to leave it: ", end="", file=sys.stderr, flush=True)
-    end_s = time.monotonic() + WAITS_S
+
+    def ask() -> None:
+        termios.tcflush(descriptor, termios.TCIFLUSH)
+        print(prompt, end="", file=sys.stderr, flush=True)
+
+    ask()
+    empty_s = time.monotonic()
+    end_s = empty_s + WAITS_S
     typed = b""
-    while not stopped and time.monotonic() < end_s:
-        if select.select([descriptor], [], [], POLL_S)[0]:
-            part = os.read(descriptor, 4096)
-            typed += part
-            if not part or b"\n" in typed:
-                return typed.strip().lower() == b"yes"
+    while not is_over() and time.monotonic() < end_s:
+        if not select.select([descriptor], [], [], POLL_S)[0]:
+            empty_s = time.monotonic()
+            continue
+        part = os.read(descriptor, 4096)
+        if time.monotonic() - empty_s > PROMPT_S:
+            print("\nThe program stood still while this was typed: once more.", file=sys.stderr, flush=True)
+            ask()
+            typed, empty_s = b"", time.monotonic()
+            continue
+        typed += part
+        if not part or b"\n" in typed:
+            return typed.strip().lower() == b"yes"
     print(file=sys.stderr, flush=True)
     return False
 

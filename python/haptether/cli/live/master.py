@@ -26,15 +26,16 @@ ALONE_S = 0.2
 class Master(LiveOptions):
     """Run the side of the hand: a simulated haptic device held by a simulated hand that can let go.
 
-    Times count from the moment the two sides engage. Starting this command presses the clutch. No press waits for more
-    than 5 s: a slave that answers later needs another. When the slave falls silent for 20 ms, the force on the hand
-    fades to zero within 75 ms and stays away until the clutch is released and pressed again: `kill -USR1` does that,
-    and so does --clutch auto. After a fault `kill -USR2` says first that it is mended. Figures and trace hold the last
-    --keep-s.
+    Times count from the moment the two sides engage. Starting this command presses the clutch. Where its loop begins
+    more than 5 s later, and the device has no button, it asks on the terminal for another press; without a terminal it
+    ends. No press waits for more than 5 s: a slave that answers later needs another. When the slave falls silent for
+    20 ms, the force on the hand fades to zero within 75 ms and stays away until the clutch is released and pressed
+    again: `kill -USR1` does that, and so does --clutch auto. After a fault `kill -USR2` says first that it is mended.
+    Figures and trace hold the last --keep-s.
 
-    Exit status 1 says that no slave answered, that the run ended in fault or, without Ctrl-C, in hold, in stop or after
-    the slave, or that a driver failed. Where the two sides are not coupled, the screen says where that happened, in the
-    driver's own words, and what to do in order.
+    Exit status 1 says that the start was too long ago, that no slave answered, that the run ended in fault or, without
+    Ctrl-C, in hold, in stop or after the slave, or that a driver failed. Where the two sides are not coupled, the
+    screen says where that happened, in the driver's own words, and what to do in order.
 
     Examples:
 
@@ -50,7 +51,8 @@ class Master(LiveOptions):
     controller: Controller = "wsc"
     """Safety controller: velocity and force (vfc), windowed energy (wsc), grasp (hsc), or none."""
     listen: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
-    """Own address, of the peer's kind (IPv4 or IPv6); any free port by default."""
+    """Own address, of the peer's kind (IPv4 or IPv6). By default that of the route to the peer, which is loopback for a
+    peer on this machine, with a free port; 0.0.0.0:0 where the route may change during the run."""
     key: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Key file of the secure session, the same at both sides; `haptether keygen` makes one."""
     insecure: bool = False
@@ -88,7 +90,7 @@ class Master(LiveOptions):
 
         from haptether.cli.live.options import handed_over, live_arguments, session_key
         from haptether.cli.live.panel_process import panel_process
-        from haptether.cli.live.run import FlightFile, SideWatch, print_kept
+        from haptether.cli.live.run import OLD_START, FlightFile, SideWatch, print_kept
         from haptether.cli.live.sides import live_scene, start_master, with_clutch
         from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.output import check_distinct, check_target
@@ -109,7 +111,8 @@ class Master(LiveOptions):
         with panel_process(arguments["telemetry"], quiet=self.quiet) as panel, Stopped() as stopped:
             master = start_master(self, scene, stopped, arguments)
             handed_over(key)
-            watch = SideWatch("master", master, stopped, flight, insecure=self.insecure)
+            press = None if self.clutch == "open" else master.press_clutch
+            watch = SideWatch("master", master, stopped, flight, insecure=self.insecure, press=press)
             watch.until_end(f"master on {master.address} talks to {self.peer}", panel, quiet=self.quiet)
             trace, report = master.finish()
             cause = watch.after_end(report)
@@ -120,6 +123,12 @@ class Master(LiveOptions):
         if self.trace is not None:
             save_master_trace(trace, self.trace)
         watch.raise_error()
+        if watch.has_void_start:
+            message = (
+                f"{OLD_START}: start it again; where a start takes longer, give --clutch open and press later, by"
+                " `kill -USR1` or the console"
+            )
+            raise RuntimeError(message)
         alone = result.final_state == "disengaged" and _uncoupled_s(trace) < ALONE_S
         answered = report.link.fresh > 0
         self._judge(result, answered=answered, stopped=bool(stopped) or alone, refused=watch.refused, cause=cause)

@@ -4,6 +4,7 @@ import contextlib
 import os
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -11,6 +12,7 @@ import msgspec
 
 from haptether.bridge import DeviceRun
 from haptether.bridge.flight import Cause, Step
+from haptether.cli.device.consent import can_ask, says_yes
 from haptether.cli.live.options import marked
 from haptether.cli.shared.output import QueuedWriter
 from haptether.cli.shared.stop import Stopped, wait
@@ -22,8 +24,22 @@ if TYPE_CHECKING:
     from haptether.cli.live.panel_process import PanelProcess
 
 
+SEEN_S = 0.2
+"""The loop has taken a press after this time, or has said why not."""
+OLD_START = "the start was more than 5 s ago when the loop began, and is no press of the clutch any more"
+
+
 class SideWatch:
-    """Shows how a side stands until its loop ends, and afterwards why it was not coupled."""
+    """Shows how a side stands until its loop ends, and afterwards why it was not coupled.
+
+    Args:
+        name: `master` or `slave`.
+        side: Whose loop.
+        stopped: What ends it.
+        flight: Written at stops and faults.
+        insecure: Whether it goes without a key.
+        press: Presses the clutch, where the start is to do so; none where it is not.
+    """
 
     SIGNALS: ClassVar = {
         ("master", "press"): "USR1",
@@ -40,9 +56,14 @@ class SideWatch:
         flight: "FlightFile",
         *,
         insecure: bool,
+        press: Callable[[], None] | None = None,
     ) -> None:
         self.refused: str | None = None
         """Why the slave refused this master, if it did."""
+        self.has_void_start = False
+        """The start, which was to press the clutch, was too long ago, and nobody has pressed instead: the run ended."""
+        self._press = press
+        self._has_asked = False
         self._name = name
         self._side = side
         self._stopped = stopped
@@ -58,18 +79,54 @@ class SideWatch:
         Where the process that draws its panel is not there, or not any more, that is a line.
         """
         headline = f"{marked(headline, insecure=self._insecure)}\nreal time: {self._side.realtime}"
+        # The operator or a parent process reads this line to learn that the socket is open.
+        print(headline, file=sys.stderr, flush=True)
+        self._show(panel, quiet=quiet)
+        if self._start_is_void() and self._is_pressed_again():
+            self._show(None, quiet=quiet)
+
+    def _show(self, panel: "PanelProcess | None", *, quiet: bool) -> None:
         if panel is not None:
-            print(headline, file=sys.stderr, flush=True)
-            headline = ""
             with panel.says():
-                is_over = lambda: self._side.finished or not panel.draws  # noqa: E731
-                wait(headline, self._status, is_over, self._stopped, None, shown=False)
+                is_over = lambda: self._is_over() or not panel.draws  # noqa: E731
+                wait("", self._status, is_over, self._stopped, None, shown=False)
             panel.end()
-            if self._side.finished or self._stopped:
+            if self._is_over() or self._stopped:
                 return
             # What it was passed may have been lost with it: said once more.
             self._cause = None
-        wait(headline, self._status, lambda: self._side.finished, self._stopped, None, shown=not quiet)
+        wait("", self._status, self._is_over, self._stopped, None, shown=not quiet)
+
+    def _is_over(self) -> bool:
+        return self._side.finished or self._start_is_void()
+
+    def _start_is_void(self) -> bool:
+        """True if the start was to press the clutch, was too long ago, and nobody has been asked to press instead."""
+        waits = self._press is not None and not self._has_asked and not self._stopped
+        return waits and self._side.start_is_void and not self._side.finished
+
+    def _is_pressed_again(self) -> bool:
+        """Asks for a press on the terminal; false if nobody presses, and the run ends."""
+        self._has_asked = True
+        self._ineffective_presses = self._side.ineffective_presses[0]
+
+        def is_over() -> bool:
+            self._status()
+            # A press elsewhere, as at the console, answers it, too.
+            return bool(self._stopped) or self._side.finished or self._is_engaged
+
+        if self._press is not None and can_ask():
+            print(OLD_START, file=sys.stderr, flush=True)
+            while says_yes("Type yes and press Enter to press it now, anything else to end the run: ", is_over):
+                before = self._ineffective_presses
+                self._press()
+                self._stopped.sleep(SEEN_S)
+                # It says why a press did nothing; then another one is the person's to make.
+                self._status()
+                if self._ineffective_presses == before:
+                    return True
+        self.has_void_start = not is_over()
+        return self._is_engaged
 
     def after_end(self, report: "LoopReport") -> Cause | None:
         """Why a side that has ended is not coupled; printed if a driver ended it, maybe before it was last shown.
@@ -131,7 +188,11 @@ class SideWatch:
         presses, why = self._side.ineffective_presses
         if presses != self._ineffective_presses:
             self._ineffective_presses = presses
-            if why is not None:
+            is_open = self._name == "master" and self._press is None and self._side.start_is_void
+            if is_open and presses == 1:
+                # The start of `--clutch open` is no press.
+                pass
+            elif why is not None:
                 again = f"press anew by its button or kill -{self.SIGNALS['master', 'press']} {os.getpid()}"
                 print(f"the clutch was pressed for nothing: {why}; {again}", file=sys.stderr, flush=True)
             elif cause is not None:
