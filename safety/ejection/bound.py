@@ -638,7 +638,7 @@ class _Model:
         else:
             damped = f"damping of {settings.damping:g} does not outweigh it"
         is_endless = settings.travel_m is None and settings.free_s == inf
-        ends = "without mechanical stops nothing ends it" if is_endless else f"it may add more than {FASTEST:g}"
+        ends = "without mechanical stops nothing ends it" if is_endless else "it may add any speed"
         return f"{_negative(settings)} and {damped}: {ends}"
 
     def _terms(self, speed: float) -> EjectionTerms:

@@ -162,7 +162,10 @@ class Console:
             finally:
                 for task in tasks:
                     task.cancel()
+                await asyncio.gather(*tasks, return_exceptions=True)
                 self._controls.close()
+                # They close in the next round of the event loop.
+                await asyncio.sleep(0)
 
         self._files = _files()
         self.bodies.start()

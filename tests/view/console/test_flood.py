@@ -1,13 +1,16 @@
 """A console that is flooded: STOP works, pages are served, and Ctrl-C ends it."""
 
 import contextlib
+import gc
 import json
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -187,6 +190,28 @@ def test_the_end_waits_for_no_disk_and_for_no_page(tmp_path: Path, monkeypatch: 
         hangs.set()
         thread.join(20.0)
     assert not thread.is_alive()
+
+
+def test_the_end_leaves_no_connection_to_a_side_that_hangs(tmp_path: Path) -> None:
+    hangs = tmp_path / "hangs"
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(hangs))
+        listening.listen()
+        one = Console([tmp_path / "nobody"], [hangs])
+        ended = threading.Event()
+        thread = threading.Thread(target=one.serve, args=(ended.is_set,))
+        thread.start()
+        try:
+            # A request of the console is under way nearly all the time.
+            time.sleep(2.0)
+        finally:
+            ended.set()
+            thread.join(20.0)
+        assert not thread.is_alive()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        gc.collect()
+    assert [str(one.message) for one in caught if one.category is ResourceWarning] == []
 
 
 class StandIn:
