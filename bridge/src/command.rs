@@ -18,15 +18,15 @@ pub enum OperatorCommand {
     Takeover,
     /// This side's fault is mended. Nothing couples by it: the clutch must then be released and pressed.
     Acknowledge,
-    /// Changes `lambda_p`, at the slave; the arm goes on from where it is.
+    /// Changes `lambda_p`, at the slave: it fades, and the arm goes on from where it is.
     PositionScale(f64),
-    /// Changes `lambda_f`, at the master; how fast the force follows is the limiter's.
+    /// Changes `lambda_f`, at the master: it fades.
     ForceScale(f64),
-    /// Changes `lambda_r`, at the slave; the arm goes on from where it is.
+    /// Changes `lambda_r`, at the slave: it fades, and the arm goes on from where it is.
     RotationScale(f64),
-    /// Changes `lambda_tau`, at the master; how fast the torque follows is the limiter's.
+    /// Changes `lambda_tau`, at the master: it fades.
     TorqueScale(f64),
-    /// Changes rotation and locks, at both sides alike; the arm goes on from where it is.
+    /// Changes rotation and locks, at both sides alike: it fades, and the arm goes on from where it is.
     Frame {
         /// Unit quaternion of the rotation from the master's frame to the slave's.
         quat_wxyz: [f64; 4],

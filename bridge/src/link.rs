@@ -478,6 +478,12 @@ impl FrameLink {
         &self.path
     }
 
+    /// [`LinkStatistics::round_trip_ns`].
+    #[inline]
+    pub(crate) fn round_trip_ns(&self) -> u64 {
+        self.statistics.round_trip_ns
+    }
+
     /// Counts so far.
     pub fn statistics(&self) -> LinkStatistics {
         self.statistics

@@ -7,7 +7,7 @@ use haptether_safety::{Axes, SafetyTick};
 use crate::{
     buttons::{ButtonError, ButtonSettings, Buttons},
     command::OperatorCommand,
-    coupling::{CouplingError, GripperState, ReferencePoint},
+    coupling::{CouplingError, GripperState, ReferencePoint, ScaleRanges},
     endpoint::{Exchange, MasterEndpoint, MasterReading, SlaveEndpoint, SlaveReading},
     gripper::{FingerTruth, LedGripper, Trigger},
     ladder::{Button, Clutch, ClutchError, ClutchOperator, LadderState},
@@ -83,6 +83,11 @@ pub trait Side {
     /// Carries out a command of the operator at this side. Returns whether it changed anything: a release where the
     /// clutch was open does not. Numbers that cannot be change nothing.
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError>;
+
+    /// Bounds of its scales while it runs; those of [`command`](Self::command).
+    fn ranges(&self) -> ScaleRanges {
+        ScaleRanges::default()
+    }
 
     /// Whether the device has a button of its own.
     fn has_button(&self) -> bool {
@@ -282,6 +287,10 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for MasterSide<P, N,
         }
         let snapshot = LadderSnapshot::of(&self.endpoint.exchange);
         *record = MasterRecord::new(time, &reading, truth, led_to, &tick, turn, snapshot);
+    }
+
+    fn ranges(&self) -> ScaleRanges {
+        *self.endpoint.ranges()
     }
 
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {
@@ -496,6 +505,10 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side for SlaveSide<P, N, R>
         let snapshot = LadderSnapshot::of(&self.endpoint.exchange);
         let touches = self.plant.touches();
         *record = SlaveRecord::new(time, &reading, self.gripper.as_ref(), touches, &tick, snapshot);
+    }
+
+    fn ranges(&self) -> ScaleRanges {
+        *self.endpoint.ranges()
     }
 
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {

@@ -2248,10 +2248,11 @@ class _MasterSide(_LiveSide):
         """
 
     def set_force_scale(self, scale: float) -> None:
-        """Changes lambda_f from the next tick on; the limiter says how fast the force follows.
+        """Changes lambda_f from the next tick on: it fades within `safety.ladder.fade_in_s`.
 
         Raises:
-            ValueError: A scale that is not finite or not above 0.
+            ValueError: A scale out of its bounds: while the clutch is closed the scene's value by a factor of
+                `coupling.change_factor` (2), with an open clutch by 100, up and down.
             RuntimeError: The loop has ended, or hangs.
         """
 
@@ -2270,10 +2271,11 @@ class _SlaveSide(_LiveSide):
         """Lets another master begin, if the one before has been silent for 2 s: a command of the slave's operator."""
 
     def set_position_scale(self, scale: float) -> None:
-        """Changes lambda_p from the next tick on; the arm goes on from where it is.
+        """Changes lambda_p from the next tick on: it fades within `safety.ladder.fade_in_s`; the arm goes on from where it is.
 
         Raises:
-            ValueError: A scale that is not finite or not above 0.
+            ValueError: A scale out of its bounds: while the clutch is closed the scene's value by a factor of
+                `coupling.change_factor` (2), with an open clutch by 100, up and down.
             RuntimeError: The loop has ended, or hangs.
         """
 

@@ -9,8 +9,8 @@ use std::{
 use haptether_bridge::{
     OperatorCommand, Trace,
     live::{
-        Control, ControlSocket, LiveHandle, LiveSettings, LiveWatch, PeerAddress, PeerSocket, RealtimeDemand,
-        RealtimeSettings, Security, StartError, local_address, now_ns,
+        CommandError, Control, ControlSocket, LiveHandle, LiveSettings, LiveWatch, PeerAddress, PeerSocket,
+        RealtimeDemand, RealtimeSettings, Security, StartError, local_address, now_ns,
     },
     recorder::{RecorderSettings, SecurityMark},
     scene::{KeptRecords, LiveError, LiveParts},
@@ -215,10 +215,10 @@ impl Watched {
     }
 
     pub(crate) fn command(&self, command: OperatorCommand) -> PyResult<()> {
-        command.check::<1>().map_err(refuse)?;
-        let full =
-            |_| PyRuntimeError::new_err("the loop has not done what it was told before: is it running?");
-        self.watch().command(command).map_err(full)
+        self.watch().command(command).map_err(|error| match error {
+            CommandError::Refused(error) => refuse(error),
+            CommandError::Full => PyRuntimeError::new_err(error.to_string()),
+        })
     }
 }
 

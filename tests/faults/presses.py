@@ -10,6 +10,8 @@ from tests.faults.processes import Judged, Limits, again, undisturbed
 from tests.faults.rows import Row
 from tests.faults.running import AGAIN_S, PRESSED_S, Process, Recorded, Stage
 
+from haptether.netsim import ask_control
+
 DELAY_S = 0.03
 """One way: what one side has seen, the other has not for a while."""
 EXPIRED_S = 6.0
@@ -106,10 +108,49 @@ def cut(after_s: float, restarted: bool) -> Row:
     return _judge(cut_name(after_s, restarted), at_master, at_slave, (back_s - end_s, pressed_s - end_s))
 
 
+def deaf_name(back_s: float) -> str:
+    """Name of the row of a direction that is cut just before a press, for so long."""
+    return f"link: master to slave cut before a press leaves, back {back_s:g} s after it"
+
+
+def deaf(back_s: float) -> Row:
+    """The slave is in STOP and hears the release, not the press; its frames arrive; the direction returns in time."""
+    with Stage.set() as stage:
+        slave = stage.slave()
+        control = str(stage.path("netsim.ctl"))
+        link = Process(
+            "netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", slave.address, "--delay-s", f"{DELAY_S}",
+            "--max-error-s", "1", "--control", control,
+        )  # fmt: skip
+        stage.processes.append(link)
+        master = stage.master(link.headline.split()[3].rstrip(","))
+        time.sleep(PRESSED_S + 4.0 * DELAY_S)
+        link.frozen(0.3)
+        time.sleep(1.0)
+        master.send(signal.SIGUSR1)
+        # It opens the clutch for 0.1 s and presses then.
+        time.sleep(0.07)
+        ask_control(control, {"forward": {"loss": 1.0}})
+        time.sleep(back_s + 0.03)
+        ask_control(control, {"forward": {"loss": 0.0}})
+        watched_s = time.monotonic()
+        time.sleep(WATCHED_S)
+        master.send(signal.SIGUSR1)
+        pressed_s = time.monotonic()
+        time.sleep(AGAIN_S + 4.0 * DELAY_S)
+        end_s = time.monotonic()
+        stage.end_together(master, slave)
+        at_master, at_slave = stage.ticks("master"), stage.ticks("slave")
+    undisturbed(at_master)
+    return _judge(deaf_name(back_s), at_master, at_slave, (watched_s - end_s, pressed_s - end_s))
+
+
 def rows() -> dict[str, Callable[[], Row]]:
     """All of them by name, to be run one after the other."""
     measures: dict[str, Callable[[], Row]] = {LATE_SLAVE: late_slave}
     for after_s in (0.085, 0.13, 0.16):
         measures[cut_name(after_s, False)] = partial(cut, after_s, False)
     measures[cut_name(0.13, True)] = partial(cut, 0.13, True)
+    for back_s in (1.0, 3.4, 4.6):
+        measures[deaf_name(back_s)] = partial(deaf, back_s)
     return {name: again(measure, name) for name, measure in measures.items()}

@@ -317,12 +317,33 @@ def test_scales_are_set_at_the_side_that_has_them(sides: tuple[LiveMaster, LiveS
             (master, "position_scale", 0.5, "at the slave"),
             (slave, "force_scale", 0.5, "at the master"),
             (master, "force_scale", -1.0, "force_scale"),
+            (master, "force_scale", 1e308, "must be between 0.5 and 2, with an open clutch between 0.01 and 100"),
+            (slave, "position_scale", 200.0, "set coupling.position_scale in the scene"),
+            (master, "torque_scale", 1.0, 'only a side of kind "pose" has it'),
+            (slave, "rotation_scale", 1.0, 'only a side of kind "pose" has it'),
             (slave, "hold", 0.0, "at the master"),
         ):
             answer = at.ask(do, held_ms=0) if do == "hold" else at.set(do, scale=scale)
             assert (answer["done"], said in answer["text"]) == (False, True), answer
         assert master.set("acknowledge")["done"]
         assert master.ask("status")["side"] == "master"
+
+
+def test_a_coupled_side_keeps_its_scales_within_their_bounds(
+    sides: tuple[LiveMaster, LiveSlave], tmp_path: Path
+) -> None:
+    with Control(tmp_path / "master") as master, Control(tmp_path / "slave") as slave:
+        assert master.set("force_scale", scale=5.0)["done"], "the clutch is open"
+        assert master.set("force_scale", scale=1.0)["done"]
+        assert hold(master)["pressed"] is True
+        wait_for(lambda: sides[0].state == "engaged")
+        for side, do in ((master, "force_scale"), (slave, "position_scale")):
+            for scale in (2.0, 4.0, 8.0, 0.5, 0.25):
+                answer = side.set(do, scale=scale)
+                assert answer["done"] == (scale in {2.0, 0.5}), answer
+                assert ("release the clutch first" in answer["text"]) != answer["done"], answer
+        time.sleep(0.3)
+        assert sides[0].state == "engaged"
 
 
 def test_what_waited_in_a_queue_changes_nothing(sides: tuple[LiveMaster, LiveSlave], tmp_path: Path) -> None:

@@ -550,15 +550,21 @@ def test_scales_change_while_both_sides_run() -> None:
     key = bytes(range(32))
     slave = LiveSlave(scene_json(scene), listen="127.0.0.1:0", run_id=2, key=key)
     master = LiveMaster(scene_json(scene), peer=slave.address, run_id=1, key=key)
-    for refused in (0.0, -1.0, float("nan"), float("inf")):
-        with pytest.raises(ValueError, match="must be finite and above 0"):
+    for refused in (0.0, -1.0, float("nan"), float("inf"), 1e308, 5e-324, 100.1):
+        with pytest.raises(ValueError, match=r"force_scale .*must be between 0\.5 and 2"):
             master.set_force_scale(refused)
-        with pytest.raises(ValueError, match="must be finite and above 0"):
+        with pytest.raises(ValueError, match=r"position_scale .*must be between 0\.5 and 2"):
             slave.set_position_scale(refused)
     end_s = time.monotonic() + START_TIMEOUT_S
     while (master.state, slave.state) != ("engaged", "engaged"):
         assert time.monotonic() < end_s, (master.state, slave.state)
         time.sleep(0.01)
+    # Coupled: no further than twice, and half.
+    for refused in (2.1, 0.4, 5.0, 99.0):
+        with pytest.raises(ValueError, match="release the clutch first"):
+            master.set_force_scale(refused)
+        with pytest.raises(ValueError, match="release the clutch first"):
+            slave.set_position_scale(refused)
     # The hand is there after 0.4 s.
     time.sleep(0.8)
     master.set_force_scale(0.5)

@@ -5,6 +5,7 @@ const BEAT_MS = 120;       // between two beats of a hold; the loop's side deman
 const WINDOW_S = 10;       // of the charts
 const DRAW_MS = 60;         // between two drawings of the charts: what a click needs is not spent on them
 const FRESH_MS = 500;      // from a click to its request
+const CONFIRM_MS = 10000;  // for which a change waits for its confirmation
 const RETRY_MS = 500;      // between two attempts to connect
 const $ = id => document.getElementById(id);
 const base = location.pathname.replace(/[^/]*$/, "");
@@ -72,6 +73,7 @@ async function request(side, what, clicked) {
 
 function stop() {
   letGo();
+  dismiss();
   sayStopped.done = false;
   say("STOP");
   if (socket && socket.readyState === WebSocket.OPEN && socket.bufferedAmount === 0) {
@@ -171,10 +173,38 @@ for (const [name, side] of Object.entries(SCALES)) {
   $(name + "-form").addEventListener("submit", event => {
     event.preventDefault();
     const text = $(name + "-scale").value, scale = Number(text.trim() || NaN);
-    if (!Number.isFinite(scale)) say(`${text}: must be a number`, true);
-    else request(side, { do: name + "_scale", scale }, event.timeStamp);
+    if (Number.isFinite(scale)) confirmed(`${side}: change the ${name} scale to ${scale}?`, side, { do: name + "_scale", scale });
+    else say(`${text}: must be a number`, true);
   });
 }
+
+// ---------------------------------------------------------------------------------------------------- confirmation
+
+let change = null;         // { side, what, timer }: what waits for a person's yes
+
+// A dialog of the browser would hold up STOP, so the question stands on the page.
+function confirmed(question, side, what) {
+  dismiss();
+  change = { side, what, timer: setTimeout(dismiss, CONFIRM_MS) };
+  $("question").textContent = question;
+  $("confirm").hidden = false;
+}
+
+function dismiss() {
+  if (change) clearTimeout(change.timer);
+  change = null;
+  $("confirm").hidden = true;
+}
+
+$("confirm-yes").addEventListener("click", event => {
+  if (!change || !event.isTrusted) return;
+  const { side, what } = change;
+  dismiss();
+  request(side, what, event.timeStamp);
+});
+$("confirm-no").addEventListener("click", dismiss);
+addEventListener("pagehide", dismiss);
+document.addEventListener("visibilitychange", () => { if (document.hidden) dismiss(); });
 
 // ---------------------------------------------------------------------------------------------------- words and numbers
 

@@ -85,18 +85,22 @@ class LinksTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
 
 
 class ChangeTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[[coupling.changes]]`: what somebody changes while it runs; the arm never jumps. What is left out stays."""
+    """`[[coupling.changes]]`: what somebody changes while it runs. What is left out stays.
+
+    A change fades within `safety.ladder.fade_in_s`. A scale follows a straight line; rotation and locks fade both
+    scales out and in again. Neither arm nor velocity jumps.
+    """
 
     at_s: Seconds
     """When, in s since the start; not before the change above it."""
     position_scale: Positive | None = None
     """The new lambda_p."""
     force_scale: Positive | None = None
-    """The new lambda_f; the limiter says how fast the force follows."""
+    """The new lambda_f."""
     rotation_scale: Positive | None = None
     """The new lambda_r."""
     torque_scale: Positive | None = None
-    """The new lambda_tau; the limiter says how fast the torque follows."""
+    """The new lambda_tau."""
     quat_wxyz: Quaternion | None = None
     """The new rotation."""
     locked_axes: AxisIndices | None = None
@@ -153,8 +157,11 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The point of the slave's tool of kind "pose" that is coupled, in m from the tool point in the tool's frame, as
     the tip of a long tool: position, velocity, reach and moment of the slave are those of it, and the tool turns about
     it; by default the tool point."""
+    change_factor: Annotated[float, Meta(ge=1.0, le=100.0)] = 2.0
+    """Largest factor, up and down, by which a command may change a scale of this table while the clutch is closed; what
+    `changes` states is allowed besides."""
     changes: tuple[ChangeTable, ...] = ()
-    """What is changed while it runs."""
+    """What is changed while it runs; it fades as an engagement does."""
 
 
 class SecurityTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -249,7 +249,7 @@ mod tests {
             }
             prop_assert!(command.angle_to(&(frame * master * frame.inverse())) < 1e-14);
             let mut coupling = RotationCoupling::new(1.0, 1.0).unwrap();
-            coupling.set_frame([w, x, y, z]).unwrap();
+            coupling.set_frame([w, x, y, z], 0).unwrap();
             coupling.commanded_orientation(&master, &command);
             let turned = UnitQuaternion::from_scaled_axis(hand) * master;
             let seen = coupling.commanded_orientation(&turned, &command);

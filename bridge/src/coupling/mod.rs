@@ -1,6 +1,7 @@
 //! Couplings: what each side requests of its device, given the newest of the other side.
 
 mod alignment;
+mod change;
 mod command;
 #[cfg(test)]
 pub(crate) mod drawn;
@@ -18,6 +19,7 @@ use nalgebra::SMatrix;
 pub use alignment::{
     ALIGNED_RAD, Alignment, AlignmentError, AlignmentSettings, AlignmentStep, ROUND_TRIP_S, SETTLED_S,
 };
+pub use change::{CHANGE_FACTOR, OPEN_FACTOR, ScaleRange, ScaleRanges};
 pub use command::{CommandBounds, Limited, RotationBounds};
 pub(crate) use command::{bounded, decayed, turned_within};
 pub use gripper::{GripperFollower, GripperState};
@@ -41,6 +43,27 @@ pub enum CouplingError {
         /// What was given.
         seen: f64,
     },
+    /// A scale that may not be had while a side runs.
+    #[error(
+        "{name} ({symbol}) = {seen:?}: must be between {} and {}, with an open clutch between {} and {}; {}",
+        change::rounded(closed[0]), change::rounded(closed[1]), change::rounded(open[0]), change::rounded(open[1]),
+        change::remedy(name, *seen, *open)
+    )]
+    Change {
+        /// Which.
+        name: &'static str,
+        /// Its symbol.
+        symbol: &'static str,
+        /// What was given.
+        seen: f64,
+        /// Least and largest while the clutch is closed.
+        closed: [f64; 2],
+        /// The same with an open clutch.
+        open: [f64; 2],
+    },
+    /// A scale that this side does not have.
+    #[error("{0}: only a side of kind \"pose\" has it")]
+    NoScale(&'static str),
     /// A matrix that is no rotation.
     #[error("rotation: R' R differs from the identity by {0}, must be by at most 1e-9")]
     Orthonormal(f64),

@@ -2,24 +2,22 @@
 
 use haptether_safety::{Axes, Real};
 
-use super::{CouplingError, FrameMap};
+use super::{CouplingError, FrameMap, change::Changing};
 use crate::{command::OperatorCommand, lanes::packed};
 
 /// The slave follows the master's position; the master renders the force that the slave measures.
 ///
 /// `x_s = x_s0 + lambda_p L R (x_m - x_m0)`, `F_v = lambda_f R' L F_e`, with R and L of [`FrameMap`].
 ///
-/// `x_m0` and `x_s0` are taken when the two engage, so the slave never jumps; they are taken anew when the scale or the
-/// map changes. Under a round trip T the hand feels
-/// the remote stiffness `lambda_f lambda_p K_e` late; with a hand of impedance `K_h - m w² + j w B_h` it is stable
+/// `x_m0` and `x_s0` are taken when the two engage, so the slave never jumps. While the scale or the map changes they are
+/// taken anew at each tick, so that neither position nor velocity has a step. Under a round trip T the hand feels the remote stiffness `lambda_f lambda_p K_e` late; with a hand of impedance `K_h - m w² + j w B_h` it is stable
 /// for every T if `lambda_f lambda_p K_e < min_w |K_h - m w² + j w B_h|` (small gain).
 ///
 /// Source: Hannaford 1989; Lawrence 1993 ("position-force"); the condition by the small-gain theorem.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PositionForce<const N: usize, S = f64> {
-    position_scale: S,
-    force_scale: S,
-    map: FrameMap<N>,
+    /// `lambda_p`, `lambda_f`, R and L.
+    change: Changing<FrameMap<N>, S>,
     anchor: Option<(Axes<N, S>, Axes<N, S>)>,
 }
 
@@ -30,52 +28,59 @@ pub(super) fn check(name: &'static str, symbol: &'static str, seen: f64) -> Resu
 impl<const N: usize> PositionForce<N> {
     /// Scales `lambda_p` and `lambda_f` (> 0).
     pub fn new(position_scale: f64, force_scale: f64) -> Result<Self, CouplingError> {
-        Ok(Self {
-            position_scale: check("position_scale", "lambda_p", position_scale)?,
-            force_scale: check("force_scale", "lambda_f", force_scale)?,
-            map: FrameMap::default(),
-            anchor: None,
-        })
+        let motion = check("position_scale", "lambda_p", position_scale)?;
+        let force = check("force_scale", "lambda_f", force_scale)?;
+        Ok(Self { change: Changing::new(motion, force, FrameMap::default()), anchor: None })
     }
 }
 
 impl<const N: usize, S: Real> PositionForce<N, S> {
-    /// Couplings side by side, none of which has engaged, under the same map; else None.
+    /// Couplings side by side, none of which has engaged or is being changed, under the same map; else None.
     pub(crate) fn gather(of: &[&PositionForce<N>]) -> Option<Self> {
-        let map = of.first()?.map;
-        of.iter().all(|one| one.map == map && one.anchor.is_none()).then(|| Self {
-            position_scale: packed(of, |one| one.position_scale),
-            force_scale: packed(of, |one| one.force_scale),
-            map,
-            anchor: None,
-        })
+        let map = of.first()?.change.map;
+        let begins =
+            |one: &&PositionForce<N>| one.change.map == map && !one.change.moves && one.anchor.is_none();
+        let [motion, force] = [packed(of, |one| one.change.motion), packed(of, |one| one.change.force)];
+        of.iter().all(begins).then(|| Self { change: Changing::new(motion, force, map), anchor: None })
     }
 
-    /// Changes `lambda_p`; the slave goes on from where it is.
-    pub fn set_position_scale(&mut self, scale: f64) -> Result<(), CouplingError> {
-        self.position_scale = S::splat(check("position_scale", "lambda_p", scale)?);
-        self.disengage();
+    /// Changes `lambda_p` over so many ticks, 0 at once; the slave goes on from where it is.
+    pub fn set_position_scale(&mut self, scale: f64, ticks: u32) -> Result<(), CouplingError> {
+        self.change.set_motion(S::splat(check("position_scale", "lambda_p", scale)?), ticks);
+        self.anchor_anew(ticks);
         Ok(())
     }
 
-    /// Changes `lambda_f`; how fast the force follows is the limiter's.
-    pub fn set_force_scale(&mut self, scale: f64) -> Result<(), CouplingError> {
-        self.force_scale = S::splat(check("force_scale", "lambda_f", scale)?);
+    /// Changes `lambda_f` over so many ticks, 0 at once.
+    pub fn set_force_scale(&mut self, scale: f64, ticks: u32) -> Result<(), CouplingError> {
+        self.change.set_force(S::splat(check("force_scale", "lambda_f", scale)?), ticks);
         Ok(())
     }
 
-    /// Changes rotation and locks; the slave goes on from where it is.
-    pub fn set_map(&mut self, map: FrameMap<N>) {
-        self.map = map;
-        self.disengage();
+    /// Changes rotation and locks: both scales fade out and in over so many ticks each, 0 at once. The slave goes on from
+    /// where it is.
+    pub fn set_map(&mut self, map: FrameMap<N>, ticks: u32) {
+        self.change.set_map(map, ticks);
+        self.anchor_anew(ticks);
     }
 
-    /// Carries out a command of the operator at the master; returns whether it was one of this half.
-    pub(crate) fn command_at_master(&mut self, command: OperatorCommand) -> Result<bool, CouplingError> {
+    /// Where a change is at once, the slave goes on from where it is.
+    fn anchor_anew(&mut self, ticks: u32) {
+        if ticks == 0 {
+            self.anchor = None;
+        }
+    }
+
+    /// Carries out a command of the operator at the master over so many ticks; returns whether it was one of this half.
+    pub(crate) fn command_at_master(
+        &mut self,
+        command: OperatorCommand,
+        ticks: u32,
+    ) -> Result<bool, CouplingError> {
         match command {
-            OperatorCommand::ForceScale(scale) => self.set_force_scale(scale)?,
+            OperatorCommand::ForceScale(scale) => self.set_force_scale(scale, ticks)?,
             OperatorCommand::Frame { quat_wxyz, locked } => {
-                self.set_map(FrameMap::rotated(quat_wxyz, &locked)?);
+                self.set_map(FrameMap::rotated(quat_wxyz, &locked)?, ticks);
             }
             _ => return Ok(false),
         }
@@ -83,47 +88,70 @@ impl<const N: usize, S: Real> PositionForce<N, S> {
     }
 
     /// The same at the slave, which goes on from where it is.
-    pub(crate) fn command_at_slave(&mut self, command: OperatorCommand) -> Result<bool, CouplingError> {
+    pub(crate) fn command_at_slave(
+        &mut self,
+        command: OperatorCommand,
+        ticks: u32,
+    ) -> Result<bool, CouplingError> {
         match command {
-            OperatorCommand::PositionScale(scale) => self.set_position_scale(scale)?,
+            OperatorCommand::PositionScale(scale) => self.set_position_scale(scale, ticks)?,
             OperatorCommand::Frame { quat_wxyz, locked } => {
-                self.set_map(FrameMap::rotated(quat_wxyz, &locked)?);
+                self.set_map(FrameMap::rotated(quat_wxyz, &locked)?, ticks);
             }
             _ => return Ok(false),
         }
         Ok(true)
     }
 
+    /// One tick of the master for what is being changed.
+    #[inline]
+    pub(crate) fn advance(&mut self) {
+        if self.change.moves {
+            self.change.step();
+        }
+    }
+
     /// Master half: `F_v` in N from the newest `F_e` in N.
     pub fn rendered_force(&self, environment_force: &Axes<N, S>) -> Axes<N, S> {
-        self.map.to_master(environment_force) * self.force_scale
+        self.change.map.to_master(environment_force) * self.change.force
     }
 
     /// Slave half: the position to command, in m, from the newest `x_m` in m; the first call since
-    /// [`disengage`](Self::disengage) engages at `slave_position`.
+    /// [`disengage`](Self::disengage) engages at `slave_position`. Each call is a tick of what is being changed.
     pub fn commanded_position(
         &mut self,
         master_position: &Axes<N, S>,
         slave_position: &Axes<N, S>,
     ) -> Axes<N, S> {
         let (master, slave) = *self.anchor.get_or_insert((*master_position, *slave_position));
-        slave + self.map.to_slave(&(master_position - master)) * self.position_scale
+        let wanted = slave + self.change.map.to_slave(&(master_position - master)) * self.change.motion;
+        if self.change.moves {
+            self.change.step();
+            self.anchor = Some((*master_position, wanted));
+        }
+        wanted
     }
 
     /// Slave half: the velocity of the commanded position, in m/s, from the newest V in m/s.
     pub fn commanded_velocity(&self, master_velocity: &Axes<N, S>) -> Axes<N, S> {
-        self.map.to_slave(master_velocity) * self.position_scale
+        self.change.map.to_slave(master_velocity) * self.change.motion
     }
 
-    /// The two are no longer coupled.
+    /// The two are no longer coupled; what is being changed arrives.
     pub fn disengage(&mut self) {
         self.anchor = None;
+        if self.change.moves {
+            self.change.settle();
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// What changes a coupling at a tick.
+    type Changing<'a> = &'a dyn Fn(&mut PositionForce<1>, u32);
 
     #[test]
     fn engages_where_both_are_and_scales_from_there() {
@@ -138,21 +166,109 @@ mod tests {
         assert_eq!(coupling.commanded_position(&Axes::<2>::new(9.0, 9.0), &elsewhere), elsewhere);
     }
 
+    /// At once, as where nothing is coupled, and over 4 ticks: the command never jumps, and its velocity has no step.
     #[test]
     fn a_change_of_scale_or_axes_moves_nothing_by_itself() {
-        let mut coupling = PositionForce::<2>::new(1.0, 1.0).unwrap();
-        let mut command = coupling.commanded_position(&Axes::<2>::zeros(), &Axes::<2>::new(1.0, 1.0));
-        let hand = Axes::<2>::new(0.5, -0.2);
-        command = coupling.commanded_position(&hand, &command);
-        coupling.set_position_scale(3.0).unwrap();
-        assert_eq!(coupling.commanded_position(&hand, &command), command);
-        coupling.set_map(FrameMap::locking([true, false]));
-        assert_eq!(coupling.commanded_position(&hand, &command), command);
-        let moved = coupling.commanded_position(&(hand + Axes::<2>::new(0.1, 0.1)), &command);
-        assert!((moved - command - Axes::<2>::new(0.0, 0.3)).norm() < 1e-15);
-        coupling.set_force_scale(2.0).unwrap();
-        assert_eq!(coupling.rendered_force(&Axes::<2>::new(4.0, 1.0)), Axes::<2>::new(0.0, 2.0));
-        assert!(coupling.set_force_scale(f64::NAN).is_err() && coupling.set_position_scale(0.0).is_err());
+        for ticks in [0, 4] {
+            let mut coupling = PositionForce::<2>::new(1.0, 1.0).unwrap();
+            let mut command = coupling.commanded_position(&Axes::<2>::zeros(), &Axes::<2>::new(1.0, 1.0));
+            let hand = Axes::<2>::new(0.5, -0.2);
+            command = coupling.commanded_position(&hand, &command);
+            coupling.set_position_scale(3.0, ticks).unwrap();
+            for _ in 0..=ticks {
+                assert!((coupling.commanded_position(&hand, &command) - command).norm() < 1e-15);
+            }
+            coupling.set_map(FrameMap::locking([true, false]), ticks);
+            for _ in 0..=2 * ticks {
+                assert!((coupling.commanded_position(&hand, &command) - command).norm() < 1e-15);
+            }
+            let moved = coupling.commanded_position(&(hand + Axes::<2>::new(0.1, 0.1)), &command);
+            assert!((moved - command - Axes::<2>::new(0.0, 0.3)).norm() < 1e-15);
+            coupling.set_force_scale(2.0, ticks).unwrap();
+            (0..ticks).for_each(|_| coupling.advance());
+            assert_eq!(coupling.rendered_force(&Axes::<2>::new(4.0, 1.0)), Axes::<2>::new(0.0, 2.0));
+            assert!(coupling.set_force_scale(f64::NAN, ticks).is_err());
+            assert!(coupling.set_position_scale(0.0, ticks).is_err());
+        }
+    }
+
+    /// `lambda(k) = lambda_0 + (lambda - lambda_0) k / n`, a change on the way of another one begins where that is; of a map,
+    /// out and in: the steps of command and force of a hand that moves evenly, written down by hand.
+    #[test]
+    fn what_is_changed_fades_tick_by_tick() {
+        let steps = |change: &dyn Fn(&mut PositionForce<1>, u32)| -> Vec<[f64; 2]> {
+            let mut slave = PositionForce::<1>::new(1.0, 1.0).unwrap();
+            let mut master = slave;
+            let mut before = slave.commanded_position(&Axes::<1>::zeros(), &Axes::<1>::zeros());
+            (1..=10)
+                .map(|tick| {
+                    change(&mut slave, tick);
+                    change(&mut master, tick);
+                    let velocity = slave.commanded_velocity(&Axes::<1>::new(1.0))[0];
+                    let command =
+                        slave.commanded_position(&Axes::<1>::new(f64::from(tick)), &Axes::<1>::zeros());
+                    let force = master.rendered_force(&Axes::<1>::new(1.0))[0];
+                    master.advance();
+                    let step = (command - before)[0];
+                    assert!((step - velocity).abs() < 1e-12, "{tick}: {step} {velocity}");
+                    before = command;
+                    [step, force]
+                })
+                .collect()
+        };
+        let scale = |coupling: &mut PositionForce<1>, to: f64| {
+            coupling.set_position_scale(to, 4).unwrap();
+            coupling.set_force_scale(to, 4).unwrap();
+        };
+        let locked = FrameMap::locking([true]);
+        let cases: [(Changing<'_>, [f64; 10]); 3] = [
+            (
+                &|one, tick| {
+                    if tick == 3 {
+                        scale(one, 2.0);
+                    }
+                },
+                [1.0, 1.0, 1.0, 1.25, 1.5, 1.75, 2.0, 2.0, 2.0, 2.0],
+            ),
+            (
+                &|one, tick| {
+                    if tick == 2 {
+                        scale(one, 2.0);
+                    } else if tick == 4 {
+                        scale(one, 0.5);
+                    }
+                },
+                [1.0, 1.0, 1.25, 1.5, 1.25, 1.0, 0.75, 0.5, 0.5, 0.5],
+            ),
+            (
+                &|one, tick| {
+                    if tick == 2 {
+                        one.set_map(locked, 2);
+                    } else if tick == 5 {
+                        one.set_map(FrameMap::default(), 2);
+                    }
+                },
+                [1.0, 1.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0],
+            ),
+        ];
+        for (case, (change, expected)) in cases.into_iter().enumerate() {
+            for (tick, (seen, expected)) in steps(change).into_iter().zip(expected).enumerate() {
+                for seen in seen {
+                    assert!((seen - expected).abs() < 1e-12, "{case} at {}: {seen} {expected}", tick + 1);
+                }
+            }
+        }
+    }
+
+    /// Nothing is coupled any more: when the two engage again, it is with what was commanded.
+    #[test]
+    fn what_is_being_changed_arrives_where_the_two_part() {
+        let mut coupling = PositionForce::<1>::new(1.0, 1.0).unwrap();
+        coupling.commanded_position(&Axes::<1>::zeros(), &Axes::<1>::zeros());
+        coupling.set_position_scale(2.0, 100).unwrap();
+        coupling.set_map(FrameMap::locking([false]), 100);
+        coupling.disengage();
+        assert_eq!(coupling.commanded_velocity(&Axes::<1>::new(1.0))[0], 2.0);
     }
 
     #[test]

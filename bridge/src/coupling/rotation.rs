@@ -3,7 +3,7 @@
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 use std::f64::consts::{PI, TAU};
 
-use super::{CouplingError, UNIT, canonical, normalised, position_force::check};
+use super::{CouplingError, UNIT, canonical, change::Changing, normalised, position_force::check};
 
 /// Angle in rad from the anchor beyond which a scaled rotation goes on from a new anchor.
 pub const ANCHOR_REACH_RAD: f64 = 1.5 * PI;
@@ -51,7 +51,7 @@ impl RotationLock {
 ///
 /// `R_s = D^lambda_r R_s0` with `D = C R_m R_m0' C'`, `tau_m = lambda_tau C' L tau_s`; angular velocities and torques in
 /// base frames, torques about the tool point. `R_m0` and `R_s0` are taken when the two engage, so the slave never jumps;
-/// they are taken anew when scale, frame or lock change.
+/// they are taken anew when frame or lock change. Of a scale that changes, `R_s0` alone.
 ///
 /// **Powers.** `D^lambda = exp(lambda phi)` with `exp(phi) = D`. Of the vectors phi that differ by whole turns it is the
 /// one nearest to the last: phi goes on past pi, and nothing jumps there. With `lambda_r = 1` phi is not needed, and
@@ -86,9 +86,8 @@ impl RotationLock {
 /// derived here and held to numeric derivatives.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RotationCoupling {
-    rotation_scale: f64,
-    torque_scale: f64,
-    frame: UnitQuaternion<f64>,
+    /// `lambda_r`, `lambda_tau` and C.
+    change: Changing<UnitQuaternion<f64>>,
     lock: RotationLock,
     anchor: Option<Anchor>,
 }
@@ -143,52 +142,64 @@ fn logarithm(turn: &UnitQuaternion<f64>, last: &Vector3<f64>) -> Vector3<f64> {
 impl RotationCoupling {
     /// Scales `lambda_r` and `lambda_tau` (> 0).
     pub fn new(rotation_scale: f64, torque_scale: f64) -> Result<Self, CouplingError> {
-        Ok(Self {
-            rotation_scale: check("rotation_scale", "lambda_r", rotation_scale)?,
-            torque_scale: check("torque_scale", "lambda_tau", torque_scale)?,
-            frame: UnitQuaternion::identity(),
-            lock: RotationLock::Free,
-            anchor: None,
-        })
+        let motion = check("rotation_scale", "lambda_r", rotation_scale)?;
+        let force = check("torque_scale", "lambda_tau", torque_scale)?;
+        let change = Changing::new(motion, force, UnitQuaternion::identity());
+        Ok(Self { change, lock: RotationLock::Free, anchor: None })
     }
 
-    /// Changes `lambda_r`; the slave goes on from where it is.
-    pub fn set_rotation_scale(&mut self, scale: f64) -> Result<(), CouplingError> {
-        self.rotation_scale = check("rotation_scale", "lambda_r", scale)?;
-        self.disengage();
+    /// Changes `lambda_r` over so many ticks, 0 at once; the slave goes on from where it is.
+    pub fn set_rotation_scale(&mut self, scale: f64, ticks: u32) -> Result<(), CouplingError> {
+        self.change.set_motion(check("rotation_scale", "lambda_r", scale)?, ticks);
+        self.anchor_anew(ticks);
         Ok(())
     }
 
-    /// Changes `lambda_tau`; how fast the torque follows is the limiter's.
-    pub fn set_torque_scale(&mut self, scale: f64) -> Result<(), CouplingError> {
-        self.torque_scale = check("torque_scale", "lambda_tau", scale)?;
+    /// Changes `lambda_tau` over so many ticks, 0 at once.
+    pub fn set_torque_scale(&mut self, scale: f64, ticks: u32) -> Result<(), CouplingError> {
+        self.change.set_force(check("torque_scale", "lambda_tau", scale)?, ticks);
         Ok(())
     }
 
-    /// Changes C, a unit quaternion of the rotation from the master's frame to the slave's; the slave goes on from where
-    /// it is.
-    pub fn set_frame(&mut self, quat_wxyz: [f64; 4]) -> Result<(), CouplingError> {
+    /// Changes C, a unit quaternion of the rotation from the master's frame to the slave's: both scales fade out and in over
+    /// so many ticks each, 0 at once. The slave goes on from where it is.
+    pub fn set_frame(&mut self, quat_wxyz: [f64; 4], ticks: u32) -> Result<(), CouplingError> {
         let [w, x, y, z] = normalised(quat_wxyz)?;
-        self.frame = Unit::new_unchecked(Quaternion::new(w, x, y, z));
-        self.disengage();
+        self.change.set_map(Unit::new_unchecked(Quaternion::new(w, x, y, z)), ticks);
+        self.anchor_anew(ticks);
         Ok(())
+    }
+
+    /// Where a change is at once, the slave goes on from where it is.
+    fn anchor_anew(&mut self, ticks: u32) {
+        if ticks == 0 {
+            self.anchor = None;
+        }
+    }
+
+    /// One tick of the master for what is being changed.
+    #[inline]
+    pub(crate) fn advance(&mut self) {
+        if self.change.moves {
+            self.change.step();
+        }
     }
 
     /// Changes what does not follow; the slave goes on from where it is.
     pub fn set_lock(&mut self, lock: RotationLock) {
         self.lock = lock;
-        self.disengage();
+        self.anchor = None;
     }
 
     /// Master half: `tau_m` in N m from the newest `tau_s` in N m, in base frames about the tool point.
     pub fn rendered_torque(&self, slave_torque: &Vector3<f64>) -> Vector3<f64> {
-        self.frame.inverse_transform_vector(&self.lock.of(*slave_torque)) * self.torque_scale
+        self.change.map.inverse_transform_vector(&self.lock.of(*slave_torque)) * self.change.force
     }
 
     /// Slave half: the orientation to command, from the newest `R_m`; the first call since
     /// [`disengage`](Self::disengage) engages at `slave`.
     ///
-    /// An `R_m` that is no number is not followed.
+    /// An `R_m` that is no number is not followed. Each call is a tick of what is being changed.
     pub fn commanded_orientation(
         &mut self,
         master: &UnitQuaternion<f64>,
@@ -197,14 +208,15 @@ impl RotationCoupling {
         if !master.coords.iter().all(|part| part.is_finite()) {
             return self.anchor.map_or(*slave, |anchor| anchor.command);
         }
-        let master = product(&product(&self.frame, master), &self.frame.inverse());
+        let frame = self.change.map;
+        let master = product(&product(&frame, master), &frame.inverse());
         let Some(mut anchor) = self.anchor else {
             self.anchor = Some(Anchor::new(master, *slave));
             return *slave;
         };
         match self.lock {
             RotationLock::Locked => {}
-            RotationLock::Free if self.rotation_scale == 1.0 => {
+            RotationLock::Free if self.change.motion == 1.0 => {
                 anchor.command = product(&anchor.turn(&master), &anchor.slave);
             }
             RotationLock::Free | RotationLock::OnlyAbout(_) => {
@@ -222,7 +234,25 @@ impl RotationCoupling {
         }
         anchor.followed = master;
         self.anchor = Some(anchor);
+        if self.change.moves {
+            self.step(anchor);
+        }
         anchor.command
+    }
+
+    /// One tick of what is being changed, of a slave that was commanded by `anchor`: with another power of the same turn it
+    /// begins elsewhere, `R_s0 = exp(-lambda phi) R_s`, so that neither the command nor its velocity has a step.
+    #[inline(never)]
+    fn step(&mut self, mut anchor: Anchor) {
+        if self.lock == RotationLock::Free && self.change.motion == 1.0 {
+            // Not followed until now: of the first power all are the same.
+            anchor.turned = logarithm(&anchor.turn(&anchor.followed), &Vector3::zeros());
+        }
+        let is_exchanged = self.change.step();
+        let back = UnitQuaternion::from_scaled_axis(anchor.turned * -self.change.motion);
+        anchor.slave = product(&back, &anchor.command);
+        // In another frame nothing is known of the way, and nothing passes at that tick.
+        self.anchor = (!is_exchanged).then_some(anchor);
     }
 
     /// Follows the master a short way, from a new anchor where this one does not reach.
@@ -233,7 +263,7 @@ impl RotationCoupling {
         });
         anchor.turned = turned;
         anchor.followed = master;
-        let scaled = UnitQuaternion::from_scaled_axis(turned * self.rotation_scale);
+        let scaled = UnitQuaternion::from_scaled_axis(turned * self.change.motion);
         anchor.command = product(&scaled, &anchor.slave);
     }
 
@@ -253,8 +283,8 @@ impl RotationCoupling {
     ///
     /// Before the two engage it is that with which they will: `lambda_r L C w_m`.
     pub fn commanded_velocity(&self, master_velocity: &Vector3<f64>) -> Vector3<f64> {
-        let velocity = self.frame * master_velocity;
-        let scale = self.rotation_scale;
+        let velocity = self.change.map * master_velocity;
+        let scale = self.change.motion;
         let Some(anchor) = &self.anchor else {
             return self.lock.of(velocity) * scale;
         };
@@ -283,9 +313,18 @@ impl RotationCoupling {
         }
     }
 
-    /// The two are no longer coupled.
+    /// The slave is to go on from where it is: the next call of [`commanded_orientation`](Self::commanded_orientation)
+    /// takes both anew.
+    pub(crate) fn let_go(&mut self) {
+        self.anchor = None;
+    }
+
+    /// The two are no longer coupled; what is being changed arrives.
     pub fn disengage(&mut self) {
         self.anchor = None;
+        if self.change.moves {
+            self.change.settle();
+        }
     }
 }
 

@@ -258,26 +258,23 @@ impl<const N: usize> Arm<N> {
         }
     }
 
-    /// Carries out a command of the operator; returns whether it changed anything. The slave goes on from where it is.
-    pub(crate) fn command(&mut self, command: OperatorCommand) -> Result<bool, CouplingError> {
-        match command {
-            OperatorCommand::Acknowledge => self.fault = None,
-            OperatorCommand::PositionScale(_) => {
-                return self.translation.coupling().command_at_slave(command);
+    /// Carries out a command of the operator over so many ticks; returns whether it changed anything. The slave goes on from
+    /// where it is.
+    pub(crate) fn command(&mut self, command: OperatorCommand, ticks: u32) -> Result<bool, CouplingError> {
+        match (command, &mut self.rotation) {
+            (OperatorCommand::Acknowledge, _) => {
+                self.fault = None;
+                return Ok(true);
             }
-            OperatorCommand::Frame { quat_wxyz, .. } => {
-                self.translation.coupling().command_at_slave(command)?;
-                self.rotation.as_mut().map_or(Ok(()), |rotation| rotation.set_frame(quat_wxyz))?;
+            (OperatorCommand::RotationScale(scale), Some(rotation)) => {
+                return rotation.set_rotation_scale(scale, ticks).map(|()| true);
             }
-            OperatorCommand::RotationScale(scale) => {
-                return self
-                    .rotation
-                    .as_mut()
-                    .map_or(Ok(false), |rotation| rotation.set_rotation_scale(scale).map(|()| true));
+            (OperatorCommand::Frame { quat_wxyz, .. }, Some(rotation)) => {
+                rotation.set_frame(quat_wxyz, ticks)?;
             }
-            _ => return Ok(false),
+            _ => {}
         }
-        Ok(true)
+        self.translation.coupling().command_at_slave(command, ticks)
     }
 
     /// Why it stands in FAULT.

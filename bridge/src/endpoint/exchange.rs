@@ -220,7 +220,16 @@ impl Exchange {
         let over_baseline_ns = over.map(|over| over.saturating_sub(expected_age_ns));
         let next_sequence = self.link.next_sequence();
         let ended = self.peer_ended;
-        let view = LinkView { age_ns, expected_age_ns, over_baseline_ns, newest, next_sequence, ended };
+        let round_trip_ns = self.link.round_trip_ns();
+        let view = LinkView {
+            age_ns,
+            expected_age_ns,
+            over_baseline_ns,
+            round_trip_ns,
+            newest,
+            next_sequence,
+            ended,
+        };
         let before = self.ladder.state();
         let state = self.inputs.step(&mut self.ladder, now_ns, clutch, &view);
         if state == LadderState::Hold && self.ladder.history().cause() == Some(Reason::PeerDisengaged) {
@@ -435,6 +444,21 @@ impl Exchange {
     /// Where the ladder stands.
     pub fn state(&self) -> LadderState {
         self.ladder.state()
+    }
+
+    /// Over how many ticks what an operator changes fades, as an engagement does; 0, at once, where there is no force.
+    pub(crate) fn fade_ticks(&self) -> u32 {
+        if self.ladder.gain() > 0.0 { self.fade_in_ticks() } else { 0 }
+    }
+
+    /// Ticks of an engagement's fade.
+    pub(crate) fn fade_in_ticks(&self) -> u32 {
+        u32::try_from(self.ladder.settings().fade_in_ns.div_ceil(self.period_ns)).unwrap_or(u32::MAX)
+    }
+
+    /// Whether the clutch is open, and nothing is left of a coupling.
+    pub fn is_open(&self) -> bool {
+        !self.clutch() && self.ladder.gain() == 0.0 && !self.state().is_aligned()
     }
 
     /// Whether the clutch was closed at the last tick.

@@ -16,7 +16,10 @@ use super::{
 use crate::{
     SideKind,
     command::OperatorCommand,
-    coupling::{CouplingError, PositionForce, RotationCoupling, RotationLock, RotationState},
+    coupling::{
+        CHANGE_FACTOR, CouplingError, PositionForce, RotationCoupling, RotationLock, RotationState,
+        ScaleRange, ScaleRanges,
+    },
     ladder::{LAYERS, LadderSettings, LadderState, Observed, ROTATION, TRANSLATION, TRIGGER},
     wire::{Role, unpadded},
 };
@@ -70,6 +73,8 @@ pub struct MasterEndpoint<const N: usize> {
     trigger: Option<Box<TriggerFeedback>>,
     /// What talks to the peer.
     pub exchange: Exchange,
+    /// Bounds of `lambda_f` and `lambda_tau` while it runs.
+    ranges: ScaleRanges,
     period_s: f64,
     /// The fault of the safety layer is mended, as the operator says.
     acknowledged: bool,
@@ -91,8 +96,20 @@ impl<const N: usize> MasterEndpoint<N> {
         let mut coupling = RotationCoupling::new(1.0, rotation.torque_scale)?;
         coupling.set_lock(lock);
         endpoint.rotation = Some(coupling);
+        endpoint.ranges.rotation = Some(ScaleRange::torque(rotation.torque_scale, CHANGE_FACTOR, []));
         endpoint.exchange.set_kind(SideKind::Pose);
         Ok(endpoint)
+    }
+
+    /// The same with other bounds of its scales while it runs; those of [`CHANGE_FACTOR`] else.
+    #[must_use]
+    pub fn with_ranges(self, ranges: ScaleRanges) -> Self {
+        Self { ranges, ..self }
+    }
+
+    /// Bounds of its scales while it runs.
+    pub fn ranges(&self) -> &ScaleRanges {
+        &self.ranges
     }
 
     /// The same with a trigger that the finger feels.
@@ -158,6 +175,10 @@ impl<const N: usize> MasterEndpoint<N> {
             rotation: None,
             trigger: None,
             exchange,
+            ranges: ScaleRanges {
+                translation: Some(ScaleRange::force(settings.force_scale, CHANGE_FACTOR, [])),
+                rotation: None,
+            },
             period_s: period_s(settings.period_ns),
             acknowledged: false,
         })
@@ -227,17 +248,17 @@ impl<const N: usize> MasterEndpoint<N> {
         MasterTick { input, safety, rotation, trigger, state: self.exchange.ladder.state(), age_ns }
     }
 
-    /// The same with what the coupling requests of what was received.
+    /// The same with what the coupling requests of what was received. Each call is a tick of what is being changed.
     #[inline(always)] // what it is given and returns is large
-    pub(crate) fn requested(&self, input: &HandInput<N>) -> HandInput<N> {
-        HandInput {
-            requested_force: self.coupling.rendered_force(&input.received_force),
-            requested_torque: self
-                .rotation
-                .as_ref()
-                .map_or(Axes::zeros(), |coupling| coupling.rendered_torque(&input.received_torque)),
-            ..*input
-        }
+    pub(crate) fn requested(&mut self, input: &HandInput<N>) -> HandInput<N> {
+        let requested_force = self.coupling.rendered_force(&input.received_force);
+        self.coupling.advance();
+        let requested_torque = self.rotation.as_mut().map_or(Axes::zeros(), |coupling| {
+            let torque = coupling.rendered_torque(&input.received_torque);
+            coupling.advance();
+            torque
+        });
+        HandInput { requested_force, requested_torque, ..*input }
     }
 
     /// A tick that was recorded, again: no peer, no ladder, no trigger.
@@ -270,26 +291,29 @@ impl<const N: usize> MasterEndpoint<N> {
         outgoing.report(&reading.position, &velocity, &safety.device_force, rotation);
     }
 
-    /// Carries out a command of the operator; returns whether it changed anything.
+    /// Carries out a command of the operator; returns whether it changed anything. What it changes of the coupling fades in
+    /// within the ladder's fade-in, and stays within its bounds.
     pub fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {
-        match command {
-            OperatorCommand::Acknowledge => {
-                self.acknowledged = self.exchange.state() == LadderState::Fault;
-                self.exchange.acknowledge(now_ns);
-            }
-            OperatorCommand::ForceScale(_) => return self.coupling.command_at_master(command),
-            OperatorCommand::Frame { quat_wxyz, .. } => {
-                self.coupling.command_at_master(command)?;
-                self.rotation.as_mut().map_or(Ok(()), |coupling| coupling.set_frame(quat_wxyz))?;
-            }
-            OperatorCommand::TorqueScale(scale) => {
-                return self
-                    .rotation
-                    .as_mut()
-                    .map_or(Ok(false), |coupling| coupling.set_torque_scale(scale).map(|()| true));
-            }
-            _ => return Ok(false),
+        if command == OperatorCommand::Acknowledge {
+            self.acknowledged = self.exchange.state() == LadderState::Fault;
+            self.exchange.acknowledge(now_ns);
+            return Ok(true);
         }
-        Ok(true)
+        self.ranges.check(Role::Master, &command, self.exchange.is_open())?;
+        self.change(command, self.exchange.fade_ticks())
+    }
+
+    /// Changes the coupling over so many ticks; returns whether the command is one that does.
+    pub(crate) fn change(&mut self, command: OperatorCommand, ticks: u32) -> Result<bool, CouplingError> {
+        match (command, &mut self.rotation) {
+            (OperatorCommand::TorqueScale(scale), Some(rotation)) => {
+                return rotation.set_torque_scale(scale, ticks).map(|()| true);
+            }
+            (OperatorCommand::Frame { quat_wxyz, .. }, Some(rotation)) => {
+                rotation.set_frame(quat_wxyz, ticks)?;
+            }
+            _ => {}
+        }
+        self.coupling.command_at_master(command, ticks)
     }
 }

@@ -76,20 +76,20 @@ impl SlaveRotation {
         self.left.speed = (self.bounds.speed - angular_speed).max(0.0);
     }
 
-    /// Changes `lambda_r`; with an alignment it stays 1.
-    pub(super) fn set_rotation_scale(&mut self, scale: f64) -> Result<(), CouplingError> {
+    /// Changes `lambda_r` over so many ticks; with an alignment it stays 1.
+    pub(super) fn set_rotation_scale(&mut self, scale: f64, ticks: u32) -> Result<(), CouplingError> {
         if self.alignment.is_some() {
             AlignmentSettings::check_scale(scale)?;
         }
-        self.coupling.set_rotation_scale(scale)
+        self.coupling.set_rotation_scale(scale, ticks)
     }
 
-    /// Changes C, a unit quaternion.
-    pub(super) fn set_frame(&mut self, quat_wxyz: [f64; 4]) -> Result<(), CouplingError> {
+    /// Changes C, a unit quaternion, over so many ticks.
+    pub(super) fn set_frame(&mut self, quat_wxyz: [f64; 4], ticks: u32) -> Result<(), CouplingError> {
         if let Some(alignment) = &mut self.alignment {
             alignment.set_frame(quat_wxyz)?;
         }
-        self.coupling.set_frame(quat_wxyz)
+        self.coupling.set_frame(quat_wxyz, ticks)
     }
 
     /// How the command is turned as against the master's newest rotation, and its next step towards that within
@@ -160,7 +160,7 @@ impl SlaveRotation {
         if wanted.angle_to(&from) > MAX_LAG_RAD {
             // Further on the shorter way would turn back: it goes on from where it is.
             limited.angular_speed = true;
-            self.coupling.disengage();
+            self.coupling.let_go();
             self.coupling.commanded_orientation(&master.orientation, &from);
             (wanted, velocity) = (from, Axes::zeros());
         }

@@ -7,7 +7,9 @@ use super::{Arm, ArmInput, EndpointError, Exchange, MasterState, SlaveRotationSe
 use crate::{
     SideKind,
     command::OperatorCommand,
-    coupling::{CommandBounds, CouplingError, Limited, RotationState},
+    coupling::{
+        CHANGE_FACTOR, CommandBounds, CouplingError, Limited, RotationState, ScaleRange, ScaleRanges,
+    },
     ladder::{LAYERS, LadderSettings, LadderState, Observed},
     wire::{Role, unpadded},
 };
@@ -74,6 +76,8 @@ pub struct SlaveTick<const N: usize> {
 #[derive(Clone, Debug)]
 pub struct SlaveEndpoint<const N: usize> {
     arm: Arm<N>,
+    /// Bounds of `lambda_p` and `lambda_r` while it runs.
+    ranges: ScaleRanges,
     /// What talks to the peer.
     pub exchange: Exchange,
 }
@@ -83,7 +87,11 @@ impl<const N: usize> SlaveEndpoint<N> {
     pub fn new(settings: &SlaveSettings) -> Result<Self, EndpointError> {
         let arm = Arm::new(settings)?;
         let exchange = Exchange::new(Role::Slave, N, settings.run_id, settings.period_ns, settings.ladder)?;
-        Ok(Self { arm, exchange })
+        let ranges = ScaleRanges {
+            translation: Some(ScaleRange::position(settings.position_scale, CHANGE_FACTOR, [])),
+            rotation: None,
+        };
+        Ok(Self { arm, ranges, exchange })
     }
 
     /// The same of a pose, with `rotation` and three axes.
@@ -91,10 +99,22 @@ impl<const N: usize> SlaveEndpoint<N> {
         settings: &SlaveSettings,
         rotation: &SlaveRotationSettings,
     ) -> Result<Self, EndpointError> {
-        let Self { arm, mut exchange } = Self::new(settings)?;
+        let Self { arm, mut ranges, mut exchange } = Self::new(settings)?;
         let arm = arm.turning(rotation, period_s(settings.ladder.align_ns))?;
+        ranges.rotation = Some(ScaleRange::rotation(rotation.rotation_scale, CHANGE_FACTOR, []));
         exchange.set_kind(SideKind::Pose);
-        Ok(Self { arm, exchange })
+        Ok(Self { arm, ranges, exchange })
+    }
+
+    /// The same with other bounds of its scales while it runs; those of [`CHANGE_FACTOR`] else.
+    #[must_use]
+    pub fn with_ranges(self, ranges: ScaleRanges) -> Self {
+        Self { ranges, ..self }
+    }
+
+    /// Bounds of its scales while it runs.
+    pub fn ranges(&self) -> &ScaleRanges {
+        &self.ranges
     }
 
     /// The arm still brakes with `speed` in m/s and `angular_speed` in rad/s: the bounds on both leave that much less for
@@ -106,7 +126,7 @@ impl<const N: usize> SlaveEndpoint<N> {
     /// One tick of what the arm measures.
     #[inline(always)] // once a tick, from few places
     pub fn tick(&mut self, now_ns: u64, reading: &SlaveReading<N>) -> SlaveTick<N> {
-        let Self { arm, exchange } = self;
+        let Self { arm, exchange, .. } = self;
         if exchange.events.peer_began {
             arm.disengage();
         }
@@ -156,12 +176,14 @@ impl<const N: usize> SlaveEndpoint<N> {
         self.arm.rests(rest, orientation);
     }
 
-    /// Carries out a command of the operator; returns whether it changed anything. The slave goes on from where it is.
+    /// Carries out a command of the operator; returns whether it changed anything. What it changes of the coupling fades in
+    /// within the ladder's fade-in, and stays within its bounds; the slave goes on from where it is.
     pub fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {
         if command == OperatorCommand::Acknowledge {
             self.exchange.acknowledge(now_ns);
         }
-        self.arm.command(command)
+        self.ranges.check(Role::Slave, &command, self.exchange.is_open())?;
+        self.arm.command(command, self.exchange.fade_ticks())
     }
 
     /// The last commanded position in m; none before the first engagement.

@@ -42,6 +42,8 @@ pub struct LadderInput {
     pub expected_age_ns: u64,
     /// By how much in ns the newest may be older than the link is used to; none until that is known.
     pub over_baseline_ns: Option<u64>,
+    /// Round trip in ns as the newest echo measures it, on this side's clock; 0 until one does.
+    pub round_trip_ns: u64,
     /// What the newest frame says.
     pub peer: Option<PeerReport>,
     /// Whether the clutch is closed: at the master the button, at the slave what the master's frame says of it. A
@@ -82,6 +84,8 @@ pub struct LinkView {
     pub expected_age_ns: u64,
     /// As [`LadderInput::over_baseline_ns`].
     pub over_baseline_ns: Option<u64>,
+    /// As [`LadderInput::round_trip_ns`].
+    pub round_trip_ns: u64,
     /// The newest frame of the peer.
     pub newest: Option<PeerFrame>,
     /// Sequence of the frame that this tick sends.
@@ -165,13 +169,14 @@ impl LadderInputs {
             answers: hears && echo.is_some_and(|echo| echo >= self.closed_sequence),
             is_current,
         });
-        let &LinkView { age_ns, expected_age_ns, over_baseline_ns, ended, .. } = link;
+        let &LinkView { age_ns, expected_age_ns, over_baseline_ns, round_trip_ns, ended, .. } = link;
         let needs_answer = self.role == Role::Slave && self.closings > 0;
         let alignment = self.alignment;
         LadderInput {
             age_ns,
             expected_age_ns,
             over_baseline_ns,
+            round_trip_ns,
             peer,
             clutch,
             needs_answer,
@@ -208,6 +213,7 @@ mod tests {
             age_ns: Some(2 * MS),
             expected_age_ns: MS,
             over_baseline_ns: Some(0),
+            round_trip_ns: 2 * MS,
             newest,
             next_sequence,
             ended: false,

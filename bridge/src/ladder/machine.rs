@@ -29,6 +29,10 @@ pub struct Ladder {
     opened: bool,
     /// When ALIGNING began, in ns.
     aligning_ns: u64,
+    /// Whether the peer has said, in its present run, that it hears this side.
+    was_heard: bool,
+    /// Arrival in ns of the first of the newest frames in ALIGNING that all say STOP or that the peer is deaf.
+    apart_since_ns: Option<u64>,
     /// Whether the arm is to be turned to the master, as of the last tick.
     turns: bool,
     holds: u64,
@@ -53,6 +57,8 @@ impl Ladder {
             blind_until_ns: None,
             opened: true,
             aligning_ns: 0,
+            was_heard: false,
+            apart_since_ns: None,
             turns: false,
             holds: 0,
             closings: 0,
@@ -127,6 +133,8 @@ impl Ladder {
         }
         let unsound_ns = now_ns.saturating_sub(self.last_sound_ns.unwrap_or(now_ns));
         let aligning = self.state == LadderState::Aligning;
+        self.was_heard |= heard;
+        let refuses = self.refuses_press(now_ns, input, heard, said.has(Reason::PeerStopped));
         let silent_ns = match self.excess_ns {
             Some(excess) if sound || aligning => excess,
             // A press at the start waits for the peer's first frame as long as any press does.
@@ -143,9 +151,11 @@ impl Ladder {
         // An arm that is being turned follows nobody who might have let go: it waits no longer than one that is coupled.
         let is_cut = self.turns && !may_engage;
         // That the peer is disengaged counts while the clutch of this side is closed.
-        let facts = if input.clutch { said } else { said.without(Reason::PeerDisengaged) }
+        let facts = if input.clutch { said } else { said.without(Reason::PeerDisengaged) };
+        // A press waits for as long as the peer's answer takes.
+        let facts = if aligning && !refuses { facts.without(Reason::PeerStopped) } else { facts }
             .with(Reason::PeerSilent, silent || !seen)
-            .with(Reason::PeerDeaf, !heard)
+            .with(Reason::PeerDeaf, !heard && (!aligning || refuses))
             .with(Reason::PeerEnded, input.ended)
             // What it is used to is that of an engagement.
             .with(Reason::NewsOld, self.state.is_coupled() && old)
@@ -164,6 +174,23 @@ impl Ladder {
         (facts, may_engage)
     }
 
+    /// Whether the peer has said for two round trips, and at least [`ANSWER_NS`], that it stands in STOP or does not hear
+    /// this side, since a press that waits. Only arrivals count: silence has a time of its own, and a peer that never
+    /// heard this side may have been started after the press.
+    fn refuses_press(&mut self, now_ns: u64, input: &LadderInput, heard: bool, stopped: bool) -> bool {
+        let is_apart = self.state == LadderState::Aligning
+            && self.was_heard
+            && input.peer.is_some()
+            && (!heard || stopped);
+        let (true, Some(age_ns)) = (is_apart, input.age_ns) else {
+            self.apart_since_ns = None;
+            return false;
+        };
+        let arrived_ns = now_ns.saturating_sub(age_ns);
+        let since_ns = *self.apart_since_ns.get_or_insert(arrived_ns.max(self.aligning_ns));
+        arrived_ns.saturating_sub(since_ns) >= input.round_trip_ns.saturating_mul(2).max(ANSWER_NS)
+    }
+
     /// Goes where the facts lead, as far as they do. Each leads one step only, so this ends.
     fn follow(&mut self, now_ns: u64, mut facts: Facts) {
         while let Some(row) = next(self.state, facts) {
@@ -173,8 +200,10 @@ impl Ladder {
             }
             if row.to == LadderState::Aligning {
                 self.aligning_ns = now_ns;
-                // What was too long in the state before is not so in this one.
-                facts = facts.without(Reason::SilentTooLong);
+                // What was too long in the state before is not so in this one, and the peer cannot know of the press yet.
+                facts = [Reason::SilentTooLong, Reason::PeerStopped, Reason::PeerDeaf]
+                    .into_iter()
+                    .fold(facts, Facts::without);
             }
             let is_unanswered = row.from == LadderState::Aligning
                 && row.to == LadderState::Disengaged
@@ -222,6 +251,7 @@ impl Ladder {
     /// The peer is another than before. A slave (`engages`) may follow a master that was started anew, because that
     /// is a person's act; a hand is never coupled by what arrives from the network.
     pub fn new_run(&mut self, now_ns: u64, engages: bool) {
+        self.was_heard = false;
         self.apply(now_ns, Reason::PeerRestarted);
         if engages && self.state != LadderState::Fault {
             self.apply(now_ns, Reason::MasterStartedAnew);
@@ -354,6 +384,10 @@ pub struct LadderSettings {
 }
 
 const MS: u64 = 1_000_000;
+
+/// Least time in ns for which a peer must have refused a press, however short the round trip: a few ticks of a slow loop,
+/// and a burst of losses.
+const ANSWER_NS: u64 = 50 * MS;
 
 /// A time in s as whole ns.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // saturates, and `check` holds it against its range

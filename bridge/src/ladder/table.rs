@@ -216,7 +216,8 @@ const fn row(from: LadderState, reason: Reason, to: LadderState) -> Row {
 /// A press counts in HOLD and STOP only while both sides hear one another and the peer knows of the hold: a press
 /// into a dead link must not couple whenever the link is back. In DISENGAGED it waits, visibly, as ALIGNING, which
 /// ends with the press: a peer that is silent for `stop_after`, restarted, in FAULT, has ended, or has not aligned
-/// within `align` leads back to DISENGAGED, and a release and a press after that lead out again.
+/// within `align` leads back to DISENGAGED, and a release and a press after that lead out again. So does a peer that has
+/// heard this side before and then says, for two round trips, that it stands in STOP or does not hear it.
 ///
 /// Where the slave is turned to the master before it engages, a late loop, a peer that is not heard for as long as
 /// leads to HOLD elsewhere, and an angle that is too large end its press as well: an arm that moves is not left to a
@@ -234,6 +235,8 @@ pub const TABLE: &[Row] = &[
     row(Aligning, PeerFaulted, Disengaged),
     row(Aligning, PeerEnded, Disengaged),
     row(Aligning, SilentTooLong, Disengaged),
+    row(Aligning, PeerStopped, Disengaged),
+    row(Aligning, PeerDeaf, Disengaged),
     row(Aligning, AlignTimedOut, Disengaged),
     row(Aligning, TurnRefused, Disengaged),
     row(Aligning, TurnCut, Disengaged),
@@ -394,8 +397,18 @@ mod tests {
     use super::*;
 
     /// What ends a press that waits.
-    const ENDS: [Reason; 8] =
-        [OwnDelay, PeerRestarted, PeerFaulted, PeerEnded, SilentTooLong, AlignTimedOut, TurnRefused, TurnCut];
+    const ENDS: [Reason; 10] = [
+        OwnDelay,
+        PeerRestarted,
+        PeerFaulted,
+        PeerEnded,
+        SilentTooLong,
+        PeerStopped,
+        PeerDeaf,
+        AlignTimedOut,
+        TurnRefused,
+        TurnCut,
+    ];
 
     fn all_facts() -> impl Iterator<Item = Facts> {
         (0..1_u32 << 23).map(|bits| Facts(bits << 1))
@@ -493,6 +506,8 @@ mod tests {
                     (PeerEnded, Disengaged),
                     (OwnDelay, Disengaged),
                     (SilentTooLong, Disengaged),
+                    (PeerStopped, Disengaged),
+                    (PeerDeaf, Disengaged),
                     (AlignTimedOut, Disengaged),
                     (TurnRefused, Disengaged),
                     (TurnCut, Disengaged),

@@ -13,10 +13,12 @@ use super::{handshakes::SecurityEvent, live_loop::PROMPT_NS, newest::Newest, sys
 use crate::{
     LinkStatistics,
     command::OperatorCommand,
+    coupling::{CouplingError, ScaleRanges},
     ladder::{Diagnosis, FlightRecorder, LadderState},
     recorder::{Recorder, Recording, RecordingReport},
     ring::ring,
     telemetry::Telemetry,
+    wire::Role,
 };
 
 /// Commands and shows a loop from any thread, without a lock.
@@ -141,11 +143,14 @@ impl LiveWatch {
         self.recording.as_ref().map(Recording::report)
     }
 
-    /// Hands a command to the loop, which carries it out at its next tick; returns it where too many wait. An
-    /// acknowledgement is void if the loop does not read it within 0.25 s.
-    pub fn command(&mut self, command: OperatorCommand) -> Result<(), OperatorCommand> {
-        let given = self.commands.push((system::now_ns(), command));
-        given.map_err(|rtrb::PushError::Full((_, command))| command)
+    /// Hands a command to the loop, which carries it out at its next tick. An acknowledgement is void if the loop does not
+    /// read it within 0.25 s.
+    ///
+    /// # Errors
+    ///
+    /// A scale out of its bounds, as the clutch was at the last tick, and too many commands that wait.
+    pub fn command(&mut self, command: OperatorCommand) -> Result<(), CommandError> {
+        self.handle.0.give(&mut self.commands, command)
     }
 
     /// The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before.
@@ -189,10 +194,20 @@ impl ControlPort {
     }
 
     /// As [`LiveWatch::command`].
-    pub fn command(&mut self, command: OperatorCommand) -> Result<(), OperatorCommand> {
-        let given = self.commands.push((system::now_ns(), command));
-        given.map_err(|rtrb::PushError::Full((_, command))| command)
+    pub fn command(&mut self, command: OperatorCommand) -> Result<(), CommandError> {
+        self.handle.0.give(&mut self.commands, command)
     }
+}
+
+/// Why a command was not handed to a loop.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum CommandError {
+    /// A scale that may not be had now.
+    #[error(transparent)]
+    Refused(#[from] CouplingError),
+    /// Too many commands wait.
+    #[error("the loop has not done what it was told before: is it running?")]
+    Full,
 }
 
 /// Gets the records that a loop has kept, once it has ended.
@@ -246,8 +261,13 @@ impl Ineffective {
 }
 
 /// What the loop and those who watch it both see.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Shared {
+    role: Role,
+    /// Bounds of the scales of the side.
+    ranges: ScaleRanges,
+    /// Whether its clutch is open, and nothing is left of a coupling.
+    pub(super) is_open: AtomicBool,
     pub(super) stop: AtomicBool,
     pub(super) state: AtomicU8,
     pub(super) ticks: AtomicU64,
@@ -270,6 +290,36 @@ pub(super) struct Shared {
 }
 
 impl Shared {
+    pub(super) fn new(role: Role, ranges: ScaleRanges) -> Self {
+        Self {
+            role,
+            ranges,
+            is_open: AtomicBool::new(true),
+            stop: AtomicBool::default(),
+            state: AtomicU8::default(),
+            ticks: AtomicU64::default(),
+            answered: AtomicBool::default(),
+            press_ns: AtomicU64::default(),
+            takeover_ns: AtomicU64::default(),
+            acknowledged_ns: AtomicU64::default(),
+            ineffective_presses: AtomicU64::default(),
+            ineffective: AtomicU8::default(),
+            is_start_void: AtomicBool::default(),
+            ends: AtomicBool::default(),
+            at_rest: AtomicBool::default(),
+        }
+    }
+
+    /// Hands a command to the loop. Whoever commands is answered here; the side checks it once more when it takes it.
+    fn give(
+        &self,
+        commands: &mut rtrb::Producer<(u64, OperatorCommand)>,
+        command: OperatorCommand,
+    ) -> Result<(), CommandError> {
+        self.ranges.check(self.role, &command, self.is_open.load(Ordering::Relaxed))?;
+        commands.push((system::now_ns(), command)).map_err(|_| CommandError::Full)
+    }
+
     /// Whether the loop must end: it was stopped, or the process has no memory left.
     pub(super) fn must_end(&self) -> bool {
         self.stop.load(Ordering::Relaxed) || system::is_exhausted()
@@ -416,12 +466,13 @@ pub(super) fn channels<R>(
     started_ns: u64,
     address: SocketAddr,
     outputs: RecordOutputs<R>,
-) -> (LoopChannels, RecordSinks<R>, LiveWatch, RecordReader<R>, Arc<Shared>) {
+    shared: Arc<Shared>,
+) -> (LoopChannels, RecordSinks<R>, LiveWatch, RecordReader<R>) {
     let recording = outputs.recorder.as_ref().map(Recorder::recording);
-    let (channels, watch, shared) = rings(started_ns, address, recording);
+    let (channels, watch) = rings(started_ns, address, recording, shared);
     let (to_reader, records) = mpsc::sync_channel(1);
     let reader = RecordReader { records, room: outputs.newest.room(), handle: watch.handle().clone() };
-    (channels, RecordSinks { to_reader, outputs }, watch, reader, shared)
+    (channels, RecordSinks { to_reader, outputs }, watch, reader)
 }
 
 /// The same without the records; compiled once for all types of records.
@@ -429,14 +480,14 @@ fn rings(
     started_ns: u64,
     address: SocketAddr,
     recording: Option<Recording>,
-) -> (LoopChannels, LiveWatch, Arc<Shared>) {
-    let shared = Arc::<Shared>::default();
+    shared: Arc<Shared>,
+) -> (LoopChannels, LiveWatch) {
     let (to_events, events) = ring(MAX_EVENTS);
     let (to_flights, flights) = ring(MAX_FLIGHTS);
     let (to_diagnoses, diagnoses) = ring(MAX_DIAGNOSES);
     let (commands, given) = rtrb::RingBuffer::new(MAX_COMMANDS);
     let (from_port, controlled) = rtrb::RingBuffer::new(MAX_COMMANDS);
-    let handle = LiveHandle(Arc::clone(&shared));
+    let handle = LiveHandle(shared);
     let watch = LiveWatch {
         port: Some(ControlPort { handle: handle.clone(), commands: from_port }),
         handle,
@@ -455,5 +506,5 @@ fn rings(
         diagnoses: to_diagnoses,
         commands: CommandQueue { started_ns: Some(started_ns), given, controlled },
     };
-    (channels, watch, shared)
+    (channels, watch)
 }

@@ -13,6 +13,7 @@ use std::{
 
 use super::system;
 use crate::{
+    coupling::CouplingError,
     ring::ring,
     session::{
         Bucket, EndError, Handshake, HandshakeDatagram, HandshakeDecision, HandshakeError, HandshakeEvent,
@@ -251,8 +252,8 @@ fn answer(
     handshake.rejections()
 }
 
-/// What happened to the session of a live run, for the operator.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// What happened to the session of a live run, for the operator, and what the loop refused.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SecurityEvent {
     /// Of the session.
     Session(SessionEvent),
@@ -260,6 +261,8 @@ pub enum SecurityEvent {
     Handshake(HandshakeEvent),
     /// The operator at the slave may not let another master begin yet.
     StillHeard(StillHeard),
+    /// What the operator changed of the coupling was refused when the loop took it.
+    Refused(CouplingError),
     /// The thread that makes keys has ended by itself.
     KeysEnd,
 }
@@ -302,6 +305,7 @@ impl std::fmt::Display for SecurityEvent {
             Self::KeysEnd => formatter.write_str(
                 "the thread that makes keys has died: this session ends when its keys grow old, within 180 s",
             ),
+            Self::Refused(error) => write!(formatter, "not changed: {error}"),
             Self::StillHeard(still) => {
                 write!(formatter, "no other master yet: this one was heard {:.1} s ago, must be silent for {:.0} s",
                     still.ago_ns as f64 * 1e-9, still.silence_ns as f64 * 1e-9)

@@ -338,9 +338,11 @@ impl LiveLoop {
                         let _ = channels.events.push(SecurityEvent::StillHeard(still));
                     }
                 }
-                // `LiveWatch::command` has refused what cannot be.
                 _ if counts => {
-                    let _ = side.command(now_ns, command);
+                    // Refused before, unless the clutch has closed since.
+                    if let Err(error) = side.command(now_ns, command) {
+                        let _ = channels.events.push(SecurityEvent::Refused(error));
+                    }
                 }
                 _ => {}
             }
@@ -354,7 +356,7 @@ impl LiveLoop {
         report.ticks += 1;
         report.dropped_records += u64::from(!plant.record());
         let exchange = plant.side().exchange();
-        let state = exchange.state();
+        let (state, is_open) = (exchange.state(), exchange.is_open());
         if state.is_coupled() && report.engaged_ns == u64::MAX {
             report.engaged_ns = elapsed_ns;
         }
@@ -372,6 +374,7 @@ impl LiveLoop {
             );
         }
         shared.state.store(state.code(), Ordering::Relaxed);
+        shared.is_open.store(is_open, Ordering::Relaxed);
         shared.ticks.store(report.ticks, Ordering::Relaxed);
         // A round trip is known from the first answer on.
         let link = plant.side().exchange().link().statistics();

@@ -14,7 +14,9 @@ mod system;
 pub use channel::Security;
 pub use control::{Control, ControlSocket};
 pub use driver_watch::{DriverCall, DriverCalls, watch_driver};
-pub use handle::{ControlPort, Ineffective, LiveHandle, LiveWatch, RecordOutputs, RecordReader};
+pub use handle::{
+    CommandError, ControlPort, Ineffective, LiveHandle, LiveWatch, RecordOutputs, RecordReader,
+};
 pub use handshakes::{SecurityEvent, StartError};
 pub use live_loop::{LiveSettings, LoopReport};
 pub use newest::Newest;

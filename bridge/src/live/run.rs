@@ -102,7 +102,9 @@ fn prepared<S: Side + Send + 'static>(
     let layout = side.exchange().link().layout();
     let channel = LiveChannel::start(settings.role, layout, settings.period_ns, security)?;
     let started_ns = settings.started_ns.unwrap_or_else(system::now_ns);
-    let (channels, sinks, watch, records, shared) = channels(started_ns, socket.local_address()?, outputs);
+    let shared = Arc::new(Shared::new(settings.role, side.ranges()));
+    let (channels, sinks, watch, records) =
+        channels(started_ns, socket.local_address()?, outputs, Arc::clone(&shared));
     let plant = Box::new(RecordedSide::new(side, sinks));
     Ok((Parts { plant, socket, channel, channels, settings, shared }, watch, records))
 }

@@ -542,7 +542,7 @@ mod tests {
 
     #[test]
     fn memory_is_locked_that_is_used() {
-        const UNUSED: usize = 256 << 20;
+        const UNUSED: usize = 4 << 30;
         const USED: usize = 8 << 20;
         let (unused, used) = (Vec::<u8>::with_capacity(UNUSED), vec![1_u8; USED]);
         let Ok(memory) = LockedMemory::new(LaterMemory::Free) else { return };

@@ -66,6 +66,8 @@ pub struct Replay<const N: usize> {
     /// Of the operator with their times; done, so many.
     commands: Vec<(u64, OperatorCommand)>,
     done: usize,
+    /// Whether the ladder left a share of the force at the last tick.
+    had_force: bool,
     /// Whether the coupling requests anew of what was received.
     recouples: bool,
     hand: Option<HandImpedance>,
@@ -95,6 +97,7 @@ impl<const N: usize> Replay<N> {
             endpoint: master_endpoint(scene, RUN_ID, None)?,
             commands: commands::<N>(coupling)?,
             done: 0,
+            had_force: false,
             recouples,
             hand,
             mass_kg: scene.master.device.mass_kg,
@@ -109,10 +112,12 @@ impl<const N: usize> Replay<N> {
     /// The next tick.
     pub fn step(&mut self, tick: &RecordedTick<N>) -> ReplayedTick<N> {
         while let Some((_, command)) = self.commands.get(self.done).filter(|(at, _)| *at <= tick.time_ns) {
-            // They were checked when the scene was built.
-            let _ = self.endpoint.command(tick.time_ns, *command);
+            // They were checked when the scene was built. Where there was a force, they faded.
+            let ticks = if self.had_force { self.endpoint.exchange.fade_in_ticks() } else { 0 };
+            let _ = self.endpoint.change(*command, ticks);
             self.done += 1;
         }
+        self.had_force = tick.input.gain > 0.0;
         let input = if self.recouples { self.endpoint.requested(&tick.input) } else { tick.input };
         let mut reading = tick.reading;
         if let Some(hand) = self.hand {

@@ -11,13 +11,13 @@ use super::{
     coupling::commands,
     pose,
     research::{ResearchFactory, research_controller},
-    spec::{CouplingSpec, SceneSpec},
+    spec::{ChangeSpec, CouplingSpec, SceneSpec},
     timed::Timed,
 };
 use crate::{
     DrivenMaster, DrivenSlave, EndpointError, LedGripper, MasterEndpoint, MasterPlant, MasterRotation,
     MasterSettings, MasterSide, SideKind, SlaveEndpoint, SlaveRotation, SlaveSettings, SlaveSide, Trigger,
-    coupling::PositionForce,
+    coupling::{PositionForce, ScaleRange, ScaleRanges},
     endpoint::{Arm, Hand},
 };
 
@@ -70,7 +70,7 @@ pub(super) fn master_endpoint<const N: usize>(
 ) -> Result<MasterEndpoint<N>, SceneError> {
     let (arm, coupling) = coupled(scene)?;
     let settings = master_settings(scene, run_id)?;
-    let mut endpoint = match scene.master.kind {
+    let endpoint = match scene.master.kind {
         SideKind::Pose => {
             let rotation = pose::master_rotation(scene, coupling)?;
             let lock = pose::rotation_lock(coupling).map_err(EndpointError::from)?;
@@ -78,6 +78,21 @@ pub(super) fn master_endpoint<const N: usize>(
         }
         SideKind::Linear | SideKind::Joints => MasterEndpoint::new(&settings)?,
     };
+    let CouplingSpec { change_factor: factor, ref changes, .. } = *coupling;
+    let stated = |of: fn(&ChangeSpec) -> Option<f64>| changes.iter().filter_map(of);
+    let ranges = ScaleRanges {
+        translation: Some(ScaleRange::force(
+            coupling.force_scale,
+            factor,
+            stated(|change| change.force_scale),
+        )),
+        rotation: endpoint.ranges().rotation.and(Some(ScaleRange::torque(
+            coupling.torque_scale,
+            factor,
+            stated(|change| change.torque_scale),
+        ))),
+    };
+    let mut endpoint = endpoint.with_ranges(ranges);
     endpoint.exchange.set_kind(scene.master.kind);
     if let Some(trigger) = trigger_feedback(scene, arm)? {
         endpoint = endpoint.with_trigger(&trigger)?;
@@ -113,13 +128,28 @@ pub(super) fn slave_endpoint<const N: usize>(
 ) -> Result<SlaveEndpoint<N>, SceneError> {
     let (_, coupling) = coupled(scene)?;
     let settings = slave_settings(scene, run_id)?;
-    let mut endpoint = match scene.master.kind {
+    let endpoint = match scene.master.kind {
         SideKind::Pose => {
             let rotation = pose::slave_rotation(coupling).map_err(EndpointError::from)?;
             SlaveEndpoint::of_pose(&settings, &rotation)?
         }
         SideKind::Linear | SideKind::Joints => SlaveEndpoint::new(&settings)?,
     };
+    let CouplingSpec { change_factor: factor, ref changes, .. } = *coupling;
+    let stated = |of: fn(&ChangeSpec) -> Option<f64>| changes.iter().filter_map(of);
+    let ranges = ScaleRanges {
+        translation: Some(ScaleRange::position(
+            coupling.position_scale,
+            factor,
+            stated(|change| change.position_scale),
+        )),
+        rotation: endpoint.ranges().rotation.and(Some(ScaleRange::rotation(
+            coupling.rotation_scale,
+            factor,
+            stated(|change| change.rotation_scale),
+        ))),
+    };
+    let mut endpoint = endpoint.with_ranges(ranges);
     endpoint.exchange.set_kind(scene.master.kind);
     if scene.master.buttons.is_some() {
         endpoint.exchange.carry_buttons();

@@ -24,7 +24,7 @@ use serde::Deserialize;
 
 use crate::{
     ButtonSettings, LadderSettings, SideKind,
-    coupling::{AlignmentSettings, CommandBounds, RotationBounds},
+    coupling::{AlignmentSettings, CHANGE_FACTOR, CommandBounds, RotationBounds},
     scene::metrics::Metrics,
 };
 
@@ -363,8 +363,15 @@ pub struct CouplingSpec {
     pub alignment: Option<AlignmentSettings>,
     /// The point of the tool that is coupled, in its frame.
     pub reference_point: Option<[f64; 3]>,
+    /// Largest factor, up and down, by which a scale may be changed while the clutch is closed.
+    #[serde(default = "change_factor")]
+    pub change_factor: f64,
     /// What is changed while it runs.
     pub changes: Vec<ChangeSpec>,
+}
+
+const fn change_factor() -> f64 {
+    CHANGE_FACTOR
 }
 
 /// `[[coupling.changes]]`: what is not given stays as it is.

@@ -2,7 +2,8 @@
 
 use crate::{
     Exchange, Feeling, MasterPlant, MasterRotation, MasterSide, OperatorCommand, Side, SlavePlant,
-    SlaveRotation, SlaveSide, TickTime, coupling::CouplingError,
+    SlaveRotation, SlaveSide, TickTime,
+    coupling::{CouplingError, ScaleRanges},
 };
 
 /// The commands of an operator with their times in ns since the start, in order.
@@ -93,6 +94,10 @@ impl<S: Side> Side for Timed<S> {
 
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {
         self.side.command(now_ns, command)
+    }
+
+    fn ranges(&self) -> ScaleRanges {
+        self.side.ranges()
     }
 
     #[inline(always)]

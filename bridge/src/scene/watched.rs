@@ -60,6 +60,10 @@ pub(super) struct Watched<const N: usize> {
     turn_release_s: Option<f64>,
     /// What the operator commanded that the coupling refused.
     refused: Option<CouplingError>,
+    /// For how long a change fades, out and in, and until when the last one does, in ns: what is measured meanwhile is held
+    /// against no coupling.
+    fade_ns: u64,
+    fades_until_ns: u64,
 }
 
 impl<const N: usize> Watched<N> {
@@ -80,6 +84,7 @@ impl<const N: usize> Watched<N> {
             SideKind::Linear | SideKind::Joints => None,
         };
         let coupling = Present::new(coupling, commands);
+        let longest_ns = settings.period_ns.max(settings.slave_period_ns);
         let every = scene.record.as_ref().map_or(0, |record| record.every);
         // The recording keeps about the same rate on both sides.
         let far_every = (every * settings.period_ns).div_ceil(settings.slave_period_ns);
@@ -110,6 +115,8 @@ impl<const N: usize> Watched<N> {
             rotation,
             turn_release_s: turn_release_s(scene),
             refused: None,
+            fade_ns: 2 * (scene.safety.ladder.unwrap_or_default().fade_in_ns + longest_ns),
+            fades_until_ns: 0,
         })
     }
 
@@ -137,10 +144,21 @@ impl<const N: usize> Watched<N> {
     #[inline(always)] // most ticks have none due
     fn change(&mut self, now_ns: u64) {
         match self.changed(now_ns) {
-            Ok(true) => self.tracking.begin_anew(),
+            Ok(true) => {
+                self.tracking.begin_anew();
+                if self.states.iter().any(|state| state.is_coupled()) {
+                    self.fades_until_ns = now_ns.saturating_add(self.fade_ns);
+                }
+            }
             Ok(false) => {}
             Err(error) => self.refused = Some(error),
         }
+    }
+
+    /// Whether both sides are coupled as the scene says at `now_ns`.
+    #[inline(always)] // as change
+    fn is_comparable(&self, now_ns: u64) -> bool {
+        self.states.iter().all(|state| state.is_coupled()) && now_ns >= self.fades_until_ns
     }
 
     /// The same, and whether anything was.
@@ -259,7 +277,7 @@ impl<const N: usize> Watched<N> {
         self.settled = settled == Some(true) && self.engaged_s.is_some();
         self.ticks += 1;
         self.log.tripped(time_s, Tripped::from_bits(tripped));
-        let coupled = self.states.iter().all(|state| state.is_coupled());
+        let coupled = self.is_comparable(record.time_ns);
         if let (Some(rotation), Some(turn)) = (&mut self.rotation, turn)
             && self.judged.metrics.has_rotation()
         {
@@ -329,7 +347,7 @@ impl<const N: usize> Watched<N> {
         }
         self.log.touches(time_s, record.touches);
         self.log.grips(time_s, record.holds_object);
-        let coupled = self.states.iter().all(|state| state.is_coupled());
+        let coupled = self.is_comparable(record.time_ns);
         self.tracking.far(coupled, &record.position, &record.environment_force);
         let turn = record.rotation.rotation();
         if let (Some(turn), Some(rotation)) = (turn, &mut self.rotation)

@@ -650,24 +650,34 @@ fn a_late_tick_turns_no_further_than_two_of_them() {
     }
 }
 
-/// A master that does not hear the arm: its press turns nothing until it does.
+/// A master that does not hear the arm: its press turns nothing until it does, and nothing at all where that comes too late.
 #[test]
 fn a_press_of_a_deaf_master_turns_nothing() {
-    let mut pair = Pair::new(off_by(Set::default(), 0.5));
-    pair.is_silent[1] = true;
-    pair.ticks(40);
-    pair.press(true);
-    pair.ticks(pair.delays[0] + 1);
-    for _ in 0..100 {
-        pair.tick();
-        assert_eq!(pair.slave.exchange().state(), Aligning);
-        assert_eq!(*pair.slave.plant.order(), SlaveOrder::Wait);
+    for (deaf_for, is_late) in [(20, false), (100, true)] {
+        let mut pair = Pair::new(off_by(Set::default(), 0.5));
+        pair.is_silent[1] = true;
+        pair.ticks(40);
+        pair.press(true);
+        pair.ticks(pair.delays[0] + 1);
+        for tick in 0..deaf_for {
+            pair.tick();
+            let expected = if tick < 60 { Aligning } else { Disengaged };
+            assert!((45..60).contains(&tick) || pair.slave.exchange().state() == expected, "{tick}");
+            assert_eq!(*pair.slave.plant.order(), SlaveOrder::Wait);
+        }
+        pair.is_silent[1] = false;
+        pair.ticks(12);
+        if is_late {
+            pair.ticks(1030);
+            assert_eq!(*pair.slave.plant.order(), SlaveOrder::Wait);
+            let last = pair.slave.exchange().ladder().history().last().unwrap();
+            assert_eq!((last.to, last.reason), (Disengaged, Reason::PeerDeaf));
+        } else {
+            assert_ne!(*pair.slave.plant.order(), SlaveOrder::Wait);
+            // 0.5 rad at 0.5 rad/s, and back.
+            assert_eq!(pair.ticks(1030), [Engaged; 2]);
+        }
     }
-    pair.is_silent[1] = false;
-    pair.ticks(12);
-    assert_ne!(*pair.slave.plant.order(), SlaveOrder::Wait);
-    // 0.5 rad at 0.5 rad/s, and back.
-    assert_eq!(pair.ticks(1030), [Engaged; 2]);
 }
 
 /// Out of a hold as well: the new press turns the arm first, from where it stands.

@@ -537,18 +537,39 @@ fn the_round_trip_does_not_show_a_clock_that_is_wrong() {
     }
 }
 
-/// A link of 30 ms each way that drops what is sent, or keeps it until it is back, while it is `cut`; a person who
-/// presses the clutch anew at `presses`; and a slave that is started anew at `restarts`. The states of both sides at
-/// each tick.
+/// A link with a delay in ticks each way, and when what is sent to the slave and to the master is cut: dropped, or kept
+/// until the end of the cut.
+struct Wire {
+    delay: u64,
+    cuts: [Vec<std::ops::Range<u64>>; 2],
+    keeps: bool,
+}
+
+impl Wire {
+    /// Of 30 ms, cut both ways.
+    fn cut(cut: std::ops::Range<u64>, keeps: bool) -> Self {
+        Self { delay: 30, cuts: [vec![cut.clone()], vec![cut]], keeps }
+    }
+
+    /// The cut that holds what side `from` sends at a tick.
+    fn cut_at(&self, from: usize, sent: u64) -> Option<&std::ops::Range<u64>> {
+        self.cuts[from].iter().find(|cut| cut.contains(&sent))
+    }
+}
+
+/// Two sides of these times of the ladder on a wire; a person who presses the clutch anew at `presses`; and a slave that
+/// is started anew at `restarts`. The states of both sides at each tick.
 fn run_delayed(
     ticks: u64,
-    cut: std::ops::Range<u64>,
-    keeps: bool,
+    wire: &Wire,
+    ladder: LadderSettings,
     presses: &[u64],
     restarts: Option<u64>,
 ) -> Vec<[LadderState; 2]> {
-    const DELAY: u64 = 30;
     let (mut master, mut slave) = sides();
+    let slave_settings = |session| SlaveSettings { ladder, ..slave_settings(session) };
+    master.endpoint = MasterEndpoint::new(&MasterSettings { ladder, ..master_settings() }).unwrap();
+    slave.endpoint = SlaveEndpoint::new(&slave_settings(2)).unwrap();
     let mut under_way: [VecDeque<(u64, Vec<u8>)>; 2] = Default::default();
     let mut buffer = [0; MAX_FRAME];
     let mut history = Vec::new();
@@ -560,11 +581,11 @@ fn run_delayed(
         if presses.contains(&tick) {
             master.command(now_ns, OperatorCommand::Press).unwrap();
         }
-        let due_at = |sent: u64| if cut.contains(&sent) { cut.end + DELAY } else { sent + DELAY };
         for (from, frames) in under_way.iter_mut().enumerate() {
+            let due_at = |sent: u64| wire.cut_at(from, sent).map_or(sent, |cut| cut.end) + wire.delay;
             while frames.front().is_some_and(|(sent, _)| due_at(*sent) <= tick) {
                 let (sent, frame) = frames.pop_front().unwrap();
-                if keeps || !cut.contains(&sent) {
+                if wire.keeps || wire.cut_at(from, sent).is_none() {
                     // Of a session that is over it is refused.
                     let _ = if from == 0 {
                         slave.receive(LinkTime::at(now_ns), &frame)
@@ -593,14 +614,16 @@ fn engagements(history: &[[LadderState; 2]]) -> usize {
 fn a_press_that_the_slave_did_not_see_couples_nothing_when_the_link_is_back() {
     use LadderState::{Aligning, Disengaged, Engaged, Stop};
     let held = |tick: u64| (1000..1600).contains(&tick);
-    let history = run_delayed(2000, 1000..1600, false, &[], None);
+    let ladder = LadderSettings::default();
+    let history = run_delayed(2000, &Wire::cut(1000..1600, false), ladder, &[], None);
     assert!(held(1599) && history[1999] == [Stop; 2]);
     for keeps in [false, true] {
         for restarts in [None, Some(15_000)] {
             // Held by the restart of the link at 1 s: the first outage is made by hand here.
             let mut presses = vec![2000];
             let cut = 2100 - 15..22_000;
-            let history = run_delayed(26_000, cut.clone(), keeps, &presses, restarts);
+            let wire = Wire::cut(cut, keeps);
+            let history = run_delayed(26_000, &wire, ladder, &presses, restarts);
             let what = format!("keeps {keeps}, restarts {restarts:?}");
             assert_eq!(history[1999], [Engaged; 2], "{what}");
             assert_eq!(history[2090][1], Disengaged, "{what}: the slave saw the release");
@@ -609,10 +632,68 @@ fn a_press_that_the_slave_did_not_see_couples_nothing_when_the_link_is_back() {
             let coupled = history[2101..].iter().any(|sides| sides[1].is_coupled());
             assert!(!coupled, "{what}: the slave engaged by an old press");
             presses.push(24_000);
-            let history = run_delayed(26_000, cut, keeps, &presses, restarts);
+            let history = run_delayed(26_000, &wire, ladder, &presses, restarts);
             assert_eq!(history[23_999][0], Disengaged, "{what}");
             assert_eq!(history[25_999], [Engaged; 2], "{what}: a new press");
             assert_eq!(engagements(&history), 2, "{what}");
+        }
+    }
+}
+
+/// Both engaged, or in STOP after an outage, and one direction cut from 5 ms before a press leaves until some time after it,
+/// while the other one arrives. What the peer says of the press for two round trips ends it; a shorter cut and a long way do not.
+#[test]
+fn a_press_ends_with_what_the_peer_says_of_it() {
+    use LadderState::{Aligning, Disengaged, Engaged, Stop};
+    // A silence that is no STOP for as long as a press waits.
+    let patient = LadderSettings { stop_after_ns: 10_000 * MS, ..LadderSettings::default() };
+    let usual = LadderSettings::default();
+    for (name, was_stopped, to_slave, ladder, delay, back_after, engages) in [
+        ("deaf", false, true, usual, 1, 3_400, false),
+        ("deaf", false, true, usual, 1, 4_800, false),
+        ("deaf", false, true, usual, 1, 200, false),
+        ("deaf", false, true, usual, 30, 4_000, false),
+        ("deaf", false, true, usual, 300, 3_400, false),
+        ("stopped", true, true, usual, 1, 3_400, false),
+        ("stopped", true, true, usual, 30, 4_800, false),
+        ("stopped", true, true, usual, 30, 200, false),
+        ("stopped", true, true, usual, 300, 3_400, false),
+        ("the slave's press", false, false, patient, 1, 3_400, false),
+        ("the slave's press", false, false, patient, 30, 4_800, false),
+        ("within two round trips", false, true, usual, 1, 20, true),
+        ("within two round trips", false, true, usual, 300, 400, true),
+        ("within two round trips", true, true, usual, 1, 20, true),
+        ("within two round trips", true, true, usual, 300, 400, true),
+        ("a long way", true, true, usual, 1, 0, true),
+        ("a long way", true, true, usual, 100, 0, true),
+        ("a long way", true, true, usual, 900, 0, true),
+    ] {
+        let what = format!("{name}: {delay} ms, back after {back_after} ms");
+        let press = 4_000 + 8 * delay;
+        let cut = press - 5..press + back_after;
+        let mut cuts = [vec![cut], vec![]];
+        if !to_slave {
+            cuts.swap(0, 1);
+        }
+        if was_stopped {
+            let outage = press - 1_500 - 2 * delay..press - 1_000 - 2 * delay;
+            for cuts in &mut cuts {
+                cuts.push(outage.clone());
+            }
+        }
+        let wire = Wire { delay, cuts, keeps: false };
+        let history = run_delayed(press + 8_000 + 4 * delay, &wire, ladder, &[press - 100], None);
+        let at = |tick: u64| history[usize::try_from(tick).unwrap()];
+        assert_eq!(at(press - 101), [if was_stopped { Stop } else { Engaged }; 2], "{what}");
+        assert_eq!(at(press)[0], Aligning, "{what}");
+        let end = press + back_after + 2_000 + 4 * delay;
+        if engages {
+            assert_eq!(at(end), [Engaged; 2], "{what}");
+        } else {
+            let last = usize::try_from(press).unwrap();
+            let coupled = history[last + 1..].iter().filter(|sides| sides[0].is_coupled()).count();
+            assert_eq!((coupled, at(press + 5_000)[0]), (0, Disengaged), "{what}: engaged without an act");
+            assert!(!at(press + 5_000)[1].is_coupled(), "{what}");
         }
     }
 }
@@ -706,7 +787,7 @@ fn a_slave_that_is_started_anew_while_the_master_aligns_ends_the_press() {
         if tick == 10 {
             slave.endpoint.command(now_ns, OperatorCommand::Acknowledge).unwrap();
         }
-        if tick == 1000 {
+        if tick == 60 {
             slave.endpoint = SlaveEndpoint::new(&slave_settings(3)).unwrap();
         }
         if tick == 20 || tick == 3000 {
@@ -714,16 +795,16 @@ fn a_slave_that_is_started_anew_while_the_master_aligns_ends_the_press() {
         }
         states.push(master.tick(TickTime::at(now_ns)).state);
         let frame = master.send(LinkTime::at(now_ns), &mut buffer);
-        // The old one sees no release.
-        if !(20..1000).contains(&tick) {
+        // The old one is deaf to the press, for less than ends it.
+        if !(20..60).contains(&tick) {
             slave.receive(LinkTime::at(now_ns), frame).unwrap();
         }
         slave.tick(TickTime::at(now_ns));
-        if !(1000..1201).contains(&tick) {
+        if !(60..261).contains(&tick) {
             master.receive(LinkTime::at(now_ns), slave.send(LinkTime::at(now_ns), &mut buffer)).unwrap();
         }
     }
-    assert_eq!(states[999], Aligning);
-    assert!(states[1300..3000].iter().all(|state| *state == Disengaged), "{:?}", states[1300]);
+    assert_eq!(states[260], Aligning);
+    assert!(states[300..3000].iter().all(|state| *state == Disengaged), "{:?}", states[300]);
     assert_eq!(states[3999], Engaged);
 }

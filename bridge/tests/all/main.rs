@@ -15,6 +15,7 @@ mod measured_metrics;
 #[cfg(test)]
 mod pair;
 mod pose;
+mod run_time_changes;
 mod session;
 mod session_hostile;
 mod soft_stop;

@@ -48,3 +48,15 @@ def hold(page: "Page", seconds: float) -> None:
     press(page)
     page.wait_for_timeout(seconds * 1e3)
     page.mouse.up()
+
+
+def said(page: "Page", text: str) -> None:
+    """Waits until the page says so."""
+    page.wait_for_function("text => document.getElementById('said').textContent.includes(text)", arg=text)
+
+
+def change(page: "Page", name: str, value: str) -> None:
+    """Changes a scale, and confirms it."""
+    page.fill(f"#{name}-scale", value)
+    page.click(f"#set-{name}")
+    page.click("#confirm-yes")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.view.console.browser import hold, press
+from tests.view.console.browser import change, hold, press, said
 from tests.view.console.served import Served, served, wait_for
 
 if TYPE_CHECKING:
@@ -41,10 +41,6 @@ def opened(browser: "Browser", runs: Served) -> "Page":
     return page
 
 
-def said(page: "Page", text: str) -> None:
-    page.wait_for_function("text => document.getElementById('said').textContent.includes(text)", arg=text)
-
-
 def coupled(runs: Served, page: "Page") -> None:
     hold(page, 1.3)
     wait_for(lambda: runs.master.state == "engaged")
@@ -68,12 +64,23 @@ def test_every_button(runs: Served, page: "Page") -> None:
     # Those of the scene, until a person types.
     assert [page.input_value(f"#{name}-scale") for name in ("force", "position")] == ["1", "1"]
     for form, value, text in (
-        ("force", "0.5", "master: the scale is 0.5"),
-        ("position", "0.8", "slave: the scale is 0.8"),
+        ("force", "0.5", "master: the scale goes to 0.5"),
+        ("position", "0.8", "slave: the scale goes to 0.8"),
+        ("force", "5", "must be between 0.5 and 2, with an open clutch between 0.01 and 100; release the clutch first"),
+        ("force", "1e308", "set coupling.force_scale in the scene"),
     ):
-        page.fill(f"#{form}-scale", value)
-        page.click(f"#set-{form}")
+        change(page, form, value)
         said(page, text)
+    # Asked, and answered by a script or by Cancel: nothing is sent.
+    before = page.inner_text("#said")
+    page.fill("#force-scale", "0.9")
+    page.click("#set-force")
+    page.evaluate("document.getElementById('confirm-yes').click()")
+    assert page.is_visible("#confirm")
+    page.click("#confirm-no")
+    assert page.is_hidden("#confirm")
+    page.wait_for_timeout(200)
+    assert page.inner_text("#said") == before
     page.fill("#force-scale", "much")
     page.click("#set-force")
     said(page, "must be a number")

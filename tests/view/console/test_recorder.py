@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.view.console.browser import hold
+from tests.view.console.browser import change, hold, said
 from tests.view.console.served import served, wait_for
 
 from haptether.bridge import load_scene
@@ -29,11 +29,8 @@ def test_page_says_why_the_master_stopped_and_scales_rotation(browser: "Browser"
         assert page.locator(".flight").count() == 0
         # Each at its side, where the sides are of kind pose.
         for name, side in (("torque", "master"), ("rotation", "slave")):
-            page.fill(f"#{name}-scale", "0.7")
-            page.click(f"#set-{name}")
-            page.wait_for_function(
-                "text => document.getElementById('said').textContent.includes(text)", arg=f"{side}: the scale is 0.7"
-            )
+            change(page, name, "0.7")
+            said(page, f"{side}: the scale goes to 0.7")
         hold(page, 1.3)
         wait_for(lambda: runs.master.state == "engaged")
         runs.slave.stop()

@@ -66,10 +66,10 @@ fn a_change_of_scale_frame_or_lock_moves_nothing_by_itself() {
     let (mut coupling, mut command) = led(scaled(0.7), [hand; 2], Vector3::z(), 1.0);
     let hand = exp(Vector3::z()) * hand;
     let changes: [fn(&mut RotationCoupling); 4] = [
-        |coupling| coupling.set_rotation_scale(2.0).unwrap(),
-        |coupling| coupling.set_frame([0.6, 0.8, 0.0, 0.0]).unwrap(),
+        |coupling| coupling.set_rotation_scale(2.0, 0).unwrap(),
+        |coupling| coupling.set_frame([0.6, 0.8, 0.0, 0.0], 0).unwrap(),
         |coupling| coupling.set_lock(RotationLock::only_about([0.0, 0.0, 1.0]).unwrap()),
-        |coupling| coupling.set_torque_scale(3.0).unwrap(),
+        |coupling| coupling.set_torque_scale(3.0, 0).unwrap(),
     ];
     for change in changes {
         change(&mut coupling);
@@ -87,6 +87,62 @@ fn a_change_of_scale_frame_or_lock_moves_nothing_by_itself() {
     assert!((torque - c.inverse() * Vector3::z() * 3.0).norm() < 1e-14);
 }
 
+/// A hand that turns evenly, far from its anchor and across the way to it: scales and frames that fade over n ticks move
+/// nothing by themselves, and change the velocity by no more than their share at a tick.
+#[test]
+fn what_is_changed_of_a_rotation_fades_without_a_step() {
+    type Change = fn(&mut RotationCoupling, f64);
+    const TICKS: u32 = 200;
+    let rate = 1e-3;
+    let about = Vector3::new(0.2, 1.0, -0.5).normalize();
+    let axis = RotationLock::only_about([0.0, 0.6, 0.8]).unwrap();
+    let scale: Change = |coupling, to| coupling.set_rotation_scale(to, TICKS).unwrap();
+    let frame: Change = |coupling, _| coupling.set_frame([0.6, 0.0, 0.8, 0.0], TICKS).unwrap();
+    for lock in [RotationLock::Free, axis] {
+        for (from, to, change) in [
+            (1.0, 2.0, scale),
+            (2.0, 1.0, scale),
+            (0.7, 1.4, scale),
+            (2.0, 0.5, scale),
+            (1.0, 1.0, frame),
+            (0.5, 0.5, frame),
+        ] {
+            for moves in [false, true] {
+                let mut coupling = scaled(from);
+                coupling.set_lock(lock);
+                let mut hand = exp(Vector3::new(0.5, -0.2, 0.9));
+                let mut command = coupling.commanded_orientation(&hand, &exp(Vector3::x()));
+                // Turned by 1.2 rad before.
+                for _ in 0..1200 {
+                    hand = exp(Vector3::z() * 1e-3) * hand;
+                    command = coupling.commanded_orientation(&hand, &command);
+                }
+                let mut before = None::<Vector3<f64>>;
+                for tick in 0..3 * TICKS {
+                    if tick == TICKS / 2 {
+                        change(&mut coupling, to);
+                    }
+                    // The next one comes while the first is on its way.
+                    if tick == TICKS && from != to {
+                        change(&mut coupling, from.midpoint(to));
+                    }
+                    hand = if moves { exp(about * rate) * hand } else { hand };
+                    let next = coupling.commanded_orientation(&hand, &command);
+                    let step = (next * command.inverse()).scaled_axis();
+                    command = next;
+                    let Some(before) = before.replace(step) else { continue };
+                    let most = if moves { 3.0 * from.max(to) * rate / f64::from(TICKS) } else { 1e-14 };
+                    let off = (step - before).norm();
+                    assert!(
+                        off <= most,
+                        "{lock:?} {from} to {to}, moves {moves}, at {tick}: {off:e}, must be {most:e}"
+                    );
+                }
+            }
+        }
+    }
+}
+
 /// The bodies of both sides turn about axes that C maps to one another, `lambda_r` times as fast: a screw, in
 /// which the slave's tool point moves on its helix as its shifted twist says.
 #[test]
@@ -96,7 +152,7 @@ fn a_screw_of_the_hand_is_a_screw_of_the_slave() {
             (exp(Vector3::new(0.3, 0.9, -0.4)), exp(Vector3::x()), exp(Vector3::new(0.0, 2.0, 1.0)));
         let axis = Vector3::new(0.36, 0.48, -0.8);
         let mut coupling = scaled(scale);
-        coupling.set_frame(wxyz(&frame)).unwrap();
+        coupling.set_frame(wxyz(&frame), 0).unwrap();
         coupling.commanded_orientation(&master, &slave);
         let tip = Vector3::new(0.1, 0.0, 0.25);
         let expected = frame * axis * (scale * speed);
@@ -154,7 +210,7 @@ proptest! {
         (scale, lock) in (scale(), lock()),
     ) {
         let mut coupling = scaled(scale);
-        coupling.set_frame(wxyz(&frame)).unwrap();
+        coupling.set_frame(wxyz(&frame), 0).unwrap();
         coupling.set_lock(lock);
         let (coupling, command) = led(coupling, [master, slave], axis.into_inner(), angle);
         let step = 1e-5;
@@ -181,7 +237,7 @@ proptest! {
         way in prop::collection::vec(vector(3.0), 1..20),
     ) {
         let mut coupling = scaled(1.0);
-        coupling.set_frame(wxyz(&frame)).unwrap();
+        coupling.set_frame(wxyz(&frame), 0).unwrap();
         coupling.commanded_orientation(&master, &slave);
         let mut hand = master;
         for by in way {
@@ -300,7 +356,7 @@ proptest! {
         (scale, lock) in (scale(), lock()),
     ) {
         let mut coupling = scaled(scale);
-        coupling.set_frame(wxyz(&frame)).unwrap();
+        coupling.set_frame(wxyz(&frame), 0).unwrap();
         coupling.set_lock(lock);
         let mut command = slave;
         let mut cycle = |from: UnitQuaternion<f64>, to: UnitQuaternion<f64>| {
@@ -329,10 +385,10 @@ proptest! {
         (way, scale, lock) in (prop::collection::vec(vector(0.7), 1..12), scale(), lock()),
     ) {
         let mut coupling = scaled(scale);
-        coupling.set_frame(wxyz(&frame)).unwrap();
+        coupling.set_frame(wxyz(&frame), 0).unwrap();
         coupling.set_lock(lock);
         let mut turned = scaled(scale);
-        turned.set_frame(wxyz(&(slave_base * frame * master_base.inverse()))).unwrap();
+        turned.set_frame(wxyz(&(slave_base * frame * master_base.inverse())), 0).unwrap();
         turned.set_lock(match lock {
             RotationLock::OnlyAbout(axis) => RotationLock::OnlyAbout(slave_base * axis),
             other => other,
@@ -361,7 +417,7 @@ proptest! {
         (scale, torque_scale, locks) in (scale(), 0.1..3.0f64, 0..3_u8),
     ) {
         let mut coupling = RotationCoupling::new(scale, torque_scale).unwrap();
-        coupling.set_frame(wxyz(&frame)).unwrap();
+        coupling.set_frame(wxyz(&frame), 0).unwrap();
         coupling.set_lock(match locks {
             0 => RotationLock::Free,
             1 => RotationLock::OnlyAbout(frame * axis),
@@ -545,12 +601,12 @@ fn refuses_what_couples_nothing() {
         let error = RotationCoupling::new(r, tau).unwrap_err().to_string();
         assert!(error.starts_with(text), "{error}");
         let mut coupling = scaled(1.0);
-        assert!(coupling.set_rotation_scale(r).is_err() || coupling.set_torque_scale(tau).is_err());
+        assert!(coupling.set_rotation_scale(r, 0).is_err() || coupling.set_torque_scale(tau, 0).is_err());
     }
     let before = scaled(1.0);
     let mut coupling = before;
     for quat_wxyz in [[0.9, 0.0, 0.0, 0.0], [f64::NAN; 4], [1.0; 4]] {
-        let error = coupling.set_frame(quat_wxyz).unwrap_err().to_string();
+        let error = coupling.set_frame(quat_wxyz, 0).unwrap_err().to_string();
         assert!(error.contains("must be 1 to within 1e-6"), "{error}");
     }
     for axis in [[0.0; 3], [1.0, 1.0, 0.0], [f64::NAN, 0.0, 1.0]] {

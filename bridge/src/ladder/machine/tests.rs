@@ -11,6 +11,7 @@ fn sound(age: u64) -> LadderInput {
         age_ns: Some(age * MS),
         expected_age_ns: MS,
         over_baseline_ns: Some(0),
+        round_trip_ns: 2 * MS,
         peer: Some(PeerReport { state: Engaged, hears: true, answers: true, is_current: true }),
         clutch: true,
         needs_answer: false,
@@ -193,6 +194,7 @@ const ALONE: LadderInput = LadderInput {
     age_ns: None,
     expected_age_ns: MS,
     over_baseline_ns: None,
+    round_trip_ns: 0,
     peer: None,
     clutch: true,
     needs_answer: false,
@@ -230,6 +232,64 @@ fn waiting(age: u64) -> LadderInput {
     LadderInput { peer: Some(peer), ..sound(age) }
 }
 
+const DEAF: PeerReport = PeerReport { state: Disengaged, hears: false, answers: false, is_current: false };
+
+fn refusing(peer: PeerReport) -> LadderInput {
+    LadderInput { peer: Some(peer), ..sound(0) }
+}
+
+/// A press at 100 ms, and a peer that refuses it from the next tick on: it ends after two round trips, and at least 50 ms,
+/// of frames that arrive and all say so. A peer that never heard this side in its run may still be about to.
+#[test]
+fn a_press_that_the_peer_refuses_ends_after_two_round_trips() {
+    let stopped = PeerReport { state: Stop, hears: true, answers: true, is_current: false };
+    for peer in [DEAF, stopped] {
+        for (round_trip_ms, ends_ms) in
+            [(0, 151), (2, 151), (25, 151), (26, 153), (500, 1101), (2400, 4901), (2500, 5100)]
+        {
+            let mut ladder = aligning();
+            let input = LadderInput { round_trip_ns: round_trip_ms * MS, ..refusing(peer) };
+            for now in 101..ends_ms {
+                assert_eq!(
+                    ladder.step(now * MS, &input),
+                    Aligning,
+                    "{peer:?} {round_trip_ms} ms at {now} ms"
+                );
+            }
+            assert_eq!(ladder.step(ends_ms * MS, &input), Disengaged, "{peer:?} {round_trip_ms} ms");
+            assert_eq!(ladder.closings(), 1, "a release is necessary");
+        }
+        // One frame in between that does not say so, and frames that are not there.
+        let mut ladder = aligning();
+        for now in 101..5000 {
+            let age = now % 40;
+            let input =
+                if age == 0 { waiting(0) } else { LadderInput { age_ns: Some(age * MS), ..refusing(peer) } };
+            assert_eq!(ladder.step(now * MS, &input), Aligning, "{peer:?} at {now} ms");
+        }
+        // It stood so before the press: it cannot know of it.
+        let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
+        ladder.step(0, &waiting(0));
+        (1..1000).for_each(|now| _ = ladder.step(now * MS, &LadderInput { clutch: false, ..refusing(peer) }));
+        ladder.step(1000 * MS, &LadderInput { is_press: true, ..refusing(peer) });
+        let states: Vec<_> = (1001..1100).map(|now| ladder.step(now * MS, &refusing(peer))).collect();
+        assert_eq!(states.iter().filter(|state| **state == Aligning).count(), 50, "{peer:?}");
+    }
+    // Another run of the peer has heard nothing yet; so has the first one.
+    for restarts in [false, true] {
+        let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
+        if restarts {
+            ladder.step(0, &LadderInput { clutch: false, ..waiting(0) });
+            ladder.new_run(MS, false);
+        }
+        ladder.step(100 * MS, &LadderInput { is_press: true, ..refusing(DEAF) });
+        for now in 101..5100 {
+            assert_eq!(ladder.step(now * MS, &refusing(DEAF)), Aligning, "{restarts} at {now} ms");
+        }
+        assert_eq!(ladder.step(5100 * MS, &refusing(DEAF)), Disengaged);
+    }
+}
+
 /// What a press that waits ends by, when, and that nothing but a release and a press after it couples.
 #[test]
 fn a_press_that_is_not_answered_ends_and_counts_no_more() {
@@ -239,7 +299,7 @@ fn a_press_that_is_not_answered_ends_and_counts_no_more() {
         ("nobody there", |_| ALONE, 5100, Reason::AlignTimedOut),
         ("a peer that does not align", |_| waiting(1), 5100, Reason::AlignTimedOut),
         ("a link that was cut", |now| waiting(now - 99), 301, Reason::SilentTooLong),
-        ("one way cut", |_| LadderInput { peer: None, ..waiting(1) }, 5100, Reason::AlignTimedOut),
+        ("a peer that has ceased to hear", |_| refusing(DEAF), 151, Reason::PeerDeaf),
     ];
     let fell = |ladder: &Ladder, reason| {
         assert_eq!((ladder.state(), ladder.history().last().unwrap().reason), (Disengaged, reason));
@@ -394,6 +454,7 @@ fn any_input() -> impl Strategy<Value = LadderInput> {
             age_ns: age.map(|age| age * MS),
             expected_age_ns: MS,
             over_baseline_ns: over.map(|over| over * MS),
+            round_trip_ns: 2 * MS,
             peer,
             clutch,
             needs_answer: false,

@@ -368,19 +368,14 @@ impl Server {
     }
 
     fn scale(&mut self, command: OperatorCommand, scale: f64, answer: Answer) -> Answer {
-        if let Err(error) = command.check::<1>() {
-            return Answer { done: false, text: error.to_string(), ..answer };
-        }
-        let text = format!("the scale is {scale}");
-        self.command(command, &text, answer)
+        self.command(command, &format!("the scale goes to {scale}"), answer)
     }
 
     fn command(&mut self, command: OperatorCommand, done: &str, answer: Answer) -> Answer {
-        if self.port.command(command).is_err() {
-            let text = "the loop has not done what it was told before: is it running?".into();
-            return Answer { done: false, text, ..answer };
+        match self.port.command(command) {
+            Ok(()) => Answer { text: done.into(), ..answer },
+            Err(error) => Answer { done: false, text: error.to_string(), ..answer },
         }
-        Answer { text: done.into(), ..answer }
     }
 
     fn status(&self) -> Status {

@@ -38,7 +38,7 @@ impl RotationMeasures {
     pub(crate) fn new(spec: &CouplingSpec, lock: RotationLock) -> Result<Self, CouplingError> {
         let mut coupling = RotationCoupling::new(spec.rotation_scale, spec.torque_scale)?;
         coupling.set_lock(lock);
-        coupling.set_frame(spec.quat_wxyz)?;
+        coupling.set_frame(spec.quat_wxyz, 0)?;
         Ok(Self {
             coupling,
             release_s: f64::INFINITY,
@@ -60,9 +60,9 @@ impl RotationMeasures {
     /// What an operator has changed, on both sides.
     pub(crate) fn change(&mut self, command: &OperatorCommand) -> Result<(), CouplingError> {
         match command {
-            OperatorCommand::RotationScale(scale) => self.coupling.set_rotation_scale(*scale),
-            OperatorCommand::TorqueScale(scale) => self.coupling.set_torque_scale(*scale),
-            OperatorCommand::Frame { quat_wxyz, .. } => self.coupling.set_frame(*quat_wxyz),
+            OperatorCommand::RotationScale(scale) => self.coupling.set_rotation_scale(*scale, 0),
+            OperatorCommand::TorqueScale(scale) => self.coupling.set_torque_scale(*scale, 0),
+            OperatorCommand::Frame { quat_wxyz, .. } => self.coupling.set_frame(*quat_wxyz, 0),
             _ => Ok(()),
         }
     }

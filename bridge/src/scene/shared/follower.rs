@@ -450,8 +450,8 @@ impl<const N: usize> Near<N> {
     #[inline(always)]
     fn decide(&mut self, step: &Step, far: &History<N>) -> Decided<N> {
         while let Some(command) = self.commands.due(step.now_ns) {
-            // They were checked when the scene was built.
-            let _ = self.coupling.command_at_master(command);
+            // They were checked when the scene was built, and are all of its beginning.
+            let _ = self.coupling.command_at_master(command, 0);
         }
         let MasterSample { position, velocity } = self.plant.read(step.now_ns);
         let received = step.newest().map(|tick| far.of(tick).force);
@@ -525,7 +525,7 @@ impl<const N: usize> Far<N> {
     ) -> Option<ControlFlow<()>> {
         while let Some(command) = self.commands.due(step.now_ns) {
             // As of the master.
-            let _ = self.arm.command(command);
+            let _ = self.arm.command(command, 0);
         }
         let SlaveSample { position, velocity, environment_force, .. } = self.plant.read(step.now_ns);
         let reading = SlaveReading::point([position, velocity, environment_force]);

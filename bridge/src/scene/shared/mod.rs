@@ -49,10 +49,16 @@ pub(super) fn outcomes<const N: usize>(
         if others.iter().all(|other| begins_as(first, other)) {
             outcomes = beginning::outcomes(scenes, stop)?;
         } else if let Ok(connection) = Connection::of(first) {
-            let is_shared = |other: &&SceneSpec<N>| {
-                can_share(other) && Connection::of(other).is_ok_and(|other| other == connection)
+            // What fades at a change hangs on the ladder.
+            let never_changes = |scene: &SceneSpec<N>| {
+                scene.coupling.as_ref().is_some_and(|coupling| coupling.changes.is_empty())
             };
-            if others.iter().all(is_shared) {
+            let is_shared = |other: &&SceneSpec<N>| {
+                can_share(other)
+                    && never_changes(other)
+                    && Connection::of(other).is_ok_and(|other| other == connection)
+            };
+            if never_changes(first) && others.iter().all(is_shared) {
                 outcomes = follower::outcomes(&connection, scenes, lanes, stop)?;
             }
         }

@@ -797,7 +797,12 @@ fn act(side: &mut impl Side, watch: &mut Watch, time: TickTime) -> bool {
             watch.frame = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
         }
         let done = side.command(time.clock_ns, command);
-        if done.is_err() {
+        let is_refused = match done {
+            Err(CouplingError::Change { seen, closed: [least, most], .. }) => !(least..=most).contains(&seen),
+            Err(CouplingError::NoScale(_)) => true,
+            _ => false,
+        };
+        if done.is_err() && !is_refused {
             watch.wrong.get_or_insert_with(|| format!("{command:?}: {done:?}"));
         }
     }

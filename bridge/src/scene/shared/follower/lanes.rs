@@ -174,8 +174,8 @@ impl<const N: usize> LaneFollowers<N> {
         let running = self.running;
         let Near { plants, hands, coupling, commands, sent, heard } = &mut self.near;
         while let Some(command) = commands.due(step.now_ns) {
-            // They were checked when the scene was built.
-            let _ = coupling.command_at_master(command);
+            // They were checked when the scene was built, and are all of its beginning.
+            let _ = coupling.command_at_master(command, 0);
         }
         let MasterLanesSample { position, velocity } = plants.read(running, step.now_ns);
         let requested = match step.newest() {
@@ -217,7 +217,7 @@ impl<const N: usize> LaneFollowers<N> {
         let Far { plants, translation, led, commands, sent, heard } = &mut self.far;
         while let Some(command) = commands.due(step.now_ns) {
             // As of the master.
-            let _ = translation.coupling().command_at_slave(command);
+            let _ = translation.coupling().command_at_slave(command, 0);
         }
         let SlaveLanesSample { position, velocity, environment_force: force } =
             *plants.read(running, step.now_ns);

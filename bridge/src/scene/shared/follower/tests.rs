@@ -148,18 +148,6 @@ fn rows_of_one_connection_are_as_alone() {
         ("arm", vec![("coupling.position_scale", json!(3.0)), ("run.diverged_position", json!(0.047))]),
         ("no wire", vec![("link", Value::Null)]),
         ("reorders", vec![("link.forward.keep_order", json!(false)), ("link.forward.jitter_s", json!(0.02))]),
-        (
-            "changes",
-            vec![(
-                "coupling.changes",
-                json!([
-                    {"at_s": 0.6, "position_scale": 2.0, "force_scale": null, "rotation_scale": null,
-                     "torque_scale": null, "quat_wxyz": null, "locked_axes": null},
-                    {"at_s": 0.9, "position_scale": null, "force_scale": 0.5, "rotation_scale": null,
-                     "torque_scale": null, "quat_wxyz": null, "locked_axes": [0]},
-                ]),
-            )],
-        ),
     ] {
         let short = [("run.duration_s", json!(2.0)), ("operator.release.at_s", json!(1.2))];
         let scene = changed(&[&short[..], &changes].concat());
@@ -331,6 +319,25 @@ fn what_changes_its_frames_or_cannot_be_built_is_run_alone() {
     let found = outcomes(&connection, &all, true, &NO_STOP).unwrap();
     assert_eq!(found.iter().map(Option::is_some).collect::<Vec<_>>(), [true, false, true]);
     assert_eq!(outcomes(&connection, &all, true, &AtomicBool::new(true)), Err(SceneError::Stopped));
+}
+
+/// What fades at a change hangs on the ladder of each.
+#[test]
+fn what_changes_its_coupling_is_run_alone() {
+    let change = |key: &str, value: Value| {
+        let mut change = json!({"at_s": 0.6, "position_scale": null, "force_scale": null, "rotation_scale": null,
+            "torque_scale": null, "quat_wxyz": null, "locked_axes": null});
+        change[key] = value;
+        change
+    };
+    let changes = json!([change("position_scale", json!(2.0)), change("locked_axes", json!([0]))]);
+    let scene = changed(&[("run.duration_s", json!(1.0)), ("coupling.changes", changes)]);
+    let rows = rows::<1>(&scene, "slave.bandwidth_hz", &[8.0, 15.0, 20.0]);
+    ABREAST.with(|count| count.set(0));
+    let found = crate::scene::shared::outcomes(&rows.iter().collect::<Vec<_>>(), true, &NO_STOP).unwrap();
+    let alone = rows.iter().map(|row| crate::scene::outcome(row, &NO_STOP, None)).collect::<Vec<_>>();
+    assert!(alone.iter().all(Result::is_ok) && ABREAST.with(Cell::get) == 0);
+    assert_eq!(format!("{found:?}"), format!("{alone:?}"));
 }
 
 /// What no row can have is refused of each, and ends no sweep.
