@@ -607,7 +607,7 @@ class SafetySettings:
         window: w in ticks, 1 to 3600000 (Eq. 11).
         pc_max_damping: Bound in N s/m on the damping of Eq. 12, between 0 and m / (5 dT).
         hold_off_s: Least duration of an intervention in s, 0 to 60.
-        release_ramp_s: Time in s over which an intervention fades out, 0 to 60.
+        release_ramp_s: Least time in s over which an intervention fades out, 0 to 60.
         probe_force_n: A in N of the probe that a hand must answer before an intervention fades, at least 2 c / r_th; 0
             lets it fade by time alone.
         probe_threshold: r_th, the share of the probe that a hand holds against at least, above 0 and below 1.

@@ -43,9 +43,12 @@ pub struct SafetyLayer<const N: usize, S = f64> {
     device: DeviceModel<N, S>,
     estimator: AnyEstimator<N, S>,
     measured: MeasuredVelocity<N, S>,
-    /// The estimator once more, as the kernel for `F_v`; only where a controller compares `F_v` with `F_h`.
+    /// The estimator once more, as the kernel for what the device was asked to render; only where a controller compares that
+    /// with `F_h`.
     rendered: Option<AnyEstimator<N, S>>,
     last_rendered: Axes<N, S>,
+    /// What the device was asked to render at the last tick.
+    asked: Axes<N, S>,
     /// What the device can render of what is requested: norm, growth and ramp-in of `F_v` alone.
     rendering: Limiter<N, S>,
     controller: SafetyController<N, S>,
@@ -72,6 +75,7 @@ impl<const N: usize> SafetyLayer<N> {
                 .then(|| estimator.build(*period_s))
                 .transpose()?,
             last_rendered: Axes::zeros(),
+            asked: Axes::zeros(),
             controller: SafetyController::new(device, *period_s, safety)?,
             rendering: Limiter::new(*period_s, *limiter)?,
             limiter: Limiter::new(*period_s, LimiterSettings { ramp_in_s: 0.0, ..*limiter })?,
@@ -180,6 +184,7 @@ impl<const N: usize> SafetyLayer<N> {
     ) {
         self.device_force = to_middle(&self.device_force);
         self.last_rendered = to_middle(&self.last_rendered);
+        self.asked = to_middle(&self.asked);
         self.rendering.turn(&to_now);
         self.limiter.turn(&to_now);
     }
@@ -196,7 +201,7 @@ impl<const N: usize> SafetyLayer<N> {
 
     pub(crate) fn stop(&mut self, fault: Fault) -> SafetyTick<N> {
         self.fault = Some(fault);
-        self.device_force = Axes::zeros();
+        (self.device_force, self.asked) = (Axes::zeros(), Axes::zeros());
         self.rendering.reset();
         self.limiter.reset();
         SafetyTick { fault: Some(fault), ..SafetyTick::still() }
@@ -232,6 +237,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
             measured: part(of, |one| &one.measured, MeasuredVelocity::gather)?,
             rendered: option(of, |one| one.rendered.as_ref(), AnyEstimator::gather)?,
             last_rendered: pack(of, |one| one.last_rendered)?,
+            asked: pack(of, |one| one.asked)?,
             rendering: part(of, |one| &one.rendering, Limiter::gather)?,
             controller: part(of, |one| &one.controller, SafetyController::gather)?,
             limiter: part(of, |one| &one.limiter, Limiter::gather)?,
@@ -297,6 +303,12 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         let delivered = limited.force - rendered_force;
         let owed_energy_j = self.controller.owed_energy_j(&response.observed, &delivered, &motion.velocity);
         self.device_force = limited.force;
+        self.last_rendered = rendered_force;
+        // What a controller of the caller's own adds is its own business.
+        self.asked = match self.research {
+            None => self.controller.asked(&rendered_force, &limited.force),
+            Some(_) => rendered_force * self.controller.let_through(),
+        };
         Advance {
             motion,
             rendered_force,
@@ -335,7 +347,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         } else {
             Axes::zeros()
         };
-        let aligned_rendered_force = self.align_rendered(position, velocity, rendered_force);
+        let aligned_rendered_force = self.align_asked(position, velocity, rendered_force);
         let seen = Observation {
             velocity: motion.velocity,
             rendered_force: *rendered_force,
@@ -345,22 +357,22 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         (motion, seen)
     }
 
-    /// `F_v` of the past ticks through the kernel of A, only where an observer compares it with `F_h`.
+    /// What the device was asked to render in the past ticks through the kernel of A, only where an observer compares it with
+    /// `F_h`.
     #[inline(always)]
-    fn align_rendered(
+    fn align_asked(
         &mut self,
         position: &Axes<N, S>,
         velocity: Option<&Axes<N, S>>,
         rendered_force: &Axes<N, S>,
     ) -> Axes<N, S> {
-        let last = std::mem::replace(&mut self.last_rendered, *rendered_force);
         match (&mut self.rendered, velocity) {
-            // F_h is a mean over the last tick, in which the last force was rendered.
-            (Some(_), Some(_)) => last,
+            // F_h is a mean over the last tick, in which that was rendered.
+            (Some(_), Some(_)) => self.asked,
             (Some(kernel), None) => {
                 // A kernel that depends on the motion must see the same motion.
                 kernel.step(position);
-                kernel.align(&last)
+                kernel.align(&self.asked)
             }
             (None, _) => *rendered_force,
         }
@@ -373,7 +385,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         if let Some(kernel) = &mut self.rendered {
             kernel.reset(position);
         }
-        self.last_rendered = Axes::zeros();
+        (self.last_rendered, self.asked) = (Axes::zeros(), Axes::zeros());
         self.controller.reset();
         if let Some(research) = &mut self.research {
             research.reset();
@@ -470,7 +482,7 @@ pub struct Advance<const N: usize, S: Real = f64> {
     pub rendered_force: Axes<N, S>,
     /// `F_h` in N; zero when no controller reads it.
     pub grasp_force: Axes<N, S>,
-    /// `F_v` in N as late as `F_h`.
+    /// What the device was asked to render, in N, as late as `F_h`.
     pub aligned_rendered_force: Axes<N, S>,
     /// `F_device` in N: what the device is to exert until the next tick.
     pub device_force: Axes<N, S>,

@@ -4,7 +4,7 @@ use nalgebra::UnitQuaternion;
 
 use crate::{
     Axes, Fault, LayerSettings, ParameterError, SafetyLayer, SafetyTick,
-    controller::{Judged, UNDECIDED},
+    controller::{Judged, NOT_FELT, UNDECIDED},
     rotation::{RotationLayer, RotationSettings, check, in_base},
 };
 
@@ -55,6 +55,8 @@ pub struct WrenchLayer<const N: usize = 3> {
     translation: SafetyLayer<N>,
     rotation: RotationLayer,
     shares_trips: bool,
+    /// Whether the hand was felt, or nothing has tripped, while trips are shared.
+    is_felt: bool,
 }
 
 impl<const N: usize> WrenchLayer<N> {
@@ -71,6 +73,7 @@ impl<const N: usize> WrenchLayer<N> {
             translation: SafetyLayer::new(translation)?,
             rotation: RotationLayer::new(rotation)?,
             shares_trips: *shares_trips,
+            is_felt: true,
         })
     }
 
@@ -105,10 +108,13 @@ impl<const N: usize> WrenchLayer<N> {
             let is_unsafe = of_force.is_unsafe() | of_torque.is_unsafe();
             let by_force = translation.controller().feel(&moves.seen, authority, is_unsafe);
             let by_torque = rotation.controller().feel(&turns.seen, authority, is_unsafe);
-            let felt = either(by_force, by_torque);
-            translation.controller().accept(felt);
-            rotation.controller().accept(felt);
-            let judged = Judged { is_unsafe, felt };
+            let ease = together(by_force, by_torque, self.is_felt);
+            if let Some(ease) = ease {
+                self.is_felt = ease != NOT_FELT;
+                translation.controller().agree(self.is_felt);
+                rotation.controller().agree(self.is_felt);
+            }
+            let judged = Judged { is_unsafe, ease };
             let response = translation.controller().answer(&moves.seen, authority, &of_force, judged);
             let translation = translation.bound(&moves, response);
             let response = rotation.controller().answer(&turns.seen, authority, &of_torque, judged);
@@ -131,11 +137,12 @@ impl<const N: usize> WrenchLayer<N> {
         if self.shares_trips {
             let (of_force, of_torque) = (translation.judge(&moves), rotation.judge(&turns));
             let is_unsafe = of_force.is_unsafe() | of_torque.is_unsafe();
-            let felt = either(
+            let ease = together(
                 translation.feel(&moves, UNDECIDED, is_unsafe),
                 rotation.feel(&turns, UNDECIDED, is_unsafe),
+                self.is_felt,
             );
-            let judged = Judged { is_unsafe, felt };
+            let judged = Judged { is_unsafe, ease };
             translation.answer(&moves, 1.0, &of_force, judged);
             rotation.answer(&turns, 1.0, &of_torque, judged);
         } else {
@@ -169,10 +176,13 @@ impl<const N: usize> WrenchLayer<N> {
     }
 }
 
-/// Whether either probe has felt the hand; where only one is there, that one decides.
-fn either(of_force: Option<bool>, of_torque: Option<bool>) -> Option<bool> {
+/// How fast the force may come back to a hand that either probe is to feel, and that both are to feel bear it from then on;
+/// where only one is there, that one decides.
+fn together(of_force: Option<f64>, of_torque: Option<f64>, is_felt: bool) -> Option<f64> {
     match (of_force, of_torque) {
-        (Some(force), Some(torque)) => Some(force | torque),
+        (Some(force), Some(torque)) if is_felt => Some(force.min(torque)),
+        (Some(force), Some(torque)) if force == NOT_FELT || torque == NOT_FELT => Some(force.max(torque)),
+        (Some(force), Some(torque)) => Some(force.min(torque)),
         (one, other) => one.or(other),
     }
 }

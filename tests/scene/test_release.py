@@ -16,7 +16,7 @@ HELD = 16
 PUSH_N = 3.0
 
 
-def released(*, remote: bool, operator: dict[str, Any], device: str = "phantom-desktop", **safety: float) -> Run:
+def released(*, remote: bool, operator: dict[str, Any], device: str = "phantom-desktop", **safety: Any) -> Run:  # noqa: ANN401
     """A push that lasts, and a hand that lets go of it at 1 s."""
     release = {"at_s": RELEASE_S, "decay_s": 0.02, "kind": "gain"}
     tables: dict[str, Any] = {
@@ -65,6 +65,31 @@ def test_a_hand_that_takes_hold_again_has_its_force(*, remote: bool) -> None:
     # A hand that is back between two tries waits for the next one.
     back = force_after(run, RELEASE_S + 0.3 + 1.5)
     assert back.min() > 0.9 * PUSH_N
+
+
+UNIONS = ("vfc", "hsc", "wsc", "hsc+wsc", "vfc+hsc+wsc", "hsc+pc", "vfc+hsc+wsc+pc")
+"""Who trips in `released` and in `remote_push`."""
+
+
+@pytest.mark.parametrize("controllers", UNIONS)
+@pytest.mark.parametrize(("stiffness", "damping"), [(80.0, 4.0), (150.0, 3.0), (600.0, 5.0)])
+def test_a_hand_that_yields_has_its_force_all_the_same(controllers: str, stiffness: float, damping: float) -> None:
+    regrasp = {"reaction_s": 0.4, "rise_s": 0.1}
+    operator = {"stiffness": stiffness, "damping": damping, "regrasp": regrasp}
+    run = released(remote=False, operator=operator, controllers=controllers.split("+"), hsc_force_threshold_n=1.0)
+    assert force_after(run, RELEASE_S + 0.5 + 2.5).min() > 0.9 * PUSH_N
+    trips = [event.time_s for event in run.events if event.kind == "trip" and event.detail != "pc"]
+    assert [time_s for time_s in trips if time_s > RELEASE_S + 0.5] == []
+
+
+@pytest.mark.parametrize("controllers", UNIONS)
+def test_the_hand_of_the_remote_push_that_holds_again_has_its_force(controllers: str) -> None:
+    for seed in (1, 2, 3):
+        overrides = [f"safety.controllers=[{controllers.replace('+', ',')}]", f"run.seed={seed}", "run.duration_s=7"]
+        run = simulate("remote_push", overrides=[*overrides, "operator.regrasp={reaction_s=0.9, rise_s=0.1}"])
+        assert not [event for event in run.events if event.kind in {"hold", "stop"}]
+        # The hand presses the wall of 100 N/m again.
+        assert force_after(run, 6.5).min() > 2.0
 
 
 @pytest.mark.parametrize(

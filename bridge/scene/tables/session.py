@@ -398,7 +398,7 @@ class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     hold_off_s: Hold = 0.1
     """Least duration of an intervention in s, 0 to 60; as printed 0."""
     release_ramp_s: Hold = 0.2
-    """Time in s over which an intervention fades out, 0 to 60; as printed 0."""
+    """Least time in s over which an intervention fades out, 0 to 60: a hand that yields takes longer; as printed 0."""
     probe_force_n: NonNegative | None = None
     """A in N of the probe that a hand must answer before an intervention fades; 0 only listens for one that moves.
 

@@ -425,8 +425,8 @@ impl Exchange {
     }
 
     /// The safety layer withholds its force: a person must say that there is a hand.
-    pub(crate) fn withhold(&mut self, now_ns: u64) {
-        self.ladder.withhold(now_ns);
+    pub(crate) fn withhold(&mut self, now_ns: u64, yields: bool) {
+        self.ladder.withhold(now_ns, yields);
     }
 
     /// Whether a run of the peer began since the last tick.

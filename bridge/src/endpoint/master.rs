@@ -229,8 +229,10 @@ impl<const N: usize> MasterEndpoint<N> {
             trigger = self.trigger.as_mut().map(|trigger| trigger.fail(fault));
         } else {
             self.report(reading, &safety, rotation.as_ref(), missed);
-            if safety.intervention.withheld || rotation.is_some_and(|tick| tick.intervention.withheld) {
-                self.exchange.withhold(now_ns);
+            let turned = rotation.as_ref().map(|tick| tick.intervention);
+            if safety.intervention.withheld || turned.is_some_and(|one| one.withheld) {
+                let yields = safety.intervention.yields || turned.is_some_and(|one| one.yields);
+                self.exchange.withhold(now_ns, yields);
             }
         }
         let values = [&reading.position, &safety.device_force, &safety.rendered_force];

@@ -265,9 +265,10 @@ impl Ladder {
         self.gain = 0.0;
     }
 
-    /// The force is withheld after a trip, for there is no sign of a hand: a person must say that there is one.
-    pub fn withhold(&mut self, now_ns: u64) {
-        self.apply(now_ns, Reason::HandGone);
+    /// The force is withheld after a trip, for there is no sign of a hand, or of one that yields to it: a person must say that
+    /// there is one.
+    pub fn withhold(&mut self, now_ns: u64, yields: bool) {
+        self.apply(now_ns, if yields { Reason::HandYields } else { Reason::HandGone });
     }
 
     /// The operator at this side says that the fault is mended. The clutch must then be released and pressed.

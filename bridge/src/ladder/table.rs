@@ -5,8 +5,9 @@ use std::fmt::Write as _;
 use LadderState::{Aligning, Disengaged, Engaged, Fault, Hold, Stale, Stop};
 use Reason::{
     Acknowledged, AlignTimedOut, BadNumber, BothAligned, ClutchPressed, ClutchReleased, FramesBack,
-    FramesLate, HandGone, MasterStartedAnew, NewsOld, OwnDelay, PeerDeaf, PeerDisengaged, PeerEnded,
-    PeerFaulted, PeerHolds, PeerRestarted, PeerSilent, PeerStopped, SilentTooLong, TurnCut, TurnRefused,
+    FramesLate, HandGone, HandYields, MasterStartedAnew, NewsOld, OwnDelay, PeerDeaf, PeerDisengaged,
+    PeerEnded, PeerFaulted, PeerHolds, PeerRestarted, PeerSilent, PeerStopped, SilentTooLong, TurnCut,
+    TurnRefused,
 };
 
 /// Where an endpoint stands, in increasing order of what has gone wrong.
@@ -126,11 +127,13 @@ pub enum Reason {
     TurnCut,
     /// After a trip no hand has answered a probe or moved the device, in all tries.
     HandGone,
+    /// After a trip a hand was felt, but did not bear the force that came back, in all tries.
+    HandYields,
 }
 
 impl Reason {
     /// All reasons in the order of their codes.
-    pub const ALL: [Self; 23] = [
+    pub const ALL: [Self; 24] = [
         BadNumber,
         OwnDelay,
         PeerRestarted,
@@ -154,6 +157,7 @@ impl Reason {
         TurnRefused,
         TurnCut,
         HandGone,
+        HandYields,
     ];
 
     /// Its number in records, from 1; 0 stands for none.
@@ -192,6 +196,7 @@ impl Reason {
             TurnRefused => "arm is turned too far from the master",
             TurnCut => "arm's turn to the master was cut off",
             HandGone => "no hand was felt on the device after a push",
+            HandYields => "the hand on the device yields to the push",
         }
     }
 }
@@ -244,6 +249,7 @@ pub const TABLE: &[Row] = &[
     row(Engaged, BadNumber, Fault),
     row(Engaged, OwnDelay, Hold),
     row(Engaged, HandGone, Hold),
+    row(Engaged, HandYields, Hold),
     row(Engaged, PeerRestarted, Hold),
     row(Engaged, PeerFaulted, Hold),
     row(Engaged, PeerEnded, Disengaged),
@@ -258,6 +264,7 @@ pub const TABLE: &[Row] = &[
     row(Stale, BadNumber, Fault),
     row(Stale, OwnDelay, Hold),
     row(Stale, HandGone, Hold),
+    row(Stale, HandYields, Hold),
     row(Stale, PeerRestarted, Hold),
     row(Stale, PeerFaulted, Hold),
     row(Stale, PeerEnded, Disengaged),
@@ -327,7 +334,7 @@ const LEAVING: [Facts; LadderState::ALL.len()] = {
 };
 
 /// [`Ladder::stays_engaged`](super::Ladder) asks for the opposite of the first ones by itself, and no tick brings the last
-/// four, which acts and the peer's runs do: a row more of ENGAGED has to be asked for there.
+/// five, which acts and the peer's runs do: a row more of ENGAGED has to be asked for there.
 const _: () = {
     let reasons = [
         PeerFaulted,
@@ -343,6 +350,7 @@ const _: () = {
         BadNumber,
         OwnDelay,
         HandGone,
+        HandYields,
         PeerRestarted,
     ];
     let mut known = Facts(0);
@@ -411,7 +419,7 @@ mod tests {
     ];
 
     fn all_facts() -> impl Iterator<Item = Facts> {
-        (0..1_u32 << 23).map(|bits| Facts(bits << 1))
+        (0..1_u32 << 24).map(|bits| Facts(bits << 1))
     }
 
     #[test]
@@ -431,7 +439,7 @@ mod tests {
         }
     }
 
-    /// Every state under every set of reasons: 7 times 8388608 cases.
+    /// Every state under every set of reasons: 7 times 16777216 cases.
     #[test]
     fn every_state_under_all_that_can_be_the_case_at_once() {
         for state in LadderState::ALL {
@@ -439,7 +447,8 @@ mod tests {
                 let Some(row) = next(state, facts) else {
                     // What must never be ignored.
                     assert!(!facts.has(BadNumber) || state == Fault, "{state:?} {facts:?}");
-                    let worse = [OwnDelay, HandGone, PeerSilent, PeerRestarted, NewsOld, PeerDisengaged];
+                    let worse =
+                        [OwnDelay, HandGone, HandYields, PeerSilent, PeerRestarted, NewsOld, PeerDisengaged];
                     assert!(!state.is_coupled() || !worse.iter().any(|reason| facts.has(*reason)));
                     assert!(state != Aligning || !ENDS.iter().any(|reason| facts.has(*reason)));
                     continue;
@@ -478,6 +487,7 @@ mod tests {
             (BadNumber, Fault),
             (OwnDelay, Hold),
             (HandGone, Hold),
+            (HandYields, Hold),
             (PeerRestarted, Hold),
             (PeerSilent, Hold),
             (PeerDeaf, Hold),
@@ -542,7 +552,7 @@ mod tests {
             assert_eq!(usize::from(reason.code()), index + 1);
             assert!(!Reason::ALL[..index].iter().any(|other| other.text() == reason.text()));
         }
-        assert_eq!((Reason::from_code(0), Reason::from_code(24)), (None, None));
+        assert_eq!((Reason::from_code(0), Reason::from_code(25)), (None, None));
     }
 
     /// The diagram in the documentation is that of the table.

@@ -49,7 +49,7 @@ pub struct SafetySettings {
     pub pc_max_damping: f64,
     /// Least duration of an intervention in s.
     pub hold_off_s: f64,
-    /// Time in s over which an intervention fades out; 0 returns the rendered force as a step.
+    /// Least time in s over which an intervention fades out; 0 returns the rendered force as a step.
     pub release_ramp_s: f64,
     /// A in N of the probe that a hand must answer before an intervention fades; 0 only listens for one that moves.
     pub probe_force_n: f64,
@@ -133,7 +133,7 @@ impl Default for SafetySettings {
 /// its own force in the share 1 - g that the intervention leaves.
 ///
 /// With a probe ([`SafetySettings::probe_force_n`]) or a number of tries ([`SafetySettings::release_tries`]) it fades only once a
-/// hand was felt; until then, and after so many tries, g = 1.
+/// hand was felt, and no faster than that hand bears; until then, and after so many tries, g = 1.
 ///
 /// Source: paper Eq. 2, 12, 13, 14.
 #[derive(Clone, Debug, PartialEq)]
@@ -144,7 +144,7 @@ pub struct SafetyController<const N: usize, S = f64> {
     ramp_ticks: S,
     /// Ticks since the current intervention began, the first counted; 0 while none is on.
     on_for: S,
-    /// Ticks since the intervention began to fade.
+    /// Ticks of the ramp that are over since the intervention began to fade.
     fading_for: S,
     /// Share of `F_v` that the last tick let through.
     let_through: S,
@@ -201,7 +201,11 @@ impl<const N: usize> SafetyController<N> {
         authority: f64,
     ) -> Result<Intervention<N>, Fault> {
         seen.check()?;
-        Ok(self.respond(seen, authority).lane(0))
+        // Exact signals: the hand answers what the last tick asked the device to render.
+        let share = self.felt_share();
+        let damping = self.damping * authority * (1.0 - share);
+        let aligned_rendered_force = seen.aligned_rendered_force * share - seen.velocity * damping;
+        Ok(self.respond(&Observation { aligned_rendered_force, ..*seen }, authority).lane(0))
     }
 }
 
@@ -222,6 +226,8 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     }
 
     /// `F_c` for this tick, with damping in the share `authority` (0 to 1) only; nothing is checked.
+    ///
+    /// `seen.aligned_rendered_force` is what the device was [asked](Self::asked) to render, as late as `F_h`.
     #[inline(always)]
     pub fn respond(&mut self, seen: &Observation<N, S>, authority: S) -> Response<N, S> {
         if S::LANES == 1 && self.controllers.is_empty() && self.probe.is_none() {
@@ -229,39 +235,39 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         }
         let verdicts = self.judge(seen);
         let is_unsafe = verdicts.is_unsafe();
-        let felt = self.feel(seen, authority, is_unsafe);
-        self.answer(seen, authority, &verdicts, Judged { is_unsafe, felt })
+        let ease = self.feel(seen, authority, is_unsafe);
+        self.answer(seen, authority, &verdicts, Judged { is_unsafe, ease })
     }
 
     /// What each controller makes of this tick. An [`answer`](Self::answer) must follow.
     #[inline(always)]
     pub(crate) fn judge(&mut self, seen: &Observation<N, S>) -> Verdicts<N, S> {
-        let reads = self.controllers.reads_aligned_force();
-        let felt_share = if reads { self.felt_share() } else { S::splat(1.0) };
-        self.controllers.step(seen, felt_share)
+        let rendered_force = seen.rendered_force * self.felt_share();
+        self.controllers.step(&Observation { rendered_force, ..*seen })
     }
 
-    /// Where a hand has answered the probe, so that an intervention may fade; None without a probe. An
-    /// [`answer`](Self::answer) must follow.
+    /// How fast an intervention may fade, in shares of its ramp: at most 1, and [`NOT_FELT`] where no hand was felt; None where
+    /// no hand is asked for. An [`answer`](Self::answer) must follow.
     #[inline(always)]
     pub(crate) fn feel(
         &mut self,
         seen: &Observation<N, S>,
         authority: S,
         is_unsafe: S::SimdBool,
-    ) -> Option<S::SimdBool> {
+    ) -> Option<S> {
         let probe = self.probe.as_mut()?;
         let may_end = self.on_for.simd_ge(self.hold_off_ticks);
         let any = (is_unsafe | self.on_for.simd_gt(S::splat(0.0))).any();
         if probe.rests(any) {
-            return Some(!nowhere::<S>());
+            return Some(S::splat(1.0));
         }
         // Copies: what a call gets the address of would have to stand in memory at each tick.
-        let (seen, on_for, authority) = (*seen, self.on_for, authority);
+        let (seen, on_for, let_through, authority) = (*seen, self.on_for, self.let_through, authority);
         Some(probe.step(&seen, |lane| Intervening {
             is_on: on_for.extract(lane) > 0.0,
             may_end: may_end.bitmask() >> lane & 1 == 1,
             is_unsafe: is_unsafe.bitmask() >> lane & 1 == 1,
+            let_through: let_through.extract(lane),
             authority: authority.extract(lane),
         }))
     }
@@ -272,15 +278,14 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     pub(crate) fn carry(&mut self, seen: &Observation<N, S>) {
         let verdicts = self.judge(seen);
         let is_unsafe = verdicts.is_unsafe();
-        let felt = self.feel(seen, S::splat(UNDECIDED), is_unsafe);
-        self.answer(seen, S::splat(1.0), &verdicts, Judged { is_unsafe, felt });
+        let ease = self.feel(seen, S::splat(UNDECIDED), is_unsafe);
+        self.answer(seen, S::splat(1.0), &verdicts, Judged { is_unsafe, ease });
     }
 
-    /// Takes it that a hand is there, where the probe of another device that it holds has felt it.
-    #[inline(always)]
-    pub(crate) fn accept(&mut self, felt: Option<S::SimdBool>) {
-        if let (Some(probe), Some(felt)) = (self.probe.as_mut(), felt) {
-            probe.accept(felt);
+    /// Takes it that a hand is there or not, as the probe of another device that it holds has it.
+    pub(crate) fn agree(&mut self, is_felt: bool) {
+        if let Some(probe) = self.probe.as_mut() {
+            probe.agree(is_felt);
         }
     }
 
@@ -310,10 +315,10 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
             }
         }
         let held = is_on & !verdicts.is_unsafe();
-        let mut withheld = nowhere::<S>();
+        let (mut withheld, mut yields) = (nowhere::<S>(), nowhere::<S>());
         if let Some(probe) = &self.probe {
             safety_force += probe.force * authority;
-            withheld = probe.withheld();
+            (withheld, yields) = (probe.withheld(), probe.yields());
         }
         let mut response = Response {
             safety_force,
@@ -322,6 +327,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
             tripped: verdicts.tripped(),
             held,
             withheld,
+            yields,
             research: nowhere::<S>(),
             observed: verdicts.observed(),
         };
@@ -329,18 +335,27 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         response
     }
 
-    /// Share of `F_v` that a hand can have felt, for HSC with a release ramp.
+    /// Share of `F_v` that the device was asked to render: what every controller watches.
     ///
-    /// While an intervention cancels `F_v`, a hand has nothing to hold against: against all of `F_v`, `S_h` would stay
-    /// large for ever and the hand that has come back would never get its force again. So the force comes back over
-    /// the ramp, and `S_h` compares the hand with the share that is rendered: one that holds ends the intervention, one
-    /// that is gone trips it anew as soon as that share exceeds `F_t`. Without a ramp or a probe, Eq. 14 stands as printed.
+    /// While an intervention cancels `F_v`, a hand has nothing to hold against, and a push that is not there throws nothing.
+    /// Against all of `F_v`, `S_h` and `S_vf` would stay large, and the hand that has come back would never get its force again.
+    /// Without a ramp or a probe, Eq. 2, 13 and 14 stand as printed.
     #[inline(always)]
     fn felt_share(&self) -> S {
-        let nothing = S::splat(0.0);
-        let is_on = self.on_for.simd_gt(nothing);
-        let fades = if self.probe.is_some() { is_on } else { is_on & self.ramp_ticks.simd_gt(nothing) };
-        self.let_through.select(fades, S::splat(1.0))
+        self.let_through.select(self.on_for.simd_gt(S::splat(0.0)) & self.fades(), S::splat(1.0))
+    }
+
+    /// Where the force comes back over a ramp or to a hand, not as printed.
+    #[inline(always)]
+    fn fades(&self) -> S::SimdBool {
+        if self.probe.is_some() { !nowhere::<S>() } else { self.ramp_ticks.simd_gt(S::splat(0.0)) }
+    }
+
+    /// The force that a hand had to answer at a tick, to be compared with `F_h`: what the device was asked to render, and as
+    /// printed `F_v`.
+    #[inline(always)]
+    pub(crate) fn asked(&self, rendered_force: &Axes<N, S>, device_force: &Axes<N, S>) -> Axes<N, S> {
+        choose_axes!(S, self.fades(), *device_force, *rendered_force)
     }
 
     /// Share of the intervention that is on at this tick.
@@ -348,10 +363,9 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     fn gain(&mut self, judged: Judged<S>) -> S {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
         let Self { on_for, fading_for, hold_off_ticks, ramp_ticks, .. } = *self;
-        let Judged { is_unsafe, felt } = judged;
+        let Judged { is_unsafe, ease } = judged;
         let stays = on_for.simd_lt(hold_off_ticks);
-        let stays = if let Some(felt) = felt { stays | !felt } else { stays };
-        let faded = fading_for + all;
+        let faded = (fading_for + ease.unwrap_or(all)).larger(nothing);
         let is_over = faded.simd_gt(ramp_ticks);
         // One of four in each lane: it trips, nothing is on, it stays on, it fades.
         macro_rules! by_state {
@@ -422,8 +436,8 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
 pub(crate) struct Judged<S: Real> {
     /// Where the tick is unsafe.
     pub(crate) is_unsafe: S::SimdBool,
-    /// Where a hand was felt, so that an intervention may fade; None where none needs to be.
-    pub(crate) felt: Option<S::SimdBool>,
+    /// How fast an intervention may fade, as [`SafetyController::feel`] has it.
+    pub(crate) ease: Option<S>,
 }
 
 /// What the safety controllers add at one tick, and what they saw.
@@ -435,6 +449,8 @@ pub struct Intervention<const N: usize> {
     pub tripped: Tripped,
     /// All tries are over without the force being back: there is none until the authority was at zero, or a reset.
     pub withheld: bool,
+    /// The last try has felt a hand, which then did not bear the force.
+    pub yields: bool,
     /// `S_vf`, `S_h`, `E_wso` and `E_so` in J; NaN where the controller is not built.
     pub observed: PerController<f64>,
 }
@@ -446,6 +462,7 @@ impl<const N: usize> Intervention<N> {
             safety_force: Axes::zeros(),
             tripped: Tripped::NONE,
             withheld: false,
+            yields: false,
             observed: PerController::repeat(f64::NAN),
         }
     }
@@ -467,6 +484,8 @@ pub struct Response<const N: usize, S: Real = f64> {
     pub held: S::SimdBool,
     /// Where all tries are over without the force being back: there is none until the authority was at zero, or a reset.
     pub withheld: S::SimdBool,
+    /// Where the last try has felt a hand, which then did not bear the force.
+    pub yields: S::SimdBool,
     /// Where a [research controller](crate::controller::ResearchController) adds a force of its own.
     pub research: S::SimdBool,
     /// The observers' values; NaN where the controller is not built.
@@ -485,6 +504,7 @@ impl<const N: usize, S: Real> Response<N, S> {
             tripped: PerController::repeat(nowhere),
             held: nowhere,
             withheld: nowhere,
+            yields: nowhere,
             research: nowhere,
             observed: PerController::repeat(S::splat(f64::NAN)),
         }
@@ -507,6 +527,7 @@ impl<const N: usize, S: Real> Response<N, S> {
             safety_force: self.safety_force.extract(lane),
             tripped,
             withheld: is_set(self.withheld),
+            yields: is_set(self.yields),
             observed: PerController(self.observed.0.map(|value| value.extract(lane))),
         }
     }

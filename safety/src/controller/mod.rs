@@ -15,6 +15,7 @@ mod windowed;
 
 pub use combined::{Intervention, Response, SafetyController, SafetySettings};
 pub(crate) use combined::{Judged, UNDECIDED};
+pub(crate) use probe::NOT_FELT;
 pub use probe::{FRICTION_ROOM, PROBED_DAMPING};
 pub use registry::{Controllers, PerController, Tripped};
 pub(crate) use research::Research;

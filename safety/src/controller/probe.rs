@@ -1,10 +1,10 @@
 //! The probe for a hand: after a trip the force comes back to a hand only.
 
-use nalgebra::{SimdBool as _, SimdValue as _};
+use nalgebra::SimdValue as _;
 
 use crate::{
     Axes, DeviceModel, Observation, ParameterError, Real,
-    controller::SafetySettings,
+    controller::{ControllerKind, SafetySettings},
     lanes::norm,
     parameter::{in_range, positive},
 };
@@ -29,6 +29,16 @@ const STILL_SHARE: f64 = 0.2;
 const INTERVAL_S: f64 = 1.0;
 /// What a model of Coulomb friction may be wrong by, in shares of it, with room for what else is wrong.
 pub const FRICTION_ROOM: f64 = 2.0;
+/// How much longer a hand may bear nothing more of what comes back than it bears more, in s.
+const UNBORNE_S: f64 = 0.5;
+/// Up to so much of the power at which a controller trips the force comes back.
+const TAKEN_SHARE: f64 = 0.9;
+/// Within the last quarter of what it may come back by, it does so more slowly.
+const EASE_SLOPE: f64 = 4.0;
+/// Below that ease nothing more is borne.
+const LEAST_EASE: f64 = 0.05;
+/// Ease where no hand was felt: nothing of the force comes back.
+pub(crate) const NOT_FELT: f64 = f64::NEG_INFINITY;
 
 /// Whether a hand holds the device, asked while an intervention keeps `F_v` away and damps.
 ///
@@ -43,11 +53,18 @@ pub const FRICTION_ROOM: f64 = 2.0;
 /// `F_h` is at most `|eps| mu |V|` beside what `r_th A` covers. Without a probe (A = 0) c stands for `r_th A`: a free device shows
 /// `c^ - c + |eps| (mu |V| + c)` at most, a hand `c^ + mu |V|`.
 ///
+/// **What comes back must be borne.** Once a hand was felt, the force comes back over the ramp as long as the hand takes it up.
+/// Of P that is let through, `U = P - max(0, -F_h . F_v / |F_v|)` is not borne, and turns into speed: `U = m A + mu V`. The ramp
+/// slows down from three quarters of `A / 1.25` (of 4 c without a probe) and rests at all of it, so that a device that nobody
+/// holds becomes no faster than by the probe. So it does where the hand has yielded so far that a spring of `mu / HALF_S` in N/m
+/// would bear as much more than P: what is softer is no hand. It slows down likewise as `P . V` nears 0.9 of the power at which a controller
+/// trips that watches: `V_t F_t` of VFC, `-delta / w dT` of WSC. Where nothing more was borne for 0.5 s it was no hand.
+///
 /// Nothing fades without a yes. Tries are 1 s apart. After `release_tries` without the force being back for 1 s it is withheld until the
 /// authority has been at zero, which is what a hold of the ladder leads to, or a [`reset`](Self::reset). The probe moves a
 /// free device by less than `A / 1.25 mu` in speed and `A HALF_S / 1.25 mu` in way.
 ///
-/// Source: derived here; the trials of `benches/release.py` have its error rates.
+/// Source: derived here; the trials of `safety/tests/all/probe.rs` and `benches/regrasp.py` have its error rates.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct GraspProbe<const N: usize> {
     /// A; 0 only listens.
@@ -56,6 +73,10 @@ pub(super) struct GraspProbe<const N: usize> {
     threshold: f64,
     /// What a free device that slows down shows along its motion at most, beside what goes with its speed.
     free_n: f64,
+    /// Of what comes back, so much turns a free device as fast as the probe, in N.
+    bear_n: f64,
+    /// The power in W at which a controller trips that watches; infinite where none does by power.
+    power_w: f64,
     damping: f64,
     /// Tries before the force is withheld; none is no end of them.
     limit: Option<u32>,
@@ -71,6 +92,11 @@ pub(super) struct GraspProbe<const N: usize> {
     direction: Axes<N>,
     /// Sum of `|F_h . d|` over the ticks that count.
     resisted_n: f64,
+    /// By how much the hand has yielded to what came back.
+    yielded_m: f64,
+    unborne_for: u32,
+    /// Whether the last try has felt a hand.
+    has_felt: bool,
 }
 
 /// What is going on.
@@ -99,6 +125,8 @@ pub(super) struct Intervening {
     pub(super) may_end: bool,
     /// This tick is unsafe.
     pub(super) is_unsafe: bool,
+    /// Share of `F_v` that was let through at the last tick.
+    pub(super) let_through: f64,
     /// Share of the damping that may act.
     pub(super) authority: f64,
 }
@@ -127,11 +155,23 @@ impl<const N: usize> GraspProbe<N> {
         let least = if probes { FRICTION_ROOM * device.largest_coulomb() / threshold } else { 0.0 };
         let allowed = "0, or at least 2 c / r_th: a weaker probe cannot tell a hand from friction";
         let force_n = in_range("probe_force_n", "A", settings.probe_force_n, least, f64::MAX, allowed)?;
+        let window_s = settings.window as f64 * period_s;
+        let power_w = |kind| match kind {
+            ControllerKind::Vfc => settings.velocity_threshold * settings.vfc_force_threshold_n,
+            ControllerKind::Wsc => -settings.energy_threshold_j / window_s,
+            ControllerKind::Hsc | ControllerKind::Pc => f64::INFINITY,
+        };
         Ok(Some(Self {
             force_n,
             threshold,
             // Friction that is not there looks like a hand of c.
             free_n: if probes { threshold * force_n } else { device.largest_coulomb() },
+            bear_n: if probes {
+                force_n / PROBED_DAMPING
+            } else {
+                2.0 * FRICTION_ROOM * device.largest_coulomb()
+            },
+            power_w: TAKEN_SHARE * settings.controllers.iter().map(power_w).fold(f64::INFINITY, f64::min),
             damping: if probes { positive("damping", "mu", settings.damping)? } else { settings.damping },
             limit,
             period_s,
@@ -143,6 +183,9 @@ impl<const N: usize> GraspProbe<N> {
             calm_for: 0,
             direction: Axes::zeros(),
             resisted_n: 0.0,
+            yielded_m: 0.0,
+            unborne_for: 0,
+            has_felt: false,
         }))
     }
 
@@ -156,9 +199,45 @@ impl<const N: usize> GraspProbe<N> {
         self.lasts(self.ticks, seconds) && !self.lasts(self.ticks - 1, seconds)
     }
 
-    /// `F_p` in N of this tick.
-    pub(super) fn step(&mut self, seen: &Observation<N>, now: Intervening) -> Axes<N> {
-        let Intervening { is_on, may_end, is_unsafe, authority } = now;
+    /// `F_p` in N of this tick, and how fast the force may come back.
+    fn step(&mut self, seen: &Observation<N>, now: Intervening) -> (Axes<N>, f64) {
+        let force = self.probed(seen, now);
+        let ease = match self.phase {
+            Phase::Idle => 1.0,
+            Phase::Felt => self.ease(seen, now.let_through),
+            Phase::Settling | Phase::Probing | Phase::Waiting | Phase::Withheld => NOT_FELT,
+        };
+        (force, ease)
+    }
+
+    /// How fast the force may come back, of which so much is let through: 0 to 1, or not at all.
+    fn ease(&mut self, seen: &Observation<N>, let_through: f64) -> f64 {
+        let push_n = norm(&seen.rendered_force);
+        // Without friction and damping nothing tells what is borne.
+        if push_n == 0.0 || self.bear_n == 0.0 {
+            return 1.0;
+        }
+        let along = seen.rendered_force / push_n;
+        let returned_n = push_n * let_through;
+        // What drives the device along the push bears nothing of it.
+        let borne_n = -seen.grasp_force.dot(&along);
+        let speed = seen.velocity.dot(&along);
+        self.yielded_m = (self.yielded_m + speed * self.period_s).max(0.0);
+        let yielded_n = self.damping / HALF_S * self.yielded_m;
+        let unborne = (returned_n - borne_n.max(0.0)).max(yielded_n - returned_n) / self.bear_n;
+        let power_w = returned_n * speed;
+        let bears = EASE_SLOPE * (1.0 - unborne);
+        self.unborne_for =
+            if bears < LEAST_EASE { self.unborne_for + 1 } else { self.unborne_for.saturating_sub(1) };
+        if self.lasts(self.unborne_for, UNBORNE_S) {
+            self.give_up();
+            return NOT_FELT;
+        }
+        bears.min(EASE_SLOPE * (1.0 - power_w / self.power_w)).clamp(0.0, 1.0)
+    }
+
+    fn probed(&mut self, seen: &Observation<N>, now: Intervening) -> Axes<N> {
+        let Intervening { is_on, may_end, is_unsafe, authority, .. } = now;
         if !is_on && !is_unsafe {
             self.phase = Phase::Idle;
             self.calm_for = self.calm_for.saturating_add(1);
@@ -195,7 +274,7 @@ impl<const N: usize> GraspProbe<N> {
                 self.enter(Phase::Settling);
             }
             Phase::Probing => return self.probe(seen),
-            Phase::Waiting if self.is_driven() && !is_unsafe && authority >= 1.0 => self.enter(Phase::Felt),
+            Phase::Waiting if self.is_driven() && !is_unsafe && authority >= 1.0 => self.attempt(Phase::Felt),
             Phase::Waiting if self.lasts(self.ticks, INTERVAL_S - 2.0 * HALF_S) => {
                 self.enter(Phase::Settling);
             }
@@ -204,16 +283,18 @@ impl<const N: usize> GraspProbe<N> {
         Axes::zeros()
     }
 
-    /// Takes it that a hand is there: it was felt elsewhere.
-    fn accept(&mut self) {
-        if self.phase != Phase::Idle {
-            self.enter(Phase::Felt);
+    /// Takes it that a hand is there or not, as it was found elsewhere.
+    fn agree(&mut self, is_felt: bool) {
+        match self.phase {
+            Phase::Settling | Phase::Probing | Phase::Waiting if is_felt => self.enter(Phase::Felt),
+            Phase::Felt if !is_felt => self.give_up(),
+            _ => {}
         }
     }
 
-    /// Whether the force may come back, or never went.
-    pub(super) fn is_felt(&self) -> bool {
-        matches!(self.phase, Phase::Idle | Phase::Felt)
+    /// The try is over, and the force is not back.
+    fn give_up(&mut self) {
+        self.enter(if self.limit == Some(self.tries) { Phase::Withheld } else { Phase::Waiting });
     }
 
     /// Whether a tick without an intervention would change nothing that counts.
@@ -226,14 +307,25 @@ impl<const N: usize> GraspProbe<N> {
         self.phase == Phase::Withheld
     }
 
+    /// Whether it is given up although the last try has felt a hand.
+    pub(super) fn yields(&self) -> bool {
+        self.is_withheld() && self.has_felt
+    }
+
     pub(super) fn reset(&mut self) {
         (self.phase, self.ticks, self.tries) = (Phase::Idle, 0, 0);
         (self.still_for, self.driven_for, self.calm_for) = (0, 0, 0);
         (self.direction, self.resisted_n) = (Axes::zeros(), 0.0);
+        (self.yielded_m, self.unborne_for, self.has_felt) = (0.0, 0, false);
     }
 
     fn enter(&mut self, phase: Phase) {
         (self.phase, self.ticks) = (phase, 0);
+        match phase {
+            Phase::Felt => (self.yielded_m, self.unborne_for, self.has_felt) = (0.0, 0, true),
+            Phase::Probing => self.has_felt = false,
+            Phase::Idle | Phase::Settling | Phase::Waiting | Phase::Withheld => {}
+        }
     }
 
     /// An intervention begins, or the force that came back has tripped.
@@ -299,7 +391,7 @@ impl<const N: usize> GraspProbe<N> {
             self.resisted_n = 0.0;
         }
         if self.lasts(self.ticks, 2.0 * HALF_S) {
-            self.enter(if self.limit == Some(self.tries) { Phase::Withheld } else { Phase::Waiting });
+            self.give_up();
             return Axes::zeros();
         }
         let time_s = f64::from(self.ticks) * self.period_s - if first_half { 0.0 } else { HALF_S };
@@ -346,12 +438,13 @@ impl<const N: usize, S: Real> GraspProbes<N, S> {
         self.at_rest && !any
     }
 
-    /// Where the force may come back after this tick.
+    /// How fast the force may come back after this tick.
     pub(super) fn step(
         &mut self,
         seen: &Observation<N, S>,
         mut intervening: impl FnMut(usize) -> Intervening,
-    ) -> S::SimdBool {
+    ) -> S {
+        let mut eases = S::splat(NOT_FELT);
         for (lane, probe) in self.lanes.iter_mut().enumerate() {
             let seen = Observation {
                 velocity: seen.velocity.extract(lane),
@@ -359,20 +452,22 @@ impl<const N: usize, S: Real> GraspProbes<N, S> {
                 grasp_force: seen.grasp_force.extract(lane),
                 aligned_rendered_force: seen.aligned_rendered_force.extract(lane),
             };
-            self.force.replace(lane, probe.step(&seen, intervening(lane)));
+            let (force, ease) = probe.step(&seen, intervening(lane));
+            self.force.replace(lane, force);
+            eases.replace(lane, ease);
         }
         self.at_rest = self.lanes.iter().all(GraspProbe::is_at_rest);
-        self.mask(GraspProbe::is_felt)
+        eases
     }
 
-    /// Takes it that a hand is there, where it was felt by another probe.
-    pub(super) fn accept(&mut self, felt: S::SimdBool) {
-        let felt = felt.bitmask();
-        for (lane, probe) in self.lanes.iter_mut().enumerate() {
-            if felt >> lane & 1 == 1 {
-                probe.accept();
-            }
-        }
+    /// Takes it that a hand is there or not, as another probe has it.
+    pub(super) fn agree(&mut self, is_felt: bool) {
+        self.lanes.iter_mut().for_each(|probe| probe.agree(is_felt));
+    }
+
+    /// Where the last try has felt a hand.
+    pub(super) fn yields(&self) -> S::SimdBool {
+        self.mask(GraspProbe::yields)
     }
 
     /// Where no hand was felt in all tries.

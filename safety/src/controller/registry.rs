@@ -80,18 +80,12 @@ macro_rules! controllers {
                 Some(Self { $($file: option(of, |one| one.$file.as_ref(), Controller::gather)?,)+ })
             }
 
-            /// A controller that compares `F_v` with `F_h` sees but the share of it that a hand can have felt.
             #[inline(always)]
-            fn step(&mut self, seen: &Observation<N, S>, felt_share: S) -> Verdicts<N, S> {
+            fn step(&mut self, seen: &Observation<N, S>) -> Verdicts<N, S> {
                 let mut is_unsafe = nowhere::<S>();
                 Verdicts {
                     $($file: if let Some(controller) = &mut self.$file {
-                        let verdict = if $controller::<N, S>::READS_ALIGNED_FORCE {
-                            let aligned_rendered_force = seen.aligned_rendered_force * felt_share;
-                            controller.step(&Observation { aligned_rendered_force, ..*seen })
-                        } else {
-                            controller.step(seen)
-                        };
+                        let verdict = controller.step(seen);
                         // Gathered here, so that controllers that are not built cost nothing.
                         is_unsafe = is_unsafe | verdict.is_unsafe;
                         verdict
@@ -100,11 +94,6 @@ macro_rules! controllers {
                     },)+
                     is_unsafe,
                 }
-            }
-
-            #[inline(always)]
-            fn reads_aligned_force(&self) -> bool {
-                false $(|| $controller::<N, S>::READS_ALIGNED_FORCE && self.$file.is_some())+
             }
 
             #[inline(always)]

@@ -8,8 +8,8 @@ use crate::{
 
 /// HGO: near 1 while the hand holds against the rendered force, large when nobody holds.
 ///
-/// `S_h = |F_v| / (|F_h| + alpha)`, with `F_v` as late as `F_h`: an estimated `F_h` lags, and a force that has just
-/// risen would otherwise look like one that nobody holds.
+/// `S_h = |F_v| / (|F_h| + alpha)`, with `F_v` as the device was asked to render it and as late as `F_h`: an estimated
+/// `F_h` lags, and a force that has just risen would otherwise look like one that nobody holds.
 ///
 /// Source: paper Eq. 5.
 #[derive(Clone, Copy, Debug, PartialEq)]

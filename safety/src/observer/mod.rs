@@ -39,9 +39,9 @@ pub struct Observation<const N: usize, S = f64> {
     pub rendered_force: Axes<N, S>,
     /// `F_h` in N: estimated force of the hand on the device (Eq. 4).
     pub grasp_force: Axes<N, S>,
-    /// `F_v` in N as `F_h` sees it: passed through the same kernel of past ticks
-    /// ([`Estimator::align`](crate::estimator::Estimator::align)), because `S_h` compares the two. With exact
-    /// signals it is `F_v` itself.
+    /// What the device was asked to render, in N, as `F_h` sees it: passed through the same kernel of past ticks
+    /// ([`Estimator::align`](crate::estimator::Estimator::align)), because `S_h` compares the two. With exact signals and
+    /// without an intervention it is `F_v` itself.
     pub aligned_rendered_force: Axes<N, S>,
 }
 

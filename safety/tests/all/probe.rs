@@ -3,7 +3,7 @@
 
 use haptether_safety::{
     Axes, DeviceModel, LayerSettings, LimiterSettings, SafetyLayer,
-    controller::{ControllerKind, SafetySettings, Tripped},
+    controller::{ControllerKind, Controllers, SafetySettings, Tripped},
     estimator::EstimatorKind,
 };
 
@@ -37,7 +37,6 @@ const OMNI: Device =
 /// The first throw is over by then.
 const CAUGHT_MS: u32 = 150;
 const DAMPING: f64 = 5.0;
-const WSC: Tripped = Tripped::of(ControllerKind::Wsc);
 
 /// `SplitMix64`, in [low, high).
 struct Draws(u64);
@@ -62,12 +61,35 @@ enum Class {
     Firm,
     /// A firm hand whose target drifts.
     Moving,
+    /// 150 to 600 N/m under 2 to 5 N.
+    Bearing,
+    /// 60 to 150 N/m under 1 to 3 N.
+    Yielding,
+    /// A spring of 5 to 45 N/m under 2 to 7.9 N.
+    Spring,
+    /// A cable of 50 to 300 N/m that gets taut 0 to 30 mm away, against the push.
+    Cable,
+    /// 0.05 to 0.3 N of gravity, either way, that nothing holds.
+    Gravity,
 }
 
 impl Class {
     fn hand(self, draws: &mut Draws) -> Option<Held> {
         match self {
-            Self::Free | Self::Stop => None,
+            Self::Free | Self::Stop | Self::Gravity | Self::Cable => None,
+            Self::Spring => {
+                Some(Held { stiffness: draws.within(5.0, 45.0), damping: 0.0, mass_kg: 0.0, drift: 0.0 })
+            }
+            Self::Bearing | Self::Yielding => {
+                let stiffness = if self == Self::Bearing {
+                    draws.within(150.0, 600.0)
+                } else {
+                    draws.within(60.0, 150.0)
+                };
+                let mass_kg = draws.within(0.0, 0.4);
+                let critical = 2.0 * (stiffness * (0.157 + mass_kg)).sqrt();
+                Some(Held { stiffness, damping: critical * draws.within(0.1, 1.0), mass_kg, drift: 0.0 })
+            }
             Self::Light => Some(Held {
                 stiffness: draws.within(50.0, 150.0),
                 damping: draws.within(1.0, 4.0),
@@ -93,6 +115,11 @@ struct Held {
 }
 
 struct Outcome {
+    /// From the release to the first trip after it, in s.
+    tripped_after_s: Option<f64>,
+    /// Whether the force is back in the last 0.2 s.
+    has_it: bool,
+    yields: bool,
     /// From the first trip to the end of the intervention, if it ended, in s.
     back_after_s: Option<f64>,
     /// Largest speed in m/s from 150 ms after the first trip on.
@@ -105,7 +132,14 @@ struct Outcome {
 }
 
 /// A push of `N` axes on a hand that lets go, or is surprised and comes back at once.
-fn trial<const N: usize>(device: Device, class: Class, seed: u64, ticks: u32) -> Outcome {
+#[allow(clippy::too_many_lines)] // one simulated trial, in the order of time
+fn trial<const N: usize>(
+    device: Device,
+    class: Class,
+    controllers: Controllers,
+    seed: u64,
+    ticks: u32,
+) -> Outcome {
     let mut draws = Draws(seed);
     // Of more than three axes each has a mass of its own, as joints do.
     let share = |axis: usize| if N > 3 { 1.0 - 0.1 * axis as f64 } else { 1.0 };
@@ -120,12 +154,25 @@ fn trial<const N: usize>(device: Device, class: Class, seed: u64, ticks: u32) ->
     let coulomb = device.coulomb * draws.within(0.5, 2.0);
     let push_n = draws.within(2.0, device.max_force_n);
     let along = Axes::<N>::from_fn(|_, _| draws.within(-1.0, 1.0)).normalize();
-    let gravity = Axes::<N>::from_fn(|_, _| draws.within(-0.05, 0.05)) / (N as f64).sqrt();
+    let mut gravity = Axes::<N>::from_fn(|_, _| draws.within(-0.05, 0.05)) / (N as f64).sqrt();
     let stop_m = draws.within(0.015, 0.04);
-    let held = class.hand(&mut draws);
+    let mut held = class.hand(&mut draws);
     // What yields takes energy, and more than delta of it trips WSC again, whatever ends an intervention: F^2 / 2 K is half
     // of it here.
-    let push_n = held.as_ref().map_or(push_n, |hand| push_n.min((0.03 * hand.stiffness).sqrt()));
+    let push_n = match class {
+        Class::Bearing => draws.within(2.0, 5.0),
+        Class::Yielding => draws.within(1.0, 3.0),
+        Class::Spring => push_n,
+        _ => held.as_ref().map_or(push_n, |hand| push_n.min((0.03 * hand.stiffness).sqrt())),
+    };
+    // And one that moves along the push takes power: 0.3 W of it trips WSC.
+    if let Some(hand) = &mut held {
+        hand.drift = hand.drift.min(0.2 / push_n);
+    }
+    if class == Class::Gravity {
+        gravity = along * draws.within(0.05, 0.3) * if draws.within(-1.0, 1.0) > 0.0 { 1.0 } else { -1.0 };
+    }
+    let (slack_m, taut) = (draws.within(0.0, 0.03), draws.within(50.0, 300.0));
     let drift = Axes::<N>::from_fn(|_, _| draws.within(-1.0, 1.0)).normalize();
     let (tremor, tremor_hz) = (draws.within(2e-5, 2e-4), draws.within(8.0, 12.0));
     let quantum_m = 10.0_f64.powf(draws.within(-6.0, device.coarsest));
@@ -134,7 +181,9 @@ fn trial<const N: usize>(device: Device, class: Class, seed: u64, ticks: u32) ->
         period_s: PERIOD_S,
         estimator: EstimatorKind::default().with_quantum(quantum_m),
         safety: SafetySettings {
-            controllers: [ControllerKind::Wsc].into(),
+            controllers,
+            hsc_force_threshold_n: 1.0,
+            hsc_velocity_threshold: 0.05,
             hold_off_s: 0.1,
             release_ramp_s: 0.2,
             probe_force_n: device.probe_n,
@@ -147,15 +196,18 @@ fn trial<const N: usize>(device: Device, class: Class, seed: u64, ticks: u32) ->
     let (mut x, mut v) = (Axes::<N>::zeros(), Axes::<N>::zeros());
     let mut target = Axes::<N>::zeros();
     let (mut tripped_at, mut back_at, mut later_speed, mut withheld) = (None, None, 0.0_f64, false);
+    let (mut has_it, mut yields) = (true, false);
     let (mut origin, mut displacement, mut caught) = (Axes::<N>::zeros(), 0.0_f64, false);
     for tick in 0..RELEASED_AT + ticks {
         let time_s = f64::from(tick) * PERIOD_S;
         let sample = x.map(|at| (at / quantum_m).round() * quantum_m);
         let step = layer.tick(&sample, None, &(along * push_n));
         let intervention = step.intervention;
+        // The force of PC is no intervention.
+        let is_on = intervention.tripped.bits() & !Tripped::of(ControllerKind::Pc).bits() != 0;
         match tripped_at {
-            None if tick >= RELEASED_AT && intervention.tripped.contains(WSC) => tripped_at = Some(tick),
-            Some(at) if !intervention.tripped.any() => {
+            None if tick >= RELEASED_AT && is_on => tripped_at = Some(tick),
+            Some(at) if !is_on => {
                 back_at.get_or_insert(f64::from(tick - at) * PERIOD_S);
             }
             Some(at) if tick == at + CAUGHT_MS => origin = x,
@@ -166,8 +218,13 @@ fn trial<const N: usize>(device: Device, class: Class, seed: u64, ticks: u32) ->
             _ => {}
         }
         withheld |= intervention.withheld;
+        yields |= intervention.yields;
+        if tick + 200 >= RELEASED_AT + ticks {
+            has_it &= !is_on && step.device_force.dot(&along) > 0.9 * push_n;
+        }
         // The hand takes hold again as it feels the jerk of the trip, 50 ms later.
         let gone = tick >= RELEASED_AT && tripped_at.is_none_or(|at| tick < at + 50);
+        let gone = gone && class != Class::Spring;
         let hand = held.as_ref().filter(|_| !gone);
         if hand.is_some() && tick >= RELEASED_AT && !caught {
             (target, caught) = (x, true);
@@ -186,6 +243,10 @@ fn trial<const N: usize>(device: Device, class: Class, seed: u64, ticks: u32) ->
                 let trembles = drift * (tremor * (std::f64::consts::TAU * tremor_hz * time_s).sin());
                 force += (target + trembles - x) * stiffness + (moves - v) * damping;
             }
+            let stretch = x.dot(&along) - slack_m;
+            if class == Class::Cable && stretch > 0.0 && tick >= RELEASED_AT {
+                force -= along * (taut * stretch);
+            }
             let depth = x.dot(&along) - stop_m;
             if class == Class::Stop && depth > 0.0 {
                 let normal = (3000.0 * depth + 5.0 * v.dot(&along)).max(0.0);
@@ -199,8 +260,10 @@ fn trial<const N: usize>(device: Device, class: Class, seed: u64, ticks: u32) ->
             x += v * dt;
         }
     }
-    assert!(tripped_at.is_some(), "{class:?} {seed}: nothing has tripped");
     Outcome {
+        tripped_after_s: tripped_at.map(|at: u32| f64::from(at - RELEASED_AT) * PERIOD_S),
+        has_it,
+        yields,
         back_after_s: back_at,
         later_speed,
         displacement,
@@ -228,7 +291,7 @@ fn trials() -> u32 {
 fn nobody_is_thrown_again<const N: usize>(device: Device, class: Class) {
     let (mut again, mut fastest, mut furthest) = (0, 0.0_f64, 0.0_f64);
     for seed in 0..trials() {
-        let outcome = trial::<N>(device, class, u64::from(seed), 7000);
+        let outcome = trial::<N>(device, class, [ControllerKind::Wsc].into(), u64::from(seed), 7000);
         again += u32::from(outcome.back_after_s.is_some());
         fastest = fastest.max(outcome.later_speed);
         furthest = furthest.max(outcome.displacement - outcome.drift);
@@ -268,7 +331,9 @@ fn a_hand_has_its_force_again() {
         let within_s = f64::from(within_ms) * PERIOD_S;
         let mut late = 0;
         for seed in 0..trials() {
-            let back = trial::<1>(device, class, u64::from(seed), within_ms + 300).back_after_s;
+            let back =
+                trial::<1>(device, class, [ControllerKind::Wsc].into(), u64::from(seed), within_ms + 300)
+                    .back_after_s;
             late += u32::from(back.is_none_or(|after_s| after_s > within_s));
         }
         let (least, most) = interval(late, trials());
@@ -278,5 +343,65 @@ fn a_hand_has_its_force_again() {
             trials()
         );
         assert!(least <= 1.0 - share, "{class:?}: {late} late");
+    }
+}
+
+/// Every union of those that cancel, and each with PC.
+fn unions() -> impl Iterator<Item = Controllers> {
+    ControllerKind::cancelling()
+        .fold(vec![Controllers::NONE], |sets, kind| {
+            sets.iter().flat_map(|set| [*set, set.with(kind, true)]).collect()
+        })
+        .into_iter()
+        .filter(|set| *set != Controllers::NONE)
+        .flat_map(|set| [set, set.with(ControllerKind::Pc, true)])
+}
+
+/// Of the trials that trip within 0.2 s of the release: how many, and how many have the force 2.5 s later.
+fn returned(class: Class, controllers: Controllers, trials: u32) -> (u32, u32) {
+    let (mut tripped, mut returned, mut fastest, mut yielding) = (0, 0, 0.0_f64, 0);
+    for seed in 0..trials {
+        let outcome = trial::<1>(DESKTOP, class, controllers, u64::from(seed), 2900);
+        if outcome.tripped_after_s.is_some_and(|after_s| after_s < 0.2) {
+            tripped += 1;
+            returned += u32::from(outcome.has_it);
+            fastest = fastest.max(outcome.later_speed);
+            yielding += u32::from(outcome.yields);
+        }
+    }
+    println!(
+        "{class:?} {controllers:?}: {returned} of {tripped} have the force, {yielding} yield, {fastest:.3} m/s"
+    );
+    (tripped, returned)
+}
+
+#[test]
+fn whoever_watches_a_hand_that_bears_the_push_has_its_force_again() {
+    for class in [Class::Bearing, Class::Yielding] {
+        for controllers in unions() {
+            let (of, has_it) = returned(class, controllers, trials() / 5);
+            assert!(
+                interval(of - has_it, of.max(1)).0 <= 0.05,
+                "{class:?} {controllers:?}: {has_it} of {of}"
+            );
+        }
+    }
+}
+
+/// A probe may feel them as a hand, for they act on the device, but gravity bears nothing more as the force comes back, and a
+/// spring of less than `mu / HALF_S` = 50 N/m yields too far. A stiffer one and a cable that is taut bear a push as a hand does.
+#[test]
+fn what_acts_on_the_device_but_bears_no_push_gets_none() {
+    for (class, most) in
+        [(Class::Free, 0.0), (Class::Gravity, 0.0), (Class::Cable, 0.15), (Class::Spring, 0.15)]
+    {
+        for controllers in unions() {
+            let (of, has_it) = returned(class, controllers, trials() / 5);
+            // The interval ends at 0 but for rounding.
+            assert!(
+                interval(has_it, of.max(1)).0 <= most + 1e-9,
+                "{class:?} {controllers:?}: {has_it} of {of}"
+            );
+        }
     }
 }

@@ -439,7 +439,8 @@ proptest! {
         is_unsafe in prop::collection::vec(prop::bool::weighted(0.06), 1..300),
     ) {
         let settings = SafetySettings {
-            controllers: [ControllerKind::Vfc].into(),
+            controllers: [ControllerKind::Wsc].into(),
+            energy_threshold_j: -0.05,
             hold_off_s: f64::from(hold_ticks) * PERIOD_S,
             release_ramp_s: f64::from(ramp_ticks) * PERIOD_S,
             ..SafetySettings::default()
@@ -451,7 +452,7 @@ proptest! {
             let seen = Observation::exact(Axes::from([velocity]), Axes::from([2.0]), Axes::zeros());
             let step = controller.step(&seen).unwrap();
             let gain = step.safety_force[0] / (-2.0 - settings.damping * velocity);
-            prop_assert_eq!(step.tripped.contains(Tripped::of(ControllerKind::Vfc)), is_unsafe);
+            prop_assert_eq!(step.tripped.contains(Tripped::of(ControllerKind::Wsc)), is_unsafe);
             prop_assert_eq!(step.tripped.contains(Tripped::HELD), gain > 0.0 && !is_unsafe);
             if is_unsafe {
                 prop_assert_eq!(gain, 1.0, "restored at once");

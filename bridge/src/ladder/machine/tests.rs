@@ -495,7 +495,7 @@ proptest! {
                 1 => ladder.stalled(now),
                 2 => ladder.new_run(now, true),
                 3 => ladder.new_run(now, false),
-                4 => ladder.withhold(now),
+                4 => ladder.withhold(now, any.clutch),
                 5 => ladder.acknowledge(now),
                 _ => {}
             }

@@ -174,7 +174,8 @@ impl Side for LinkSide {
         let gain = self.exchange.ladder().gain();
         let withholds = self.withholds(gain);
         if withholds {
-            self.exchange.withhold(time.clock_ns);
+            // Why makes no difference to what a row comes to.
+            self.exchange.withhold(time.clock_ns, false);
         }
         let zeros = Axes::<1>::zeros();
         self.exchange.end_tick(time.clock_ns, [&zeros; 3], || [Observed::NOTHING; LAYERS.len()]);
