@@ -64,7 +64,8 @@ def test_changes_come_at_their_time_and_move_nothing_by_themselves() -> None:
 
 
 def test_a_force_scale_that_changes_is_felt_and_measured() -> None:
-    for scale in (0.5, 3.0):
+    # Half as much again stays below the 7.9 N of the device.
+    for scale in (0.5, 1.5):
         run = simulate(
             "remote_push",
             overrides=[f"coupling.changes=[{{at_s=1.5, force_scale={scale}}}]", "run.duration_s=1.9", "link={}"],

@@ -219,7 +219,7 @@ def test_a_table_that_an_override_needs_is_made(tmp_path: Path) -> None:
     assert filled["slave"]["mass_kg"] == 2
     assert filled["coupling"] == {
         "kind": "position-force", "position_scale": 1.0, "force_scale": 1.0, "quat_wxyz": [1.0, 0.0, 0.0, 0.0],
-        "locked_axes": [], "command_speed": 3.0, "command_reach": None, "changes": [],
+        "locked_axes": [], "command_speed": 3.0, "command_reach": None, "changes": [], "change_factor": 2.0,
         "rotation_scale": 1.0, "torque_scale": 1.0, "locks_rotation": False, "rotation_axis": None,
         "command_angular_speed": 2.5, "command_turn": None, "alignment": None, "reference_point": None,
     }  # fmt: skip

@@ -330,7 +330,7 @@ def test_the_names_of_the_ladder() -> None:
     with pytest.raises(ValueError, match=r"^state 7: must be 0 to 6$"):
         ladder_state_name(7)
     assert ladder_reason(4) == "peer is silent"
-    with pytest.raises(ValueError, match=r"^reason 0: must be 1 to 23$"):
+    with pytest.raises(ValueError, match=r"^reason 0: must be 1 to 24$"):
         ladder_reason(0)
 
 

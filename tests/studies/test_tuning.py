@@ -407,7 +407,8 @@ def test_the_command_prints_a_table_that_can_be_pasted(
     # A duller threshold is reached later by the same hands.
     speeds = [of["mev"] for of in tuned["roc"]]
     assert point["releases"] > 0
-    assert speeds[-1] >= speeds[0]
+    # Trips after the first one move the largest speed by less than 1 %.
+    assert speeds[-1] >= 0.99 * speeds[0]
     lower, upper = binomial_interval(point["missed"], point["releases"])
     assert point["missed_interval"] == pytest.approx([lower, upper])
     # It is a scene's table.

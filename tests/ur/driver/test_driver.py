@@ -179,7 +179,7 @@ def test_direct_torque_needs_its_version(arm: Arm) -> None:
 
 def test_without_the_library_the_error_names_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rtde_control", None)
-    with pytest.raises(RtdeConnectionError, match=r"pip install 'haptether\[ur\]' under Python 3.11 or 3.12"):
+    with pytest.raises(RtdeConnectionError, match=r"ur-rtde is not installed: install haptether\[ur\]"):
         UrSlave(host="127.0.3.99").open()
 
 
