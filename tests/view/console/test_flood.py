@@ -94,9 +94,12 @@ def test_stop_and_the_end_work_while_requests_without_a_token_are_half_open(tmp_
     assert "Traceback" not in said.read_text()
 
 
-def test_too_few_descriptors_are_said_before_anything_is_served() -> None:
-    console = command(100, "console", "--connect", "nowhere")
-    ended = subprocess.run(console, capture_output=True, text=True, check=False, timeout=60.0)
+def test_too_few_descriptors_are_said_before_anything_is_served(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as side:
+        side.bind(str(tmp_path / "side"))
+        side.listen()
+        console = command(100, "console", "--connect", str(tmp_path / "side"))
+        ended = subprocess.run(console, capture_output=True, text=True, check=False, timeout=60.0)
     assert ended.returncode != 0
     assert re.search(r"needs \d+ free descriptors, and \d+ are left: raise `ulimit -n`", ended.stderr)
     assert "Traceback" not in ended.stderr

@@ -45,6 +45,7 @@ const MAX_REQUEST: usize = 512;
 const MAX_AT_ONCE: usize = 8;
 /// Between two looks at whether the loop is over.
 const LOOK_EVERY: Timespec = Timespec { tv_sec: 0, tv_nsec: 20_000_000 };
+const AT_ONCE: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
 /// How old the token of a request may be, in us.
 const MAX_TOKEN_US: u64 = 400_000;
 /// How long a stop waits for the loop to be at rest before it is answered.
@@ -220,6 +221,11 @@ impl Server {
     /// Takes connections; where there are too many, or no descriptor is left, the idlest is closed.
     fn accept(&mut self) {
         for _ in 0..MAX_ACCEPTED {
+            // Without a free descriptor `accept` fails even where nobody waits, and would cost a connection its place.
+            let mut waiting = [PollFd::new(&self.socket, PollFlags::IN)];
+            if poll(&mut waiting, Some(&AT_ONCE)) != Ok(1) {
+                return;
+            }
             match self.socket.accept() {
                 Ok(Some(stream)) => {
                     if self.connected.len() == MAX_CONNECTIONS {
