@@ -128,7 +128,7 @@ def test_without_a_token_few_connections_stay_and_none_for_long(runs: Served) ->
             time.sleep(0.1)
             assert held(port) <= MOST
         # That of the page.
-        wait_for(lambda: held(port) <= 1, 1.0)
+        wait_for(lambda: held(port) <= 1, 5.0)
         assert json.loads(one.recv(timeout=5.0))["kind"] == "rows"
 
 
