@@ -256,7 +256,6 @@ NEEDS_EXTRA = [
     (["paper", "--plot", "out"], "analysis"),
     (["ur-emulator"], "ur"),
     (["demo", "--slave", "ur"], "ur"),
-    (["dynamixel-emulator"], "dynamixel"),
     (["inverse3-emulator"], "haply"),
 ]
 
