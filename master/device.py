@@ -47,6 +47,10 @@ class MasterDevice(Protocol):
     weight, has `exerts_by_itself = True`; without it, it is False. `haptether check-device` and `identify` say so
     before they open it, and ask a person on the terminal; `haptether master` says so.
 
+    A driver may have `speed_bound` in m/s (rad/s of joints), which its device cannot exceed. A faster step of its
+    position that stays is a fault; `check-device` uses the same bound. `[master] speed_bound` of a scene overrides it.
+    The default is 20 m/s, for joints 60 rad/s.
+
     A driver that paces the loop may have `period_s`, the seconds between two samples, known once it is open. A scene
     whose `[run] period_s` is off by more than 1 % is refused then, before any force.
     """

@@ -36,6 +36,8 @@ class DevicePreset(msgspec.Struct, frozen=True, kw_only=True):
     """Largest force in N, for a short time."""
     continuous_force_n: float
     """Force in N that it can exert without end; for information, a simulated device does not grow hot."""
+    speed_bound: float
+    """Speed in m/s that it cannot exceed: a step of its position that is faster, and stays, is a fault."""
     workspace: tuple[float, ...]
     """Width, height and depth of the workspace in m; for information, `stops` of a scene bound it."""
 
@@ -51,6 +53,7 @@ DEVICE_PRESETS: Mapping[str, DevicePreset] = MappingProxyType({
         encoder_quantum=2.3e-5,  # data sheet: 0.023 mm (1100 dpi)
         max_force_n=7.9,  # data sheet; CHAI3D (CPhantomDevices.cpp) has the same
         continuous_force_n=1.75,  # data sheet
+        speed_bound=10.0,  # chosen: max_force_n throws it at 4.0 m/s over its workspace, a hand at 6 m/s
         workspace=(0.16, 0.12, 0.12),  # data sheet
     ),
     "phantom-omni": DevicePreset(
@@ -61,6 +64,7 @@ DEVICE_PRESETS: Mapping[str, DevicePreset] = MappingProxyType({
         encoder_quantum=5.5e-5,  # data sheet: 0.055 mm (450 dpi)
         max_force_n=3.3,  # data sheet; CHAI3D (CPhantomDevices.cpp) has the same
         continuous_force_n=0.88,  # data sheet
+        speed_bound=12.0,  # chosen: max_force_n throws it at 4.8 m/s over its workspace, a hand at 6 m/s
         workspace=(0.16, 0.12, 0.07),  # data sheet
     ),
     "touch": DevicePreset(
@@ -72,6 +76,7 @@ DEVICE_PRESETS: Mapping[str, DevicePreset] = MappingProxyType({
         encoder_quantum=5.5e-5,
         max_force_n=3.3,  # CHAI3D (CPhantomDevices.cpp) has the same
         continuous_force_n=0.88,
+        speed_bound=12.0,
         workspace=(0.16, 0.12, 0.07),
     ),
     "phantom-premium-1.5": DevicePreset(
@@ -82,6 +87,7 @@ DEVICE_PRESETS: Mapping[str, DevicePreset] = MappingProxyType({
         encoder_quantum=3e-5,  # data sheet: 0.03 mm (860 dpi)
         max_force_n=8.5,  # data sheet; CHAI3D (CPhantomDevices.cpp, its 6DOF model) has the same
         continuous_force_n=1.4,  # data sheet
+        speed_bound=16.0,  # chosen: max_force_n throws it at 9.3 m/s over its workspace, a hand at 6 m/s
         workspace=(0.381, 0.267, 0.191),  # data sheet
     ),
     "inverse3": DevicePreset(
@@ -95,6 +101,7 @@ DEVICE_PRESETS: Mapping[str, DevicePreset] = MappingProxyType({
         encoder_quantum=2.3e-5,
         max_force_n=7.9,
         continuous_force_n=1.75,
+        speed_bound=10.0,
         workspace=(0.16, 0.12, 0.12),
     ),
     "dynamixel-leader": DevicePreset(
@@ -109,6 +116,7 @@ DEVICE_PRESETS: Mapping[str, DevicePreset] = MappingProxyType({
         encoder_quantum=2.0 * pi / 4096.0,  # rad; e-manual: 4096 pulse/rev
         max_force_n=0.52,  # N m; e-manual: stall torque at 5.0 V
         continuous_force_n=0.104,  # N m; chosen: the e-manual advises loads of a fifth of the stall torque or less
+        speed_bound=30.0,  # rad/s; chosen: three times its speed without load, 10.8 rad/s
         workspace=(2.0 * pi,),  # rad; e-manual: position control over 0 to 360 degrees
     ),
 })  # fmt: skip

@@ -41,6 +41,10 @@ class SlaveDevice(Protocol):
     A driver whose arm has torque of its own from `open` on, and may fall when it is closed, has `exerts_by_itself =
     True`: `check-device` and `haptether slave` say so before they open it.
 
+    A driver may have `speed_bound` in m/s (rad/s of joints), which its arm cannot exceed. A faster step of its
+    position that stays is a fault; `check-device` uses the same bound. `[slave] speed_bound` of a scene overrides it.
+    The default is 20 m/s, for joints 60 rad/s.
+
     `kinds` names the kinds of sides that a driver can be: "linear", "joints", "pose"; without it the first two. One of
     poses has `write(position, velocity, orientation=None, angular_velocity=None)`, tuples of four and three as in a
     sample: without an orientation, in a scene of points, the tool keeps that of the begin. Its samples have

@@ -19,6 +19,23 @@ pub struct FaultText {
     length: u8,
 }
 
+/// A text that is being written.
+struct Line {
+    bytes: [u8; 255],
+    length: usize,
+}
+
+impl fmt::Write for Line {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        let Some(room) = self.bytes.get_mut(self.length..self.length + text.len()) else {
+            return Err(fmt::Error);
+        };
+        room.copy_from_slice(text.as_bytes());
+        self.length += text.len();
+        Ok(())
+    }
+}
+
 /// Whether a character is shown as itself: no control, no format character, none that reorders or hides text.
 fn is_printable(letter: char) -> bool {
     !letter.is_control()
@@ -57,6 +74,14 @@ impl FaultText {
             }
         }
         built
+    }
+
+    /// The same of what is written here, without memory of its own: text beyond 255 bytes is cut first.
+    pub fn of(written: &impl fmt::Display) -> Self {
+        let mut line = Line { bytes: [0; 255], length: 0 };
+        // It takes what fits.
+        let _ = fmt::Write::write_fmt(&mut line, format_args!("{written}"));
+        Self::new(std::str::from_utf8(&line.bytes[..line.length]).unwrap_or_default())
     }
 
     fn push(&mut self, letter: char) -> bool {

@@ -1,6 +1,7 @@
 //! What leads a gripper at the side of the hand, and the gripper that is led at the side of the robot.
 
 use haptether_master::{DeviceParameters, Hand, ModelError as MasterError, SimulatedMaster};
+use haptether_safety::{Guard, Sample, SampleBounds};
 use haptether_slave::{
     Axes, GripperCommand, GripperSample, GripperSettings, ModelError, Series, SimulatedGripper,
 };
@@ -77,6 +78,41 @@ impl Trigger {
             Self::Held(held) => held.device.set_waiting(false),
             Self::Driven(_) => {}
         }
+    }
+}
+
+/// The positions of a trigger that leads a gripper, 0 open to 1 closed, without those that leave their path: [`Guard`].
+///
+/// The bounds are those of a point over 30 mm, read by 8 bits. There is none on the speed: a driver may take a button for a
+/// trigger, and the gripper goes no faster than it can.
+#[derive(Clone, Debug)]
+pub(crate) struct LeadingTrigger {
+    guard: Guard<1>,
+}
+
+impl LeadingTrigger {
+    /// Before the first position, of ticks of `period_s`.
+    pub(crate) fn new(period_s: f64) -> Self {
+        let bounds = SampleBounds {
+            speed: f64::INFINITY,
+            velocity_change: SampleBounds::LINEAR.velocity_change / 0.03,
+            quantum: 1.0 / 256.0,
+            per_axis: false,
+        };
+        Self { guard: Guard::new(bounds, SampleBounds::UNBOUNDED, period_s) }
+    }
+
+    /// What stands for a position, `ticks` after the one before.
+    pub(crate) fn taken(&mut self, position: f64, ticks: f64) -> f64 {
+        let sample = Sample::point(&Axes::<1>::new(position), None);
+        // Without a bound on the speed nothing is refused.
+        let _ = self.guard.pass(&sample, ticks);
+        self.guard.taken().position[0].clamp(0.0, 1.0)
+    }
+
+    /// How many were outliers.
+    pub(crate) fn outliers(&self) -> u64 {
+        self.guard.outliers()
     }
 }
 

@@ -9,7 +9,7 @@ use crate::{
     command::OperatorCommand,
     coupling::{CouplingError, GripperState, ReferencePoint, ScaleRanges},
     endpoint::{Exchange, MasterEndpoint, MasterReading, SlaveEndpoint, SlaveReading},
-    gripper::{FingerTruth, LedGripper, Trigger},
+    gripper::{FingerTruth, LeadingTrigger, LedGripper, Trigger},
     ladder::{Button, Clutch, ClutchError, ClutchOperator, LadderState},
     link::{LinkTime, RejectReason},
     pace::TickTime,
@@ -116,6 +116,7 @@ pub struct MasterSide<P, const N: usize, R = ()> {
     button: Button,
     /// What leads the gripper; none where the slave has none.
     pub trigger: Option<Trigger>,
+    leading: LeadingTrigger,
     /// What the finger that holds it felt at the last tick; none without force feedback.
     felt: Option<SafetyTick<1>>,
     /// What the buttons of the device do; none where the scene maps none.
@@ -128,12 +129,14 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
     pub fn new(plant: P, endpoint: MasterEndpoint<N>, clutch: Clutch) -> Result<Self, ClutchError> {
         let operator = ClutchOperator::new(clutch)?;
         let button = Button::default();
+        let leading = LeadingTrigger::new(endpoint.period_s());
         Ok(Self {
             plant,
             endpoint,
             operator,
             button,
             trigger: None,
+            leading,
             felt: None,
             buttons: None,
             records: PhantomData,
@@ -156,8 +159,18 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
     /// The same side with records of a hand that turns.
     #[must_use]
     pub fn turning(self) -> MasterSide<P, N, MasterRotation> {
-        let Self { plant, endpoint, operator, button, trigger, felt, buttons, .. } = self;
-        MasterSide { plant, endpoint, operator, button, trigger, felt, buttons, records: PhantomData }
+        let Self { plant, endpoint, operator, button, trigger, leading, felt, buttons, .. } = self;
+        MasterSide {
+            plant,
+            endpoint,
+            operator,
+            button,
+            trigger,
+            leading,
+            felt,
+            buttons,
+            records: PhantomData,
+        }
     }
 
     /// The same side with a trigger that leads the slave's gripper.
@@ -192,8 +205,18 @@ impl<P: MasterPlant<N>, const N: usize, R> MasterSide<P, N, R> {
     /// The same side with records of what the finger at the trigger feels.
     #[must_use]
     pub fn feeling(self) -> MasterSide<P, N, Feeling<R>> {
-        let Self { plant, endpoint, operator, button, trigger, felt, buttons, .. } = self;
-        MasterSide { plant, endpoint, operator, button, trigger, felt, buttons, records: PhantomData }
+        let Self { plant, endpoint, operator, button, trigger, leading, felt, buttons, .. } = self;
+        MasterSide {
+            plant,
+            endpoint,
+            operator,
+            button,
+            trigger,
+            leading,
+            felt,
+            buttons,
+            records: PhantomData,
+        }
     }
 
     /// What the finger at the trigger felt at the last tick, in m/s and N, positive closing; none without force feedback.
@@ -253,17 +276,21 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for MasterSide<P, N,
             }
             None => self.operator.at(time.now_ns, ladder.state(), ladder.is_ready()),
         };
-        let mut led_to = None;
+        let (mut led_to, mut finger) = (None, None);
         if let Some(trigger) = &mut self.trigger {
             let at = trigger.position(time.now_ns);
-            let state = GripperState::of_trigger(pressed.1.or(at));
+            let mut state = GripperState::of_trigger(pressed.1.or(at));
+            // Where a button leads the gripper, the finger at the trigger does not.
+            finger = state.position.filter(|_| pressed.1.is_none());
+            if let Some(at) = finger {
+                state.position = Some(self.leading.taken(at, (time.missed + 1) as f64));
+            }
             led_to = state.position;
             self.endpoint.exchange.report_gripper(state);
         }
-        // Where a button leads the gripper, the finger at the trigger does not.
-        let trigger = led_to.filter(|_| pressed.1.is_none());
-        let reading = MasterReading { position, velocity, rotation: self.plant.rotation(), trigger };
+        let reading = MasterReading { position, velocity, rotation: self.plant.rotation(), trigger: finger };
         let tick = self.endpoint.tick(time.clock_ns, time.missed, &reading, clutch);
+        self.endpoint.exchange.outliers += self.leading.outliers();
         let truth = self.plant.truth();
         let torques = [tick.input.received_torque, tick.input.requested_torque];
         let turn =

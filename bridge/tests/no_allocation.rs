@@ -238,6 +238,7 @@ fn holding_tool(turned_rad: f64) -> SimulatedTool {
         damping: 50.0,
         max_speed: None,
         max_acceleration: None,
+        speed_bound: None,
         period_s: 1e-3,
         position: Axes::<3>::zeros(),
         force_sensor: None,

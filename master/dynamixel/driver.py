@@ -37,6 +37,9 @@ class DynamixelMaster:
         self._joints = len(arm.joints)
         self.max_speed = speed_limits(self.options, arm)
         """Of each joint in rad/s; beyond it is a fault."""
+        if self.options.kind == "joints":
+            self.speed_bound = max(self.max_speed)
+            """In rad/s."""
         # By the largest constant that a servo may have: no joint exerts more than its limit in N m.
         self._amperes = [1.0 / servo.most_nm_per_a for servo in settings.servos]
         for index, joint in enumerate(arm.joints):

@@ -68,6 +68,7 @@ __all__ = [
     "SafetySettings",
     "SafetyTick",
     "SafetyTicks",
+    "SampleBounds",
     "SceneRun",
     "SceneTouch",
     "SignalRelay",
@@ -900,6 +901,47 @@ def fault_message(code: int) -> str | None:
     """
 
 @final
+class SampleBounds:
+    """What the samples of a device are held against.
+
+    A sample is on the path where `|x - x_a - v k| <= velocity_change dT + 2 quantum`, k ticks after the last one.
+
+    Args:
+        joints: Whether each axis is a joint, in rad, that is held against the bounds by itself.
+        speed: Speed bound of the device in m/s (rad/s), above 0; by default 20 m/s, of joints 60 rad/s.
+        velocity_change: Largest change of velocity in m/s (rad/s) from a sample to the next, above 0; by default
+            0.5 m/s, which is 0.5 mm off the path at 1 kHz, of joints 5 rad/s.
+        quantum: Resolution of the position in m (rad), 0 or more.
+
+    Raises:
+        ValueError: A number outside its range.
+    """
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def __new__(
+        cls,
+        *,
+        joints: bool = False,
+        speed: float | None = None,
+        velocity_change: float | None = None,
+        quantum: float = 0.0,
+    ) -> SampleBounds: ...
+    @property
+    def speed(self) -> float:
+        """In m/s (rad/s)."""
+
+    @property
+    def velocity_change(self) -> float:
+        """In m/s (rad/s)."""
+
+    @property
+    def quantum(self) -> float:
+        """In m (rad)."""
+
+    def __eq__(self, other: object, /) -> bool: ...
+
+@final
 class SafetyLayer:
     """Estimator, grasp force, observers, controllers and limiter: the whole pipeline of one master tick.
 
@@ -910,6 +952,7 @@ class SafetyLayer:
         settings: Controllers and thresholds.
         estimator: How V and A are had from positions; the default is the Kalman filter.
         limiter: Bounds on the device force, always on.
+        samples: What samples are held against; by default that of joints from four axes on, else that of a point.
         period_s: dT in s, above 0.
 
     Raises:
@@ -925,14 +968,20 @@ class SafetyLayer:
         *,
         estimator: EstimatorKind | None = None,
         limiter: LimiterSettings | None = None,
+        samples: SampleBounds | None = None,
         period_s: float = 1e-3,
     ) -> SafetyLayer: ...
     @property
     def axes(self) -> int:
         """Number of axes."""
 
+    @property
+    def outliers(self) -> int:
+        """Samples that left the path of the others and were replaced by their prediction."""
+
     def step(self, position: _Sample, rendered_force: _Sample, velocity: _Sample | None = None) -> SafetyTick:
-        """One tick. A number that is not finite or absurd returns zero force and a fault that stays.
+        """One tick. A number that is not finite or absurd, and a step beyond the speed bound of the device, return zero
+        force and a fault that stays. A sample off the path of the others is held, and its prediction stands for it.
 
         Args:
             position: x in m.
@@ -2097,6 +2146,10 @@ class LoopReport:
     @property
     def limited(self) -> int:
         """Ticks at which a bound acted on the remote command; of a master 0."""
+
+    @property
+    def outliers(self) -> int:
+        """Samples that left the path of the others and were replaced by their prediction."""
 
     @property
     def secure(self) -> bool:

@@ -216,6 +216,7 @@ pub(crate) struct PyLoopReport {
     path: PyPathReport,
     holds: u64,
     limited: u64,
+    outliers: u64,
     secure: bool,
     rejections: BTreeMap<String, u64>,
     engaged_s: f64,
@@ -236,6 +237,7 @@ impl From<LoopReport> for PyLoopReport {
             path: of.path.into(),
             holds: of.holds,
             limited: of.limited,
+            outliers: of.outliers,
             secure: of.secure,
             rejections: of
                 .rejections

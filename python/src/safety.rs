@@ -6,6 +6,7 @@ mod estimator;
 mod layer;
 mod limiter;
 mod observer;
+mod samples;
 
 use haptether_safety::{
     About,
@@ -36,6 +37,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<controller::PyInterventions>()?;
     module.add_class::<PyLimiterSettings>()?;
     module.add_class::<limiter::PyLimiter>()?;
+    module.add_class::<samples::PySampleBounds>()?;
     module.add_class::<layer::PySafetyLayer>()?;
     module.add_class::<layer::PySafetyTick>()?;
     module.add_class::<layer::PySafetyTicks>()?;

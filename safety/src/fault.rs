@@ -52,6 +52,11 @@ impl Signal {
         }
     }
 
+    /// Whether it is a velocity, of a point or of a rotation.
+    pub(crate) const fn is_velocity(self) -> bool {
+        matches!(self, Self::Velocity | Self::AngularVelocity)
+    }
+
     /// Largest magnitude per axis, in SI, that is taken for a measurement rather than for a broken source.
     ///
     /// Chosen two orders of magnitude above any desktop haptic device (0.5 m, 5 m/s, 40 N) and leader arm
@@ -126,6 +131,9 @@ pub enum Fault {
     /// What drives the device has failed, or says that the device has.
     #[error("the device failed")]
     Device,
+    /// Positions or velocities beyond the speed bound of the device, which do not go back: [`crate::Excess`].
+    #[error("{} exceeds the speed bound of the device", .0.name())]
+    TooFast(Signal),
 }
 
 impl Fault {
@@ -137,6 +145,10 @@ impl Fault {
             Self::Device => 11,
             Self::NotFinite(signal) => 12 + signal as u8 - Signal::Orientation as u8,
             Self::OutOfRange(signal) => 17 + signal as u8 - Signal::Orientation as u8,
+            Self::TooFast(Signal::Position) => 22,
+            Self::TooFast(Signal::Orientation) => 23,
+            Self::TooFast(Signal::AngularVelocity) => 24,
+            Self::TooFast(_) => 25,
         }
     }
 
@@ -144,7 +156,9 @@ impl Fault {
     pub fn from_code(code: u8) -> Option<Self> {
         let all =
             Signal::ALL.into_iter().flat_map(|signal| [Self::NotFinite(signal), Self::OutOfRange(signal)]);
-        all.chain([Self::Device]).find(|fault| fault.code() == code)
+        let too_fast = [Signal::Position, Signal::Orientation, Signal::AngularVelocity, Signal::Velocity]
+            .map(Self::TooFast);
+        all.chain([Self::Device]).chain(too_fast).find(|fault| fault.code() == code)
     }
 
     /// The same fault of a rotation.
@@ -152,6 +166,7 @@ impl Fault {
         match self {
             Self::NotFinite(signal) => Self::NotFinite(signal.of_rotation()),
             Self::OutOfRange(signal) => Self::OutOfRange(signal.of_rotation()),
+            Self::TooFast(signal) => Self::TooFast(signal.of_rotation()),
             Self::Device => Self::Device,
         }
     }
@@ -178,7 +193,7 @@ mod tests {
 
     #[test]
     fn codes_are_distinct_and_reversible() {
-        for code in 1..=21 {
+        for code in 1..=25 {
             assert_eq!(Fault::from_code(code).map(Fault::code), Some(code));
         }
         // Records and packets have these numbers.
@@ -187,6 +202,7 @@ mod tests {
         assert_eq!(Fault::Device.code(), 11);
         assert_eq!(Fault::NotFinite(Signal::Orientation).code(), 12);
         assert_eq!(Fault::OutOfRange(Signal::Orientation).code(), 17);
-        assert_eq!((Fault::from_code(0), Fault::from_code(22)), (None, None));
+        assert_eq!(Fault::TooFast(Signal::Position).code(), 22);
+        assert_eq!((Fault::from_code(0), Fault::from_code(26)), (None, None));
     }
 }

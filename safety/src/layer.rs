@@ -9,9 +9,9 @@ use crate::{
         SafetySettings,
     },
     estimator::{AnyEstimator, Estimator, EstimatorKind, MeasuredVelocity, Motion},
-    is_within,
-    lanes::{option, pack, part},
+    lanes::{option, pack, part, shared},
     limiter::{Acted, Limiter, LimiterSettings, SaturatedForce},
+    plausible::{Between, Excess, Guard, Judged, MAX_HELD, Sample, SampleBounds},
 };
 
 #[cfg(test)]
@@ -32,6 +32,9 @@ pub struct LayerSettings<const N: usize> {
     pub limiter: LimiterSettings,
 }
 
+/// Lever in m at which a handle is held, where nothing else is known.
+pub(crate) const DEFAULT_LEVER_M: f64 = 0.05;
+
 /// Estimator, grasp force, observers, controllers and limiter in one step.
 ///
 /// The limiter stands at both ends: before the observers, so that they see the force that can be rendered, and after
@@ -41,6 +44,7 @@ pub struct LayerSettings<const N: usize> {
 #[derive(Clone, Debug)]
 pub struct SafetyLayer<const N: usize, S = f64> {
     device: DeviceModel<N, S>,
+    period_s: f64,
     estimator: AnyEstimator<N, S>,
     measured: MeasuredVelocity<N, S>,
     /// The estimator once more, as the kernel for what the device was asked to render; only where a controller compares that
@@ -58,6 +62,55 @@ pub struct SafetyLayer<const N: usize, S = f64> {
     fault: Option<Fault>,
     /// Only in simulated runs that ask for one.
     research: Option<Research>,
+    /// Where samples enter; of one scenario only.
+    entry: Entry<N>,
+}
+
+/// Where the samples of a device enter, and what waits for those that are held.
+#[derive(Clone, Debug)]
+struct Entry<const N: usize> {
+    guard: Guard<N>,
+    /// The last tick, and its authority.
+    last: SafetyTick<N>,
+    authority: f64,
+    held: [HeldTick<N>; MAX_HELD + 1],
+    count: usize,
+    /// Whose turn it is, of those that are caught up with.
+    recalled: Option<usize>,
+    excess: Option<Excess>,
+}
+
+/// The forces of a tick whose sample was held.
+#[derive(Clone, Copy, Debug)]
+struct HeldTick<const N: usize> {
+    /// Ticks since the last sample that was taken.
+    at: f64,
+    /// `F_v` in N of the tick.
+    rendered_force: Axes<N>,
+    /// `F_device` in N up to the tick.
+    device_force: Axes<N>,
+    /// What the device was asked to render up to the tick, in N.
+    asked: Axes<N>,
+}
+
+impl<const N: usize> Entry<N> {
+    fn new(guard: Guard<N>) -> Self {
+        let zeros = Axes::zeros();
+        let nothing = HeldTick { at: 0.0, rendered_force: zeros, device_force: zeros, asked: zeros };
+        let (last, held) = (SafetyTick::still(), [nothing; MAX_HELD + 1]);
+        Self { guard, last, authority: 0.0, held, count: 0, recalled: None, excess: None }
+    }
+
+    fn hold(&mut self, tick: HeldTick<N>) {
+        self.held[self.count] = tick;
+        self.count += 1;
+    }
+
+    /// As before the first tick.
+    fn clear(&mut self, at: &Sample<N>) {
+        self.guard.begin_anew(at);
+        (self.last, self.count, self.recalled, self.excess) = (SafetyTick::still(), 0, None, None);
+    }
 }
 
 impl<const N: usize> SafetyLayer<N> {
@@ -66,6 +119,7 @@ impl<const N: usize> SafetyLayer<N> {
         let LayerSettings { device, period_s, estimator, safety, limiter } = settings;
         Ok(Self {
             device: *device,
+            period_s: *period_s,
             estimator: estimator.build(*period_s)?,
             measured: MeasuredVelocity::new(*period_s)?,
             rendered: safety
@@ -82,7 +136,26 @@ impl<const N: usize> SafetyLayer<N> {
             device_force: Axes::zeros(),
             fault: None,
             research: None,
+            entry: Entry::new(Guard::new(
+                SampleBounds::of_axes(N),
+                SampleBounds::LINEAR.at_lever(DEFAULT_LEVER_M),
+                *period_s,
+            )),
         })
+    }
+
+    /// The layer before its first tick, whose samples are held against these bounds, and their rotation against `rotation`.
+    #[must_use]
+    pub(crate) fn guarded(mut self, bounds: SampleBounds, rotation: SampleBounds, period_s: f64) -> Self {
+        self.entry = Entry::new(Guard::new(bounds, rotation, period_s));
+        self
+    }
+
+    /// The layer before its first tick, whose samples are held against other bounds than [`SampleBounds::of_axes`].
+    #[must_use]
+    pub fn with_samples(self, bounds: SampleBounds) -> Self {
+        let period_s = self.period_s;
+        self.guarded(bounds, SampleBounds::UNBOUNDED, period_s)
     }
 
     /// The layer before its first tick, with a controller of the caller's own behind the others.
@@ -96,8 +169,9 @@ impl<const N: usize> SafetyLayer<N> {
     /// One tick: position x in m, velocity V in m/s if the device measures it (at every tick or at none), `F_v`
     /// in N.
     ///
-    /// A number that is not finite or absurd returns zero force at this tick and a fault that stays until
-    /// [`reset`](Self::reset).
+    /// A sample that leaves the path of the others is held, and its prediction stands for it: [`Guard`]. A number that is not
+    /// finite or absurd, and a step beyond the speed bound of the device, return zero force at this tick and a fault that stays
+    /// until [`reset`](Self::reset).
     pub fn tick(
         &mut self,
         position: &Axes<N>,
@@ -108,7 +182,7 @@ impl<const N: usize> SafetyLayer<N> {
     }
 
     /// As [`tick`](Self::tick), with the controllers' damping in the share `authority` (0 to 1) only.
-    #[inline(always)] // what it returns is large, and not all of it is looked at
+    #[inline(always)]
     pub fn tick_with_authority(
         &mut self,
         position: &Axes<N>,
@@ -116,13 +190,165 @@ impl<const N: usize> SafetyLayer<N> {
         requested_force: &Axes<N>,
         authority: f64,
     ) -> SafetyTick<N> {
-        match self.checked(position, velocity, requested_force, &mut PointMass) {
-            Ok(perceived) => self.decide(&perceived, authority).lane(0),
+        self.tick_after(0, position, velocity, requested_force, authority)
+    }
+
+    /// The same after `missed` ticks that were left out: the device has kept its force. Estimator and observers are carried over
+    /// them along a straight line, so that a late loop does not read several ticks of motion as one; nothing is decided.
+    #[inline(always)] // what it returns is large, and not all of it is looked at
+    pub fn tick_after(
+        &mut self,
+        missed: u64,
+        position: &Axes<N>,
+        velocity: Option<&Axes<N>>,
+        requested_force: &Axes<N>,
+        authority: f64,
+    ) -> SafetyTick<N> {
+        let entered = self.check(position, velocity, requested_force).and_then(|()| {
+            let judged = self.judge(missed, &Sample::point(position, velocity))?;
+            match judged {
+                Judged::Held(at) => return Ok(Err(at)),
+                Judged::Settled => self.catch_up(),
+                _ => {}
+            }
+            self.perceived(position, velocity, requested_force, &mut PointMass).map(Ok)
+        });
+        match entered {
+            Ok(Ok(perceived)) => {
+                let advance = self.decide(&perceived, authority);
+                self.keep(&advance, authority)
+            }
+            Ok(Err(at)) => self.hold(at, requested_force, authority),
             Err(fault) => self.stop(fault),
         }
     }
 
-    /// What a tick sees, or why it sees nothing.
+    /// Refuses numbers that are not finite or absurd, and all in a fault.
+    #[inline(always)]
+    pub(crate) fn check(
+        &self,
+        position: &Axes<N>,
+        velocity: Option<&Axes<N>>,
+        requested_force: &Axes<N>,
+    ) -> Result<(), Fault> {
+        if let Some(fault) = self.fault {
+            return Err(fault);
+        }
+        Signal::Position.check(position)?;
+        velocity.map_or(Ok(()), |v| Signal::Velocity.check(v))?;
+        Signal::RenderedForce.check(requested_force)
+    }
+
+    /// Whether a sample is on the path, or why it cannot be.
+    #[inline(always)]
+    pub(crate) fn judge(&mut self, missed: u64, sample: &Sample<N>) -> Result<Judged<N>, Fault> {
+        let judged = self.entry.guard.judge(sample, (missed + 1) as f64);
+        if let Judged::Stepped(excess) = &judged {
+            self.entry.excess = Some(*excess);
+            return Err(excess.fault());
+        }
+        Ok(judged)
+    }
+
+    /// The tick of one scenario, kept for the next.
+    #[inline(always)]
+    pub(crate) fn keep(&mut self, advance: &Advance<N>, authority: f64) -> SafetyTick<N> {
+        (self.entry.last, self.entry.authority) = (advance.lane(0), authority);
+        self.entry.last
+    }
+
+    /// A tick whose sample is held: nothing is estimated, observed or decided. V stays, `F_v` goes on, and the damping of the
+    /// intervention fades with the authority.
+    #[inline(never)]
+    pub(crate) fn hold(&mut self, at: f64, requested_force: &Axes<N>, authority: f64) -> SafetyTick<N> {
+        let Entry { last, authority: before, .. } = self.entry;
+        let rendering = self.rendering.limit(requested_force, &Axes::zeros());
+        let rendered_force = rendering.force;
+        self.hold_forces(at, rendered_force);
+        // F_c = damping - g F_v.
+        let g = 1.0 - self.controller.let_through();
+        let damping = last.intervention.safety_force + last.rendered_force * g;
+        let share = if authority < before { authority / before } else { 1.0 };
+        let safety_force = damping * share - rendered_force * g;
+        let limited = self.limiter.limit(&(rendered_force + safety_force), &last.motion.velocity);
+        self.device_force = limited.force;
+        self.ask(&rendered_force);
+        self.entry.authority = authority.min(before);
+        self.entry.last = SafetyTick {
+            rendered_force,
+            device_force: limited.force,
+            intervention: Intervention { safety_force, ..last.intervention },
+            acted: rendering.acted(0).and(limited.acted(0)),
+            owed_energy_j: 0.0,
+            ..last
+        };
+        self.entry.last
+    }
+
+    /// The ticks since the last sample that was taken.
+    #[inline(never)]
+    fn catch_up(&mut self) {
+        let Some(between) = self.begin_to_catch_up() else { return };
+        for tick in 1..between.ticks {
+            let Sample { position, velocity, .. } = between.at(tick);
+            self.recall(tick);
+            self.missed(&position, velocity.as_ref());
+        }
+        self.recall(between.ticks);
+    }
+
+    /// The ticks that are to be caught up with, each after a [`recall`](Self::recall), and one for the tick itself.
+    pub(crate) fn begin_to_catch_up(&mut self) -> Option<Between<N>> {
+        let between = self.entry.guard.between()?;
+        self.hold_until(between.ticks);
+        if let Some(shift) = &between.shift {
+            self.shift(&shift.position);
+        }
+        Some(between)
+    }
+
+    /// The last of those that are caught up with: its force is the one that acts.
+    pub(crate) fn hold_until(&mut self, tick: u64) {
+        self.hold_forces(tick as f64, Axes::zeros());
+    }
+
+    fn hold_forces(&mut self, at: f64, rendered_force: Axes<N>) {
+        let Self { device_force, asked, .. } = *self;
+        self.entry.hold(HeldTick { at, rendered_force, device_force, asked });
+    }
+
+    /// The forces of a tick that is caught up with are those that acted then.
+    pub(crate) fn recall(&mut self, tick: u64) {
+        let at = tick as f64;
+        let entry = &mut self.entry;
+        let now = entry.held[..entry.count].iter().position(|held| held.at >= at);
+        if let Some(held) = now.map(|now| entry.held[now]) {
+            (self.device_force, self.asked) = (held.device_force, held.asked);
+            if now == Some(entry.count - 1) {
+                (entry.count, entry.recalled) = (0, None);
+            } else {
+                entry.recalled = now.filter(|_| held.at == at);
+            }
+        }
+    }
+
+    /// The sample that stands for the newest one: itself, or its prediction.
+    #[inline]
+    pub fn taken(&self) -> &Sample<N> {
+        self.entry.guard.taken()
+    }
+
+    /// What samples are held against.
+    pub fn guard(&self) -> &Guard<N> {
+        &self.entry.guard
+    }
+
+    /// The speed beyond the bound of the device that led to the fault.
+    pub fn excess(&self) -> Option<Excess> {
+        self.entry.excess
+    }
+
+    /// What a tick sees, or why it sees nothing; the sample is on its path.
     #[inline(always)]
     pub(crate) fn checked(
         &mut self,
@@ -131,38 +357,38 @@ impl<const N: usize> SafetyLayer<N> {
         requested_force: &Axes<N>,
         inertia: &mut impl Inertia<N>,
     ) -> Result<Perceived<N, f64>, Fault> {
-        if let Some(fault) = self.fault {
-            return Err(fault);
-        }
-        Signal::Position.check(position)?;
-        velocity.map_or(Ok(()), |v| Signal::Velocity.check(v))?;
-        Signal::RenderedForce.check(requested_force)?;
+        self.check(position, velocity, requested_force)?;
+        self.perceived(position, velocity, requested_force, inertia)
+    }
+
+    #[inline(always)]
+    fn perceived(
+        &mut self,
+        position: &Axes<N>,
+        velocity: Option<&Axes<N>>,
+        requested_force: &Axes<N>,
+        inertia: &mut impl Inertia<N>,
+    ) -> Result<Perceived<N, f64>, Fault> {
         let perceived = self.perceive(position, velocity, requested_force, inertia);
         perceived.seen.check().map(|()| perceived)
     }
 
     /// A tick that was missed: the device has kept its force, and was at `position` (between two samples) by then.
-    ///
-    /// Estimator and observers are carried along, so that a late loop does not read several ticks of motion as one;
-    /// nothing is decided. The next [`tick`](Self::tick) refuses what is not finite.
-    pub fn missed(&mut self, position: &Axes<N>, velocity: Option<&Axes<N>>) {
+    pub(crate) fn missed(&mut self, position: &Axes<N>, velocity: Option<&Axes<N>>) {
         if let Some(seen) = self.missed_observation(position, velocity, &mut PointMass) {
             self.controller.carry(&seen);
         }
     }
 
-    /// What observers are carried along with over a missed tick. A bad number would be met again at the tick, which names
-    /// it.
+    /// What observers are carried along with over a missed tick.
     pub(crate) fn missed_observation(
         &mut self,
         position: &Axes<N>,
         velocity: Option<&Axes<N>>,
         inertia: &mut impl Inertia<N>,
     ) -> Option<Observation<N>> {
-        if self.fault.is_some() || !is_within(position, Signal::Position.bound()) {
-            return None;
-        }
-        let rendered_force = self.last_rendered;
+        let recalled = self.entry.recalled.take().map(|held| self.entry.held[held].rendered_force);
+        let rendered_force = recalled.unwrap_or(self.last_rendered);
         let (_, seen) = self.observe(position, velocity, &rendered_force, inertia);
         seen.check().ok().map(|()| seen)
     }
@@ -187,6 +413,11 @@ impl<const N: usize> SafetyLayer<N> {
         self.asked = to_middle(&self.asked);
         self.rendering.turn(&to_now);
         self.limiter.turn(&to_now);
+        for held in &mut self.entry.held[..self.entry.count] {
+            held.rendered_force = to_now(&held.rendered_force);
+            held.device_force = to_now(&held.device_force);
+            held.asked = to_now(&held.asked);
+        }
     }
 
     /// Why it renders no force.
@@ -204,14 +435,16 @@ impl<const N: usize> SafetyLayer<N> {
         (self.device_force, self.asked) = (Axes::zeros(), Axes::zeros());
         self.rendering.reset();
         self.limiter.reset();
+        (self.entry.last, self.entry.count) = (SafetyTick::still(), 0);
         SafetyTick { fault: Some(fault), ..SafetyTick::still() }
     }
 
     /// Clears the past as [`reset`](Self::reset) does, but keeps a fault.
     pub fn restart(&mut self, position: &Axes<N>) -> Result<(), Fault> {
-        let fault = self.fault;
+        let (fault, excess) = (self.fault, self.entry.excess);
         let restarted = self.reset(position);
         self.fault = fault;
+        self.entry.excess = self.entry.excess.or(excess);
         restarted
     }
 
@@ -219,8 +452,14 @@ impl<const N: usize> SafetyLayer<N> {
     pub fn reset(&mut self, position: &Axes<N>) -> Result<(), Fault> {
         Signal::Position.check(position)?;
         self.rest_at(position);
+        self.enter_at(&Sample::point(position, None));
         self.fault = None;
         Ok(())
+    }
+
+    /// The path begins here.
+    pub(crate) fn enter_at(&mut self, sample: &Sample<N>) {
+        self.entry.clear(sample);
     }
 }
 
@@ -228,11 +467,13 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
     /// As many layers as there are lanes, without fault, whose parts can be gathered; else None. Period, estimator
     /// and what is watched must be the same in all; thresholds, bounds, times and the device need not.
     pub fn gather(of: &[&SafetyLayer<N>]) -> Option<Self> {
-        if of.iter().any(|one| one.fault.is_some() || one.research.is_some()) {
+        if of.iter().any(|one| one.fault.is_some() || one.research.is_some() || one.entry.count > 0) {
             return None;
         }
         Some(Self {
+            entry: of.first()?.entry.clone(),
             device: part(of, |one| &one.device, DeviceModel::gather)?,
+            period_s: shared(of, |one| one.period_s)?,
             estimator: part(of, |one| &one.estimator, AnyEstimator::gather)?,
             measured: part(of, |one| &one.measured, MeasuredVelocity::gather)?,
             rendered: option(of, |one| one.rendered.as_ref(), AnyEstimator::gather)?,
@@ -303,12 +544,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         let delivered = limited.force - rendered_force;
         let owed_energy_j = self.controller.owed_energy_j(&response.observed, &delivered, &motion.velocity);
         self.device_force = limited.force;
-        self.last_rendered = rendered_force;
-        // What a controller of the caller's own adds is its own business.
-        self.asked = match self.research {
-            None => self.controller.asked(&rendered_force, &limited.force),
-            Some(_) => rendered_force * self.controller.let_through(),
-        };
+        self.ask(&rendered_force);
         Advance {
             motion,
             rendered_force,
@@ -320,6 +556,17 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
             limited,
             owed_energy_j,
         }
+    }
+
+    /// Keeps what the device is asked to render, beside `F_device`.
+    #[inline(always)]
+    fn ask(&mut self, rendered_force: &Axes<N, S>) {
+        self.last_rendered = *rendered_force;
+        // What a controller of the caller's own adds is its own business.
+        self.asked = match self.research {
+            None => self.controller.asked(rendered_force, &self.device_force),
+            Some(_) => rendered_force * self.controller.let_through(),
+        };
     }
 
     /// V and A, and what the observers see of them.

@@ -1,6 +1,6 @@
 //! Safety observers, controllers and limits that stand between a remote push and a hand.
 //!
-//! Per tick: position -> [`estimator`] -> grasp force ([`DeviceModel::grasp_force`]) -> [`observer`] ->
+//! Per tick: position -> [`Guard`] -> [`estimator`] -> grasp force ([`DeviceModel::grasp_force`]) -> [`observer`] ->
 //! [`controller`] -> [`Limiter`]. [`SafetyLayer`] is that pipeline in one step, [`RotationLayer`] the same of a rotation,
 //! [`WrenchLayer`] both for one hand. Everything is a pure state machine: no clock, no allocation after construction, no
 //! lock. What a point needs is written over a [`Real`]: `f64`, or lanes of several scenarios that are stepped at once.
@@ -14,6 +14,7 @@ mod layer;
 mod limiter;
 pub mod observer;
 mod parameter;
+mod plausible;
 mod rotation;
 mod wrench;
 
@@ -24,6 +25,7 @@ pub use layer::{Advance, LayerSettings, SafetyLayer, SafetyTick};
 pub use limiter::{Acted, Limited, Limiter, LimiterSettings, SaturatedForce};
 pub use observer::Observation;
 pub use parameter::ParameterError;
+pub use plausible::{Excess, Guard, Sample, SampleBounds, Track, Turned};
 pub use rotation::{RotationLayer, RotationModel, RotationSettings};
 pub use wrench::{PoseSample, WrenchLayer, WrenchSettings, WrenchTick};
 

@@ -7,8 +7,9 @@ use crate::{
     SafetyTick, Signal,
     controller::SafetySettings,
     estimator::{EstimatorKind, Motion},
-    layer::{Advance, Inertia, Perceived},
+    layer::{DEFAULT_LEVER_M, Inertia, Perceived},
     parameter::{finite, non_negative, positive},
+    plausible::{Excess, Judged, Sample, SampleBounds, Turned},
 };
 
 #[cfg(test)]
@@ -106,6 +107,7 @@ const MAX_TURN: f64 = 3.0;
 #[derive(Clone, Debug)]
 pub struct RotationLayer {
     layer: SafetyLayer<3>,
+    period_s: f64,
     gyroscope: Gyroscope,
     max_turn: f64,
     orientation: Option<UnitQuaternion<f64>>,
@@ -119,8 +121,10 @@ impl RotationLayer {
         let RotationSettings { device, period_s, estimator, safety, limiter } = *settings;
         let layer =
             SafetyLayer::new(&LayerSettings { device: device.axes, period_s, estimator, safety, limiter })?;
+        let bounds = SampleBounds::LINEAR.at_lever(DEFAULT_LEVER_M);
         Ok(Self {
-            layer,
+            layer: layer.guarded(SampleBounds::UNBOUNDED, bounds, period_s),
+            period_s,
             gyroscope: Gyroscope { device, last: None },
             max_turn: MAX_TURN.min(Signal::AngularVelocity.bound() * period_s),
             orientation: None,
@@ -128,52 +132,116 @@ impl RotationLayer {
         })
     }
 
+    /// The layer before its first tick, whose samples are held against other bounds than those of a point at a lever of 0.05 m.
+    #[must_use]
+    pub fn with_samples(self, bounds: SampleBounds) -> Self {
+        let layer = self.layer.guarded(SampleBounds::UNBOUNDED, bounds, self.period_s);
+        Self { layer, ..self }
+    }
+
     /// One tick: orientation R, angular velocity w in rad/s if the device measures it (at every tick or at none), the
     /// torque in N m that the remote side requests; all in the base frame, as what is returned.
     ///
-    /// A quaternion that is not finite or whose norm is not 1 to 1e-9, a turn of more than 3 rad or 1000 rad/s between two
-    /// samples, and other numbers that are not finite or absurd return zero torque at this tick and a fault that stays
-    /// until [`reset`](Self::reset).
+    /// A sample that leaves the path of the others is held, and its prediction stands for it: [`Guard`](crate::Guard). A
+    /// quaternion that is not finite or whose norm is not 1 to 1e-9, a step beyond the speed bound of the device, a turn of more
+    /// than 3 rad or 1000 rad/s between two samples, and other numbers that are not finite or absurd return zero torque at this
+    /// tick and a fault that stays until [`reset`](Self::reset).
     pub fn tick(
         &mut self,
         orientation: &UnitQuaternion<f64>,
         angular_velocity: Option<&Axes<3>>,
         requested_torque: &Axes<3>,
     ) -> SafetyTick<3> {
-        self.tick_with_authority(orientation, angular_velocity, requested_torque, 1.0)
+        self.tick_after(0, orientation, angular_velocity, requested_torque, 1.0)
     }
 
-    /// As [`tick`](Self::tick), with the controllers' damping in the share `authority` (0 to 1) only.
-    pub fn tick_with_authority(
+    /// The same after `missed` ticks that were left out, with the controllers' damping in the share `authority` (0 to 1) only.
+    pub fn tick_after(
         &mut self,
+        missed: u64,
         orientation: &UnitQuaternion<f64>,
         angular_velocity: Option<&Axes<3>>,
         requested_torque: &Axes<3>,
         authority: f64,
     ) -> SafetyTick<3> {
-        match self.checked(orientation, angular_velocity, requested_torque) {
-            Ok(perceived) => {
-                let advance = self.layer.decide(&perceived, authority);
-                in_base(orientation, &advance)
+        let entered = self.check(orientation, angular_velocity, requested_torque).and_then(|()| {
+            match self.layer.judge(missed, &sample_of(orientation, angular_velocity))? {
+                Judged::Held(at) => return Ok(Err(at)),
+                Judged::Settled => self.catch_up(),
+                _ => {}
             }
+            self.checked(orientation, angular_velocity, requested_torque).map(Ok)
+        });
+        match entered {
+            Ok(Ok(perceived)) => {
+                let advance = self.layer.decide(&perceived, authority);
+                in_base(orientation, &self.layer.keep(&advance, authority))
+            }
+            Ok(Err(at)) => self.hold(at, requested_torque, authority),
             Err(fault) => self.stop(fault),
         }
     }
 
-    /// What a tick sees, in the frame of the body, or why it sees nothing.
-    pub(crate) fn checked(
-        &mut self,
+    /// As [`SafetyLayer::hold`], at the last orientation that was taken.
+    pub(crate) fn hold(&mut self, at: f64, requested_torque: &Axes<3>, authority: f64) -> SafetyTick<3> {
+        let orientation = self.orientation.unwrap_or_default();
+        let torque = orientation.inverse_transform_vector(requested_torque);
+        in_base(&orientation, &self.layer.hold(at, &torque, authority))
+    }
+
+    fn catch_up(&mut self) {
+        let Some(between) = self.layer.begin_to_catch_up() else { return };
+        self.shift(between.shift.as_ref());
+        for tick in 1..between.ticks {
+            self.layer.recall(tick);
+            if let Some(Turned { orientation, angular_velocity }) = between.at(tick).rotation {
+                self.missed(&orientation, angular_velocity.as_ref());
+            }
+        }
+        self.layer.recall(between.ticks);
+    }
+
+    /// A step of the orientation is no velocity: increments go on from beyond it, and torques keep their base frame.
+    pub(crate) fn shift<const N: usize>(&mut self, by: Option<&Sample<N>>) {
+        let by = by.and_then(|by| by.rotation);
+        if let (Some(last), Some(by)) = (&mut self.orientation, by) {
+            let beyond = by.orientation * *last;
+            let step = last.inverse() * beyond;
+            *last = beyond;
+            let in_body = |held: &Axes<3>| step.inverse_transform_vector(held);
+            self.layer.turn(in_body, in_body);
+        }
+    }
+
+    /// The speed beyond the bound of the device that led to the fault.
+    pub fn excess(&self) -> Option<Excess> {
+        self.layer.excess()
+    }
+
+    /// Refuses numbers that are not finite or absurd, and all in a fault.
+    pub(crate) fn check(
+        &self,
         orientation: &UnitQuaternion<f64>,
         angular_velocity: Option<&Axes<3>>,
         requested_torque: &Axes<3>,
-    ) -> Result<Perceived<3, f64>, Fault> {
+    ) -> Result<(), Fault> {
         if let Some(fault) = self.layer.fault() {
             return Err(fault);
         }
         // Before the state changes, and in the base frame: a NaN has no direction.
         check(orientation)?;
         angular_velocity.map_or(Ok(()), |w| Signal::AngularVelocity.check(w))?;
-        Signal::RenderedTorque.check(requested_torque)?;
+        Signal::RenderedTorque.check(requested_torque)
+    }
+
+    /// What a tick sees, in the frame of the body, or why it sees nothing; the sample is on its path.
+    pub(crate) fn checked(
+        &mut self,
+        orientation: &UnitQuaternion<f64>,
+        angular_velocity: Option<&Axes<3>>,
+        requested_torque: &Axes<3>,
+    ) -> Result<Perceived<3, f64>, Fault> {
+        self.check(orientation, angular_velocity, requested_torque)?;
         self.turn_to(orientation)?;
         let in_body = |vector: &Axes<3>| orientation.inverse_transform_vector(vector);
         let (w, torque) = (angular_velocity.map(in_body), in_body(requested_torque));
@@ -207,7 +275,7 @@ impl RotationLayer {
 
     /// A tick that was missed: the device has kept its torque, and was at `orientation` (between two samples) by then. As
     /// [`SafetyLayer::missed`].
-    pub fn missed(&mut self, orientation: &UnitQuaternion<f64>, angular_velocity: Option<&Axes<3>>) {
+    pub(crate) fn missed(&mut self, orientation: &UnitQuaternion<f64>, angular_velocity: Option<&Axes<3>>) {
         if let Some(seen) = self.missed_observation(orientation, angular_velocity) {
             self.layer.controller().carry(&seen);
         }
@@ -241,22 +309,31 @@ impl RotationLayer {
     /// Clears the past as [`reset`](Self::reset) does, but keeps a fault.
     pub fn restart(&mut self, orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
         check(orientation)?;
+        self.layer.restart(&Axes::zeros())?;
         self.rest_at(orientation);
-        self.layer.restart(&Axes::zeros())
+        Ok(())
     }
 
     /// Clears a fault and the past: the device rests at `orientation`, and its torque rises from zero again.
     pub fn reset(&mut self, orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
         check(orientation)?;
+        self.layer.reset(&Axes::zeros())?;
         self.rest_at(orientation);
-        self.layer.reset(&Axes::zeros())
+        Ok(())
     }
 
     fn rest_at(&mut self, orientation: &UnitQuaternion<f64>) {
         self.orientation = Some(*orientation);
         self.turned = Axes::zeros();
         self.gyroscope.last = None;
+        self.layer.enter_at(&sample_of(orientation, None));
     }
+}
+
+/// A sample of a rotation alone.
+fn sample_of(orientation: &UnitQuaternion<f64>, angular_velocity: Option<&Axes<3>>) -> Sample<3> {
+    let turned = Turned { orientation: *orientation, angular_velocity: angular_velocity.copied() };
+    Sample { position: Axes::zeros(), velocity: None, rotation: Some(turned) }
 }
 
 /// Passes a unit quaternion, or names the fault.
@@ -274,8 +351,7 @@ pub(crate) fn check(orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
 }
 
 /// The tick with its vectors in the base frame.
-pub(crate) fn in_base(orientation: &UnitQuaternion<f64>, advance: &Advance<3>) -> SafetyTick<3> {
-    let tick = advance.lane(0);
+pub(crate) fn in_base(orientation: &UnitQuaternion<f64>, tick: &SafetyTick<3>) -> SafetyTick<3> {
     let mut intervention = tick.intervention;
     intervention.safety_force = orientation * intervention.safety_force;
     SafetyTick {
@@ -288,7 +364,7 @@ pub(crate) fn in_base(orientation: &UnitQuaternion<f64>, advance: &Advance<3>) -
         grasp_force: orientation * tick.grasp_force,
         device_force: orientation * tick.device_force,
         intervention,
-        ..tick
+        ..*tick
     }
 }
 

@@ -3,8 +3,10 @@
 use nalgebra::UnitQuaternion;
 
 use crate::{
-    Axes, Fault, LayerSettings, ParameterError, SafetyLayer, SafetyTick,
+    Axes, Excess, Fault, Guard, LayerSettings, ParameterError, SafetyLayer, SafetyTick, Sample,
     controller::{Judged, NOT_FELT, UNDECIDED},
+    layer::DEFAULT_LEVER_M,
+    plausible::{self, SampleBounds, Turned},
     rotation::{RotationLayer, RotationSettings, check, in_base},
 };
 
@@ -35,6 +37,13 @@ pub struct PoseSample<const N: usize = 3> {
     pub angular_velocity: Option<Axes<3>>,
 }
 
+impl<const N: usize> From<&PoseSample<N>> for Sample<N> {
+    fn from(pose: &PoseSample<N>) -> Self {
+        let PoseSample { position, orientation, velocity, angular_velocity } = *pose;
+        Self { position, velocity, rotation: Some(Turned { orientation, angular_velocity }) }
+    }
+}
+
 /// What the safety layer saw and decided of force and torque at one tick, in the base frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WrenchTick<const N: usize = 3> {
@@ -57,6 +66,7 @@ pub struct WrenchLayer<const N: usize = 3> {
     shares_trips: bool,
     /// Whether the hand was felt, or nothing has tripped, while trips are shared.
     is_felt: bool,
+    period_s: f64,
 }
 
 impl<const N: usize> WrenchLayer<N> {
@@ -69,31 +79,57 @@ impl<const N: usize> WrenchLayer<N> {
             same("hold_off_s", "time", [from.hold_off_s, of.hold_off_s])?;
             same("release_ramp_s", "time", [from.release_ramp_s, of.release_ramp_s])?;
         }
-        Ok(Self {
+        let bounds = SampleBounds::of_axes(N);
+        let layer = Self {
             translation: SafetyLayer::new(translation)?,
             rotation: RotationLayer::new(rotation)?,
             shares_trips: *shares_trips,
             is_felt: true,
-        })
+            period_s: translation.period_s,
+        };
+        Ok(layer.with_samples(bounds, bounds.at_lever(DEFAULT_LEVER_M)))
+    }
+
+    /// The layer before its first tick, whose samples are held against other bounds, of the position and of the rotation.
+    #[must_use]
+    pub fn with_samples(mut self, bounds: SampleBounds, rotation: SampleBounds) -> Self {
+        self.translation = self.translation.guarded(bounds, rotation, self.period_s);
+        self
     }
 
     /// One tick: the pose, and the force in N and torque in N m that the remote side requests.
     ///
-    /// Numbers that either layer refuses return no force and no torque at this tick and a fault in both that stays until
+    /// A pose that leaves its path is held, and its prediction stands for it: [`Guard`]. Numbers that either layer refuses, and a
+    /// step beyond a speed bound of the device, return no force and no torque at this tick and a fault in both that stays until
     /// [`reset`](Self::reset).
     pub fn tick(&mut self, sample: &PoseSample<N>, force: &Axes<N>, torque: &Axes<3>) -> WrenchTick<N> {
-        self.tick_with_authority(sample, force, torque, 1.0)
+        self.tick_after(0, sample, force, torque, 1.0)
     }
 
-    /// As [`tick`](Self::tick), with the controllers' damping in the share `authority` (0 to 1) only.
-    pub fn tick_with_authority(
+    /// The same after `missed` ticks that were left out, with the controllers' damping in the share `authority` (0 to 1) only.
+    pub fn tick_after(
         &mut self,
+        missed: u64,
         sample: &PoseSample<N>,
         force: &Axes<N>,
         torque: &Axes<3>,
         authority: f64,
     ) -> WrenchTick<N> {
         let PoseSample { position, orientation, velocity, angular_velocity } = sample;
+        let checked = self
+            .translation
+            .check(position, velocity.as_ref(), force)
+            .and_then(|()| self.rotation.check(orientation, angular_velocity.as_ref(), torque))
+            .and_then(|()| self.translation.judge(missed, &sample.into()));
+        match checked {
+            Err(fault) => return self.stop(fault),
+            Ok(plausible::Judged::Held(at)) => {
+                let translation = self.translation.hold(at, force, authority);
+                return WrenchTick { translation, rotation: self.rotation.hold(at, torque, authority) };
+            }
+            Ok(plausible::Judged::Settled) => self.catch_up(),
+            Ok(_) => {}
+        }
         let moves =
             self.translation.checked(position, velocity.as_ref(), force, &mut crate::layer::PointMass);
         let turns = self.rotation.checked(orientation, angular_velocity.as_ref(), torque);
@@ -122,11 +158,50 @@ impl<const N: usize> WrenchLayer<N> {
         } else {
             (translation.decide(&moves, authority), rotation.decide(&turns, authority))
         };
-        WrenchTick { translation: translation.lane(0), rotation: in_base(orientation, &rotation) }
+        let translation = self.translation.keep(&translation, authority);
+        WrenchTick {
+            translation,
+            rotation: in_base(orientation, &self.rotation.layer().keep(&rotation, authority)),
+        }
     }
 
-    /// A tick that was missed, as [`SafetyLayer::missed`].
-    pub fn missed(&mut self, sample: &PoseSample<N>) {
+    /// The ticks since the last sample that was taken.
+    fn catch_up(&mut self) {
+        let Some(between) = self.translation.begin_to_catch_up() else { return };
+        self.rotation.layer().hold_until(between.ticks);
+        self.rotation.shift(between.shift.as_ref());
+        for tick in 1..between.ticks {
+            self.recall(tick);
+            let Sample { position, velocity, rotation } = between.at(tick);
+            if let Some(Turned { orientation, angular_velocity }) = rotation {
+                self.missed(&PoseSample { position, orientation, velocity, angular_velocity });
+            }
+        }
+        self.recall(between.ticks);
+    }
+
+    fn recall(&mut self, tick: u64) {
+        self.translation.recall(tick);
+        self.rotation.layer().recall(tick);
+    }
+
+    /// The sample that stands for the newest one: itself, or its prediction.
+    pub fn taken(&self) -> &Sample<N> {
+        self.translation.taken()
+    }
+
+    /// What samples are held against.
+    pub fn guard(&self) -> &Guard<N> {
+        self.translation.guard()
+    }
+
+    /// The speed beyond the bound of the device that led to the fault.
+    pub fn excess(&self) -> Option<Excess> {
+        self.translation.excess()
+    }
+
+    /// A tick that was missed.
+    pub(crate) fn missed(&mut self, sample: &PoseSample<N>) {
         let PoseSample { position, orientation, velocity, angular_velocity } = sample;
         let mut point = crate::layer::PointMass;
         let moves = self.translation.missed_observation(position, velocity.as_ref(), &mut point);
@@ -165,14 +240,23 @@ impl<const N: usize> WrenchLayer<N> {
     pub fn restart(&mut self, position: &Axes<N>, orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
         check(orientation)?;
         self.translation.restart(position)?;
-        self.rotation.restart(orientation)
+        self.rotation.restart(orientation)?;
+        self.enter_at(position, orientation);
+        Ok(())
+    }
+
+    fn enter_at(&mut self, position: &Axes<N>, orientation: &UnitQuaternion<f64>) {
+        let turned = Turned { orientation: *orientation, angular_velocity: None };
+        self.translation.enter_at(&Sample { position: *position, velocity: None, rotation: Some(turned) });
     }
 
     /// Clears a fault and the past: the device rests at this pose, and force and torque rise from zero again.
     pub fn reset(&mut self, position: &Axes<N>, orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
         check(orientation)?;
         self.translation.reset(position)?;
-        self.rotation.reset(orientation)
+        self.rotation.reset(orientation)?;
+        self.enter_at(position, orientation);
+        Ok(())
     }
 }
 

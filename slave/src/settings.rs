@@ -26,6 +26,8 @@ pub struct ArmSettings<const N: usize> {
     pub max_speed: Option<f64>,
     /// In m/s²; none without a bound.
     pub max_acceleration: Option<f64>,
+    /// Speed bound in m/s (rad/s) that its samples are held against; without it that of its kind.
+    pub speed_bound: Option<f64>,
     /// Period of its loop in s.
     pub period_s: f64,
     /// Where it starts, in m per axis.

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 from tests.faults.rows import Complaints, Row
 from tests.faults.signals import NAMES
 from tests.faults.virtual import CLEAN, PERIOD_S
@@ -111,6 +112,50 @@ def tiny_from_device() -> Row:
         fault=f"{', '.join(TINY)} from the device", how="calls", expected="as zero: no fault, the same force",
         measured="no fault", force_n=apart_n, complaints=found.all(),
     )  # fmt: skip
+
+
+def outliers_from_device() -> Row:
+    """Wrong samples that return: force and V are those of a run without them, and they are counted."""
+    found = Complaints()
+    force_n, count = 0.0, 0
+    clean = _spoiled(np.zeros(TICKS))
+    for size_m in (0.6e-3, 2e-3, 1e-2, 3e-2, 0.5):
+        for in_a_row in (1, 2, 3):
+            wrong = np.zeros(TICKS)
+            for place in range(100, TICKS - 3, 50):
+                wrong[place : place + in_a_row] = size_m * np.array([1.0, -1.0, 1.0])[:in_a_row]
+            seen = _spoiled(wrong)
+            found.check(not seen.fault.any(), f"{size_m:g} m: fault")
+            force_n = max(force_n, float(np.abs(seen.device_force - clean.device_force).max()))
+            count += int(np.count_nonzero(wrong))
+    found.check(force_n <= 0.5, f"{force_n:g} N")
+    return Row(
+        fault="1 to 3 wrong samples of 0.6 mm to 0.5 m", how="calls", expected="replaced: at most 0.5 N",
+        measured=f"{count} samples, no fault", force_n=force_n, complaints=found.all(),
+    )  # fmt: skip
+
+
+def step_from_device() -> Row:
+    """A position that steps beyond the speed bound and stays: a fault after 3 ticks, no force from then on."""
+    found = Complaints()
+    took_s, force_n = 0.0, 0.0
+    for size_m in (0.021, -0.1, 0.5):
+        seen = _spoiled(np.where(np.arange(TICKS) < AT, 0.0, size_m))
+        faulty = np.flatnonzero(seen.fault)
+        found.check(faulty.tolist() == list(range(AT + 3, TICKS)), f"{size_m:g} m: faulty at {faulty[:3].tolist()}...")
+        took_s = max(took_s, (int(faulty[0]) - AT) * 1e-3 if faulty.size else math.inf)
+        force_n = max(force_n, float(np.abs(seen.device_force[AT + 3 :]).max()))
+    found.check(force_n == 0.0, f"{force_n:g} N after it")
+    return Row(
+        fault="position steps by 21 mm to 0.5 m, and stays", how="calls", expected="fault, zero force, latched",
+        measured="fault", reaction_s=took_s, limit_s=3e-3, force_n=force_n, complaints=found.all(),
+    )  # fmt: skip
+
+
+def _spoiled(wrong_m: NDArray[np.float64]) -> SafetyTicks:
+    time_s = np.arange(TICKS) * 1e-3
+    layer = SafetyLayer(DeviceModel.phantom_desktop(), SafetySettings(["vfc", "hsc", "wsc", "pc"]))
+    return layer.run(0.02 * np.sin(9.0 * time_s) + wrong_m, np.full(TICKS, 1.0) * np.minimum(1.0, 5.0 * time_s))
 
 
 def _layer(signal: str, sample: float) -> SafetyTicks:
@@ -224,6 +269,8 @@ def rows() -> list[Callable[[], Row]]:
         *(partial(from_device, signal) for signal in ("position", "rendered_force", "velocity")),
         from_arm,
         tiny_from_device,
+        outliers_from_device,
+        step_from_device,
         at_construction,
         to_a_living_loop,
         *(partial(in_frames, security) for security in ("on", "off")),

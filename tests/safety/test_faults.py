@@ -156,7 +156,8 @@ def test_a_large_number_within_the_bounds_is_no_fault() -> None:
 def test_fault_messages() -> None:
     assert fault_message(0) is None
     assert fault_message(11) == "the device failed"
-    assert fault_message(22) is None
+    assert fault_message(22) == "position exceeds the speed bound of the device"
+    assert fault_message(26) is None
     messages = [fault_message(code) for code in range(1, 11)]
     names = ("position", "velocity", "rendered_force", "grasp_force", "environment_force")
     expected = [bad_numbers(name)[bad] for bad in (np.nan, 1e300) for name in names]

@@ -134,6 +134,8 @@ def _values(state: SideState) -> Table:
             continue
         unit = "N" if name.endswith("force") and _is_linear(state) else "N m"
         table.add_row(Text(f"{label} [{unit}]"), _vector(state, name, 2), "" if peak is None else f"1 s: {peak:.2f}")
+    if outliers := state.last("outliers"):
+        table.add_row(Text("samples replaced"), f"{outliers}", "")
     for name, label in (("trigger", "trigger"), ("gripper", "gripper"), ("gripper_force", "gripper force [N]")):
         value = state.last(name)
         if value is not None:

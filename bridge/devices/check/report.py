@@ -129,7 +129,11 @@ class DeviceCheck:
         if not readings:
             return []
         position = np.array([reading.position for reading in readings])
-        found = [*check_positions(time_s, position, self.kind), check_motion(position, self.kind)]
+        speed_bound: float | None = getattr(self._device, "speed_bound", None)
+        found = [
+            *check_positions(time_s, position, self.kind, speed_bound),
+            check_motion(position, self.kind),
+        ]
         for name, check in (("velocity", check_velocity), ("force", None)):
             values = [getattr(reading, name) for reading in readings]
             if any(value is None for value in values):

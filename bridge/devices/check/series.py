@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from haptether.bridge.devices.check.finding import Finding
 from haptether.bridge.devices.check.form import Kind, Reading
 from haptether.bridge.devices.standalone import Tick
+from haptether.safety import SampleBounds
 
 Array = NDArray[np.float64]
 
@@ -19,6 +20,8 @@ PERIOD_SHARE = 0.01
 """How far `period_s` may be from what is seen, as between a scene and its device."""
 WINDOW_S = 0.05
 """Over which the velocity is summed up, to be held against the change of position."""
+JUMPS_WITHIN_S = 1e-3
+"""Two samples that follow more closely are taken to be so far apart."""
 FEW = 5
 """Windows with motion, of which fewer say nothing."""
 AGREES = 0.25
@@ -37,14 +40,12 @@ class Bounds:
     """m (rad) from 0."""
     fastest: float
     """m/s (rad/s) between two samples."""
-    jump: float
-    """m (rad) between two samples, at that speed."""
     motion: float
     """m (rad) within a window, of a motion that says something of the velocity."""
 
 
-LINEAR = Bounds("m", "mm", farthest=5.0, fastest=20.0, jump=0.02, motion=1e-3)
-JOINTS = Bounds("rad", "degrees", farthest=8.0 * math.pi, fastest=60.0, jump=0.2, motion=1e-2)
+LINEAR = Bounds("m", "mm", farthest=5.0, fastest=SampleBounds().speed, motion=1e-3)
+JOINTS = Bounds("rad", "degrees", farthest=8.0 * math.pi, fastest=SampleBounds(joints=True).speed, motion=1e-2)
 FACTORS = {
     -1.0: "its sign is wrong", 1e3: "it is in mm/s", 1e-3: "the position is in mm", 0.0: "it is zero all the time",
     180.0 / math.pi: "it is in degrees/s", math.pi / 180.0: "the position is in degrees",
@@ -52,9 +53,10 @@ FACTORS = {
 """What the velocity is of the change of position, where it is wrong in a usual way."""
 
 
-def bounds_of(kind: Kind) -> Bounds:
-    """Those of a kind of coordinates."""
-    return JOINTS if kind == "joints" else LINEAR
+def bounds_of(kind: Kind, speed_bound: float | None = None) -> Bounds:
+    """Those of a kind of coordinates, of a driver with a speed bound of its own where it has one."""
+    of = JOINTS if kind == "joints" else LINEAR
+    return of if speed_bound is None else replace(of, fastest=speed_bound)
 
 
 @dataclass(frozen=True)
@@ -137,21 +139,22 @@ def check_blocking(ticks: Sequence[Tick], *, paces: bool, said_s: object) -> Fin
     return Finding("blocking calls", "mend", text)
 
 
-def check_positions(time_s: Array, position: Array, kind: Kind) -> list[Finding]:
+def check_positions(time_s: Array, position: Array, kind: Kind, speed_bound: float | None = None) -> list[Finding]:
     """Whether positions can be of a device: their unit, and no jumps.
 
     Args:
         time_s: Of the samples, shape `(n,)`.
         position: In m (rad), shape `(n, axes)`.
         kind: Of the coordinates.
+        speed_bound: Of the driver in m/s (rad/s), where it has one; else that of the kind, as in the safety layer.
     """
-    of = bounds_of(kind)
+    of = bounds_of(kind, speed_bound)
     if len(time_s) < 2:
         return [Finding(name, "unseen", "fewer than two samples") for name in ("units", "jumps")]
     found = []
     largest = float(np.abs(position).max())
     steps, dt = np.abs(np.diff(position, axis=0)), np.maximum(np.diff(time_s), 1e-4)[:, None]
-    jumps = (steps > of.jump) & (steps > of.fastest * dt)
+    jumps = steps > of.fastest * np.maximum(dt, JUMPS_WITHIN_S)
     # The speed of 50 ms: a jump is no motion.
     wide = max(1, round(WINDOW_S / max(1e-4, float(np.median(dt)))))
     moved = np.abs(position[wide:] - position[:-wide]) if len(position) > wide else steps
@@ -176,7 +179,7 @@ def check_positions(time_s: Array, position: Array, kind: Kind) -> list[Finding]
     turn = " (it wraps: must go on beyond a turn)" if kind == "joints" and abs(by - 2.0 * math.pi) < 0.2 else ""
     text = (
         f"axis {axis} jumps by {by:.4g} {of.unit} within {1e3 * float(dt[index, 0]):.2f} ms{turn}, "
-        f"{int(jumps.sum())} times: a jump is felt as a blow"
+        f"{int(jumps.sum())} times, faster than {of.fastest:g} {of.unit}/s: one that stays is a fault"
     )
     found.append(Finding("jumps", "mend", text))
     return found

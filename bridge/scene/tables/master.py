@@ -135,6 +135,9 @@ class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """Resolution of its force in N; 0 is exact."""
     stops: StopsPerAxis | None = None
     """Lower and upper mechanical stop in m, or one such pair per axis; none by default."""
+    speed_bound: Positive | None = None
+    """Speed in m/s (rad/s) that it cannot exceed: a step of its position that is faster, and stays, is a fault. Without
+    a preset and a driver that has one, 20 m/s, of joints 60 rad/s."""
     position: PositionPerAxis | None = None
     """Where it starts, in m; by default where the hand's path begins, without a hand 0."""
     velocity: SpeedPerAxis = 0.0

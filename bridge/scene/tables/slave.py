@@ -118,6 +118,9 @@ class SlaveTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     """Fastest that the set position moves, in m/s, or "unbounded"; a UR moves at 1 m/s."""
     max_acceleration: Acceleration | None = None
     """Bound on its acceleration in m/s², at least 1e-6; none by default."""
+    speed_bound: Positive | None = None
+    """Speed in m/s (rad/s) that it cannot exceed: a step of its position that is faster, and stays, is a fault. Without
+    a driver that has one, 20 m/s, of joints 60 rad/s."""
     period_s: Annotated[float, Meta(ge=1e-5, le=2e-2)] | None = None
     """Period of its loop in s, 10 us to 20 ms; by default that of the master."""
     position: PositionPerAxis | None = None

@@ -1,6 +1,6 @@
 //! What decides over the command to an arm: the same live, in virtual time, and in runs that share link and ladders.
 
-use haptether_safety::{Axes, Fault, Signal};
+use haptether_safety::{Axes, Excess, Fault, Guard, Sample, SampleBounds, Signal, Turned};
 use nalgebra::UnitQuaternion;
 
 use super::{
@@ -58,6 +58,9 @@ fn without_wrench(outgoing: &mut PortState) {
     }
 }
 
+/// Lever in m at which the rotation of a tool is held against its path: a tool of 0.1 m.
+pub(crate) const TOOL_LEVER_M: f64 = 0.1;
+
 /// Coupling and bounds of an arm, with what they have to know of the last tick.
 #[derive(Clone, Debug)]
 pub(crate) struct Arm<const N: usize> {
@@ -65,8 +68,11 @@ pub(crate) struct Arm<const N: usize> {
     /// Of an arm that turns.
     rotation: Option<Box<SlaveRotation>>,
     fault: Option<Fault>,
-    /// How the arm was turned at the last sample.
-    last: Option<UnitQuaternion<f64>>,
+    /// The speed beyond the bound of the arm that led to it.
+    excess: Option<Excess>,
+    guard: Guard<N>,
+    /// Force in N and moment in N m of the last sample that was not held.
+    wrench: (Axes<N>, Axes<3>),
     /// The longest time in s that one step of an alignment makes up for: two periods.
     max_step_s: f64,
 }
@@ -78,7 +84,13 @@ impl<const N: usize> Arm<N> {
             translation: SlaveTranslation::new(settings)?,
             rotation: None,
             fault: None,
-            last: None,
+            excess: None,
+            guard: Guard::new(
+                SampleBounds::of_axes(N),
+                SampleBounds::LINEAR.at_lever(TOOL_LEVER_M),
+                period_s(settings.period_ns),
+            ),
+            wrench: (Axes::zeros(), Axes::zeros()),
             max_step_s: 2.0 * period_s(settings.period_ns),
         })
     }
@@ -91,6 +103,22 @@ impl<const N: usize> Arm<N> {
     ) -> Result<Self, EndpointError> {
         self.rotation = Some(Box::new(SlaveRotation::new(rotation, align_s)?));
         Ok(self)
+    }
+
+    /// The same before its first tick, whose samples are held against other bounds than [`SampleBounds::of_axes`] and those at a
+    /// lever of 0.1 m: of position and rotation.
+    pub(crate) fn with_samples(self, [bounds, rotation]: [SampleBounds; 2], period_s: f64) -> Self {
+        Self { guard: Guard::new(bounds, rotation, period_s), ..self }
+    }
+
+    /// What its samples are held against.
+    pub(crate) fn guard(&self) -> &Guard<N> {
+        &self.guard
+    }
+
+    /// The speed beyond the bound of the arm that led to the fault.
+    pub(super) fn excess(&self) -> Option<Excess> {
+        self.excess
     }
 
     /// What it decides of a point.
@@ -106,14 +134,15 @@ impl<const N: usize> Arm<N> {
         }
     }
 
-    /// Refuses a sample that cannot be, or of a device that has failed.
+    /// Refuses a sample that cannot be, or of a device that has failed; returns what stands for one that is held, as it has left
+    /// the path of the others ([`Guard`]): its prediction, under the last wrench.
     #[inline(always)] // once a tick, from few places
     pub(crate) fn check(
         &mut self,
         now_ns: u64,
         reading: &SlaveReading<N>,
         device_failed: bool,
-    ) -> Result<(), Fault> {
+    ) -> Result<Option<SlaveReading<N>>, Fault> {
         let SlaveReading { position, velocity, environment_force, .. } = reading;
         let checked = if device_failed { Err(Fault::Device) } else { Ok(()) }
             .and_then(|()| Signal::Position.check(position))
@@ -123,25 +152,46 @@ impl<const N: usize> Arm<N> {
                 None => Ok(()),
                 Some(_) => SlaveRotation::check(reading.rotation.as_ref()),
             })
-            .and_then(|()| self.check_jump(now_ns, reading));
+            .and_then(|()| self.taken(now_ns, reading));
         if let Err(fault) = checked {
             self.fault.get_or_insert(fault);
         }
         checked
     }
 
-    /// Refuses a sample that is further from the last than any arm moves in the time between, and begins anew from there:
-    /// `|x - x_last| / t` and `|log(R R_last^T)| / t`.
     #[inline(always)] // once a tick, from few places
-    fn check_jump(&mut self, now_ns: u64, reading: &SlaveReading<N>) -> Result<(), Fault> {
-        let orientation = reading.rotation.as_ref().map(|rotation| rotation.orientation);
-        let before = std::mem::replace(&mut self.last, orientation);
-        let Some((moved, elapsed_s)) = self.translation.moved(now_ns, &reading.position) else {
-            return Ok(());
-        };
-        Signal::Velocity.check(&moved)?;
-        let angle = before.zip(orientation).map_or(0.0, |(before, now)| before.angle_to(&now));
-        Signal::AngularVelocity.check(&Axes::<1>::repeat(angle / elapsed_s))
+    fn taken(&mut self, now_ns: u64, reading: &SlaveReading<N>) -> Result<Option<SlaveReading<N>>, Fault> {
+        let ticks = self.translation.sampled(now_ns);
+        let SlaveReading { position, velocity, environment_force, rotation } = reading;
+        let turned = rotation.as_ref().filter(|_| self.rotation.is_some()).map(|state| Turned {
+            orientation: state.orientation,
+            angular_velocity: Some(state.angular_velocity),
+        });
+        let sample = Sample { position: *position, velocity: Some(*velocity), rotation: turned };
+        if let Err(excess) = self.guard.pass(&sample, ticks) {
+            // It begins anew from here, once it is acknowledged.
+            self.guard.begin_anew(&sample);
+            self.excess.get_or_insert(excess);
+            return Err(excess.fault());
+        }
+        if !self.guard.holds() {
+            self.wrench = (*environment_force, rotation.map_or(Axes::zeros(), |state| state.torque));
+            return Ok(None);
+        }
+        let Sample { position, velocity, rotation } = *self.guard.taken();
+        let (environment_force, torque) = self.wrench;
+        let rotation = rotation.map(|Turned { orientation, angular_velocity }| RotationState {
+            orientation,
+            angular_velocity: angular_velocity.unwrap_or(Axes::zeros()),
+            torque,
+        });
+        let velocity = velocity.unwrap_or(Axes::zeros());
+        Ok(Some(SlaveReading {
+            position,
+            velocity,
+            environment_force,
+            rotation: rotation.or(reading.rotation),
+        }))
     }
 
     /// The next step towards the master's newest orientation, of an arm that is turned there before the two engage, and how
@@ -263,7 +313,7 @@ impl<const N: usize> Arm<N> {
     pub(crate) fn command(&mut self, command: OperatorCommand, ticks: u32) -> Result<bool, CouplingError> {
         match (command, &mut self.rotation) {
             (OperatorCommand::Acknowledge, _) => {
-                self.fault = None;
+                (self.fault, self.excess) = (None, None);
                 return Ok(true);
             }
             (OperatorCommand::RotationScale(scale), Some(rotation)) => {

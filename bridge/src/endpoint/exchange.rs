@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use haptether_safety::{Axes, Fault, controller::SafetySettings};
+use haptether_safety::{Axes, Excess, Fault, controller::SafetySettings};
 
 use crate::{
     SideKind,
@@ -26,6 +26,8 @@ pub struct SideCounts {
     pub holds: u64,
     /// Ticks at which a bound acted on the remote command; a master has none.
     pub limited: u64,
+    /// Samples that left the path of the others and were replaced.
+    pub outliers: u64,
 }
 
 /// What has happened since the last tick, in any combination: set by whoever sees it, read by the endpoint's tick, and
@@ -64,11 +66,13 @@ pub struct Exchange {
     /// Sequence and sending time of the frame that the next count begins with.
     counted: (u64, u64),
     /// Its own, which stands for the peer's until that is known.
-    period_ns: u64,
+    pub(super) period_ns: u64,
     inputs: LadderInputs,
     flight: Flight,
     /// Ticks at which a bound acted on the remote command.
     pub(super) limited_ticks: u64,
+    /// Samples that left the path of the others and were replaced.
+    pub(crate) outliers: u64,
     pub(super) events: TickEvents,
     /// Code of this side's fault, 0 without, and the driver's text on it.
     fault: u8,
@@ -111,6 +115,7 @@ impl Exchange {
             inputs: LadderInputs::new(role),
             flight: Flight::Kept(Box::new(FlightRecorder::new(role.name()))),
             limited_ticks: 0,
+            outliers: 0,
             events: TickEvents::default(),
             fault: 0,
             spoken: SpokenText::default(),
@@ -360,6 +365,14 @@ impl Exchange {
         self.ladder.fault(now_ns);
     }
 
+    /// The same of what a sample has led to, with the speed that was beyond the bound of the device.
+    pub(super) fn fault_of(&mut self, now_ns: u64, fault: Fault, excess: Option<Excess>) {
+        if self.fault == 0 {
+            self.failing = self.failing.or(excess.map(|excess| FaultText::of(&excess)));
+        }
+        self.fault(now_ns, fault);
+    }
+
     /// The device has failed, or says so, `text` of the driver: zero force or no motion from the next tick on, and
     /// the peer hears of it.
     ///
@@ -475,7 +488,7 @@ impl Exchange {
     /// What was counted so far.
     pub fn counts(&self) -> SideCounts {
         let (link, holds) = (self.link.statistics(), self.ladder.holds());
-        SideCounts { link, holds, limited: self.limited_ticks }
+        SideCounts { link, holds, limited: self.limited_ticks, outliers: self.outliers }
     }
 
     /// The end of the link.

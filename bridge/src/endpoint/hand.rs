@@ -1,7 +1,8 @@
 //! What decides over the force on a hand: the same live, in virtual time, and when a recording is replayed.
 
 use haptether_safety::{
-    Advance, Axes, Fault, Real, SafetyLayer, SafetyTick, Signal, controller::ResearchController, is_within,
+    Advance, Axes, Excess, Fault, Guard, Real, SafetyLayer, SafetyTick, Sample, SampleBounds, Signal, Track,
+    controller::ResearchController, is_within,
 };
 
 use super::layer::{Layer, MasterReading};
@@ -67,18 +68,39 @@ impl<const N: usize> HandInput<N> {
     }
 }
 
-/// The safety layer of a hand, with what it has to know of the last tick.
+/// The safety layer of a hand.
 #[derive(Clone, Debug)]
 pub(crate) struct Hand<const N: usize> {
     layer: Layer<N>,
-    /// Of the last tick.
-    last: Option<MasterReading<N>>,
-    period_s: f64,
+    /// Whether it is before its first tick.
+    is_new: bool,
 }
 
 impl<const N: usize> Hand<N> {
-    pub(super) fn new(layer: Layer<N>, period_s: f64) -> Self {
-        Self { layer, last: None, period_s }
+    pub(super) fn new(layer: Layer<N>) -> Self {
+        Self { layer, is_new: true }
+    }
+
+    /// The same before its first tick, whose samples are held against other bounds, of position and rotation.
+    pub(crate) fn with_samples(self, bounds: [SampleBounds; 2]) -> Self {
+        Self { layer: self.layer.with_samples(bounds), ..self }
+    }
+
+    /// The sample that stands for the newest one: itself, or its prediction.
+    #[inline]
+    pub(crate) fn taken(&self) -> &Sample<N> {
+        self.layer.taken()
+    }
+
+    /// What samples are held against.
+    #[inline]
+    pub(crate) fn guard(&self) -> &Guard<N> {
+        self.layer.guard()
+    }
+
+    /// The speed beyond the bound of the device that led to the fault.
+    pub(super) fn excess(&self) -> Option<Excess> {
+        self.layer.excess()
     }
 
     /// With a controller of the caller's own, of a hand that does not turn; None for one that does.
@@ -94,71 +116,54 @@ impl<const N: usize> Hand<N> {
         reading: &MasterReading<N>,
         input: &HandInput<N>,
     ) -> (SafetyTick<N>, Option<SafetyTick<3>>) {
-        match input.past {
-            // Where the position still is none that can be, the layer keeps its fault, and meets it again below.
-            Past::Acknowledged => _ = self.layer.reset(reading),
-            // What lies before the gap says nothing of what follows it. A position that cannot be is met below.
-            Past::Stalled => _ = self.layer.restart(reading),
-            Past::Kept => {
-                // Before the estimators spread it over their window: no force answers a jump that no device makes.
-                if let Err(fault) = self.check_jump(input.missed, reading) {
-                    self.layer.fail(fault);
-                }
-                if input.missed > 0 {
-                    self.carry_over(input.missed, reading);
-                }
+        // What lies before a gap says nothing of what follows it. Where the position still is none that can be, the layer keeps
+        // its fault, and meets it again below.
+        let missed = match input.past {
+            Past::Kept => input.missed,
+            Past::Acknowledged => {
+                let _ = self.layer.reset(reading);
+                0
             }
-        }
+            Past::Stalled => {
+                let _ = self.layer.restart(reading);
+                0
+            }
+        };
         if let Some(fault) = input.fault {
             // After the reset above: nobody can have acknowledged what shows at this tick only.
             self.layer.fail(fault);
         }
-        self.last = Some(*reading);
+        self.is_new = false;
         let gain = input.gain;
-        self.layer.tick(reading, &(input.requested_force * gain), &(input.requested_torque * gain), gain)
-    }
-
-    /// Refuses a position that is further from the last than any device moves in the time between.
-    fn check_jump(&self, missed: u64, reading: &MasterReading<N>) -> Result<(), Fault> {
-        let Some(last) = self.last else { return Ok(()) };
-        Signal::Position.check(&reading.position)?;
-        let elapsed_s = self.period_s * (missed + 1) as f64;
-        Signal::Velocity.check(&((reading.position - last.position) / elapsed_s))
-    }
-
-    /// Carries estimator and observers over missed ticks, along a straight line.
-    #[inline(never)] // a loop is seldom late
-    fn carry_over(&mut self, missed: u64, reading: &MasterReading<N>) {
-        if let Some(before) = self.last {
-            for tick in 1..=missed {
-                self.layer.missed(&before.towards(reading, tick as f64 / (missed + 1) as f64));
-            }
-        }
+        let (force, torque) = (input.requested_force * gain, input.requested_torque * gain);
+        self.layer.tick(missed, reading, &force, &torque, gain)
     }
 }
 
-/// The safety layers of hands of points, side by side, with what they have to know of the last tick.
+/// The safety layers of hands of points, side by side, and the paths of their samples.
 #[derive(Clone, Debug)]
 pub(crate) struct HandLanes<const N: usize, S> {
     layer: SafetyLayer<N, S>,
+    track: Track<N, S>,
+    /// The last velocity that was measured.
     last: Option<Axes<N, S>>,
-    period_s: f64,
 }
 
 impl<const N: usize, S: Real> HandLanes<N, S> {
     /// Of hands before their first tick; lanes that are left over repeat the last one. None where their layers differ in more
     /// than numbers.
     pub(crate) fn gather(of: &[&Hand<N>]) -> Option<Self> {
-        let period_s = of.first()?.period_s;
-        if of.iter().any(|one| one.last.is_some() || one.period_s.to_bits() != period_s.to_bits()) {
+        if of.iter().any(|one| !one.is_new) {
             return None;
         }
         let layers: Option<Vec<_>> = padded(of, S::LANES).map(|one| one.layer.of_point()).collect();
-        Some(Self { layer: SafetyLayer::gather(&layers?)?, last: None, period_s })
+        let track = Track::gather(&of.iter().map(|one| one.layer.guard().track()).collect::<Vec<_>>())?;
+        Some(Self { layer: SafetyLayer::gather(&layers?)?, track, last: None })
     }
 
     /// One tick as that of [`Hand::tick`], of which none was missed before: of x in m and, where it is measured, V in m/s under
-    /// what is requested in N and the ladder's `gain`. And where all of its numbers can be: elsewhere the hand meets a fault.
+    /// what is requested in N and the ladder's `gain`. And where all of its numbers can be and lie on their paths: elsewhere the hand
+    /// meets a fault, or holds the sample.
     #[inline(always)] // once a tick, from one place
     pub(crate) fn tick(
         &mut self,
@@ -172,11 +177,11 @@ impl<const N: usize, S: Real> HandLanes<N, S> {
             & is_within(&requested, Signal::RenderedForce.bound());
         if let Some(velocity) = velocity {
             passes = passes & is_within(velocity, Signal::Velocity.bound());
+            if let Some(last) = self.last.replace(*velocity) {
+                passes = passes & self.track.is_steady(&last, velocity, S::one());
+            }
         }
-        if let Some(last) = self.last.replace(*position) {
-            let jump = (position - last) / S::splat(self.period_s);
-            passes = passes & is_within(&jump, Signal::Velocity.bound());
-        }
+        passes = passes & self.track.step(position, S::one());
         let tick = self.layer.advance(position, velocity, &requested, S::splat(gain));
         (tick, passes & tick.seen().passes())
     }
@@ -205,7 +210,12 @@ mod tests {
             safety: SafetySettings { controllers, ..SafetySettings::default() },
             limiter: LimiterSettings { ramp_in_s: 0.0, ..LimiterSettings::default() },
         };
-        Hand::new(Layer::new(settings, None).unwrap(), 1e-3)
+        Hand::new(Layer::new(settings, None).unwrap())
+    }
+
+    /// Mostly a small step, sometimes one that leaves the path.
+    fn step() -> impl Strategy<Value = f64> {
+        prop_oneof![40 => -1e-4..1e-4, 1 => -0.05..0.05, 1 => Just(f64::NAN), 1 => Just(2e3)]
     }
 
     /// Mostly a number that can be, sometimes one of which something that follows from it cannot be.
@@ -215,11 +225,11 @@ mod tests {
     }
 
     proptest! {
-        /// A lane is where its hand would not meet a fault, and decides what that does, to the bit.
+        /// A lane stays where its hand meets no fault and holds no sample, and decides what that does, to the bit.
         #[test]
         fn hands_in_lanes_are_as_alone(
             ticks in prop::collection::vec(
-                prop::collection::vec((number(0.05), number(0.5), number(5.0)), WIDTH),
+                prop::collection::vec((step(), step(), number(5.0)), WIDTH),
                 1..40,
             ),
             measures_velocity in any::<bool>(),
@@ -229,7 +239,13 @@ mod tests {
             let mut beside =
                 HandLanes::<1, Lanes>::gather(&alone.iter().collect::<Vec<_>>()).unwrap();
             let mut running = [true; WIDTH];
+            let mut at = [(0.0, 0.0); WIDTH];
             for tick in &ticks {
+                // Positions that go on from one another, and velocities.
+                let tick = &tick.iter().zip(&mut at).map(|((dx, dv, force), (x, v))| {
+                    (*x, *v) = (*x + dx, *v + 1e3 * dv);
+                    (*x, *v, *force)
+                }).collect::<Vec<_>>();
                 let lanes = |which: fn(&(f64, f64, f64)) -> f64| {
                     Axes::<1, Lanes>::new(crate::lanes::packed(tick, which))
                 };
@@ -241,8 +257,10 @@ mod tests {
                     let reading = MasterReading::point(Axes::<1>::new(x), velocity);
                     let input = HandInput { requested_force: Axes::<1>::new(force), gain, ..HandInput::idle() };
                     let (single, _) = alone[lane].tick(&reading, &input);
-                    prop_assert_eq!(passes.extract(lane), single.fault.is_none(), "lane {}: {:?}", lane, single.fault);
-                    running[lane] = single.fault.is_none();
+                    let stays = single.fault.is_none() && !alone[lane].guard().holds();
+                    // A lane may leave where its hand finds a way back to the path.
+                    prop_assert!(stays || !passes.extract(lane), "lane {lane}: {:?}", single.fault);
+                    running[lane] = passes.extract(lane);
                     if running[lane] {
                         prop_assert_eq!(format!("{:?}", decided.lane(lane)), format!("{:?}", single));
                     }

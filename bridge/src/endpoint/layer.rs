@@ -2,12 +2,12 @@
 
 use haptether_master::RotationSample;
 use haptether_safety::{
-    Axes, Fault, LayerSettings, LimiterSettings, ParameterError, PoseSample, RotationModel, RotationSettings,
-    SafetyLayer, SafetyTick, WrenchLayer, WrenchSettings, WrenchTick,
+    Axes, Excess, Fault, Guard, LayerSettings, LimiterSettings, ParameterError, PoseSample, RotationModel,
+    RotationSettings, SafetyLayer, SafetyTick, Sample, SampleBounds, WrenchLayer, WrenchSettings, WrenchTick,
     controller::{ResearchController, SafetySettings},
     estimator::EstimatorKind,
 };
-use nalgebra::{Quaternion, Unit, UnitQuaternion};
+use nalgebra::{Quaternion, Unit};
 
 /// How the rotation of a master's endpoint is built.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,28 +65,6 @@ impl<const N: usize> MasterReading<N> {
             angular_velocity: rotation.angular_velocity,
         }
     }
-
-    /// Between this and a later one, at a share of the way: along a straight line, and evenly about one axis.
-    pub(super) fn towards(&self, later: &Self, share: f64) -> Self {
-        let turned = |from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>| {
-            let turn = UnitQuaternion::from_scaled_axis((to * from.inverse()).scaled_axis() * share);
-            Unit::new_normalize((turn * from).into_inner())
-        };
-        let rotation = self.rotation.zip(later.rotation).map(|(from, to)| RotationSample {
-            orientation: turned(&from.orientation, &to.orientation),
-            angular_velocity: between(from.angular_velocity, to.angular_velocity, share),
-        });
-        Self {
-            position: self.position + (later.position - self.position) * share,
-            velocity: between(self.velocity, later.velocity, share),
-            rotation,
-            trigger: None,
-        }
-    }
-}
-
-fn between<const N: usize>(from: Option<Axes<N>>, to: Option<Axes<N>>, share: f64) -> Option<Axes<N>> {
-    from.zip(to).map(|(from, to)| from + (to - from) * share)
 }
 
 /// What stands between the remote side and a hand.
@@ -113,6 +91,37 @@ impl<const N: usize> Layer<N> {
         Ok(Self::Wrench(Box::new(WrenchLayer::new(&WrenchSettings { translation, rotation, shares_trips })?)))
     }
 
+    /// The same before its first tick, whose samples are held against other bounds, of position and rotation.
+    pub(super) fn with_samples(self, [bounds, rotation]: [SampleBounds; 2]) -> Self {
+        match self {
+            Self::Force(layer) => Self::Force(Box::new(layer.with_samples(bounds))),
+            Self::Wrench(layer) => Self::Wrench(Box::new(layer.with_samples(bounds, rotation))),
+        }
+    }
+
+    /// The sample that stands for the newest one.
+    #[inline]
+    pub(super) fn taken(&self) -> &Sample<N> {
+        self.guard().taken()
+    }
+
+    /// What samples are held against.
+    #[inline]
+    pub(super) fn guard(&self) -> &Guard<N> {
+        match self {
+            Self::Force(layer) => layer.guard(),
+            Self::Wrench(layer) => layer.guard(),
+        }
+    }
+
+    /// The speed beyond the bound of the device that led to the fault.
+    pub(super) fn excess(&self) -> Option<Excess> {
+        match self {
+            Self::Force(layer) => layer.excess(),
+            Self::Wrench(layer) => layer.excess(),
+        }
+    }
+
     /// That of a hand that does not turn.
     pub(super) fn of_point(&self) -> Option<&SafetyLayer<N>> {
         match self {
@@ -129,10 +138,11 @@ impl<const N: usize> Layer<N> {
         }
     }
 
-    /// One tick: the force in N, the torque in N m that the remote side requests.
+    /// One tick after `missed` that were left out: the force in N, the torque in N m that the remote side requests.
     #[inline(always)] // what it returns is large, and mostly none
     pub(super) fn tick(
         &mut self,
+        missed: u64,
         reading: &MasterReading<N>,
         force: &Axes<N>,
         torque: &Axes<3>,
@@ -141,20 +151,13 @@ impl<const N: usize> Layer<N> {
         match self {
             Self::Force(layer) => {
                 let MasterReading { position, velocity, .. } = reading;
-                (layer.tick_with_authority(position, velocity.as_ref(), force, gain), None)
+                (layer.tick_after(missed, position, velocity.as_ref(), force, gain), None)
             }
             Self::Wrench(layer) => {
                 let WrenchTick { translation, rotation } =
-                    layer.tick_with_authority(&reading.pose(), force, torque, gain);
+                    layer.tick_after(missed, &reading.pose(), force, torque, gain);
                 (translation, Some(rotation))
             }
-        }
-    }
-
-    pub(super) fn missed(&mut self, reading: &MasterReading<N>) {
-        match self {
-            Self::Force(layer) => layer.missed(&reading.position, reading.velocity.as_ref()),
-            Self::Wrench(layer) => layer.missed(&reading.pose()),
         }
     }
 

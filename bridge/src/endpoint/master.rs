@@ -1,7 +1,7 @@
 //! The master's endpoint: one tick of the side of the hand.
 
 use haptether_safety::{
-    Axes, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyTick,
+    Axes, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyTick, SampleBounds, Turned,
     controller::{ResearchController, SafetySettings},
     estimator::EstimatorKind,
 };
@@ -144,7 +144,19 @@ impl<const N: usize> MasterEndpoint<N> {
             safety: settings.safety,
             limiter: LimiterSettings { ramp_in_s: 0.0, ..settings.limiter },
         };
-        Ok(Hand::new(Layer::new(translation, rotation)?, period_s(settings.period_ns)))
+        Ok(Hand::new(Layer::new(translation, rotation)?))
+    }
+
+    /// The same before its first tick, whose samples are held against other bounds than [`SampleBounds::of_axes`] and those at
+    /// a lever of 0.05 m: of position and rotation.
+    #[must_use]
+    pub fn with_samples(self, bounds: [SampleBounds; 2]) -> Self {
+        Self { hand: self.hand.with_samples(bounds), ..self }
+    }
+
+    /// dT in s.
+    pub(crate) fn period_s(&self) -> f64 {
+        self.period_s
     }
 
     /// What decides over its force.
@@ -224,11 +236,14 @@ impl<const N: usize> MasterEndpoint<N> {
             HandInput { received_force, received_torque, gain, missed, past, fault, ..HandInput::idle() };
         let input = if is_heard { self.requested(&input) } else { input };
         let (safety, rotation) = self.hand.tick(reading, &input);
+        let of_trigger = self.trigger.as_ref().map(|trigger| (trigger.outliers(), trigger.excess()));
+        let (outliers, excess) = of_trigger.unwrap_or_default();
+        self.exchange.outliers = self.hand.guard().outliers() + outliers;
         if let Some(fault) = safety.fault {
-            self.exchange.fault(now_ns, fault);
+            self.exchange.fault_of(now_ns, fault, self.hand.excess().or(excess));
             trigger = self.trigger.as_mut().map(|trigger| trigger.fail(fault));
         } else {
-            self.report(reading, &safety, rotation.as_ref(), missed);
+            self.report(&safety, rotation.as_ref(), missed);
             let turned = rotation.as_ref().map(|tick| tick.intervention);
             if safety.intervention.withheld || turned.is_some_and(|one| one.withheld) {
                 let yields = safety.intervention.yields || turned.is_some_and(|one| one.yields);
@@ -273,24 +288,19 @@ impl<const N: usize> MasterEndpoint<N> {
     }
 
     /// Leaves what the next frame says of the device; the energy is that of the whole wrench, `f·v + tau·w`.
-    fn report(
-        &mut self,
-        reading: &MasterReading<N>,
-        safety: &SafetyTick<N>,
-        rotation: Option<&SafetyTick<3>>,
-        missed: u64,
-    ) {
+    fn report(&mut self, safety: &SafetyTick<N>, rotation: Option<&SafetyTick<3>>, missed: u64) {
         let velocity = safety.motion.velocity;
         let turning = rotation.map_or(0.0, |tick| tick.rendered_force.dot(&tick.motion.velocity));
         let power_w = safety.rendered_force.dot(&velocity) + turning;
-        let rotation = reading.rotation.zip(rotation).map(|(read, tick)| RotationState {
-            orientation: read.orientation,
+        let taken = self.hand.taken();
+        let rotation = taken.rotation.zip(rotation).map(|(Turned { orientation, .. }, tick)| RotationState {
+            orientation,
             angular_velocity: tick.motion.velocity,
             torque: tick.device_force,
         });
         let outgoing = &mut self.exchange.outgoing;
         outgoing.energy.add(-power_w, self.period_s * (missed + 1) as f64);
-        outgoing.report(&reading.position, &velocity, &safety.device_force, rotation);
+        outgoing.report(&taken.position, &velocity, &safety.device_force, rotation);
     }
 
     /// Carries out a command of the operator; returns whether it changed anything. What it changes of the coupling fades in

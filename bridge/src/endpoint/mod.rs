@@ -10,7 +10,7 @@ mod slave;
 mod translation;
 mod trigger;
 
-pub(crate) use arm::{Arm, ArmInput, MasterState};
+pub(crate) use arm::{Arm, ArmInput, MasterState, TOOL_LEVER_M};
 pub use exchange::{Exchange, SideCounts};
 pub(crate) use hand::{Hand, HandLanes};
 pub use hand::{HandInput, Past};

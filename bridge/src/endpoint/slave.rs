@@ -1,6 +1,6 @@
 //! The slave's endpoint: one tick of the side of the robot.
 
-use haptether_safety::{Axes, Fault};
+use haptether_safety::{Axes, Fault, SampleBounds};
 use nalgebra::UnitQuaternion;
 
 use super::{Arm, ArmInput, EndpointError, Exchange, MasterState, SlaveRotationSettings, period_s};
@@ -117,6 +117,19 @@ impl<const N: usize> SlaveEndpoint<N> {
         &self.ranges
     }
 
+    /// The same before its first tick, whose samples are held against other bounds than [`SampleBounds::of_axes`] and those at a
+    /// lever of 0.1 m: of position and rotation.
+    #[must_use]
+    pub fn with_samples(self, bounds: [SampleBounds; 2]) -> Self {
+        let arm = self.arm.with_samples(bounds, period_s(self.exchange.period_ns));
+        Self { arm, ..self }
+    }
+
+    /// True while the newest sample is held: the arm is then led by predictions.
+    pub fn holds_sample(&self) -> bool {
+        self.arm.guard().holds()
+    }
+
     /// The arm still brakes with `speed` in m/s and `angular_speed` in rad/s: the bounds on both leave that much less for
     /// commands, until this is said anew.
     pub fn set_braking(&mut self, [speed, angular_speed]: [f64; 2]) {
@@ -132,8 +145,10 @@ impl<const N: usize> SlaveEndpoint<N> {
         }
         let checked = arm.check(now_ns, reading, exchange.events.device_failed);
         if let Err(fault) = checked {
-            exchange.fault(now_ns, fault);
+            exchange.fault_of(now_ns, fault, arm.excess());
         }
+        exchange.outliers = arm.guard().outliers();
+        let reading = checked.as_ref().ok().and_then(Option::as_ref).unwrap_or(reading);
         let before = || {
             let master = exchange.link().newest().and_then(|frame| frame.rotation);
             (exchange.state(), exchange.ladder.turns(), master)

@@ -1,10 +1,10 @@
 //! The translation of a slave's endpoint: from the master's position to the one that the arm is to take, of one arm or of
 //! several side by side.
 
-use haptether_safety::{Axes, Real, Signal, is_within, norm};
+use haptether_safety::{Axes, Real, Signal, Track, is_within, norm};
 use nalgebra::SimdBool as _;
 
-use super::{EndpointError, SlaveSettings, check_period, period_s};
+use super::{Arm, EndpointError, SlaveSettings, check_period, period_s};
 use crate::{
     coupling::{PositionForce, bounded, decayed},
     ladder::LadderState,
@@ -48,8 +48,10 @@ pub(crate) struct SlaveTranslation<const N: usize, S = f64> {
     command: Option<Axes<N, S>>,
     /// When the last command was made, in ns.
     commanded_ns: u64,
-    /// When in ns the arm was where, at the last sample.
-    last: Option<(u64, Axes<N, S>)>,
+    /// When in ns the last sample was.
+    sampled_ns: Option<u64>,
+    /// The path of the samples and the last velocity, of lanes.
+    path: Option<(Track<N, S>, Option<Axes<N, S>>)>,
     /// The period of its loop, in s.
     period_s: f64,
 }
@@ -66,7 +68,8 @@ impl<const N: usize> SlaveTranslation<N> {
             home: None,
             command: None,
             commanded_ns: 0,
-            last: None,
+            sampled_ns: None,
+            path: None,
             period_s: period_s(settings.period_ns),
         })
     }
@@ -80,10 +83,12 @@ impl<const N: usize> SlaveTranslation<N> {
 impl<const N: usize, S: Real> SlaveTranslation<N, S> {
     /// Those of several arms side by side, before their first tick; None unless period, decay, braking and map
     /// are the same.
-    pub(crate) fn gather(of: &[&SlaveTranslation<N>]) -> Option<Self> {
+    pub(crate) fn gather(arms: &[&Arm<N>]) -> Option<Self> {
+        let of = &arms.iter().map(|arm| arm.translation()).collect::<Vec<_>>()[..];
+        let track = Track::gather(&arms.iter().map(|arm| arm.guard().track()).collect::<Vec<_>>())?;
         let SlaveTranslation { braking, decay_ns, period_s, .. } = **of.first()?;
         let begins_so = |one: &&SlaveTranslation<N>| {
-            one.last.is_none()
+            one.sampled_ns.is_none()
                 && one.decay_ns == decay_ns
                 && one.period_s.to_bits() == period_s.to_bits()
                 && one.braking.to_bits() == braking.to_bits()
@@ -99,7 +104,8 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
             home: None,
             command: None,
             commanded_ns: 0,
-            last: None,
+            sampled_ns: None,
+            path: Some((track, None)),
             period_s,
         })
     }
@@ -110,30 +116,31 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
         now_ns.saturating_sub(self.commanded_ns) as f64 * 1e-9
     }
 
-    /// The velocity in m/s from the last sample, and the time in s that it took, with a period at least for two ticks that
-    /// follow closely; none at the first. The next begins anew from here.
+    /// Ticks since the last sample, with one at least for two that follow closely.
     #[inline(always)] // once a tick
-    pub(super) fn moved(&mut self, now_ns: u64, position: &Axes<N, S>) -> Option<(Axes<N, S>, f64)> {
-        let (last_ns, last) = self.last.replace((now_ns, *position))?;
-        let elapsed_s = (now_ns.saturating_sub(last_ns) as f64 * 1e-9).max(self.period_s);
-        Some(((position - last) / S::splat(elapsed_s), elapsed_s))
+    pub(super) fn sampled(&mut self, now_ns: u64) -> f64 {
+        let Some(last_ns) = self.sampled_ns.replace(now_ns) else { return 1.0 };
+        (now_ns.saturating_sub(last_ns) as f64 * 1e-9).max(self.period_s) / self.period_s
     }
 
-    /// Where the numbers of a sample can be, of an arm that has moved no further than any does: what
-    /// [`Arm::check`](super::Arm::check) would let through.
+    /// Where the numbers of a sample can be and lie on their path: what [`Arm::check`] would let through.
     #[inline(always)] // once a tick
     pub(crate) fn passes(
         &mut self,
         now_ns: u64,
         [position, velocity, force]: [&Axes<N, S>; 3],
     ) -> S::SimdBool {
-        let passes = is_within(position, Signal::Position.bound())
+        let mut passes = is_within(position, Signal::Position.bound())
             & is_within(velocity, Signal::Velocity.bound())
             & is_within(force, Signal::EnvironmentForce.bound());
-        match self.moved(now_ns, position) {
-            Some((moved, _)) => passes & is_within(&moved, Signal::Velocity.bound()),
-            None => passes,
+        let ticks = S::splat(self.sampled(now_ns));
+        if let Some((track, last)) = &mut self.path {
+            if let Some(last) = last.replace(*velocity) {
+                passes = passes & track.is_steady(&last, velocity, ticks);
+            }
+            passes = passes & track.step(position, ticks);
         }
+        passes
     }
 
     /// One tick of an arm at `position` in m; `checked`: the sample can be. None where it is not led: it holds the last

@@ -1,8 +1,8 @@
 //! The force feedback of a trigger: a one-axis coupling of its own, from the jaws to the finger.
 
 use haptether_safety::{
-    Axes, DeviceModel, Fault, LayerSettings, LimiterSettings, ParameterError, SafetyLayer, SafetyTick,
-    controller::SafetySettings, estimator::EstimatorKind,
+    Axes, DeviceModel, Excess, Fault, LayerSettings, LimiterSettings, ParameterError, SafetyLayer,
+    SafetyTick, controller::SafetySettings, estimator::EstimatorKind,
 };
 
 use crate::coupling::{CouplingError, GripperState};
@@ -38,8 +38,8 @@ pub(super) struct TriggerFeedback {
     share: f64,
     /// By how much g rises at a tick.
     rise: f64,
-    /// x in m at the last tick; none where it was not known.
-    last: Option<f64>,
+    /// Whether x was known at the last tick.
+    is_known: bool,
     /// It was not known while the two sides were coupled: what a trip held back must not return by that.
     is_lost: bool,
 }
@@ -66,7 +66,7 @@ impl TriggerFeedback {
             force_scale,
             share: 0.0,
             rise: period_s / fade_in_s,
-            last: None,
+            is_known: false,
             is_lost: false,
         })
     }
@@ -84,15 +84,15 @@ impl TriggerFeedback {
         self.is_lost &= is_coupled;
         let Some(x) = position.map(|share| share * self.travel_m) else {
             // Nothing is known of a finger there: no force, before the two sides engage anew.
-            (self.last, self.share, self.is_lost) = (None, 0.0, is_coupled);
+            (self.is_known, self.share, self.is_lost) = (false, 0.0, is_coupled);
             return SafetyTick::still();
         };
-        match self.last {
-            Some(before) => self.carry_over(missed, before, x),
+        let mut missed = missed;
+        if !std::mem::replace(&mut self.is_known, true) {
             // A position that cannot be is met below.
-            None => _ = self.layer.restart(&Axes::<1>::new(x)),
+            let _ = self.layer.restart(&Axes::<1>::new(x));
+            missed = 0;
         }
-        self.last = Some(x);
         self.share = match jaws {
             // Apart, the ladder fades what there is.
             _ if !is_coupled && gain > 0.0 => self.share,
@@ -104,20 +104,22 @@ impl TriggerFeedback {
         let pressing_n = jaws.filter(|jaws| jaws.holds_object).map_or(0.0, |jaws| jaws.force_n);
         // 0 - x: a force that there is not is 0, and not -0.
         let requested_n = 0.0 - self.force_scale * pressing_n * self.share * gain;
-        self.layer.tick_with_authority(&Axes::<1>::new(x), None, &Axes::<1>::new(requested_n), gain)
+        self.layer.tick_after(missed, &Axes::<1>::new(x), None, &Axes::<1>::new(requested_n), gain)
     }
 
-    /// Carries estimator and observers over missed ticks, along a straight line.
-    fn carry_over(&mut self, missed: u64, before: f64, x: f64) {
-        for tick in 1..=missed {
-            let share = tick as f64 / (missed + 1) as f64;
-            self.layer.missed(&Axes::<1>::new(before + (x - before) * share), None);
-        }
+    /// The speed beyond the bound of the trigger that led to its fault.
+    pub(super) fn excess(&self) -> Option<Excess> {
+        self.layer.excess()
+    }
+
+    /// How many samples left their path and were replaced.
+    pub(super) fn outliers(&self) -> u64 {
+        self.layer.guard().outliers()
     }
 
     /// Forgets what lies before: a stall.
     pub(super) fn restart(&mut self) {
-        (self.last, self.share) = (None, 0.0);
+        (self.is_known, self.share) = (false, 0.0);
     }
 
     /// The same, and a fault is mended.

@@ -57,6 +57,8 @@ pub struct LoopReport {
     pub holds: u64,
     /// Ticks at which a bound acted on the remote command.
     pub limited: u64,
+    /// Samples that left the path of the others and were replaced.
+    pub outliers: u64,
     /// Whether frames were encrypted and authenticated.
     pub secure: bool,
     /// Datagrams that the session did not take, by cause; in `link`, too.
@@ -430,7 +432,7 @@ impl LiveLoop {
         report.out_of_memory = system::is_exhausted();
         report.rejections = channel.end();
         report.link = counts.link.with(&report.rejections);
-        (report.holds, report.limited) = (counts.holds, counts.limited);
+        (report.holds, report.limited, report.outliers) = (counts.holds, counts.limited, counts.outliers);
         report.unsent = socket.unsent;
         report.recording = plant.end_records();
         (report, flight)

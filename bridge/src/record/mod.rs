@@ -26,6 +26,7 @@ pub(crate) struct LadderSnapshot {
     peer: [u8; 3],
     clutch: bool,
     round_trip_ns: u64,
+    outliers: u64,
 }
 
 /// What stands for the codes of a peer that has not been heard.
@@ -40,7 +41,8 @@ impl LadderSnapshot {
             round_trip_ns => round_trip_ns,
         };
         let peer = exchange.peer_codes().unwrap_or(NO_PEER);
-        Self { reason, peer, clutch: exchange.clutch(), round_trip_ns }
+        let outliers = exchange.outliers;
+        Self { reason, peer, clutch: exchange.clutch(), round_trip_ns, outliers }
     }
 }
 
@@ -101,6 +103,8 @@ pub struct MasterRecord<const N: usize, R = ()> {
     pub round_trip_ns: u64,
     /// How late the loop woke, in ns; in virtual time only where the clock of this side is set.
     pub overshoot_ns: u64,
+    /// Samples so far that left the path of the others and were replaced.
+    pub outliers: u64,
     /// The fault's code, 0 without.
     pub fault: u8,
     /// What it has of a rotation; nothing of a point.
@@ -139,6 +143,7 @@ impl<const N: usize, R: MasterTurn> Default for MasterRecord<N, R> {
             age_ns: u64::MAX,
             round_trip_ns: u64::MAX,
             overshoot_ns: 0,
+            outliers: 0,
             fault: 0,
             rotation: R::empty(),
         }
@@ -190,6 +195,7 @@ impl<const N: usize, R: MasterTurn> MasterRecord<N, R> {
             age_ns: tick.age_ns.unwrap_or(u64::MAX),
             round_trip_ns: snapshot.round_trip_ns,
             overshoot_ns: time.overshoot_ns,
+            outliers: snapshot.outliers,
             fault: tick.safety.fault.map_or(0, Fault::code),
             rotation,
         }
@@ -233,6 +239,8 @@ pub struct SlaveRecord<const N: usize, R = ()> {
     pub round_trip_ns: u64,
     /// How late the loop woke, in ns; in virtual time only where the clock of this side is set.
     pub overshoot_ns: u64,
+    /// Samples so far that left the path of the others and were replaced.
+    pub outliers: u64,
     /// The fault's code, 0 without.
     pub fault: u8,
     /// What it has of a rotation; nothing of a point.
@@ -261,6 +269,7 @@ impl<const N: usize, R: SlaveTurn> Default for SlaveRecord<N, R> {
             age_ns: u64::MAX,
             round_trip_ns: u64::MAX,
             overshoot_ns: 0,
+            outliers: 0,
             fault: 0,
             rotation: R::empty(),
         }
@@ -298,6 +307,7 @@ impl<const N: usize, R: SlaveTurn> SlaveRecord<N, R> {
             age_ns: tick.age_ns.unwrap_or(u64::MAX),
             round_trip_ns: snapshot.round_trip_ns,
             overshoot_ns: time.overshoot_ns,
+            outliers: snapshot.outliers,
             fault: tick.fault.map_or(0, Fault::code),
             rotation: R::of(reading.rotation.as_ref(), tick),
         }

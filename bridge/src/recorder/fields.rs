@@ -133,6 +133,8 @@ const REQUESTED_FORCE: &str = "F_v in N that the coupling requests of it, before
 const PAST: &str =
     "what the tick took over from the last: kept, stalled (nothing but a fault), acknowledged (nothing)";
 const GIVEN_FAULT: &str = "code of a fault that device or trigger gave the safety layer, 0 without";
+const OUTLIERS: &str =
+    "samples so far that left the path of the others and were replaced by their prediction";
 const FAULT: &str = "code of the fault, 0 without";
 
 impl<const N: usize, R: MasterTurn> Recorded for MasterRecord<N, R> {
@@ -180,6 +182,7 @@ impl<const N: usize, R: MasterTurn> Recorded for MasterRecord<N, R> {
             ("age_s", AGE, seconds(self.age_ns)),
             ("round_trip_s", ROUND_TRIP, seconds(self.round_trip_ns)),
             ("overshoot_s", OVERSHOOT, seconds(self.overshoot_ns)),
+            ("outliers", OUTLIERS, Value::Count(self.outliers)),
             ("fault", FAULT, Value::Count(self.fault.into())),
             ("gain", "the ladder's share of the requested force, 0 to 1", Value::Number(self.gain)),
             ("missed", "ticks that were left out since the last", Value::Count(self.missed)),
@@ -230,6 +233,7 @@ impl<const N: usize, R: SlaveTurn> Recorded for SlaveRecord<N, R> {
             ("age_s", AGE, seconds(self.age_ns)),
             ("round_trip_s", ROUND_TRIP, seconds(self.round_trip_ns)),
             ("overshoot_s", OVERSHOOT, seconds(self.overshoot_ns)),
+            ("outliers", OUTLIERS, Value::Count(self.outliers)),
             ("fault", FAULT, Value::Count(self.fault.into())),
         ] {
             take(field);

@@ -1,5 +1,6 @@
 //! The two sides of a scene, each by itself: what a run in virtual time couples, and what runs live.
 
+use haptether_safety::SampleBounds;
 use haptether_slave::{ArmSettings, SimulatedSlave, SimulatedTool};
 
 use super::{
@@ -18,7 +19,7 @@ use crate::{
     DrivenMaster, DrivenSlave, EndpointError, LedGripper, MasterEndpoint, MasterPlant, MasterRotation,
     MasterSettings, MasterSide, SideKind, SlaveEndpoint, SlaveRotation, SlaveSettings, SlaveSide, Trigger,
     coupling::{PositionForce, ScaleRange, ScaleRanges},
-    endpoint::{Arm, Hand},
+    endpoint::{Arm, Hand, TOOL_LEVER_M, period_s},
 };
 
 /// How a driven arm brakes where it is no longer led, in m/s^2, unless the scene bounds its acceleration.
@@ -52,6 +53,35 @@ fn master_settings<const N: usize>(
     })
 }
 
+/// What samples of a side of this kind are held against, of a device of this speed bound and quantum in m (rad).
+fn point_samples(kind: SideKind, speed_bound: Option<f64>, quantum: f64) -> SampleBounds {
+    let of_kind = match kind {
+        SideKind::Joints => SampleBounds::JOINTS,
+        SideKind::Linear | SideKind::Pose => SampleBounds::LINEAR,
+    };
+    SampleBounds { speed: speed_bound.unwrap_or(of_kind.speed), quantum, ..of_kind }
+}
+
+/// What the samples of the device are held against, of position and rotation.
+fn master_samples<const N: usize>(scene: &SceneSpec<N>) -> [SampleBounds; 2] {
+    let master = &scene.master;
+    let point = point_samples(master.kind, master.speed_bound, master.device.encoder_quantum);
+    let rotation = match &scene.safety.rotation {
+        Some(own) => {
+            let at_lever = point.at_lever(own.lever_m);
+            SampleBounds { quantum: own.quantum_rad.unwrap_or(at_lever.quantum), ..at_lever }
+        }
+        None => SampleBounds::UNBOUNDED,
+    };
+    [point, rotation]
+}
+
+/// What the samples of the arm are held against, of position and rotation.
+fn slave_samples<const N: usize>(scene: &SceneSpec<N>) -> [SampleBounds; 2] {
+    let speed_bound = scene.slave.as_ref().and_then(|slave| slave.speed_bound);
+    [point_samples(scene.master.kind, speed_bound, 0.0), SampleBounds::LINEAR.at_lever(TOOL_LEVER_M)]
+}
+
 /// What decides over the force on a hand that neither turns nor leads a gripper, by itself, and the coupling that it requests
 /// by: that of [`master_endpoint`].
 pub(super) fn hand_alone<const N: usize>(
@@ -59,7 +89,7 @@ pub(super) fn hand_alone<const N: usize>(
 ) -> Result<(Hand<N>, PositionForce<N>), SceneError> {
     let settings = master_settings(scene, 0)?;
     let coupling = PositionForce::new(1.0, settings.force_scale).map_err(EndpointError::from)?;
-    Ok((MasterEndpoint::hand_of(&settings)?, coupling))
+    Ok((MasterEndpoint::hand_of(&settings)?.with_samples(master_samples(scene)), coupling))
 }
 
 /// What decides at the side of the hand; `research` makes a controller of the caller's own, and is None of what is live.
@@ -92,7 +122,7 @@ pub(super) fn master_endpoint<const N: usize>(
             stated(|change| change.torque_scale),
         ))),
     };
-    let mut endpoint = endpoint.with_ranges(ranges);
+    let mut endpoint = endpoint.with_ranges(ranges).with_samples(master_samples(scene));
     endpoint.exchange.set_kind(scene.master.kind);
     if let Some(trigger) = trigger_feedback(scene, arm)? {
         endpoint = endpoint.with_trigger(&trigger)?;
@@ -118,7 +148,8 @@ fn slave_settings<const N: usize>(scene: &SceneSpec<N>, run_id: u64) -> Result<S
 
 /// What decides over the command to an arm that does not turn, by itself: that of [`slave_endpoint`].
 pub(super) fn arm_alone<const N: usize>(scene: &SceneSpec<N>) -> Result<Arm<N>, SceneError> {
-    Ok(Arm::new(&slave_settings(scene, 0)?)?)
+    let settings = slave_settings(scene, 0)?;
+    Ok(Arm::new(&settings)?.with_samples(slave_samples(scene), period_s(settings.period_ns)))
 }
 
 /// What decides at the side of the robot.
@@ -149,7 +180,7 @@ pub(super) fn slave_endpoint<const N: usize>(
             stated(|change| change.rotation_scale),
         ))),
     };
-    let mut endpoint = endpoint.with_ranges(ranges);
+    let mut endpoint = endpoint.with_ranges(ranges).with_samples(slave_samples(scene));
     endpoint.exchange.set_kind(scene.master.kind);
     if scene.master.buttons.is_some() {
         endpoint.exchange.carry_buttons();

@@ -146,6 +146,8 @@ pub struct MasterSpec<const N: usize> {
     /// Mechanics, encoder and motors.
     #[serde(flatten)]
     pub device: DeviceParameters<N>,
+    /// Speed bound in m/s (rad/s) that its samples are held against; without it that of its kind.
+    pub speed_bound: Option<f64>,
     /// Where it starts, in m per axis.
     #[schemars(with = "Vec<f64>")]
     pub position: Axes<N>,

@@ -518,6 +518,7 @@ fn report(exchange: &Exchange, counts: &LoopCounts, engaged_ns: u64, secure: boo
         path: exchange.link().path().report(clock_ns),
         holds: of_side.holds,
         limited: of_side.limited,
+        outliers: of_side.outliers,
         secure,
         rejections,
         engaged_ns,

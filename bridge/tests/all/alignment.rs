@@ -494,10 +494,11 @@ fn what_still_fades_has_nothing_of_what_the_arm_touches_while_it_turns() {
     assert_eq!(pair.ticks(400), [Engaged; 2]);
     assert!(pair.pushes());
     pair.press(false);
-    pair.ticks(15);
-    let away = turned(0.2, 0.0, 0.1) * pair.master.plant.rotation.unwrap().orientation;
-    pair.hand(away);
-    pair.ticks(10);
+    let start = pair.master.plant.rotation.unwrap().orientation;
+    for n in 1..=25 {
+        pair.hand(turned(0.2, 0.0, 0.1).powf(f64::from(n) / 25.0) * start);
+        pair.tick();
+    }
     pair.press(true);
     let states = pair.ticks(3);
     assert_eq!(states, [Aligning; 2]);

@@ -220,8 +220,10 @@ fn what_must_never_be_is_not_in_ten_thousand_scenes() {
                 assert!(ticks[usize::from(state.code())] > 10_000, "{side} {state:?}: {ticks:?}");
             }
         }
-        assert!(seen.engagements.iter().all(|count| *count > cases * 9 / 10), "{seen:?}");
+        assert!(seen.engagements.iter().all(|count| *count > cases * 8 / 10), "{seen:?}");
         let rest = [
+            seen.samples[0],
+            seen.samples[1],
             seen.growth_limited,
             seen.commands_limited,
             seen.soft_stops,

@@ -12,6 +12,7 @@ mod invariants;
 mod late_wakes;
 mod lost_peer;
 mod measured_metrics;
+mod outliers;
 #[cfg(test)]
 mod pair;
 mod pose;

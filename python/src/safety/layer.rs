@@ -10,6 +10,7 @@ use super::{
     device::{AnyDevice, PyDeviceModel},
     estimator::PyEstimatorKind,
     limiter::PyLimiterSettings,
+    samples::PySampleBounds,
 };
 use crate::{
     arrays::{Sample, Samples, SignalArray, column, sample_out},
@@ -77,12 +78,13 @@ fn vectors<const N: usize>(tick: &SafetyTick<N>) -> [Axes<N>; 6] {
 #[pymethods]
 impl PySafetyLayer {
     #[new]
-    #[pyo3(signature = (device, settings, *, estimator=None, limiter=None, period_s=1e-3))]
+    #[pyo3(signature = (device, settings, *, estimator=None, limiter=None, samples=None, period_s=1e-3))]
     fn new(
         device: &PyDeviceModel,
         settings: &PySafetySettings,
         estimator: Option<&PyEstimatorKind>,
         limiter: Option<&PyLimiterSettings>,
+        samples: Option<&PySampleBounds>,
         period_s: f64,
     ) -> PyResult<Self> {
         let inner = build_like!(&device.inner, AnyLayer, model => SafetyLayer::new(&LayerSettings {
@@ -92,6 +94,7 @@ impl PySafetyLayer {
             safety: settings.inner,
             limiter: limiter.map_or_else(LimiterSettings::default, |limiter| limiter.inner),
         })
+        .map(|layer| samples.map_or(layer.clone(), |samples| layer.with_samples(samples.inner)))
         .map_err(refuse)?);
         Ok(Self { axes: with_axes!(&device.inner, AnyDevice, _model => N), inner })
     }
@@ -99,6 +102,11 @@ impl PySafetyLayer {
     #[getter]
     fn axes(&self) -> usize {
         self.axes
+    }
+
+    #[getter]
+    fn outliers(&self) -> u64 {
+        with_axes!(&self.inner, AnyLayer, layer => layer.guard().outliers())
     }
 
     #[pyo3(signature = (position, rendered_force, velocity=None))]

@@ -154,21 +154,60 @@ fn a_late_loop_does_not_read_several_ticks_as_one() {
     // 0.3 m/s under no force; ticks 100 to 107 are missed.
     let safety = SafetySettings { controllers: [ControllerKind::Wsc].into(), ..SafetySettings::default() };
     let sample = |n: i32| Axes::<1>::new((3e-4 * f64::from(n) / 2.3e-5).round() * 2.3e-5);
-    let mut carried = SafetyLayer::new(&settings(safety)).unwrap();
+    // The guard would see the gap.
+    let mut carried = SafetyLayer::new(&settings(safety)).unwrap().with_samples(SampleBounds::UNBOUNDED);
     let mut blind = carried.clone();
     let none = Axes::zeros();
     for n in 0..100 {
         carried.tick(&sample(n), None, &none);
         blind.tick(&sample(n), None, &none);
     }
-    for n in 100..108 {
-        carried.missed(&sample(n), None);
-    }
-    let worst = |layer: &mut SafetyLayer<1>| {
-        (108..130).map(|n| layer.tick(&sample(n), None, &none).grasp_force[0].abs()).fold(0.0, f64::max)
+    let worst = |layer: &mut SafetyLayer<1>, missed: u64| {
+        let late = layer.tick_after(missed, &sample(108), None, &none, 1.0).grasp_force[0].abs();
+        (109..130).map(|n| layer.tick(&sample(n), None, &none).grasp_force[0].abs()).fold(late, f64::max)
     };
-    assert!(worst(&mut carried) < 0.5);
-    assert!(worst(&mut blind) > 5.0, "else the test shows nothing");
+    assert!(worst(&mut carried, 8) < 0.5);
+    assert!(worst(&mut blind, 0) > 5.0, "else the test shows nothing");
+}
+
+/// Once a stop is taken, estimator and forces are those of a layer that took each sample at once, to the bit.
+#[test]
+fn a_stop_leaves_nothing_of_the_ticks_that_were_held() {
+    let safety = SafetySettings { controllers: [ControllerKind::Hsc].into(), ..SafetySettings::default() };
+    for estimator in [
+        EstimatorKind::default(),
+        EstimatorKind::LowPass { cutoff_hz: 30.0 },
+        EstimatorKind::SavitzkyGolay { degree: 2, window: 15 },
+    ] {
+        let settings = LayerSettings { estimator, ..settings(safety) };
+        let mut held = SafetyLayer::new(&settings).unwrap();
+        let mut direct = held.clone().with_samples(SampleBounds::UNBOUNDED);
+        for n in 0..200 {
+            let x = Axes::<1>::new(2e-3 * f64::from(n.min(100)));
+            let rendered = Axes::<1>::new(0.05 * (f64::from(n) * 0.1).sin());
+            let (one, other) = (held.tick(&x, None, &rendered), direct.tick(&x, None, &rendered));
+            assert_eq!(one.device_force, other.device_force, "{n}: F_v goes on");
+            if (101..104).contains(&n) {
+                assert!(one.motion.velocity[0] > 1.9, "V stays");
+            } else {
+                let seen = |tick: &SafetyTick<1>| (tick.motion, tick.grasp_force);
+                assert_eq!(seen(&one), seen(&other), "{estimator:?} {n}");
+            }
+        }
+        assert_eq!(held.guard().outliers(), 0);
+    }
+}
+
+/// A step within the bound is read as no velocity, before and after it is taken.
+#[test]
+fn a_step_is_no_velocity() {
+    let mut layer = SafetyLayer::new(&settings(SafetySettings::default())).unwrap();
+    for n in 0..200 {
+        let x = 3e-4 * f64::from(n) + if n < 100 { 0.0 } else { 0.015 };
+        let tick = layer.tick(&Axes::<1>::new(x), None, &Axes::zeros());
+        assert!(n < 90 || (tick.motion.velocity[0] - 0.3).abs() < 1e-3, "{n}: {}", tick.motion.velocity);
+        assert_eq!(tick.fault, None);
+    }
 }
 
 #[test]
@@ -289,19 +328,6 @@ fn a_reset_leaves_nothing_of_the_past_and_a_restart_leaves_a_fault() {
     assert!(layer.reset(&Axes::<1>::new(f64::INFINITY)).is_err());
     layer.reset(&place).unwrap();
     assert_eq!(forces(&next(&mut layer, 0.2)), as_new);
-}
-
-#[test]
-fn a_missed_tick_without_a_sound_position_changes_nothing() {
-    let before = forces(&next(&mut with_a_past(), 0.05));
-    for x in [f64::NAN, f64::INFINITY, 1e300] {
-        let mut layer = with_a_past();
-        layer.missed(&Axes::<1>::new(x), None);
-        assert_eq!(forces(&next(&mut layer, 0.05)), before, "{x}");
-    }
-    let mut layer = with_a_past();
-    layer.missed(&Axes::<1>::new(0.05), None);
-    assert_ne!(forces(&next(&mut layer, 0.05)), before, "a sound one is carried along");
 }
 
 /// VFC by hand (Eq. 1 and 2): what a researcher would write; it fails at a tick, where it is given one.

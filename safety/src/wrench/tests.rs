@@ -49,6 +49,11 @@ fn along_x(value: f64) -> Axes<3> {
     Axes::<3>::new(value, 0.0, 0.0)
 }
 
+/// A layer that takes any sample: here a device says at will that it moves.
+fn unguarded(settings: &WrenchSettings) -> WrenchLayer {
+    WrenchLayer::new(settings).unwrap().with_samples(SampleBounds::UNBOUNDED, SampleBounds::UNBOUNDED)
+}
+
 /// At rest in its place, though it says that it moves: what matters is V.
 fn moving(velocity: f64, angular_velocity: f64) -> PoseSample {
     PoseSample {
@@ -80,8 +85,8 @@ fn a_trip_of_one_acts_on_both_and_fades_in_both() {
     for (unsafe_tick, whose) in [((1.0, 0.0), 0), ((0.0, 16.0), 1)] {
         let mut ticks = vec![RESTS; 60];
         ticks[10] = unsafe_tick;
-        let both = run(&mut WrenchLayer::new(&settings(true, vfc())).unwrap(), &ticks);
-        let apart = run(&mut WrenchLayer::new(&settings(false, vfc())).unwrap(), &ticks);
+        let both = run(&mut unguarded(&settings(true, vfc())), &ticks);
+        let apart = run(&mut unguarded(&settings(false, vfc())), &ticks);
         assert_eq!(both[9], (FORCE, TORQUE, [Tripped::NONE; 2]));
         let (force, torque, tripped) = both[10];
         assert_eq!((tripped[whose], tripped[1 - whose]), (own, Tripped::HELD));
@@ -112,7 +117,7 @@ fn each_is_the_layer_that_it_is_alone() {
         let mut both = WrenchLayer::new(&settings).unwrap();
         let mut translation = SafetyLayer::new(&settings.translation).unwrap();
         let mut rotation = RotationLayer::new(&settings.rotation).unwrap();
-        let mut acted = [0; 2];
+        let (mut acted, mut missed) = ([0; 2], 0);
         for n in 0..800 {
             let t = f64::from(n) * PERIOD;
             let wave =
@@ -125,14 +130,13 @@ fn each_is_the_layer_that_it_is_alone() {
             };
             let (force, torque) = (wave(3.0, 31.0), wave(0.1, 23.0));
             if n % 50 == 7 {
-                both.missed(&sample);
-                translation.missed(&sample.position, None);
-                rotation.missed(&sample.orientation, None);
+                missed = 1;
                 continue;
             }
-            let tick = both.tick_with_authority(&sample, &force, &torque, 0.7);
-            let one = translation.tick_with_authority(&sample.position, None, &force, 0.7);
-            let two = rotation.tick_with_authority(&sample.orientation, None, &torque, 0.7);
+            let tick = both.tick_after(missed, &sample, &force, &torque, 0.7);
+            let one = translation.tick_after(missed, &sample.position, None, &force, 0.7);
+            let two = rotation.tick_after(missed, &sample.orientation, None, &torque, 0.7);
+            missed = 0;
             // As text, for NaN stands for what is not observed.
             assert_eq!(format!("{:?}", tick.translation), format!("{one:?}"), "{n}");
             assert_eq!(format!("{:?}", tick.rotation), format!("{two:?}"), "{n}");
@@ -154,7 +158,7 @@ fn a_hand_that_holds_ends_a_shared_intervention() {
     // Below it the damping of what fades is more than the torque that is back.
     both.rotation.safety.hsc_force_threshold_n = 0.02;
     both.rotation.limiter.ramp_in_s = 0.5;
-    let mut layer = WrenchLayer::new(&both).unwrap();
+    let mut layer = unguarded(&both);
     let (torque, mut last) = (along_x(TORQUE), Axes::<3>::zeros());
     let (mut held, mut angle, mut w) = (Vec::new(), 0.0, 0.0);
     for n in 0..2500 {
@@ -175,7 +179,7 @@ fn a_hand_that_holds_ends_a_shared_intervention() {
 #[test]
 fn a_fault_of_one_stops_both() {
     for shares_trips in [true, false] {
-        let mut layer = WrenchLayer::new(&settings(shares_trips, vfc())).unwrap();
+        let mut layer = unguarded(&settings(shares_trips, vfc()));
         run(&mut layer, &[RESTS; 10]);
         let rests = moving(0.0, 0.0);
         let mut no_place = rests;
@@ -208,7 +212,7 @@ fn a_fault_of_one_stops_both() {
 /// A missed tick counts in both as a tick does: they stay in step.
 #[test]
 fn missed_ticks_hold_off_in_both() {
-    let mut layer = WrenchLayer::new(&settings(true, vfc())).unwrap();
+    let mut layer = unguarded(&settings(true, vfc()));
     run(&mut layer, &[RESTS, (1.0, 0.0), RESTS]);
     for _ in 0..15 {
         layer.missed(&moving(0.0, 0.0));

@@ -13,6 +13,7 @@ use haptether_safety::observer::{
 };
 use haptether_safety::{
     Axes, DeviceModel, LayerSettings, Limiter, LimiterSettings, Observation, Real, SafetyLayer, SafetyTick,
+    SampleBounds,
 };
 use nalgebra::SimdValue;
 use proptest::prelude::*;
@@ -172,6 +173,7 @@ fn layer<const N: usize>(which: usize, shared: Shared, numbers: &Numbers) -> Saf
         limiter: limits(numbers),
     })
     .unwrap()
+    .with_samples(SampleBounds::UNBOUNDED)
 }
 
 /// Runs an expression over lanes and over each `f64` alone, and wants the same bits of both.

@@ -10,7 +10,7 @@ use haptether_safety::observer::{
 };
 use haptether_safety::{
     Acted, Axes, DeviceModel, Fault, LayerSettings, Limiter, LimiterSettings, Observation, SafetyLayer,
-    Signal,
+    SampleBounds, Signal,
 };
 use nalgebra::Rotation3;
 use proptest::prelude::*;
@@ -88,14 +88,14 @@ fn limits() -> LimiterSettings {
     LimiterSettings { ramp_in_s: 0.0, ..LimiterSettings::default() }
 }
 
-/// A layer of any settings.
+/// A layer of any settings that takes any sample.
 fn layer<const N: usize>(
     safety: SafetySettings,
     estimator: EstimatorKind,
     limiter: LimiterSettings,
 ) -> SafetyLayer<N> {
     let settings = LayerSettings { device: device(), period_s: PERIOD_S, estimator, safety, limiter };
-    SafetyLayer::new(&settings).unwrap()
+    SafetyLayer::new(&settings).unwrap().with_samples(SampleBounds::UNBOUNDED)
 }
 
 /// The first N of three.
@@ -242,7 +242,8 @@ proptest! {
         };
         let of = |s: f64| DeviceModel::<3>::uniform(MASS_KG, -0.005, 0.038 * s).unwrap();
         let build = |device, estimator, safety, limiter| {
-            SafetyLayer::new(&LayerSettings { device, period_s: PERIOD_S, estimator, safety, limiter }).unwrap()
+            let settings = LayerSettings { device, period_s: PERIOD_S, estimator, safety, limiter };
+            SafetyLayer::new(&settings).unwrap().with_samples(SampleBounds::UNBOUNDED)
         };
         let mut plain = build(of(1.0), KINDS[kind], settings, limits());
         let mut scaled = build(of(s), scaled_kind, scaled_settings, scaled_limits);

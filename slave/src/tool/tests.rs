@@ -19,6 +19,7 @@ fn free(moments: [f64; 3], points: Vec<[f64; 3]>) -> Made {
         damping: 0.0,
         max_speed: None,
         max_acceleration: None,
+        speed_bound: None,
         period_s: 1e-3,
         position: V::zeros(),
         force_sensor: None,

@@ -465,7 +465,7 @@ impl<const N: usize> Near<N> {
             ..HandInput::idle()
         };
         let (safety, _) = self.hand.tick(&MasterReading::point(position, velocity), &input);
-        Decided { position, safety }
+        Decided { position: self.hand.taken().position, safety }
     }
 
     /// Writes the device and measures; none of what would change link and ladders in another way than `step` says.
@@ -532,7 +532,9 @@ impl<const N: usize> Far<N> {
         if step.peer_began {
             self.arm.disengage();
         }
-        let fault = self.arm.check(step.clock_ns, &reading, false).map_or_else(Fault::code, |()| 0);
+        let checked = self.arm.check(step.clock_ns, &reading, false);
+        let fault = checked.map_or_else(Fault::code, |_| 0);
+        let reading = checked.ok().flatten().unwrap_or(reading);
         let newest = step.newest().map(|tick| near.of(tick));
         self.heard = step.newest().unwrap_or(0);
         let newest = newest.map(|Sent { position, velocity, .. }| MasterState {

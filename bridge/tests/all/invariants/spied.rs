@@ -8,7 +8,7 @@ use std::{
 use haptether_bridge::{
     ButtonWord, Exchange, Feeling, LadderState, LinkTime, MasterPlant, MasterRecord, MasterSide, MasterTurn,
     OperatorCommand, Reason, RejectReason, Side, SlavePlant, SlaveRecord, SlaveSide, SlaveTurn, TickTime,
-    coupling::{CommandBounds, CouplingError, PortEnergy},
+    coupling::{CommandBounds, CouplingError, PortEnergy, RotationState},
     wire::{Frame, FrameLayout, MAX_FRAME, Role},
 };
 use haptether_safety::{Acted, Axes, LimiterSettings};
@@ -40,6 +40,8 @@ pub(crate) struct Seen {
     pub(crate) growth_limited: u64,
     pub(crate) commands_limited: u64,
     pub(crate) soft_stops: u64,
+    /// Samples of the arm that were taken, and that were held.
+    pub(crate) samples: [u64; 2],
     pub(crate) accepted: u64,
     pub(crate) authentic: u64,
     pub(crate) refused: u64,
@@ -59,6 +61,7 @@ impl Seen {
             growth_limited: self.growth_limited + other.growth_limited,
             commands_limited: self.commands_limited + other.commands_limited,
             soft_stops: self.soft_stops + other.soft_stops,
+            samples: std::array::from_fn(|held| self.samples[held] + other.samples[held]),
             accepted: self.accepted + other.accepted,
             authentic: self.authentic + other.authentic,
             refused: self.refused + other.refused,
@@ -349,6 +352,8 @@ pub(crate) struct Far<P, const N: usize, S> {
     reference_m: Option<Axes<3>>,
     /// Power in W of the measured wrench, and the sum of its parts.
     power_w: Option<(f64, f64)>,
+    /// Force and rotation of the last sample that was not held.
+    taken: (Axes<N>, Option<RotationState>),
     clock_ns: u64,
     orientation: Option<OrientationWatch>,
     /// Whether it was being turned to the master at the last tick.
@@ -470,6 +475,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
             home: None,
             command: None,
             power_w: None,
+            taken: (Axes::zeros(), None),
             reference_m: drawn.pose.as_ref().and_then(|pose| pose.reference_m),
             clock_ns: 0,
             orientation: drawn
@@ -490,7 +496,12 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
     fn energy(&mut self, record: &SlaveRecord<N, S>, elapsed_s: f64) {
         let plant = &self.side.plant;
         let [_, measured_velocity, force] = plant.sample;
-        let (measured, turned) = (plant.rotation(), plant.turned);
+        let is_held = self.side.endpoint.holds_sample();
+        self.watch.seen.samples[usize::from(is_held)] += 1;
+        if !is_held {
+            self.taken = (force, plant.rotation());
+        }
+        let ((force, measured), turned) = (self.taken, plant.turned);
         let by =
             self.reference_m.zip(measured).map(|(reference_m, measured)| measured.orientation * reference_m);
         let moving = plant.written.map_or(0.0, |written| {
@@ -502,7 +513,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
         // What an arm touches while it is turned to the master is not felt.
         let power_w = if record.state.is_coupled() { moving + turning } else { 0.0 };
         self.watch.energy.add(power_w, elapsed_s);
-        self.power_w = measured.filter(|_| record.fault == 0).map(|measured| {
+        self.power_w = measured.filter(|_| record.fault == 0 && !is_held).map(|measured| {
             let (moving, w) = (force.dot(&measured_velocity), measured.angular_velocity);
             let turning = measured.torque.dot(&w);
             let most_round = by.map_or(0.0, |by| force.norm() * by.norm() * w.norm());
@@ -556,7 +567,8 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
             return;
         };
         let (side, watch) = (&mut self.side, &mut self.watch);
-        let measured = side.plant.rotation().filter(|_| !side.plant.is_broken(time.now_ns));
+        let is_taken = !side.plant.is_broken(time.now_ns) && !side.endpoint.holds_sample();
+        let measured = side.plant.rotation().filter(|_| is_taken);
         let measured = measured.map(|measured| measured.orientation);
         if let Some(measured) = measured {
             orientation.begin(measured);
@@ -594,7 +606,8 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
         turned: Option<(UnitQuaternion<f64>, Axes<3>)>,
     ) {
         let limited = record.limited;
-        let measured = (!self.side.plant.is_broken(time.now_ns)).then_some(record.position);
+        let is_taken = !self.side.plant.is_broken(time.now_ns) && !self.side.endpoint.holds_sample();
+        let measured = is_taken.then_some(record.position);
         let state = self.watch.state;
         let command = self.side.endpoint.last_command();
         let before = std::mem::replace(&mut self.command, command);

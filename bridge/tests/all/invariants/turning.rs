@@ -227,6 +227,7 @@ impl Arm {
             damping: 2.0 * mass_kg * bandwidth_hz,
             max_speed: Some(speed),
             max_acceleration: None,
+            speed_bound: None,
             period_s: 1e-3,
             position,
             force_sensor: None,

@@ -118,15 +118,20 @@ def start_master(
             encoder_quantum=command.encoder_quantum,
             clutch=clutch,
         )
+    device = None
+    if scene.master.driver is not None:
+        if arguments["started_s"] is None:
+            # A driver may take its time to be loaded: the start counts from here.
+            arguments["started_s"] = time.monotonic()
+        device = load_master(scene.master.driver, scene.master.options)
+        scene = _bounded(scene, "master", device)
     spec = scene_json(scene)
     said = [*unusual_numbers(scene), *announcement(scene), *design_lines(scene, command.scene, command.set)]
-    if scene.master.driver is None:
+    if device is None:
         master = stopped.attached(LiveMaster(spec, **arguments))
         _say(said)
         return master
-    # The loop first: without a time of its own the start counts from here, and a driver may take its time to be loaded.
     loop = stopped.attached(MasterLoop(spec, clutch=clutch, **arguments))
-    device = load_master(scene.master.driver, scene.master.options)
     _say(said)
     _announce(f"[master] driver = {scene.master.driver}", device)
     run = MasterRun(device, loop, period_s=scene.run.period_s)
@@ -169,7 +174,7 @@ def start_slave(
         raise ValueError(message)
     device = load_slave(scene.slave.device, scene.slave.options)
     gripper = load_gripper(jaws.device, jaws.options) if jaws is not None and is_driven else None
-    spec = scene_json(_within(scene, device))
+    spec = scene_json(_bounded(_within(scene, device), "slave", device))
     period_s = scene.run.period_s if scene.slave.period_s is None else scene.slave.period_s
     loop = stopped.attached(SlaveLoop(spec, **arguments))
     _announce(f"[slave] device = {scene.slave.device}", device)
@@ -208,6 +213,16 @@ def _within(scene: "Scene", device: "SlaveDevice") -> "Scene":
         if most is not None and (now if isinstance(now, int | float) else float("inf")) > most:
             slower.append(f"coupling.{key}={most}")
     return override_scene(scene, slower) if slower else scene
+
+
+def _bounded(scene: "Scene", side: Literal["master", "slave"], device: object) -> "Scene":
+    """The scene, whose samples are held against the speed bound of the driver where it has none of its own."""
+    from haptether.bridge import override_scene
+
+    bound: float | None = getattr(device, "speed_bound", None)
+    if bound is None or getattr(getattr(scene, side), "speed_bound", None) is not None:
+        return scene
+    return override_scene(scene, [f"{side}.speed_bound={bound}"])
 
 
 def _say(lines: Iterable[str]) -> None:

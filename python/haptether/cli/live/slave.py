@@ -127,6 +127,7 @@ class Slave(LiveOptions):
             "skipped_ticks": report.skipped,
             "holds": report.holds,
             "limited_commands": report.limited,
+            "outliers": report.outliers,
             "peak_environment_force_n": float(np.abs(trace.environment_force).max()) if engaged else None,
             "sent": report.link.sent,
             "lost": report.link.missing,
@@ -141,6 +142,7 @@ class Slave(LiveOptions):
         console = screen(self.json)
         console.print(
             f"slave {state}: {report.ticks} ticks, {report.holds} holds, {report.limited} commands clamped, "
+            f"{report.outliers} samples replaced, "
             f"sent {report.link.sent}, lost {report.link.missing}, late {report.link.late}",
             highlight=False,
         )

@@ -73,12 +73,12 @@ impl<const N: usize> Deciding<N> {
     fn gather(of: &[&Follower<N>]) -> Option<Self> {
         let hands: Vec<_> = of.iter().map(|one| &one.near.hand).collect();
         let couplings: Vec<_> = of.iter().map(|one| &one.near.coupling).collect();
-        let translations: Vec<_> = of.iter().map(|one| one.far.arm.translation()).collect();
+        let arms: Vec<_> = of.iter().map(|one| &one.far.arm).collect();
         let watched: Vec<_> = of.iter().map(|one| &one.watched).collect();
         Some(Self {
             hands: HandLanes::gather(&hands)?,
             coupling: PositionForce::gather(&couplings)?,
-            translation: SlaveTranslation::gather(&translations)?,
+            translation: SlaveTranslation::gather(&arms)?,
             watched: WatchedLanes::gather(&watched)?,
         })
     }

@@ -1,0 +1,768 @@
+//! Plausible samples: a wrong one moves neither force nor arm, and a device that cannot have moved so far is a fault.
+
+use std::fmt;
+
+use nalgebra::UnitQuaternion;
+
+use crate::{
+    Axes, Fault, ParameterError, Real, Signal,
+    lanes::{is_within, nowhere, selected},
+};
+
+#[cfg(test)]
+mod tests;
+
+/// What the samples of a device are held against.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SampleBounds {
+    /// Speed bound of the device in m/s (rad/s).
+    pub speed: f64,
+    /// Largest change of velocity in m/s (rad/s) from a sample to the next one on the same path: 0.5 m/s is 0.5 mm off
+    /// the path at 1 kHz.
+    pub velocity_change: f64,
+    /// Resolution of the position in m (rad).
+    pub quantum: f64,
+    /// Whether each axis is held against the bounds by itself, as joints are; else the norm is.
+    pub per_axis: bool,
+}
+
+impl SampleBounds {
+    /// A point: 20 m/s, and 0.5 mm off its path at 1 kHz.
+    ///
+    /// A hand throws at 10 m/s at most, and a motor of 8.5 N on 75 g reaches 9.3 m/s over its workspace.
+    pub const LINEAR: Self = Self { speed: 20.0, velocity_change: 0.5, quantum: 0.0, per_axis: false };
+
+    /// Joints: 60 rad/s, and the path of a point at a lever of 0.1 m, a short link.
+    pub const JOINTS: Self = Self {
+        speed: 60.0,
+        velocity_change: Self::LINEAR.velocity_change / 0.1,
+        quantum: 0.0,
+        per_axis: true,
+    };
+
+    /// Nothing is held against anything.
+    pub const UNBOUNDED: Self =
+        Self { speed: f64::INFINITY, velocity_change: f64::INFINITY, quantum: 0.0, per_axis: false };
+
+    /// A device of so many axes of which nothing else is known: joints from four on.
+    pub const fn of_axes(axes: usize) -> Self {
+        if axes <= 3 { Self::LINEAR } else { Self::JOINTS }
+    }
+
+    /// The same, if a device can have them: all above 0, and the quantum 0 or more; none is no number.
+    pub fn checked(self) -> Result<Self, ParameterError> {
+        let refused = |name, symbol, seen: f64, accepted: bool, allowed| {
+            if accepted { Ok(()) } else { Err(ParameterError { name, symbol, seen, allowed }) }
+        };
+        let Self { speed, velocity_change, quantum, .. } = self;
+        refused("speed_bound", "V_max", speed, speed > 0.0, "above 0")?;
+        refused("velocity_change", "dV", velocity_change, velocity_change > 0.0, "above 0")?;
+        refused("quantum", "q", quantum, quantum >= 0.0 && quantum.is_finite(), "finite and 0 or more")?;
+        Ok(self)
+    }
+
+    /// The rotation of a handle that the hand holds at this lever r in m: its rim leaves the path as a point does. Its
+    /// speed is that of [`JOINTS`](Self::JOINTS).
+    #[must_use]
+    pub fn at_lever(self, lever_m: f64) -> Self {
+        Self {
+            speed: Self::JOINTS.speed,
+            velocity_change: self.velocity_change / lever_m,
+            quantum: self.quantum / lever_m,
+            per_axis: false,
+        }
+    }
+
+    /// The same per tick of `period_s`.
+    fn per_tick(self, period_s: f64) -> PerTick {
+        let Self { speed, velocity_change, quantum, per_axis } = self;
+        PerTick { period_s, speed: speed * period_s, change: velocity_change * period_s, quantum, per_axis }
+    }
+}
+
+/// [`SampleBounds`] in m (rad) per tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct PerTick {
+    period_s: f64,
+    speed: f64,
+    change: f64,
+    quantum: f64,
+    per_axis: bool,
+}
+
+impl PerTick {
+    /// Where a velocity in m/s goes on from the last one, `gap` ticks before, and is within the bound on the speed.
+    #[inline(always)]
+    fn is_steady<const N: usize, S: Real>(&self, from: &Axes<N, S>, to: &Axes<N, S>, gap: S) -> S::SimdBool {
+        let [period_s, speed, change, quantum] =
+            [self.period_s, self.speed, self.change, self.quantum].map(S::splat);
+        let room = change * gap + quantum + quantum;
+        is_short(&((to - from) * period_s), room, self.per_axis)
+            & is_short(&(to * period_s), speed, self.per_axis)
+    }
+}
+
+/// Where a vector is no longer than a limit.
+#[inline(always)]
+fn is_short<const N: usize, S: Real>(vector: &Axes<N, S>, limit: S, per_axis: bool) -> S::SimdBool {
+    if N == 1 || per_axis {
+        return vector.iter().fold(!nowhere::<S>(), |all, x| all & x.magnitude().simd_le(limit));
+    }
+    vector.dot(vector).simd_le(limit * limit)
+}
+
+/// Most ticks between two samples of a device that samples more slowly than the loop.
+const MAX_EVERY: f64 = 4.0;
+
+/// The path of a point: `x(k) = x_a + v k`, k ticks after the anchor `x_a`.
+///
+/// The anchor is the last sample, unless that repeats the one before as those of a device do that samples more slowly than the
+/// loop: then it is the first of those that are the same.
+///
+/// A sample is on the path where `|x - x_a - v k| <= dV dT g + 2 q`, g ticks after the sample before: a change of velocity of
+/// dV, and rounding to the quantum q of this sample and of the two that the path is of.
+///
+/// Source: derived here.
+#[derive(Clone, Copy, Debug)]
+pub struct Track<const N: usize, S = f64> {
+    bounds: PerTick,
+    anchor: Option<Axes<N, S>>,
+    /// v in m per tick; none before the second sample.
+    rate: Option<Axes<N, S>>,
+    /// Ticks from the anchor to the last sample.
+    since: S,
+    /// Ticks from the last sample that differed from the one before to the last one.
+    same_for: S,
+    /// Ticks between the last two samples that differed.
+    every: S,
+}
+
+impl<const N: usize, S: Real> Track<N, S> {
+    /// The path of a device that is sampled every `period_s`, before its first sample.
+    pub fn new(bounds: SampleBounds, period_s: f64) -> Self {
+        Self::of(bounds.per_tick(period_s))
+    }
+
+    fn of(bounds: PerTick) -> Self {
+        let [since, same_for, every] = [S::zero(), S::zero(), S::one()];
+        Self { bounds, anchor: None, rate: None, since, same_for, every }
+    }
+
+    /// As many paths as there are lanes, all of the same bounds and before their first sample; else None.
+    pub fn gather(of: &[&Track<N>]) -> Option<Self> {
+        let bounds = of.first()?.bounds;
+        of.iter().all(|one| one.bounds == bounds && one.anchor.is_none()).then(|| Self::of(bounds))
+    }
+
+    /// Where a sample is on the path, `ticks` after the last one of it and `gap` after the sample before.
+    #[inline(always)]
+    fn contains(&self, position: &Axes<N, S>, ticks: S, gap: S) -> S::SimdBool {
+        let Some(anchor) = &self.anchor else { return !nowhere::<S>() };
+        let PerTick { speed, change, quantum, per_axis, .. } = self.bounds;
+        let [speed, change, quantum] = [speed, change, quantum].map(S::splat);
+        let k = self.since + ticks;
+        let moved = position - anchor;
+        let is_slow = is_short(&moved, speed * k + quantum + quantum, per_axis);
+        let Some(rate) = &self.rate else { return is_slow };
+        is_slow & is_short(&(moved - rate * k), change * gap + quantum + quantum, per_axis)
+    }
+
+    /// Takes a sample, `ticks` after the last one.
+    #[inline(always)]
+    fn accept(&mut self, position: &Axes<N, S>, ticks: S) {
+        let Some(anchor) = self.anchor.replace(*position) else { return };
+        let (k, same_for) = (self.since + ticks, self.same_for + ticks);
+        let moved = position - anchor;
+        let is_same = is_within(&moved, 0.0);
+        let mut repeats = nowhere::<S>();
+        if self.rate.is_some() {
+            repeats = is_same & k.simd_lt(self.every);
+        }
+        let rate = self.rate.unwrap_or(Axes::zeros());
+        self.rate = Some(selected(repeats, rate, &(moved / k)));
+        // A repeat is where the anchor is.
+        self.since = k.select(repeats, S::zero());
+        self.every = self.every.select(is_same, same_for.lesser(S::splat(MAX_EVERY)));
+        self.same_for = same_for.select(is_same, S::zero());
+    }
+
+    /// Where a velocity in m/s that is measured goes on from that of the last sample, `ticks` before, and is within the bound on
+    /// the speed.
+    #[inline(always)]
+    pub fn is_steady(&self, from: &Axes<N, S>, to: &Axes<N, S>, ticks: S) -> S::SimdBool {
+        self.bounds.is_steady(from, to, ticks)
+    }
+
+    /// Takes the sample, `ticks` after the one before; returns where it was on the path. Elsewhere the path is of no use any
+    /// more.
+    #[inline(always)]
+    pub fn step(&mut self, position: &Axes<N, S>, ticks: S) -> S::SimdBool {
+        let on_path = self.contains(position, ticks, ticks);
+        self.accept(position, ticks);
+        on_path
+    }
+}
+
+impl<const N: usize> Track<N> {
+    /// Where the path is, `ticks` after its last sample; none before the first.
+    fn at(&self, ticks: f64) -> Option<Axes<N>> {
+        let rate = self.rate.unwrap_or(Axes::zeros());
+        self.anchor.map(|anchor| anchor + rate * (self.since + ticks))
+    }
+}
+
+/// An orientation and, of a device that measures it, an angular velocity in rad/s, both in the base frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Turned {
+    /// R, `base_from_body`.
+    pub orientation: UnitQuaternion<f64>,
+    /// w in rad/s.
+    pub angular_velocity: Option<Axes<3>>,
+}
+
+/// The path of a rotation, `R(k) = exp(w k) R_a`, on SO(3); as [`Track`], with angles for lengths.
+///
+/// The sine of half an angle is held against half of a limit: for less than 0.5 rad the same to 1 %.
+#[derive(Clone, Copy, Debug)]
+struct TurnTrack {
+    bounds: PerTick,
+    anchor: Option<UnitQuaternion<f64>>,
+    /// `exp(w)`, w in rad per tick.
+    rate: Option<UnitQuaternion<f64>>,
+    since: f64,
+    same_for: f64,
+    every: f64,
+}
+
+/// Whether a rotation is by no more than an angle.
+#[inline]
+fn is_small(turn: &UnitQuaternion<f64>, angle: f64) -> bool {
+    turn.imag().norm_squared() <= 0.25 * angle * angle
+}
+
+impl TurnTrack {
+    fn new(bounds: SampleBounds, period_s: f64) -> Self {
+        let bounds = bounds.per_tick(period_s);
+        Self { bounds, anchor: None, rate: None, since: 0.0, same_for: 0.0, every: 1.0 }
+    }
+
+    fn at(&self, ticks: f64) -> Option<UnitQuaternion<f64>> {
+        let anchor = self.anchor?;
+        let Some(rate) = self.rate else { return Some(anchor) };
+        let k = self.since + ticks;
+        Some(if k == 1.0 { rate } else { rate.powf(k) } * anchor)
+    }
+
+    fn contains(&self, orientation: &UnitQuaternion<f64>, ticks: f64, gap: f64) -> bool {
+        let (Some(anchor), Some(expected)) = (self.anchor, self.at(ticks)) else { return true };
+        let PerTick { speed, change, quantum, .. } = self.bounds;
+        let k = self.since + ticks;
+        is_small(&anchor.rotation_to(orientation), speed * k + 2.0 * quantum)
+            && (self.rate.is_none()
+                || is_small(&expected.rotation_to(orientation), change * gap + 2.0 * quantum))
+    }
+
+    fn accept(&mut self, orientation: &UnitQuaternion<f64>, ticks: f64) {
+        let Some(anchor) = self.anchor.replace(*orientation) else { return };
+        let (k, same_for) = (self.since + ticks, self.same_for + ticks);
+        let is_same = *orientation == anchor;
+        (self.same_for, self.every) =
+            if is_same { (same_for, self.every) } else { (0.0, same_for.min(MAX_EVERY)) };
+        if self.rate.is_some() && is_same && k < self.every {
+            self.since = k;
+            return;
+        }
+        let turn = orientation * anchor.inverse();
+        self.rate = Some(if k == 1.0 { turn } else { turn.powf(1.0 / k) });
+        self.since = 0.0;
+    }
+}
+
+/// What a device measures at one tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample<const N: usize> {
+    /// x in m (rad).
+    pub position: Axes<N>,
+    /// V in m/s (rad/s), of a device that measures it, at every sample or at none.
+    pub velocity: Option<Axes<N>>,
+    /// Of a device that turns.
+    pub rotation: Option<Turned>,
+}
+
+impl<const N: usize> Sample<N> {
+    /// Of a point.
+    #[inline]
+    pub fn point(position: &Axes<N>, velocity: Option<&Axes<N>>) -> Self {
+        Self { position: *position, velocity: velocity.copied(), rotation: None }
+    }
+
+    /// The same of a device whose origin has moved, by a rotation in the base frame.
+    fn shifted(&self, by: &Self) -> Self {
+        let turned = self
+            .rotation
+            .zip(by.rotation)
+            .map(|(turned, by)| Turned { orientation: by.orientation * turned.orientation, ..turned });
+        Self { position: self.position + by.position, rotation: turned.or(self.rotation), ..*self }
+    }
+
+    /// Between this and a later one, at a share of the way: along a straight line, and evenly about one axis.
+    #[must_use]
+    pub fn towards(&self, later: &Self, share: f64) -> Self {
+        let turned = |from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>| {
+            let turn = UnitQuaternion::from_scaled_axis((to * from.inverse()).scaled_axis() * share);
+            UnitQuaternion::new_normalize((turn * from).into_inner())
+        };
+        Self {
+            position: self.position + (later.position - self.position) * share,
+            velocity: between(self.velocity, later.velocity, share),
+            rotation: self.rotation.zip(later.rotation).map(|(from, to)| Turned {
+                orientation: turned(&from.orientation, &to.orientation),
+                angular_velocity: between(from.angular_velocity, to.angular_velocity, share),
+            }),
+        }
+    }
+}
+
+fn between<const N: usize>(from: Option<Axes<N>>, to: Option<Axes<N>>, share: f64) -> Option<Axes<N>> {
+    from.zip(to).map(|(from, to)| from + (to - from) * share)
+}
+
+/// A speed beyond the bound of its device.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Excess {
+    /// Of which signal.
+    pub signal: Signal,
+    /// In m/s (rad/s).
+    pub seen: f64,
+    /// In m/s (rad/s).
+    pub bound: f64,
+    /// Whether both are in rad/s.
+    pub is_angular: bool,
+}
+
+impl Excess {
+    /// The fault.
+    pub fn fault(&self) -> Fault {
+        Fault::TooFast(self.signal)
+    }
+}
+
+impl fmt::Display for Excess {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { signal, seen, bound, is_angular } = self;
+        let what = if signal.is_velocity() { "is" } else { "stepped at" };
+        let unit = if *is_angular { "rad/s" } else { "m/s" };
+        write!(
+            f,
+            "{} {what} {seen:.3} {unit}: must be at most {bound} {unit}, its speed_bound; check sensor and cable",
+            signal.name()
+        )
+    }
+}
+
+/// Most samples off the path that may still be outliers.
+const MAX_OUTLIERS: usize = 3;
+/// Most samples that are held: one more, where the fourth may itself be wrong.
+pub(crate) const MAX_HELD: usize = MAX_OUTLIERS + 1;
+
+/// A sample, and how many ticks after the last one of the path.
+#[derive(Clone, Copy, Debug)]
+struct Knot<const N: usize> {
+    at: f64,
+    sample: Sample<N>,
+}
+
+/// What becomes of a sample.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Judged<const N: usize> {
+    /// It is on the path, one tick after the last: taken as it is.
+    Passed,
+    /// It is off the path and may be an outlier: [`Guard::taken`] is the prediction, so many ticks after the path.
+    Held(f64),
+    /// It is taken, and so are the ticks since the last one that was.
+    Settled,
+    /// The device cannot have moved so.
+    Stepped(Excess),
+}
+
+/// The ticks between two samples that were taken, on lines between what was measured.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Between<const N: usize> {
+    knots: [Knot<N>; MAX_HELD + 2],
+    count: usize,
+    /// Ticks up to the newest sample.
+    pub(crate) ticks: u64,
+    /// By how much the origin of the device has moved meanwhile.
+    pub(crate) shift: Option<Sample<N>>,
+}
+
+impl<const N: usize> Between<N> {
+    /// The sample of one of the ticks between.
+    pub(crate) fn at(&self, tick: u64) -> Sample<N> {
+        let tick = tick as f64;
+        let knots = &self.knots[..self.count];
+        let later = knots.iter().position(|knot| knot.at >= tick).unwrap_or(self.count - 1).max(1);
+        let (from, to) = (&knots[later - 1], &knots[later]);
+        from.sample.towards(&to.sample, (tick - from.at) / (to.at - from.at))
+    }
+}
+
+/// Holds the samples of a device against their path, before anything else sees them.
+///
+/// The path goes on from the last sample with the velocity of the last two: [`Track`]. A sample on it passes unchanged.
+///
+/// - **Outlier.** A sample off the path is held, and the prediction stands for it. Where one of the next 3 ticks is on the path
+///   again, those that were held are counted, and lie on the line between the samples around them.
+/// - **Change of velocity that stays**, as at a mechanical stop: after 3 ticks off the path the samples are the truth, if the
+///   speed between them is within the bound of the device. One among them that fits neither neighbour is left out.
+/// - **Step.** A speed beyond the bound that does not go back is a fault. A step within the bound, after which the device moves on as
+///   before, moves the origin and is no velocity.
+///
+/// Source: derived here.
+#[derive(Clone, Debug)]
+pub struct Guard<const N: usize> {
+    bounds: [SampleBounds; 2],
+    period_s: f64,
+    track: Track<N>,
+    turn: TurnTrack,
+    /// The path without its last sample, and how many ticks after the one before that was.
+    before: (Track<N>, TurnTrack, f64),
+    /// The last sample of the path; before the first, what stands for it.
+    last: Sample<N>,
+    /// What stands for one that is held.
+    predicted: Sample<N>,
+    held: [Knot<N>; MAX_HELD],
+    count: usize,
+    between: Option<Between<N>>,
+    outliers: u64,
+}
+
+impl<const N: usize> Guard<N> {
+    /// A guard for samples every `period_s`: bounds of the position, and of the rotation of a device that turns.
+    pub fn new(bounds: SampleBounds, rotation: SampleBounds, period_s: f64) -> Self {
+        let nothing = Sample { position: Axes::zeros(), velocity: None, rotation: None };
+        let (track, turn) = (Track::new(bounds, period_s), TurnTrack::new(rotation, period_s));
+        Self {
+            bounds: [bounds, rotation],
+            period_s,
+            track,
+            turn,
+            before: (track, turn, 1.0),
+            last: nothing,
+            predicted: nothing,
+            held: [Knot { at: 0.0, sample: nothing }; MAX_HELD],
+            count: 0,
+            between: None,
+            outliers: 0,
+        }
+    }
+
+    /// The sample that stands for the newest one: itself, or its prediction.
+    #[inline]
+    pub fn taken(&self) -> &Sample<N> {
+        if self.count == 0 { &self.last } else { &self.predicted }
+    }
+
+    /// Whether the newest sample is held.
+    #[inline]
+    pub fn holds(&self) -> bool {
+        self.count > 0
+    }
+
+    /// How many outliers there were.
+    pub fn outliers(&self) -> u64 {
+        self.outliers
+    }
+
+    /// The path of the positions, for lanes.
+    pub fn track(&self) -> &Track<N> {
+        &self.track
+    }
+
+    /// Forgets the path: the next sample begins another. Until then this one stands for it.
+    pub fn begin_anew(&mut self, sample: &Sample<N>) {
+        let ([bounds, rotation], outliers) = (self.bounds, self.outliers);
+        *self = Self { outliers, last: *sample, ..Self::new(bounds, rotation, self.period_s) };
+    }
+
+    /// Judges a sample, whose numbers are finite, `ticks` after the one before: the fault where the device cannot have moved
+    /// so. [`taken`](Self::taken) then stands for it.
+    pub fn pass(&mut self, sample: &Sample<N>, ticks: f64) -> Result<(), Excess> {
+        if self.count == 0 && self.contains(sample, ticks, ticks) {
+            self.accept(sample, ticks);
+            return Ok(());
+        }
+        match self.judge_seldom(sample, ticks) {
+            Judged::Stepped(excess) => Err(excess),
+            _ => Ok(()),
+        }
+    }
+
+    /// The same for whoever catches up with [`between`](Self::between).
+    #[inline(always)]
+    pub(crate) fn judge(&mut self, sample: &Sample<N>, ticks: f64) -> Judged<N> {
+        if self.count == 0 && ticks == 1.0 && self.contains(sample, 1.0, 1.0) {
+            self.accept(sample, 1.0);
+            return Judged::Passed;
+        }
+        self.judge_seldom(sample, ticks)
+    }
+
+    #[inline(never)]
+    fn judge_seldom(&mut self, sample: &Sample<N>, gap: f64) -> Judged<N> {
+        let at = gap + if self.count == 0 { 0.0 } else { self.held[self.count - 1].at };
+        // What repeats the last sample is late, and not wrong.
+        let last = self.last;
+        let wrong = self.held[..self.count].iter().filter(|knot| last != knot.sample).count();
+        // After a wrong sample, another wrong one is as likely as a return. A device that accelerates by a tenth of dV a tick,
+        // 50 m/s^2 at 1 kHz, leaves the path by dV dT k (k + 1) / 20 in k ticks.
+        let closely = if wrong == 0 { gap } else { gap * (0.05 * at * (at + 1.0)).min(1.0) };
+        if self.contains(sample, at, closely) {
+            self.outliers += wrong as u64;
+            self.settle(&[], Knot { at, sample: *sample }, None);
+            self.accept(sample, at);
+            return Judged::Settled;
+        }
+        if self.count == 0 && self.returns(sample, gap) {
+            // The last one was off the path, by less than is seen.
+            let (track, turn, ticks) = self.before;
+            (self.track, self.turn) = (track, turn);
+            self.settle(&[], Knot { at, sample: *sample }, None);
+            self.accept(sample, ticks + gap);
+            return Judged::Settled;
+        }
+        if self.count < MAX_OUTLIERS {
+            return self.hold(Knot { at, sample: *sample });
+        }
+        self.decide(Knot { at, sample: *sample })
+    }
+
+    /// Whether a sample is on the path without its last one.
+    fn returns(&self, sample: &Sample<N>, gap: f64) -> bool {
+        let (track, turn, ticks) = &self.before;
+        let repeats = self.last == *sample && self.track.since + gap < self.track.every;
+        // A path of one sample goes anywhere, and a repeat is where the last one was.
+        track.rate.is_some() && !repeats && self.is_on(track, turn, sample, ticks + gap, gap)
+    }
+
+    fn hold(&mut self, knot: Knot<N>) -> Judged<N> {
+        self.held[self.count] = knot;
+        self.count += 1;
+        self.predicted = self.path_at(knot.at);
+        Judged::Held(knot.at)
+    }
+
+    /// Where the path is, with the velocities of the last sample.
+    fn path_at(&self, ticks: f64) -> Sample<N> {
+        let last = self.last;
+        Sample {
+            position: self.track.at(ticks).unwrap_or(last.position),
+            rotation: last.rotation.map(|turned| Turned {
+                orientation: self.turn.at(ticks).unwrap_or(turned.orientation),
+                ..turned
+            }),
+            ..last
+        }
+    }
+
+    #[inline(always)]
+    fn contains(&self, sample: &Sample<N>, ticks: f64, gap: f64) -> bool {
+        self.is_on(&self.track, &self.turn, sample, ticks, gap)
+    }
+
+    #[inline(always)]
+    fn is_on(&self, track: &Track<N>, turn: &TurnTrack, sample: &Sample<N>, ticks: f64, gap: f64) -> bool {
+        if !track.contains(&sample.position, ticks, gap) {
+            return false;
+        }
+        if track.anchor.is_none() {
+            return true;
+        }
+        let last = &self.last;
+        let follows = |[from, to]: [&Option<Axes<N>>; 2]| match (from, to) {
+            (Some(from), Some(to)) => self.track.bounds.is_steady(from, to, gap),
+            _ => true,
+        };
+        follows([&last.velocity, &sample.velocity])
+            && match (&last.rotation, &sample.rotation) {
+                (Some(from), Some(to)) => contains_turn(turn, from, to, ticks, gap),
+                _ => true,
+            }
+    }
+
+    #[inline(always)]
+    fn accept(&mut self, sample: &Sample<N>, ticks: f64) {
+        (self.before.0, self.before.2) = (self.track, ticks);
+        self.track.accept(&sample.position, ticks);
+        if let Some(turned) = &sample.rotation {
+            self.before.1 = self.turn;
+            self.turn.accept(&turned.orientation, ticks);
+        }
+        (self.last, self.count) = (*sample, 0);
+    }
+
+    /// More samples are off the path than may be outliers.
+    fn decide(&mut self, newest: Knot<N>) -> Judged<N> {
+        let mut chain = [newest; MAX_HELD + 2];
+        chain[0] = Knot { at: 0.0, sample: self.last };
+        chain[1..=self.count].copy_from_slice(&self.held[..self.count]);
+        let length = self.count + 2;
+        let excess = |from: usize, to: usize| self.excess(&chain[from], &chain[to]);
+        let Some(first) = (1..length).find(|to| excess(to - 1, *to).is_some()) else {
+            let in_line = |of: [usize; 3]| {
+                self.are_in_line(&chain[length - of[0]], &chain[length - of[1]], &chain[length - of[2]])
+            };
+            // The newest, or the one before, may be wrong by less than the bound.
+            if self.count < MAX_HELD && !in_line([3, 2, 1]) {
+                return self.hold(newest);
+            }
+            if self.count == MAX_HELD && !in_line([4, 3, 2]) && in_line([4, 3, 1]) {
+                return self.change_without(length - 2, &chain[..length]);
+            }
+            return self.change(&chain[1..length]);
+        };
+        let fits_without = |wrong: usize| {
+            let links = (1..length).filter(|to| *to != wrong);
+            let fits = |to: usize| excess(if to == wrong + 1 { wrong - 1 } else { to - 1 }, to).is_none();
+            // Those after it, or before it, are on another line than it is.
+            let (from, to) = if wrong + 2 < length { (wrong + 1, wrong + 2) } else { (wrong - 2, wrong - 1) };
+            links.clone().all(fits) && !self.are_in_line(&chain[from], &chain[to], &chain[wrong])
+        };
+        if let Some(wrong) = (1..length - 1).find(|wrong| fits_without(*wrong)) {
+            return self.change_without(wrong, &chain[..length]);
+        }
+        // The newest may be the one that is wrong.
+        if first == length - 1 && self.count < MAX_HELD {
+            return self.hold(newest);
+        }
+        match excess(first - 1, first) {
+            Some(excess) => Judged::Stepped(excess),
+            None => self.change(&chain[1..length]),
+        }
+    }
+
+    /// Whether a sample is on the path that two others make.
+    fn are_in_line(&self, from: &Knot<N>, to: &Knot<N>, other: &Knot<N>) -> bool {
+        let expected = from.sample.towards(&to.sample, (other.at - from.at) / (to.at - from.at));
+        self.are_near(&expected, &other.sample, 1.0)
+    }
+
+    /// Whether two samples of one tick are as near as those of one path.
+    fn are_near(&self, one: &Sample<N>, other: &Sample<N>, ticks: f64) -> bool {
+        // Each tick adds the rounding of the velocity.
+        let limit = |of: PerTick| of.change + of.quantum * (ticks + 1.0);
+        let (point, turn) = (self.track.bounds, self.turn.bounds);
+        is_short(&(other.position - one.position), limit(point), point.per_axis)
+            && one.rotation.zip(other.rotation).is_none_or(|(one, other)| {
+                is_small(&one.orientation.rotation_to(&other.orientation), limit(turn))
+            })
+            && one.velocity.zip(other.velocity).is_none_or(|(one, other)| point.is_steady(&one, &other, 1.0))
+    }
+
+    /// Samples are the truth but for one that is an outlier.
+    fn change_without(&mut self, wrong: usize, chain: &[Knot<N>]) -> Judged<N> {
+        self.outliers += 1;
+        let mut kept = [chain[0]; MAX_HELD + 2];
+        kept[..wrong].copy_from_slice(&chain[..wrong]);
+        kept[wrong..chain.len() - 1].copy_from_slice(&chain[wrong + 1..]);
+        self.change(&kept[1..chain.len() - 1])
+    }
+
+    /// Samples, the first after the last of the path, are the truth.
+    fn change(&mut self, knots: &[Knot<N>]) -> Judged<N> {
+        let [held @ .., newest] = knots else { return Judged::Settled };
+        let shift = self.step_of(knots);
+        self.settle(held, *newest, shift);
+        if shift.is_none() {
+            self.track = Track::new(self.bounds[0], self.period_s);
+            self.turn = TurnTrack::new(self.bounds[1], self.period_s);
+            // Two make a path, and without the last there is one, too.
+            let path = &knots[knots.len().saturating_sub(3)..];
+            let mut at = path[0].at - 1.0;
+            for knot in path {
+                self.accept(&knot.sample, knot.at - at);
+                at = knot.at;
+            }
+        } else {
+            self.track.anchor = Some(newest.sample.position);
+            self.track.since = 0.0;
+            self.turn.anchor = newest.sample.rotation.map(|turned| turned.orientation);
+            self.turn.since = 0.0;
+            (self.last, self.count) = (newest.sample, 0);
+        }
+        Judged::Settled
+    }
+
+    /// By how much all of these samples lie beside the path, if it is the same for all; its rotation is in the base frame.
+    fn step_of(&self, knots: &[Knot<N>]) -> Option<Sample<N>> {
+        let newest = knots.last()?;
+        let expected = self.path_at(newest.at);
+        let position = newest.sample.position - expected.position;
+        let rotation = newest.sample.rotation.zip(expected.rotation).map(|(now, expected)| Turned {
+            orientation: now.orientation * expected.orientation.inverse(),
+            angular_velocity: None,
+        });
+        let shift = Sample { position, velocity: None, rotation };
+        let is_same =
+            |knot: &Knot<N>| self.are_near(&self.path_at(knot.at).shifted(&shift), &knot.sample, newest.at);
+        knots.iter().all(is_same).then_some(shift)
+    }
+
+    fn settle(&mut self, held: &[Knot<N>], newest: Knot<N>, shift: Option<Sample<N>>) {
+        if self.track.anchor.is_none() {
+            return;
+        }
+        let last = shift.map_or(self.last, |shift| self.last.shifted(&shift));
+        let mut knots = [newest; MAX_HELD + 2];
+        knots[0] = Knot { at: 0.0, sample: last };
+        // A step leaves its samples on the path.
+        let held = if shift.is_some() { &[] } else { held };
+        knots[1..=held.len()].copy_from_slice(held);
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a number of ticks
+        let ticks = newest.at as u64;
+        self.between = Some(Between { knots, count: held.len() + 2, ticks, shift });
+    }
+
+    /// The ticks between the last two samples that were taken; once.
+    pub(crate) fn between(&mut self) -> Option<Between<N>> {
+        self.between.take()
+    }
+
+    /// The speed between two samples, or one that the device measures, beyond the bound.
+    fn excess(&self, from: &Knot<N>, to: &Knot<N>) -> Option<Excess> {
+        let [bounds, of_turn] = &self.bounds;
+        let elapsed_s = (to.at - from.at) * self.period_s;
+        let moved = to.sample.position - from.sample.position;
+        let size = |vector: &Axes<N>| if bounds.per_axis { vector.amax() } else { vector.norm() };
+        let turned = from.sample.rotation.zip(to.sample.rotation);
+        let rate = turned.and_then(|(_, to)| to.angular_velocity);
+        [
+            (Signal::Position, Some(size(&moved)), bounds, elapsed_s),
+            (Signal::Velocity, to.sample.velocity.map(|velocity| size(&velocity)), bounds, 1.0),
+            (
+                Signal::Orientation,
+                turned.map(|(from, to)| from.orientation.angle_to(&to.orientation)),
+                of_turn,
+                elapsed_s,
+            ),
+            (Signal::AngularVelocity, rate.map(|w| w.norm()), of_turn, 1.0),
+        ]
+        .into_iter()
+        .find_map(|(signal, size, bounds, elapsed_s)| {
+            let room = if signal.is_velocity() { 0.0 } else { 2.0 * bounds.quantum };
+            let is_beyond = size? > bounds.speed * elapsed_s + room;
+            let is_angular = bounds.per_axis || signal.of_rotation() == signal;
+            let seen = size? / elapsed_s;
+            is_beyond.then_some(Excess { signal, seen, bound: bounds.speed, is_angular })
+        })
+    }
+}
+
+#[inline(never)]
+fn contains_turn(turn: &TurnTrack, from: &Turned, to: &Turned, ticks: f64, gap: f64) -> bool {
+    let is_steady = match (&from.angular_velocity, &to.angular_velocity) {
+        (Some(from), Some(to)) => turn.bounds.is_steady(from, to, gap),
+        _ => true,
+    };
+    is_steady && turn.contains(&to.orientation, ticks, gap)
+}

@@ -1,0 +1,269 @@
+//! Outliers, changes of velocity, steps: of points, joints and rotations, of any size, for any time.
+
+use proptest::prelude::*;
+
+use super::*;
+
+const PERIOD: f64 = 1e-3;
+const QUANTUM: f64 = 2.3e-5;
+
+fn guard(quantum: f64) -> Guard<1> {
+    let bounds = SampleBounds { quantum, ..SampleBounds::LINEAR };
+    Guard::new(bounds, SampleBounds::UNBOUNDED, PERIOD)
+}
+
+fn at(x: f64) -> Sample<1> {
+    Sample::point(&Axes::<1>::new(x), None)
+}
+
+/// What stands for each of some positions, one a tick; and the speed at which it ended, if it did.
+fn taken(guard: &mut Guard<1>, positions: impl IntoIterator<Item = f64>) -> (Vec<f64>, Option<Excess>) {
+    let mut all = Vec::new();
+    for x in positions {
+        if let Err(excess) = guard.pass(&at(x), 1.0) {
+            return (all, Some(excess));
+        }
+        all.push(guard.taken().position[0]);
+    }
+    (all, None)
+}
+
+fn rounded(x: f64, quantum: f64) -> f64 {
+    if quantum > 0.0 { (x / quantum).round() * quantum } else { x }
+}
+
+/// Hands that rest, move, press and are pushed: position in m over time in s.
+fn motions() -> impl Strategy<Value = (f64, f64, f64)> {
+    (-2.0..2.0f64, -35.0..35.0f64, 0.0..0.001f64)
+}
+
+proptest! {
+    /// Up to 3 wrong samples of any size and sign, at any place of a motion: the path goes on.
+    #[test]
+    fn outliers_are_replaced_and_counted(
+        (v, a, tremor) in motions(),
+        size in 0.0008..0.5f64,
+        signs in prop::array::uniform3(any::<bool>()),
+        run in 1..=3_usize,
+        quantum in prop::sample::select(vec![0.0, QUANTUM]),
+        from in 20..60_usize,
+    ) {
+        let true_x = |n: usize| {
+            let t = n as f64 * PERIOD;
+            v * t + 0.5 * a * t * t + tremor * (60.0 * t).sin()
+        };
+        let measured = |n: usize| {
+            let wrong = (from..from + run).contains(&n);
+            let by = if signs[(n + 3 - from % 3) % 3] { size } else { -size };
+            rounded(true_x(n) + if wrong { by } else { 0.0 }, quantum)
+        };
+        let mut guard = guard(quantum);
+        let (all, ended) = taken(&mut guard, (0..100).map(measured));
+        prop_assert_eq!(ended, None);
+        prop_assert_eq!(guard.outliers(), run as u64);
+        for (n, x) in all.into_iter().enumerate() {
+            if (from..from + run).contains(&n) {
+                // a k^2 / 2 and rounding, k = 3.
+                prop_assert!((x - true_x(n)).abs() < 3.5e-4 + 4.0 * quantum, "{n}: {x} {}", true_x(n));
+            } else {
+                prop_assert_eq!(x.to_bits(), measured(n).to_bits(), "{}", n);
+            }
+        }
+    }
+
+    /// A wrong sample that is too near to be seen passes, and leads nothing after it astray.
+    #[test]
+    fn what_is_too_near_to_be_seen_passes_alone(
+        (v, a, _) in motions(),
+        size in -0.0005..0.0005f64,
+        quantum in prop::sample::select(vec![0.0, QUANTUM]),
+    ) {
+        let measured = |n: usize| {
+            let t = n as f64 * PERIOD;
+            rounded(v * t + 0.2 * a * t * t + if n == 30 { size } else { 0.0 }, quantum)
+        };
+        let mut guard = guard(quantum);
+        let (all, ended) = taken(&mut guard, (0..60).map(measured));
+        prop_assert_eq!(ended, None);
+        for (n, x) in all.into_iter().enumerate() {
+            prop_assert!((x - measured(n)).abs() <= size.abs() + 1e-4 + 2.0 * quantum, "{n}: {x} {}", measured(n));
+        }
+    }
+
+    /// A stop, a blow or a bounce at any instant of a tick: never a fault, and the truth from the fourth tick on. A wrong sample
+    /// among those that follow does not matter.
+    #[test]
+    fn a_change_of_velocity_that_stays_is_taken(
+        before in -9.0..9.0f64,
+        after in -9.0..9.0f64,
+        instant in 0.0..1.0f64,
+        wrong in prop::option::of((0..8_usize, -0.5..0.5f64)),
+        quantum in prop::sample::select(vec![0.0, QUANTUM]),
+    ) {
+        let hit = 0.05 + instant * PERIOD;
+        let true_x = |n: usize| {
+            let t = n as f64 * PERIOD;
+            before * t.min(hit) + after * (t - hit).max(0.0)
+        };
+        let measured = |n: usize| {
+            let by = wrong.filter(|(late, _)| n == 51 + late).map_or(0.0, |(_, by)| by);
+            rounded(true_x(n) + by, quantum)
+        };
+        let mut guard = guard(quantum);
+        let (all, ended) = taken(&mut guard, (0..100).map(measured));
+        prop_assert_eq!(ended, None);
+        for (n, x) in all.into_iter().enumerate().filter(|(n, _)| *n < 50 || *n > 64) {
+            prop_assert!((x - measured(n)).abs() < 1e-12, "{n}");
+        }
+    }
+
+    /// A step beyond the bound of the device that stays is a fault at the fourth tick, with value and bound.
+    #[test]
+    fn a_step_is_a_fault(
+        v in -1.0..1.0f64,
+        size in 0.023..5.0f64,
+        up in any::<bool>(),
+        ticks in 1..4_u32,
+    ) {
+        let by = f64::from(ticks) * if up { size } else { -size };
+        let mut guard = guard(0.0);
+        let (all, ended) = taken(&mut guard, (0..50).map(|n| v * f64::from(n) * PERIOD));
+        prop_assert_eq!((all.len(), ended), (50, None));
+        let after = |n: u32| at(v * f64::from(49 + ticks + n) * PERIOD + by);
+        for n in 0..3 {
+            prop_assert_eq!(guard.pass(&after(n), f64::from(if n == 0 { ticks } else { 1 })), Ok(()));
+            prop_assert!((guard.taken().position[0] - after(n).position[0] + by).abs() < 1e-9, "predicted");
+        }
+        let excess = guard.pass(&after(3), 1.0).unwrap_err();
+        prop_assert_eq!((excess.signal, excess.bound), (Signal::Position, 20.0));
+        prop_assert!((excess.seen * PERIOD - size).abs() < 1.1e-3, "{excess}");
+    }
+
+    /// A device that measures its velocity: either may be wrong, or both.
+    #[test]
+    fn a_wrong_velocity_is_an_outlier(
+        v in -2.0..2.0f64,
+        wrong_v in 0.6..40.0f64,
+        wrong_x in prop::option::of(0.0008..0.5f64),
+        run in 1..=3_usize,
+    ) {
+        let mut guard = guard(QUANTUM);
+        for n in 0..60_usize {
+            let is_wrong = (30..30 + run).contains(&n);
+            let x = rounded(v * n as f64 * PERIOD + wrong_x.filter(|_| is_wrong).unwrap_or(0.0), QUANTUM);
+            let velocity = Axes::<1>::new(if is_wrong { v - wrong_v } else { v });
+            let sample = Sample::point(&Axes::<1>::new(x), Some(&velocity));
+            prop_assert_eq!(guard.pass(&sample, 1.0), Ok(()));
+            prop_assert_eq!(guard.taken().velocity.unwrap()[0], v);
+            prop_assert!((guard.taken().position[0] - v * n as f64 * PERIOD).abs() < 6.0 * QUANTUM);
+        }
+        prop_assert!(guard.outliers() == run as u64);
+    }
+
+    /// Rotations about any axis: outliers, stops and steps.
+    #[test]
+    fn rotations_have_the_same_rule(
+        axis in prop::array::uniform3(-1.0..1.0f64),
+        w in -20.0..20.0f64,
+        size in 0.02..3.0f64,
+        run in 1..=3_usize,
+        kind in 0..3_u8,
+    ) {
+        let axis = nalgebra::Unit::new_normalize(Axes::<3>::from(axis) + Axes::<3>::new(0.0, 0.0, 1.5));
+        let about = |angle: f64| UnitQuaternion::from_axis_angle(&axis, angle);
+        let tilt = UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.4, -0.3, 0.1));
+        let mut guard =
+            Guard::<1>::new(SampleBounds::UNBOUNDED, SampleBounds::LINEAR.at_lever(0.05), PERIOD);
+        let mut ended = None;
+        for n in 0..60_usize {
+            let truth = about(w * n as f64 * PERIOD) * tilt;
+            let stopped = about(w * (n as f64).min(30.0) * PERIOD) * tilt;
+            let other = UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.0, size, 0.0));
+            let orientation = match kind {
+                0 if (30..30 + run).contains(&n) => other * truth,
+                0 => truth,
+                1 => stopped,
+                _ if n >= 30 => UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.0, size + 0.06, 0.0)) * truth,
+                _ => truth,
+            };
+            let turned = Turned { orientation, angular_velocity: None };
+            let sample = Sample { rotation: Some(turned), ..at(0.0) };
+            if let Err(excess) = guard.pass(&sample, 1.0) {
+                ended = Some(excess);
+                break;
+            }
+            let taken = guard.taken().rotation.unwrap().orientation;
+            match kind {
+                1 if (31..34).contains(&n) => {}
+                1 => prop_assert!(taken.angle_to(&stopped) < 1e-6, "{n}"),
+                _ => prop_assert!(taken.angle_to(&truth) < 1e-6, "{n}: {}", taken.angle_to(&truth)),
+            }
+        }
+        match kind {
+            0 => prop_assert_eq!((ended, guard.outliers()), (None, run as u64)),
+            1 => prop_assert_eq!((ended, guard.outliers()), (None, 0)),
+            _ => prop_assert_eq!(ended.unwrap().signal, Signal::Orientation),
+        }
+    }
+}
+
+/// Each joint is held against the bounds by itself.
+#[test]
+fn joints_are_held_by_themselves() {
+    let mut guard = Guard::<6>::new(SampleBounds::JOINTS, SampleBounds::UNBOUNDED, PERIOD);
+    // 6 joints of 3 rad/s within a tick: 7.3 mrad together, 3 each.
+    for n in 0..20 {
+        let joints = Axes::<6>::repeat(if n < 10 { 0.0 } else { 3e-3 * f64::from(n - 9) });
+        assert_eq!(guard.pass(&Sample::point(&joints, None), 1.0), Ok(()));
+        assert_eq!(guard.taken().position, joints);
+    }
+    let mut wrong = guard.taken().position + Axes::repeat(3e-3);
+    wrong[4] += 0.007;
+    guard.pass(&Sample::point(&wrong, None), 1.0).unwrap();
+    assert!(guard.holds() && (guard.taken().position[4] - wrong[4] + 0.007).abs() < 1e-12);
+}
+
+/// A sensor at half or a quarter of the rate of the loop: its samples repeat, and none is an outlier.
+#[test]
+fn a_device_that_samples_more_slowly_than_the_loop_has_no_outliers() {
+    for every in [2, 3, 4] {
+        for v in [0.1, 0.4, 1.0, 3.0] {
+            let mut guard = guard(QUANTUM);
+            let x = |n: usize| {
+                let t = (n - n % every) as f64 * PERIOD;
+                // Within 0.2 s to its speed.
+                rounded(v * if t < 0.2 { t * t / 0.4 } else { t - 0.1 }, QUANTUM)
+            };
+            let (all, ended) = taken(&mut guard, (0..400).map(x));
+            assert_eq!((ended, guard.outliers()), (None, 0), "{every} {v}");
+            let room = v * every as f64 * PERIOD + 5.0 * QUANTUM;
+            let worst =
+                (250..400).map(|n| (all[n] - v * (n as f64 * PERIOD - 0.1)).abs()).fold(0.0, f64::max);
+            assert!(worst < room, "{every} {v}: {worst}");
+        }
+    }
+}
+
+/// A step within the bound is no motion: what comes after it lies on the same path, elsewhere.
+#[test]
+fn a_step_within_the_bound_moves_the_origin() {
+    let mut guard = guard(0.0);
+    let x = |n: i32| 1e-4 * f64::from(n) + if n < 50 { 0.0 } else { 0.012 };
+    let mut shifts = Vec::new();
+    for n in 0..100 {
+        guard.pass(&at(x(n)), 1.0).unwrap();
+        shifts.extend(guard.between().and_then(|between| between.shift));
+    }
+    assert_eq!(shifts.len(), 1);
+    assert!((shifts[0].position[0] - 0.012).abs() < 1e-12 && guard.outliers() == 0);
+}
+
+#[test]
+fn a_message_states_value_and_limit() {
+    let mut guard = guard(0.0);
+    let (_, excess) = taken(&mut guard, (0..20).map(|n| if n < 10 { 0.0 } else { 0.5 }));
+    assert_eq!(
+        excess.unwrap().to_string(),
+        "position stepped at 500.000 m/s: must be at most 20 m/s, its speed_bound; check sensor and cable"
+    );
+}
