@@ -199,14 +199,14 @@ class Controller:
             self._signal_end(submitted)
 
     def _signal_end(self, submitted: Submitted) -> None:
-        """Executes the last line of a program that cannot be read, where that line writes a register.
+        """Executes the last line that writes a register, of a program that cannot be read.
 
         ur_rtde waits for this write for 5 minutes, whatever the program state is.
         """
-        *_, last, _ = ("", "", *submitted.text.splitlines())
-        if last.strip().startswith(SIGNAL):
+        lines = [line.strip() for line in submitted.text.splitlines() if line.strip().startswith(SIGNAL)]
+        if lines:
             with contextlib.suppress(ScriptError):
-                Thread(self._calls(self._program_of(submitted)[1]).steps(last.strip())).run()
+                Thread(self._calls(self._program_of(submitted)[1]).steps(lines[-1])).run()
 
     def _started(self, submitted: Submitted) -> "Generator[None, None, None]":
         """Parses a program, a part of it in each control cycle, then starts it.
