@@ -37,9 +37,9 @@ CLOSED: Final = "closed before it was open"
 JOIN_S: Final = 3.0
 LOST_S: Final = 0.05
 """A reply that takes longer is lost."""
-MAX_LATE: Final = 3
+MAX_LATE: Final = 10
 LATE_S: Final = 1.0
-"""So many replies may be late within that time, in s."""
+"""So many replies may be late within that time, in s: a tenth of it with the default of the option."""
 ZERO_S: Final = 0.1
 """How long each reply may take before the end."""
 CLOSE_S: Final = 1.0

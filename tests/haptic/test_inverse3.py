@@ -15,6 +15,7 @@ from tests.ur.stalls import anew_after_stalls
 from haptether.checklist import RefusedError
 from haptether.master import MasterSample
 from haptether.master.inverse3 import Inverse3
+from haptether.master.inverse3.driver import MAX_LATE
 from haptether.master.inverse3.emulator import EmulatedInverse3, EmulatedSettings, Service
 from haptether.master.inverse3.emulator.service import DEVICE_ID
 from haptether.master.inverse3.messages import ForceMessage, InverseDevice, MessageError, configuration, reply
@@ -360,16 +361,16 @@ def test_replies_that_are_late_too_often_end_the_force(
     with opened(service, reply_timeout_s=0.010) as driver:
         step(driver, ticks=5)
         faults = []
-        for _ in range(4):
-            service.do("stall 25")
-            faults.append(step(driver, ticks=3).fault)
-        assert faults[:3] == [None] * 3
-        assert "late replies: 4 within 1 s took longer than reply_timeout_s = 0.01" in str(faults[3])
+        for _ in range(MAX_LATE + 1):
+            service.do("stall 20")
+            faults.append(step(driver, ticks=2).fault)
+        assert faults[:MAX_LATE] == [None] * MAX_LATE
+        assert "late replies: 11 within 1 s took longer than reply_timeout_s = 0.01" in str(faults[-1])
         driver.acknowledge()
         until(driver, lambda sample: "connected anew" in str(sample.fault))
         driver.acknowledge()
         assert step(driver, ticks=5).fault is None
-    assert "inverse3 127.0.0.1: 4 replies were late" in capfd.readouterr().err
+    assert "inverse3 127.0.0.1: 11 replies were late" in capfd.readouterr().err
 
 
 def test_a_reply_that_does_not_come_is_not_waited_for_longer(service: EmulatedInverse) -> None:
