@@ -290,7 +290,7 @@ class Refused(Stylus):
 class RefusedTwice(Refused):
     """Is refused for two reasons."""
 
-    refusals = (*Refused.refusals, ("cover", "open", "close it"))
+    refusals = (*Refused.refusals, ("cover", f"open by {'more and ' * 20}more", "close it"))
 
 
 class Unplugged(Stylus):

@@ -78,6 +78,14 @@ def test_each_error_is_printed_once_and_without_its_source(
     assert ("drivers.py" in debug.stderr) == (driver not in {"Faulty", "FaultyAndSaysSo"})
 
 
+def test_a_refusal_is_printed_once_on_a_terminal_that_breaks_its_line(tmp_path: Path) -> None:
+    terminal = Terminal(declared(tmp_path, device="RefusedTwice"), "check-device", "device", "--duration-s", "0.5")
+    assert terminal.end() == 1, terminal.printed
+    printed = "".join(terminal.printed.split())
+    assert printed.count("moreandmore:closeit") == 1, terminal.printed
+    assert "refused:seeabove" in printed
+
+
 def test_an_arm_is_opened_read_stopped_and_closed_twice_and_never_written(tmp_path: Path) -> None:
     environment = declared(tmp_path, "haptether.slaves", arm="Arm") | {WRITTEN: str(tmp_path / "written")}
     ended = run(environment, "check-device", "arm", "--duration-s", "0.5", "--options", "axes=3", "--kind", "linear")

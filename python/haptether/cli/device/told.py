@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from haptether.bridge.devices.check.finding import Finding
 
 SEE_ABOVE = "see above"
+CONTROL = frozenset("\r\x1b")
 MIN_MESSAGE = 8
 """Characters; a shorter message may be a part of any text."""
 
@@ -18,7 +19,7 @@ class Told:
     """A stream that keeps what is written to it, and passes it on; a line of the driver only once.
 
     The driver is opened a second time, and would repeat its checklist and its faults. Its threads are others than that
-    of the command.
+    of the command; the status line, which has a thread as well, is known by its control characters.
 
     Args:
         stream: Takes it as well.
@@ -26,27 +27,25 @@ class Told:
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
-        self._begun: dict[int, str] = {}
-        """Line without an end, by thread of the driver."""
         self._lines: set[str] = set()
+        self._skipped: int | None = None
+        """Thread whose line was left out, and whose end of line follows."""
         self.text = ""
 
     def write(self, text: str) -> int:
         """Writes to both."""
-        if threading.current_thread() is threading.main_thread():
-            self._pass_on(text)
-            return len(text)
-        thread = threading.get_ident()
-        *lines, self._begun[thread] = (self._begun.get(thread, "") + text).split("\n")
-        for line in lines:
-            if line not in self._lines:
+        thread, line = threading.get_ident(), text.rstrip("\n")
+        is_drivers = thread != threading.main_thread().ident and CONTROL.isdisjoint(text)
+        if is_drivers and not line and self._skipped == thread:
+            self._skipped = None
+        elif is_drivers and line in self._lines:
+            self._skipped = thread if line == text else None
+        else:
+            if is_drivers and line:
                 self._lines.add(line)
-                self._pass_on(f"{line}\n")
+            self.text += text
+            self._stream.write(text)
         return len(text)
-
-    def _pass_on(self, text: str) -> None:
-        self.text += text
-        self._stream.write(text)
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401  # of the stream
         """All else is that of the stream."""
@@ -60,16 +59,21 @@ class Told:
             messages: Of the driver's errors and faults.
         """
         longest = sorted({message for message in messages if len(message) >= MIN_MESSAGE}, key=len, reverse=True)
-        seen, shown = self.text, []
+        seen, shown = _squeezed(self.text), []
         for finding in found:
             text = finding.text
             for message in longest:
                 # A checklist prints its refusals one by one, and raises them together.
-                if message in text and all(part in seen for part in message.split("; ")):
+                if message in text and all(_squeezed(part) in seen for part in message.split("; ")):
                     text = text.replace(message, SEE_ABOVE)
-            seen += f"\n{finding.text}"
+            seen += _squeezed(finding.text)
             shown.append(finding if text == finding.text else type(finding)(finding.check, finding.verdict, text))
         return shown
+
+
+def _squeezed(text: str) -> str:
+    """Without white space: a terminal may have broken its lines anywhere."""
+    return "".join(text.split())
 
 
 @contextlib.contextmanager
