@@ -36,6 +36,14 @@ BRIDGE = Path(__file__).parents[1]
 class DeviceError(RuntimeError):
     """A driver raised an exception, which is its cause, or paces its loop by another period."""
 
+    place = ""
+    """File, line and function of the exception; they end the text."""
+
+    @property
+    def brief(self) -> str:
+        """The text without the place."""
+        return str(self).removesuffix(f" ({self.place})")
+
 
 POINT_KINDS = ("linear", "joints")
 """Kinds of scenes that a driver can be in which does not say."""
@@ -205,7 +213,8 @@ def close_once(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None
         try:
             device.close()
         except Exception as error:  # nobody is left to whom it could be raised
-            print(f"{type(device).__name__}: not closed: {error}", file=sys.stderr, flush=True)
+            text = error.brief if isinstance(error, DeviceError) else f"{type(device).__name__}: {error}"
+            print(f"not closed: {text}", file=sys.stderr, flush=True)
 
 
 def leave_blocked(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None:
@@ -231,9 +240,11 @@ def failure(device: object, error: BaseException, *, rests: bool = True) -> Devi
     except Exception:  # a driver's own class: the other side must learn of it all the same
         text = ""
     place = _place(device, error)
-    return DeviceError(
+    failed = DeviceError(
         f"{name}: {'' if rests else KEEPS}{kind}" + (f": {text}" if text else "") + (f" ({place})" if place else "")
     )
+    failed.place = place
+    return failed
 
 
 def fault_text(fault: object) -> str:

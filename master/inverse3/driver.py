@@ -5,6 +5,7 @@ import math
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
@@ -34,6 +35,11 @@ ADDED_REPLIES: Final = 20
 """So many replies in a row that say so are a fault: it may be told some ticks late."""
 CLOSED: Final = "closed before it was open"
 JOIN_S: Final = 3.0
+LOST_S: Final = 0.05
+"""A reply that takes longer is lost."""
+MAX_LATE: Final = 10
+LATE_S: Final = 1.0
+"""So many replies may be late within that time, in s: a tenth of it with the default of the option."""
 ZERO_S: Final = 0.1
 """How long each reply may take before the end."""
 CLOSE_S: Final = 1.0
@@ -71,7 +77,8 @@ class Inverse3:
     """A Haply Inverse3, with a VerseGrip as pose; see `MasterDevice` and docs/haptic_devices.md.
 
     A tick is one message: `write` sends the force, the next `read` takes the reply to it, whose state is a period old.
-    No reply in time ends the connection, so that none of before can be taken for one of after.
+    `read` waits for a late reply, after a zero force is sent. A lost reply ends the connection, so that no reply is
+    taken for a later one.
 
     Args:
         options: Those of `Inverse3Options`.
@@ -93,6 +100,10 @@ class Inverse3:
         self._session: Session | None = None
         self._owed = 0
         """Replies that are still to come."""
+        self._late_s: deque[float] = deque(maxlen=MAX_LATE)
+        """When the last replies were late."""
+        self.late_replies = 0
+        """Number of replies that were late."""
         self._sample: MasterSample | None = None
         self._fresh = False
         """Whether the newest sample is of this tick and nothing is wrong: only then a force is sent."""
@@ -127,7 +138,8 @@ class Inverse3:
         self._sample, self._fault, self._shown, self._fresh = None, None, None, False
         self._sent, self._added, self._mended, self._mending = [0.0, 0.0, 0.0], 0, None, None
         session = self._connected(Checklist(self._name))
-        self._session, self._owed = session, 0
+        self._session, self._owed, self.late_replies = session, 0, 0
+        self._late_s.clear()
         if self._ending.is_set():
             self._session = None
             session.close()
@@ -203,6 +215,8 @@ class Inverse3:
         if session is not None:
             session.rest()
             session.close(self._owed + 1)
+            if self.late_replies:
+                print(f"{self._name}: {self.late_replies} replies were late", file=sys.stderr, flush=True)
         for thread in (self._closing, self._mending):
             if thread is not None:
                 thread.join(JOIN_S)
@@ -273,6 +287,7 @@ class Inverse3:
             self._latch(mended, anew=True)
             return
         self._session, self._owed = mended, 0
+        self._late_s.clear()
         self._fault = "connected anew: acknowledge to go on"
 
     def _send(self, session: Session, force: Sequence[float]) -> None:
@@ -283,13 +298,20 @@ class Inverse3:
     def _reply(self, session: Session) -> tuple[InverseDevice, tuple[float, float, float, float] | None, int | None]:
         """The newest reply, once all that are owed have come; orientation and buttons of the grip."""
         received = b""
+        is_late = False
+        end_s = time.monotonic() + self.options.reply_timeout_s
         while self._owed > 0:
-            frame = session.channel.frame(self.options.reply_timeout_s)
-            if frame is None:
-                message = f"lost reply: none within {self.options.reply_timeout_s:g} s: is the service overloaded?"
+            frame = session.channel.frame(max(0.0, end_s - time.monotonic()))
+            if frame is not None:
+                received = frame
+                self._owed -= 1
+            elif is_late:
+                message = f"lost reply: none within {LOST_S:g} s: is the service overloaded?"
                 raise ChannelError(message)
-            received = frame
-            self._owed -= 1
+            else:
+                self._note_late(session)
+                is_late = True
+                end_s += LOST_S - self.options.reply_timeout_s
         try:
             state = reply(received)
         except MessageError as error:
@@ -309,6 +331,23 @@ class Inverse3:
             raise ChannelError(message)
         self._take_fault(grip_fault(grip, self.options.grip))
         return device, grip.state.orientation.wxyz, grip.buttons
+
+    def _note_late(self, session: Session) -> None:
+        """A reply is late: the force ends at once, as far as the service hears.
+
+        Raises:
+            ChannelError: Replies are late too often.
+        """
+        now_s = time.monotonic()
+        self.late_replies += 1
+        if len(self._late_s) == MAX_LATE and now_s - self._late_s[0] < LATE_S:
+            message = (
+                f"late replies: {MAX_LATE + 1} within {LATE_S:g} s took longer than reply_timeout_s ="
+                f" {self.options.reply_timeout_s:g}: is the service overloaded?"
+            )
+            raise ChannelError(message)
+        self._late_s.append(now_s)
+        self._send(session, REST)
 
     def _drop_unasked(self, session: Session) -> None:
         """A frame that nobody asked for would make each reply after it the one of the tick before."""

@@ -43,11 +43,11 @@ class Turned(msgspec.Struct):
 
 
 class Transform(msgspec.Struct):
-    """Of the workspace: what positions and forces went through."""
+    """Transform of the workspace, applied to positions and forces. The service omits parts that are the identity."""
 
-    position: Triple
-    rotation: Turned
-    scale: Triple
+    position: Triple = msgspec.field(default_factory=lambda: Triple(0.0, 0.0, 0.0))
+    rotation: Turned = msgspec.field(default_factory=lambda: Turned(1.0, 0.0, 0.0, 0.0))
+    scale: Triple = msgspec.field(default_factory=lambda: Triple(1.0, 1.0, 1.0))
 
     @property
     def is_identity(self) -> bool:

@@ -11,11 +11,16 @@ from haptether.checklist import Checklist, RefusedError
 from haptether.slave.ur.connection import RtdeConnection, RtdeConnectionError
 from haptether.slave.ur.options import UrOptions
 from haptether.slave.ur.services import (
+    DASHBOARD_PORT,
+    SCRIPT_PORT,
     DashboardError,
     Probe,
     ProbeError,
+    check_script_port,
+    end_control_script,
     is_in_remote_control,
     probe,
+    query_dashboard,
     resolved,
     unlock_protective_stop,
 )
@@ -33,10 +38,10 @@ from haptether.slave.ur.state import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-OLDEST: Final = ((3, 15), (5, 4))
-"""Before these, registers or status bits that the library needs are missing."""
+OLDEST: Final = {3: (3, 15), 5: (5, 4)}
+"""Before these, registers or status bits that the library needs are missing. Other series are not supported."""
 REMOTE_SINCE: Final = (5, 6)
-NO_DASHBOARD_SINCE: Final = (10, 0)
+POLYSCOPE_X: Final = 10
 TOOL_M: Final = 1e-4
 """How far what was set as tool may be from what the controller says it has, in m and rad."""
 MODEL_M: Final = 0.03
@@ -44,14 +49,13 @@ MODEL_M: Final = 0.03
 UNLOCK_AFTER_S: Final = 5.0
 """The controller refuses before."""
 UNLOCKED_WITHIN_S: Final = 3.0
-ENDED_WITHIN_S: Final = 0.5
-"""More than the watchdog's longest period."""
 
 
 class UrRefusedError(RefusedError):
     """The arm is not to be moved now."""
 
 
+ENABLE: Final = "is the {} enabled (Settings > Security > Services)?"
 REACHABLE: Final = "is it on, in this network, and RTDE not disabled in its security settings?"
 
 
@@ -84,32 +88,63 @@ def check_before(options: UrOptions, checklist: Checklist) -> Probe:
         checklist.refuse("reachable", str(error), REACHABLE)
         raise UrRefusedError("; ".join(checklist.refused)) from None
     checklist.ok("reachable", f"{seen.rate_hz:.0f} packages/s")
-    version = seen.version[:2]
-    oldest = OLDEST[0] if version[0] <= 3 else OLDEST[1]
-    checklist.check(
-        "software", seen.version_text, good=version >= oldest,
-        remedy="needs 3.15 (CB3) or 5.4 and later: update the controller",
-    )  # fmt: skip
-    if REMOTE_SINCE <= version < NO_DASHBOARD_SINCE:
-        check_remote(host, checklist)
+    check_version(seen, checklist)
+    check_services(seen, host, checklist)
     check_state(seen, checklist)
-    checklist.check(
-        "program", mode_text(RuntimeState, seen.runtime_state), good=seen.runtime_state != RuntimeState.PLAYING,
-        remedy="somebody else's program plays: stop it on the pendant",
-    )  # fmt: skip
+    check_program(seen, host, checklist)
     checklist.finish()
     return seen
 
 
-def check_remote(host: str, checklist: Checklist) -> None:
-    """Whether the controller takes scripts from outside."""
-    remedy = "switch the pendant to Remote Control (Settings > System > Remote Control enables it)"
+def check_version(seen: Probe, checklist: Checklist) -> None:
+    """Whether the driver supports the software of the controller.
+
+    Raises:
+        UrRefusedError: It does not; what would be asked next may not exist there.
+    """
+    version = seen.version[:2]
+    oldest = OLDEST.get(version[0])
+    remedy = "needs 3.15 (CB3), or 5.4 and later of PolyScope 5"
+    if version[0] >= POLYSCOPE_X:
+        remedy += ": PolyScope X has no dashboard server, the second means to stop the arm"
+    checklist.check("software", seen.version_text, good=oldest is not None and version >= oldest, remedy=remedy)
+    checklist.finish()
+
+
+def check_services(seen: Probe, host: str, checklist: Checklist) -> None:
+    """Whether the controller takes scripts, and its dashboard server answers."""
     try:
+        check_script_port(host)
+        checklist.ok("scripts", f"port {SCRIPT_PORT}")
+    except ProbeError as error:
+        checklist.refuse("scripts", str(error), ENABLE.format("Real-Time Client interface"))
+    try:
+        if seen.version[:2] < REMOTE_SINCE:
+            query_dashboard(host, "programState")
+            checklist.ok("dashboard", f"port {DASHBOARD_PORT}")
+            return
         remote = is_in_remote_control(host)
     except DashboardError as error:
-        checklist.refuse("remote control", str(error), "is the dashboard server enabled in the security settings?")
+        checklist.refuse("dashboard", str(error), ENABLE.format("dashboard server"))
         return
-    checklist.check("remote control", "on" if remote else "off", good=remote, remedy=remedy)
+    checklist.check(
+        "remote control", "on" if remote else "off", good=remote,
+        remedy="switch the pendant to Remote Control (Settings > System > Remote Control enables it)",
+    )  # fmt: skip
+
+
+def check_program(seen: Probe, host: str, checklist: Checklist) -> None:
+    """Whether no program plays; a control script that no client leads is ended, unless something was refused."""
+    what, plays = mode_text(RuntimeState, seen.runtime_state), seen.runtime_state == RuntimeState.PLAYING
+    remedy = "somebody else's program plays: stop it on the pendant"
+    if plays and not checklist.refused:
+        try:
+            if end_control_script(host):
+                checklist.ok("program", "the control script of an earlier run played without a client: it is ended")
+                return
+        except ProbeError as error:
+            remedy = str(error)
+    checklist.check("program", what, good=not plays, remedy=remedy)
 
 
 def check_state(seen: Probe, checklist: Checklist) -> None:
@@ -223,15 +258,14 @@ def recover(options: UrOptions, connection: RtdeConnection, stopped_at_s: float)
     seen = _unlocked(options.host, probe(options.host), stopped_at_s)
     checklist = Checklist(options.host)
     check_state(seen, checklist)
-    if REMOTE_SINCE <= seen.version[:2] < NO_DASHBOARD_SINCE:
-        check_remote(options.host, checklist)
+    check_services(seen, options.host, checklist)
     checklist.finish()
-    end_s = time.monotonic() + ENDED_WITHIN_S
-    while connection.control is None and seen.runtime_state == RuntimeState.PLAYING and time.monotonic() < end_s:
-        # Ours may just be ending.
-        seen = probe(options.host)
-    if connection.control is None and seen.runtime_state == RuntimeState.PLAYING:
-        # Ours has ended with its interface: to connect would stop what somebody has started meanwhile.
+    if (
+        connection.control is None
+        and seen.runtime_state == RuntimeState.PLAYING
+        and not end_control_script(options.host)
+    ):
+        # Ours has ended: to connect would stop what somebody has started meanwhile.
         message = "a program plays that is not ours: stop it on the pendant, then acknowledge again"
         raise RtdeConnectionError(message)
     connection.connect()
@@ -286,9 +320,6 @@ def _unlocked(host: str, seen: Probe, stopped_at_s: float) -> Probe:
     left_s = UNLOCK_AFTER_S - (time.monotonic() - stopped_at_s)
     if left_s > 0.0:
         message = f"protective stop: can be unlocked in {left_s:.1f} s: inspect its cause, then acknowledge again"
-        raise RtdeConnectionError(message)
-    if seen.version[:2] >= NO_DASHBOARD_SINCE:
-        message = "protective stop: this software has no dashboard: unlock it on the pendant, then acknowledge again"
         raise RtdeConnectionError(message)
     unlock_protective_stop(host)
     end_s = time.monotonic() + UNLOCKED_WITHIN_S

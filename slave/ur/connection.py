@@ -9,7 +9,8 @@ from typing import Any, Final, TypeAlias
 
 from haptether.extras import missing
 from haptether.slave.ur.options import UrOptions
-from haptether.slave.ur.services import DashboardError, stop_program
+from haptether.slave.ur.services import CONNECT_S as DASHBOARD_S
+from haptether.slave.ur.services import REPLY_S, end_control_script, end_program
 from haptether.slave.ur.state import RAW_WRENCH, VARIABLES, RuntimeState, UrState, read_state
 from haptether.slave.ur.worker import Call, CallTimeoutError, ControlProcess, Idle, TimedWorker
 
@@ -18,8 +19,10 @@ Control: TypeAlias = Any
 Order: TypeAlias = Callable[[Control], bool]
 """Calls of the library, to be made on its thread."""
 
-CONNECT_S: Final = 12.0
-"""Upload and start of the control script are within the library's own 5 s each."""
+START_S: Final = 5.5
+"""For the start of the control script: the library waits for 5 s and the time that its naps take longer."""
+CONNECT_S: Final = DASHBOARD_S + 6.0 * REPLY_S + 5.0 + START_S + 2.0
+"""The library's own limits together: dashboard with six lines, synchronisation, start of the control script."""
 RECEIVE_S: Final = 4.0
 SETTING_S: Final = 2.0
 """For a command that the control script acknowledges; two control cycles as a rule."""
@@ -28,7 +31,8 @@ STREAM_S: Final = 0.1
 UPLOAD_S: Final = 8.0
 END_S: Final = 0.8
 """For `stopScript`, and for the disconnection."""
-STARTED_S: Final = 2.0
+LAST_STOP_S: Final = 2.5
+"""For the program to be ended without the library, at the end."""
 POLL_S: Final = 0.005
 
 
@@ -70,6 +74,8 @@ class RtdeConnection:
         """None where it is not connected, or was cut."""
         self.receive: Any = None
         self._closed = False
+        self._uploads = False
+        """Whether a control script was sent, or may have been."""
 
     @property
     def rate_hz(self) -> float:
@@ -105,6 +111,7 @@ class RtdeConnection:
             )  # fmt: skip
         if self.control is None:
             self._check_open()
+            self._uploads = True
             self.control = ControlProcess(host, rate)
             try:
                 # Closed just now, or from here on by whoever closes it.
@@ -124,9 +131,7 @@ class RtdeConnection:
         """
         if self.state().runtime_state != RuntimeState.PLAYING:
             self.setting("upload of the control script", self.control.reuploadScript, UPLOAD_S)
-        self.await_state(
-            "the control script plays", lambda state: state.runtime_state == RuntimeState.PLAYING, STARTED_S
-        )
+        self.await_state("the control script plays", lambda state: state.runtime_state == RuntimeState.PLAYING, START_S)
 
     def _check_open(self) -> None:
         if self._closed:
@@ -200,19 +205,24 @@ class RtdeConnection:
         """Ends the script and both connections, within a few seconds; what of that failed."""
         failed: list[str] = []
         self._closed = True
-        control, receive = self.control, self.receive
+        control, receive, host = self.control, self.receive, self._options.host
+        last_stop: Callable[[str], object] | None = end_control_script if self._uploads else None
         if control is not None:
             try:
+                # The library stops no script that does not play yet.
+                plays = self.state().runtime_state == RuntimeState.PLAYING
                 self.worker.run("stopScript", control.stopScript, END_S)
+                last_stop = None if plays else last_stop
             except Exception as error:  # of the library
                 failed.append(f"stopScript: {error}")
+                last_stop = end_program
         self.cut()
-        if failed:
-            # The script may play on, if nobody heard; then it is for the watchdog to end it.
+        if last_stop is not None:
+            # The script may play on, or start later without a watchdog.
             try:
-                stop_program(self._options.host)
+                self.worker.run("end of the program", lambda: last_stop(host), LAST_STOP_S)
                 failed.clear()
-            except DashboardError as error:
+            except Exception as error:  # of the network
                 failed.append(str(error))
         if receive is not None and receive.isConnected():
             with contextlib.suppress(Exception):

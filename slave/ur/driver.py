@@ -9,7 +9,6 @@ from msgspec.structs import replace
 from haptether.checklist import Checklist
 from haptether.slave.device import SlaveSample
 from haptether.slave.ur.checks import (
-    NO_DASHBOARD_SINCE,
     REMOTE_SINCE,
     UrRefusedError,
     check_address,
@@ -112,8 +111,7 @@ class UrSlave:
         seen = check_before(options, checklist)
         check_mode(options, seen.version)
         self._connection = RtdeConnection(options, seen.version)
-        watches_remote = REMOTE_SINCE <= seen.version[:2] < NO_DASHBOARD_SINCE
-        self._watchdog = Watchdog(options, self._connection, watches_remote=watches_remote)
+        self._watchdog = Watchdog(options, self._connection, watches_remote=seen.version[:2] >= REMOTE_SINCE)
         self._period_s = 1.0 / self._connection.rate_hz
         self._aside = TimedWorker("ur-aside")
         self._soft_stop = SoftStop(self._connection, options.host, self._report)

@@ -13,16 +13,23 @@ import ipaddress
 import socket
 import struct
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from haptether.slave.ur.state import Numbers
+from haptether.slave.ur.state import Numbers, RuntimeState
 from haptether.slave.ur.worker import TimedWorker
 
 RTDE_PORT: Final = 30004
 DASHBOARD_PORT: Final = 29999
+SCRIPT_PORT: Final = 30003
+"""Of the Real-Time Client interface, to which ur_rtde sends its control script."""
 RESOLVE_S: Final = 3.0
-REQUEST_VERSION, CONTROLLER_VERSION, PACKAGE, OUTPUTS, START = b"VvUOS"
+CONNECT_S: Final = 2.0
+"""For a connection to the dashboard server or the script port: that of ur_rtde to its dashboard server."""
+REPLY_S: Final = 2.5
+"""For each line of the dashboard server, as in ur_rtde."""
+REQUEST_VERSION, CONTROLLER_VERSION, PACKAGE, OUTPUTS, INPUTS, START = b"VvUOIS"
 FRAME: Final = struct.Struct(">HB")
 NAMES: Final = (
     "timestamp",
@@ -34,6 +41,20 @@ NAMES: Final = (
     "actual_TCP_pose",
     "target_speed_fraction",
 )
+COMMAND: Final = "input_int_register_0"
+"""The control script takes its commands from this register."""
+READY: Final = 1
+"""The control script writes this to its answer while the command is 0."""
+STOP_SCRIPT: Final = 255
+"""The command that ends the control script."""
+SCRIPT_NAMES: Final = ("runtime_state", "output_int_register_0")
+SETTLED: Final = 10
+"""Packages after a command that may be older than its effect."""
+ANSWERED_S: Final = 0.4
+"""For the control script to answer, and to end; more than the longest period of the watchdog."""
+RELEASED_S: Final = 0.5
+"""For the register of a client that was killed just now."""
+POLL_S: Final = 0.02
 FORMATS: Final = {"DOUBLE": "d", "INT32": "i", "UINT32": "I", "VECTOR6D": "6d"}
 PACKAGES: Final = 5
 """How many are waited for: whether time goes on there."""
@@ -100,11 +121,45 @@ def probe(host: str, limit_s: float = 5.0) -> Probe:
         ProbeError: There is none, or it does not answer as one.
     """
     wire = _Wire(host, time.monotonic() + limit_s)
-    try:
+    with _answering(wire):
         return _query(wire)
+
+
+def end_control_script(host: str, limit_s: float = 2.0) -> bool:
+    """Ends a control script of ur_rtde that no client leads; returns whether no program plays afterwards.
+
+    The command stays in its register: a script that starts later ends in its first control cycle. ur_rtde clears the
+    register before it uploads a script. Any other program goes on, and finds the register at 0.
+
+    Raises:
+        ProbeError: There is no controller, it does not answer, or another client leads the script.
+    """
+    wire = _Wire(host, time.monotonic() + limit_s)
+    with _answering(wire):
+        return _end_control_script(wire)
+
+
+def check_script_port(host: str) -> None:
+    """Whether the controller accepts a connection for scripts.
+
+    Raises:
+        ProbeError: It does not.
+    """
+    try:
+        socket.create_connection((host, SCRIPT_PORT), timeout=CONNECT_S).close()
+    except OSError as error:
+        message = f"{host}:{SCRIPT_PORT}: {error.strerror or error}"
+        raise ProbeError(message) from None
+
+
+@contextlib.contextmanager
+def _answering(wire: "_Wire") -> Iterator[None]:
+    """Raises a `ProbeError` for what the network or the controller does wrong, and closes the connection."""
+    try:
+        yield
     except (OSError, struct.error) as error:
         seen = getattr(error, "strerror", None) or str(error)
-        message = f"{host}:{RTDE_PORT}: {wire.doing}: {seen}"
+        message = f"{wire.host}:{RTDE_PORT}: {wire.doing}: {seen}"
         raise ProbeError(message) from None
     finally:
         wire.close()
@@ -120,12 +175,33 @@ class _Wire:
 
     def open(self) -> None:
         self._socket = socket.create_connection((self.host, RTDE_PORT), timeout=self._left_s())
+        if self.request("protocol version 2", REQUEST_VERSION, struct.pack(">H", 2)) != b"\x01":
+            raise OSError("is refused")
+
+    def version(self) -> tuple[int, int, int, int]:
+        """Of the controller: major, minor, bugfix, build."""
+        major, minor, bugfix, build = struct.unpack(">4I", self.request("version", CONTROLLER_VERSION))
+        return major, minor, bugfix, build
+
+    def start(self, names: tuple[str, ...], rate_hz: float) -> struct.Struct:
+        """Starts packages of these outputs; returns their layout, recipe id first."""
+        answer = self.request("outputs", OUTPUTS, struct.pack(">d", rate_hz) + ",".join(names).encode())
+        kinds = answer[1:].decode("ascii", "replace").split(",")
+        if len(kinds) != len(names) or not all(kind in FORMATS for kind in kinds):
+            raise OSError(f"{dict(zip(names, kinds, strict=False))}")
+        if self.request("start", START) != b"\x01":
+            raise OSError("is refused")
+        self.doing = "packages"
+        return struct.Struct(">B" + "".join(FORMATS[kind] for kind in kinds))
 
     def request(self, doing: str, kind: int, payload: bytes = b"") -> bytes:
         self.doing = doing
+        self.send(kind, payload)
+        return self.reply(kind)
+
+    def send(self, kind: int, payload: bytes) -> None:
         assert self._socket is not None
         self._socket.sendall(FRAME.pack(FRAME.size + len(payload), kind) + payload)
-        return self.reply(kind)
 
     def reply(self, kind: int) -> bytes:
         while True:
@@ -161,18 +237,8 @@ class _Wire:
 
 def _query(wire: _Wire) -> Probe:
     wire.open()
-    if wire.request("protocol version 2", REQUEST_VERSION, struct.pack(">H", 2)) != b"\x01":
-        raise OSError("is refused")
-    major, minor, bugfix, build = struct.unpack(">4I", wire.request("version", CONTROLLER_VERSION))
-    rate_hz = 125.0 if major <= 3 else 500.0
-    answer = wire.request("outputs", OUTPUTS, struct.pack(">d", rate_hz) + ",".join(NAMES).encode())
-    kinds = answer[1:].decode("ascii", "replace").split(",")
-    if len(kinds) != len(NAMES) or not all(kind in FORMATS for kind in kinds):
-        raise OSError(f"{dict(zip(NAMES, kinds, strict=False))}")
-    if wire.request("start", START) != b"\x01":
-        raise OSError("is refused")
-    wire.doing = "packages"
-    layout = struct.Struct(">B" + "".join(FORMATS[kind] for kind in kinds))
+    version = wire.version()
+    layout = wire.start(NAMES, _rate_hz(version))
     times: list[float] = []
     values: tuple[float, ...] = ()
     while len(times) < PACKAGES:
@@ -182,7 +248,7 @@ def _query(wire: _Wire) -> Probe:
     if elapsed_s <= 0.0:
         raise OSError("its time stands still")
     return Probe(
-        version=(major, minor, bugfix, build),
+        version=version,
         robot_mode=int(values[1]),
         safety_mode=int(values[2]),
         safety_bits=int(values[3]),
@@ -194,31 +260,75 @@ def _query(wire: _Wire) -> Probe:
     )
 
 
+def _end_control_script(wire: _Wire) -> bool:
+    wire.open()
+    rate_hz = _rate_hz(wire.version())
+    end_s = time.monotonic() + RELEASED_S
+    while (answer := wire.request("command register", INPUTS, COMMAND.encode()))[1:] == b"IN_USE":
+        if time.monotonic() > end_s:
+            raise OSError("another client leads the program that plays: end that client")
+        time.sleep(POLL_S)
+    if answer[1:] != b"INT32":
+        raise OSError(answer[1:].decode("ascii", "replace"))
+    layout = wire.start(SCRIPT_NAMES, rate_hz)
+
+    def command(number: int, *, ready: bool) -> bool:
+        """Writes a command; whether no program plays or, with `ready`, the control script has answered."""
+        wire.send(PACKAGE, struct.pack(">Bi", answer[0], number))
+        end_s, count = time.monotonic() + ANSWERED_S, 0
+        while time.monotonic() < end_s:
+            _, runtime_state, said = layout.unpack(wire.reply(PACKAGE))
+            count += 1
+            if count >= SETTLED and (runtime_state != RuntimeState.PLAYING or (ready and said == READY)):
+                return True
+        return False
+
+    # A script in the middle of a command takes the next one only after 0.
+    if not command(0, ready=True):
+        return False
+    ended = command(STOP_SCRIPT, ready=False)
+    if not ended:
+        command(0, ready=True)
+    return ended
+
+
+def _rate_hz(version: tuple[int, int, int, int]) -> float:
+    return 125.0 if version[0] <= 3 else 500.0
+
+
 class DashboardError(RuntimeError):
     """The dashboard did not answer, or refused."""
 
 
-def query_dashboard(host: str, *lines: str, limit_s: float = 1.0) -> list[str]:
-    """The answers to some lines, over a connection of their own; all of it within a time in s.
+def query_dashboard(host: str, *lines: str, connect_s: float = CONNECT_S, reply_s: float = REPLY_S) -> list[str]:
+    """The answers to some lines, over a connection of their own.
+
+    Args:
+        host: The controller.
+        lines: Commands of the dashboard server.
+        connect_s: Time limit of the connection, in s.
+        reply_s: Time limit of the greeting and of each answer, in s.
 
     Raises:
         DashboardError: There is nobody, or no answer in time.
     """
-    end_s = time.monotonic() + limit_s
     try:
-        with socket.create_connection((host, DASHBOARD_PORT), timeout=limit_s) as connection:
+        with socket.create_connection((host, DASHBOARD_PORT), timeout=connect_s) as connection:
             received = b""
             answers: list[str] = []
             # The first line is its greeting.
             for line in ("", *lines):
                 if line:
                     connection.sendall(f"{line}\n".encode())
+                end_s = time.monotonic() + reply_s
                 while b"\n" not in received:
                     connection.settimeout(max(1e-3, end_s - time.monotonic()))
                     part = connection.recv(4096)
                     if not part:
                         raise ConnectionError("closed")
                     received += part
+                    if time.monotonic() > end_s:
+                        raise TimeoutError("timed out")
                 answer, _, received = received.partition(b"\n")
                 answers.append(answer.decode("utf-8", "replace").strip())
             with contextlib.suppress(OSError):
@@ -229,16 +339,32 @@ def query_dashboard(host: str, *lines: str, limit_s: float = 1.0) -> list[str]:
     return answers[1:]
 
 
-def stop_program(host: str, limit_s: float = 0.5) -> None:
-    """Ends the program that plays: the second means to stop an arm.
+def stop_program(host: str) -> None:
+    """Ends the program that plays, through the dashboard server.
 
     Raises:
         DashboardError: It did not.
     """
-    (answer,) = query_dashboard(host, "stop", limit_s=limit_s)
+    (answer,) = query_dashboard(host, "stop")
     if answer != STOPPED:
         message = f"dashboard: stop: {answer}"
         raise DashboardError(message)
+
+
+def end_program(host: str) -> None:
+    """Ends the program that plays, and a control script that still starts: the second means to stop an arm.
+
+    Raises:
+        DashboardError: One of the two did not succeed.
+    """
+    failed: list[str] = []
+    for step in (stop_program, end_control_script):
+        try:
+            step(host)
+        except (DashboardError, ProbeError) as error:
+            failed.append(str(error))
+    if failed:
+        raise DashboardError("; ".join(failed))
 
 
 def unlock_protective_stop(host: str) -> None:

@@ -12,7 +12,7 @@ from typing import Final
 
 from haptether.slave.ur.connection import Order, RtdeConnection
 from haptether.slave.ur.options import UrOptions
-from haptether.slave.ur.services import DashboardError, is_in_remote_control, stop_program
+from haptether.slave.ur.services import CONNECT_S, REPLY_S, DashboardError, end_program, is_in_remote_control
 from haptether.slave.ur.state import RuntimeState, UrState
 from haptether.slave.ur.worker import Call, Idle, TimedWorker
 
@@ -26,7 +26,10 @@ STILL_S: Final = 0.05
 """For which joints must rest: at a reversal they do for a package."""
 SILENCE_S: Final = 0.02
 """After which an arm is stopped that would go on by itself and is not commanded."""
-PROGRAM_STOP_S: Final = 1.0
+PROGRAM_STOP_S: Final = CONNECT_S + 2.0 * REPLY_S + 3.0
+"""For the dashboard server to end the program, and for the control script to end; 30 ms as a rule."""
+LEAVE_S: Final = 1.0
+"""How long the end of the driver waits for each stop that is under way."""
 
 # ------------------------------------------------------------------------------------------------------- soft stop
 
@@ -157,13 +160,13 @@ class SoftStop:
         return why if state.runtime_state == RuntimeState.PLAYING or stale else None
 
     def cut(self) -> None:
-        """Cuts the connection, so that nothing leads the arm any more, and has the dashboard end the program.
+        """Cuts the connection, so that nothing leads the arm any more, and has the controller end the program.
 
         Where that does not come through either, the watchdog ends it.
         """
         self._phase, self._call = Phase.CUT, None
         self._connection.cut()
-        self._program_stop = self._dashboard.start("dashboard stop", self._end_program, PROGRAM_STOP_S)
+        self._program_stop = self._dashboard.start("end of the program", self._end_program, PROGRAM_STOP_S)
 
     def acknowledge(self) -> list[Call]:
         """The operator has removed the fault; returns the stops that have not ended."""
@@ -177,7 +180,7 @@ class SoftStop:
     def close(self) -> None:
         """Waits for the stops that are under way, within their limits."""
         for call in self._pending:
-            call.wait(call.limit_s)
+            call.wait(min(call.limit_s, LEAVE_S))
         self._dashboard.end()
 
     @property
@@ -193,7 +196,7 @@ class SoftStop:
 
     def _end_program(self) -> None:
         try:
-            stop_program(self._host)
+            end_program(self._host)
         except DashboardError as error:
             self._report(f"{error}: its watchdog ends the program; if the arm moves, press its emergency stop")
 
@@ -230,6 +233,7 @@ ARMED_S: Final = 1.0
 KICKS: Final = 5.0
 """In each period of the watchdog, while nothing is commanded."""
 REMOTE_PERIOD_S: Final = 1.0
+REMOTE_S: Final = CONNECT_S + 2.0 * REPLY_S + 1.0
 REFUSED_S: Final = 0.05
 """For how long commands may fail before that is a fault: a stop of the controller's has its own reason by then."""
 
@@ -276,7 +280,7 @@ class Watchdog:
             self._remote_s = now_s
             if self._remote is None or self._remote.done:
                 host = self._options.host
-                self._remote = aside.start("remote control", lambda: is_in_remote_control(host), 2.0)
+                self._remote = aside.start("remote control", lambda: is_in_remote_control(host), REMOTE_S)
 
     def fault(self) -> str | None:
         """What is wrong with the calls of the library, and what to do about it."""

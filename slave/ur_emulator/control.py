@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from haptether.slave.ur.state import SafetyMode
 from haptether.slave.ur_emulator.connections import KINDS
+from haptether.slave.ur_emulator.controller import START_UP_S
 from haptether.slave.ur_emulator.gripper.gripper import EmulatedGripper, GrippedObject
 from haptether.slave.ur_emulator.robot.safety import MOVING_MODES
 from haptether.slave.ur_emulator.rtde.variables import REGISTERS, ControllerVersion
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from haptether.slave.ur_emulator.server import Server
 
 MAX_FORCE_N: Final = 10_000.0
+MAX_START_UP_S: Final = 60.0
 SHOWN_LINES: Final = 20
 """Lines of the log where no number is given."""
 
@@ -68,6 +70,7 @@ class ControlLine:
             "power": self._power,
             "remote-control": self._remote_control,
             "slider": self._slider,
+            "start-up": self._start_up,
             "freeze": self._freeze,
             "thaw": lambda _a, _t: self._faults.thaw(),
             "late": self._late,
@@ -125,7 +128,7 @@ class ControlLine:
             "tcp_offset": controller.robot.arm.tcp_offset,
             "payload_kg": controller.setup.payload_kg,
             "watchdog_hz": controller.setup.watchdog_hz,
-            "digital_outputs": controller.digital.bits,
+            "digital_outputs": controller.client_settings.bits,
             "refused_packages": controller.inputs.refused,
             "gripper": None if controller.gripper is None else controller.gripper.figures(),
             **(self._process.figures() if self._process is not None else {}),
@@ -192,7 +195,13 @@ class ControlLine:
         (fraction,) = _numbers(arguments, 1)
         if not 0.0 <= fraction <= 1.0:
             _refuse(f"{arguments[0]}: must be between 0 and 1")
-        self._controller.slider = fraction
+        self._controller.client_settings.slider = fraction
+
+    def _start_up(self, arguments: list[str], _now_s: float) -> None:
+        start_up_s = _positive(arguments, START_UP_S)
+        if start_up_s > MAX_START_UP_S:
+            _refuse(f"{start_up_s:g}: must be at most {MAX_START_UP_S:g} s")
+        self._controller.start_up_s = start_up_s
 
     # ------------------------------------------------------------------------------------------------- network
 

@@ -1,5 +1,6 @@
 """The controller: in each control cycle it takes the inputs of RTDE, moves the arm, runs programs, sets the outputs."""
 
+import contextlib
 import math
 from collections import deque
 from dataclasses import dataclass, field
@@ -21,8 +22,8 @@ from haptether.slave.ur_emulator.robot.safety import (
     safety_status_bits,
 )
 from haptether.slave.ur_emulator.rtde.variables import (
+    ClientSettings,
     ControllerVersion,
-    DigitalOutputs,
     RtdeInputs,
     inputs_of,
     outputs_of,
@@ -46,7 +47,6 @@ if TYPE_CHECKING:
     from haptether.slave.ur_emulator.rtde.variables import Value
 
 START_UP_S: Final = 0.02
-"""Time from the arrival of a program's last line to its first step."""
 STOP_DECELERATION: Final = 20.0
 """rad/s² of a stop by the safety system."""
 UPTIME_S: Final = 100.0
@@ -55,6 +55,7 @@ LOG_LINES: Final = 1000
 MAX_LOG_LINE: Final = 500
 """Characters; a client's text may have a million."""
 MAX_NAME: Final = 80
+SIGNAL: Final = "write_output_integer_register("
 MAX_SECONDARY: Final = 5_000
 """Characters of a secondary program, which is parsed at once."""
 MAX_WRENCH: Final = 1e5
@@ -113,13 +114,14 @@ class Controller:
         self.loaded = ""
         self.safety = SafetySystem(settings.unlock_after_s, self._safety_stop, self.write_log)
         self.setup = Setup(settings.version, self.protective_stop, self._engaged)
-        self.digital = DigitalOutputs(self.inputs)
+        self.client_settings = ClientSettings(self.inputs)
         self.gripper = None if settings.gripper is None else EmulatedGripper(settings.gripper)
         self.on_engaged: Callable[[], None] = lambda: None
         """Is called at the first servo or speed command."""
-        self.slider = 1.0
         self.limiter = 1.0
         """Share of the speed that the limit of tool speed leaves, beside the slider: RTDE's `speed_scaling`."""
+        self.start_up_s = START_UP_S
+        """Time from the arrival of a program's last line to its first step."""
         self.operational_mode: str | None = None
         """Set by the dashboard; None while it controls no mode."""
         self.claimed_version: ControllerVersion | None = None
@@ -164,7 +166,6 @@ class Controller:
         self.cycles += 1
         self.safety.advance(self.now_s)
         self._scale_speed()
-        self.digital.update()
         wrench = self.inputs.values["external_force_torque"]
         self.robot.sensing.external = _within(wrench) if self.setup.external_sensor else None  # type: ignore[arg-type]
         # The commands of the cycle before have moved the arm until now.
@@ -177,15 +178,12 @@ class Controller:
         self._update_outputs()
 
     def _scale_speed(self) -> None:
-        values = self.inputs.values
-        if values["speed_slider_mask"]:
-            self.slider = min(max(float(values["speed_slider_fraction"]), 0.0), 1.0)  # type: ignore[arg-type]
         speed = max(1e-9, self.robot.tool_speed)
         # The controller slows its own moves down rather than breaking the limit of tool speed.
         room = max(0.9 * self.settings.limits.tool_speed / speed * self.robot.speed_scaling, 0.01)
-        self.robot.speed_scaling = min(self.slider, room)
+        self.robot.speed_scaling = min(self.client_settings.slider, room)
         # Clients multiply it by target_speed_fraction, which is the slider.
-        self.limiter = min(1.0, room / self.slider) if self.slider > 0.0 else 1.0
+        self.limiter = min(1.0, room / self.client_settings.slider) if self.client_settings.slider > 0.0 else 1.0
 
     def _start_program(self) -> None:
         if self._starts is None or self.cycles < self._starts[0]:
@@ -198,6 +196,17 @@ class Controller:
         except ScriptError as error:
             self._starts = self._reading = None
             self._fail(submitted.failed, f"{_name(submitted)}: {error}")
+            self._signal_end(submitted)
+
+    def _signal_end(self, submitted: Submitted) -> None:
+        """Executes the last line that writes a register, of a program that cannot be read.
+
+        ur_rtde waits for this write for 5 minutes, whatever the program state is.
+        """
+        lines = [line.strip() for line in submitted.text.splitlines() if line.strip().startswith(SIGNAL)]
+        if lines:
+            with contextlib.suppress(ScriptError):
+                Thread(self._calls(self._program_of(submitted)[1]).steps(lines[-1])).run()
 
     def _started(self, submitted: Submitted) -> "Generator[None, None, None]":
         """Parses a program, a part of it in each control cycle, then starts it.
@@ -243,7 +252,7 @@ class Controller:
 
     def _calls(self, functions: ScriptFunctions) -> CallProgram:
         registers = Registers(self.inputs.values, self.outputs)
-        return CallProgram(functions, registers, self.setup, self.digital, self.write_log)
+        return CallProgram(functions, registers, self.setup, self.client_settings, self.write_log)
 
     def _run_programs(self) -> None:
         program = self._program
@@ -306,7 +315,7 @@ class Controller:
         values: dict[str, Value] = {
             "timestamp": self.timestamp,
             "speed_scaling": self.limiter,
-            "target_speed_fraction": self.slider,
+            "target_speed_fraction": self.client_settings.slider,
             "tcp_force_scalar": math.hypot(*measured.sensed[:3]),
             "target_q": target.q,
             "target_qd": target.qd,
@@ -334,9 +343,10 @@ class Controller:
             "payload": self.setup.payload_kg,
             "payload_cog": self.setup.payload_cog,
             "payload_inertia": self.setup.payload_inertia,
-            "actual_digital_output_bits": self.digital.bits,
-            "standard_analog_output0": self.digital.analog[0],
-            "standard_analog_output1": self.digital.analog[1],
+            "actual_digital_output_bits": self.client_settings.bits,
+            "standard_analog_output0": self.client_settings.analog[0],
+            "standard_analog_output1": self.client_settings.analog[1],
+            "analog_io_types": self.client_settings.analog_types,
             "robot_mode": int(self.safety.robot_mode),
             "safety_mode": int(self.safety.mode),
             "safety_status": int(self.safety.mode),
@@ -353,7 +363,7 @@ class Controller:
     # ------------------------------------------------------------------------------------------------- programs
 
     def submit(self, submitted: Submitted) -> bool:
-        """Takes a program from a script interface, which starts after START_UP_S; returns whether it is accepted."""
+        """Takes a program from a script interface, which starts after `start_up_s`; returns whether it is accepted."""
         if self.is_local or not self.safety.may_move:
             modes = f"robot mode {self.safety.robot_mode.name}, safety mode {self.safety.mode.name}"
             refusal = "not in remote control" if self.is_local else modes
@@ -363,7 +373,7 @@ class Controller:
             self._run_secondary(submitted)
             return True
         self.stop_program()
-        self._starts = (self.cycles + max(1, round(START_UP_S / self.period_s)), submitted)
+        self._starts = (self.cycles + max(1, round(self.start_up_s / self.period_s)), submitted)
         return True
 
     @property
@@ -378,10 +388,10 @@ class Controller:
         self.remote_control = self.settings.remote_control
         self.claimed_version = None
         self.loaded = self.program_name = ""
-        self.slider = 1.0
         self.operational_mode = None
+        self.start_up_s = START_UP_S
         self.setup.reset()
-        self.digital.reset()
+        self.client_settings.reset()
         self.robot.reset(self.settings.start, self.settings.tcp)
         if self.gripper is not None:
             self.gripper.reset()

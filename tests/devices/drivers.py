@@ -3,6 +3,7 @@
 import functools
 import math
 import os
+import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from pathlib import Path
 
 from tests.devices.plant import Plant, VirtualDevice
 
+from haptether.checklist import Checklist
 from haptether.master import MasterSample
 from haptether.slave import GripperCommand, GripperSample, SlaveSample
 
@@ -262,6 +264,55 @@ class Faulty(Stylus):
 
     def read(self) -> MasterSample:
         return super().read()._replace(fault="overheated")
+
+
+class FaultyAndSaysSo(Faulty):
+    """Prints its fault as well."""
+
+    def open(self) -> None:
+        super().open()
+        print("stylus: fault: overheated", file=sys.stderr, flush=True)
+
+
+class Refused(Stylus):
+    """Is refused by its checklist."""
+
+    refusals: tuple[tuple[str, str, str], ...] = (("supply", "off", "plug it in"),)
+
+    def open(self) -> None:
+        super().open()
+        checklist = Checklist("stylus")
+        for what, found, remedy in self.refusals:
+            checklist.refuse(what, found, remedy)
+        checklist.finish()
+
+
+class RefusedTwice(Refused):
+    """Is refused for two reasons."""
+
+    refusals = (*Refused.refusals, ("cover", f"open by {'more and ' * 20}more", "close it"))
+
+
+class Unplugged(Stylus):
+    """Raises the same in every call after some samples."""
+
+    def read(self) -> MasterSample:
+        if len(self.forces) > 50:
+            message = "the cable is out"
+            raise OSError(message)
+        return super().read()
+
+    def write(self, force: tuple[float, ...]) -> None:
+        super().write(force)
+        if len(self.forces) > 51:
+            message = "the cable is out"
+            raise OSError(message)
+
+    def close(self) -> None:
+        super().close()
+        if len(self.forces) > 51:
+            message = "the cable is out"
+            raise OSError(message)
 
 
 class HungInOpen(Stylus):

@@ -39,7 +39,8 @@ def test_a_driver_that_is_right_is_status_0_and_one_that_is_not_is_status_1_with
     bad = run(environment, "check-device", "broken", "--duration-s", "1")
     assert bad.returncode == 1
     assert "KeyError: 'encoder'" in bad.stdout
-    assert "drivers.py" in bad.stdout
+    # The source is for whoever mends the driver.
+    assert "drivers.py" not in bad.stdout + bad.stderr
     assert "Traceback" not in bad.stderr
     assert "1 to mend" in bad.stdout
     debug = run(environment, "check-device", "broken", "--duration-s", "1", "--debug")
@@ -48,6 +49,41 @@ def test_a_driver_that_is_right_is_status_0_and_one_that_is_not_is_status_1_with
     closes = run(environment, "check-device", "closes", "--duration-s", "0.5", "--options", "held=false")
     assert closes.returncode == 1
     assert "close after an exception" in closes.stdout
+
+
+@pytest.mark.parametrize(
+    ("driver", "message", "verdict"),
+    [
+        ("Refused", "supply: off: plug it in", "refused: see above"),
+        ("RefusedTwice", "supply: off: plug it in", "refused: see above"),
+        ("RaisesInOpen", "no such bus", "OSError: no such bus"),
+        ("Faulty", "overheated", "the device reports: overheated"),
+        ("FaultyAndSaysSo", "overheated", "the device reports: see above"),
+        ("Unplugged", "the cable is out", "Unplugged: OSError: see above"),
+    ],
+)
+def test_each_error_is_printed_once_and_without_its_source(
+    tmp_path: Path, driver: str, message: str, verdict: str
+) -> None:
+    environment = declared(tmp_path, device=driver) | {"COLUMNS": "300"}
+    command = ("check-device", "device", "--duration-s", "0.5")
+    ended = run(environment, *command, "--json", str(tmp_path / "report.json"))
+    printed = ended.stdout + ended.stderr
+    assert printed.count(message) == 1, printed
+    assert verdict in ended.stdout
+    assert ".py" not in printed
+    # The report is complete by itself.
+    assert message in (tmp_path / "report.json").read_text()
+    debug = run(environment, *command, "--debug")
+    assert ("drivers.py" in debug.stderr) == (driver not in {"Faulty", "FaultyAndSaysSo"})
+
+
+def test_a_refusal_is_printed_once_on_a_terminal_that_breaks_its_line(tmp_path: Path) -> None:
+    terminal = Terminal(declared(tmp_path, device="RefusedTwice"), "check-device", "device", "--duration-s", "0.5")
+    assert terminal.end() == 1, terminal.printed
+    printed = "".join(terminal.printed.split())
+    assert printed.count("moreandmore:closeit") == 1, terminal.printed
+    assert "refused:seeabove" in printed
 
 
 def test_an_arm_is_opened_read_stopped_and_closed_twice_and_never_written(tmp_path: Path) -> None:

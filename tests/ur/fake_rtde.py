@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from haptether.slave.ur.services import Probe
+from haptether.slave.ur.services import DashboardError, Probe, ProbeError
 
 START_Q = (-1.6, -1.7, -2.2, -0.8, 1.6, 0.0)
 START_POSE = (-0.143195, -0.436400, 0.215901, 0.045165, 3.112182, -0.019942)
@@ -49,6 +49,11 @@ class Arm:
     dashboard: list[str] = field(default_factory=list)
     dashboard_gone: bool = False
     remote: bool = True
+    scripts_refused: bool = False
+    orphaned: bool = False
+    """Whether the program that plays is a control script that no client leads."""
+    ends: int = 0
+    """How often a control script was ended without the library, be it one that is still to start."""
     watchdog_bites: bool = True
     released: threading.Event = field(default_factory=threading.Event)
     kicked_s: float = 0.0
@@ -103,11 +108,20 @@ class Arm:
         self.safety_mode, self.safety_bits, self.runtime_state = 3, 1 << 2 | 1 << 10, STOPPED
         self.watchdog_hz = None
 
-    def query_dashboard(self, _host: str, *lines: str, limit_s: float = 1.0) -> list[str]:
-        """Instead of `services.query_dashboard`."""
-        del limit_s
-        from haptether.slave.ur.services import DashboardError
+    def end_control_script(self, _host: str) -> bool:
+        """Instead of `services.end_control_script`."""
+        self.ends += 1
+        if self.orphaned:
+            self.runtime_state, self.orphaned = STOPPED, False
+        return self.runtime_state != PLAYING
 
+    def check_script_port(self, host: str) -> None:
+        """Instead of `services.check_script_port`."""
+        if self.scripts_refused:
+            raise ProbeError(f"{host}:30003: Connection refused")
+
+    def query_dashboard(self, _host: str, *lines: str) -> list[str]:
+        """Instead of `services.query_dashboard`."""
         self.dashboard.extend(lines)
         if self.dashboard_gone:
             raise DashboardError("dashboard: timed out")
@@ -209,4 +223,7 @@ def install(monkeypatch: pytest.MonkeyPatch, arm: Arm) -> None:
     monkeypatch.setattr("haptether.slave.ur.connection.ControlProcess", lambda *_: Control(arm))
     monkeypatch.setattr("haptether.slave.ur.checks.probe", arm.probe)
     monkeypatch.setattr("haptether.slave.ur.checks.resolved", lambda host: host)
-    monkeypatch.setattr("haptether.slave.ur.services.query_dashboard", arm.query_dashboard)
+    monkeypatch.setattr("haptether.slave.ur.checks.check_script_port", arm.check_script_port)
+    for name in ("query_dashboard", "end_control_script"):
+        for place in ("services", "checks", "connection"):
+            monkeypatch.setattr(f"haptether.slave.ur.{place}.{name}", getattr(arm, name), raising=False)

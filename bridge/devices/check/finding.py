@@ -1,10 +1,26 @@
 """What was found of one property of a driver."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from haptether.bridge.devices.open import DeviceError
+from haptether.checklist import RefusedError
+
 Verdict = Literal["pass", "mend", "note", "unseen"]
 """As it must be; to be mended; worth knowing; or not to be seen in this run."""
+
+
+def raised(error: DeviceError) -> str:
+    """What a method of a driver raised, without the place in its source."""
+    if isinstance(error.__cause__, RefusedError):
+        return f"refused: {error.__cause__}"
+    return f"raised an exception: {error.brief}"
+
+
+def messages(failed: Mapping[str, DeviceError]) -> list[str]:
+    """The driver's own texts of what its methods raised."""
+    return [str(error.__cause__) for error in failed.values()]
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from haptether.bridge.devices.check.finding import Finding
+from haptether.bridge.devices.check.finding import Finding, messages, raised
 from haptether.bridge.devices.check.report import CLOSE_S
 from haptether.bridge.devices.standalone import StandaloneRun
 from haptether.slave import GripperSample
@@ -67,18 +67,23 @@ class GripperCheck:
         fault = f", {sample.fault}" if sample.fault is not None else ""
         return f"closed to {sample.position:.3f}, {sample.velocity:+.3f} 1/s, {sample.force_n:.1f} N{holds}{fault}"
 
+    @property
+    def messages(self) -> list[str]:
+        """The driver's own texts of what was wrong."""
+        return [*messages(self.run.watched.failed), *self.lead.faults]
+
     def findings(self) -> list[Finding]:
         """What was seen, line by line; of a run that has ended."""
         run = self.run
         failed, took_s = run.watched.failed, run.watched.took_s
         if "open" in failed:
-            return [Finding("open()", "mend", f"raised an exception: {failed['open']}")]
+            return [Finding("open()", "mend", raised(failed["open"]))]
         if not run.is_open:
             return [Finding("open()", "mend", "does not return: nothing can be said of the rest")]
         found = [Finding("open()", "pass", f"took {took_s['open']:.2f} s")]
         found += [*self._reads(), self._at_rest()]
         if "close" in failed:
-            found.append(Finding("close()", "mend", f"raised an exception: {failed['close']}"))
+            found.append(Finding("close()", "mend", raised(failed["close"])))
         elif (closed_s := took_s.get("close")) is None:
             found.append(Finding("close()", "mend", "does not return"))
         elif closed_s > CLOSE_S:
@@ -90,7 +95,7 @@ class GripperCheck:
     def _reads(self) -> list[Finding]:
         run, lead = self.run, self.lead
         if "read" in run.watched.failed:
-            return [Finding("read()", "mend", f"raised an exception: {run.watched.failed['read']}")]
+            return [Finding("read()", "mend", raised(run.watched.failed["read"]))]
         if not self.ended and run.failed_at == "read":
             return [Finding("read()", "mend", "does not return: the loop of the arm would wait for it")]
         if lead.wrong is not None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from haptether.bridge.devices.check.finding import Finding
+from haptether.bridge.devices.check.finding import Finding, messages, raised
 from haptether.bridge.devices.check.form import Kind, SampleForm, Side, check_kinds
 from haptether.bridge.devices.check.push import MAX_PUSH, CheckLead, Push
 from haptether.bridge.devices.check.series import (
@@ -91,6 +91,11 @@ class DeviceCheck:
         """Ends the run; the device is closed."""
         self.ended = self.run.end()
 
+    @property
+    def messages(self) -> list[str]:
+        """The driver's own texts of what was wrong."""
+        return [*messages(self.run.watched.failed), *self.form.faults, "; ".join(self.form.faults)]
+
     def timing(self) -> Timing | None:
         """Of its loop."""
         return timing(self.run.ticks)
@@ -153,13 +158,13 @@ class DeviceCheck:
         run, found = self.run, []
         for method in ("read", "write", "write_trigger"):
             if method in run.watched.failed:
-                found.append(Finding(f"{method}()", "mend", f"raised an exception: {run.watched.failed[method]}"))
+                found.append(Finding(f"{method}()", "mend", raised(run.watched.failed[method])))
             elif not self.ended and run.failed_at == method:
                 found.append(Finding(f"{method}()", "mend", "does not return: nobody can take the device's force away"))
             elif count := _calls_of(run, method):
                 found.append(Finding(f"{method}()", "pass", f"{count} calls"))
         if run.error is not None and not run.watched.failed:
-            found.append(Finding("samples", "mend", str(run.error)))
+            found.append(Finding("samples", "mend", run.error.brief))
         found += [_rest(self), _closing(run, ended=self.ended)]
         return found
 
@@ -187,7 +192,7 @@ def _calls_of(run: StandaloneRun, method: str) -> int:
 def _opening(check: DeviceCheck) -> list[Finding]:
     watched = check.run.watched
     if "open" in watched.failed:
-        return [Finding("open()", "mend", f"raised an exception: {watched.failed['open']}"), *_closed(check)]
+        return [Finding("open()", "mend", raised(watched.failed["open"])), *_closed(check)]
     if not check.run.is_open:
         return [Finding("open()", "mend", "does not return: nothing can be said of the rest"), *_closed(check)]
     return [Finding("open()", "pass", f"took {watched.took_s['open']:.2f} s")]
@@ -216,7 +221,7 @@ def _rest(check: DeviceCheck) -> Finding:
 
 def _closing(run: StandaloneRun, *, ended: bool) -> Finding:
     if "close" in run.watched.failed:
-        text = f"raised an exception: {run.watched.failed['close']}: must release what it can"
+        text = f"{raised(run.watched.failed['close'])}: must release what it can"
         return Finding("close()", "mend", text)
     took_s = run.watched.took_s.get("close")
     if took_s is None:
@@ -260,7 +265,7 @@ class SecondRun:
         failed = self.run.watched.failed
         if failed:
             method, error = next(iter(failed.items()))
-            return Finding(name, "mend", f"when it is opened again, {method}() raised an exception: {error}")
+            return Finding(name, "mend", f"when it is opened again, {method}() {raised(error)}")
         if not ended or not self.run.is_open or "close" not in self.run.watched.took_s:
             return Finding(name, "mend", f"when it is opened again, {self.run.failed_at or 'open'}() does not return")
         if self.run.rests is False:

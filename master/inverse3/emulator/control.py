@@ -57,6 +57,7 @@ class ControlLine:
             "drop": self._drop,
             "twice": self._twice,
             "delay": self._delay,
+            "stall": self._stall,
             "garble": self._garble,
             "push": self._push,
         }
@@ -133,10 +134,10 @@ class ControlLine:
         self._service.faults.twice = _count(arguments)
 
     def _delay(self, arguments: list[str]) -> None:
-        (milliseconds,) = _numbers(arguments, 1, 10_000.0)
-        if milliseconds < 0.0:
-            _refuse(f"{milliseconds:g}: must be at least 0 ms")
-        self._service.faults.delay_s = 1e-3 * milliseconds
+        self._service.faults.delay_s = _seconds(arguments)
+
+    def _stall(self, arguments: list[str]) -> None:
+        self._service.faults.stall_s = _seconds(arguments)
 
     def _garble(self, arguments: list[str]) -> None:
         if len(arguments) != 1 or arguments[0] not in GARBLED:
@@ -166,6 +167,14 @@ def _numbers(arguments: list[str], count: int, largest: float) -> list[float]:
     if len(numbers) != count or not all(math.isfinite(number) and abs(number) <= largest for number in numbers):
         _refuse(f"{' '.join(arguments)!r}: must be {count} number{'s' if count > 1 else ''} of at most {largest:g}")
     return numbers
+
+
+def _seconds(arguments: list[str]) -> float:
+    """From a number in ms."""
+    (milliseconds,) = _numbers(arguments, 1, 10_000.0)
+    if milliseconds < 0.0:
+        _refuse(f"{milliseconds:g}: must be at least 0 ms")
+    return 1e-3 * milliseconds
 
 
 def _count(arguments: list[str]) -> int:

@@ -74,6 +74,7 @@ class Server:
         """A further source of input of its loop."""
         self._clients: list[Client] = []
         self._due: list[tuple[float, Client, str]] = []
+        self._stalled_until_s = 0.0
         self._states = socket.create_server((host, port))
         try:
             self._events = socket.create_server((host, event_port))
@@ -161,7 +162,10 @@ class Server:
                 client.send(self.service.first())
         elif isinstance(happened, Frame) and happened.opcode is Opcode.TEXT and not client.listens:
             now_s = time.monotonic()
-            due_s = now_s + self.service.faults.delay_s
+            faults = self.service.faults
+            self._stalled_until_s = max(self._stalled_until_s, now_s + faults.stall_s)
+            faults.stall_s = 0.0
+            due_s = max(now_s + faults.delay_s, self._stalled_until_s)
             replies = self.service.receive(bytes(happened.data), now_s)
             if due_s > now_s:
                 self._due += [(due_s, client, text) for text in replies]

@@ -24,6 +24,8 @@ class Faults:
         """So many replies are not sent."""
         self.delay_s = 0.0
         """Each reply comes so late."""
+        self.stall_s = 0.0
+        """From the next message on, no reply comes for so long, once."""
         self.garble: str | None = None
         """What the next reply is instead."""
         self.twice = 0
@@ -63,11 +65,6 @@ class Service:
         """The last force of a client, be it that the device idles since."""
         self._last_s = -math.inf
         self._config: dict[str, Any] = {"force_gate": {"gain": 0.3}, "damping": {"scalar": 0.0}}
-        self._transform = {
-            "position": {"x": 0.0, "y": 0.0, "z": 0.0},
-            "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
-            "scale": {"x": 1.0, "y": 1.0, "z": 1.0},
-        }
 
     def advance(self, now_s: float) -> None:
         """Moves the device on; without messages it idles."""
@@ -81,8 +78,10 @@ class Service:
 
     def receive(self, text: bytes, now_s: float) -> list[str]:
         """The replies to a message of a client."""
+        full = False
         try:
             message = msgspec.json.decode(text)
+            full = "force_render_full_state" in message.get("session", {})
             self._obey(message)
         except (msgspec.MsgspecError, ValueError, TypeError, KeyError, AttributeError) as error:
             self.log.append(f"refused: {error}: {text[:120]!r}")
@@ -97,7 +96,7 @@ class Service:
         if faults.garble is not None:
             garbled, faults.garble = faults.garble, None
             return [garbled]
-        state = json.dumps(self._state(configured=False))
+        state = json.dumps(self._state(configured=full))
         if faults.twice > 0:
             faults.twice -= 1
             return [state, state]
@@ -179,9 +178,12 @@ class Service:
                 "cursor_position": _xyz(device.position),
                 "cursor_velocity": _xyz(device.velocity),
                 "current_cursor_force": _xyz(device.force),
+                # Before 3.5 the domain of control was told so, and the vendor's client still requires it.
+                "mode": "idle" if self._idles else "position",
                 "control_domain": "undefined" if self._idles else "cartesian",
                 "control_mode": "idle" if self._idles else "force",
-                "transform": self._transform,
+                # The service leaves out the parts that change nothing.
+                "transform": {},
             },
             "status": self.status,
         }
@@ -198,7 +200,20 @@ class Service:
         }
         if configured:
             inverse3["config"] = {
+                "id": DEVICE_ID,
                 "type": "inverse3",
+                "device_info": {
+                    "id": DEVICE_ID,
+                    "major_version": 7,
+                    "minor_version": 0,
+                    "device_type": "inverse3",
+                    "uuid": f"00000000-0000-0000-0000-00000000{DEVICE_ID}",
+                },
+                "port": "emulated",
+                "extended_device_id": DEVICE_ID,
+                "extended_firmware_version": "emulated",
+                "preset": "defaults",
+                "mount": {},
                 "gravity_compensation": {"enabled": True, "scaling_factor": 1.0},
                 "torque_scaling": {"enabled": True},
                 "handedness": "right",

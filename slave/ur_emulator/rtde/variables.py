@@ -9,7 +9,7 @@ outputs.
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Final, Self
@@ -232,6 +232,8 @@ class RtdeInputs:
         """Inputs that no client gets, as if another one had them."""
         self.changed: set[str] = set()
         """Inputs that were written since this was last emptied."""
+        self.on_written: Callable[[Mapping[str, Value]], None] = lambda _: None
+        """Takes the values of each package, once they are set."""
         self._owners: dict[str, int] = {}
         self._names = {name: name for name in types}
 
@@ -263,6 +265,7 @@ class RtdeInputs:
         self.values.update(values)
         self.changed.update(values)
         self.writes.update(values.keys())
+        self.on_written(values)
 
     def _answer(self, owner: int, name: str) -> str:
         kind = self.types.get(name)
@@ -278,35 +281,64 @@ DIGITAL_GROUPS = (("standard_digital_output", 0), ("configurable_digital_output"
 DIGITAL_OUTPUTS = 18
 
 
-class DigitalOutputs:
-    """Digital outputs as bits and two analog outputs from 0 to 1, which clients set by inputs."""
+ANALOG_MASK: Final = "standard_analog_output_mask"
+SLIDER_MASK: Final = "speed_slider_mask"
+LOWEST_A, HIGHEST_A = 0.004, 0.020
+HIGHEST_V: Final = 10.0
+
+
+class ClientSettings:
+    """Digital outputs as bits, two analog outputs and the speed slider.
+
+    Clients set them by inputs. A package sets them once, when it arrives: others may change them afterwards.
+    """
 
     def __init__(self, inputs: RtdeInputs) -> None:
-        self.bits = 0
-        self.analog = [0.0, 0.0]
         self._inputs = inputs
-        self._writes = dict.fromkeys((*(name for name, _ in DIGITAL_GROUPS), "standard_analog_output_mask"), 0)
-
-    def update(self) -> None:
-        """Applies what was written to the inputs since the last call."""
-        values, writes = self._inputs.values, self._inputs.writes
-        for name, first in DIGITAL_GROUPS:
-            if writes[name] != self._writes[name]:
-                self._writes[name] = writes[name]
-                mask = int(values[f"{name}_mask"]) << first  # type: ignore[arg-type]  # UINT8
-                self.bits = self.bits & ~mask | int(values[name]) << first & mask  # type: ignore[arg-type]
-        name = "standard_analog_output_mask"
-        if writes[name] != self._writes[name]:
-            self._writes[name] = writes[name]
-            for output in range(2):
-                if int(values[name]) >> output & 1:  # type: ignore[arg-type]  # UINT8
-                    share = float(values[f"standard_analog_output_{output}"])  # type: ignore[arg-type]  # DOUBLE
-                    self.analog[output] = min(max(share, 0.0), 1.0)
+        inputs.on_written = self._apply
+        self.reset()
 
     def reset(self) -> None:
-        """All off."""
+        """Digital outputs off, analog outputs at 4 mA, the slider at its end."""
         self.bits = 0
-        self.analog = [0.0, 0.0]
+        self.slider = 1.0
+        """Share of the speed, 0 to 1."""
+        self._analog = [0.0, 0.0]
+        """Share of its range of each analog output, 0 to 1."""
+        self._is_voltage = [False, False]
+
+    @property
+    def analog(self) -> list[float]:
+        """Each analog output: 4 to 20 mA in A, or 0 to 10 V in V."""
+        return [
+            HIGHEST_V * share if voltage else LOWEST_A + (HIGHEST_A - LOWEST_A) * share
+            for share, voltage in zip(self._analog, self._is_voltage, strict=True)
+        ]
+
+    @property
+    def analog_types(self) -> int:
+        """RTDE's `analog_io_types`: bits 2 and 3 are set for an analog output in V."""
+        return self._is_voltage[0] << 2 | self._is_voltage[1] << 3
+
+    def _apply(self, written: Mapping[str, Value]) -> None:
+        """Applies what a package has written to the inputs."""
+        for name, first in DIGITAL_GROUPS:
+            if name in written:
+                mask = self._integer(f"{name}_mask") << first
+                self.bits = self.bits & ~mask | self._integer(name) << first & mask
+        if ANALOG_MASK in written:
+            for output in range(2):
+                if self._integer(ANALOG_MASK) >> output & 1:
+                    self._analog[output] = self._share(f"standard_analog_output_{output}")
+                    self._is_voltage[output] = bool(self._integer("standard_analog_output_type") >> output & 1)
+        if SLIDER_MASK in written and self._integer(SLIDER_MASK):
+            self.slider = self._share("speed_slider_fraction")
+
+    def _integer(self, name: str) -> int:
+        return int(self._inputs.values[name])  # type: ignore[arg-type]  # the table says that it is an integer
+
+    def _share(self, name: str) -> float:
+        return min(max(float(self._inputs.values[name]), 0.0), 1.0)  # type: ignore[arg-type]  # DOUBLE
 
     def set(self, output: int, *, on: bool) -> None:
         """Sets one bit: set_digital_out.

@@ -16,7 +16,7 @@ from haptether.slave.ur_emulator.robot.kinematics import Six
 from haptether.slave.ur_emulator.script.program import ScriptError
 
 if TYPE_CHECKING:
-    from haptether.slave.ur_emulator.rtde.variables import DigitalOutputs
+    from haptether.slave.ur_emulator.rtde.variables import ClientSettings
     from haptether.slave.ur_emulator.script.functions import ScriptFunctions
     from haptether.slave.ur_emulator.script.program import Registers, Setup, Steps
 
@@ -234,7 +234,7 @@ class CallProgram:
         functions: Functions of URScript.
         registers: Registers without an offset.
         setup: Settings by the program.
-        digital: The digital outputs.
+        client_settings: The digital outputs.
         log: Takes lines for the log.
     """
 
@@ -243,7 +243,7 @@ class CallProgram:
         functions: "ScriptFunctions",
         registers: "Registers",
         setup: "Setup",
-        digital: "DigitalOutputs",
+        client_settings: "ClientSettings",
         log: Callable[[str], None],
     ) -> None:
         self._script = functions
@@ -266,10 +266,10 @@ class CallProgram:
             "zero_ftsensor": functions.robot.sensing.zero,
             "end_force_mode": functions.robot.end_force_mode,
             "protective_stop": lambda: setup.protective_stop("protective_stop() of the program"),
-            "set_digital_out": lambda n, b: digital.set(n, on=b),
-            "set_standard_digital_out": lambda n, b: digital.set(n, on=b),
-            "set_configurable_digital_out": lambda n, b: digital.set(8 + n, on=b),
-            "set_tool_digital_out": lambda n, b: digital.set(16 + n, on=b),
+            "set_digital_out": lambda n, b: client_settings.set(n, on=b),
+            "set_standard_digital_out": lambda n, b: client_settings.set(n, on=b),
+            "set_configurable_digital_out": lambda n, b: client_settings.set(8 + n, on=b),
+            "set_tool_digital_out": lambda n, b: client_settings.set(16 + n, on=b),
             "write_output_integer_register": registers.write_integer,
             "write_output_float_register": registers.write_double,
         }

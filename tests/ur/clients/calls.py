@@ -103,6 +103,7 @@ def io(host: str) -> Result:
             inputs_outputs.setToolDigitalOut(0, True),
             inputs_outputs.setSpeedSlider(0.5),
             inputs_outputs.setAnalogOutputVoltage(0, 0.25),
+            inputs_outputs.setAnalogOutputCurrent(1, 0.5),
             inputs_outputs.setInputIntRegister(20, 5),
             inputs_outputs.setInputDoubleRegister(20, 0.5),
         ]
@@ -110,8 +111,24 @@ def io(host: str) -> Result:
     time.sleep(0.05)
     result["bits"] = receive.getActualDigitalOutputBits()
     result["slider"] = receive.getTargetSpeedFraction()
-    result["analog"] = receive.getStandardAnalogOutput0()
+    result["analog"] = [receive.getStandardAnalogOutput0(), receive.getStandardAnalogOutput1()]
     inputs_outputs.setStandardDigitalOut(3, False)
     time.sleep(0.05)
     result["cleared"] = receive.getActualDigitalOutputBits()
     return result
+
+
+@scenario
+def slider(host: str) -> Result:
+    """Where the next client sees the speed slider."""
+    return {"seen": rtde_receive.RTDEReceiveInterface(host).getTargetSpeedFraction()}
+
+
+@scenario
+def custom(host: str, upper: bool, body: str) -> Result:
+    """A program of the user's, and a move after it."""
+    flags = rtde_control.RTDEControlInterface.FLAG_UPLOAD_SCRIPT
+    if upper:
+        flags |= rtde_control.RTDEControlInterface.FLAG_UPPER_RANGE_REGISTERS
+    control = rtde_control.RTDEControlInterface(host, -1.0, flags)
+    return {"returned": control.sendCustomScriptFunction("custom", body), "moved": control.moveJ(list(START), 2.0, 8.0)}

@@ -147,6 +147,22 @@ def test_it_is_heard_while_it_waits(arm: Arm) -> None:
         ({"safety_mode": 7, "safety_bits": 1 << 6}, "safety mode: robot emergency stop"),
         ({"runtime_state": 2, "version": (5, 11, 0, 0)}, "program: playing: somebody else's program"),
         ({"version": (5, 3, 0, 0), "runtime_state": 1}, "software: 5.3.0: needs"),
+        ({"version": (3, 14, 9, 0), "runtime_state": 1}, "software: 3.14.9: needs"),
+        ({"version": (4, 9, 0, 0), "runtime_state": 1}, "software: 4.9.0: needs"),
+        ({"version": (10, 8, 0, 0), "runtime_state": 1}, "software: 10.8.0: needs 3.15 (CB3), or 5.4 and later"),
+        ({"version": (10, 12, 0, 0), "runtime_state": 1}, "PolyScope X has no dashboard server"),
+        ({"version": (11, 0, 0, 0), "runtime_state": 1}, "PolyScope X has no dashboard server"),
+        (
+            {"scripts_refused": True},
+            "scripts: fake:30003: Connection refused: is the Real-Time Client interface enabled",
+        ),
+        ({"dashboard_gone": True}, "dashboard: dashboard: timed out: is the dashboard server enabled"),
+        ({"dashboard_gone": True, "version": (5, 4, 0, 0)}, "dashboard: dashboard: timed out: is the dashboard server"),
+        (
+            {"dashboard_gone": True, "version": (3, 15, 0, 0)},
+            "dashboard: dashboard: timed out: is the dashboard server",
+        ),
+        ({"remote": False, "runtime_state": 2, "orphaned": True}, "program: playing: somebody else's program"),
         ({"remote": False, "runtime_state": 1}, "remote control: off: switch the pendant"),
         ({"slider": 0.5, "runtime_state": 1}, "speed slider: 50 %: set it to 100 % on the pendant"),
     ],
@@ -160,11 +176,46 @@ def test_what_is_not_ready_is_refused_before_anything_is_sent(arm: Arm, change: 
     assert arm.said == []
 
 
+def test_a_control_script_of_an_earlier_run_is_ended_before_the_next(
+    arm: Arm, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arm.runtime_state, arm.orphaned = 2, True
+    driven = Driven(arm)
+    assert "ok       program: the control script of an earlier run played without a client" in capsys.readouterr().err
+    driven.moves()
+    driven.driver.close()
+
+
+@pytest.mark.parametrize("how", ["does not start", "does not connect"])
+def test_a_script_that_may_start_after_the_end_is_ended(arm: Arm, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
+    if how == "does not connect":
+        arm.raises.add("connect")
+    else:
+        monkeypatch.setattr("haptether.slave.ur.connection.START_S", 0.05)
+        monkeypatch.setattr("tests.ur.fake_rtde.Control.connect", lambda _: True)
+        monkeypatch.setattr("tests.ur.fake_rtde.Control.reuploadScript", lambda _: True)
+    driver = UrSlave(host="fake")
+    with pytest.raises(RtdeConnectionError):
+        driver.open()
+    assert arm.ends == 0
+    driver.close()
+    assert arm.ends == 1
+
+
+def test_a_program_that_plays_at_the_end_is_stopped_once(arm: Arm) -> None:
+    driven = Driven(arm)
+    driven.moves()
+    driven.driver.close()
+    assert "stopScript" in arm.names
+    assert (arm.ends, arm.dashboard.count("stop")) == (0, 0)
+
+
 def test_the_checklist_says_all_lines(arm: Arm, capsys: pytest.CaptureFixture[str]) -> None:
     Driven(arm, payload_kg=1.5).driver.close()
     said = capsys.readouterr().err
     for line in (
-        "reachable", "software: 5.11.0", "remote control: on", "robot mode: running", "safety mode: normal",
+        "reachable", "software: 5.11.0", "scripts: port 30003", "remote control: on", "robot mode: running",
+        "safety mode: normal",
         "speed slider: 100 %", "program: stopped", "workspace: no planes", "payload: 1.5 kg", "tool: ",
         "force sensor: zeroed", "watchdog: 10 Hz, tried",
     ):  # fmt: skip

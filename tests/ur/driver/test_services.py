@@ -96,7 +96,7 @@ def test_nobody_there(serve: Serve) -> None:
     with pytest.raises(ProbeError, match=f"{HOST}:30004: connect: "):
         probe(HOST, LIMIT_S)
     with pytest.raises(DashboardError, match=f"dashboard {HOST}:29999: "):
-        services.query_dashboard(HOST, "stop", limit_s=LIMIT_S)
+        services.query_dashboard(HOST, "stop", reply_s=LIMIT_S)
 
 
 @pytest.mark.parametrize("handle", [silent, closing, endless])
@@ -104,7 +104,7 @@ def test_the_dashboard_is_not_waited_for(serve: Serve, handle: Callable[[socket.
     serve(services.DASHBOARD_PORT, handle)
     begun_s = time.monotonic()
     with pytest.raises(DashboardError):
-        services.query_dashboard(HOST, "stop", limit_s=LIMIT_S)
+        services.query_dashboard(HOST, "stop", reply_s=LIMIT_S)
     assert time.monotonic() - begun_s < LIMIT_S + 1.0
 
 
@@ -130,6 +130,37 @@ def test_what_the_dashboard_says(serve: Serve) -> None:
     services.stop_program(HOST)
     with pytest.raises(DashboardError, match="unlock protective stop: Cannot unlock protective stop until 5s"):
         services.unlock_protective_stop(HOST)
+
+
+@pytest.mark.parametrize(("delay_s", "reply_s", "answers"), [(0.3, 0.5, True), (0.3, 0.1, False)])
+def test_each_line_of_the_dashboard_has_a_time_limit_of_its_own(
+    serve: Serve, delay_s: float, reply_s: float, answers: bool
+) -> None:
+    def slow(connection: socket.socket) -> None:
+        time.sleep(delay_s)
+        connection.sendall(b"Connected: Universal Robots Dashboard Server\n")
+        for _ in connection.makefile():
+            time.sleep(delay_s)
+            connection.sendall(b"true\n")
+
+    serve(services.DASHBOARD_PORT, slow)
+    if answers:
+        assert services.query_dashboard(HOST, "is in remote control", "running", reply_s=reply_s) == ["true"] * 2
+    else:
+        with pytest.raises(DashboardError, match="timed out"):
+            services.query_dashboard(HOST, "is in remote control", reply_s=reply_s)
+
+
+def test_time_limits_of_the_dashboard_are_those_of_the_library() -> None:
+    # ur_rtde 1.6.5: DashboardClient.connect and async_readline.
+    assert (services.CONNECT_S, services.REPLY_S) == (2.0, 2.5)
+
+
+def test_the_script_port_is_looked_at(serve: Serve) -> None:
+    with pytest.raises(ProbeError, match=f"{HOST}:30003: Connection refused"):
+        services.check_script_port(HOST)
+    serve(services.SCRIPT_PORT, closing)
+    services.check_script_port(HOST)
 
 
 @pytest.mark.parametrize(("host", "address"), [("127.0.3.77", "127.0.3.77"), ("localhost", "127.0.0.1")])

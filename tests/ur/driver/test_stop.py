@@ -78,7 +78,7 @@ class Stopped:
 
 @pytest.fixture
 def stopped(monkeypatch: pytest.MonkeyPatch) -> Iterator[Stopped]:
-    monkeypatch.setattr("haptether.slave.ur.stop.stop_program", lambda _: None)
+    monkeypatch.setattr("haptether.slave.ur.stop.end_program", lambda _: None)
     stopped = Stopped()
     yield stopped
     stopped.soft_stop.close()
@@ -199,5 +199,5 @@ def test_what_is_cut_is_not_led_until_it_was_acknowledged(stopped: Stopped) -> N
     assert stopped.connection.control is None
     assert stopped.package(qd=0.3) is None
     (call,) = soft_stop.acknowledge()
-    assert call.name == "dashboard stop"
+    assert call.name == "end of the program"
     assert stopped.phase is Phase.AT_REST

@@ -82,13 +82,36 @@ def test_the_dashboard_and_a_protective_stop(arm: Emulated) -> None:
     assert result["on"] == "Robotmode: POWER_ON"
 
 
+BODIES = {
+    "if": 'if True:\n  textmsg("yes")\nend',
+    "while": "i = 0\nwhile i < 3:\n  i = i + 1\nend",
+    "a function": "def inner():\n  sleep(0.1)\nend\ninner()",
+}
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("upper", [False, True], ids=["lower registers", "upper registers"])
+@pytest.mark.parametrize("name", BODIES)
+def test_a_program_that_cannot_be_read_is_logged_and_holds_no_client(arm: Emulated, name: str, upper: bool) -> None:
+    assert client("custom", arm.host, [upper, BODIES[name]]) == {"returned": True, "moved": True}
+    assert "custom: " in arm.do("log 5")
+    assert "knows only calls of its own functions" in arm.do("log 5")
+
+
 def test_inputs_and_outputs(arm: Emulated) -> None:
     result = client("io", arm.host)
     assert all(result["set"])
     assert result["bits"] == 1 << 3 | 1 << 9 | 1 << 16
     assert result["cleared"] == 1 << 9 | 1 << 16
     assert result["slider"] == 0.5
-    assert result["analog"] == pytest.approx(0.25)
+    # 0.25 of 10 V; as a current, 0.5 of 4 to 20 mA.
+    assert result["analog"] == pytest.approx([2.5, 0.012])
+    # What one client has set, others may change: the pendant, a reset, the next client.
+    arm.do("slider 1")
+    assert client("slider", arm.host)["seen"] == 1.0
+    assert client("io", arm.host)["slider"] == 0.5
+    arm.do("reset")
+    assert client("slider", arm.host)["seen"] == 1.0
 
 
 def test_two_clients_of_control_and_reconnection(arm: Emulated) -> None:

@@ -69,7 +69,8 @@ def test_what_is_said_to_stay_0_does_and_all_else_does_not() -> None:
     world.controller.inputs.write({
         "speed_slider_mask": 1, "speed_slider_fraction": 0.9, "standard_digital_output_mask": 1,
         "standard_digital_output": 1, "standard_analog_output_mask": 3, "standard_analog_output_0": 0.5,
-        "standard_analog_output_1": 0.5, "input_bit_registers0_to_31": 5, "input_bit_registers32_to_63": 6,
+        "standard_analog_output_1": 0.5, "standard_analog_output_type": 1, "input_bit_registers0_to_31": 5,
+        "input_bit_registers32_to_63": 6,
     })  # fmt: skip
     world.realtime(10, [*UP, 0.5, 0.1])
     for _ in range(60):
@@ -141,7 +142,7 @@ def test_accelerations_of_the_tool_are_those_of_its_velocities() -> None:
 @pytest.mark.parametrize("slider", [1.0, 0.4, 0.0])
 def test_the_slider_is_reported_once(slider: float) -> None:
     world = World()
-    world.controller.slider = slider
+    world.controller.client_settings.slider = slider
     world.cycles(3)
     # Clients multiply both.
     assert world.controller.outputs["speed_scaling"] == 1.0
@@ -150,7 +151,7 @@ def test_the_slider_is_reported_once(slider: float) -> None:
 
 def test_the_limiter_is_reported_beside_the_slider() -> None:
     world = World(limits=SafetyLimits(tool_speed=0.5))
-    world.controller.slider = 0.8
+    world.controller.client_settings.slider = 0.8
     world.cycles(1)
     q = (START[0] + 1.5, *START[1:])
     world.realtime(1, [*q, 3.1, 3.0], [1])

@@ -56,6 +56,24 @@ def test_a_program_ends_by_its_command_and_is_replaced_by_the_next(world: World)
     assert not world.playing
 
 
+@pytest.mark.parametrize(
+    ("body", "answer"),
+    [
+        ("if True:\n  sleep(1)\nend\nwrite_output_integer_register(0 +0, 2)", DONE),
+        ("if True:\n  write_output_integer_register(0, 2)\nend", DONE),
+        ("x = 1\nwrite_output_integer_register(0, x)", READY),
+        ("x = 1", READY),
+    ],
+)
+def test_the_end_of_a_program_that_cannot_be_read_is_signalled(world: World, body: str, answer: int) -> None:
+    assert world.answer == READY
+    world.controller.submit(Submitted("custom", f"def custom():\n{body}\nend"))
+    world.cycles(30)
+    assert not world.playing
+    assert world.answer == answer
+    assert "knows only calls" in world.controller.log[-1]
+
+
 def test_an_unknown_command_is_answered_and_does_nothing(world: World) -> None:
     world.call(240)
     assert world.playing

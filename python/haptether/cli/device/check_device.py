@@ -73,6 +73,7 @@ class CheckDevice(DriverOptions):
             show_tracebacks,
             side_of,
         )
+        from haptether.cli.device.told import listening
         from haptether.cli.shared.own_force import exerts_by_itself
         from haptether.cli.shared.stop import Stopped, wait
 
@@ -81,7 +82,7 @@ class CheckDevice(DriverOptions):
         self._check(side)
         if side == "gripper":
             return check_gripper(self)
-        with Stopped() as stopped:
+        with Stopped() as stopped, listening() as told:
             device = loaded_device(self, side)
             kind = self.kind or kind_of(device)
             if self.push_n is not None:
@@ -106,20 +107,25 @@ class CheckDevice(DriverOptions):
                 # Of a part of what was requested there is no verdict.
                 raise KeyboardInterrupt
             found += check.findings()
+            said = check.messages
             if unpushed is not None:
                 found.append(Finding("push", "unseen", unpushed))
             show_tracebacks(self, check.run)
             if check.run.is_open and check.run.error is None and check.ended and not stopped:
-                found.append(self._again(check, side, stopped))
+                again, texts = self._again(check, side, stopped)
+                found.append(again)
+                said += texts
             if stopped:
                 raise KeyboardInterrupt
-        self._report(check, side, found)
+        self._report(check, side, found, told.shortened(found, said))
         return 1 if any(finding.verdict == "mend" for finding in found) else 0
 
-    def _again(self, check: "DeviceCheck", side: Literal["master", "slave"], stopped: "Stopped") -> "Finding":
-        """Opens it a second time, and has an exception end that run."""
+    def _again(
+        self, check: "DeviceCheck", side: Literal["master", "slave"], stopped: "Stopped"
+    ) -> "tuple[Finding, list[str]]":
+        """Opens it a second time, and has an exception end that run; also the driver's texts of what was wrong."""
         from haptether.bridge import DeviceError
-        from haptether.bridge.devices.check.finding import Finding
+        from haptether.bridge.devices.check.finding import Finding, messages
         from haptether.bridge.devices.check.report import SecondRun
         from haptether.bridge.devices.standalone import wait_until
         from haptether.cli.device.consent import announced, ask_before_open
@@ -129,12 +135,12 @@ class CheckDevice(DriverOptions):
         try:
             device = loaded_device(self, side)
         except (DeviceError, ValueError) as error:
-            return Finding(name, "mend", f"it cannot be made a second time: {error}")
+            return Finding(name, "mend", f"it cannot be made a second time: {error}"), []
         try:
             # Anew: whoever held it for the first time has read meanwhile that its force has ended.
             ask_before_open(self.name, device, stopped, yes=self.yes, again=True)
         except RuntimeError as error:
-            return Finding(name, "unseen", str(error))
+            return Finding(name, "unseen", str(error)), []
         with announced(self.name, device) as runs:
             second = SecondRun(device, check, lambda: bool(stopped))
             runs.append(second.run)
@@ -142,7 +148,7 @@ class CheckDevice(DriverOptions):
             wait_until(lambda: second.run.finished or bool(stopped), 5.0)
             found = second.finding()
         show_tracebacks(self, second.run)
-        return found
+        return found, messages(second.run.watched.failed)
 
     def _check(self, side: str) -> None:
         """Refuses what cannot be, before anything is opened."""
@@ -194,12 +200,12 @@ class CheckDevice(DriverOptions):
         wait("pushing", lambda: _status(check), lambda: push.ended is not None or is_over(check.run), stopped, 5.0)
         return None
 
-    def _report(self, check: "DeviceCheck", side: str, found: "list[Finding]") -> None:
+    def _report(self, check: "DeviceCheck", side: str, found: "list[Finding]", table: "list[Finding]") -> None:
         from haptether.cli.shared.output import write_report
         from haptether.cli.shared.screen import screen
 
         console = screen(self.json)
-        print_findings(console, self.name, found)
+        print_findings(console, self.name, table)
         times = check.timing()
         if times is not None:
             rows = {
@@ -261,6 +267,7 @@ def check_gripper(command: CheckDevice) -> int:
     from haptether.bridge.devices.check.gripper import GripperCheck
     from haptether.cli.device.consent import check_terminal, consents
     from haptether.cli.device.options import await_open, driver_options, is_over, show_tracebacks
+    from haptether.cli.device.told import listening
     from haptether.cli.shared.output import write_report
     from haptether.cli.shared.screen import screen
     from haptether.cli.shared.stop import Stopped, wait
@@ -270,7 +277,7 @@ def check_gripper(command: CheckDevice) -> int:
     if callable(getattr(gripper, "attach", None)):
         message = f"{name}: a gripper on the bus of its arm: it is opened with that, by `haptether slave`"
         raise ValueError(message)
-    with Stopped() as stopped:
+    with Stopped() as stopped, listening() as told:
         if options.get("activate"):
             check_terminal("an activation moves the jaws", yes=command.yes)
             question = f"{name} will open and close its jaws once, and drops what they hold. No fingers between them."
@@ -287,7 +294,7 @@ def check_gripper(command: CheckDevice) -> int:
         show_tracebacks(command, check.run)
     found = check.findings()
     console = screen(command.json)
-    print_findings(console, name, found)
+    print_findings(console, name, told.shortened(found, check.messages))
     wrong = print_verdict(console, found)
     write_report(command.json, {"driver": name, "side": "gripper", "passed": not wrong, "findings": found})
     return 1 if wrong else 0

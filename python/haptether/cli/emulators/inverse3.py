@@ -14,7 +14,8 @@ class Inverse3Emulator:
     """Emulate the vendor's service of a Haply Inverse3 with a VerseGrip, for the driver and other clients.
 
     It speaks the WebSocket and JSON of version 3.5, on this machine only: a frame on connection, then one for each
-    message, and events on a port of their own. Behind it a mass with friction moves, that a hand holds.
+    message, and events on a port of their own. Behind it a mass with friction moves, that a hand holds: `haptether
+    identify inverse3` needs the control line `release` first.
     docs/haptic_devices.md has what is modelled, and the lines of --control that move the hand and make things go wrong.
 
     Examples:
