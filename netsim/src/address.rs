@@ -49,18 +49,17 @@ fn with_zone(text: &str) -> Option<Result<SocketAddr, String>> {
 ///
 /// No such host, or another form than `HOST:PORT`.
 pub fn addresses(text: &str) -> Result<Vec<SocketAddr>, String> {
-    let mut found = match with_zone(text) {
+    let found = match with_zone(text) {
         Some(address) => vec![address?],
         None => text.to_socket_addrs().map_err(|error| error.to_string())?.collect(),
     };
-    let mut distinct = Vec::new();
-    found.retain(|address| {
-        !distinct.contains(address) && {
-            distinct.push(*address);
-            true
+    let mut distinct = Vec::with_capacity(found.len());
+    for address in found {
+        if !distinct.contains(&address) {
+            distinct.push(address);
         }
-    });
-    if found.is_empty() { Err("no such address".into()) } else { Ok(found) }
+    }
+    if distinct.is_empty() { Err("no such address".into()) } else { Ok(distinct) }
 }
 
 /// Why nobody can be sent to at an address and answer from it; none where somebody can.

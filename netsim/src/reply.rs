@@ -65,7 +65,7 @@ pub(crate) fn asker<S>(message: &RecvMsg<'_, '_, S>, seen: Option<&SockaddrStora
     let v4 = seen.as_sockaddr_in().map(|seen| SocketAddrV4::from(*seen).into());
     let from = v4.or_else(|| seen.as_sockaddr_in6().map(|seen| SocketAddrV6::from(*seen).into()))?;
     let reports = message.cmsgs().into_iter().flatten();
-    let asked = reports.filter_map(|report| match report {
+    let mut asked = reports.filter_map(|report| match report {
         ControlMessageOwned::Ipv4PacketInfo(info) => {
             Some(IpAddr::from(info.ipi_spec_dst.s_addr.to_ne_bytes()))
         }
@@ -73,7 +73,7 @@ pub(crate) fn asker<S>(message: &RecvMsg<'_, '_, S>, seen: Option<&SockaddrStora
         _ => None,
     });
     // From a group nobody answers.
-    let asked = asked.filter(|ip| !ip.is_multicast() && !ip.is_unspecified()).next();
+    let asked = asked.find(|ip| !ip.is_multicast() && !ip.is_unspecified());
     Some(Asker { from, asked })
 }
 

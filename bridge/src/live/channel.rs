@@ -88,8 +88,9 @@ impl LiveChannel {
         let now_ns = time.tick_ns;
         // Opening changes what is encrypted.
         let (header, is_secure) = (header_of(datagram), self.session.is_secure());
-        let unknown =
-            |rejection| stranger(&header, is_secure, rejection).map_or(Received::Nothing, Received::Stranger);
+        let unknown = |rejection| {
+            stranger(header.as_ref(), is_secure, rejection).map_or(Received::Nothing, Received::Stranger)
+        };
         match self.session.open(now_ns, datagram) {
             Ok(Incoming::Payload { payload, .. }) => match side.receive(time, payload) {
                 Ok(()) => return Received::Fresh { is_answered: hears_peer(payload) },

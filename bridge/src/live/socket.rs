@@ -167,6 +167,8 @@ impl PeerSocket {
                     let received = take(asker, &mut buffer[..length]);
                     self.routes[known].1.take(now_ns, asker, received);
                     match received {
+                        // A frame of the peer may be damaged on its way.
+                        Received::Stranger(_) if self.routes[known].1.lives_at(now_ns, asker.from) => {}
                         Received::Stranger(stranger) => self.strangers.count(stranger, asker.from),
                         Received::Fresh { .. } | Received::Repeat if !self.is_found => {
                             (self.is_found, self.current, self.found) = (true, known, Some(asker.from));
@@ -291,6 +293,11 @@ impl Route {
         Self { learns: true, peer: None, second: None, owed: 0, is_answered: false }
     }
 
+    /// Whether frames of the peer come from there.
+    fn lives_at(&self, now_ns: u64, from: SocketAddr) -> bool {
+        self.peer.is_some_and(|peer| peer.asker.from == from && !peer.is_silent(now_ns))
+    }
+
     /// Whether a datagram from there is looked at.
     fn admits(&self, from: SocketAddr) -> bool {
         self.learns || self.peer.is_some_and(|peer| peer.asker.from == from)
@@ -298,13 +305,14 @@ impl Route {
 
     /// Takes note of a datagram from `asker` that arrived at `now_ns`.
     fn take(&mut self, now_ns: u64, asker: Asker, received: Received) {
-        if !self.learns {
-            return;
-        }
         match received {
             Received::Fresh { is_answered } => self.is_answered = is_answered,
             Received::Repeat => {}
             Received::Stranger(_) | Received::Nothing => return,
+        }
+        if let (false, Some(peer)) = (self.learns, &mut self.peer) {
+            peer.heard_ns = now_ns;
+            return;
         }
         let here = Place { asker, heard_ns: now_ns };
         let is_at = |place: &Option<Place>| place.is_some_and(|place| place.asker.from == asker.from);
@@ -541,6 +549,19 @@ mod tests {
             ends[(place + 1) % 3].send_to(&[2], asked_from[place]).unwrap();
             socket.drain(0, u64::MAX, |_, _| fresh);
             assert_eq!(socket.elsewhere(), 1);
+        }
+    }
+
+    /// Damage on the way makes a frame look like one of another version.
+    #[test]
+    fn a_peer_that_is_heard_is_no_stranger() {
+        for peer in [Some(at(1)), None] {
+            let mut route = peer.map_or_else(Route::learned, Route::known);
+            assert!(!route.lives_at(500 * MS, at(1)), "nothing was heard");
+            route.take(500 * MS, at(1).into(), Received::Fresh { is_answered: false });
+            assert!(route.lives_at(520 * MS, at(1)) && !route.lives_at(520 * MS, at(2)));
+            route.take(521 * MS, at(1).into(), Received::Stranger(Stranger::Version));
+            assert!(!route.lives_at(521 * MS, at(1)), "it is silent");
         }
     }
 

@@ -42,11 +42,11 @@ pub(super) fn header_of(datagram: &[u8]) -> Option<Header> {
 
 /// How a datagram that was not taken shows that it is not of the peer, if it does; `rejection` is of the session.
 pub(super) fn stranger(
-    header: &Option<Header>,
+    header: Option<&Header>,
     is_secure: bool,
     rejection: Option<Rejection>,
 ) -> Option<Stranger> {
-    let header = header.as_ref()?;
+    let header = header?;
     match (header.magic, is_secure) {
         (SESSION_MAGIC, true) if header.version != SESSION_VERSION => Some(Stranger::Version),
         (SESSION_MAGIC, true) => {
@@ -154,7 +154,7 @@ mod tests {
             (of(b"GET / HTTP", 10), true, Some(Rejection::Length), None),
             (of(b"", 2), true, Some(Rejection::Length), None),
         ] {
-            assert_eq!(stranger(&header, is_secure, rejection), expected);
+            assert_eq!(stranger(header.as_ref(), is_secure, rejection), expected);
         }
     }
 

@@ -205,6 +205,6 @@ impl Drop for PyProxy {
 fn source(text: &str) -> PyResult<Source> {
     text.parse().map_err(|why| {
         let form = "must be an IP address or IP:PORT, such as 192.0.2.7 or 192.0.2.7:9100";
-        PyValueError::new_err(format!("allow = {text:?}: {why}; {form}"))
+        PyValueError::new_err(format!("allow = {text:?}: {form}; {why}"))
     })
 }
