@@ -233,6 +233,7 @@ TORQUE_ENABLE: Final = _COMMON["Torque Enable"].address
 HARDWARE_STATUS: Final = _COMMON["Hardware Error Status"].address
 STATUS_SIZE: Final = HARDWARE_STATUS + 1 - TORQUE_ENABLE
 """Bytes from Torque Enable to Hardware Error Status."""
+STATUS_RETURN_LEVEL: Final = _COMMON["Status Return Level"].address
 BUS_WATCHDOG: Final = _COMMON["Bus Watchdog"].address
 GOAL_PWM: Final = _COMMON["Goal PWM"].address
 GOAL_CURRENT: Final = _COMMON["Goal Current"].address
@@ -242,12 +243,11 @@ PRESENT_POSITION: Final = _COMMON["Present Position"].address
 PRESENT_TEMPERATURE: Final = _COMMON["Present Temperature"].address
 
 _STARTUP: Final = Item(name="Startup Configuration", address=60, size=1, maximum=3)
-STARTUP: Final = _STARTUP.address
-"""Of models with newer firmware alone."""
+"""Firmware that does not know it refuses to read it."""
 _BACKUP: Final = Item(name="Backup Ready", address=147, size=1, writable=False)
 _LARGE_INDIRECT: Final = (*_indirect(168, 224, 28, 661), *_indirect(578, 634, 28, 661, first=29))
 
-XM430_TABLE: Final = _COMMON.extended(*_LARGE_INDIRECT)
+XM430_TABLE: Final = _COMMON.extended(_STARTUP, *_LARGE_INDIRECT)
 """XM430: with current control, in 2.69 mA."""
 XM540_TABLE: Final = XM430_TABLE.extended(
     *(Item(name=f"External Port Mode {n}", address=55 + n, size=1, maximum=3, default=3) for n in (1, 2, 3)),
@@ -258,11 +258,12 @@ XC430_TABLE: Final = (
     _COMMON.changed({}, without=("Current Limit", "Goal Current", "Present Current"))
     .extended(
         Item(name="Present Load", address=126, size=2, signed=True, writable=False, unit="%", scale=0.1),
+        _STARTUP,
         *_LARGE_INDIRECT,
     )
 )  # fmt: skip
 """XC430: no current control; a load, which the servo infers, in place of the current."""
-XL430_TABLE: Final = XC430_TABLE.extended(_STARTUP, _BACKUP)
+XL430_TABLE: Final = XC430_TABLE.extended(_BACKUP)
 """XL430: the same with the registers of newer firmware."""
 X330_TABLE: Final = _COMMON.changed(
     {

@@ -52,7 +52,8 @@ class MasterDevice(Protocol):
     The default is 20 m/s, for joints 60 rad/s.
 
     A driver that paces the loop may have `period_s`, the seconds between two samples, known once it is open. A scene
-    whose `[run] period_s` is off by more than 1 % is refused then, before any force.
+    whose `[run] period_s` is off by more than 1 % is refused then, before any force. One of a bus may have `cycle_s`,
+    the least time in s of a cycle there, known once it is open: a shorter period is refused.
     """
 
     paces: bool

@@ -36,7 +36,8 @@ class SlaveDevice(Protocol):
     against those of the scene; and `max_speed` in m/s: `haptether slave` then lets no command be faster, for an arm
     that lags behind a faster one would go on after it was let go. One that paces the loop may have `period_s`, the
     seconds between two samples, known once it is open: a scene whose `[slave] period_s` is off by more than 1 % is
-    refused then, before anything moves.
+    refused then, before anything moves. One of a bus may have `cycle_s`, the least time in s of a cycle there, known
+    once it is open: a shorter period is refused.
 
     A driver whose arm has torque of its own from `open` on, and may fall when it is closed, has `exerts_by_itself =
     True`: `check-device` and `haptether slave` say so before they open it.

@@ -125,7 +125,7 @@ def opened(
         period_s: Of the loop in s; none where it is not known.
 
     Raises:
-        DeviceError: It could not be opened, or paces the loop by another period.
+        DeviceError: It could not be opened, paces the loop by another period, or cannot keep this one.
     """
     try:
         try:
@@ -191,9 +191,18 @@ def opened_gripper(gripper: "Gripper | None", device: "SlaveDevice") -> Iterator
 def _check_period(device: "MasterDevice | SlaveDevice", key: str, period_s: float | None) -> None:
     """Refuses a device that paces a loop by a period of its own: limits, filters and fades would all be of another.
 
+    So it does one whose bus cannot be read and written to within a period.
+
     Raises:
         DeviceError: With both periods and the remedy.
     """
+    cycle_s: float | None = getattr(device, "cycle_s", None)
+    if period_s is not None and cycle_s is not None and cycle_s > period_s:
+        message = (
+            f"{key} = {period_s:g}: a cycle on the bus of this device takes {1e3 * cycle_s:.3g} ms: must be at least "
+            f"{cycle_s:.3g}; raise it, or the rate of the bus"
+        )
+        raise DeviceError(message)
     seen_s: float | None = getattr(device, "period_s", None)
     if period_s is None or seen_s is None or not device.paces:
         return

@@ -77,6 +77,11 @@ class WatchedDevice:
         """Whether `read` waits for the next sample."""
         return bool(getattr(self.device, "paces", False))
 
+    @property
+    def cycle_s(self) -> float | None:
+        """Least time in s of a cycle on its bus; none where the driver does not know it."""
+        return getattr(self.device, "cycle_s", None)
+
     def has(self, method: str) -> bool:
         """Whether the driver has a method that it need not have."""
         return callable(getattr(self.device, method, None))
@@ -214,7 +219,8 @@ class StandaloneRun:
             if self._ends():
                 # Ended before its thread ran: it is not opened.
                 return
-            with opened(self.watched, self.notes, "", None):  # type: ignore[arg-type]  # it calls those of the driver
+            period_s = None if self.watched.paces else self._loop_period_s
+            with opened(self.watched, self.notes, "period_s", period_s):  # type: ignore[arg-type]  # it calls those of the driver
                 self.period_s = getattr(self.watched.device, "period_s", None)
                 with contextlib.suppress(OSError, AttributeError):
                     # Of this thread; `opened` takes it back.

@@ -3,6 +3,7 @@
 import csv
 import math
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -43,7 +44,7 @@ def _embedded(table: SeriesTable, folder: FilePath) -> SeriesTable:
 
 
 def read_series(path: FilePath) -> SeriesTable:
-    """A recording from a CSV or .npz file.
+    """A recording from a CSV or .npz file. It begins at its first record: times count from there.
 
     Raises:
         SceneError: No such file, another format, a number that is not finite, or times that do not increase.
@@ -53,7 +54,8 @@ def read_series(path: FilePath) -> SeriesTable:
         message = f"{path}: must be a .csv or .npz file"
         raise SceneError(message)
     try:
-        series = readers[path.suffix](path)
+        times, values = readers[path.suffix](path)
+        series = SeriesTable(time_s=tuple(time - times[0] for time in times), values=values)
         # What a file holds must lie in the ranges that hold for what stands in a scene.
         return convert(to_builtins(series), SeriesTable)
     except ValidationError as error:
@@ -65,7 +67,7 @@ def read_series(path: FilePath) -> SeriesTable:
         raise SceneError(message) from None
 
 
-def _read_csv(path: FilePath) -> SeriesTable:
+def _read_csv(path: FilePath) -> tuple[Sequence[float], tuple[tuple[float, ...], ...]]:
     times: list[float] = []
     values: list[tuple[float, ...]] = []
     with path.open(newline="", encoding="utf-8") as file:
@@ -87,7 +89,7 @@ def _read_csv(path: FilePath) -> SeriesTable:
     if not times:
         message = f"{path}: must have at least one row below its header"
         raise SceneError(message)
-    return SeriesTable(time_s=tuple(times), values=tuple(values))
+    return times, tuple(values)
 
 
 def _number(cell: str) -> float:
@@ -97,7 +99,7 @@ def _number(cell: str) -> float:
         return math.nan
 
 
-def _read_npz(path: FilePath) -> SeriesTable:
+def _read_npz(path: FilePath) -> tuple[Sequence[float], tuple[tuple[float, ...], ...]]:
     try:
         with np.load(path, allow_pickle=False) as arrays:
             time_s, values = (np.asarray(arrays[name], dtype=np.float64) for name in ("time_s", "values"))
@@ -115,4 +117,4 @@ def _read_npz(path: FilePath) -> SeriesTable:
         row = int(np.flatnonzero(np.diff(time_s) <= 0.0)[0]) + 1
         message = f"{path}: time_s[{row}] = {time_s[row]:g}: must be above the one before it, {time_s[row - 1]:g}"
         raise SceneError(message)
-    return SeriesTable(time_s=tuple(time_s.tolist()), values=tuple(map(tuple, values.tolist())))
+    return time_s.tolist(), tuple(map(tuple, values.tolist()))

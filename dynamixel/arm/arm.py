@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from haptether._core import DynamixelBus, SyncRead
 from haptether.checklist import Checklist
 from haptether.dynamixel.arm.checks import (
+    ANSWERS_ALL,
     ArmRefusedError,
     ServoRegisters,
+    answer_all,
     answering_rate,
     check_place,
     check_port,
@@ -26,6 +28,7 @@ from haptether.dynamixel.arm.checks import (
     check_servo,
     knows_fast_reads,
 )
+from haptether.dynamixel.arm.cycle import cycle_s
 from haptether.dynamixel.arm.faults import ArmFaultError, FaultKind, hardware_error
 from haptether.dynamixel.arm.grip import GripServo
 from haptether.dynamixel.arm.roll_call import RollCall
@@ -89,6 +92,10 @@ class ServoArm:
 
     _roll_call: RollCall | None = None
     """Who answers of a bus that fell silent, while that is asked."""
+    cycle_s: float | None = None
+    """Least time in s of a read and a write of all servos, by their bytes; none before `open`."""
+    _latency_s = 0.0
+    """The latency timer of the adapter in s."""
 
     def __init__(
         self, settings: ArmSettings, report: Callable[[str], None] | None = None, grip: GripServo | None = None
@@ -469,7 +476,7 @@ class ServoArm:
         self._go_on()
         checklist = Checklist(self.name, self._report, ArmRefusedError)
         settings = self.settings
-        check_port(settings.port, checklist)
+        self._latency_s = check_port(settings.port, checklist)
         checklist.finish()
         if self._bus is None:
             try:
@@ -502,6 +509,13 @@ class ServoArm:
             if (rate := answering_rate(settings, self._go_on)) is not None:
                 checklist.refuse("baud", f"servos answer at {rate} bit/s", f"set baud = {rate}, or address 8 of each")
             return
+        for servo_id in sorted(answered):
+            self._go_on()
+            # One that does not answer reads is reported below.
+            with contextlib.suppress(TimeoutError, RuntimeError):
+                if (level := answer_all(bus, servo_id)) != ANSWERS_ALL:
+                    found = f"status return level was {level}, and is {ANSWERS_ALL} now"
+                    checklist.ok(f"servo {servo_id}", found)
         self._caution_of_torque(answered, checklist)
         for servo, obeys in (*((servo, None) for servo in settings.servos), *settings.shadows):
             if servo.servo_id not in firmware:
@@ -533,6 +547,9 @@ class ServoArm:
             )
         )
         checklist.ok("reads", "fast" if fast else "not fast: the firmware of a servo is too old; update it for 1 kHz")
+        self.cycle_s = cycle_s(self._every, fast=fast)
+        later = f", and up to {1e3 * self._latency_s:g} ms of the latency timer" if self._latency_s else ""
+        checklist.ok("cycle", f"{1e3 * self.cycle_s:.2f} ms of bytes at {settings.baud} bit/s{later}")
 
     def _caution_of_torque(self, present: set[int], checklist: Checklist) -> None:
         """Says which servos have torque before it is taken off them, and leaves time to hold what they bear."""
@@ -603,7 +620,10 @@ class ServoArm:
         self._turn_towards(before)
         self._hold()
         if verify and self.settings.verify_watchdog:
-            time.sleep(0.02 * units + 0.05)
+            silent_s = 0.02 * units + 0.05
+            found = f"are tried now: for {silent_s:.2f} s the arm bears nothing, as without torque"
+            checklist.caution("bus watchdogs", found, "SUPPORT THE ARM where it would fall")
+            time.sleep(silent_s)
             fired = bus.sync_read(self._watchdogs)
             self._arm_watchdogs(checklist, tried=fired)
             checklist.finish()

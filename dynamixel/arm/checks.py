@@ -10,7 +10,7 @@ from haptether._core import DynamixelBus
 from haptether.checklist import Checklist, RefusedError
 from haptether.dynamixel.arm.faults import HARDWARE_ERRORS
 from haptether.dynamixel.arm.settings import MAX_ID, ArmSettings, ServoSettings
-from haptether.dynamixel.control_table import STARTUP
+from haptether.dynamixel.control_table import STATUS_RETURN_LEVEL
 from haptether.dynamixel.models import BAUD_RATES, SERVO_MODELS_BY_NUMBER
 
 LATENCY_MS: Final = 1
@@ -24,6 +24,8 @@ TORQUE_BY_GOAL: Final = 1 << 3
 """Of the drive mode."""
 TORQUE_AT_START: Final = 1 << 0
 """Of the startup configuration, which only newer firmware has."""
+UNKNOWN_ADDRESS: Final = "access error"
+"""What the bus says of a servo that does not know an address."""
 ANSWERS_ALL: Final = 2
 """Status return level."""
 BESIDE_RAD: Final = 0.1
@@ -37,8 +39,8 @@ class ArmRefusedError(RefusedError):
     """The arm is not to have torque now."""
 
 
-def check_port(port: str, checklist: Checklist, system: Path = SYSTEM) -> None:
-    """Whether the port is there, may be used, and passes answers on at once.
+def check_port(port: str, checklist: Checklist, system: Path = SYSTEM) -> float:
+    """Whether the port is there, may be used, and passes answers on at once; returns its latency timer in s.
 
     Args:
         port: Its path.
@@ -48,22 +50,23 @@ def check_port(port: str, checklist: Checklist, system: Path = SYSTEM) -> None:
     path = Path(port)
     if not path.exists():
         checklist.refuse("port", "is not there", "plug the adapter in; /dev/serial/by-id names those that are")
-        return
+        return 0.0
     if not os.access(path, os.R_OK | os.W_OK):
         checklist.refuse(
             "port", "may not be read and written", "add yourself to the group of the device (dialout), and log in anew"
         )
-        return
+        return 0.0
     checklist.ok("port", "may be read and written")
     timer = system / "class/tty" / path.resolve().name / "device/latency_timer"
     if not timer.exists():
         checklist.ok("latency timer", "not checked: this port has none")
-        return
+        return 0.0
     found_ms = int(timer.read_text())
     checklist.check(
         "latency timer", f"{found_ms} ms", good=found_ms <= LATENCY_MS,
         remedy=f"echo {LATENCY_MS} | sudo tee {timer}, or the udev rule of docs/dynamixel.md",
     )  # fmt: skip
+    return found_ms * 1e-3
 
 
 def answering_rate(settings: ArmSettings, go_on: Callable[[], None]) -> int | None:
@@ -146,6 +149,29 @@ def knows_fast_reads(settings: ArmSettings, firmware: dict[int, int]) -> bool:
     return all(firmware[one.servo_id] >= one.servo.fast_read_firmware for one in servos)
 
 
+def answer_all(bus: DynamixelBus, servo_id: int) -> int:
+    """Has a servo that answers pings answer all instructions; returns its status return level before, in RAM.
+
+    At level 0 it answers no read, at 0 and 1 no write, so that it is set by a write that nobody answers.
+
+    Raises:
+        TimeoutError: It does not answer reads afterwards, either.
+        OSError: The port is gone.
+        RuntimeError: Its answer cannot be read, or it does not take the level.
+    """
+    level = 0
+    for _ in range(TRIES):
+        with contextlib.suppress(TimeoutError):
+            level = bus.read(servo_id, STATUS_RETURN_LEVEL, 1)[0]
+            break
+    if level != ANSWERS_ALL:
+        bus.sync_write(STATUS_RETURN_LEVEL, 1, bytes((servo_id,)), bytes((ANSWERS_ALL,)))
+        if bus.read(servo_id, STATUS_RETURN_LEVEL, 1)[0] != ANSWERS_ALL:
+            message = f"servo {servo_id}: status return level {level}: it does not take {ANSWERS_ALL}: see its firmware"
+            raise RuntimeError(message)
+    return level
+
+
 class ServoRegisters:
     """The table of one servo by name, each entry as a number.
 
@@ -205,12 +231,9 @@ def check_servo(bus: DynamixelBus, servo: ServoSettings, checklist: Checklist, o
     """
     line = _ServoLine(servo, checklist)
     registers = ServoRegisters(bus, servo)
-    if (level := registers["Status Return Level"]) != ANSWERS_ALL:
-        # A write that is not answered is not known to be done.
-        checklist.refuse(
-            line.what, f"status return level {level}", f"it must answer all: set address 68 to {ANSWERS_ALL}"
-        )
-        return
+    # A write that is not answered is not known to be done.
+    if (level := answer_all(bus, servo.servo_id)) != ANSWERS_ALL:
+        line.check(f"status return level was {level}, and is {ANSWERS_ALL} now")
     if registers["Torque Enable"]:
         registers["Torque Enable"] = 0
         line.check("had torque, and has none now")
@@ -231,8 +254,7 @@ def check_servo(bus: DynamixelBus, servo: ServoSettings, checklist: Checklist, o
         f"drive mode {drive_mode}", good=not drive_mode & TORQUE_BY_GOAL,
         remedy="a goal must not switch torque on: clear bit 3 of address 10",
     )  # fmt: skip
-    if servo.servo.table.by_address.get(STARTUP) is not None:
-        startup = registers["Startup Configuration"]
+    if (startup := _startup(registers)) is not None:
         line.check(
             f"startup configuration {startup}", good=not startup & TORQUE_AT_START,
             remedy="it must not start with torque: clear bit 0 of address 60",
@@ -264,6 +286,21 @@ def check_servo_health(registers: ServoRegisters, servo: ServoSettings, checklis
     _check_health(registers, servo, line)
     _check_shutdown(registers, line)
     line.finish()
+
+
+def _startup(registers: ServoRegisters) -> int | None:
+    """Startup Configuration; none of firmware that does not know it.
+
+    Raises:
+        OSError: It does not answer, or the port is gone.
+        RuntimeError: Its answer cannot be read.
+    """
+    try:
+        return registers["Startup Configuration"]
+    except RuntimeError as error:
+        if UNKNOWN_ADDRESS not in str(error):
+            raise
+        return None
 
 
 def _end_profile(registers: ServoRegisters, line: _ServoLine) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from haptether._core import DynamixelBus, SyncRead
 from haptether.dynamixel.arm.arm import Vector
+from haptether.dynamixel.arm.checks import answer_all
 from haptether.dynamixel.arm.settings import TURN, ServoSettings
 from haptether.dynamixel.control_table import CENTRE, HOMING_OFFSET, PRESENT_POSITION, RAD_PER_TICK, TORQUE_ENABLE
 from haptether.dynamixel.models import BAUD_RATES, SERVO_MODELS_BY_NUMBER, OperatingMode, ServoModel
@@ -98,6 +99,7 @@ class Guide:
         """
         self._bus.write(DynamixelBus.BROADCAST, TORQUE_ENABLE, b"\0")
         for servo in self._servos:
+            answer_all(self._bus, servo.servo_id)
             if self._bus.read(servo.servo_id, TORQUE_ENABLE, 1) != b"\0":
                 message = f"servo {servo.servo_id} keeps its torque: cut its supply"
                 raise RuntimeError(message)
@@ -121,17 +123,23 @@ class Guide:
             self._say("it moved: once more")
 
     def directions(self) -> list[int]:
-        """1 or -1 of each joint, by turning one after the other."""
+        """1 or -1 of each joint, by turning one after the other.
+
+        A joint counts from where it stood at its first prompt, however often it is asked for: who puts it back before
+        another try turns it the wrong way at first. The others may be put back, too, or stay where they were.
+        """
         signs = []
         for joint, servo in enumerate(self._servos):
+            begun = self._angles()
             while True:
                 before = self._angles()
                 self._ask(
                     f"turn joint {joint + 1} (servo {servo.servo_id}) by 0.3 rad or more in its positive direction,"
                     " hold the others, and press Enter"
                 )
-                moved = self._angles() - before
-                others = np.delete(np.abs(moved), joint)
+                now = self._angles()
+                moved = now - begun
+                others = np.delete(np.minimum(np.abs(moved), np.abs(now - before)), joint)
                 if len(others) and others.max() > max(BESIDE_RAD, 0.5 * abs(moved[joint])):
                     other = int(np.delete(np.arange(len(moved)), joint)[others.argmax()])
                     self._say(f"joint {other + 1} (servo {self._servos[other].servo_id}) moved instead: once more")

@@ -250,12 +250,12 @@ def _numbers(arguments: list[str], count: int) -> list[float]:
 
 
 def _path(path: Path) -> tuple[tuple[float, ...], dict[int, tuple[float, ...]]]:
-    """Times, and places of each servo, of a CSV with the header `time_s,ID,...`."""
+    """Times from the first row on, and places of each servo, of a CSV with the header `time_s,ID,...`."""
     with path.open(encoding="utf-8") as file:
         text = file.read(MAX_PATH_BYTES + 1)
     if len(text) > MAX_PATH_BYTES:
         _refuse(f"{path}: must be at most {MAX_PATH_BYTES} bytes")
-    header, *lines = text.splitlines() or [""]
+    header, *lines = text.replace('"', "").splitlines() or [""]
     first, *ids = header.split(",")
     if first != "time_s" or not ids or not all(one.isdecimal() for one in ids):
         _refuse(f"{path}: its header must be time_s and ids of servos")
@@ -265,7 +265,9 @@ def _path(path: Path) -> tuple[tuple[float, ...], dict[int, tuple[float, ...]]]:
         _refuse(f"{path}: its times must increase")
     if any(abs(place) > 1000.0 for row in rows for place in row[1:]):
         _refuse(f"{path}: its angles must be at most 1000 rad")
-    return times, {int(one): tuple(row[1 + at] for row in rows) for at, one in enumerate(ids)}
+    return tuple(time - times[0] for time in times), {
+        int(one): tuple(row[1 + at] for row in rows) for at, one in enumerate(ids)
+    }
 
 
 def _count(arguments: list[str], default: int, least: int = 1) -> int:

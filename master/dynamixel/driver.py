@@ -67,6 +67,11 @@ class DynamixelMaster:
         if trigger is not None:
             self.write_trigger = self._write_trigger
 
+    @property
+    def cycle_s(self) -> float | None:
+        """Least time in s of a cycle on its bus, once it is open."""
+        return self.servos.cycle_s
+
     def open(self) -> None:
         """Goes through the checklist of the bus; torque comes with the first `read`, and rises from 0.
 

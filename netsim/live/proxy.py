@@ -64,6 +64,11 @@ class Proxy:
         return self._proxy.address
 
     @property
+    def forward(self) -> str:
+        """Where it forwards to: of a name with several addresses the first that can be sent to."""
+        return self._proxy.forward
+
+    @property
     def finished(self) -> bool:
         """Whether its thread has ended."""
         return self._proxy.finished

@@ -9,6 +9,7 @@
 //! which the virtual-time runner empties at simulated times and the [`Proxy`] at real ones, between two
 //! processes that know nothing of it.
 
+mod address;
 mod checks;
 mod clock;
 mod damage;
@@ -20,12 +21,14 @@ mod packet;
 mod probe;
 mod proxy;
 mod random;
+mod reply;
 mod rule;
 mod verdict;
 
 #[cfg(test)]
 mod tests;
 
+pub use address::{addresses, unsuited_peer};
 pub use checks::{LinkSettingsError, MAX_DELAY_S};
 pub use clock::{ClockSettings, EndpointClock};
 pub use damage::{Checksum, Damage, Edit, Operation};
@@ -34,10 +37,12 @@ pub use in_flight::{DEFAULT_CAPACITY, InFlight};
 pub use link::{Link, LinkCounters, Rules};
 pub use packet::{Direction, Packet};
 pub use probe::{
-    Echo, EchoStatistics, MAX_PROBES, MAX_RATE_HZ, Probe, ProbeError, RecordSettings, Recording, record,
+    Echo, EchoStatistics, MAX_PROBES, MAX_RATE_HZ, Probe, ProbeError, RecordSettings, Recording, answering,
+    record,
 };
 pub use proxy::{
     DirectionStatistics, MAX_DATAGRAM, MAX_FLOWS, Proxy, ProxyControl, ProxyError, ProxyMonitor,
     ProxySettings, ProxyStatistics, ScheduleBefore, Scheduling, SchedulingError, Source, schedule_fifo,
 };
+pub use reply::{Asker, ReplySocket};
 pub use verdict::{DropCause, Extra, ExtraCause, Judgement, Verdict};

@@ -1504,6 +1504,10 @@ class Proxy:
         """Where it listens, with the port that was chosen."""
 
     @property
+    def forward(self) -> str:
+        """Where it forwards to: of a name with several addresses the first that can be sent to."""
+
+    @property
     def finished(self) -> bool:
         """Whether its thread has ended."""
 
@@ -1562,6 +1566,10 @@ class Recording:
     """
 
     def __len__(self) -> int: ...
+    @property
+    def peer(self) -> str:
+        """Where the probes went: of a name with several addresses the one at which an echo answered."""
+
     @property
     def time_s(self) -> _Array:
         """When each probe was sent, in s since the first."""

@@ -226,6 +226,9 @@ pub(crate) struct PyLoopReport {
     out_of_memory: bool,
 }
 
+/// The cause of what a session never gets.
+const ELSEWHERE: &str = "datagram from another address than the peer's";
+
 impl From<LoopReport> for PyLoopReport {
     fn from(of: LoopReport) -> Self {
         Self {
@@ -242,8 +245,9 @@ impl From<LoopReport> for PyLoopReport {
             rejections: of
                 .rejections
                 .iter()
-                .filter(|(_, count)| *count > 0)
                 .map(|(cause, count)| (cause.to_string(), count))
+                .chain([(ELSEWHERE.to_owned(), of.elsewhere)])
+                .filter(|(_, count)| *count > 0)
                 .collect(),
             engaged_s: seconds(of.engaged_ns),
             realtime: of.realtime.to_string(),

@@ -24,7 +24,12 @@ use pyo3::{
     types::{PyByteArray, PyBytes},
 };
 
-use crate::{axes::refuse, bridge::nanoseconds, netsim::address, reserve};
+use crate::{
+    axes::refuse,
+    bridge::nanoseconds,
+    netsim::{addresses, first_of, peer_addresses},
+    reserve,
+};
 
 /// How much of a live run is kept at most, in s: an hour.
 const MAX_KEPT_S: f64 = 3600.0;
@@ -71,33 +76,47 @@ impl Place {
         period_ns: u64,
         how: How,
     ) -> PyResult<Self> {
-        let known = address("peer", peer)?;
-        let local = match listen {
-            Some(listen) => address("listen", listen)?,
+        let known = peer_addresses("peer", peer)?;
+        let own = listen.map(|listen| addresses("listen", listen)).transpose()?;
+        let local = |known: SocketAddr| match &own {
+            Some(own) => {
+                let same = own.iter().find(|own| own.is_ipv6() == known.is_ipv6());
+                same.copied().ok_or_else(|| {
+                    let listen = listen.unwrap_or_default();
+                    PyValueError::new_err(format!(
+                        "listen = {listen:?}: must be of the same kind, IPv4 or IPv6, as peer = {peer:?}"
+                    ))
+                })
+            }
             None => local_address(known).map_err(|error| {
-                let text =
-                    format!("peer = {peer:?}: no way there ({error}): connect the network, or give listen");
+                let text = format!(
+                    "peer = {peer:?}: no way to {known} ({error}): connect the network, or give listen"
+                );
                 PyOSError::new_err(text)
-            })?,
+            }),
         };
-        if local.is_ipv6() != known.is_ipv6() {
-            let listen = listen.unwrap_or_default();
-            let text =
-                format!("listen = {listen:?}: must be of the same kind, IPv4 or IPv6, as peer = {peer:?}");
-            return Err(PyValueError::new_err(text));
+        let (ends, refused): (Vec<_>, Vec<_>) =
+            known.into_iter().map(|known| local(known).map(|local| (local, known))).partition(Result::is_ok);
+        let ends: Vec<_> = ends.into_iter().flatten().collect();
+        if let (true, Some(Err(error))) = (ends.is_empty(), refused.into_iter().next_back()) {
+            return Err(error);
         }
-        Self::new(Role::Master, local, PeerAddress::Known(known), started_s, period_ns, how)
+        let cannot = |error| cannot_listen(ends.first().map(|end| end.0), error);
+        Self::new(Role::Master, || PeerSocket::bind_each(&ends).map_err(cannot), started_s, period_ns, how)
     }
 
     /// Where a slave waits.
     pub(crate) fn of_slave(listen: &str, period_ns: u64, how: How) -> PyResult<Self> {
-        Self::new(Role::Slave, address("listen", listen)?, PeerAddress::Learned, None, period_ns, how)
+        let own = addresses("listen", listen)?;
+        let bind = |own| {
+            PeerSocket::bind(own, PeerAddress::Learned).map_err(|error| cannot_listen(Some(own), error))
+        };
+        Self::new(Role::Slave, || first_of(&own, bind), None, period_ns, how)
     }
 
     fn new(
         role: Role,
-        local: SocketAddr,
-        peer: PeerAddress,
+        bind: impl FnOnce() -> PyResult<PeerSocket>,
         started_s: Option<f64>,
         period_ns: u64,
         how: How,
@@ -117,8 +136,7 @@ impl Place {
             started_ns: started_s.map(started).transpose()?,
             realtime,
         };
-        let cannot = |error: std::io::Error| PyOSError::new_err(format!("cannot listen on {local}: {error}"));
-        let socket = PeerSocket::bind(local, peer).map_err(cannot)?;
+        let socket = bind()?;
         if !reserve::fill() {
             return Err(PyMemoryError::new_err("no memory can be set aside for the end of a run"));
         }
@@ -135,6 +153,12 @@ impl Place {
         let role = self.parts.settings.role;
         Ok((self.parts, (role, control)))
     }
+}
+
+/// Why a side has no socket.
+fn cannot_listen(local: Option<SocketAddr>, error: std::io::Error) -> PyErr {
+    let local = local.map(|local| format!(" on {local}")).unwrap_or_default();
+    PyOSError::new_err(format!("cannot listen{local}: {error}"))
 }
 
 /// When the operator started a side; never in the future.

@@ -42,6 +42,11 @@ class DynamixelSlave:
         """Largest speed of a joint in rad/s; behind a faster command the arm would go on after it was let go."""
         return self.options.max_speed
 
+    @property
+    def cycle_s(self) -> float | None:
+        """Least time in s of a cycle on its bus, once it is open."""
+        return self.servos.cycle_s
+
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
         self.options: DynamixelSlaveOptions = dynamixel_slave_options(options)
         self.settings: ArmSettings = self.options.settings()

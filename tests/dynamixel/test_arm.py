@@ -209,6 +209,65 @@ def test_a_joint_beyond_its_limits(emulated: EmulatedBus) -> None:
     assert torques(emulated) == [False] * 3
 
 
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_servo_that_answers_little_is_told_to_answer_all(emulated: EmulatedBus, level: int) -> None:
+    bus = DynamixelBus(emulated.port, baud=4_000_000, timeout_s=TIMEOUT_S)
+    bus.write(2, 68, bytes((level,)))
+    bus.close()
+    lines: list[str] = []
+    arm = ServoArm(arm_of(emulated.port).settings, report=lines.append)
+    arm.open()
+    try:
+        assert torques(emulated) == [True] * 3
+    finally:
+        arm.close()
+    assert [line for line in lines if "return level" in line] == [
+        f"dynamixel {emulated.port}: ok       servo 2: status return level was {level}, and is 2 now"
+    ]
+    # None was taken for one that has torque.
+    assert not any("HOLD THE ARM" in line for line in lines)
+
+
+def test_no_servo_with_newer_firmware_starts_with_torque(emulated: EmulatedBus) -> None:
+    bus = DynamixelBus(emulated.port, baud=4_000_000, timeout_s=TIMEOUT_S)
+    for servo_id in (1, 2):
+        bus.write(servo_id, 60, b"\1")
+    bus.close()
+    text = refused(arm_of(emulated.port))
+    for servo_id in (1, 2):
+        assert f"servo {servo_id}: startup configuration 1: it must not start with torque" in text
+
+
+def test_older_firmware_has_no_startup_configuration() -> None:
+    class Older:
+        """A servo that refuses to read what it does not have."""
+
+        def __init__(self, said: str) -> None:
+            self.said = said
+
+        def read(self, *_arguments: int) -> bytes:
+            raise RuntimeError(self.said)
+
+    servo = ServoSettings(servo_id=1, model="XM430-W350")
+    registers = checks.ServoRegisters(Older("servo 1: access error (7)"), servo)  # type: ignore[arg-type]
+    assert checks._startup(registers) is None
+    garbled = checks.ServoRegisters(Older("servo 1: data length error (5)"), servo)  # type: ignore[arg-type]
+    with pytest.raises(RuntimeError, match="data length"):
+        checks._startup(garbled)
+
+
+def test_that_the_arm_bears_nothing_while_its_watchdogs_are_tried_is_said_before(emulated: EmulatedBus) -> None:
+    lines: list[tuple[str, list[bool]]] = []
+    settings = arm_of(emulated.port, verify_watchdog=True).settings
+    arm = ServoArm(settings, report=lambda line: lines.append((line, torques(emulated) if "SUPPORT" in line else [])))
+    arm.open()
+    arm.close()
+    (said, torque), *more = [one for one in lines if "SUPPORT" in one[0]]
+    assert not more
+    assert "CAUTION  bus watchdogs: are tried now: for 0.55 s the arm bears nothing" in said
+    assert torque == [True] * 3
+
+
 def test_what_is_set_before_torque(emulated: EmulatedBus) -> None:
     with opened(emulated, verify_watchdog=True) as arm:
         assert torques(emulated) == [True] * 3

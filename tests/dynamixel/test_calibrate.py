@@ -16,7 +16,8 @@ from tests.ur.emulated import Emulated
 
 from haptether.dynamixel import DynamixelBus
 from haptether.dynamixel.arm import ServoSettings, read_calibration, write_calibration
-from haptether.dynamixel.arm.guide import FoundServo, calibrated
+from haptether.dynamixel.arm.guide import FoundServo, Guide, calibrated
+from haptether.dynamixel.control_table import CENTRE, RAD_PER_TICK
 
 pytestmark = pytest.mark.live
 
@@ -119,6 +120,50 @@ def guided(emulated: EmulatedBus, path: Path, *arguments: str, beside: float = 0
         return run.end()
     finally:
         run.close()
+
+
+class HeldArm:
+    """Two joints that a person turns to a place at each Enter."""
+
+    def __init__(self, *places: tuple[float, float]) -> None:
+        self.said: list[str] = []
+        self._places = iter(places)
+        self._place = 0.0, 0.0
+        servos = [FoundServo(baud=1_000_000, servo_id=servo_id, number=1020, firmware=52) for servo_id in (1, 2)]
+        self.guide = Guide(self, servos, self.said.append, self._enter)  # type: ignore[arg-type]  # what it asks of a bus
+
+    def sync_read(self, _read: object) -> bytes:
+        return np.rint(np.array(self._place) / RAD_PER_TICK + CENTRE).astype("<i4").tobytes()
+
+    def _enter(self, _patience_s: float) -> str:
+        self._place = next(self._places)
+        return ""
+
+
+@pytest.mark.parametrize(
+    ("tries", "refusals"),
+    [
+        # Too little, and on from there, or back to the begin first.
+        ([(0.15, 0.0), (0.35, 0.0)], ["it moved 0.15 rad"]),
+        ([(0.15, 0.0), (0.21, 0.0)], ["it moved 0.15 rad"]),
+        # Another joint with it; both are put back, and the joint is turned less far than before.
+        ([(0.5, 0.4), (0.25, 0.0)], ["joint 2 (servo 2) moved instead"]),
+        # The other stays where it was.
+        ([(0.5, 0.4), (0.3, 0.4)], ["joint 2 (servo 2) moved instead"]),
+        ([(0.5, 0.4), (0.1, 0.0), (0.3, 0.0)], ["joint 2 (servo 2) moved instead", "it moved 0.10 rad"]),
+    ],
+)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_joint_counts_from_where_it_stood_when_it_was_asked_for(
+    tries: list[tuple[float, float]], refusals: list[str], sign: int
+) -> None:
+    turned = [(sign * first, second) for first, second in tries]
+    last = turned[-1]
+    arm = HeldArm(*turned, (last[0], last[1] + 0.3))
+    assert arm.guide.directions() == [sign, 1]
+    refused = [line for line in arm.said if "once more" in line]
+    assert len(refused) == len(refusals)
+    assert all(line.startswith(begin) for line, begin in zip(refused, refusals, strict=True))
 
 
 def at_least_one_read() -> None:

@@ -1,7 +1,6 @@
 //! What stands between a live side and its socket: a session that seals and opens, and keys from another thread.
 
-use std::net::SocketAddr;
-
+use haptether_netsim::Asker;
 #[cfg(target_os = "linux")]
 use rustix::process::{DumpableBehavior, set_dumpable_behavior};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
@@ -9,6 +8,7 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use super::{
     handshakes::{Handshakes, SecurityEvent, StartError},
     socket::Received,
+    strangers::{header_of, stranger},
 };
 use crate::{
     link::{LinkTime, RejectReason},
@@ -81,26 +81,31 @@ impl LiveChannel {
     pub(super) fn receive(
         &mut self,
         time: LinkTime,
-        from: SocketAddr,
+        asker: Asker,
         datagram: &mut [u8],
         side: &mut (impl Side + ?Sized),
     ) -> Received {
         let now_ns = time.tick_ns;
+        // Opening changes what is encrypted.
+        let (header, is_secure) = (header_of(datagram), self.session.is_secure());
+        let unknown = |rejection| {
+            stranger(header.as_ref(), is_secure, rejection).map_or(Received::Nothing, Received::Stranger)
+        };
         match self.session.open(now_ns, datagram) {
             Ok(Incoming::Payload { payload, .. }) => match side.receive(time, payload) {
                 Ok(()) => return Received::Fresh { is_answered: hears_peer(payload) },
                 Err(RejectReason::Late(_) | RejectReason::Duplicate(_)) => return Received::Repeat,
-                Err(_) => {}
+                Err(_) => return unknown(None),
             },
             Ok(Incoming::Handshake { datagram, is_renewal }) => {
                 if let (Some(handshakes), Ok(message)) = (&mut self.handshakes, datagram.try_into()) {
-                    handshakes.hand_over(now_ns, &self.session, from, message, is_renewal);
+                    handshakes.hand_over(now_ns, &self.session, asker, message, is_renewal);
                 }
             }
             Err(Rejection::Repeated) => return Received::Repeat,
             Ok(Incoming::Release) => side.exchange_mut().peer_ended(),
             // A rejection is counted by the session.
-            Err(_) => {}
+            Err(rejection) => return unknown(Some(rejection)),
         }
         Received::Nothing
     }
@@ -109,7 +114,7 @@ impl LiveChannel {
     pub(super) fn advance(
         &mut self,
         now_ns: u64,
-        mut send: impl FnMut(Option<SocketAddr>, &[u8]),
+        mut send: impl FnMut(Option<Asker>, &[u8]),
         mut report: impl FnMut(SecurityEvent),
     ) {
         self.session.advance(now_ns);

@@ -11,7 +11,9 @@ use std::{
     time::Duration,
 };
 
-use super::system;
+use haptether_netsim::Asker;
+
+use super::{strangers::StrangerReport, system};
 use crate::{
     coupling::CouplingError,
     ring::ring,
@@ -40,15 +42,15 @@ const REPEATS: u64 = 8;
 enum Request {
     /// How the session stands, with so many keys of this thread in use.
     Standing(Standing, u64),
-    /// A message of a handshake, and where it is from.
-    Message(SocketAddr, HandshakeDatagram),
+    /// A message of a handshake, and who sent it.
+    Message(Asker, HandshakeDatagram),
 }
 
 /// What the thread returns to the loop.
 #[derive(Debug)]
 pub(super) struct Answer {
     /// Where its datagram goes: to the sender of the request, or to the peer.
-    pub(super) to: Option<SocketAddr>,
+    pub(super) to: Option<Asker>,
     pub(super) outcome: Outcome,
 }
 
@@ -150,18 +152,20 @@ impl Handshakes {
         &mut self,
         now_ns: u64,
         session: &Session,
-        from: SocketAddr,
+        asker: Asker,
         message: HandshakeDatagram,
         is_renewal: bool,
     ) {
         let is_new = !is_renewal && !message_is_answer(&message);
         let room = if is_new { FOR_NEW } else { 0 };
-        if self.requests.slots() < room + 2 || !self.admission.admits(now_ns, from, &message, is_renewal) {
+        if self.requests.slots() < room + 2
+            || !self.admission.admits(now_ns, asker.from, &message, is_renewal)
+        {
             self.dropped += 1;
             return;
         }
         let _ = self.requests.push(Request::Standing(session.standing(now_ns), self.keys));
-        let _ = self.requests.push(Request::Message(from, message));
+        let _ = self.requests.push(Request::Message(asker, message));
     }
 
     /// The next answer, if there is one.
@@ -222,11 +226,12 @@ fn answer(
             match (request, &standing) {
                 // What was reported before the newest keys were in use would have this thread request them again.
                 (Request::Standing(newer, keys), _) => standing = (keys == given).then_some(newer),
-                (Request::Message(from, message), Some(known)) => {
+                (Request::Message(asker, message), Some(known)) => {
                     let now_ns = system::now_ns();
-                    if let Ok(outcome) = handshake.receive(now_ns, from, &message, known, &mut entropy) {
+                    if let Ok(outcome) = handshake.receive(now_ns, asker.from, &message, known, &mut entropy)
+                    {
                         let has_keys = outcome.keys.is_some();
-                        let to = (!outcome.to_peer).then_some(from);
+                        let to = (!outcome.to_peer).then_some(asker);
                         // A full ring means that the loop does not run: nobody waits for keys.
                         if answers.push(Answer { to, outcome }).is_ok() && has_keys {
                             given += 1;
@@ -265,6 +270,10 @@ pub enum SecurityEvent {
     Refused(CouplingError),
     /// The thread that makes keys has ended by itself.
     KeysEnd,
+    /// Where a peer whose name has several addresses has answered.
+    Found(SocketAddr),
+    /// Datagrams that are not of the peer.
+    Strangers(StrangerReport),
 }
 
 impl std::fmt::Display for SecurityEvent {
@@ -305,6 +314,8 @@ impl std::fmt::Display for SecurityEvent {
             Self::KeysEnd => formatter.write_str(
                 "the thread that makes keys has died: this session ends when its keys grow old, within 180 s",
             ),
+            Self::Found(address) => write!(formatter, "the peer answers at {address}"),
+            Self::Strangers(report) => report.fmt(formatter),
             Self::Refused(error) => write!(formatter, "not changed: {error}"),
             Self::StillHeard(still) => {
                 write!(formatter, "no other master yet: this one was heard {:.1} s ago, must be silent for {:.0} s",

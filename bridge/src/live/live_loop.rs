@@ -49,6 +49,8 @@ pub struct LoopReport {
     pub dropped_records: u64,
     /// Frames that the system refused to send.
     pub unsent: u64,
+    /// Datagrams from other addresses than a known peer's; refused in `link`, too.
+    pub elsewhere: u64,
     /// Counts of the link.
     pub link: LinkStatistics,
     /// What the path did to the peer's frames, and what is known of its clock.
@@ -281,9 +283,9 @@ impl LiveLoop {
         let Self { socket, channel, settings, channels, .. } = self;
         let side = plant.side_mut();
         let late = || LinkTime::late(now_ns, system::now_ns().saturating_sub(now_ns));
-        socket.drain(now_ns, now_ns + settings.period_ns / RECEIVE_SHARE, |from, datagram| {
+        socket.drain(now_ns, now_ns + settings.period_ns / RECEIVE_SHARE, |asker, datagram| {
             // It may have arrived while this loop was still asleep beyond its time.
-            channel.receive(late(), from, datagram, side)
+            channel.receive(late(), asker, datagram, side)
         });
         channel.advance(
             now_ns,
@@ -292,6 +294,11 @@ impl LiveLoop {
                 let _ = channels.events.push(event);
             },
         );
+        let found = socket.take_found().map(SecurityEvent::Found);
+        let strangers = socket.take_strangers().map(SecurityEvent::Strangers);
+        for event in found.into_iter().chain(strangers) {
+            let _ = channels.events.push(event);
+        }
         let time = TickTime { start_ns, now_ns, clock_ns: now_ns, overshoot_ns, missed };
         plant.tick(time);
         if let Some(datagram) = sealed_frame(&mut channel.session, late(), plant.side_mut(), &mut self.buffer)
@@ -434,6 +441,8 @@ impl LiveLoop {
         report.link = counts.link.with(&report.rejections);
         (report.holds, report.limited, report.outliers) = (counts.holds, counts.limited, counts.outliers);
         report.unsent = socket.unsent;
+        report.elsewhere = socket.elsewhere();
+        report.link.refused += report.elsewhere;
         report.recording = plant.end_records();
         (report, flight)
     }

@@ -9,6 +9,7 @@ mod live_loop;
 mod newest;
 mod run;
 mod socket;
+mod strangers;
 mod system;
 
 pub use channel::Security;

@@ -1,12 +1,17 @@
-//! A UDP socket that talks to one peer and never blocks, and where answers go: to the peer, wherever it moves, and not
-//! to who copies its frames.
+//! UDP to one peer, without blocking, and where answers go: to the peer, wherever it moves, and not to who copies its
+//! frames; from the address of this machine that the peer asked.
 
 use std::{
     io,
     net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket},
 };
 
-use super::system;
+use haptether_netsim::{Asker, ReplySocket};
+
+use super::{
+    strangers::{Stranger, StrangerReport, Strangers},
+    system,
+};
 use crate::session::MAX_DATAGRAM;
 
 /// Datagrams between two looks at the clock.
@@ -38,11 +43,21 @@ pub fn local_address(peer: SocketAddr) -> io::Result<SocketAddr> {
     Ok(local)
 }
 
-/// A non-blocking UDP socket and its peer.
+/// A non-blocking UDP socket and its peer. A peer whose name has several addresses is sent to at each in turn, until it
+/// answers at one.
 #[derive(Debug)]
 pub struct PeerSocket {
-    socket: UdpSocket,
-    route: Route,
+    /// More than one where the addresses of the peer need sockets of their own.
+    sockets: Vec<ReplySocket>,
+    /// For each address of the peer its socket, as an index.
+    routes: Vec<(usize, Route)>,
+    /// The address that is sent to next.
+    current: usize,
+    /// Whether the peer has answered there, or has one address.
+    is_found: bool,
+    /// Whether somebody is to be told where it answered.
+    found: Option<SocketAddr>,
+    strangers: Strangers,
     /// Frames that the system refused to send: nobody listens there, or its buffer was full.
     pub unsent: u64,
 }
@@ -50,29 +65,92 @@ pub struct PeerSocket {
 impl PeerSocket {
     /// Binds to `local`.
     pub fn bind(local: SocketAddr, peer: PeerAddress) -> io::Result<Self> {
-        let socket = UdpSocket::bind(local)?;
-        socket.set_nonblocking(true)?;
         let route = match peer {
-            PeerAddress::Known(address) => Route::known(address),
+            PeerAddress::Known(address) => return Self::bind_each(&[(local, address)]),
             PeerAddress::Learned => Route::learned(),
         };
-        Ok(Self { socket, route, unsent: 0 })
+        Ok(Self::new(vec![open(local)?], vec![(0, route)]))
+    }
+
+    /// Binds for a peer with several addresses, each with the address of this machine that sends to it.
+    ///
+    /// # Errors
+    ///
+    /// What the system says of the last, if there is none to which a socket can be bound.
+    pub fn bind_each(ends: &[(SocketAddr, SocketAddr)]) -> io::Result<Self> {
+        let mut sockets: Vec<(SocketAddr, ReplySocket)> = Vec::new();
+        let (mut routes, mut refused) = (Vec::new(), io::ErrorKind::AddrNotAvailable.into());
+        for &(local, peer) in ends {
+            let known = sockets.iter().position(|(bound, _)| *bound == local);
+            let index = known.map_or_else(
+                || open(local).map(|socket| sockets.push((local, socket))).map(|()| sockets.len() - 1),
+                Ok,
+            );
+            match index {
+                Ok(index) => routes.push((index, Route::known(peer))),
+                Err(error) => refused = error,
+            }
+        }
+        if routes.is_empty() {
+            return Err(refused);
+        }
+        Ok(Self::new(sockets.into_iter().map(|(_, socket)| socket).collect(), routes))
+    }
+
+    fn new(sockets: Vec<ReplySocket>, routes: Vec<(usize, Route)>) -> Self {
+        let is_found = routes.len() == 1;
+        Self {
+            sockets,
+            routes,
+            current: 0,
+            is_found,
+            found: None,
+            strangers: Strangers::default(),
+            unsent: 0,
+        }
     }
 
     /// Where it listens.
     pub fn local_address(&self) -> io::Result<SocketAddr> {
-        self.socket.local_addr()
+        self.sockets[self.routes[self.current].0].socket().local_addr()
+    }
+
+    /// Where a peer with several addresses has answered; once.
+    pub(super) fn take_found(&mut self) -> Option<SocketAddr> {
+        self.found.take()
+    }
+
+    /// What there is to say of datagrams that were not of the peer.
+    pub(super) fn take_strangers(&mut self) -> Option<StrangerReport> {
+        self.strangers.poll()
+    }
+
+    /// Datagrams from other addresses than the peer's.
+    pub(super) fn elsewhere(&self) -> u64 {
+        self.strangers.count_of(Stranger::Elsewhere)
     }
 
     /// Hands each datagram that waits to `take`, which returns what it was, until the clock shows `until_ns`.
     ///
-    /// A datagram from elsewhere than a known peer is not looked at. At least [`ROUND`] are taken: a loop that woke
-    /// late must hear its peer, too.
+    /// A datagram from elsewhere than a known peer is counted and not looked at. At least [`ROUND`] are taken: a loop that
+    /// woke late must hear its peer, too.
     pub(super) fn drain(
         &mut self,
         now_ns: u64,
         until_ns: u64,
-        mut take: impl FnMut(SocketAddr, &mut [u8]) -> Received,
+        mut take: impl FnMut(Asker, &mut [u8]) -> Received,
+    ) {
+        for index in 0..self.sockets.len() {
+            self.drain_one(index, now_ns, until_ns, &mut take);
+        }
+    }
+
+    fn drain_one(
+        &mut self,
+        index: usize,
+        now_ns: u64,
+        until_ns: u64,
+        take: &mut impl FnMut(Asker, &mut [u8]) -> Received,
     ) {
         // One byte more than the longest datagram, so that a longer one is seen to be too long.
         let mut buffer = [0; MAX_DATAGRAM + 1];
@@ -80,11 +158,22 @@ impl PeerSocket {
             if taken > 0 && taken % ROUND == 0 && system::now_ns() >= until_ns {
                 return;
             }
-            match self.socket.recv_from(&mut buffer) {
-                Ok((length, from)) => {
-                    if self.route.admits(from) {
-                        let received = take(from, &mut buffer[..length]);
-                        self.route.take(now_ns, from, received);
+            match self.sockets[index].receive(&mut buffer) {
+                Ok((length, asker)) => {
+                    let Some(known) = self.admitting(index, asker.from) else {
+                        self.strangers.count(Stranger::Elsewhere, asker.from);
+                        continue;
+                    };
+                    let received = take(asker, &mut buffer[..length]);
+                    self.routes[known].1.take(now_ns, asker, received);
+                    match received {
+                        // A frame of the peer may be damaged on its way.
+                        Received::Stranger(_) if self.routes[known].1.lives_at(now_ns, asker.from) => {}
+                        Received::Stranger(stranger) => self.strangers.count(stranger, asker.from),
+                        Received::Fresh { .. } | Received::Repeat if !self.is_found => {
+                            (self.is_found, self.current, self.found) = (true, known, Some(asker.from));
+                        }
+                        _ => {}
                     }
                 }
                 // Nobody listens there (yet): a later frame may find somebody.
@@ -95,28 +184,51 @@ impl PeerSocket {
         }
     }
 
+    /// The address of the peer that a datagram to this socket is from, as an index.
+    fn admitting(&self, socket: usize, from: SocketAddr) -> Option<usize> {
+        let admits = |(of, route): &(usize, Route)| *of == socket && route.admits(from);
+        if self.is_found {
+            return admits(&self.routes[self.current]).then_some(self.current);
+        }
+        self.routes.iter().position(admits)
+    }
+
     /// Throws away what waits: it is old. Until the clock shows `until_ns`: a flood must not hold the loop here.
     pub fn discard(&mut self, until_ns: u64) {
         let mut buffer = [0; 1];
-        for thrown in 1..=MAX_DATAGRAMS {
-            if thrown % ROUND == 0 && system::now_ns() >= until_ns {
-                return;
-            }
-            if let Err(error) = self.socket.recv_from(&mut buffer)
-                && error.kind() == io::ErrorKind::WouldBlock
-            {
-                return;
+        for socket in &self.sockets {
+            for thrown in 1..=MAX_DATAGRAMS {
+                if thrown % ROUND == 0 && system::now_ns() >= until_ns {
+                    return;
+                }
+                if let Err(error) = socket.socket().recv_from(&mut buffer)
+                    && error.kind() == io::ErrorKind::WouldBlock
+                {
+                    break;
+                }
             }
         }
     }
 
     /// Sends to `to` or, without it, to the peer, if there is one.
-    pub fn send(&mut self, to: Option<SocketAddr>, datagram: &[u8]) {
-        let to = if to.is_some() { [to, None] } else { self.route.next() };
+    pub fn send(&mut self, to: Option<Asker>, datagram: &[u8]) {
+        if !self.is_found {
+            let is_of = |(_, route): &(usize, Route)| to.is_some_and(|to| route.admits(to.from));
+            let next = (self.current + 1) % self.routes.len();
+            self.current = self.routes.iter().position(is_of).unwrap_or(next);
+        }
+        let (socket, route) = &mut self.routes[self.current];
+        let to = if to.is_some() { [to, None] } else { route.next() };
         for to in to.into_iter().flatten() {
-            self.unsent += u64::from(self.socket.send_to(datagram, to).is_err());
+            self.unsent += u64::from(self.sockets[*socket].send(datagram, to).is_err());
         }
     }
+}
+
+fn open(local: SocketAddr) -> io::Result<ReplySocket> {
+    let socket = ReplySocket::bind(local)?;
+    socket.socket().set_nonblocking(true)?;
+    Ok(socket)
 }
 
 /// Silence in ns after which a peer may be elsewhere: that after which the ladder holds.
@@ -134,13 +246,15 @@ pub(super) enum Received {
     },
     /// A frame of the peer that was there before, or is late.
     Repeat,
+    /// That it is of somebody else.
+    Stranger(Stranger),
     /// Nothing.
     Nothing,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Place {
-    address: SocketAddr,
+    asker: Asker,
     heard_ns: u64,
 }
 
@@ -171,7 +285,7 @@ struct Route {
 impl Route {
     /// To one address, from the start and for good.
     fn known(address: SocketAddr) -> Self {
-        Self { learns: false, peer: Some(Place { address, heard_ns: 0 }), ..Self::learned() }
+        Self { learns: false, peer: Some(Place { asker: address.into(), heard_ns: 0 }), ..Self::learned() }
     }
 
     /// To the address that frames are sent from.
@@ -179,21 +293,29 @@ impl Route {
         Self { learns: true, peer: None, second: None, owed: 0, is_answered: false }
     }
 
-    /// Whether a datagram from there is looked at.
-    fn admits(&self, from: SocketAddr) -> bool {
-        self.learns || self.peer.is_some_and(|peer| peer.address == from)
+    /// Whether frames of the peer come from there.
+    fn lives_at(&self, now_ns: u64, from: SocketAddr) -> bool {
+        self.peer.is_some_and(|peer| peer.asker.from == from && !peer.is_silent(now_ns))
     }
 
-    /// Takes note of a datagram from `from` that arrived at `now_ns`.
-    fn take(&mut self, now_ns: u64, from: SocketAddr, received: Received) {
-        if received == Received::Nothing || !self.learns {
+    /// Whether a datagram from there is looked at.
+    fn admits(&self, from: SocketAddr) -> bool {
+        self.learns || self.peer.is_some_and(|peer| peer.asker.from == from)
+    }
+
+    /// Takes note of a datagram from `asker` that arrived at `now_ns`.
+    fn take(&mut self, now_ns: u64, asker: Asker, received: Received) {
+        match received {
+            Received::Fresh { is_answered } => self.is_answered = is_answered,
+            Received::Repeat => {}
+            Received::Stranger(_) | Received::Nothing => return,
+        }
+        if let (false, Some(peer)) = (self.learns, &mut self.peer) {
+            peer.heard_ns = now_ns;
             return;
         }
-        if let Received::Fresh { is_answered } = received {
-            self.is_answered = is_answered;
-        }
-        let here = Place { address: from, heard_ns: now_ns };
-        let is_at = |place: &Option<Place>| place.is_some_and(|place| place.address == from);
+        let here = Place { asker, heard_ns: now_ns };
+        let is_at = |place: &Option<Place>| place.is_some_and(|place| place.asker.from == asker.from);
         let is_free = |place: &Option<Place>| place.is_none_or(|place| place.is_silent(now_ns));
         if is_at(&self.peer) {
             self.peer = Some(here);
@@ -207,10 +329,10 @@ impl Route {
     }
 
     /// Where the next datagram to the peer goes.
-    fn next(&mut self) -> [Option<SocketAddr>; 2] {
+    fn next(&mut self) -> [Option<Asker>; 2] {
         let second = self.second.filter(|_| self.owed > 0);
         self.owed = self.owed.saturating_sub(1);
-        [self.peer, second].map(|place| place.map(|place| place.address))
+        [self.peer, second].map(|place| place.map(|place| place.asker))
     }
 }
 
@@ -263,10 +385,10 @@ mod tests {
                 let is_news = seen.insert(sequence) && newest.is_none_or(|newest| sequence > newest);
                 newest = newest.max(Some(sequence));
                 let received = if is_news { Received::Fresh { is_answered } } else { Received::Repeat };
-                route.take(now_ns, from, received);
+                route.take(now_ns, from.into(), received);
                 next += 1;
             }
-            for to in route.next().into_iter().flatten() {
+            for to in route.next().into_iter().flatten().map(|to| to.from) {
                 *answers.entry(to).or_default() += 1;
                 if to == lives(now_ms) {
                     last_ns = now_ns;
@@ -388,24 +510,79 @@ mod tests {
         }
     }
 
+    /// Of a name with several addresses the one that answers is kept, whichever it is; nobody else is.
+    #[test]
+    fn each_address_of_a_peer_is_tried_until_one_answers() {
+        let any: SocketAddr = "127.0.0.1:0".parse().unwrap();
+        let fresh = Received::Fresh { is_answered: true };
+        for place in 0..3 {
+            let ends: Vec<UdpSocket> = (0..3).map(|_| UdpSocket::bind(any).unwrap()).collect();
+            let addresses: Vec<_> = ends.iter().map(|end| end.local_addr().unwrap()).collect();
+            let locals: Vec<_> = addresses.iter().map(|&peer| (local_address(peer).unwrap(), peer)).collect();
+            let mut socket = PeerSocket::bind_each(&locals).unwrap();
+            for _ in 0..6 {
+                socket.send(None, &[1]);
+            }
+            let mut buffer = [0; 8];
+            let mut asked_from = Vec::new();
+            for end in &ends {
+                end.set_nonblocking(true).unwrap();
+                let (mut count, mut from) = (0, None);
+                while let Ok((_, sender)) = end.recv_from(&mut buffer) {
+                    (count, from) = (count + 1, Some(sender));
+                }
+                assert_eq!(count, 2, "each in turn");
+                asked_from.push(from.unwrap());
+            }
+            ends[place].send_to(&[2], asked_from[place]).unwrap();
+            socket.drain(0, u64::MAX, |_, _| fresh);
+            assert_eq!(socket.take_found(), Some(addresses[place]));
+            assert_eq!(socket.take_found(), None);
+            for _ in 0..6 {
+                socket.send(None, &[1]);
+            }
+            for (index, end) in ends.iter().enumerate() {
+                let count = std::iter::from_fn(|| end.recv_from(&mut buffer).ok()).count();
+                assert_eq!(count, if index == place { 6 } else { 0 });
+            }
+            // The address that was given up is a stranger's.
+            ends[(place + 1) % 3].send_to(&[2], asked_from[place]).unwrap();
+            socket.drain(0, u64::MAX, |_, _| fresh);
+            assert_eq!(socket.elsewhere(), 1);
+        }
+    }
+
+    /// Damage on the way makes a frame look like one of another version.
+    #[test]
+    fn a_peer_that_is_heard_is_no_stranger() {
+        for peer in [Some(at(1)), None] {
+            let mut route = peer.map_or_else(Route::learned, Route::known);
+            assert!(!route.lives_at(500 * MS, at(1)), "nothing was heard");
+            route.take(500 * MS, at(1).into(), Received::Fresh { is_answered: false });
+            assert!(route.lives_at(520 * MS, at(1)) && !route.lives_at(520 * MS, at(2)));
+            route.take(521 * MS, at(1).into(), Received::Stranger(Stranger::Version));
+            assert!(!route.lives_at(521 * MS, at(1)), "it is silent");
+        }
+    }
+
     #[test]
     fn a_known_peer_is_never_left() {
         let mut route = Route::known(at(1));
         assert!(route.admits(at(1)) && !route.admits(at(2)));
-        route.take(100 * MS, at(1), Received::Fresh { is_answered: false });
-        assert_eq!(route.next(), [Some(at(1)), None]);
+        route.take(100 * MS, at(1).into(), Received::Fresh { is_answered: false });
+        assert_eq!(route.next(), [Some(at(1).into()), None]);
     }
 
     /// Who copies a few frames does not have a stream sent elsewhere.
     #[test]
     fn a_second_address_gets_no_more_than_came_from_there() {
         let mut route = Route::learned();
-        route.take(0, at(1), Received::Fresh { is_answered: false });
+        route.take(0, at(1).into(), Received::Fresh { is_answered: false });
         let mut to_second = 0;
         for tick in 0..1000 {
-            route.take(tick * MS, at(1), Received::Fresh { is_answered: false });
+            route.take(tick * MS, at(1).into(), Received::Fresh { is_answered: false });
             if tick % 10 == 0 {
-                route.take(tick * MS, at(2), Received::Repeat);
+                route.take(tick * MS, at(2).into(), Received::Repeat);
             }
             to_second += u64::from(route.next()[1].is_some());
         }
@@ -415,7 +592,7 @@ mod tests {
     #[test]
     fn what_is_not_good_teaches_nothing() {
         let mut route = Route::learned();
-        route.take(0, at(1), Received::Nothing);
+        route.take(0, at(1).into(), Received::Nothing);
         assert_eq!(route.next(), [None, None]);
     }
 }

@@ -40,6 +40,7 @@ pub use keys::{Epoch, KeyError, PreSharedKey};
 pub use noise::{Entropy, HandshakeError, NoEntropy, SeededEntropy, SystemEntropy};
 pub use session::{Incoming, SealError, Session, SessionEvent, Standing, StillHeard};
 pub use settings::{SessionSettings, SettingsError};
+pub(crate) use wire::is_handshake;
 pub use wire::{
     HANDSHAKE_LENGTH, HandshakeDecision, MAX_DATAGRAM, Rejection, Rejections, SESSION_HEADER, SESSION_MAGIC,
     SESSION_VERSION, sealed_length,

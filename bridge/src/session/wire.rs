@@ -43,6 +43,12 @@ pub(super) fn mac_fits(datagram: &[u8], key: &MacKey) -> bool {
     datagram.len() == HANDSHAKE_LENGTH && key.fits(&datagram[..AUTHENTICATED], &datagram[AUTHENTICATED..])
 }
 
+/// Whether a datagram has length and kind of a handshake message.
+pub(crate) fn is_handshake(datagram: &[u8]) -> bool {
+    let kind = datagram.get(3).copied().and_then(Kind::from_byte);
+    datagram.len() == HANDSHAKE_LENGTH && kind.is_some_and(Kind::is_handshake)
+}
+
 /// What a datagram is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {

@@ -13,7 +13,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use super::estimate::{Offset, RoundTrip};
 use super::wire::{Answer, Request, SIZE, Seen};
 use super::{Probe, Recording};
-use crate::{ScheduleBefore, proxy::prepare_thread};
+use crate::{ScheduleBefore, proxy::prepare_thread, reply::ReplySocket};
 
 /// Most probes a second.
 pub const MAX_RATE_HZ: f64 = 1000.0;
@@ -63,6 +63,12 @@ pub enum ProbeError {
         /// How many.
         sent: usize,
     },
+    /// Nobody answered at any address of a name.
+    #[error("no echo answers at any of {}", .peers.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "))]
+    NoneAnswers {
+        /// All that were tried.
+        peers: Vec<SocketAddr>,
+    },
     /// The network cannot be used.
     #[error("{peer}: {source}")]
     Socket {
@@ -80,6 +86,39 @@ struct Sent {
     /// Whether the echo is known to have received it.
     arrived: bool,
     trip: Option<RoundTrip>,
+}
+
+/// How often each address of a name is asked.
+const ASK_EVERY: Duration = Duration::from_millis(100);
+
+/// The address at which an echo answers, of a name that has several; a single one is not asked.
+///
+/// # Errors
+///
+/// [`ProbeError::NoneAnswers`] after 2 s, or once `stop` is set.
+pub fn answering(peers: &[SocketAddr], stop: &AtomicBool) -> Result<SocketAddr, ProbeError> {
+    if let [only] = peers {
+        return Ok(*only);
+    }
+    // One without a route is no reason not to ask the others.
+    let mut asked: Vec<_> = peers
+        .iter()
+        .filter_map(|&peer| Some((peer, Run::new(connect(peer).ok()?, MAX_RATE_HZ, 1.0))))
+        .collect();
+    let begun = Instant::now();
+    while begun.elapsed() < LAST_WAIT && !stop.load(Relaxed) {
+        for (peer, run) in &mut asked {
+            let refuse = |source| ProbeError::Socket { peer: *peer, source };
+            run.send().map_err(refuse)?;
+            run.wait(run.origin.elapsed() + ASK_EVERY / 4).map_err(refuse)?;
+            run.receive().map_err(refuse)?;
+            if run.sent.len() > run.unanswered {
+                return Ok(*peer);
+            }
+        }
+        std::thread::sleep(ASK_EVERY / 2);
+    }
+    Err(ProbeError::NoneAnswers { peers: peers.to_vec() })
 }
 
 /// Measures a network until the time is over or `stop` is set, on the calling thread.
@@ -283,7 +322,7 @@ pub struct EchoStatistics {
 /// Answers probes, one for one and of the same size, so that it is of no use to flood somebody with.
 #[derive(Debug)]
 pub struct Echo {
-    socket: UdpSocket,
+    socket: ReplySocket,
     sessions: Vec<Session>,
 }
 
@@ -298,14 +337,14 @@ struct Session {
 impl Echo {
     /// An echo at an address; port 0 lets the system choose.
     pub fn bind(address: SocketAddr) -> io::Result<Self> {
-        let socket = UdpSocket::bind(address)?;
-        socket.set_read_timeout(Some(PATIENCE))?;
+        let socket = ReplySocket::bind(address)?;
+        socket.socket().set_read_timeout(Some(PATIENCE))?;
         Ok(Self { socket, sessions: Vec::with_capacity(MAX_SESSIONS) })
     }
 
     /// Where it is.
     pub fn address(&self) -> io::Result<SocketAddr> {
-        self.socket.local_addr()
+        self.socket.socket().local_addr()
     }
 
     /// Answers until `stop` is set, which is noticed within 20 ms.
@@ -315,7 +354,7 @@ impl Echo {
         // One byte more, by which a datagram that is too long is recognised.
         let mut buffer = [0; SIZE + 1];
         while !stop.load(Relaxed) {
-            let (length, source) = match self.socket.recv_from(&mut buffer) {
+            let (length, asker) = match self.socket.receive(&mut buffer) {
                 Ok(received) => received,
                 Err(error) if is_passing(error.kind()) => continue,
                 Err(error) => return Err(error),
@@ -325,12 +364,12 @@ impl Echo {
                 statistics.ignored += 1;
                 continue;
             };
-            let seen = self.take(source, &request, received);
+            let seen = self.take(asker.from, &request, received);
             let received_ns = nanoseconds(received - origin);
             let answered_ns = nanoseconds(origin.elapsed());
             let answer = Answer { request, received_ns, answered_ns, seen };
             // An answer that the network refuses is a lost one.
-            if self.socket.send_to(&answer.encode(), source).is_ok() {
+            if self.socket.send(&answer.encode(), asker).is_ok() {
                 statistics.answered += 1;
             }
         }

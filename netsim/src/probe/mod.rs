@@ -6,7 +6,9 @@ mod wire;
 
 use std::io::{self, Write};
 
-pub use live::{Echo, EchoStatistics, MAX_PROBES, MAX_RATE_HZ, ProbeError, RecordSettings, record};
+pub use live::{
+    Echo, EchoStatistics, MAX_PROBES, MAX_RATE_HZ, ProbeError, RecordSettings, answering, record,
+};
 
 /// What became of one probe.
 #[derive(Clone, Copy, Debug, PartialEq)]

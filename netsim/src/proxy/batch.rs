@@ -2,12 +2,13 @@
 //! is in flight.
 
 use super::statistics::count;
+use crate::reply::{self, Asker, asker};
 use arrayvec::ArrayVec;
 use nix::errno::Errno;
-use nix::sys::socket::{MsgFlags, MultiHeaders, SockaddrStorage, recvmmsg, sendmmsg};
+use nix::sys::socket::{MsgFlags, MultiHeaders, SockaddrStorage, recvmmsg};
 use std::array;
 use std::io::{self, IoSlice, IoSliceMut};
-use std::net::{SocketAddr, SocketAddrV4, SocketAddrV6};
+use std::net::IpAddr;
 use std::os::fd::{AsRawFd, BorrowedFd};
 use std::sync::atomic::AtomicU64;
 
@@ -20,19 +21,20 @@ pub(super) const MAX_SENT: usize = 32;
 /// One byte more than is carried, by which a datagram that is too large is recognised.
 const CELL: usize = MAX_DATAGRAM + 1;
 
-/// Takes datagrams from sockets of one address family: the kernel writes the length of an address over the room that
-/// there is for the next.
+/// Takes datagrams from sockets that are alike: the kernel writes the length of an address, and of what it reports, over
+/// the room that there is for the next.
 pub(super) struct Receiver {
     headers: MultiHeaders<SockaddrStorage>,
     bytes: Vec<u8>,
-    /// Length and source of what the last call brought.
-    arrived: ArrayVec<(usize, Option<SocketAddr>), MAX_RECEIVED>,
+    /// Length and sender of what the last call brought.
+    arrived: ArrayVec<(usize, Option<Asker>), MAX_RECEIVED>,
 }
 
 impl Receiver {
-    pub(super) fn new() -> Self {
+    /// For sockets that report as many bytes with each datagram as `report` has.
+    pub(super) fn new(report: Option<Vec<u8>>) -> Self {
         Self {
-            headers: MultiHeaders::preallocate(MAX_RECEIVED, None),
+            headers: MultiHeaders::preallocate(MAX_RECEIVED, report),
             bytes: vec![0; MAX_RECEIVED * CELL],
             arrived: ArrayVec::new(),
         }
@@ -50,7 +52,7 @@ impl Receiver {
             match received {
                 Ok(messages) => {
                     for message in messages {
-                        self.arrived.push((message.bytes, message.address.as_ref().and_then(address)));
+                        self.arrived.push((message.bytes, asker(&message, message.address.as_ref())));
                     }
                     return Ok(());
                 }
@@ -69,15 +71,15 @@ impl Receiver {
     }
 
     /// What the last call brought.
-    pub(super) fn datagrams(&self) -> impl Iterator<Item = (&[u8], Option<SocketAddr>)> {
+    pub(super) fn datagrams(&self) -> impl Iterator<Item = (&[u8], Option<Asker>)> {
         let cells = self.bytes.chunks_exact(CELL);
-        cells.zip(&self.arrived).map(|(cell, &(length, source))| (&cell[..length.min(CELL)], source))
+        cells.zip(&self.arrived).map(|(cell, &(length, sender))| (&cell[..length.min(CELL)], sender))
     }
 }
 
 /// Sends datagrams.
 pub(super) struct Sender {
-    headers: MultiHeaders<SockaddrStorage>,
+    headers: reply::Outgoing,
 }
 
 /// What is to be sent with one call.
@@ -87,32 +89,26 @@ pub(super) type Destinations = ArrayVec<Option<SockaddrStorage>, MAX_SENT>;
 
 impl Sender {
     pub(super) fn new() -> Self {
-        Self { headers: MultiHeaders::preallocate(MAX_SENT, None) }
+        Self { headers: reply::Outgoing::with_capacity(MAX_SENT) }
     }
 
-    /// Sends all; bit n of the result says whether the n-th was taken.
+    /// Sends all from the address `asked`, if there is one; bit n of the result says whether the n-th was taken.
     pub(super) fn send(
         &mut self,
         socket: BorrowedFd<'_>,
         outgoing: &Outgoing<'_>,
         destinations: &Destinations,
+        asked: Option<IpAddr>,
         unreachable: &AtomicU64,
     ) -> u32 {
         let mut taken = 0;
         let mut next = 0;
         let mut is_repeated = false;
         while next < outgoing.len() {
-            let sent = sendmmsg(
-                socket.as_raw_fd(),
-                &mut self.headers,
-                &outgoing[next..],
-                &destinations[next..],
-                [],
-                MsgFlags::MSG_DONTWAIT,
-            );
-            match sent {
-                Ok(messages) => {
-                    for _ in messages {
+            let (outgoing, destinations) = (&outgoing[next..], &destinations[next..]);
+            match self.headers.send(socket, outgoing, destinations, asked, MsgFlags::MSG_DONTWAIT) {
+                Ok(sent) => {
+                    for _ in 0..sent {
                         taken |= 1 << next;
                         next += 1;
                     }
@@ -141,11 +137,6 @@ impl Sender {
 /// yet.
 fn is_unreachable(error: Errno) -> bool {
     matches!(error, Errno::ECONNREFUSED | Errno::EHOSTUNREACH | Errno::ENETDOWN | Errno::ENETUNREACH)
-}
-
-fn address(seen: &SockaddrStorage) -> Option<SocketAddr> {
-    let v4 = seen.as_sockaddr_in().map(|seen| SocketAddrV4::from(*seen).into());
-    v4.or_else(|| seen.as_sockaddr_in6().map(|seen| SocketAddrV6::from(*seen).into()))
 }
 
 /// A datagram kept in a [`BufferPool`].

@@ -161,8 +161,8 @@ impl Proxy {
         let scheduling = prepare_thread(self.is_realtime);
         self.record.is_fifo.store(scheduling == Scheduling::Fifo, Relaxed);
         let mut batches = Batches {
-            from_clients: Receiver::new(),
-            from_peer: Receiver::new(),
+            from_clients: Receiver::new(self.ports.report_room()),
+            from_peer: Receiver::new(None),
             sender: Sender::new(),
             ready: Ready::new(),
             spin: SpinBudget::default(),
@@ -248,8 +248,8 @@ impl Proxy {
         };
         receiver.receive(socket, &record.peer_unreachable)?;
         let now_ns = clock.now_ns();
-        for (datagram, source) in receiver.datagrams() {
-            let admitted = source.and_then(|client| Some((client, ports.admit(client, now_ns)?)));
+        for (datagram, sender) in receiver.datagrams() {
+            let admitted = sender.and_then(|client| Some((client, ports.admit(client, now_ns)?)));
             if let Some((client, flow)) = admitted {
                 let routes = Routes {
                     on: Egress::Peer(flow),
@@ -278,8 +278,9 @@ impl Proxy {
         };
         receiver.receive(socket, &record.peer_unreachable)?;
         let now_ns = clock.now_ns();
-        for (datagram, source) in receiver.datagrams() {
-            if let Some((flow, client)) = source.and_then(|source| ports.client_of(place, source, now_ns)) {
+        for (datagram, sender) in receiver.datagrams() {
+            let answered = sender.and_then(|sender| ports.client_of(place, sender.from, now_ns));
+            if let Some((flow, client)) = answered {
                 let routes = Routes {
                     on: Egress::Client(client),
                     back: Egress::Peer(flow),

@@ -200,7 +200,7 @@ impl DirectionPipeline {
         let direction = self.link.direction();
         let mut taken = 0;
         let mut out_ns = 0;
-        if let Some(socket) = socket.and_then(|socket| ports.egress_socket(socket)) {
+        if let Some((fd, asked)) = socket.and_then(|to| ports.egress_socket(to).map(|fd| (fd, to.asked()))) {
             let outgoing: Outgoing<'_> =
                 batch.iter().map(|(_, slot)| [IoSlice::new(self.buffers.read(slot))]).collect();
             let destinations: Destinations = batch
@@ -208,7 +208,7 @@ impl DirectionPipeline {
                 .map(|(_, slot)| self.buffers.about(slot).and_then(|datagram| datagram.egress.socket().1))
                 .collect();
             out_ns = clock.now_ns();
-            taken = sender.send(socket, &outgoing, &destinations, &metrics.record.peer_unreachable);
+            taken = sender.send(fd, &outgoing, &destinations, asked, &metrics.record.peer_unreachable);
         }
         for (n, (due_ns, slot)) in batch.into_iter().enumerate() {
             let is_sent = taken & (1 << n) != 0;

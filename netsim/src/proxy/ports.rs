@@ -1,12 +1,13 @@
 //! Where datagrams enter and leave: the sockets, and the clients behind them.
 
 use super::settings::{ProxyError, ProxySettings, Source};
+use crate::reply::{Asker, report_asked, report_room};
 use nix::sys::socket::SockaddrStorage;
 use rustix::event::epoll::{self, CreateFlags, Event, EventData, EventFlags};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::net::sockopt;
 use std::io;
-use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 
 const NO_TIME: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
@@ -18,10 +19,10 @@ pub(super) enum Egress {
     Peer(FlowId),
     /// To the peer, from a source that is no client's.
     PeerBeside,
-    /// To a client.
-    Client(SocketAddr),
-    /// To a client, from a source that is not the peer's.
-    ClientBeside(SocketAddr),
+    /// To a client, from the address that it asked.
+    Client(Asker),
+    /// To a client, from another port of that address.
+    ClientBeside(Asker),
 }
 
 /// The egresses that a datagram may take.
@@ -35,10 +36,21 @@ pub(super) struct Routes {
 /// The socket of an egress: what leaves by the same one can be sent with one call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum EgressSocket {
-    Listen,
-    ListenBeside,
+    /// From this address of the machine, where the socket has several.
+    Listen(Option<IpAddr>),
+    ListenBeside(Option<IpAddr>),
     Upstream(FlowId),
     UpstreamBeside,
+}
+
+impl EgressSocket {
+    /// The address that it sends from, where it has several.
+    pub(super) fn asked(self) -> Option<IpAddr> {
+        match self {
+            Self::Listen(asked) | Self::ListenBeside(asked) => asked,
+            Self::Upstream(_) | Self::UpstreamBeside => None,
+        }
+    }
 }
 
 /// Where datagrams enter.
@@ -113,18 +125,23 @@ impl Ports {
         })
     }
 
+    /// Room for what the listening socket reports with each datagram.
+    pub(super) fn report_room(&self) -> Option<Vec<u8>> {
+        report_room(self.listen_address)
+    }
+
     /// Bytes that the kernel grants for datagrams that wait: received, and to be sent.
     pub(super) fn granted(&self) -> (u64, u64) {
         granted(&self.listen)
     }
 
     /// The flow of a client, who is served if it is of this machine or allowed; a new one gets its own socket.
-    pub(super) fn admit(&mut self, client: SocketAddr, now_ns: u64) -> Option<FlowId> {
+    pub(super) fn admit(&mut self, client: Asker, now_ns: u64) -> Option<FlowId> {
         if let Some(known) = self.flows.find(client, now_ns) {
             return Some(known);
         }
-        let is_local = client.ip().to_canonical().is_loopback();
-        if !(is_local || self.allow.iter().any(|allowed| allowed.covers(client))) {
+        let is_local = client.from.ip().to_canonical().is_loopback();
+        if !(is_local || self.allow.iter().any(|allowed| allowed.covers(client.from))) {
             return None;
         }
         if !self.flows.make_room(now_ns) {
@@ -142,7 +159,7 @@ impl Ports {
         place: usize,
         source: SocketAddr,
         now_ns: u64,
-    ) -> Option<(FlowId, SocketAddr)> {
+    ) -> Option<(FlowId, Asker)> {
         if source != self.peer {
             return None;
         }
@@ -183,8 +200,8 @@ impl Ports {
     /// The socket of a socket, if its client is still there.
     pub(super) fn egress_socket(&self, socket: EgressSocket) -> Option<BorrowedFd<'_>> {
         match socket {
-            EgressSocket::Listen => Some(self.listen.as_fd()),
-            EgressSocket::ListenBeside => Some(self.listen_beside.as_fd()),
+            EgressSocket::Listen(_) => Some(self.listen.as_fd()),
+            EgressSocket::ListenBeside(_) => Some(self.listen_beside.as_fd()),
             EgressSocket::Upstream(flow) => Some(self.flows.get(flow)?.upstream.as_fd()),
             EgressSocket::UpstreamBeside => Some(self.upstream_beside.as_fd()),
         }
@@ -197,8 +214,10 @@ impl Egress {
         match self {
             Self::Peer(flow) => (EgressSocket::Upstream(flow), None),
             Self::PeerBeside => (EgressSocket::UpstreamBeside, None),
-            Self::Client(client) => (EgressSocket::Listen, Some(client.into())),
-            Self::ClientBeside(client) => (EgressSocket::ListenBeside, Some(client.into())),
+            Self::Client(client) => (EgressSocket::Listen(client.asked), Some(client.from.into())),
+            Self::ClientBeside(client) => {
+                (EgressSocket::ListenBeside(client.asked), Some(client.from.into()))
+            }
         }
     }
 }
@@ -214,6 +233,7 @@ const BUFFER_BYTES: usize = 4 << 20;
 /// A socket at `listen`, and its address with the port that was chosen.
 fn open_listening(listen: SocketAddr) -> io::Result<(UdpSocket, SocketAddr)> {
     let socket = open(listen)?;
+    report_asked(&socket)?;
     let address = socket.local_addr()?;
     Ok((socket, address))
 }
@@ -266,7 +286,7 @@ const YIELD_NS: u64 = 1_000_000_000;
 /// One client.
 #[derive(Debug)]
 pub(super) struct Flow {
-    pub(super) client: SocketAddr,
+    pub(super) client: Asker,
     /// Connected to the peer, so that the kernel refuses other sources and reports an absent peer.
     pub(super) upstream: UdpSocket,
     generation: u32,
@@ -290,15 +310,18 @@ pub(super) struct Flows {
 }
 
 impl Flows {
-    /// The flow of a client that is served, who has been heard now.
-    pub(super) fn find(&mut self, client: SocketAddr, now_ns: u64) -> Option<FlowId> {
-        let is_of = |flow: &Option<Flow>| flow.as_ref().is_some_and(|flow| flow.client == client);
+    /// The flow of a client that is served, who has been heard now. It is answered from the address that it asked last.
+    pub(super) fn find(&mut self, client: Asker, now_ns: u64) -> Option<FlowId> {
+        let is_of = |flow: &Option<Flow>| flow.as_ref().is_some_and(|flow| flow.client.from == client.from);
         let place = if self.places.get(self.last).is_some_and(is_of) {
             self.last
         } else {
             self.places.iter().position(is_of)?
         };
         self.last = place;
+        if let Some(flow) = self.places.get_mut(place).and_then(Option::as_mut) {
+            flow.client = client;
+        }
         self.heard(place, now_ns)
     }
 
@@ -327,7 +350,7 @@ impl Flows {
     }
 
     /// Takes a client in, after room was made.
-    pub(super) fn open(&mut self, client: SocketAddr, upstream: UdpSocket, now_ns: u64) -> FlowId {
+    pub(super) fn open(&mut self, client: Asker, upstream: UdpSocket, now_ns: u64) -> FlowId {
         self.generation = self.generation.wrapping_add(1);
         let generation = self.generation;
         let flow = Some(Flow { client, upstream, generation, heard_ns: now_ns });
@@ -370,8 +393,8 @@ impl Flows {
 mod tests {
     use super::*;
 
-    fn client(number: usize) -> SocketAddr {
-        SocketAddr::from(([127, 0, 0, 1], u16::try_from(1000 + number).unwrap()))
+    fn client(number: usize) -> Asker {
+        SocketAddr::from(([127, 0, 0, 1], u16::try_from(1000 + number).unwrap())).into()
     }
 
     fn open(flows: &mut Flows, number: usize, now_ns: u64) -> FlowId {

@@ -4,6 +4,7 @@ use std::io;
 use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 
+use crate::address::ip_and_zone;
 use crate::checks::LinkSettingsError;
 use crate::impairments::LinkSettings;
 use crate::packet::Direction;
@@ -50,30 +51,40 @@ impl ProxySettings {
 
 /// Whose datagrams are served.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Source {
-    /// All of a machine.
-    Machine(IpAddr),
-    /// Those of one socket.
-    Socket(SocketAddr),
+pub struct Source {
+    ip: IpAddr,
+    /// The zone of a link-local address; 0 for all.
+    zone: u32,
+    /// That of one socket; without it all of the machine.
+    port: Option<u16>,
 }
 
 impl Source {
     /// Whether a datagram from `source` is one of them.
     pub(super) fn covers(self, source: SocketAddr) -> bool {
-        let ip = source.ip().to_canonical();
-        match self {
-            Self::Machine(machine) => ip == machine.to_canonical(),
-            Self::Socket(socket) => ip == socket.ip().to_canonical() && source.port() == socket.port(),
-        }
+        let zone = match source {
+            SocketAddr::V4(_) => 0,
+            SocketAddr::V6(source) => source.scope_id(),
+        };
+        source.ip().to_canonical() == self.ip.to_canonical()
+            && (self.zone == 0 || self.zone == zone)
+            && self.port.is_none_or(|port| port == source.port())
     }
 }
 
 impl std::str::FromStr for Source {
-    type Err = std::net::AddrParseError;
+    type Err = String;
 
-    /// An address with or without a port.
+    /// An address with or without a port, and with or without a zone.
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        text.parse().map(Self::Machine).or_else(|_| text.parse().map(Self::Socket))
+        let socket = text.strip_prefix('[').and_then(|rest| rest.rsplit_once("]:"));
+        let socket = socket.or_else(|| text.rsplit_once(':').filter(|(ip, _)| !ip.contains(':')));
+        let (ip, port) = match socket {
+            Some((ip, port)) => (ip, Some(port.parse().map_err(|_| "invalid port value".to_owned())?)),
+            None => (text, None),
+        };
+        let (ip, zone) = ip_and_zone(ip)?;
+        Ok(Self { ip, zone, port })
     }
 }
 
@@ -143,10 +154,17 @@ mod tests {
             ("10.0.0.1:7", "10.0.0.1:8", false),
             ("fe80::1", "[fe80::1]:7", true),
             ("[fe80::1]:7", "[fe80::1]:7", true),
+            ("fe80::1", "[fe80::1%3]:7", true),
+            ("fe80::1%3", "[fe80::1%3]:7", true),
+            ("fe80::1%3", "[fe80::1%4]:7", false),
+            ("[fe80::1%3]:7", "[fe80::1%3]:7", true),
+            ("[fe80::1%3]:7", "[fe80::1%3]:8", false),
         ] {
             let allowed: Source = allowed.parse().unwrap();
             assert_eq!(allowed.covers(source.parse().unwrap()), is_covered, "{allowed:?} {source}");
         }
-        assert!("master".parse::<Source>().is_err());
+        for text in ["master", "10.0.0.1:", "10.0.0.1:70000", "[fe80::1]", "fe80::1%nowhere", "10.0.0.1%lo"] {
+            assert!(text.parse::<Source>().is_err(), "{text}");
+        }
     }
 }

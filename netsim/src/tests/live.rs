@@ -194,8 +194,9 @@ fn a_source_from_elsewhere_is_served_only_if_allowed() {
     let client = UdpSocket::bind((outside, 0)).unwrap();
     let base = settings(peer.local_addr().unwrap(), LinkSettings::default());
     let listen = SocketAddr::new(outside, 0);
-    let exact = Source::Socket(client.local_addr().unwrap());
-    for (allow, served) in [(vec![], 0), (vec![Source::Machine(outside)], 1), (vec![exact], 1)] {
+    let exact: Source = client.local_addr().unwrap().to_string().parse().unwrap();
+    let machine: Source = outside.to_string().parse().unwrap();
+    for (allow, served) in [(vec![], 0), (vec![machine], 1), (vec![exact], 1)] {
         let proxy = Running::start(&ProxySettings { listen, allow, ..base.clone() });
         client.send_to(b"hello", proxy.address).unwrap();
         let patience = Instant::now();

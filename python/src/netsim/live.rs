@@ -18,7 +18,7 @@ use pyo3::{
     prelude::*,
 };
 
-use super::{address, direction_named, link_settings};
+use super::{addresses, direction_named, first_of, link_settings, peer_addresses};
 use crate::axes::refuse;
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -115,6 +115,8 @@ pub(crate) struct PyProxy {
     stop: Arc<AtomicBool>,
     #[pyo3(get)]
     address: String,
+    #[pyo3(get)]
+    forward: String,
 }
 
 #[pymethods]
@@ -135,7 +137,8 @@ impl PyProxy {
         max_error_s: f64,
         log: Option<PathBuf>,
     ) -> PyResult<Self> {
-        let mut proxy = Proxy::bind(&ProxySettings {
+        let (listens, forwards) = (addresses("listen", listen)?, peer_addresses("forward", forward)?);
+        let settings = ProxySettings {
             forward_link: link_settings(forward_link)?,
             backward_link: link_settings(backward_link)?,
             seed,
@@ -143,9 +146,15 @@ impl PyProxy {
             realtime,
             max_error_s,
             log,
-            ..ProxySettings::new(address("listen", listen)?, address("forward", forward)?)
-        })
-        .map_err(|error| PyOSError::new_err(error.to_string()))?;
+            ..ProxySettings::new(listens[0], forwards[0])
+        };
+        let (mut proxy, forward) = first_of(&listens, |listen| {
+            first_of(&forwards, |forward| {
+                Proxy::bind(&ProxySettings { listen, forward, ..settings.clone() })
+                    .map(|proxy| (proxy, forward.to_string()))
+                    .map_err(|error| PyOSError::new_err(error.to_string()))
+            })
+        })?;
         let (monitor, control) = (proxy.monitor(), proxy.control());
         let address = proxy.listen_address().to_string();
         let stop = Arc::new(AtomicBool::new(false));
@@ -154,7 +163,7 @@ impl PyProxy {
             .name("haptether-netsim".into())
             .spawn(move || proxy.run(&seen))
             .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
-        Ok(Self { thread: Some(thread), monitor, control, stop, address })
+        Ok(Self { thread: Some(thread), monitor, control, stop, address, forward })
     }
 
     fn statistics(&self) -> PyProxyStatistics {
@@ -194,8 +203,8 @@ impl Drop for PyProxy {
 }
 
 fn source(text: &str) -> PyResult<Source> {
-    text.parse().map_err(|_| {
+    text.parse().map_err(|why| {
         let form = "must be an IP address or IP:PORT, such as 192.0.2.7 or 192.0.2.7:9100";
-        PyValueError::new_err(format!("allow = {text:?}: {form}"))
+        PyValueError::new_err(format!("allow = {text:?}: {form}; {why}"))
     })
 }

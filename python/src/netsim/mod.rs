@@ -3,11 +3,11 @@
 mod live;
 mod probe;
 
-use std::net::{SocketAddr, ToSocketAddrs};
+use std::net::SocketAddr;
 
 use haptether_netsim::{
-    DelayTrace, Direction, DropCause, ExtraCause, Judgement, Link, LinkSettings, Packet, Verdict, netem,
-    parse_delay_csv, parse_dist, parse_irtt, parse_mahimahi,
+    DelayTrace, Direction, DropCause, ExtraCause, IrttDelay, Judgement, Link, LinkSettings, Packet, Verdict,
+    netem, parse_delay_csv, parse_dist, parse_irtt, parse_mahimahi, unsuited_peer,
 };
 use numpy::{PyReadonlyArray1, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -30,13 +30,39 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     probe::register(module)
 }
 
-/// An address written `HOST:PORT`.
-pub(crate) fn address(key: &str, text: &str) -> PyResult<SocketAddr> {
-    let refused = |why: String| {
+/// All addresses that a text written `HOST:PORT` names.
+pub(crate) fn addresses(key: &str, text: &str) -> PyResult<Vec<SocketAddr>> {
+    haptether_netsim::addresses(text).map_err(|why| {
         PyValueError::new_err(format!("{key} = {text:?}: {why}; must be HOST:PORT, such as 127.0.0.1:9100"))
-    };
-    let mut found = text.to_socket_addrs().map_err(|error| refused(error.to_string()))?;
-    found.next().ok_or_else(|| refused("no such address".into()))
+    })
+}
+
+/// All addresses of a peer that a text written `HOST:PORT` names: one machine answers at each.
+pub(crate) fn peer_addresses(key: &str, text: &str) -> PyResult<Vec<SocketAddr>> {
+    let mut found = addresses(key, text)?;
+    let unsuited = found.iter().find_map(|&address| unsuited_peer(address).map(|why| (address, why)));
+    found.retain(|&address| unsuited_peer(address).is_none());
+    match unsuited {
+        Some((address, why)) if found.is_empty() => Err(PyValueError::new_err(format!(
+            "{key} = {text:?}: {address} {why}; must be the address of the machine that listens, such as 192.0.2.7:9000"
+        ))),
+        _ => Ok(found),
+    }
+}
+
+/// What `open` makes of the first address at which it succeeds; else why it did not at the last.
+pub(crate) fn first_of<T>(
+    addresses: &[SocketAddr],
+    mut open: impl FnMut(SocketAddr) -> PyResult<T>,
+) -> PyResult<T> {
+    let mut opened = Err(PyValueError::new_err("no address"));
+    for &address in addresses {
+        opened = open(address);
+        if opened.is_ok() {
+            break;
+        }
+    }
+    opened
 }
 
 /// The settings of a link as JSON, as `haptether.netsim` writes them; the rules check the numbers.
@@ -77,7 +103,11 @@ fn read_link_file(form: &str, data: &[u8], direction: &str) -> PyResult<String> 
     let recorded = |trace: DelayTrace| json!({ "time_s": trace.time_s, "delay_s": trace.delay_s });
     let setting = match form {
         "csv" => parse_delay_csv(data, direction).map(recorded),
-        "irtt" => parse_irtt(data, direction).map(|recording| recorded(recording.delays)),
+        "irtt" => parse_irtt(data, direction).map(|recording| {
+            let mut setting = recorded(recording.delays);
+            setting["half_round_trips"] = json!(recording.measured == IrttDelay::HalfRoundTrip);
+            setting
+        }),
         "mahimahi" => parse_mahimahi(data).map(|opportunities| json!({ "time_ms": opportunities.time_ms })),
         "dist" => parse_dist(data).map(|table| json!({ "table": table })),
         other => {

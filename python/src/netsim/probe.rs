@@ -13,13 +13,13 @@ use std::{
     time::Duration,
 };
 
-use haptether_netsim::{Echo, EchoStatistics, RecordSettings, Recording, record};
+use haptether_netsim::{Echo, EchoStatistics, RecordSettings, Recording, answering, record};
 use pyo3::{
     exceptions::{PyOSError, PyRuntimeError, PyValueError},
     prelude::*,
 };
 
-use super::address;
+use super::{addresses, first_of, peer_addresses};
 use crate::arrays::column;
 
 /// How often Python may act on a signal while the measurement goes on.
@@ -52,10 +52,12 @@ impl PyEcho {
     #[new]
     #[pyo3(signature = (*, listen))]
     fn new(listen: &str) -> PyResult<Self> {
-        let requested = address("listen", listen)?;
-        let refused = |error| PyOSError::new_err(format!("listen = {requested}: {error}"));
-        let mut echo = Echo::bind(requested).map_err(refused)?;
-        let address = echo.address().map_err(refused)?.to_string();
+        let (mut echo, address) = first_of(&addresses("listen", listen)?, |requested| {
+            let refused = |error| PyOSError::new_err(format!("listen = {requested}: {error}"));
+            let echo = Echo::bind(requested).map_err(refused)?;
+            let address = echo.address().map_err(refused)?.to_string();
+            Ok((echo, address))
+        })?;
         let stop = Arc::new(AtomicBool::new(false));
         let seen = Arc::clone(&stop);
         let thread = thread::Builder::new()
@@ -92,12 +94,18 @@ impl Drop for PyEcho {
 #[pyclass(name = "Recording", module = "haptether.netsim", frozen)]
 pub(crate) struct PyRecording {
     inner: Recording,
+    peer: SocketAddr,
 }
 
 #[pymethods]
 impl PyRecording {
     fn __len__(&self) -> usize {
         self.inner.probes.len()
+    }
+
+    #[getter]
+    fn peer(&self) -> String {
+        self.peer.to_string()
     }
 
     #[getter]
@@ -164,13 +172,16 @@ fn record_network(
     duration_s: f64,
     realtime: bool,
 ) -> PyResult<PyRecording> {
-    let peer: SocketAddr = address("peer", peer)?;
-    let settings = RecordSettings { peer, rate_hz, duration_s, realtime };
+    let peers = peer_addresses("peer", peer)?;
     let stop = Arc::new(AtomicBool::new(false));
     let seen = Arc::clone(&stop);
     let measuring = thread::Builder::new()
         .name("haptether-probe".into())
-        .spawn(move || record(&settings, &seen))
+        .spawn(move || {
+            let peer = answering(&peers, &seen)?;
+            let settings = RecordSettings { peer, rate_hz, duration_s, realtime };
+            record(&settings, &seen).map(|inner| PyRecording { inner, peer })
+        })
         .map_err(failed)?;
     while !measuring.is_finished() {
         py.detach(|| thread::sleep(SIGNALS));
@@ -181,7 +192,7 @@ fn record_network(
         }
     }
     let recording = measuring.join().map_err(panicked)?;
-    recording.map(|inner| PyRecording { inner }).map_err(|error| match error {
+    recording.map_err(|error| match error {
         haptether_netsim::ProbeError::OutOfRange { .. } => PyValueError::new_err(error.to_string()),
         _ => PyOSError::new_err(error.to_string()),
     })

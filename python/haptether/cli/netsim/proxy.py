@@ -106,7 +106,7 @@ class Proxy(LinkOptions):
         from haptether.cli.shared.stop import wait
         from haptether.netsim import Controlled
 
-        headline = f"netsim listens on {proxy.address}, forwards to {self.forward}"
+        headline = f"netsim listens on {proxy.address}, forwards to {proxy.forward}"
         if control is not None:
             control.serve(Controlled(proxy, links.forward, links.backward, statistics_report))
             headline = f"{headline}, controlled by {control.address}"

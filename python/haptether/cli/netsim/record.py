@@ -64,12 +64,18 @@ class Record:
             begin_private(self.csv)
             recording.write_csv(self.csv)
         figures = summarised(recording)
-        self._print(figures)
-        report = {"peer": self.peer, "rate_hz": self.rate, "duration_s": self.duration_s, **figures}
+        self._print(figures, recording.peer)
+        report = {
+            "peer": self.peer,
+            "address": recording.peer,
+            "rate_hz": self.rate,
+            "duration_s": self.duration_s,
+            **figures,
+        }
         write_report(self.json, report)
         return 0
 
-    def _print(self, figures: "dict[str, float | int | None]") -> None:
+    def _print(self, figures: "dict[str, float | int | None]", address: str) -> None:
         from haptether.cli.shared.screen import screen
         from haptether.cli.shared.table import Column, Rows
 
@@ -94,7 +100,7 @@ class Record:
         lines = [
             f"only the sum of both ways is certain; taken to be alike where the round trip was shortest, {shortest},",
             "each may be wrong by up to half of that",
-            f"probes left up to {ms('latest_s')} late",
+            f"probes went to {address} and left up to {ms('latest_s')} late",
         ]
         if self.csv is not None:
             lines.append(f"replay it: haptether netsim sample --trace {self.csv}, or in a scene's [link.forward] and "
