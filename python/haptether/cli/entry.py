@@ -142,6 +142,7 @@ NEVER_WAITS = frozenset(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit status."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    _print_all_characters()
     # What a command writes is its user's alone: recordings say what a hand did.
     before = os.umask(0o077)
     try:
@@ -160,6 +161,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _unwritten(error)
     finally:
         os.umask(before)
+
+
+def _print_all_characters() -> None:
+    """Has text streams print a question mark for what their encoding lacks; reports and tables go as bytes."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+            stream.reconfigure(errors="replace")
 
 
 def _main(arguments: Sequence[str]) -> int:
