@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from haptether.cli.entry import complain
 from haptether.cli.live import run_folder
 from haptether.view.picture.gl import NoGlError, display_problem, require_gl
 
@@ -59,3 +60,11 @@ def test_a_folder_that_is_too_long_for_a_socket_leaves_another(
     assert path is not None
     assert len(os.fsencode(path)) <= run_folder.MAX_PATH
     assert deep not in path.parents
+
+
+@pytest.mark.parametrize("error", [OSError(9, "Bad file descriptor"), OSError("Bad file descriptor (os error 9)")])
+def test_closed_descriptors_are_said_to_be_somebody_elses_doing(
+    error: OSError, capsys: pytest.CaptureFixture[str]
+) -> None:
+    complain(error, 1)
+    assert "a driver or a library, has closed its files and sockets" in capsys.readouterr().err

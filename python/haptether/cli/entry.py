@@ -4,6 +4,7 @@ Exit status: 0 success, 1 a failed run, 2 a bad request, 130 interrupted, 141 a 
 """
 
 import contextlib
+import errno
 import inspect
 import io
 import os
@@ -525,6 +526,8 @@ def complain(error: Exception, status: int, *, debug: bool = False, remedy: str 
     text = str(error) or ("no memory was left" if isinstance(error, MemoryError) else type(error).__name__)
     if isinstance(error, OSError) and error.strerror and text.startswith("[Errno"):
         text = error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
+    if getattr(error, "errno", None) == errno.EBADF or text.endswith(f"(os error {errno.EBADF})"):
+        text += ": something in this process, as a driver or a library, has closed its files and sockets"
     text = LONG_NUMBER.sub(lambda number: repr(float(number[0])), " ".join(f"{text}{remedy}".split()))
     print(f"haptether: {printable(text)}", file=sys.stderr)
     return status
