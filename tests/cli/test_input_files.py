@@ -36,12 +36,16 @@ def shipped(path: str) -> bytes:
     return (ROOT / path).read_bytes()
 
 
-def link(**settings: object) -> str:
-    return msgspec.json.encode(with_files(LinkSettings(**settings), Path(), "forward")).decode()
+def link(settings: LinkSettings) -> str:
+    return msgspec.json.encode(with_files(settings, Path(), "forward")).decode()
 
 
 def delays(path: Path) -> str:
-    return link(trace=DelayTrace(file=str(path)))
+    return link(LinkSettings(trace=DelayTrace(file=str(path))))
+
+
+def opportunities(path: Path) -> str:
+    return link(LinkSettings(opportunities=Opportunities(file=str(path))))
 
 
 def key_of(path: Path) -> bytes:
@@ -55,7 +59,7 @@ def a_key(folder: Path) -> bytes:
 
 
 def npz(folder: Path, **arrays: list[float]) -> bytes:
-    np.savez(folder / "made.npz", **arrays)
+    np.savez(folder / "made.npz", **arrays)  # type: ignore[arg-type]  # its other keyword is no array
     return (folder / "made.npz").read_bytes()
 
 
@@ -108,8 +112,8 @@ READERS = [
            b"time_s,delay_s\n7.0,0.05\n7.5,0.06\n8.0,lost\n"),
     Reader("delays of IRTT", ".json", delays, IRTT, IRTT.replace(b'"seqno": 3', b'"seqno": 7003').replace(
         b'"seqno": 5', b'"seqno": 7005')),
-    Reader("opportunities", ".trace", lambda path: link(opportunities=Opportunities(file=str(path))), b"1\n2\n4\n"),
-    Reader("distribution", ".dist", lambda path: link(distribution=str(path)), b"# of tc\n-5 0 5\n7 9\n"),
+    Reader("opportunities", ".trace", opportunities, b"1\n2\n4\n"),
+    Reader("distribution", ".dist", lambda path: link(LinkSettings(distribution=str(path))), b"# of tc\n-5 0 5\n7 9\n"),
     Reader("key", ".key", key_of, a_key, takes_links=False),
     Reader("flight recorder", ".json", flight_of_file, FLIGHT),
     Reader("recording", ".mcap", lambda path: msgspec.json.encode(read_recording(path).meanings),

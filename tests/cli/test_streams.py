@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -11,17 +12,10 @@ from haptether.cli.entry import complain
 from haptether.cli.live import run_folder
 from haptether.view.picture.gl import NoGlError, display_problem, require_gl
 
-COMMANDS = (
-    ["--help"],
-    ["netsim", "--help"],
-    ["dynamixel", "--help"],
-    ["sweep", "--help"],
-    ["list"],
-    ["netsim", "list"],
-)
+COMMANDS = (["--help"], ["netsim", "--help"], ["sweep", "--help"], ["list"])
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp437"])
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 @pytest.mark.parametrize("arguments", COMMANDS, ids=" ".join)
 def test_help_is_whole_in_any_encoding(arguments: list[str], encoding: str) -> None:
     texts = []
@@ -53,7 +47,7 @@ def test_a_folder_that_is_too_long_for_a_socket_leaves_another(
     deep = tmp_path / ("x" * 100)
     deep.mkdir(mode=0o700)
     monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
-    monkeypatch.setattr(run_folder.tempfile, "gettempdir", lambda: str(deep if variable == "TMPDIR" else tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", str(deep if variable == "TMPDIR" else tmp_path))
     if variable == "XDG_RUNTIME_DIR":
         monkeypatch.setenv(variable, str(deep))
     path = run_folder.default_telemetry("master")

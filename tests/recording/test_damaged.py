@@ -135,4 +135,4 @@ def test_errors_of_a_scene_name_the_file(push: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("haptether.bridge.recording.read.read_recording_columns", odd)
     for run in (replay, playback_scene):
         with pytest.raises(ValueError, match=r"master\.mcap: .*mass_kg"):
-            run(push)  # type: ignore[operator]
+            run(push)

@@ -1,5 +1,6 @@
 """What a sweep keeps: damaged batches are computed again at once, and no other sweep's file is replaced unasked."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ def kept(path: Path, *, rows: int, monkeypatch: pytest.MonkeyPatch) -> list[Path
     return sorted(path.with_name(f"{path.name}.partial").glob("rows-*.npz"))
 
 
-DAMAGE = {
+DAMAGE: dict[str, Callable[[bytes], bytes]] = {
     "no archive": lambda content: b"\x00" * len(content),
     "cut off": lambda content: content[: len(content) // 2],
     "empty": lambda _: b"",
