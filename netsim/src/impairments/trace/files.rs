@@ -26,7 +26,7 @@ impl ParseError {
 /// Reads delays of one direction from a CSV file.
 ///
 /// The header is `time_s,delay_s`, or `time_s,forward_delay_s,backward_delay_s` where both directions are in one file;
-/// only then does `direction` matter. Times increase, and count from the first. An empty delay, or `lost`, is a lost packet. Lines that begin
+/// only then does `direction` matter. Times increase. An empty delay, or `lost`, is a lost packet. Lines that begin
 /// with `#` and empty lines are left out. At most ten million records.
 pub fn parse_delay_csv(bytes: &[u8], direction: Direction) -> Result<DelayTrace, ParseError> {
     let mut time_s = Vec::new();
@@ -62,25 +62,7 @@ pub fn parse_delay_csv(bytes: &[u8], direction: Direction) -> Result<DelayTrace,
         let missing = if header.is_none() { "no header; it must be time_s,delay_s" } else { "no records" };
         return Err(ParseError::new(last_line, 1, missing));
     }
-    let time_s = since_first(time_s);
-    if let Some(&last_s) = time_s.last()
-        && last_s > MAX_TIME_S
-    {
-        let problem = format!("{last_s} s after the first record; must be at most {MAX_TIME_S}");
-        return Err(ParseError::new(last_line, 1, problem));
-    }
     Ok(DelayTrace { time_s, delay_s, interpolate: true, repeat: true })
-}
-
-/// Times in s since the first of them.
-fn since_first(time_s: Vec<f64>) -> Vec<f64> {
-    let Some(first_ns) = time_s.first().map(|&first_s| nanoseconds(first_s)).filter(|&first_ns| first_ns > 0)
-    else {
-        return time_s;
-    };
-    #[expect(clippy::cast_precision_loss, reason = "a time is a float in the file, too")]
-    let since = |time_s| (nanoseconds(time_s) - first_ns) as f64 / 1e9;
-    time_s.into_iter().map(since).collect()
 }
 
 /// How many columns there are, and which one is wanted.
@@ -108,9 +90,6 @@ fn read_header(line: Field<'_>, direction: Direction) -> Result<Columns, ParseEr
     }
 }
 
-/// Latest time in s of a file: also one of a wall clock.
-const LATEST_S: f64 = 1e10;
-
 #[derive(Clone, Copy, Debug)]
 struct Record {
     time_s: f64,
@@ -123,7 +102,7 @@ impl Record {
         let mut seen = 0;
         for field in line.commas() {
             match seen {
-                0 => record.time_s = field.number("time", 0.0, LATEST_S)?,
+                0 => record.time_s = field.number("time", 0.0, MAX_TIME_S)?,
                 // The other direction is checked too: a file is good or it is not.
                 position => {
                     let delay_s = match field.text {

@@ -46,18 +46,6 @@ fn csv_is_read() {
 }
 
 #[test]
-fn times_of_a_csv_count_from_the_first() {
-    for first_ms in [1, 7_000, 1_760_000_000_000_u64] {
-        let seconds = |ms: u64| format!("{}.{:03}", (first_ms + ms) / 1000, (first_ms + ms) % 1000);
-        let csv =
-            format!("time_s,delay_s\n{},0.1\n{},lost\n{},0.2\n", seconds(0), seconds(20), seconds(1500));
-        let read = parse_delay_csv(csv.as_bytes(), Direction::Forward).unwrap();
-        let nanoseconds: Vec<_> = read.time_s.iter().map(|time_s| (time_s * 1e6).round()).collect();
-        assert_eq!(nanoseconds, [0.0, 20_000.0, 1_500_000.0], "{csv}");
-    }
-}
-
-#[test]
 fn link_traces_and_tables_are_read() {
     assert_eq!(parse_mahimahi(LINK.as_bytes()), Ok(Opportunities { time_ms: vec![0, 3, 3, 10] }));
     assert_eq!(parse_dist(DIST.as_bytes()), Ok(vec![-32768, -100, 0, 100, 32767]));
