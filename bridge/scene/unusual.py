@@ -7,7 +7,7 @@ from typing import NamedTuple
 import msgspec
 
 from haptether.bridge.scene.load import leaf_values
-from haptether.bridge.scene.tables.session import Scene
+from haptether.bridge.scene.tables.session import LinksTable, Scene
 
 
 class _Usual(NamedTuple):
@@ -45,8 +45,19 @@ _USUAL = (
 
 
 def unusual_numbers(scene: Scene) -> list[str]:
-    """As `unusual_values`, of all numbers of a scene."""
-    return unusual_values(scene, of_joints=scene.master.kind == "joints")
+    """As `unusual_values`, of all numbers of a scene; with `estimated_delays`."""
+    numbers = unusual_values(scene, of_joints=scene.master.kind == "joints")
+    return numbers if scene.link is None else numbers + estimated_delays(scene.link)
+
+
+def estimated_delays(link: LinksTable) -> list[str]:
+    """One line for each direction whose recorded delays are half of round trips, and so alike in both directions."""
+    directions = {"forward": link.forward, "backward": link.backward}
+    return [
+        f"link.{name}.trace: half of each round trip: the recording of IRTT has no one-way delays"
+        for name, settings in directions.items()
+        if settings is not None and settings.trace is not None and settings.trace.half_round_trips
+    ]
 
 
 def unusual_values(value: object, path: str = "", *, of_joints: bool = False) -> list[str]:

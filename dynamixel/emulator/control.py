@@ -253,12 +253,12 @@ def _numbers(arguments: list[str], count: int) -> list[float]:
 
 
 def _path(path: Path) -> tuple[tuple[float, ...], dict[int, tuple[float, ...]]]:
-    """Times, and places of each servo, of a CSV with the header `time_s,ID,...`."""
+    """Times from the first row on, and places of each servo, of a CSV with the header `time_s,ID,...`."""
     try:
         text = read_text(path, MAX_PATH_BYTES)
     except ValueError as error:
         _refuse(f"{path}: {error}")
-    header, *lines = text.splitlines() or [""]
+    header, *lines = text.replace('"', "").splitlines() or [""]
     first, *ids = header.split(",")
     if first != "time_s" or not ids or not all(one.isdecimal() for one in ids):
         _refuse(f"{path}: its header must be time_s and ids of servos")

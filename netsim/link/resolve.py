@@ -158,7 +158,7 @@ def _spelled_out(value: object, key: str) -> Any:  # noqa: ANN401  # as differen
         hidden = ("file",)
         _embedded(key, value.file, {"time_ms": value.time_ms})
     if isinstance(value, DelayTrace):
-        hidden = ("file", "format", "direction")
+        hidden = ("file", "format", "direction", "half_round_trips")
         _embedded(key, value.file, {"time_s": value.time_s, "delay_s": value.delay_s})
     config = value.__struct_config__
     tag = {} if config.tag_field is None else {config.tag_field: config.tag}

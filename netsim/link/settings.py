@@ -175,9 +175,11 @@ class DelayTrace(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     direction: Literal["forward", "backward"] | None = None
     """Which delays of a recording of both directions; by default those of the link's own."""
     time_s: tuple[Time, ...] | None = None
-    """Times in s since the link began, increasing, the first 0 or more."""
+    """Times in s, increasing, the first 0 or more: the link begins at the first."""
     delay_s: tuple[Delay | None, ...] | None = None
     """Delay in s of a packet sent then; in a file, an empty one was lost."""
+    half_round_trips: bool = False
+    """Whether the delays are half of round trips: of IRTT without one-way delays. It changes no delay."""
     interpolate: bool = True
     """Whether delays between two records are interpolated; else the last one holds."""
     repeat: bool = True

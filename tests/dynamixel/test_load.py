@@ -185,7 +185,8 @@ def test_a_hand_follows_a_file(two: ArmDescription, tmp_path: Path) -> None:
     world = World(two)
     begun = world.servos[0].joint.position_rad
     path = tmp_path / "hand.csv"
-    path.write_text(f"time_s,1\n0,{begun}\n1,{begun + 0.4}\n")
+    # It begins at its first row.
+    path.write_text(f'"time_s","1"\n1700000000,{begun}\n1700000001,{begun + 0.4}\n')
     assert "no hand holds servo 1" in world.say(f"lead {path}")
     world.say(f"hand 1 {begun} 200 2")
     assert world.say(f"lead {path}") == "ok"

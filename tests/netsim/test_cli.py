@@ -137,6 +137,48 @@ def test_files_lie_beside_the_scene(tmp_path: Path) -> None:
     assert backward["distribution"] == {"table": [-8192, 0, 8192]}
 
 
+@pytest.mark.parametrize("first_s", [0, 0.25, 3600, 1_700_000_000, -5])
+@pytest.mark.parametrize("how", ["flag", "inline", "file"])
+def test_a_recording_begins_at_its_first_record(
+    first_s: float, how: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    times = [first_s + 0.01 * step for step in range(100)]
+    delays = [0.001 * (1 + step) for step in range(100)]
+    rows = "".join(f"{time},{delay}\n" for time, delay in zip(times, delays, strict=True))
+    (tmp_path / "a.csv").write_text(f'"time_s","delay_s"\n{rows}')
+    if how == "inline":
+        if not 0 <= first_s <= 1e9:
+            pytest.skip("a scene has times from 0 to 1e9 s")
+        table = f"trace = {{ time_s = {times}, delay_s = {delays} }}"
+    else:
+        table = 'trace = { file = "a.csv" }'
+    scene = tmp_path / "mine.toml"
+    scene.write_text(f"schema = 1\n[link.forward]\n{table}\n")
+    given = ["--trace", str(tmp_path / "a.csv")] if how == "flag" else [str(scene)]
+    assert main(["netsim", "sample", *given, "--packets", "990", "--rate", "1000", "--json", "-"]) == 0
+    realised = json.loads(capsys.readouterr().out)["realised"]
+    # Each delay for its 10 ms; of one constant delay the deviation would be none.
+    assert realised["mean_s"] == pytest.approx(0.05, abs=0.002)
+    assert realised["sigma_s"] > 0.02
+
+
+@pytest.mark.parametrize("one_way", [True, False])
+def test_half_round_trips_of_irtt_are_said_to_be_that(
+    one_way: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    delay = {"rtt": 40_000_000} | ({"send": 10_000_000, "receive": 30_000_000} if one_way else {})
+    trips = [{"seqno": number, "lost": "false", "delay": delay} for number in range(3)]
+    path = tmp_path / "measured.json"
+    path.write_text(json.dumps({"config": {"params": {"interval": 10_000_000}}, "round_trips": trips}))
+    assert main(["netsim", "sample", "--trace", str(path), "--packets", "10"]) == 0
+    said = capsys.readouterr().out
+    assert ("link.forward.trace: half of each round trip" in said) is not one_way
+    links = LinkOptions(trace=path).links(None)
+    forward, backward = link_spec(links.forward, "forward"), link_spec(links.backward, "backward")
+    assert forward["trace"]["delay_s"] == [0.01 if one_way else 0.02] * 3
+    assert backward["trace"]["delay_s"] == [0.03 if one_way else 0.02] * 3
+
+
 @pytest.mark.parametrize(
     ("file", "setting", "said"),
     [

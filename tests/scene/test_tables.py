@@ -375,7 +375,7 @@ RUST: Schema = json.loads(subprocess.run(built("scene_schema", "quick"), check=T
 PYTHON: Schema = msgspec.json.schema(Scene)
 TABLES: Schema = PYTHON["$defs"]
 LEFT_OUT = {table.__name__: fields for table, fields in PYTHON_ONLY.items()} | {
-    "LinkSettings": {"preset"}, "Opportunities": {"file"}, "DelayTrace": {"file", "format", "direction"},
+    "LinkSettings": {"preset"}, "Opportunities": {"file"}, "DelayTrace": {"file", "format", "direction", "half_round_trips"},
 }  # fmt: skip
 """Fields that only Python has: they are resolved before the Rust side reads a scene."""
 

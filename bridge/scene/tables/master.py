@@ -166,7 +166,8 @@ class SeriesTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """
 
     file: str | None = None
-    """CSV with the header `time_s,x[,y,z,...]` or .npz with the arrays `time_s` and `values`; relative to the scene."""
+    """CSV with the header `time_s,x[,y,z,...]` or .npz with the arrays `time_s` and `values`; relative to the scene. It
+    begins at its first record."""
     time_s: tuple[Seconds, ...] | None = None
     """Times in s, increasing."""
     values: tuple[ForcePerAxis, ...] | None = None

@@ -271,8 +271,9 @@ impl LinkSettings {
             OutageTimes::Periodic { .. } | OutageTimes::Random { .. } => f64::INFINITY,
         });
         let attacks = self.attacks.iter().map(|attack| attack.target.until_s.unwrap_or(f64::INFINITY));
-        let trace = self.trace.iter().map(|trace| match trace.time_s.last() {
-            Some(last) if !trace.repeat => *last,
+        let trace = self.trace.iter().map(|trace| match trace.time_s.as_slice() {
+            [first, .., last] if !trace.repeat => last - first,
+            [_] => 0.0,
             _ => f64::INFINITY,
         });
         let endless = self.slots.is_some() || self.opportunities.is_some() || self.netem.is_some();

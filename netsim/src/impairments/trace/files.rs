@@ -26,12 +26,13 @@ impl ParseError {
 /// Reads delays of one direction from a CSV file.
 ///
 /// The header is `time_s,delay_s`, or `time_s,forward_delay_s,backward_delay_s` where both directions are in one file;
-/// only then does `direction` matter. Times increase. An empty delay, or `lost`, is a lost packet. Lines that begin
-/// with `#` and empty lines are left out. At most ten million records.
+/// only then does `direction` matter. Names and numbers may stand in quotes. Times increase, from any first one on, which
+/// becomes 0. An empty delay, or `lost`, is a lost packet. Lines that begin with `#` and empty lines are left out. At most
+/// ten million records.
 pub fn parse_delay_csv(bytes: &[u8], direction: Direction) -> Result<DelayTrace, ParseError> {
-    let mut time_s = Vec::new();
+    let mut time_s: Vec<f64> = Vec::new();
     let mut delay_s = Vec::new();
-    let mut header = None;
+    let (mut header, mut first_s) = (None, None);
     let mut last_line = 1;
     for line in lines(bytes) {
         let line = line?.trim();
@@ -44,18 +45,27 @@ pub fn parse_delay_csv(bytes: &[u8], direction: Direction) -> Result<DelayTrace,
             continue;
         };
         let record = Record::read(line, columns)?;
-        if let Some(&before) = time_s.last()
-            && nanoseconds(record.time_s) <= nanoseconds(before)
+        let first_s = *first_s.get_or_insert(record.time_s);
+        let since_s = record.time_s - first_s;
+        if let Some(&before_s) = time_s.last()
+            && (since_s < before_s || nanoseconds(since_s) <= nanoseconds(before_s))
         {
             return Err(line.error(format!(
-                "time {} s comes after {before} s; times must increase by 1 ns at least",
+                "time {} s comes after {} s; times must increase by 1 ns at least",
+                record.time_s,
+                first_s + before_s
+            )));
+        }
+        if since_s > MAX_TIME_S {
+            return Err(line.error(format!(
+                "time {} s is more than {MAX_TIME_S} s after the first, {first_s} s",
                 record.time_s
             )));
         }
         if time_s.len() == MAX_RECORDS {
             return Err(line.error(format!("more than {MAX_RECORDS} records")));
         }
-        time_s.push(record.time_s);
+        time_s.push(since_s);
         delay_s.push(record.delay_s);
     }
     if time_s.is_empty() {
@@ -64,6 +74,9 @@ pub fn parse_delay_csv(bytes: &[u8], direction: Direction) -> Result<DelayTrace,
     }
     Ok(DelayTrace { time_s, delay_s, interpolate: true, repeat: true })
 }
+
+/// Greatest time in s, of any clock.
+const MAX_CLOCK_S: f64 = 1e12;
 
 /// How many columns there are, and which one is wanted.
 #[derive(Clone, Copy, Debug)]
@@ -102,7 +115,7 @@ impl Record {
         let mut seen = 0;
         for field in line.commas() {
             match seen {
-                0 => record.time_s = field.number("time", 0.0, MAX_TIME_S)?,
+                0 => record.time_s = field.number("time", -MAX_CLOCK_S, MAX_CLOCK_S)?,
                 // The other direction is checked too: a file is good or it is not.
                 position => {
                     let delay_s = match field.text {
@@ -243,13 +256,21 @@ impl<'a> Field<'a> {
         Self { column, text: text.trim_end(), ..self }
     }
 
+    /// Without quotes around it, as spreadsheets write them.
+    fn unquoted(self) -> Self {
+        match self.text.strip_prefix('"').and_then(|text| text.strip_suffix('"')) {
+            Some(text) => Self { column: self.column + 1, text, ..self }.trim(),
+            None => self,
+        }
+    }
+
     /// Its parts between commas.
     fn commas(self) -> impl Iterator<Item = Field<'a>> {
         let mut column = self.column;
         self.text.split(',').map(move |text| {
             let field = Field { line: self.line, column, text };
             column += text.len() + 1;
-            field.trim()
+            field.trim().unquoted()
         })
     }
 

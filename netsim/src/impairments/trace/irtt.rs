@@ -113,8 +113,13 @@ impl File {
             delays.time_s.push(since_ns as f64 / 1e9);
             delays.delay_s.push(delay_s);
         }
-        if delays.time_s.is_empty() {
+        let (Some(&begun_s), Some(&held_s)) = (delays.time_s.first(), delays.delay_s.first()) else {
             return Err("no round trips of this direction".into());
+        };
+        // Both directions begin with the first packet, also where one has no record of it.
+        if begun_s > 0.0 {
+            delays.time_s.insert(0, 0.0);
+            delays.delay_s.insert(0, held_s);
         }
         Ok(IrttRecording { delays, measured })
     }

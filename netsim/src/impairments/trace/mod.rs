@@ -2,8 +2,8 @@
 //!
 //! A packet meets what was recorded at the time at which it is sent. It is lost if the record that holds then, the last
 //! at or before it, was lost. Its delay is that of this record or, with `interpolate`, on the line to the next record
-//! if that one was delivered. Before the first record the first one holds, after the last the last. With `repeat` the
-//! recording begins anew after its last time plus the last spacing; a single record holds for ever.
+//! if that one was delivered. The link begins at the first record, whatever its time is; after the last the last one holds.
+//! With `repeat` the recording begins anew after its last time plus the last spacing; a single record holds for ever.
 //!
 //! Loss comes before the bottleneck and delay takes the place of `delay_s` behind it, so a recording may be combined
 //! with a rate.
@@ -34,7 +34,7 @@ const MAX_RECORDS: usize = 10_000_000;
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DelayTrace {
-    /// Times in s since the link began, increasing, the first 0 or more.
+    /// Times in s, increasing, the first 0 or more: the link begins at the first.
     pub time_s: Vec<f64>,
     /// Delay in s of a packet sent then; `None` was lost.
     pub delay_s: Vec<Option<f64>>,
@@ -58,17 +58,24 @@ struct Playback {
 }
 
 impl Playback {
-    fn new(trace: &DelayTrace) -> Self {
-        let time_s = trace.time_s.as_slice();
-        let [.., before, last] = time_s else {
+    /// Of a recording with these times, from 0 on.
+    fn new(time_ns: &[u64], repeats: bool) -> Self {
+        let &[.., before, last] = time_ns else {
             return Self { period_ns: None };
         };
-        let period_ns = 2 * nanoseconds(*last) - nanoseconds(*before);
-        Self { period_ns: trace.repeat.then_some(period_ns) }
+        Self { period_ns: repeats.then_some(2 * last - before) }
     }
 
     fn position(&self, now_ns: u64) -> u64 {
         self.period_ns.map_or(now_ns, |period_ns| now_ns % period_ns)
+    }
+}
+
+impl DelayTrace {
+    /// Times in ns since the first.
+    fn time_ns(&self) -> Vec<u64> {
+        let first_ns = self.time_s.first().map_or(0, |&first_s| nanoseconds(first_s));
+        self.time_s.iter().map(|&time_s| nanoseconds(time_s) - first_ns).collect()
     }
 }
 
@@ -90,10 +97,12 @@ pub(crate) fn build_loss(
         return Ok(None);
     };
     check(settings, trace)?;
+    let time_ns = trace.time_ns();
     let lost = |position: usize| trace.delay_s[position].is_none();
     let edges = (1..trace.delay_s.len()).filter(|&position| lost(position) != lost(position - 1));
-    let edges_ns = edges.map(|position| nanoseconds(trace.time_s[position])).collect();
-    let rule = TraceLoss { playback: Playback::new(trace), starts_lost: lost(0), edges_ns };
+    let edges_ns = edges.map(|position| time_ns[position]).collect();
+    let playback = Playback::new(&time_ns, trace.repeat);
+    let rule = TraceLoss { playback, starts_lost: lost(0), edges_ns };
     Ok((rule.starts_lost || !rule.edges_ns.is_empty()).then(|| Box::new(rule) as Box<dyn Rule>))
 }
 
@@ -128,9 +137,10 @@ pub(crate) fn build_delay(
         return Ok(None);
     };
     check(settings, trace)?;
+    let time_ns = trace.time_ns();
     Ok(Some(Box::new(TraceDelay {
-        playback: Playback::new(trace),
-        time_ns: trace.time_s.iter().map(|&time_s| nanoseconds(time_s)).collect(),
+        playback: Playback::new(&time_ns, trace.repeat),
+        time_ns,
         delay_ns: trace.delay_s.iter().map(|delay_s| delay_s.map(nanoseconds)).collect(),
         interpolate: trace.interpolate,
     })))

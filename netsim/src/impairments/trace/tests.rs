@@ -45,6 +45,29 @@ fn csv_is_read() {
     assert_eq!((forward.delay_s, backward.delay_s), (vec![Some(0.01), None], vec![Some(0.02), Some(0.04)]));
 }
 
+/// A spreadsheet's quotes; times of another clock, or before 0, from the first on.
+#[test]
+fn quotes_and_any_first_time_are_read() {
+    let plain = parse_delay_csv(b"time_s,delay_s\n0,0.01\n0.5,lost\n1.5,\n", Direction::Forward).unwrap();
+    for text in [
+        "\"time_s\",\"delay_s\"\r\n\"0\",\"0.01\"\r\n\"0.5\",\"lost\"\r\n\"1.5\",\"\"\r\n",
+        "time_s,delay_s\n1700000000,0.01\n1700000000.5,lost\n1700000001.5,\n",
+        "time_s,delay_s\n-4,0.01\n-3.5,lost\n-2.5,\n",
+        " \"time_s\" , \" delay_s \"\n7,0.01\n7.5,lost\n8.5,\n",
+    ] {
+        assert_eq!(parse_delay_csv(text.as_bytes(), Direction::Forward).as_ref(), Ok(&plain), "{text}");
+    }
+    for (text, expected) in [
+        ("time_s,delay_s\n5,1\n4,1\n", "line 3, column 1: time 4 s comes after 5 s"),
+        ("time_s,delay_s\n-5,1\n1e9,1\n", "line 3, column 1: time 1000000000 s is more than"),
+        ("time_s,delay_s\n\"0\", \"x\"\n", "line 2, column 7: delay = \"x\""),
+        ("\"time_s,delay_s\n", "line 1, column 1: "),
+    ] {
+        let message = parse_delay_csv(text.as_bytes(), Direction::Forward).unwrap_err().to_string();
+        assert!(message.starts_with(expected), "{message}\n{expected}");
+    }
+}
+
 #[test]
 fn link_traces_and_tables_are_read() {
     assert_eq!(parse_mahimahi(LINK.as_bytes()), Ok(Opportunities { time_ms: vec![0, 3, 3, 10] }));
@@ -191,34 +214,33 @@ fn replay(trace: DelayTrace, sent_s: f64) -> Option<u64> {
 }
 
 #[test]
-fn a_recording_is_replayed_between_its_records_and_over_again() {
+fn a_recording_is_replayed_from_its_first_record_and_over_again() {
     let recorded = |interpolate, repeat| DelayTrace {
-        time_s: vec![0.5, 1.0, 2.0, 4.0],
+        time_s: vec![1000.5, 1001.0, 1002.0, 1004.0],
         delay_s: vec![Some(0.010), Some(0.020), None, Some(0.030)],
         interpolate,
         repeat,
     };
-    // The period is 4 s + 2 s.
+    // The period is 3.5 s + 2 s.
     let cases = [
         (0.0, Some(10 * MS)),
-        (0.5, Some(10 * MS)),
-        (0.75, Some(15 * MS)),
-        (1.0, Some(20 * MS)),
+        (0.25, Some(15 * MS)),
+        (0.5, Some(20 * MS)),
         // The next one was lost: nothing to interpolate to.
-        (1.9, Some(20 * MS)),
-        (2.0, None),
-        (3.999, None),
-        (4.0, Some(30 * MS)),
-        (5.9, Some(30 * MS)),
-        (6.0, Some(10 * MS)),
-        (6.75, Some(15 * MS)),
-        (6e8 + 3.0, None),
+        (1.4, Some(20 * MS)),
+        (1.5, None),
+        (3.499, None),
+        (3.5, Some(30 * MS)),
+        (5.4, Some(30 * MS)),
+        (5.5, Some(10 * MS)),
+        (5.75, Some(15 * MS)),
+        (5.5e8 + 2.5, None),
     ];
     for (sent_s, delay_ns) in cases {
         assert_eq!(replay(recorded(true, true), sent_s), delay_ns, "{sent_s}");
     }
-    assert_eq!(replay(recorded(false, true), 0.75), Some(10 * MS));
-    assert_eq!(replay(recorded(true, false), 6.75), Some(30 * MS));
+    assert_eq!(replay(recorded(false, true), 0.25), Some(10 * MS));
+    assert_eq!(replay(recorded(true, false), 6.25), Some(30 * MS));
     let single =
         DelayTrace { time_s: vec![1.0], delay_s: vec![Some(0.007)], interpolate: true, repeat: true };
     for sent_s in [0.0, 1.0, 100.0] {

@@ -47,7 +47,8 @@ class LinkOptions:
     queue_ms: Annotated[float | None, tyro.conf.arg(metavar="MS")] = None
     """Longest wait before the bottleneck in ms."""
     trace: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """A recording of delays and losses, of `haptether netsim record` (.csv) or IRTT (.json), instead of a delay."""
+    """A recording of delays and losses, of `haptether netsim record` (.csv) or IRTT (.json), instead of a delay. It
+    begins at its first record. IRTT without one-way delays counts half of each round trip, and the command says so."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
     """Any setting of a link, in both directions; may be given often. Values are TOML, bare words are strings."""
     backward_set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
@@ -104,7 +105,7 @@ class Links:
     backward: "LinkSettings"
     seed: int
     unusual: list[str]
-    """A line for each number whose unit may have slipped."""
+    """A line for each number whose unit may have slipped, and for delays that are half of round trips."""
 
 
 def _read(scene: str | None) -> tuple[dict[str, Any], int, Path]:
@@ -160,6 +161,7 @@ def _typed(raw: dict[str, Any], folder: Path, seed: int, unusual: list[str]) -> 
     from haptether.bridge.scene.errors import explained, refuse_infinite
     from haptether.bridge.scene.resolve import embedded_links, spec_of_links
     from haptether.bridge.scene.tables.session import LinksTable
+    from haptether.bridge.scene.unusual import estimated_delays
     from haptether.netsim import LinkSettings
 
     refuse_infinite(raw)
@@ -173,4 +175,6 @@ def _typed(raw: dict[str, Any], folder: Path, seed: int, unusual: list[str]) -> 
         raise explained(error, raw) from None
     links = embedded_links(links, folder)
     spec_of_links(links)  # refuses what does not go together
-    return Links(links.forward or LinkSettings(), links.backward or LinkSettings(), seed, unusual)
+    return Links(
+        links.forward or LinkSettings(), links.backward or LinkSettings(), seed, unusual + estimated_delays(links)
+    )
