@@ -199,7 +199,7 @@ def a_device(path: Path) -> None:
 def test_what_is_no_plain_file_is_refused_at_once(reader: Reader, made: Callable[[Path], None], tmp_path: Path) -> None:
     path = tmp_path / f"file{reader.suffix}"
     made(path)
-    assert re.search("pipe|folder|socket|device|plain file|symbolic link", refusal(reader, path))
+    assert re.search("pipe|folder|socket|device|plain file|symbolic link|directory", refusal(reader, path))
 
 
 @EVERY
