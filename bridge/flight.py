@@ -8,7 +8,7 @@ from haptether.input_file import read_text
 
 SCHEMA = 1
 MAX_BYTES = 1 << 24
-"""Of a file of a flight recorder, which has some 100 kB."""
+"""Largest file; a flight recorder writes some 100 kB."""
 
 
 def read_flight(path: Path) -> "Flight":

@@ -108,7 +108,7 @@ class TelemetryInvalid(msgspec.Struct, frozen=True, kw_only=True):
     """The reader has left out what is no valid telemetry; no loop sends this."""
 
     text: str
-    """What was left out, and why."""
+    """The part that was left out, and why."""
 
 
 class TelemetryEnd(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="end"):
@@ -280,7 +280,7 @@ class TelemetryReader:
 
 
 def _is_range(value: object) -> bool:
-    """Whether it is `[min, max, last]` of numbers, each None where it was not finite."""
+    """True for `[min, max, last]` of numbers, each None where it was not finite."""
     return (
         isinstance(value, list)
         and len(value) == 3
@@ -300,7 +300,7 @@ _VALID: dict[str, Callable[[object], bool]] = {
     "name": lambda value: isinstance(value, str),
     "flag": lambda value: isinstance(value, bool),
 }
-"""What a value of each kind must be, or each in the list of one of `_LISTED`."""
+"""Check of a value of each kind; of each item for the kinds in `_LISTED`."""
 _LISTED = {"axes": 0, "bits": 2}
 """Kinds whose values are lists, and their length; 0 for the size of the signal."""
 

@@ -33,7 +33,7 @@ def flight_of_file(path: str | os.PathLike[str]) -> Flight:
         ValueError: It is neither, of another version, or has no tick.
     """
     is_recording = False
-    # Of a file that cannot be read the reader says so.
+    # The reader reports a file that cannot be read.
     with contextlib.suppress(OSError):
         is_recording = Path(path).is_file() and _begins_with(Path(path), MAGIC)
     return flight_of(read_recording(path)) if is_recording else read_flight(Path(path))

@@ -52,9 +52,9 @@ class Recording(msgspec.Struct, frozen=True, kw_only=True):
     begun_ns: int
     """When the run began, in ns of the wall clock of that machine since 1970; 0 without a tick and in virtual time."""
     whole: bool
-    """Whether the file was read to its end: it has none where the run was killed or the disk was full."""
+    """True if the file was read to its end; a killed run or a full disk leaves none."""
     problems: tuple[str, ...] = ()
-    """What of the file is not valid, and was left out."""
+    """Invalid parts of the file, which were left out."""
     signals: dict[str, npt.NDArray[Any]]
     """One value per tick; of what has axes, shape `(n_ticks, axes)`. What was no finite number is NaN."""
     meanings: dict[str, str]
@@ -76,7 +76,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         raise ValueError(message)
     try:
         if not Path(path).is_dir():
-            # Of a folder the error of the system says what it must be.
+            # For a folder the system raises an error of its own.
             refuse_special(path)
         read = read_recording_columns(path)
     except ValueError as error:
@@ -136,7 +136,7 @@ class _Run(msgspec.Struct):
 
 
 class _Scene(msgspec.Struct):
-    """What a recorded scene has: tables, or null for a part that was not built."""
+    """Tables of a recorded scene; null for a part that was not built."""
 
     run: _Run
     master: dict[str, Any] = {}

@@ -27,7 +27,7 @@ class _Safety(Struct):
 
 
 class _Settings(Struct):
-    """What is read of a recorded scene here, beside what is checked as part of a scene."""
+    """Settings that are read here before the scene is checked."""
 
     run: _Run
     master: _Master

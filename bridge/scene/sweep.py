@@ -515,7 +515,7 @@ def _columns(base: Checked, varied: Mapping[str, Array]) -> tuple[list[tuple[str
     refused = {row: why for found in faults for row, why in found.items()}
     several = [row for row, count in Counter(row for found in faults for row in found).items() if count > 1]
     if several:
-        # Of several faults the one is named that a run of the row alone would name.
+        # A row with several faults names the one that a run of that row names.
         changes = _Changes(base, tuple(map(path_of, varied)))
         rows = np.column_stack(list(varied.values()))
         for row in several:

@@ -95,7 +95,7 @@ fn locked_folder(path: &Path) -> io::Result<File> {
     }
 }
 
-/// Whether users other than this one may open a folder.
+/// True if users other than this one may open a folder.
 fn is_shared(folder: &File) -> io::Result<bool> {
     let found = folder.metadata()?;
     Ok(found.mode() & 0o077 != 0 || found.uid() != rustix::process::geteuid().as_raw())

@@ -2865,13 +2865,13 @@ class RecordingColumns:
         """When the run began, in ns of the wall clock; 0 without a tick."""
     @property
     def whole(self) -> bool:
-        """Whether the file has its end."""
+        """True if the file was read to its end."""
     @property
     def invalid(self) -> int:
         """Records, of ticks or others, that are not valid and were left out."""
     @property
     def damaged(self) -> bool:
-        """Whether reading ended at bytes that are no record, and not at the end of the file."""
+        """True if reading ended at bytes that are no record, before the end of the file."""
 
 def read_recording_columns(path: str | PathLike[str]) -> RecordingColumns:
     """Reads an MCAP file of `record=` as far as it goes, without the interpreter's lock.

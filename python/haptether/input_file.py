@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
 MAX_BYTES = 256 * 2**20
-"""Of a recording: a longer one needs to be cut or thinned out."""
+"""Largest recording; a longer one needs to be cut or thinned out."""
 BOM = b"\xef\xbb\xbf"
 """The byte order mark that some editors put before UTF-8."""
 _KINDS = {
@@ -48,7 +48,7 @@ def read_bytes(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> bytes:
         try:
             content = file.read(limit + 1)
         except OSError as error:
-            # Of a disk that fails: Python does not say which file that was.
+            # Python does not say which file a failing read was of.
             raise type(error)(error.errno, error.strerror, os.fspath(path)) from None
     if len(content) > limit:
         message = f"more than {limit} bytes: give a shorter file"

@@ -125,7 +125,7 @@ EVERY = pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.nam
 
 
 def refusal(reader: Reader, path: Path) -> str:
-    """What it says of a file that it does not take, in one short line with the file's name."""
+    """The message about a file that it refuses: one short line with the file's name."""
     with pytest.raises((ValueError, OSError)) as raised:
         reader.read(path)
     text = str(raised.value)

@@ -141,7 +141,7 @@ def test_these_are_all_places_that_start_a_process() -> None:
 
 
 def starts(tree: ast.AST) -> bool:
-    """Whether a file calls something that starts a process, or takes it from its module."""
+    """True if a file calls something that starts a process, or imports it from its module."""
     used = {
         (node.value.id, node.attr)
         for node in ast.walk(tree)
@@ -165,7 +165,7 @@ def in_type_checking(tree: ast.AST, node: ast.AST) -> bool:
 
 def test_python_dash_m_imports_nothing_from_the_working_folder(folder: Path) -> None:
     command = [sys.executable, "-m", "haptether", "--version"]
-    # What Python itself imports comes before our first line: of that the folder has nothing here.
+    # The folder has no name that Python itself imports before our first line.
     environment = {name: text for name, text in os.environ.items() if name != "PYTHONPATH"}
     before = [sys.executable, "-I", "-c", "import runpy, sys; print(*sys.modules)"]
     early = subprocess.run(before, capture_output=True, text=True, timeout=60, check=True).stdout.split()

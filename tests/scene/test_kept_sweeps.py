@@ -1,4 +1,4 @@
-"""What a sweep keeps: damaged batches are computed again at once, and no other sweep's file is replaced unasked."""
+"""Kept rows of a sweep: damaged batches are computed again, and another sweep's file is replaced on request only."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -77,7 +77,7 @@ class SideState:
         self.invalid = 0
         """Lines and samples of which something was left out as invalid."""
         self.invalid_text = ""
-        """What was left out last, and why."""
+        """The last part that was left out, and why."""
         self.dropped = 0
         """Records that never reached the sender."""
         self.ticks = 0

@@ -1,4 +1,4 @@
-"""Whether the finished file of a sweep is of this one: what is the same sweep to the bit may replace it."""
+"""Tells the finished file of this sweep from that of another: the same sweep gives the same bits."""
 
 import csv
 from collections.abc import Callable, Mapping
@@ -20,10 +20,10 @@ Columns = Mapping[str, npt.NDArray[Any]]
 
 
 def is_of_another(path: Path, design: Design, request: Mapping[str, Any], first_row: Callable[[], Columns]) -> bool:
-    """Whether a file has the rows of another sweep.
+    """True if a file has the rows of another sweep.
 
-    Parquet says which sweep it is. Of others the rows are counted, and what varies in the first `COMPARED` and what was
-    measured in the first one is compared: a sweep gives the same bits each time.
+    Parquet files name their sweep. For other files the number of rows is compared, the varied values of the first
+    `COMPARED` rows, and the metrics of the first row.
 
     Args:
         path: The file.
@@ -37,7 +37,7 @@ def is_of_another(path: Path, design: Design, request: Mapping[str, Any], first_
         return stored_request(path) not in {b"", msgspec.json.encode(dict(request))}
     stored, rows = _stored(path)
     if "outcome" not in stored:
-        # Of no sweep.
+        # Not the file of a sweep.
         return False
     count = min(rows, design.rows, COMPARED)
     varied, first = labelled(design.columns(0, count)), first_row()

@@ -63,7 +63,7 @@ class Journal:
 
     @staticmethod
     def is_begun(path: Path) -> bool:
-        """Whether rows of a sweep are kept for a file: that is refused, or resumed, in its own words."""
+        """True if rows of an interrupted sweep are kept for a file."""
         return (path.with_name(f"{path.name}.partial") / REQUEST).is_file()
 
     def _begin(self, request: Mapping[str, Any], *, resume: bool) -> None:

@@ -60,7 +60,7 @@ class TableFile(Protocol):
 
 
 REQUEST_KEY = "haptether.sweep"
-"""Of the metadata of a Parquet file."""
+"""Key in the metadata of a Parquet file."""
 
 
 def values_of(columns: Mapping[str, npt.NDArray[Any]], name: str) -> list[Any]:
@@ -101,7 +101,7 @@ def table_file(suffix: str, file: IO[bytes], metadata: Mapping[str, str]) -> Tab
 
 
 def stored_request(path: Path) -> bytes:
-    """What the metadata of a Parquet file say that was computed, as JSON; empty of another file."""
+    """The request of a sweep, as JSON, from the metadata of a Parquet file; empty without one."""
     arrow = importlib.import_module("pyarrow")
     parquet = importlib.import_module("pyarrow.parquet")
     try:

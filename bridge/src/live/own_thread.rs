@@ -14,12 +14,12 @@ impl<T> OwnThread<T> {
         Self { handle: Some(handle), process: std::process::id() }
     }
 
-    /// Whether it has ended, or was joined.
+    /// True if it has ended, was joined or belongs to another process.
     pub(crate) fn is_finished(&self) -> bool {
         self.is_elsewhere() || self.handle.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
-    /// Whether it has ended and was not joined yet, without a look at the process.
+    /// True if it has ended and was not joined yet; makes no system call.
     pub(crate) fn has_returned(&self) -> bool {
         self.handle.as_ref().is_some_and(JoinHandle::is_finished)
     }

@@ -207,7 +207,7 @@ pub(super) fn create(path: &Path) -> io::Result<File> {
         ),
         _ => error,
     })?;
-    // What is open may be waited for, by a thread of its own.
+    // Once the file is open, writes may block: they have a thread of their own.
     fcntl_setfl(&file, fcntl_getfl(&file)? - OFlags::NONBLOCK)?;
     // One that was there has the rights that it had; a pipe or a device is somebody else's.
     if file.metadata()?.is_file() {

@@ -36,7 +36,7 @@ from haptether.slave.ur.kinematics.pose import Array
 from haptether.slave.ur.kinematics.symbolic import Symbol, casadi_module
 
 MAX_BYTES: Final = 1 << 16
-"""Of the file of a calibration."""
+"""Largest file of a calibration."""
 NOT_ROTATION: Final = 1e-9
 """How far a tool's rotation may be from one."""
 

@@ -42,7 +42,7 @@ pub struct ReadRecording {
     pub whole: bool,
     /// Records, of ticks or others, that are not valid and were left out.
     pub invalid: usize,
-    /// Whether reading ended at bytes that are no record, and not at the end of the file.
+    /// True if reading ended at bytes that are no record, before the end of the file.
     pub damaged: bool,
 }
 
@@ -89,7 +89,7 @@ enum Channel {
 }
 
 impl Reading {
-    /// Whether it was read to its end.
+    /// True if it was read to its end.
     fn read(&mut self, mut from: impl Read) -> Result<bool, ReadError> {
         let options = LinearReaderOptions::default().with_record_length_limit(MAX_RECORD);
         let mut reader = LinearReader::new_with_options(options);

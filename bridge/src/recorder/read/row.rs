@@ -15,7 +15,7 @@ pub(super) struct Table {
     pub(super) columns: Vec<Column>,
     pub(super) ticks: usize,
     places: HashMap<String, usize>,
-    /// Of the column of times; none where the schema has none.
+    /// Place of the column of times, if the schema has one.
     time: Option<usize>,
     /// Columns in the order in which the last message named them: the next one is of the same order.
     order: Vec<usize>,
@@ -43,7 +43,7 @@ impl Table {
         is_taken
     }
 
-    /// Whether the time of the new tick is a count from 0 on, after the one before.
+    /// True if the time of the new tick is a count of 0 or more, after that of the tick before.
     fn is_later(&self) -> bool {
         let Some(place) = self.time else { return true };
         let Values::Counts(times) = &self.columns[place].values else { return false };

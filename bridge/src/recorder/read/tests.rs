@@ -78,7 +78,7 @@ fn a_file_that_was_cut_off_is_read_as_far_as_it_goes() {
     assert_eq!(before, 20);
 }
 
-/// Of 100 ticks, some of which are not valid: all others are read, to the end.
+/// One invalid tick of 100: all others are read, to the end.
 #[test]
 fn a_tick_that_is_not_valid_is_left_out_alone() {
     let garbled: [(&[u8], &[u8]); 5] = [
@@ -121,7 +121,8 @@ fn bytes_that_are_no_record_are_told_from_a_file_that_was_cut_off() {
     let whole = file(20);
     let cut = read(&whole[..whole.len() / 2]);
     assert_eq!((cut.whole, cut.damaged), (false, false));
-    let chunk = whole.windows(9).rposition(|at| at[0] == op::CHUNK && at[4..9] == [0; 5] && at[3] < 1).unwrap();
+    let chunk =
+        whole.windows(9).rposition(|at| at[0] == op::CHUNK && at[4..9] == [0; 5] && at[3] < 1).unwrap();
     let mut bytes = whole;
     // The length of the record: no file is that long.
     bytes[chunk + 1..chunk + 9].fill(127);

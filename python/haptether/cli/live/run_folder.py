@@ -13,7 +13,7 @@ from haptether.private_file import refuse_link
 MAX_PATH = 107
 """Bytes of the path of a Unix socket; Linux, `struct sockaddr_un`."""
 LONGEST_NAME = "master-4194304.sock"
-"""Of a side's socket: Linux has no larger number of a process."""
+"""Longest name of a socket: Linux has no larger process number."""
 
 STALE_S = 60.0
 """Until a socket at which nobody listens was left behind, and not just made by a process that is not seen from here."""
