@@ -6,8 +6,8 @@ mod probe;
 use std::net::{SocketAddr, ToSocketAddrs};
 
 use haptether_netsim::{
-    DelayTrace, Direction, DropCause, ExtraCause, Judgement, Link, LinkSettings, Packet, Verdict, netem,
-    parse_delay_csv, parse_dist, parse_irtt, parse_mahimahi,
+    DelayTrace, Direction, DropCause, ExtraCause, IrttDelay, Judgement, Link, LinkSettings, Packet, Verdict,
+    netem, parse_delay_csv, parse_dist, parse_irtt, parse_mahimahi,
 };
 use numpy::{PyReadonlyArray1, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -77,7 +77,11 @@ fn read_link_file(form: &str, data: &[u8], direction: &str) -> PyResult<String> 
     let recorded = |trace: DelayTrace| json!({ "time_s": trace.time_s, "delay_s": trace.delay_s });
     let setting = match form {
         "csv" => parse_delay_csv(data, direction).map(recorded),
-        "irtt" => parse_irtt(data, direction).map(|recording| recorded(recording.delays)),
+        "irtt" => parse_irtt(data, direction).map(|recording| {
+            let mut setting = recorded(recording.delays);
+            setting["half_round_trips"] = json!(recording.measured == IrttDelay::HalfRoundTrip);
+            setting
+        }),
         "mahimahi" => parse_mahimahi(data).map(|opportunities| json!({ "time_ms": opportunities.time_ms })),
         "dist" => parse_dist(data).map(|table| json!({ "table": table })),
         other => {
