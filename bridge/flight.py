@@ -4,7 +4,11 @@ from pathlib import Path
 
 import msgspec
 
+from haptether.input_file import read_text
+
 SCHEMA = 1
+MAX_BYTES = 1 << 24
+"""Largest file; a flight recorder writes some 100 kB."""
 
 
 def read_flight(path: Path) -> "Flight":
@@ -15,8 +19,8 @@ def read_flight(path: Path) -> "Flight":
         OSError: It cannot be read.
     """
     try:
-        flight = msgspec.json.decode(path.read_bytes(), type=Flight)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        flight = msgspec.json.decode(read_text(path, MAX_BYTES), type=Flight)
+    except ValueError as error:
         message = f"{path}: is no file of a flight recorder ({error}): must be what --flight of master or slave wrote"
         raise ValueError(message) from None
     if flight.schema != SCHEMA:

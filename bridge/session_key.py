@@ -9,6 +9,8 @@ import stat
 from pathlib import Path
 from typing import NoReturn
 
+from haptether.input_file import BOM
+
 KEY_BYTES = 32
 HEADER = "haptether session key 1"
 LONGEST_FILE = 4096
@@ -120,7 +122,7 @@ def wipe_key(key: bytearray) -> None:
 def _decoded(content: bytearray, length: int) -> bytearray | None:
     """The key of a key file's content, decoded in place: `base64` would leave copies that nobody can wipe."""
     start = content.find(b"\n", 0, length) + 1
-    if length > LONGEST_FILE or bytes(content[:start]).strip() != HEADER.encode():
+    if length > LONGEST_FILE or bytes(content[:start]).removeprefix(BOM).strip() != HEADER.encode():
         return None
     while length > start and content[length - 1 : length].isspace():
         length -= 1
@@ -149,7 +151,7 @@ def _refuse(path: Path, content: bytes) -> NoReturn:
     Raises:
         ValueError: Always.
     """
-    lines = content.splitlines()
+    lines = content.removeprefix(BOM).splitlines()
     if len(content) > LONGEST_FILE or len(lines) != 2 or lines[0].strip() != HEADER.encode():
         message = f"{path}: is no key file: must be the line {HEADER!r} and one with the key"
         raise ValueError(message)

@@ -3,8 +3,9 @@
 import contextlib
 import os
 import socket
+import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Any, Self
 
@@ -15,6 +16,8 @@ from haptether.bridge.flight import Cause
 SCHEMA = 1
 MAX_LINE = 1 << 20
 """Bytes of the longest line that is read."""
+LARGEST = 1e300
+"""Numbers of a sample are below it."""
 
 
 class TelemetrySignal(msgspec.Struct, frozen=True, kw_only=True):
@@ -101,6 +104,13 @@ class TelemetryLost(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind",
     ticks: int
 
 
+class TelemetryInvalid(msgspec.Struct, frozen=True, kw_only=True):
+    """The reader has left out what is no valid telemetry; no loop sends this."""
+
+    text: str
+    """The part that was left out, and why."""
+
+
 class TelemetryEnd(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="end"):
     """The loop has ended in good order; without it, it failed or was killed, or this reader was too slow."""
 
@@ -113,6 +123,16 @@ class _Refused(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag=
     text: str
 
 
+_Sent = (
+    TelemetryHello
+    | TelemetrySample
+    | TelemetryChange
+    | TelemetryCause
+    | TelemetryCleared
+    | TelemetryLost
+    | TelemetryEnd
+    | _Refused
+)
 TelemetryMessage = (
     TelemetryHello
     | TelemetrySample
@@ -121,11 +141,18 @@ TelemetryMessage = (
     | TelemetryCleared
     | TelemetryLost
     | TelemetryEnd
+    | TelemetryInvalid
 )
+_CHANGED: dict[str, type] = {"bits": int, "name": str, "flag": bool}
+"""Kinds of signals whose changes are sent, and the type of their values."""
+_OWNERS = frozenset({0, os.geteuid()})
+"""Users whose telemetry is read: this one, and root."""
 
 
 class TelemetryReader:
     """What a loop sends, line by line: iterates over messages until the loop or the connection ends.
+
+    A line, or a signal of a sample, that is not valid is left out, and a `TelemetryInvalid` says so.
 
     Args:
         path: The socket of `--telemetry` or `telemetry=`.
@@ -133,20 +160,20 @@ class TelemetryReader:
 
     Raises:
         OSError: Nobody sends there; as `TimeoutError`, no whole message came in time; as `ConnectionError`, 16 programs
-            read already, or the run was over before it began to send.
+            read already, or the run was over before it began to send; as `PermissionError`, another user sends there.
         ValueError: What is sent is no telemetry, or of another version.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, timeout_s: float = 5.0) -> None:
         self._path = os.fspath(path)
         self._timeout_s = timeout_s
-        self._decoder: msgspec.json.Decoder[TelemetryMessage | _Refused]
-        self._decoder = msgspec.json.Decoder(TelemetryMessage | _Refused)
+        self._decoder: msgspec.json.Decoder[_Sent] = msgspec.json.Decoder(_Sent)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
         self._received = bytearray()
         try:
             self._socket.settimeout(timeout_s)
             self._socket.connect(self._path)
+            _check_owner(self._socket, self._path)
             line = self._line()
             if line is None:
                 message = f"{self._path}: closed before it said what it sends"
@@ -162,10 +189,47 @@ class TelemetryReader:
             self._socket.close()
             raise
         self.hello = hello
+        self._signals = {signal.name: signal for signal in hello.signals}
 
     def __iter__(self) -> Iterator[TelemetryMessage]:
         while (line := self._line()) is not None:
-            yield self._decoded(line)
+            try:
+                message = self._decoded(line)
+            except ValueError as error:
+                yield TelemetryInvalid(text=str(error).removeprefix(f"{self._path}: "))
+                continue
+            invalid = self._invalid(message)
+            if invalid:
+                names = ", ".join(f"{name[:40]} = {str(value)[:40]}" for name, value in list(invalid.items())[:4])
+                more = f" and {len(invalid) - 4} more signals" if len(invalid) > 4 else ""
+                yield TelemetryInvalid(text=f"not as its first line describes it: {names}{more}")
+                if not isinstance(message, TelemetrySample):
+                    continue
+                valid = {name: value for name, value in message.signals.items() if name not in invalid}
+                message = msgspec.structs.replace(message, signals=valid)
+            yield message
+
+    def _invalid(self, message: TelemetryMessage) -> dict[str, Any]:
+        """Signals of a sample or a change that are not as the hello describes them; a missing one as None."""
+        match message:
+            case TelemetrySample(signals=values):
+                names = dict.fromkeys((*self._signals, *values))
+                return {name: values.get(name) for name in names if not self._is_valid(name, values.get(name))}
+            case TelemetryChange(signal=name, from_=before, to=now):
+                signal = self._signals.get(name)
+                kind = _CHANGED.get("" if signal is None else signal.kind)
+                return {} if kind is not None and type(before) is type(now) is kind else {name: now}
+            case _:
+                return {}
+
+    def _is_valid(self, name: str, value: object) -> bool:
+        signal = self._signals.get(name)
+        if signal is None or signal.kind not in _VALID:
+            return False
+        if signal.kind in _LISTED:
+            size = _LISTED[signal.kind] or signal.size
+            return isinstance(value, list) and len(value) == size and all(map(_VALID[signal.kind], value))
+        return _VALID[signal.kind](value)
 
     def close(self) -> None:
         """Ends the connection, of a thread that waits for a message, too; the loop does not notice."""
@@ -213,3 +277,41 @@ class TelemetryReader:
             text = f"{self._path}: {message.text}"
             raise ConnectionError(text)
         return message
+
+
+def _is_range(value: object) -> bool:
+    """True for `[min, max, last]` of numbers, each None where it was not finite."""
+    return (
+        isinstance(value, list)
+        and len(value) == 3
+        and all(number is None or (type(number) in {float, int} and abs(number) < LARGEST) for number in value)
+    )
+
+
+def _is_count(value: object) -> bool:
+    return type(value) is int and 0 <= value < 1 << 64
+
+
+_VALID: dict[str, Callable[[object], bool]] = {
+    "axes": _is_range,
+    "number": _is_range,
+    "bits": _is_count,
+    "count": _is_count,
+    "name": lambda value: isinstance(value, str),
+    "flag": lambda value: isinstance(value, bool),
+}
+"""Check of a value of each kind; of each item for the kinds in `_LISTED`."""
+_LISTED = {"axes": 0, "bits": 2}
+"""Kinds whose values are lists, and their length; 0 for the size of the signal."""
+
+
+def _check_owner(connected: socket.socket, path: str) -> None:
+    """Refuses a socket of another user, who may have put it where a side of this user is expected.
+
+    Raises:
+        PermissionError: With the user who listens there.
+    """
+    _, owner, _ = struct.unpack("3i", connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+    if owner not in _OWNERS:
+        message = f"{path}: is the socket of user {owner}: must be yours or root's; name another path"
+        raise PermissionError(message)

@@ -20,7 +20,7 @@ PATIENCE_S = 10.0
 def emulated() -> Iterator[str]:
     """The address of an emulated controller, whose gripper has 40 mm between its jaws."""
     command = ["ur-emulator", "--host", EMULATED, "--gripper", "2f-85", "--gripper-object-mm", "40"]
-    process = subprocess.Popen([sys.executable, "-m", "haptether", *command], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen([sys.executable, "-P", "-m", "haptether", *command], stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
         print(process.stdout.readline(), end="")

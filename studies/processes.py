@@ -5,11 +5,12 @@ import os
 import queue
 import shutil
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Protocol
+
+from haptether.child import child_environment, module_command
 
 if TYPE_CHECKING:
     from subprocess import Popen
@@ -119,11 +120,12 @@ def child_process(name: str, *arguments: str, says: str | None = None) -> Iterat
     """
     ends_with_this = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
     process = subprocess.Popen(
-        [*ends_with_this, sys.executable, "-m", "haptether", name, *arguments],
+        [*ends_with_this, *module_command("haptether", name, *arguments)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
+        env=child_environment(),
     )
     # They load for seconds, each before the next begins; where that is not allowed they take their time.
     with contextlib.suppress(OSError):

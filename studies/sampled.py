@@ -30,6 +30,8 @@ class SummaryRow(Struct, frozen=True, kw_only=True):
     """Rows of the combination."""
     measured: int
     """Those in which it was measured."""
+    diverged: int
+    """Those that diverged: what was measured of them ends there, and counts in the mean."""
     mean: float | None
     """Mean or share; none where it was measured in no row."""
     interval: tuple[float, float] | None
@@ -77,6 +79,7 @@ def sweep_summary(
         groups.setdefault(key, []).append(row)
     others = [name for name in sweep.columns if name not in METRICS and name not in by]
     samples = list(zip(*(sweep[name].tolist() for name in others), strict=True)) or [()] * len(sweep)
+    diverged = sweep["outcome"] == "diverged" if "outcome" in sweep.columns else np.zeros(len(sweep), dtype=bool)
     beside = None if baseline is None else _beside(baseline, by, groups)
     found = []
     for quantity in quantities:
@@ -94,6 +97,7 @@ def sweep_summary(
                     quantity=quantity,
                     rows=len(rows),
                     measured=len(known),
+                    diverged=int(diverged[rows].sum()),
                     mean=float(known.mean()) if len(known) else None,
                     interval=_share_interval(known) if is_share else bootstrap_interval(known, rng),
                     pairs=None if pairs is None else len(pairs),

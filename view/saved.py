@@ -1,6 +1,5 @@
 """Reads back what `Run.save` wrote."""
 
-import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.bridge import Event, Metrics, Run, Signals, ladder_state_name, tripped_names
+from haptether.input_file import read_npz
 
 
 def saved_run(path: Path) -> Run:
@@ -21,9 +21,8 @@ def saved_run(path: Path) -> Run:
         ValueError: It is no such file.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+        arrays = read_npz(path)
+    except ValueError as error:
         message = f"{path}: no file of `Run.save` ({error})"
         raise ValueError(message) from None
     times = [name for name in ("time_s", "slave_time_s") if name in arrays]

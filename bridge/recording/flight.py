@@ -1,5 +1,6 @@
 """A recording as the flight recorder of that side would have kept the run."""
 
+import contextlib
 import math
 import os
 from collections.abc import Iterator
@@ -31,12 +32,16 @@ def flight_of_file(path: str | os.PathLike[str]) -> Flight:
         OSError: It cannot be read.
         ValueError: It is neither, of another version, or has no tick.
     """
-    if not Path(path).is_file():
-        # A pipe is read once, and recordings are files.
-        return read_flight(Path(path))
-    with Path(path).open("rb") as file:
-        is_recording = file.read(len(MAGIC)) == MAGIC
+    is_recording = False
+    # The reader reports a file that cannot be read.
+    with contextlib.suppress(OSError):
+        is_recording = Path(path).is_file() and _begins_with(Path(path), MAGIC)
     return flight_of(read_recording(path)) if is_recording else read_flight(Path(path))
+
+
+def _begins_with(path: Path, magic: bytes) -> bool:
+    with path.open("rb") as file:
+        return file.read(len(magic)) == magic
 
 
 def flight_of(recording: Recording) -> Flight:
@@ -116,9 +121,11 @@ def _thresholds(recording: Recording) -> dict[str, float]:
     """Beyond which each controller trips; none without the scene."""
     if not recording.scene:
         return {}
-    safety = json.decode(recording.scene).get("safety", {})
+    safety = json.decode(recording.scene).get("safety") or {}
     named = {"hsc": safety.get("grasp_threshold"), "wsc": safety.get("energy_threshold_j")}
-    return {"vfc": 1.0, "pc": 0.0} | {name: float(value) for name, value in named.items() if value is not None}
+    return {"vfc": 1.0, "pc": 0.0} | {
+        name: float(value) for name, value in named.items() if isinstance(value, int | float)
+    }
 
 
 def _ticks(recording: Recording, time_s: npt.NDArray[np.float64], end: int) -> list[Tick]:

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.bridge.recording.read import Recording, read_recording
-from haptether.bridge.recording.settings import tables_of
-from haptether.bridge.scene.errors import Raw
+from haptether.bridge.recording.settings import check_settings, tables_of
+from haptether.bridge.scene.errors import Raw, SceneError
 from haptether.bridge.scene.load import checked, overridden
 from haptether.bridge.scene.tables.session import Scene
 
@@ -39,9 +39,7 @@ def playback_scene(file: str | os.PathLike[str] | Recording, *, overrides: Itera
     """
     recording = file if isinstance(file, Recording) else read_recording(file)
     name = recording.side if isinstance(file, Recording) else str(file)
-    if not recording.scene:
-        message = f"{name}: does not say with which scene it was run, so that there is no coupling to play it back by"
-        raise ValueError(message)
+    check_settings(recording.scene, name)
     time_s, force = _force(recording, name)
     raw = tables_of(recording.scene, ("run", "master", "operator", "slave", "safety", "coupling"))
     run, slave = cast("dict[str, Raw]", raw["run"]), cast("dict[str, Raw]", raw["slave"])
@@ -56,7 +54,11 @@ def playback_scene(file: str | os.PathLike[str] | Recording, *, overrides: Itera
     raw["title"] = "Playback"
     for override in overrides:
         raw = overridden(raw, override)
-    return checked(raw, Path()).scene
+    try:
+        return checked(raw, Path()).scene
+    except SceneError as error:
+        message = f"{name}: as a scene: {error}"
+        raise SceneError(message) from None
 
 
 def _force(recording: Recording, name: str) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

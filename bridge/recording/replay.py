@@ -12,7 +12,7 @@ from msgspec import Struct, json
 from haptether import _core
 from haptether.bridge.recording.hand import HandError, HandFit, hand_of
 from haptether.bridge.recording.read import Recording, read_recording
-from haptether.bridge.recording.settings import tables_of
+from haptether.bridge.recording.settings import check_settings, tables_of
 from haptether.bridge.scene.errors import Path as KeyPath
 from haptether.bridge.scene.errors import SceneError, shown
 from haptether.bridge.scene.load import checked, overridden, path_of
@@ -148,7 +148,8 @@ def replay(
             hand=None if fit is None else (fit.mass_kg, fit.damping, fit.stiffness),
         )
     except ValueError as error:
-        raise SceneError(str(error)) from None
+        message = f"{name}: {error}"
+        raise SceneError(message) from None
     notes += _said(recording, fit, given)
     return _compared(recording, replayed, fit, _About(given, tuple(notes), specification))
 
@@ -158,8 +159,7 @@ def _check(recording: Recording, name: str) -> None:
         message = f"{name}: of the {recording.side}, must be of the master: what is replayed is the force on the hand"
         raise ValueError(message)
     if not recording.scene:
-        message = f"{name}: does not say with which scene it was run, so that there are no settings to replay"
-        raise ValueError(message)
+        check_settings(recording.scene, name)
     missing = [signal for signal in INPUTS if signal not in recording.signals]
     if missing:
         message = (
@@ -170,6 +170,7 @@ def _check(recording: Recording, name: str) -> None:
     if not len(recording.signals["time_ns"]):
         message = f"{name}: has no tick"
         raise ValueError(message)
+    check_settings(recording.scene, name)
 
 
 # ------------------------------------------------------------------------------------------------ settings
@@ -232,7 +233,9 @@ def _signals(recording: Recording) -> tuple[dict[str, Array], list[str]]:
 
 
 def _said(recording: Recording, fit: HandFit | None, overrides: tuple[str, ...]) -> list[str]:
-    notes = []
+    notes = [f"of the file: {problem}" for problem in recording.problems]
+    if not recording.whole:
+        notes.append("the file was cut off or damaged: what came after its last tick here is not replayed")
     if recording.version != _core.__version__:
         notes.append(f"recorded by Haptether {recording.version or '?'}, replayed by {_core.__version__}")
     if fit is not None:

@@ -2,13 +2,58 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
-from msgspec import json
+from msgspec import Meta, Struct, ValidationError, json
 
 from haptether.bridge.scene.errors import Raw
 from haptether.bridge.scene.load import checked, overridden
 from haptether.bridge.scene.tables.session import Scene
+
+
+class _Run(Struct):
+    period_s: Annotated[float, Meta(gt=0.0)]
+
+
+class _Master(Struct):
+    kind: str
+    mass_kg: list[float]
+    viscous: list[float]
+    coulomb: list[float]
+
+
+class _Safety(Struct):
+    limiter: Any
+
+
+class _Settings(Struct):
+    """Settings that are read here before the scene is checked."""
+
+    run: _Run
+    master: _Master
+    slave: dict[str, Any]
+    safety: _Safety
+    coupling: dict[str, Any]
+
+
+def check_settings(scene: bytes, name: str) -> None:
+    """Refuses a recorded scene without the settings that a run needs.
+
+    Args:
+        scene: As a recording keeps it.
+        name: Of its file.
+
+    Raises:
+        ValueError: None, or one that lacks a part.
+    """
+    if not scene:
+        message = f"{name}: does not say with which scene it was run: there are no settings to run it with"
+        raise ValueError(message)
+    try:
+        json.decode(scene, type=_Settings)
+    except ValidationError as error:
+        message = f"{name}: its scene is incomplete: {error}"
+        raise ValueError(message) from None
 
 
 def tables_of(scene: bytes, names: tuple[str, ...]) -> dict[str, Raw]:

@@ -31,6 +31,7 @@ from haptether.bridge.scene.research import with_own_controllers
 from haptether.bridge.scene.resolve import Spec
 from haptether.bridge.scene.series import embed_recordings
 from haptether.bridge.scene.tables.session import Scene
+from haptether.input_file import read_text
 
 Leaf: TypeAlias = "float | int | str | bool | None"
 """A value of a scene's field that has no parts."""
@@ -84,7 +85,7 @@ def loaded(name_or_path: str | PathLike[str], overrides: Iterable[str] = ()) -> 
     """As `load_scene`, with what the Rust side reads of it."""
     path, overrides = scene_path(name_or_path), override_texts(overrides)
     try:
-        raw = _tables(_bounded(path))
+        raw = _tables(scene_text(path))
         for override in overrides:
             raw = overridden(raw, override)
         return checked(raw, path.parent)
@@ -92,8 +93,6 @@ def loaded(name_or_path: str | PathLike[str], overrides: Iterable[str] = ()) -> 
         message = f"{path.name}: {_with_line(error)}"
     except SceneError as error:
         message = f"{path.name}: {error}"
-    except UnicodeDecodeError as error:
-        message = f"{path.name}: must be UTF-8: {error.reason} at byte {error.start}"
     except OSError as error:
         message = f"{path}: cannot be read: {error.strerror}"
     except RecursionError:
@@ -101,14 +100,17 @@ def loaded(name_or_path: str | PathLike[str], overrides: Iterable[str] = ()) -> 
     raise SceneError(message)
 
 
-def _bounded(path: FilePath) -> str:
-    """The text of a file that is no larger than a scene is."""
-    with path.open("rb") as file:
-        content = file.read(MAX_BYTES + 1)
-    if len(content) > MAX_BYTES:
-        message = f"more than {MAX_BYTES} bytes: no scene is that long"
-        raise SceneError(message)
-    return content.decode("utf-8")
+def scene_text(path: FilePath) -> str:
+    """The text of a file that is no larger than a scene is.
+
+    Raises:
+        SceneError: No plain file, too long, or another encoding. The message is without the path.
+        OSError: It cannot be read.
+    """
+    try:
+        return read_text(path, MAX_BYTES)
+    except ValueError as error:
+        raise SceneError(str(error)) from None
 
 
 def _refuse_long_keys(text: str) -> None:
@@ -151,7 +153,7 @@ def scene_path(name_or_path: str | PathLike[str]) -> FilePath:
     if path.is_dir():
         message = f"{path}: is a folder, must be the name of a shipped scene or a TOML file"
         raise SceneError(message)
-    if not path.is_file():
+    if not path.exists():
         message = f"{path}: no shipped scene and no such file: {closest(path.stem, scene_names())}"
         raise SceneError(message)
     return path

@@ -1,19 +1,19 @@
 """Recordings that a scene names: read from their files and embedded."""
 
 import csv
+import io
 import math
-import zipfile
-from collections.abc import Sequence
 from pathlib import Path as FilePath
 
 import numpy as np
-from msgspec import ValidationError, convert, to_builtins
+from msgspec import convert
 from msgspec.structs import replace
 
-from haptether.bridge.scene.errors import SceneError
+from haptether.bridge.scene.errors import SceneError, abridged
 from haptether.bridge.scene.resolve import embedded_links
 from haptether.bridge.scene.tables.master import SeriesTable
 from haptether.bridge.scene.tables.session import Scene
+from haptether.input_file import read_npz, read_text
 
 
 def embed_recordings(scene: Scene, folder: FilePath) -> Scene:
@@ -44,7 +44,7 @@ def _embedded(table: SeriesTable, folder: FilePath) -> SeriesTable:
 
 
 def read_series(path: FilePath) -> SeriesTable:
-    """A recording from a CSV or .npz file. It begins at its first record: times count from there.
+    """A recording from a CSV or .npz file; its times count from its first record.
 
     Raises:
         SceneError: No such file, another format, a number that is not finite, or times that do not increase.
@@ -55,41 +55,41 @@ def read_series(path: FilePath) -> SeriesTable:
         raise SceneError(message)
     try:
         times, values = readers[path.suffix](path)
-        series = SeriesTable(time_s=tuple(time - times[0] for time in times), values=values)
         # What a file holds must lie in the ranges that hold for what stands in a scene.
-        return convert(to_builtins(series), SeriesTable)
-    except ValidationError as error:
+        series = {"time_s": [time_s - times[0] for time_s in times], "values": values}
+        return convert(series, SeriesTable)
+    except OSError as error:
+        message = f"{path}: cannot be read: {error.strerror}"
+        raise SceneError(message) from None
+    except (ValueError, csv.Error) as error:
         message = f"{path}: {error}"
         raise SceneError(message) from None
-    except (OSError, UnicodeDecodeError, zipfile.BadZipFile, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        message = f"{path}: cannot be read: {reason}"
-        raise SceneError(message) from None
 
 
-def _read_csv(path: FilePath) -> tuple[Sequence[float], tuple[tuple[float, ...], ...]]:
+def _read_csv(path: FilePath) -> tuple[list[float], list[list[float]]]:
     times: list[float] = []
-    values: list[tuple[float, ...]] = []
-    with path.open(newline="", encoding="utf-8") as file:
-        lines = csv.reader(line for line in file if not line.startswith("#"))
-        header = [name.strip() for name in next(lines, [])]
-        if len(header) < 2 or header[0] != "time_s":
-            message = f"{path}: header {','.join(header)!r}: must be time_s,x or time_s,x,y,z: one column per axis"
-            raise SceneError(message)
-        for row, cells in enumerate(lines, start=1):
-            numbers = [_number(cell) for cell in cells]
-            if len(numbers) != len(header) or not all(math.isfinite(number) for number in numbers):
-                message = f"{path}: row {row} {','.join(cells)!r}: must be {len(header)} finite numbers"
-                raise SceneError(message)
-            if times and numbers[0] <= times[-1]:
-                message = f"{path}: row {row}: time_s = {numbers[0]:g}: must be above the one before it, {times[-1]:g}"
-                raise SceneError(message)
-            times.append(numbers[0])
-            values.append(tuple(numbers[1:]))
+    values: list[list[float]] = []
+    text = io.StringIO(read_text(path), newline="")
+    lines = csv.reader(line for line in text if not line.startswith("#"))
+    header = [name.strip() for name in next(lines, [])]
+    if len(header) < 2 or header[0] != "time_s":
+        message = f"header {abridged(','.join(header))!r}: must be time_s,x or time_s,x,y,z: one column per axis"
+        raise ValueError(message)
+    for row, cells in enumerate(lines, start=1):
+        numbers = [_number(cell) for cell in cells]
+        if len(numbers) != len(header) or not all(math.isfinite(number) for number in numbers):
+            seen = abridged(",".join(cells))
+            message = f"row {row} {seen!r}: must be {len(header)} finite numbers with decimal points, commas between"
+            raise ValueError(message)
+        if times and numbers[0] <= times[-1]:
+            message = f"row {row}: time_s = {numbers[0]:g}: must be above the one before it, {times[-1]:g}"
+            raise ValueError(message)
+        times.append(numbers[0])
+        values.append(numbers[1:])
     if not times:
-        message = f"{path}: must have at least one row below its header"
-        raise SceneError(message)
-    return times, tuple(values)
+        message = "must have at least one row below its header"
+        raise ValueError(message)
+    return times, values
 
 
 def _number(cell: str) -> float:
@@ -99,22 +99,22 @@ def _number(cell: str) -> float:
         return math.nan
 
 
-def _read_npz(path: FilePath) -> tuple[Sequence[float], tuple[tuple[float, ...], ...]]:
+def _read_npz(path: FilePath) -> tuple[list[float], list[list[float]]]:
+    arrays = read_npz(path)
     try:
-        with np.load(path, allow_pickle=False) as arrays:
-            time_s, values = (np.asarray(arrays[name], dtype=np.float64) for name in ("time_s", "values"))
+        time_s, values = (np.asarray(arrays[name], dtype=np.float64) for name in ("time_s", "values"))
     except (KeyError, ValueError, TypeError) as error:
-        message = f"{path}: must hold the arrays time_s and values of numbers: {error}"
-        raise SceneError(message) from None
+        message = f"must hold the arrays time_s and values of numbers: {error}"
+        raise ValueError(message) from None
     values = values[:, np.newaxis] if values.ndim == 1 else values
     if time_s.ndim != 1 or values.ndim != 2 or len(time_s) != len(values) or len(time_s) == 0:
-        message = f"{path}: time_s of shape {time_s.shape}, values {values.shape}: must be (n,) and (n, axes), n > 0"
-        raise SceneError(message)
+        message = f"time_s of shape {time_s.shape}, values {values.shape}: must be (n,) and (n, axes), n > 0"
+        raise ValueError(message)
     if not (np.isfinite(time_s).all() and np.isfinite(values).all()):
-        message = f"{path}: must hold finite numbers"
-        raise SceneError(message)
+        message = "must hold finite numbers"
+        raise ValueError(message)
     if not (np.diff(time_s) > 0.0).all():
         row = int(np.flatnonzero(np.diff(time_s) <= 0.0)[0]) + 1
-        message = f"{path}: time_s[{row}] = {time_s[row]:g}: must be above the one before it, {time_s[row - 1]:g}"
-        raise SceneError(message)
-    return time_s.tolist(), tuple(map(tuple, values.tolist()))
+        message = f"time_s[{row}] = {time_s[row]:g}: must be above the one before it, {time_s[row - 1]:g}"
+        raise ValueError(message)
+    return time_s.tolist(), values.tolist()

@@ -4,6 +4,7 @@ import importlib
 import importlib.util
 import os
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -498,19 +499,28 @@ def _columns(base: Checked, varied: Mapping[str, Array]) -> tuple[list[tuple[str
     expected = _leaves_of(base.json)
     columns: dict[str, Array] = {}
     together: dict[Path, Array] = {}
-    refused: dict[int, str] = {}
+    faults: list[dict[int, str]] = []
     for text, values in varied.items():
         path = path_of(text)
         leaves = _of_parameter(path, expected)
         if _ALONE.fullmatch(".".join(map(str, path))):
-            refused = out_of_range(path, values) | refused
+            faults.append(out_of_range(path, values))
             columns |= dict.fromkeys(leaves, values)
         else:
             together[path] = values
     if together:
         joint, wrong_rows = _joint_columns(base, expected, together)
         columns |= joint
-        refused = wrong_rows | refused
+        faults.append(wrong_rows)
+    refused = {row: why for found in faults for row, why in found.items()}
+    several = [row for row, count in Counter(row for found in faults for row in found).items() if count > 1]
+    if several:
+        # A row with several faults names the one that a run of that row names.
+        changes = _Changes(base, tuple(map(path_of, varied)))
+        rows = np.column_stack(list(varied.values()))
+        for row in several:
+            if isinstance(why := changes.of(rows[row].tolist()), str):
+                refused[row] = why
     return list(columns.items()), refused
 
 

@@ -31,13 +31,17 @@ struct SocketFile {
     path: PathBuf,
     /// Another that has taken its place is left alone; none once it was removed.
     inode: Option<u64>,
+    /// That made it: a process forked from it leaves the file alone.
+    process: u32,
 }
 
 impl SocketFile {
     /// That to which a socket has just been bound.
     fn bound(path: &Path) -> io::Result<Self> {
         match std::fs::symlink_metadata(path) {
-            Ok(found) => Ok(Self { path: path.to_owned(), inode: Some(found.ino()) }),
+            Ok(found) => {
+                Ok(Self { path: path.to_owned(), inode: Some(found.ino()), process: std::process::id() })
+            }
             Err(error) => {
                 let _ = std::fs::remove_file(path);
                 Err(error)
@@ -47,7 +51,7 @@ impl SocketFile {
 
     fn remove(&mut self) {
         let is_own = |inode| std::fs::symlink_metadata(&self.path).is_ok_and(|found| found.ino() == inode);
-        if self.inode.take().is_some_and(is_own) {
+        if self.inode.take().is_some_and(is_own) && self.process == std::process::id() {
             let _ = std::fs::remove_file(&self.path);
         }
     }
@@ -73,6 +77,8 @@ fn unix_socket() -> io::Result<OwnedFd> {
 }
 
 /// The folder of `path`, in which no other run makes or removes a socket while this is held.
+///
+/// In a folder that others may enter, anybody may hold the lock: there the socket is made without it.
 fn locked_folder(path: &Path) -> io::Result<File> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let folder = File::open(folder)?;
@@ -82,10 +88,17 @@ fn locked_folder(path: &Path) -> io::Result<File> {
             Ok(()) => return Ok(folder),
             Err(Errno::INTR) => {}
             Err(Errno::WOULDBLOCK) if Instant::now() < end => thread::sleep(Duration::from_millis(5)),
+            Err(Errno::WOULDBLOCK) if is_shared(&folder)? => return Ok(folder),
             Err(Errno::WOULDBLOCK) => return Err(refused("another program holds its folder locked")),
             Err(error) => return Err(error.into()),
         }
     }
+}
+
+/// True if users other than this one may open a folder.
+fn is_shared(folder: &File) -> io::Result<bool> {
+    let found = folder.metadata()?;
+    Ok(found.mode() & 0o077 != 0 || found.uid() != rustix::process::geteuid().as_raw())
 }
 
 /// Removes a socket that a killed run has left behind; refuses what is anything else.
@@ -160,5 +173,30 @@ impl LiveSocket {
 impl AsFd for LiveSocket {
     fn as_fd(&self) -> BorrowedFd<'_> {
         self.listener.as_fd()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{
+        fs::{Permissions, create_dir, set_permissions},
+        os::unix::fs::PermissionsExt,
+    };
+
+    use super::*;
+
+    /// Anybody may lock a folder that they may open; in one that only this user may open another run of theirs does.
+    #[test]
+    fn a_lock_in_a_shared_folder_holds_no_socket_up() {
+        let base = std::env::temp_dir().join(format!("haptether-lock-{}", std::process::id()));
+        create_dir(&base).unwrap();
+        for (mode, is_made) in [(0o1777, true), (0o755, true), (0o750, true), (0o700, false)] {
+            set_permissions(&base, Permissions::from_mode(mode)).unwrap();
+            let theirs = File::open(&base).unwrap();
+            flock(&theirs, FlockOperation::NonBlockingLockExclusive).unwrap();
+            let made = LiveSocket::listen(&base.join("side.sock"), "another run");
+            assert_eq!(made.is_ok(), is_made, "{mode:o}: {:?}", made.err());
+        }
+        std::fs::remove_dir_all(&base).unwrap();
     }
 }

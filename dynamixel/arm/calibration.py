@@ -13,7 +13,9 @@ from msgspec import Meta
 
 from haptether.dynamixel.arm.settings import ServoSettings
 from haptether.dynamixel.models import BAUD_RATES, SERVO_MODELS, OperatingMode
+from haptether.input_file import read_text
 
+MAX_BYTES: Final = 1 << 18
 Angle = Annotated[float, Meta(ge=-1608.0, le=1608.0)]
 
 
@@ -50,7 +52,7 @@ def read_calibration(path: Path) -> tuple[int, tuple[ServoSettings, ...]]:
         ValueError: It is no such file, or has a servo that cannot be; names the file.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path, MAX_BYTES)
         if "joints" in msgspec.toml.decode(text, type=dict[str, Any]):
             message = "describes an arm (links, masses): must be a file of `haptether dynamixel calibrate`"
             raise ValueError(message)

@@ -8,6 +8,7 @@ from typing import Final
 import msgspec
 
 from haptether.dynamixel.description.tables import ArmDescription
+from haptether.input_file import read_text
 
 SHIPPED: Final = Path(__file__).parent / "arms"
 MAX_BYTES: Final = 1 << 16
@@ -34,17 +35,11 @@ def load_arm(name_or_path: str | PathLike[str]) -> ArmDescription:
     text = str(name_or_path)
     path = SHIPPED / f"{text}.toml" if text in arm_names() else Path(name_or_path)
     try:
-        with path.open("rb") as file:
-            raw = file.read(MAX_BYTES + 1)
+        return msgspec.convert(tomllib.loads(read_text(path, MAX_BYTES)), ArmDescription)
     except OSError as error:
         message = f"{path}: {error.strerror}: must be a file, or one of {', '.join(arm_names())}"
         raise ArmDescriptionError(message) from None
-    if len(raw) > MAX_BYTES:
-        message = f"{path}: more than {MAX_BYTES} bytes"
-        raise ArmDescriptionError(message)
-    try:
-        return msgspec.convert(tomllib.loads(raw.decode()), ArmDescription)
     except ValueError as error:
-        # Those of msgspec, of tomllib and of a wrong encoding are ValueErrors, too.
+        # Those of msgspec and tomllib are ValueErrors, too.
         message = f"{path}: {error}"
         raise ArmDescriptionError(message) from None

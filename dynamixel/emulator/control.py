@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from haptether.dynamixel.emulator.joint import HeldBy
 from haptether.dynamixel.emulator.servo import HardwareError
+from haptether.input_file import read_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,6 +22,8 @@ MAX_STIFFNESS: Final = 1e4
 """Of a hand, N m/rad and N m s/rad."""
 MAX_STOP_RAD: Final = 1000.0
 MAX_PATH_BYTES: Final = 1 << 22
+MAX_LINE: Final = 1 << 12
+"""Characters of a line of a path that are read."""
 MAX_COUNT: Final = 1_000_000
 MAX_DURATION_S: Final = 3600.0
 SHOWN_LINES: Final = 20
@@ -251,23 +254,26 @@ def _numbers(arguments: list[str], count: int) -> list[float]:
 
 def _path(path: Path) -> tuple[tuple[float, ...], dict[int, tuple[float, ...]]]:
     """Times from the first row on, and places of each servo, of a CSV with the header `time_s,ID,...`."""
-    with path.open(encoding="utf-8") as file:
-        text = file.read(MAX_PATH_BYTES + 1)
-    if len(text) > MAX_PATH_BYTES:
-        _refuse(f"{path}: must be at most {MAX_PATH_BYTES} bytes")
+    try:
+        text = read_text(path, MAX_PATH_BYTES)
+    except ValueError as error:
+        _refuse(f"{path}: {error}")
     header, *lines = text.replace('"', "").splitlines() or [""]
     first, *ids = header.split(",")
     if first != "time_s" or not ids or not all(one.isdecimal() for one in ids):
         _refuse(f"{path}: its header must be time_s and ids of servos")
-    rows = [_numbers(line.split(","), 1 + len(ids)) for line in lines]
-    times = tuple(row[0] for row in rows)
+    rows = []
+    for number, line in enumerate(lines, start=2):
+        try:
+            rows.append(_numbers(line[:MAX_LINE].split(","), 1 + len(ids)))
+        except ValueError as error:
+            _refuse(f"{path}: line {number}: {error}")
+    times = tuple(row[0] - rows[0][0] for row in rows)
     if not rows or any(later <= earlier for earlier, later in pairwise(times)):
         _refuse(f"{path}: its times must increase")
     if any(abs(place) > 1000.0 for row in rows for place in row[1:]):
         _refuse(f"{path}: its angles must be at most 1000 rad")
-    return tuple(time - times[0] for time in times), {
-        int(one): tuple(row[1 + at] for row in rows) for at, one in enumerate(ids)
-    }
+    return times, {int(one): tuple(row[1 + at] for row in rows) for at, one in enumerate(ids)}
 
 
 def _count(arguments: list[str], default: int, least: int = 1) -> int:

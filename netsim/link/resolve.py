@@ -8,6 +8,7 @@ import msgspec
 from msgspec.structs import replace
 
 from haptether import _core
+from haptether.input_file import read_bytes
 from haptether.netsim.link.errors import LinkError, of_rules, of_types, refuse_infinite, wrong
 from haptether.netsim.link.settings import (
     DISTRIBUTIONS,
@@ -19,9 +20,6 @@ from haptether.netsim.link.settings import (
     Opportunities,
 )
 from haptether.netsim.presets import PRESETS
-
-MAX_FILE_BYTES = 256 * 2**20
-"""A longer recording needs to be cut or thinned out."""
 
 _Setting = TypeVar("_Setting")
 
@@ -99,16 +97,9 @@ def with_files(settings: LinkSettings, folder: Path, direction: Direction) -> Li
 
 def _read(key: str, file: Path, form: str, direction: Direction, setting: type[_Setting]) -> _Setting:
     try:
-        size = file.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise LinkError(key, f": {file}: {size} bytes: must be at most {MAX_FILE_BYTES}")
-        if not file.is_file():
-            raise LinkError(key, f": {file}: is no file")
-        return msgspec.json.decode(_core.read_link_file(form, file.read_bytes(), direction), type=setting)
+        return msgspec.json.decode(_core.read_link_file(form, read_bytes(file), direction), type=setting)
     except OSError as error:
         raise LinkError(key, f": {file}: cannot be read: {error.strerror}") from None
-    except LinkError:
-        raise
     except ValueError as error:
         raise LinkError(key, f": {file}: {error}") from None
 

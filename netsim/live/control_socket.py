@@ -18,6 +18,8 @@ from haptether.netsim.live.controlled import Controlled, refused_line
 
 MAX_CONNECTIONS = 4
 """A further one closes the idlest."""
+WAITING = 128
+"""Connections that wait to be accepted: each is, for the idlest gives way."""
 MAX_LINE_BYTES = 2**16
 """Of a request, its end included."""
 _MAX_AT_ONCE = 8
@@ -215,7 +217,7 @@ def _listen(at: ControlAddress) -> socket.socket:
         else:
             listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listening.bind(at.place)
-        listening.listen(MAX_CONNECTIONS)
+        listening.listen(WAITING)
     except OSError as error:
         listening.close()
         message = f'control = "{at.text}": {error.strerror or error}'

@@ -2873,13 +2873,19 @@ class RecordingColumns:
         """When the run began, in ns of the wall clock; 0 without a tick."""
     @property
     def whole(self) -> bool:
-        """Whether the file has its end, and nothing else in it is broken."""
+        """True if the file was read to its end."""
+    @property
+    def invalid(self) -> int:
+        """Records, of ticks or others, that are not valid and were left out."""
+    @property
+    def damaged(self) -> bool:
+        """True if reading ended at bytes that are no record, before the end of the file."""
 
 def read_recording_columns(path: str | PathLike[str]) -> RecordingColumns:
     """Reads an MCAP file of `record=` as far as it goes, without the interpreter's lock.
 
-    It ends at a message that does not fit: no JSON, a signal of another kind or number of axes than before, a count
-    beyond 64 bits. What it takes of memory is bounded by a multiple of what it read.
+    A message that does not fit is left out: no JSON, a signal of another kind or number of axes than before, a count
+    beyond 64 bits, a time that is negative or not after the one before. What it takes of memory is bounded by a multiple of what it read.
 
     Raises:
         OSError: It cannot be read.

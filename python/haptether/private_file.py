@@ -1,5 +1,6 @@
 """Files for their owner alone: mode 0600, no link followed, and never seen half written."""
 
+import errno
 import os
 import secrets
 from collections.abc import Iterator
@@ -41,6 +42,19 @@ def _named(path: Path) -> Iterator[None]:
         raise type(error)(error.errno, error.strerror, str(path)) from None
 
 
+def _stream(path: Path) -> int:
+    """Opens a pipe or a device to write to; a pipe that nobody reads is not waited for: no signal would end that."""
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+    except OSError as error:
+        if error.errno == errno.ENXIO:
+            message = "nobody reads this pipe: start its reader first"
+            raise OSError(error.errno, message, str(path)) from None
+        raise
+    os.set_blocking(descriptor, True)
+    return descriptor
+
+
 @contextmanager
 def private_file(path: Path) -> Iterator[IO[bytes]]:
     """A file to write, which then replaces the one that is there, or the link; a pipe or a device is written to.
@@ -50,7 +64,7 @@ def private_file(path: Path) -> Iterator[IO[bytes]]:
     """
     if is_stream(path):
         # What a redirected stream has already is not cut off.
-        with _named(path), path.open("ab") as file:
+        with _named(path), os.fdopen(_stream(path), "ab") as file:
             yield file
         return
     beside = path.with_name(f".{secrets.token_hex(8)}.part")

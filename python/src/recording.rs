@@ -25,13 +25,15 @@ pub(crate) struct RecordingColumns {
     causes: Py<PyList>,
     begun_ns: i64,
     whole: bool,
+    invalid: usize,
+    damaged: bool,
 }
 
 /// Every signal of a recorded side.
 #[pyfunction]
 fn read_recording_columns(py: Python<'_>, path: PathBuf) -> PyResult<RecordingColumns> {
     let read = py.detach(|| File::open(&path).map_err(ReadError::from).and_then(read_recording));
-    let ReadRecording { about, columns, begun_ns, causes, whole, .. } =
+    let ReadRecording { about, columns, begun_ns, causes, whole, invalid, damaged, .. } =
         read.map_err(|error| match error {
             ReadError::Refused(error) => match error.raw_os_error() {
                 // With these arguments Python makes the error that `open` raises.
@@ -58,6 +60,8 @@ fn read_recording_columns(py: Python<'_>, path: PathBuf) -> PyResult<RecordingCo
         causes: causes.unbind(),
         begun_ns,
         whole,
+        invalid,
+        damaged,
     })
 }
 

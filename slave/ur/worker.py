@@ -19,6 +19,8 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any, Final, NamedTuple
 
+from haptether.child import child_environment, module_command
+
 ABANDONED: list[object] = []
 """What a call still holds that never returned: to let go of it could block whoever does."""
 PRIORITY: Final = 1
@@ -217,10 +219,11 @@ class ControlProcess:
         with theirs:
             arguments = str(theirs.fileno()), host, repr(rate_hz), str(os.getpid())
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "haptether.slave.ur.worker", *arguments],
+                module_command("haptether.slave.ur.worker", *arguments),
                 pass_fds=(theirs.fileno(),),
                 stdin=subprocess.DEVNULL,
                 stdout=2,
+                env=child_environment(),
                 # A Ctrl-C is for the bridge, which then stops the arm through this process.
                 start_new_session=True,
             )

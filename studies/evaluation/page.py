@@ -1,7 +1,8 @@
 """An evaluation as one page, in HTML with its figure inside or in Markdown: verdicts, numbers, what was assumed."""
 
 import io
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from html import escape
 from typing import TypeAlias
 
@@ -104,11 +105,11 @@ def evaluation_markdown(found: Evaluation, *, command: str = "", worst: str | No
         command: That made it.
         worst: Name of the file that has the worst release.
     """
-    parts = [f"# {_title(found)}", _made_by(found, command)]
+    parts = [f"# {_plain(_title(found))}", _plain(_made_by(found, command))]
     for section in sections(found, worst):
-        parts += [f"## {section.title}", section.text]
+        parts += [f"## {_plain(section.title)}", _plain(section.text)]
         if section.items:
-            parts.append("\n".join(f"- {item}" for item in section.items))
+            parts.append("\n".join(f"- {_plain(item)}" for item in section.items))
         if section.table is not None:
             parts.append(_markdown_table(section.table))
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -356,10 +357,16 @@ def _text(cell: Cell) -> str:
     return cell if isinstance(cell, str) else cell[0]
 
 
+def _plain(text: str) -> str:
+    """A text whose names are no HTML, link or code of Markdown, on one line."""
+    return re.sub(r"[\\`*\[\]]", r"\\\g<0>", escape(" ".join(text.split()), quote=False))
+
+
 def _markdown_table(table: Table) -> str:
-    lines = [f"| {' | '.join(table.head)} |", f"|---{'|---:' * (len(table.head) - 1)}|"]
-    lines += [f"| {' | '.join(_text(cell).replace('|', '/') for cell in row)} |" for row in table.rows]
-    return "\n".join(lines)
+    def line(cells: Iterable[Cell]) -> str:
+        return f"| {' | '.join(_plain(_text(cell)).replace('|', '/') for cell in cells)} |"
+
+    return "\n".join([line(table.head), f"|---{'|---:' * (len(table.head) - 1)}|", *map(line, table.rows)])
 
 
 def _html_table(table: Table) -> str:

@@ -23,6 +23,7 @@ from haptether.bridge import (
     replay,
     scene_json,
 )
+from haptether.bridge.recording.settings import check_settings
 
 Array = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -255,6 +256,7 @@ def _recorded(file: str | os.PathLike[str] | Recording, overrides: tuple[str, ..
     if recording.side != "master":
         message = f"{name}: of the {recording.side}, must be of the master: observers watch the hand"
         raise ValueError(message)
+    check_settings(recording.scene, name)
     run = load(recording)
     if not len(run.signals["time_s"]):
         message = f"{name}: has no tick"
@@ -266,8 +268,14 @@ def _recorded(file: str | os.PathLike[str] | Recording, overrides: tuple[str, ..
         message = f"{name}: of kind joints, must be linear or pose: it has no force and velocity of one point"
         raise ValueError(message)
     changes = [f"safety.controllers=[{','.join(OBSERVERS)}]", *overrides]
-    replayed = replay(recording, overrides=[*changes, *(f"safety.{each}" for each in NEVER_TRIPPING)], hand="measured")
-    scene = recorded_scene(recording.scene, overrides)
+    try:
+        replayed = replay(
+            recording, overrides=[*changes, *(f"safety.{each}" for each in NEVER_TRIPPING)], hand="measured"
+        )
+        scene = recorded_scene(recording.scene, overrides)
+    except ValueError as error:
+        message = f"{name}: {str(error).removeprefix(f'{recording.side}: ')}"
+        raise ValueError(message) from None
     device = run.settings["master"]
     _check_held(name, run, recording.signals, device)
     return _Recorded(name, run, scene, dict(replayed.replayed))

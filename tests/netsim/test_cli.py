@@ -216,7 +216,7 @@ def test_a_file_that_is_too_large_is_refused(tmp_path: Path, capsys: pytest.Capt
     scene = tmp_path / "mine.toml"
     scene.write_text('schema = 1\n[link.forward]\ntrace = { file = "a.csv" }\n')
     assert main(["netsim", "sample", str(scene)]) == 2
-    assert "268435457 bytes: must be at most 268435456" in capsys.readouterr().err
+    assert "a.csv: more than 268435456 bytes" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -176,6 +176,16 @@ def test_a_further_connection_closes_the_idlest_which_is_told_why() -> None:
         assert clients[1].recv(1 << 16).startswith(b'{"ok":true')
 
 
+@pytest.mark.parametrize("idle", [4, 5, 60])
+def test_idle_clients_keep_nobody_from_a_setting(idle: int) -> None:
+    with proxied(LinkSettings()) as (address, _), ExitStack() as stack:
+        # All at once: most wait to be accepted when the request comes.
+        for _ in range(idle):
+            stack.enter_context(connected(address))
+        assert ask_control(address, {"forward": {"delay_s": 0.25}})["ok"] is True
+        assert ask_control(address, {"show": True})["forward"]["delay_s"] == 0.25
+
+
 def test_a_client_that_reads_nothing_keeps_no_other_waiting() -> None:
     with proxied(LinkSettings()) as (address, _), ExitStack() as stack:
         for _ in range(3):

@@ -84,7 +84,8 @@ def test_a_recording_from_before_the_stepped_integrators_were_removed_is_replaye
         scene = json.loads(read.about["scene"])
         scene["run"] |= {"integrator": integrator, "step_s": step_s}
         scene["master"]["friction_speed"] = 1e-3
-        same = {name: getattr(read, name) for name in ("begun_ns", "causes", "columns", "meanings", "whole")}
+        same = {name: getattr(read, name) for name in (
+            "begun_ns", "causes", "columns", "meanings", "whole", "invalid", "damaged")}  # fmt: skip
         return SimpleNamespace(about={**read.about, "scene": json.dumps(scene)}, **same)
 
     now = read_recording(push).scene

@@ -258,7 +258,7 @@ def test_a_recording_is_read_beside_its_scene(tmp_path: Path) -> None:
         ("hand.csv", "time_s,x\n0,1e5\n", "hand.csv: Expected `float` <= 10000.0 - at `$.values[0][0]`"),
         ("hand.csv", None, "cannot be read: No such file"),
         ("hand.txt", "", "hand.txt: must be a .csv or .npz file"),
-        ("hand.npz", "no zip", "hand.npz: must hold the arrays time_s and values"),
+        ("hand.npz", "no zip", "hand.npz: is no .npz file of NumPy, or a damaged one"),
     ],
 )
 def test_a_bad_recording_is_refused_with_its_place(name: str, text: str | None, said: str, tmp_path: Path) -> None:

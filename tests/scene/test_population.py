@@ -114,11 +114,11 @@ def test_a_population_of_measurements_names_them_relative_to_itself(tmp_path: Pa
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("a\n1\n2\n", "has no column 'K': there is a"),
-        ("K\n1\nnan\n", "row 3: K = 'nan': must be a finite number"),
-        ("a,K\n1,2\n1\n", "row 3: K = None: must be a finite number"),
+        ("a\n1\n2\n", "its header has 1 columns and no 'K'"),
+        ("K\n1\nnan\n", 'line 3: K = "nan": must be a finite number'),
+        ("a,K\n1,2\n1\n", 'line 3: K = "": must be a finite number'),
         ("K\n1\n", "1 rows: must be 2 to"),
-        ("", "there is none"),
+        ("", "its header has 0 columns"),
         (None, "cannot be read"),
     ],
 )

@@ -212,6 +212,20 @@ def test_an_unconfirmed_cell_is_hatched_and_says_how_many_hands_it_needs(
         draw_evaluation(found, tmp_path / "evaluation.gif")
 
 
+@pytest.mark.parametrize(
+    "name",
+    ["<script>alert(1)</script>", "<img src=x onerror=y>", "[a](javascript:b)", "a | b", "`a`", "*a*", "two\nlines"],
+)
+def test_a_name_is_a_name_in_markdown(name: str) -> None:
+    text = evaluation_markdown(evaluation({"task": name, "thrown": 1}, {"task": name}), command=f"haptether {name}")
+    assert "<script" not in text
+    assert "<img" not in text
+    assert not re.search(r"(?<!\\)([`*]|\]\()", text)
+    # A name with a line or a column of its own would be a row of another table.
+    tables = [block.strip().splitlines() for block in text.split("\n\n") if block.startswith("|")]
+    assert [len({line.count("|") for line in lines}) for lines in tables] == [1] * len(tables)
+
+
 # ------------------------------------------------------------------------------------------------------- measured
 
 

@@ -276,6 +276,7 @@ function showSide(shown, side) {
     const events = element("div", "", "events");
     for (const [time, text] of side.events.slice().reverse()) events.append(element("div", `${time.toFixed(3)} s  ${text}`));
     parts.push(events);
+    if (side.invalid) parts.push(element("div", side.invalid, "trouble"));
     if (side.lost_ticks) parts.push(element("div", `${side.lost_ticks} ticks not seen here`, "dim"));
   }
   const before = shown.words.querySelector(".events"), scrolled = before ? before.scrollTop : 0;

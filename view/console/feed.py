@@ -68,7 +68,10 @@ class SideFeed:
     def summary(self) -> dict[str, Any]:
         """What the page shows beside the charts."""
         with self._lock:
-            return summary(self._state, self._trouble, str(self.path))
+            try:
+                return summary(self._state, self._trouble, str(self.path))
+            except Exception as error:  # of one side: the page is to go on with the other
+                return summary(None, f"cannot be shown: {type(error).__name__}: {error}", str(self.path))
 
     def take_row(self) -> dict[str, Any]:
         """Of each signal of the charts what was furthest from zero since the last row, in SI units; or nothing."""
@@ -120,8 +123,9 @@ class SideFeed:
                 now = [_furthest(axis[0], axis[1]) for axis in sample.signals[name]]
                 row[name] = [_furthest(*pair) for pair in zip(row.get(name, now), now, strict=True)]
         for one in state.observers():
-            if one.threshold:
-                low, high, _ = sample.signals[state.signal_of(one.controller)]
+            signal = state.signal_of(one.controller)
+            if one.threshold and signal in sample.signals:
+                low, high, _ = sample.signals[signal]
                 value = high if one.trips_above else low
                 if value is not None:
                     share = value / one.threshold

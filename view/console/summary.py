@@ -56,6 +56,7 @@ def summary(state: SideState | None, trouble: str, path: str) -> dict[str, Any]:
         "held": state.is_held(),
         "events": [[time_s, text] for time_s, text in list(state.events)[-EVENTS:]],
         "lost_ticks": state.lost_ticks + state.dropped,
+        "invalid": f"invalid telemetry, {state.invalid} times, at last: {state.invalid_text}" if state.invalid else "",
     }
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
 
 SEED = "run.seed"
 CONTROLLER_SETS = "safety.controllers"
@@ -38,6 +39,8 @@ METRICS = {
 MOST = 6
 """Panels of a figure."""
 MOST_AXES = 2
+DIVERGED = "#d62839"
+"""Colour of what marks rows that diverged."""
 
 
 def draw_sweep(
@@ -66,7 +69,10 @@ def draw_sweep(
     down = -(-len(metrics) // across)
     seeds = len(np.unique(columns[SEED])) if SEED in varied and over != [SEED] else 1
     rows = len(next(iter(columns.values())))
+    diverged = columns["outcome"] == "diverged" if "outcome" in columns else np.zeros(rows, dtype=bool)
     title = f"{Path(scene).stem or scene}, {rows} run{'s' if rows != 1 else ''}"
+    if diverged.any():
+        title += f", {np.count_nonzero(diverged)} diverged (X)"
     if seeds > 1:
         title += f": mean of {seeds} seeds" + (", 95 % confidence" if len(over) == 1 else "")
     with styled():
@@ -75,14 +81,14 @@ def draw_sweep(
         for panel in panels[len(metrics) :]:
             panel.remove()
         for panel, metric in zip(panels, metrics, strict=False):
-            values = columns[metric].astype(float)
+            measured = _Measured(columns[metric].astype(float), diverged, METRICS[metric])
             if any(columns[name].dtype.kind == "U" for name in over):
-                _draw_choices(panel, metric, over, columns, METRICS[metric])
+                _draw_choices(panel, over, columns, measured)
             elif len(over) == 1:
                 room_in = figure.get_figwidth() / across - 0.9
-                _draw_line(panel, over[0], columns[over[0]], values, METRICS[metric], width_in=room_in)
+                _draw_line(panel, over[0], columns[over[0]], measured, width_in=room_in)
             else:
-                _draw_map(panel, over, [columns[name] for name in over], values, METRICS[metric])
+                _draw_map(panel, over, [columns[name] for name in over], measured)
         letter(panels[: len(metrics)])
     return figure
 
@@ -115,7 +121,23 @@ def check_varied(varied: Sequence[str], columns: Mapping[str, npt.NDArray[Any]])
     return over
 
 
-def _draw_line(panel: "Axes", name: str, at: Array, values: Array, label: str, *, width_in: float) -> None:
+class _Measured(NamedTuple):
+    """A metric of all rows."""
+
+    values: Array
+    diverged: Bools
+    label: str
+
+
+def _mark_diverged(panel: "Axes", places: Sequence[float] | Array) -> None:
+    """Marks places at the lower edge where a row diverged: what was measured of it ends there."""
+    if len(places):
+        panel.plot(places, np.zeros(len(places)), "X", color=DIVERGED, ms=4.0, clip_on=False, zorder=5.0,
+                   transform=panel.get_xaxis_transform(), gid="diverged")  # fmt: skip
+
+
+def _draw_line(panel: "Axes", name: str, at: Array, measured: "_Measured", *, width_in: float) -> None:
+    values, diverged, label = measured
     places = np.unique(at)
     of_places = [mean_and_half(values[at == place]) for place in places]
     means, halves = np.array([mean for mean, _ in of_places]), np.array([half for _, half in of_places])
@@ -129,6 +151,7 @@ def _draw_line(panel: "Axes", name: str, at: Array, values: Array, label: str, *
     if len(lacking):
         panel.plot(lacking, np.zeros(len(lacking)), "x", color="#d62839", ms=4.0, clip_on=False, zorder=5.0,
                    transform=panel.get_xaxis_transform(), label="some not measured")  # fmt: skip
+    _mark_diverged(panel, np.unique(at[diverged]))
     panel.set_xlabel(name)
     panel.set_ylabel(label)
     panel.margins(y=0.08)
@@ -142,17 +165,13 @@ def _draw_line(panel: "Axes", name: str, at: Array, values: Array, label: str, *
 
 
 def _draw_choices(
-    panel: "Axes",
-    metric: str,
-    over: Sequence[str],
-    columns: Mapping[str, npt.NDArray[Any]],
-    label: str,
+    panel: "Axes", over: Sequence[str], columns: Mapping[str, npt.NDArray[Any]], measured: "_Measured"
 ) -> None:
     """Of each choice a line over the number that varies, or a point; means with 95 % where a place has several runs."""
+    values, diverged, label = measured
     choice = next(name for name in over if columns[name].dtype.kind == "U")
     names = list(dict.fromkeys(columns[choice].tolist()))
     number = next((name for name in over if name != choice), None)
-    values = columns[metric].astype(float)
     for place, name in enumerate(names):
         rows = columns[choice] == name
         at = np.full(int(rows.sum()), float(place)) if number is None else columns[number][rows].astype(float)
@@ -163,6 +182,7 @@ def _draw_choices(
         panel.errorbar(places, means, np.nan_to_num(halves), fmt="o", ms=2.5, elinewidth=0.6, capsize=1.2,
                        color=look["color"])  # fmt: skip
         panel.plot(places, means, label=name, **look)
+        _mark_diverged(panel, np.unique(at[diverged[rows]]))
     panel.set_ylabel(label)
     panel.margins(y=0.08)
     plain_ticks(panel, 5)
@@ -174,7 +194,8 @@ def _draw_choices(
         legend_above(panel, width_in=figure_of(panel).get_figwidth() / 2 - 0.9)
 
 
-def _draw_map(panel: "Axes", names: list[str], at: list[Array], values: Array, label: str) -> None:
+def _draw_map(panel: "Axes", names: list[str], at: list[Array], measured: "_Measured") -> None:
+    values, diverged, label = measured
     of_x, of_y = np.unique(at[0]), np.unique(at[1])
     means = np.array([[mean_and_half(values[(at[0] == x) & (at[1] == y)])[0] for x in of_x] for y in of_y])
     panel.set_facecolor("#e3e6ea")
@@ -185,6 +206,10 @@ def _draw_map(panel: "Axes", names: list[str], at: list[Array], values: Array, l
     for row, column in zip(*np.nonzero(~np.isfinite(means)), strict=True):
         if means.size <= 400:
             panel.plot(column + 0.5, row + 0.5, "x", color="#7a828c", ms=3.0)
+    cells = set(zip(at[0][diverged].tolist(), at[1][diverged].tolist(), strict=True))
+    if cells:
+        across, up = (np.searchsorted(of, [cell[axis] for cell in cells]) + 0.5 for axis, of in enumerate((of_x, of_y)))
+        panel.plot(across, up, "X", color=DIVERGED, ms=4.0, gid="diverged")
     _name_cells(panel, of_x, of_y)
     panel.grid(visible=False)
     panel.set_xlabel(names[0])

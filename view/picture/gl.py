@@ -56,9 +56,25 @@ def egl_draws() -> bool:
     return False
 
 
-def has_display() -> bool:
-    """Whether a window has a screen."""
-    return sys.platform in {"win32", "darwin"} or bool(os.environ.get("DISPLAY"))
+def display_problem() -> str:
+    """Why a window has no screen; empty where it has one."""
+    if sys.platform in {"win32", "darwin"}:
+        return ""
+    display = os.environ.get("DISPLAY")
+    if not display:
+        return "DISPLAY is not set"
+    try:
+        x11 = ctypes.CDLL("libX11.so.6")
+    except OSError:
+        return "libX11.so.6 cannot be loaded: on Debian or Ubuntu install libx11-6"
+    x11.XOpenDisplay.restype = ctypes.c_void_p
+    x11.XOpenDisplay.argtypes = [ctypes.c_char_p]
+    x11.XCloseDisplay.argtypes = [ctypes.c_void_p]
+    opened = x11.XOpenDisplay(None)
+    if not opened:
+        return f"DISPLAY = {display}: no X server answers there"
+    x11.XCloseDisplay(opened)
+    return ""
 
 
 def require_gl(*, window: bool = False) -> None:
@@ -72,8 +88,8 @@ def require_gl(*, window: bool = False) -> None:
         NoGlError: No display for a window, or no OpenGL, with the packages that bring it.
     """
     require("the view", "pyvista", "PIL", "matplotlib", extra="view")
-    if window and not has_display():
-        message = "no display (DISPLAY is not set), so no window: give --screenshot, --movie or --html"
+    if window and (problem := display_problem()):
+        message = f"no display ({problem}), so no window: give --screenshot, --movie or --html"
         raise NoGlError(message)
     if sys.platform != "linux":
         return

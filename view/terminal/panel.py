@@ -195,6 +195,9 @@ def _loop(state: SideState) -> Table:
         table.add_row("fault code", str(state.last("fault")), "")
     if state.dropped or state.lost_ticks:
         table.add_row("ticks not seen here", str(state.dropped + state.lost_ticks), "")
+    if state.invalid:
+        said = Text(printable(state.invalid_text), style="red", overflow="ellipsis")
+        table.add_row(Text("invalid telemetry", style="red"), str(state.invalid), said)
     return table
 
 

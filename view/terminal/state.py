@@ -14,6 +14,7 @@ from haptether.bridge import (
     TelemetryCleared,
     TelemetryEnd,
     TelemetryHello,
+    TelemetryInvalid,
     TelemetryLink,
     TelemetryLost,
     TelemetryMessage,
@@ -73,6 +74,10 @@ class SideState:
         """Of the last sample, since the run began."""
         self.lost_ticks = 0
         """That this reader was too slow for."""
+        self.invalid = 0
+        """Lines and samples of which something was left out as invalid."""
+        self.invalid_text = ""
+        """The last part that was left out, and why."""
         self.dropped = 0
         """Records that never reached the sender."""
         self.ticks = 0
@@ -109,10 +114,18 @@ class SideState:
                 self.cause = None
             case TelemetryLost(ticks=ticks):
                 self.lost_ticks += ticks
+            case TelemetryInvalid(text=text):
+                self._take_invalid(text)
             case TelemetryEnd():
                 self.has_ended = True
             case _:
                 pass
+
+    def _take_invalid(self, text: str) -> None:
+        if not self.invalid:
+            self._note(round(self.time_s * SECOND_NS), f"invalid telemetry: {text}")
+        self.invalid += 1
+        self.invalid_text = text
 
     @property
     def link(self) -> TelemetryLink | None:
@@ -126,7 +139,7 @@ class SideState:
 
     def last(self, name: str) -> Any:  # noqa: ANN401  # by the kind of the signal
         """The last value of a signal: a list of numbers of "axes"; none where it is not known."""
-        if not self._samples or name not in self.kinds:
+        if not self._samples or name not in self._samples[-1].signals:
             return None
         value = self._samples[-1].signals[name]
         match self.kinds[name]:
@@ -146,6 +159,7 @@ class SideState:
         of = [
             axis
             for sample in self._samples
+            if name in sample.signals
             for axis in (sample.signals[name] if self.kinds[name] == "axes" else [sample.signals[name]])
         ]
         low = [axis[0] for axis in of if axis[0] is not None]
@@ -219,7 +233,7 @@ class SideState:
 
     def _bits(self, name: str) -> int:
         bits = 0
-        if name in self.kinds:
-            for sample in self._samples:
+        for sample in self._samples:
+            if name in sample.signals:
                 bits |= int(sample.signals[name][0])
         return bits

@@ -87,7 +87,7 @@ def _points(recording: Recording) -> Array:
     if recording.scene:
         from msgspec import json  # noqa: PLC0415
 
-        kind = json.decode(recording.scene).get("master", {}).get("kind")
+        kind = (json.decode(recording.scene).get("master") or {}).get("kind")
         if kind == "joints":
             message = f'{recording.side}: kind = "joints": angles have no place in three dimensions'
             raise ValueError(message)

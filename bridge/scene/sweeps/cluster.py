@@ -13,6 +13,7 @@ from haptether.bridge.scene.load import Checked
 from haptether.bridge.scene.research import ControllerTime, count_controller_time, thread_controller_time
 from haptether.bridge.scene.sweep import SweepSettings, measured
 from haptether.bridge.scene.sweeps.design import Design
+from haptether.child import safe_children
 from haptether.extras import require
 
 Metrics: TypeAlias = "dict[str, npt.NDArray[Any]]"
@@ -68,6 +69,7 @@ def computed_by_cluster(
     ranges = _ranges(design, gaps)
     with contextlib.ExitStack() as stack:
         if address is None:
+            stack.enter_context(safe_children())
             # Each worker is a process: one that dies takes no other with it.
             local = distributed.LocalCluster(
                 n_workers=settings.threads, threads_per_worker=1, processes=True, dashboard_address=None

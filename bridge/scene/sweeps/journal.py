@@ -6,6 +6,7 @@ import json
 import os
 import re
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
@@ -39,6 +40,8 @@ class Journal:
 
     def __init__(self, path: Path, request: Mapping[str, Any], *, resume: bool) -> None:
         self.path = path
+        self.damaged = 0
+        """Rows of batches that could not be read, and were removed."""
         self.folder = path.with_name(f"{path.name}.partial")
         refuse_link(self.folder)
         if (self.folder / FINISHED).is_file():
@@ -58,6 +61,11 @@ class Journal:
             self._lock.close()
             raise
 
+    @staticmethod
+    def is_begun(path: Path) -> bool:
+        """True if rows of an interrupted sweep are kept for a file."""
+        return (path.with_name(f"{path.name}.partial") / REQUEST).is_file()
+
     def _begin(self, request: Mapping[str, Any], *, resume: bool) -> None:
         for stale in self.folder.glob(f"*{_UNFINISHED}"):
             stale.unlink()
@@ -74,8 +82,41 @@ class Journal:
             message = f"{self.folder}: has {rows} rows of a sweep that was interrupted: resume it, or remove it"
             raise ValueError(message)
         else:
-            _refuse_other(self.folder, json.loads(file.read_bytes()), json.loads(json.dumps(request)))
+            try:
+                stored = json.loads(file.read_bytes())
+                if not isinstance(stored, dict):
+                    message = "no object"
+                    raise ValueError(message)  # as of what is no JSON
+            except ValueError as error:
+                message = f"{file}: is damaged ({error}): remove {self.folder} and begin again"
+                raise ValueError(message) from None
+            _refuse_other(self.folder, stored, json.loads(json.dumps(request)))
+            batches = self._whole(batches)
         self._batches = batches
+
+    def _whole(self, batches: list[tuple[int, int]]) -> list[tuple[int, int]]:
+        """The batches that can be read, one after the other; the others are removed, and computed again."""
+        kept: list[tuple[int, int]] = []
+        for first, end in batches:
+            try:
+                if kept and first < kept[-1][1]:
+                    message = "overlaps the one before"
+                    raise ValueError(message)  # as of one that cannot be read
+                with self._opened(first, end) as archive:
+                    lengths = {name: len(archive[name]) for name in archive.files}
+                rows = {length for name, length in lengths.items() if not name.endswith(".texts")}
+                if end <= first or rows != {end - first} or "outcome.codes" not in lengths:
+                    message = "has other rows than its name says"
+                    raise ValueError(message)
+            except (ValueError, OSError, KeyError):
+                self._file(first, end).unlink()
+            else:
+                kept.append((first, end))
+        self.damaged = sum(end - first for first, end in batches) - sum(end - first for first, end in kept)
+        return kept
+
+    def _file(self, first: int, end: int) -> Path:
+        return self.folder / f"rows-{first:012d}-{end:012d}.npz"
 
     @property
     def done(self) -> int:
@@ -144,12 +185,15 @@ class Journal:
 
     @contextlib.contextmanager
     def _opened(self, first: int, end: int) -> Iterator[Any]:
-        file = self.folder / f"rows-{first:012d}-{end:012d}.npz"
+        file = self._file(first, end)
         try:
+            with zipfile.ZipFile(file):
+                pass
             with np.load(file, allow_pickle=False) as archive:
                 yield archive
-        except (ValueError, zipfile.BadZipFile, EOFError) as error:
-            message = f"{file}: is damaged ({error}): remove it and resume"
+        except (ValueError, zipfile.BadZipFile, EOFError, zlib.error, NotImplementedError, RuntimeError):
+            # NumPy would advise to allow pickles.
+            message = f"{file}: is damaged: resume, and its rows are computed again"
             raise ValueError(message) from None
 
     @contextlib.contextmanager

@@ -3,9 +3,11 @@
 import csv
 import importlib
 import importlib.util
+import io
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from math import inf, isfinite, log, log1p, sqrt
 from os import PathLike
 from pathlib import Path
@@ -17,6 +19,7 @@ import numpy.typing as npt
 
 from haptether.bridge.scene.errors import shown
 from haptether.extras import require
+from haptether.input_file import read_text
 
 Array: TypeAlias = npt.NDArray[np.float64]
 
@@ -159,21 +162,26 @@ def measured_law(path: str | PathLike[str], column: str) -> SampleLaw:
 
     Source: Hyndman and Fan 1996, definition 7.
     """
-    if Path(path).exists() and not Path(path).is_file():
-        message = f"{path}: must be a file"
-        raise ValueError(message)
     try:
-        with Path(path).open(encoding="utf-8-sig", newline="") as file:
-            rows = csv.DictReader(file)
-            if column not in (rows.fieldnames or ()):
-                message = f"{path}: has no column {column!r}: there is {', '.join(rows.fieldnames or ()) or 'none'}"
+        rows = csv.DictReader(io.StringIO(read_text(path), newline=""))
+        columns = rows.fieldnames or ()
+        if column not in columns:
+            # A file may be anything, also a secret: none of its content is shown but a name close to this one.
+            near = get_close_matches(column, columns, n=1)
+            hint = f"did you mean {near[0]}?" if near else "is the first line its header, with commas between names?"
+            message = f"its header has {len(columns)} columns and no {column!r}: {hint}"
+            raise ValueError(message)
+        values = []
+        for row in rows:
+            if None in row:
+                message = f"line {rows.line_num}: more cells than the header has: decimals take a point, cells a comma"
                 raise ValueError(message)
-            values = [_finite(path, column, number, row[column]) for number, row in enumerate(rows, start=2)]
+            values.append(_finite(column, rows.line_num, row[column]))
     except OSError as error:
         message = f"{path}: cannot be read: {error.strerror}"
         raise ValueError(message) from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        message = f"{path}: must be CSV in UTF-8: {error}"
+    except (ValueError, csv.Error) as error:
+        message = f"{path}: {error}"
         raise ValueError(message) from None
     if not 2 <= len(values) <= MOST_MEASURED:
         message = f"{path}: {len(values)} rows: must be 2 to {MOST_MEASURED} measurements"
@@ -182,13 +190,13 @@ def measured_law(path: str | PathLike[str], column: str) -> SampleLaw:
     return SampleLaw("quantiles", tuple(number for point in points for number in point))
 
 
-def _finite(path: str | PathLike[str], column: str, line: int, text: str | None) -> float:
+def _finite(column: str, line: int, text: str | None) -> float:
     try:
         value = float(text or "")
     except ValueError:
         value = inf
     if not isfinite(value):
-        message = f"{path}: row {line}: {column} = {text!r}: must be a finite number"
+        message = f"line {line}: {column} = {shown(text or '')}: must be a finite number"
         raise ValueError(message)
     return value
 

@@ -19,6 +19,7 @@ from haptether.bridge.scene.sweeps.laws import SampleLaw, generator, law_of, sob
 from haptether.bridge.scene.sweeps.limits import out_of_range, whole_number
 from haptether.bridge.scene.sweeps.scenes import SCENE
 from haptether.bridge.scene.tables.session import Scene
+from haptether.input_file import read_text
 
 Array: TypeAlias = npt.NDArray[np.float64]
 
@@ -259,17 +260,10 @@ def load_population(name_or_path: str | PathLike[str]) -> Population:
         message = f"{seen}: no such population: {closest(str(name_or_path), population_names())}"
         raise SceneError(message)
     try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-        if len(content) > MAX_BYTES:
-            message = f"more than {MAX_BYTES} bytes: no population is that long"
-            raise SceneError(message)
-        return _population(tomllib.loads(content.decode("utf-8")), path.parent)
+        return _population(tomllib.loads(read_text(path, MAX_BYTES)), path.parent)
     except OSError as error:
         message = f"{path}: cannot be read: {error.strerror}"
-    except UnicodeDecodeError as error:
-        message = f"{path.name}: must be UTF-8: {error.reason} at byte {error.start}"
-    except (tomllib.TOMLDecodeError, SceneError) as error:
+    except ValueError as error:
         message = f"{path.name}: {error}"
     except RecursionError:
         message = f"{path.name}: tables or lists too deep within each other"

@@ -4,7 +4,8 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from dataclasses import replace as replace_fields
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -33,12 +34,13 @@ from haptether.bridge.scene.sweep import (
 )
 from haptether.bridge.scene.sweeps.cluster import computed_by_cluster
 from haptether.bridge.scene.sweeps.design import Design, Values, counts_of, design_of
+from haptether.bridge.scene.sweeps.finished import is_of_another
 from haptether.bridge.scene.sweeps.journal import Journal
 from haptether.bridge.scene.sweeps.limits import check_rows
 from haptether.bridge.scene.sweeps.population import Population, with_population
 from haptether.bridge.scene.sweeps.reasons import RowReason, RowReasons
 from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice, with_scenes
-from haptether.bridge.scene.sweeps.table_file import STREAMED, check_suffix, table_file
+from haptether.bridge.scene.sweeps.table_file import REQUEST_KEY, STREAMED, check_suffix, table_file
 from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import is_stream, refuse_link
 
@@ -88,6 +90,7 @@ def sweep_to_file(
     threads: int | None = None,
     lanes: bool = True,
     resume: bool = False,
+    replace: bool = False,
     collect: bool = False,
     engine: Literal["local", "dask"] = "local",
     address: str | None = None,
@@ -113,6 +116,7 @@ def sweep_to_file(
         threads: How many threads; by default as many as there are processors.
         lanes: Whether rows may be advanced side by side in one thread; the numbers are the same.
         resume: Whether to go on with rows that are kept already.
+        replace: Whether the file of another sweep gives way.
         collect: Whether to return all rows, too.
         engine: Where rows are computed, which does not change the file: by threads of this process, or by the workers
             of a Dask cluster.
@@ -127,7 +131,7 @@ def sweep_to_file(
             scene, design, version or other metrics, with what differs; a tie to what does not vary; a metric that there
             is not; a seed, a number of threads or a `progress` that is none.
         ImportError: Parquet without PyArrow, or the engine dask without dask.distributed.
-        OSError: A file cannot be written; a symbolic link.
+        OSError: A file cannot be written; a symbolic link; as `FileExistsError`, another sweep's.
     """
     path = Path(path)
     if engine not in {"local", "dask"} or (address is not None and engine != "dask"):
@@ -158,6 +162,14 @@ def sweep_to_file(
         request["scenes"] = {each.name: json.loads(each.checked.json) for each in scenes}
     if (sources := _controller_sources(base, design)) is not None:
         request["controllers in Python"] = sources
+    if not resume and not replace and not Journal.is_begun(path):
+
+        def first_row() -> Metrics:
+            return measured(base, design.columns(0, 1), replace_fields(settings, threads=1, progress=None))
+
+        if is_of_another(path, design, request, first_row):
+            message = f"{path}: has the rows of another sweep: --force replaces it, or give another file"
+            raise FileExistsError(message)
     journal = Journal(path, request, resume=resume)
     try:
         resumed = journal.done
@@ -208,7 +220,7 @@ def computed(
         while first < stop:
             end = min(design.end_of_batch(first, size), stop)
             start_s = time.perf_counter()
-            counted = replace(settings, progress=shifted(progress, done))
+            counted = replace_fields(settings, progress=shifted(progress, done))
             metrics = measured(base, design.columns(first, end), counted)
             elapsed_s = max(time.perf_counter() - start_s, 1e-9)
             yield first, metrics
@@ -242,7 +254,7 @@ def _written(
     metadata = {
         "haptether.version": str(request["version"]),
         "haptether.scene": scene_toml(base.scene),
-        "haptether.sweep": msgspec.json.encode(dict(request)).decode(),
+        REQUEST_KEY: msgspec.json.encode(dict(request)).decode(),
     }
     with journal.replacing(f"table{suffix}", journal.path) as file:
         table = table_file(suffix, file, metadata) if suffix in STREAMED else None

@@ -59,6 +59,10 @@ class TableFile(Protocol):
         """Writes what is pending; the file stays open."""
 
 
+REQUEST_KEY = "haptether.sweep"
+"""Key in the metadata of a Parquet file."""
+
+
 def values_of(columns: Mapping[str, npt.NDArray[Any]], name: str) -> list[Any]:
     """A column of a sweep as raw values, none for what was not measured."""
     column = columns[name]
@@ -94,6 +98,17 @@ def check_suffix(path: Path) -> None:
 def table_file(suffix: str, file: IO[bytes], metadata: Mapping[str, str]) -> TableFile:
     """What writes rows to a file that is open; `metadata` is for Parquet."""
     return ParquetTable(file, metadata) if suffix == ".parquet" else CsvTable(file)
+
+
+def stored_request(path: Path) -> bytes:
+    """The request of a sweep, as JSON, from the metadata of a Parquet file; empty without one."""
+    arrow = importlib.import_module("pyarrow")
+    parquet = importlib.import_module("pyarrow.parquet")
+    try:
+        metadata: Mapping[bytes, bytes] = parquet.read_schema(path).metadata or {}
+    except (OSError, arrow.ArrowException):
+        return b""
+    return metadata.get(REQUEST_KEY.encode(), b"")
 
 
 class CsvTable:

@@ -160,7 +160,10 @@ class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
 
 
 class SeriesTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A recording: `file`, or `time_s` and `values`. Linear between its points, constant outside."""
+    """A recording: `file`, whose first record is time 0, or `time_s` and `values`.
+
+    Linear between its points, constant outside.
+    """
 
     file: str | None = None
     """CSV with the header `time_s,x[,y,z,...]` or .npz with the arrays `time_s` and `values`; relative to the scene. It

@@ -7,13 +7,12 @@ use std::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
-    thread::JoinHandle,
     time::Duration,
 };
 
 use haptether_netsim::Asker;
 
-use super::{strangers::StrangerReport, system};
+use super::{own_thread::OwnThread, strangers::StrangerReport, system};
 use crate::{
     coupling::CouplingError,
     ring::ring,
@@ -107,7 +106,7 @@ pub(super) struct Handshakes {
     requests: rtrb::Producer<Request>,
     answers: rtrb::Consumer<Answer>,
     is_over: Arc<AtomicBool>,
-    thread: Option<JoinHandle<Rejections>>,
+    thread: OwnThread<Rejections>,
     admission: Admission,
     /// Keys that the loop has had.
     keys: u64,
@@ -132,7 +131,7 @@ impl Handshakes {
             requests,
             answers,
             is_over,
-            thread: Some(thread),
+            thread: OwnThread::new(thread),
             admission,
             keys: 0,
             dropped: 0,
@@ -182,7 +181,7 @@ impl Handshakes {
 
     /// Whether the thread has ended by itself; true once.
     pub(super) fn has_died(&mut self) -> bool {
-        let died = !self.was_reported && self.thread.as_ref().is_some_and(JoinHandle::is_finished);
+        let died = !self.was_reported && self.thread.has_returned();
         self.was_reported |= died;
         died
     }
@@ -190,7 +189,7 @@ impl Handshakes {
     /// Ends the thread; returns what it did not take, and what was more than its share.
     pub(super) fn end(&mut self) -> Rejections {
         self.is_over.store(true, Ordering::Relaxed);
-        let rejections = self.thread.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
+        let rejections = self.thread.join().unwrap_or_default();
         rejections.with(Rejection::Busy, std::mem::take(&mut self.dropped))
     }
 }

@@ -7,6 +7,7 @@ mod handle;
 mod handshakes;
 mod live_loop;
 mod newest;
+mod own_thread;
 mod run;
 mod socket;
 mod strangers;

@@ -6,7 +6,6 @@ use std::{
     mem::MaybeUninit,
     ops::ControlFlow,
     sync::{Arc, atomic::Ordering, mpsc},
-    thread::JoinHandle,
 };
 
 use super::{
@@ -14,6 +13,7 @@ use super::{
     handle::{LiveHandle, LiveWatch, LoopChannels, RecordOutputs, RecordReader, Shared, channels},
     handshakes::StartError,
     live_loop::{LiveLoop, LiveSettings, LoopReport, LoopSide, RecordedSide},
+    own_thread::OwnThread,
     socket::PeerSocket,
     system::{self, Kept, LaterMemory, RealtimeReport},
 };
@@ -30,7 +30,7 @@ pub type Ended = (LoopReport, Option<Box<FlightRecorder>>);
 /// A live loop on its own thread.
 #[derive(Debug)]
 pub struct LiveRun {
-    thread: Option<JoinHandle<Ended>>,
+    thread: OwnThread<Ended>,
     handle: LiveHandle,
     realtime: RealtimeReport,
 }
@@ -135,7 +135,7 @@ fn spawned(parts: Parts, watch: &LiveWatch) -> Result<LiveRun, StartError> {
     })?;
     let realtime = granted.recv().map_err(io::Error::other)?;
     realtime.check(settings.realtime.demand)?;
-    Ok(LiveRun { thread: Some(thread), handle: watch.handle().clone(), realtime })
+    Ok(LiveRun { thread: OwnThread::new(thread), handle: watch.handle().clone(), realtime })
 }
 
 impl LiveRun {
@@ -146,13 +146,13 @@ impl LiveRun {
 
     /// Whether the loop has ended.
     pub fn is_finished(&self) -> bool {
-        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
+        self.thread.is_finished()
     }
 
     /// Ends the loop and returns how it went; none if it was joined before or the loop panicked.
     pub fn join(&mut self) -> Option<Ended> {
         self.handle.stop();
-        self.thread.take()?.join().ok()
+        self.thread.join()
     }
 }
 

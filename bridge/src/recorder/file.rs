@@ -15,7 +15,7 @@ use std::{
 
 use mcap::{WriteOptions, Writer, records::MessageHeader, records::Metadata, write::NoSeek};
 use rustix::{
-    fs::{OFlags, fstatvfs},
+    fs::{OFlags, fcntl_getfl, fcntl_setfl, fstatvfs},
     io::Errno,
 };
 
@@ -190,19 +190,25 @@ impl FreeSpace {
 
 /// Opens a file for its owner alone, from its begin.
 ///
-/// A link is not followed: in a folder that others may write to, it would have this process write where they say.
+/// A link is not followed: in a folder that others may write to, it would have this process write where they say. A pipe
+/// needs its reader: to wait for one would hold up every signal.
 pub(super) fn create(path: &Path) -> io::Result<File> {
-    let nofollow = i32::try_from(OFlags::NOFOLLOW.bits()).unwrap_or(0);
+    let flags = i32::try_from((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits()).unwrap_or(0);
     let mut options = OpenOptions::new();
-    let opened =
-        options.write(true).create(true).truncate(true).mode(0o600).custom_flags(nofollow).open(path);
+    let opened = options.write(true).create(true).truncate(true).mode(0o600).custom_flags(flags).open(path);
     let file = opened.map_err(|error| match error.raw_os_error().map(Errno::from_raw_os_error) {
         Some(Errno::LOOP) => io::Error::new(
             io::ErrorKind::InvalidInput,
             "is a symbolic link, must be a file: a recording follows none",
         ),
+        Some(Errno::NXIO) => io::Error::new(
+            io::ErrorKind::InvalidInput,
+            "is a pipe or device that nobody reads: start its reader first",
+        ),
         _ => error,
     })?;
+    // Once the file is open, writes may block: they have a thread of their own.
+    fcntl_setfl(&file, fcntl_getfl(&file)? - OFlags::NONBLOCK)?;
     // One that was there has the rights that it had; a pipe or a device is somebody else's.
     if file.metadata()?.is_file() {
         file.set_permissions(Permissions::from_mode(0o600))?;

@@ -4,6 +4,7 @@ Exit status: 0 success, 1 a failed run, 2 a bad request, 130 interrupted, 141 a 
 """
 
 import contextlib
+import errno
 import inspect
 import io
 import os
@@ -142,6 +143,7 @@ NEVER_WAITS = frozenset(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit status."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    _print_all_characters()
     # What a command writes is its user's alone: recordings say what a hand did.
     before = os.umask(0o077)
     try:
@@ -160,6 +162,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _unwritten(error)
     finally:
         os.umask(before)
+
+
+def _print_all_characters() -> None:
+    """Has text streams print a question mark for what their encoding lacks; reports and tables go as bytes."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+            stream.reconfigure(errors="replace")
 
 
 def _main(arguments: Sequence[str]) -> int:
@@ -517,6 +526,8 @@ def complain(error: Exception, status: int, *, debug: bool = False, remedy: str 
     text = str(error) or ("no memory was left" if isinstance(error, MemoryError) else type(error).__name__)
     if isinstance(error, OSError) and error.strerror and text.startswith("[Errno"):
         text = error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
+    if getattr(error, "errno", None) == errno.EBADF or text.endswith(f"(os error {errno.EBADF})"):
+        text += ": something in this process, as a driver or a library, has closed its files and sockets"
     text = LONG_NUMBER.sub(lambda number: repr(float(number[0])), " ".join(f"{text}{remedy}".split()))
     print(f"haptether: {printable(text)}", file=sys.stderr)
     return status

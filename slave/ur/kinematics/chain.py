@@ -30,10 +30,13 @@ from typing import Final
 import msgspec
 import numpy as np
 
+from haptether.input_file import read_text
 from haptether.slave.ur.kinematics.models import Six, UrModel
 from haptether.slave.ur.kinematics.pose import Array
 from haptether.slave.ur.kinematics.symbolic import Symbol, casadi_module
 
+MAX_BYTES: Final = 1 << 16
+"""Largest file of a calibration."""
 NOT_ROTATION: Final = 1e-9
 """How far a tool's rotation may be from one."""
 
@@ -101,7 +104,10 @@ def read_calibration(path: Path | str, model: UrModel) -> UrCalibration:
         OSError: The file cannot be read.
     """
     try:
-        table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        table = tomllib.loads(read_text(path, MAX_BYTES))
+        if not table:
+            message = f"is empty: must have one or more of {', '.join(UrCalibration.__struct_fields__)}"
+            raise ValueError(message)
         calibration = msgspec.convert(table, UrCalibration)
         calibration.check(model)
     except ValueError as error:

@@ -15,7 +15,7 @@ use std::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
-    thread::{self, JoinHandle},
+    thread,
     time::{Duration, Instant},
 };
 
@@ -30,7 +30,7 @@ use self::{
     hold::{Beat, Held, Hold},
     request::{Answer, Request, Status},
 };
-use super::{handle::ControlPort, handle::Ineffective};
+use super::{handle::ControlPort, handle::Ineffective, own_thread::OwnThread};
 use crate::{command::OperatorCommand, live_socket::LiveSocket, wire::Role};
 
 /// At once; a further one closes the idlest, so that no program keeps a stop out.
@@ -76,14 +76,14 @@ impl ControlSocket {
             let server = Server { socket, spare, role, port, has_driver, hold, connected, next: 0 };
             server.serve(&theirs);
         })?;
-        Ok(Control { thread: Some(thread), is_over, path })
+        Ok(Control { thread: OwnThread::new(thread), is_over, path })
     }
 }
 
 /// The thread that serves a control socket, and ends with this.
 #[derive(Debug)]
 pub struct Control {
-    thread: Option<JoinHandle<()>>,
+    thread: OwnThread<()>,
     is_over: Arc<AtomicBool>,
     path: PathBuf,
 }
@@ -98,9 +98,7 @@ impl Control {
 impl Drop for Control {
     fn drop(&mut self) {
         self.is_over.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
+        let _ = self.thread.join();
     }
 }
 

@@ -171,6 +171,10 @@ impl Column {
 
     /// Forgets what comes after the first `ticks`.
     pub(super) fn truncate(&mut self, ticks: usize) {
+        if ticks == 0 {
+            // The first value that is kept says of which kind they are.
+            self.values = Values::Unknown(0);
+        }
         match &mut self.values {
             Values::Unknown(count) => *count = ticks.min(*count),
             Values::Axes { rows, width } => rows.truncate(ticks * *width),

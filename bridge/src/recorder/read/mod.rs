@@ -14,7 +14,7 @@ use mcap::{
     records::{Record, op},
     sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
-use row::Table;
+use row::{TIME, Table};
 
 use super::file::METADATA;
 
@@ -40,6 +40,10 @@ pub struct ReadRecording {
     pub causes: Vec<Vec<u8>>,
     /// Whether the file has its end.
     pub whole: bool,
+    /// Records, of ticks or others, that are not valid and were left out.
+    pub invalid: usize,
+    /// True if reading ended at bytes that are no record, before the end of the file.
+    pub damaged: bool,
 }
 
 /// Why a recording was not read.
@@ -55,7 +59,7 @@ pub enum ReadError {
     Compressed(String),
 }
 
-/// Reads what a recorder wrote, until the end or until something is no record of it.
+/// Reads what a recorder wrote, until the end or until bytes are no record. Records that are not valid are left out.
 ///
 /// What it takes of memory is bounded by a multiple of the bytes that were read.
 pub fn read_recording(from: impl Read) -> Result<ReadRecording, ReadError> {
@@ -85,7 +89,7 @@ enum Channel {
 }
 
 impl Reading {
-    /// Whether all of it is as a recorder writes it.
+    /// True if it was read to its end.
     fn read(&mut self, mut from: impl Read) -> Result<bool, ReadError> {
         let options = LinearReaderOptions::default().with_record_length_limit(MAX_RECORD);
         let mut reader = LinearReader::new_with_options(options);
@@ -104,9 +108,7 @@ impl Reading {
                 None => return Ok(true),
                 Some(Ok(LinearReadEvent::ReadRequest(bytes))) => need = bytes,
                 Some(Ok(LinearReadEvent::Record { opcode, data })) => {
-                    if !self.take(opcode, data) {
-                        return Ok(false);
-                    }
+                    self.recording.invalid += usize::from(!self.take(opcode, data));
                     if opcode == op::FOOTER {
                         self.recording.whole = true;
                     }
@@ -114,7 +116,10 @@ impl Reading {
                 Some(Err(McapError::UnsupportedCompression(name))) if self.is_ours() => {
                     return Err(ReadError::Compressed(name.escape_default().take(20).collect()));
                 }
-                Some(Err(_)) => return Ok(false),
+                Some(Err(error)) => {
+                    self.recording.damaged = !matches!(error, McapError::UnexpectedEof);
+                    return Ok(false);
+                }
             }
         }
     }
@@ -174,7 +179,7 @@ impl Reading {
             return false;
         }
         if self.table.ticks == 1 {
-            let Some(column) = self.table.columns.iter().find(|column| column.name == "time_ns") else {
+            let Some(column) = self.table.columns.iter().find(|column| column.name == TIME) else {
                 return false;
             };
             let Values::Counts(times) = &column.values else { return false };

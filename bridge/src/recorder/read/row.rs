@@ -4,7 +4,10 @@ use std::{collections::HashMap, fmt};
 
 use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
-use super::column::{Cell, Column, Unfit};
+use super::column::{Cell, Column, Unfit, Values};
+
+/// The signal that counts the ns since the run began.
+pub(super) const TIME: &str = "time_ns";
 
 /// The signals of a recording, tick by tick.
 #[derive(Debug, Default)]
@@ -12,20 +15,25 @@ pub(super) struct Table {
     pub(super) columns: Vec<Column>,
     pub(super) ticks: usize,
     places: HashMap<String, usize>,
+    /// Place of the column of times, if the schema has one.
+    time: Option<usize>,
     /// Columns in the order in which the last message named them: the next one is of the same order.
     order: Vec<usize>,
 }
 
 impl Table {
     pub(super) fn new(columns: Vec<Column>) -> Self {
-        let places = columns.iter().enumerate().map(|(place, column)| (column.name.clone(), place)).collect();
-        Self { columns, ticks: 0, places, order: Vec::new() }
+        let place = |(place, column): (usize, &Column)| (column.name.clone(), place);
+        let places: HashMap<_, _> = columns.iter().enumerate().map(place).collect();
+        let time = places.get(TIME).copied();
+        Self { columns, ticks: 0, places, time, order: Vec::new() }
     }
 
     /// Takes the message of the next tick; nothing of one that does not fit. What it does not name is null.
     pub(super) fn push(&mut self, message: &[u8]) -> bool {
         let mut json = serde_json::Deserializer::from_slice(message);
-        let is_taken = Row(self).deserialize(&mut json).is_ok() && json.end().is_ok() && self.fill();
+        let is_taken =
+            Row(self).deserialize(&mut json).is_ok() && json.end().is_ok() && self.fill() && self.is_later();
         if is_taken {
             self.ticks += 1;
         } else {
@@ -33,6 +41,14 @@ impl Table {
             self.columns.iter_mut().for_each(|column| column.truncate(ticks));
         }
         is_taken
+    }
+
+    /// True if the time of the new tick is a count of 0 or more, after that of the tick before.
+    fn is_later(&self) -> bool {
+        let Some(place) = self.time else { return true };
+        let Values::Counts(times) = &self.columns[place].values else { return false };
+        let before = self.ticks.checked_sub(1).map_or(-1, |before| times[before]);
+        times[self.ticks] > before
     }
 
     fn fill(&mut self) -> bool {

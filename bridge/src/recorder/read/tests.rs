@@ -78,6 +78,59 @@ fn a_file_that_was_cut_off_is_read_as_far_as_it_goes() {
     assert_eq!(before, 20);
 }
 
+/// One invalid tick of 100: all others are read, to the end.
+#[test]
+fn a_tick_that_is_not_valid_is_left_out_alone() {
+    let garbled: [(&[u8], &[u8]); 5] = [
+        (b"{\"time_ns\":", b"}\"time_ns\":"),
+        (b"\"time_ns\":", b"\"time_ns\";"),
+        (b"\"time_ns\":5", b"\"time_ns\":-"),
+        (b"\"position\":[", b"\"position\":{"),
+        (b"\"state\":\"", b"\"state\":7"),
+    ];
+    let whole = file(100);
+    for (from, to) in garbled {
+        assert_eq!(from.len(), to.len());
+        let places: Vec<_> = (0..whole.len()).filter(|&at| whole[at..].starts_with(from)).collect();
+        assert!(!places.is_empty(), "{}", String::from_utf8_lossy(from));
+        for some in [&places[..1], &places[places.len() / 2..][..1], &places[places.len() - 1..]] {
+            let mut bytes = whole.clone();
+            for &at in some {
+                bytes[at..at + to.len()].copy_from_slice(to);
+            }
+            let recording = read(&bytes);
+            let found = (recording.ticks, recording.invalid, recording.damaged, recording.whole);
+            assert_eq!(found, (99, 1, false, true), "{}", String::from_utf8_lossy(to));
+        }
+    }
+}
+
+#[test]
+fn times_that_do_not_increase_from_zero_are_left_out() {
+    let mut table = Table::new(vec![Column::new(TIME.to_owned(), String::new())]);
+    for (time, is_taken) in
+        [("-1", false), ("null", false), ("0.5", false), ("0", true), ("0", false), ("9", true), ("8", false)]
+    {
+        assert_eq!(table.push(format!(r#"{{"time_ns": {time}}}"#).as_bytes()), is_taken, "{time}");
+    }
+    assert_eq!(table.columns[0].values, Values::Counts(vec![0, 9]));
+}
+
+#[test]
+fn bytes_that_are_no_record_are_told_from_a_file_that_was_cut_off() {
+    let whole = file(20);
+    let cut = read(&whole[..whole.len() / 2]);
+    assert_eq!((cut.whole, cut.damaged), (false, false));
+    let chunk =
+        whole.windows(9).rposition(|at| at[0] == op::CHUNK && at[4..9] == [0; 5] && at[3] < 1).unwrap();
+    let mut bytes = whole;
+    // The length of the record: no file is that long.
+    bytes[chunk + 1..chunk + 9].fill(127);
+    let damaged = read(&bytes);
+    assert_eq!((damaged.whole, damaged.damaged), (false, true));
+    assert!(damaged.ticks > 0 && damaged.ticks < 20, "{}", damaged.ticks);
+}
+
 /// A table of one signal each: what the messages say of it, and what is kept of them.
 #[test]
 fn a_message_that_does_not_fit_ends_the_reading() {

@@ -92,7 +92,7 @@ pub(super) const OPTIONS: [&str; 13] = [
 ];
 
 impl Arguments {
-    /// Reads the arguments, with or without the command before them.
+    /// Reads the arguments, with or without the command before them, or what `tc qdisc show` prints of a netem.
     pub(super) fn read(text: &str) -> Result<Self, LinkSettingsError> {
         Self::parse(text).map_err(|error| {
             LinkSettingsError::contradiction("netem", format!("column {}: {}", error.column, error.problem))
@@ -104,11 +104,16 @@ impl Arguments {
             return Err(ParseError::new(1, MAX_TEXT_BYTES, format!("longer than {MAX_TEXT_BYTES} bytes")));
         }
         let mut words = Words::new(text);
-        words.skip_command()?;
+        let is_shown = words.skip_command()?;
         let mut arguments = Self::default();
         let mut has_loss = false;
         let mut ecn = None;
         while let Some(word) = words.next() {
+            if is_shown && word.text == "seed" {
+                // Of the kernel's generator, which a link does not have.
+                words.next();
+                continue;
+            }
             let Some(option) = OPTIONS.into_iter().find(|option| option.starts_with(word.text)) else {
                 return Err(word.unknown());
             };
@@ -189,6 +194,7 @@ fn read_loss(words: &mut Words<'_>) -> Result<Loss, ParseError> {
     match words.peek().map(|word| word.text) {
         Some("state") => {
             words.next();
+            words.skip_label("p13");
             let p13 = words.percent("p13")?;
             let p31 = words.percent_or(u32::MAX - p13, "p31")?;
             let p32 = words.percent_or(0, "p32")?;
@@ -198,6 +204,7 @@ fn read_loss(words: &mut Words<'_>) -> Result<Loss, ParseError> {
         }
         Some("gemodel") => {
             words.next();
+            words.skip_label("p");
             let p = words.percent("p")?;
             let r = words.percent_or(u32::MAX - p, "r")?;
             let loss_bad = words.percent_or(u32::MAX, "1-h")?;
@@ -283,19 +290,48 @@ impl<'a> Words<'a> {
         Word { column: self.text.trim_end().len() + 1, text: "" }
     }
 
-    /// Leaves out `tc qdisc add dev X root netem`, or as much of it as there is.
-    fn skip_command(&mut self) -> Result<(), ParseError> {
+    /// Leaves out `tc qdisc add dev X root netem`, or as much of it as there is; true where `tc qdisc show` printed it.
+    ///
+    /// That is `qdisc netem 8001: dev X root refcnt 2` and the options, a line for each queue, with lines of statistics.
+    ///
+    /// Source: `tc_qdisc.c`, `print_qdisc`; `q_netem.c`, `netem_print_opt` (iproute2 6.18).
+    fn skip_command(&mut self) -> Result<bool, ParseError> {
         let begins_with_command =
             self.peek().is_some_and(|word| ["sudo", "tc", "qdisc", "netem"].contains(&word.text));
         if !begins_with_command {
-            return Ok(());
+            return Ok(false);
         }
-        for word in self.by_ref() {
-            if word.text == "netem" {
-                return Ok(());
+        while let Some(word) = self.next() {
+            if word.text != "netem" {
+                continue;
             }
+            let is_shown = self.peek().is_some_and(|word| word.text.ends_with(':'));
+            if is_shown {
+                self.next();
+                let line =
+                    self.text[self.position..].find('\n').map_or(self.text.len(), |end| self.position + end);
+                self.text = &self.text[..line];
+                while let Some(place) = self.peek() {
+                    match place.text {
+                        "root" | "ingress" | "offloaded" => {}
+                        "dev" | "parent" | "refcnt" => {
+                            self.next();
+                        }
+                        _ => break,
+                    }
+                    self.next();
+                }
+            }
+            return Ok(is_shown);
         }
         Err(self.end().error("a tc command without the word netem"))
+    }
+
+    /// Leaves out the name of the number that follows, which `tc qdisc show` prints.
+    fn skip_label(&mut self, label: &str) {
+        if self.peek().is_some_and(|word| word.text == label) {
+            self.next();
+        }
     }
 
     fn need(&mut self, name: &str) -> Result<Word<'a>, ParseError> {
@@ -358,6 +394,7 @@ impl<'a> Words<'a> {
     }
 
     fn percent_or(&mut self, default: u32, name: &str) -> Result<u32, ParseError> {
+        self.skip_label(name);
         if self.number_is_next() { self.percent(name) } else { Ok(default) }
     }
 
@@ -390,12 +427,15 @@ impl<'a> Words<'a> {
             cell_size: 0,
             cell_overhead: 0,
         };
+        self.skip_label("packetoverhead");
         if self.signed_number_is_next() {
             rate.overhead = self.integer("packet overhead", -1000, 1000)?;
         }
+        self.skip_label("cellsize");
         if self.number_is_next() {
             rate.cell_size = self.integer("cell size", 0, 65_535)?;
         }
+        self.skip_label("celloverhead");
         if self.signed_number_is_next() {
             let word = self.peek();
             rate.cell_overhead = self.integer("cell overhead", -1000, 1000)?;

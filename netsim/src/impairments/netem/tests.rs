@@ -274,6 +274,44 @@ fn arguments_are_read_as_tc_reads_them() {
     assert_eq!(read("delay 1s 3s").jitter_ns, i64::from(i32::MAX));
 }
 
+/// Each line as `tc qdisc show` of iproute2 prints it, and the arguments that it was made with.
+#[test]
+fn a_line_of_tc_qdisc_show_is_read_as_the_arguments_that_made_it() {
+    let cases = [
+        ("limit 1000 delay 50ms  10ms 25% loss 1% 25%", "delay 50ms 10ms 25% loss 1% 25%"),
+        ("limit 1000 delay 100ms seed 13237219379021", "delay 100ms"),
+        (
+            "limit 200 delay 5ms loss state p13 1% p31 99% p32 0% p23 100% p14 0% ecn",
+            "limit 200 delay 5ms loss state 1% 99% 0% 100% 0%",
+        ),
+        ("limit 9 loss gemodel p 1% r 10% 1-h 70% 1-k 0.1%", "limit 9 loss gemodel 1% 10% 70% 0.1%"),
+        (
+            "limit 1000 delay 10ms duplicate 1% reorder 25% 50% corrupt 0.1% gap 5",
+            "delay 10ms duplicate 1% reorder 25% 50% corrupt 0.1% gap 5",
+        ),
+        ("limit 1000 rate 1Mbit packetoverhead 20 cellsize 100 celloverhead 5", "rate 1mbit 20 100 5"),
+    ];
+    let before = [
+        "qdisc netem 8001: root refcnt 2 ",
+        "qdisc netem 8001: dev eth0 root refcnt 2 ",
+        "qdisc netem 10: dev eth0 parent 1:1 ",
+        "qdisc netem 8001: dev eth0 root offloaded refcnt 2 ",
+        "qdisc noqueue 0: dev lo root refcnt 2\nqdisc netem 8001: dev eth0 root refcnt 2 ",
+    ];
+    let after = [
+        "",
+        "\n",
+        "\n Sent 98 bytes 1 pkt (dropped 0, overlimits 0 requeues 0)\n backlog 0b 0p requeues 0\n",
+    ];
+    for (shown, made) in cases {
+        for (before, after) in before.iter().flat_map(|before| after.iter().map(move |after| (before, after)))
+        {
+            let text = format!("{before}{shown}{after}");
+            assert_eq!(Arguments::read(&text), Arguments::read(made), "{text}");
+        }
+    }
+}
+
 #[test]
 fn an_error_says_where_in_the_text_it_is() {
     let cases = [

@@ -1,5 +1,6 @@
 """Options of the live commands, and what they become: keyword arguments of a side, and the key of its session."""
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -91,7 +92,10 @@ def telemetry_of(command: "Master | Slave") -> Path | None:
     from haptether.cli.live.run_folder import default_telemetry
 
     if command.telemetry is None:
-        return default_telemetry(type(command).__name__.lower())
+        path = default_telemetry(type(command).__name__.lower())
+        if path is None:
+            print("note: no telemetry: no folder can be private to you: give --telemetry PATH", file=sys.stderr)
+        return path
     return None if str(command.telemetry) == "none" else command.telemetry
 
 

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
 
+from haptether.child import child_environment, module_command
 from haptether.cli.shared.output import QueuedBuffer, QueuedWriter
 
 if TYPE_CHECKING:
@@ -39,10 +40,10 @@ class PanelProcess:
 
     def __init__(self, telemetry: Path) -> None:
         self._process = subprocess.Popen(
-            # The folder that the side was started in is no place for modules.
-            [sys.executable, "-P", "-m", "haptether.cli.live.panel_process", str(telemetry)],
+            module_command("haptether.cli.live.panel_process", str(telemetry)),
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
+            env=child_environment(),
         )
         assert self._process.stdin is not None
         self._pipe = self._process.stdin

@@ -12,20 +12,25 @@ from haptether.private_file import refuse_link
 
 MAX_PATH = 107
 """Bytes of the path of a Unix socket; Linux, `struct sockaddr_un`."""
-
+LONGEST_NAME = "master-4194304.sock"
+"""Longest name of a socket: Linux has no larger process number."""
 
 STALE_S = 60.0
 """Until a socket at which nobody listens was left behind, and not just made by a process that is not seen from here."""
 
 
 def run_folder() -> Path | None:
-    """`$XDG_RUNTIME_DIR/haptether`, or a folder of this user among temporary files; none where neither can be private.
+    """`$XDG_RUNTIME_DIR/haptether`, or a folder of this user among temporary files; none where none can be private.
 
-    Whoever may write there could take a socket's place, so it must be this user's, and nobody else's to enter.
+    Whoever may write there could take a socket's place, so it must be this user's, and nobody else's to enter. Where
+    `$TMPDIR` is too long for the path of a socket, it is in /tmp.
     """
     base = os.environ.get("XDG_RUNTIME_DIR")
-    others = Path(tempfile.gettempdir()) / f"haptether-{os.getuid()}"
-    for folder in (Path(base) / "haptether", others) if base else (others,):
+    own = f"haptether-{os.getuid()}"
+    folders = [*([Path(base) / "haptether"] if base else []), Path(tempfile.gettempdir()) / own, Path("/tmp") / own]
+    for folder in folders:
+        if len(os.fsencode(folder / LONGEST_NAME)) > MAX_PATH:
+            continue
         with contextlib.suppress(OSError, ValueError):
             refuse_link(folder)
             folder.mkdir(mode=0o700, exist_ok=True)
@@ -38,8 +43,7 @@ def run_folder() -> Path | None:
 def default_telemetry(side: str) -> Path | None:
     """Where a side of this process sends its telemetry; none where there is no private folder."""
     folder = run_folder()
-    path = None if folder is None else folder / f"{side}-{os.getpid()}.sock"
-    return None if path is None or len(os.fsencode(path)) > MAX_PATH else path
+    return None if folder is None else folder / f"{side}-{os.getpid()}.sock"
 
 
 def running_sides() -> list[Path]:

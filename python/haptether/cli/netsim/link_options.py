@@ -115,7 +115,7 @@ def _read(scene: str | None) -> tuple[dict[str, Any], int, Path]:
     if scene is None:
         return {}, 0, Path()
     path = Path(scene)
-    if scene in scene_names(attacks=True) or not path.is_file():
+    if scene in scene_names(attacks=True) or path.is_dir() or not path.exists():
         path = _shipped(scene)
     raw = _toml(path)
     if "master" in raw:
@@ -144,13 +144,14 @@ def _shipped(scene: str) -> Path:
 
 def _toml(path: Path) -> dict[str, Any]:
     from haptether.bridge import SceneError
+    from haptether.bridge.scene.load import scene_text
 
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
+        return tomllib.loads(scene_text(path))
+    except ValueError as error:
         message = f"{path.name}: {error}"
-    except UnicodeDecodeError as error:
-        message = f"{path.name}: must be UTF-8: {error.reason} at byte {error.start}"
+    except OSError as error:
+        message = f"{path}: cannot be read: {error.strerror}"
     raise SceneError(message)
 
 

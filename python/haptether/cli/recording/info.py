@@ -80,6 +80,7 @@ def described(recording: "Recording") -> dict[str, Any]:
         "version": recording.version or None,
         "begun": begun,
         "whole": recording.whole,
+        "problems": recording.problems,
         "security": recording.security,
         "ticks": ticks,
         "duration_s": float(time_s[-1] - time_s[0]) if ticks else 0.0,
@@ -101,7 +102,8 @@ def _print_table(file: Path, report: dict[str, Any], console: Any) -> None:  # n
         "begun": report["begun"],
         "Haptether": report["version"],
         "frames": "encrypted" if report["security"] == "secure" else "in plain sight",
-        "file": "whole" if report["whole"] else "cut off: killed, or the disk was full",
+        "file": "; ".join(report["problems"])
+        or ("whole" if report["whole"] else "cut off: killed, or the disk was full"),
         "duration [s]": f"{report['duration_s']:.3f}",
         "ticks": f"{report['ticks']}",
         "axes": f"{report['axes']}" if report["ticks"] else None,

@@ -70,7 +70,7 @@ class Replay(PictureOptions):
                 message = f"{self.file}: {str(error).removeprefix(f'{recording.side}: ')}"
                 raise ValueError(message) from None
         console = screen(self.json)
-        _print(self.file, done, console)
+        _print(self.file, done, console, of="all" if recording.whole and not recording.problems else "the valid")
         write_report(self.json, reported(self.file, done))
         if picture is not None:
             from haptether.view.figures.replay import draw_replay
@@ -99,7 +99,7 @@ def reported(file: Path, done: "Replayed") -> dict[str, Any]:
     }
 
 
-def _print(file: Path, done: "Replayed", console: "Screen") -> None:
+def _print(file: Path, done: "Replayed", console: "Screen", *, of: str) -> None:
     import msgspec
 
     from haptether.cli.shared.table import Column, Rows
@@ -120,7 +120,7 @@ def _print(file: Path, done: "Replayed", console: "Screen") -> None:
             f"{hand.explained:.0%} of what the remote force moves",
         )
     if done.identical:
-        console.print(f"the forces of all {len(done.time_s)} ticks are those of the recording, bit for bit")
+        console.print(f"the forces of {of} {len(done.time_s)} ticks are those of the recording, bit for bit")
     elif done.parts_s is None:
         console.print("the device force never differs by more than 1 mN")
     else:

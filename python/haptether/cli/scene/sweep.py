@@ -103,6 +103,8 @@ class Sweep(PictureOptions):
     """Write all rows as CSV, as Parquet or as NumPy arrays. They are kept in FILE.partial while the sweep runs."""
     resume: bool = False
     """Go on with the rows that an interrupted sweep has kept; all other options as they were."""
+    force: bool = False
+    """Replace a file of --out that is there and may be of another sweep."""
     engine: Literal["local", "dask"] = "local"
     """Where rows are computed, with --out: by threads here, or by the workers of a Dask cluster."""
     address: Annotated[str | None, tyro.conf.arg(metavar="tcp://HOST:PORT")] = None
@@ -176,13 +178,15 @@ class Sweep(PictureOptions):
         def interval(pair: tuple[float, float] | None) -> str:
             return "-" if pair is None else f"{pair[0]:.4g} to {pair[1]:.4g}"
 
-        names = ["rows", "mean", "95 %", *(["difference", "95 % of it"] if baseline else [])]
+        marked = ["diverged"] if any(row.diverged for row in summary) else []
+        names = ["rows", *marked, "mean", "95 %", *(["difference", "95 % of it"] if baseline else [])]
         for quantity in self.summary:
             of = quantity if baseline is None else f"{quantity}, difference to {self.against}"
             table = Rows(*by, *(Column(name, numbers=True) for name in names), keys=max(1, len(by)), title=of)
             for row in (row for row in summary if row.quantity == quantity):
                 group = [f"{each:.10g}" if isinstance(each, float) else str(each) for each in row.group.values()]
-                cells = [str(row.measured), shown(row.mean), interval(row.interval)]
+                cells = [str(row.measured), *([str(row.diverged)] if marked else [])]
+                cells += [shown(row.mean), interval(row.interval)]
                 cells += [shown(row.difference), interval(row.difference_interval)] if baseline else []
                 table.add(*group, *cells)
             console.print(table)
@@ -224,6 +228,7 @@ class Sweep(PictureOptions):
                         overrides=self.set,
                         threads=self.threads,
                         resume=self.resume,
+                        replace=self.force,
                         collect=collect,
                         engine=self.engine,
                         address=self.address,
