@@ -143,7 +143,7 @@ def test_the_table_of_a_measurement_fits(capsys: pytest.CaptureFixture[str], mon
         **{f"{path}_{percent}_s": 12.345678 for path in ("round_trip", "forward", "backward") for percent in
            ("p50", "p99")},
     }  # fmt: skip
-    Record(peer="127.0.0.1:9")._print(figures)
+    Record(peer="127.0.0.1:9")._print(figures, "192.0.2.7:9200")
     text = capsys.readouterr().out
     fits(text.partition("only the sum")[0])
     assert text.count("12345.678 ms") == 7
