@@ -270,7 +270,7 @@ impl FrameLink {
     }
 
     /// As [`receive_frame`](Self::receive_frame), with what the frame says of itself.
-    #[inline(always)] // as all of what takes a frame: docs/architecture.md
+    #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     pub(crate) fn take_frame(
         &mut self,
         time: LinkTime,
@@ -289,7 +289,7 @@ impl FrameLink {
         self.take(time, self.layout.axes, received.as_deref().map_err(|error| *error))
     }
 
-    #[inline(always)] // as all of what takes a frame: docs/architecture.md
+    #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     fn take(
         &mut self,
         time: LinkTime,
@@ -415,7 +415,7 @@ impl FrameLink {
     }
 
     /// Makes the next frame, of `axes` axes, of an empty one or of one that this link has made before.
-    #[inline(always)] // as all that makes a frame: docs/architecture.md
+    #[inline(always)] // makes a frame: docs/decisions/060-ticks-in-a-row.md
     pub(crate) fn fill_frame(
         &mut self,
         time: LinkTime,

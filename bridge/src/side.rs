@@ -40,7 +40,7 @@ pub trait Side {
 
     /// The same of a frame whose bytes nobody has looked at, without them. A side that looks at datagrams in
     /// [`receive`](Self::receive) is run with [`encoded`](crate::VirtualSettings::encoded) frames.
-    #[inline(always)] // as all of what takes a frame: docs/architecture.md
+    #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     fn receive_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<(), RejectReason> {
         let axes = self.axes();
         self.exchange_mut().receive_frame(time, frame, axes)
@@ -68,7 +68,7 @@ pub trait Side {
     }
 
     /// The frame of this tick, not written.
-    #[inline(always)] // as all that makes a frame: docs/architecture.md
+    #[inline(always)] // makes a frame: docs/decisions/060-ticks-in-a-row.md
     fn fill_frame(&mut self, time: LinkTime, frame: &mut Frame) {
         let axes = self.axes();
         self.exchange_mut().fill_frame(time, axes, frame);

@@ -165,7 +165,7 @@ impl OneWay {
 
     /// The same of the next frame of a side, which is its datagram: it has bytes only where somebody changes them. Where
     /// nobody does, it waits for [`carry_sent`](Self::carry_sent).
-    #[inline(always)] // as all of what takes a frame: docs/architecture.md
+    #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     fn carry_next_frame(&mut self, side: &mut impl Side, time: LinkTime, now_ns: u64, back: &mut Self) {
         if self.link.changes_packets() {
             self.carry_changing(now_ns, &build_frame(side, time), back);

@@ -596,7 +596,7 @@ impl Frame {
 
     /// Becomes `other`, a frame of `count` axes, part by part: parts that most frames lack are long, and a reader of one part
     /// does not wait for all.
-    #[inline(always)] // as all of what takes a frame: docs/architecture.md
+    #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     pub(crate) fn replace(&mut self, other: &Self, count: usize) {
         // By reference: what is not assigned is not read.
         let Self {
@@ -664,7 +664,7 @@ impl Frame {
     };
 
     /// Takes the numbers of a port of `axes` axes.
-    #[inline(always)] // as all that makes a frame: docs/architecture.md
+    #[inline(always)] // makes a frame: docs/decisions/060-ticks-in-a-row.md
     pub(crate) fn take_port(&mut self, port: &PortState, axes: usize) {
         copy_axes(&mut self.position, &port.position, axes);
         copy_axes(&mut self.velocity, &port.velocity, axes);
@@ -673,13 +673,13 @@ impl Frame {
     }
 
     /// Whether the frame is read as it was written: it has neither gripper nor rotation.
-    #[inline(always)] // as all of what takes a frame: docs/architecture.md
+    #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     pub(crate) fn is_plain(&self) -> bool {
         self.gripper.is_none() && self.rotation.is_none() && self.kind != SideKind::Pose
     }
 
     /// The checks of a [plain](Self::is_plain) frame of the right layout and role: without a gripper no flag is refused.
-    #[inline(always)] // as all of what takes a frame: docs/architecture.md
+    #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     pub(crate) fn check_plain(&self, axes: usize) -> Result<(), WireError> {
         self.check_energy()?;
         self.check_body(axes)
@@ -750,7 +750,7 @@ impl Frame {
     }
 
     /// What is checked after that.
-    #[inline(always)] // as all of what takes a frame: docs/architecture.md
+    #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     fn check_body(&self, axes: usize) -> Result<(), WireError> {
         let (sequence, from) = (self.sequence, self.role);
         if let (Role::Slave, Some(buttons @ 1..)) = (from, self.buttons) {

@@ -12,7 +12,8 @@ from haptether.cli import main
 pytestmark = pytest.mark.live
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+DECISIONS = ROOT / "docs" / "decisions"
 SNIPPETS = [
     (page.name, snippet)
     for page in PAGES
@@ -38,6 +39,13 @@ def test_python_in_documents_runs(page: str, snippet: str, tmp_path: Path) -> No
 def test_links_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text()):
         assert (page.parent / target).exists(), target
+
+
+def test_each_decision_has_a_number_and_is_listed_once() -> None:
+    listed = re.findall(r"^- \[[^]]+\]\((\d{3}-[a-z0-9-]+\.md)\)", (DECISIONS / "README.md").read_text(), re.MULTILINE)
+    assert sorted(listed) == sorted(page.name for page in DECISIONS.glob("*.md") if page.name != "README.md")
+    numbers = [name[:3] for name in listed]
+    assert len(set(numbers)) == len(numbers)
 
 
 def test_the_scene_of_the_page_can_be_built(tmp_path: Path) -> None:

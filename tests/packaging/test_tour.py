@@ -8,7 +8,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 TOUR = ROOT / "docs" / "tour.md"
-PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *(ROOT / "docs").glob("*.md")])
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *(ROOT / "docs").rglob("*.md")])
 FILE = re.compile(r"[\w.-]+(?:/[\w.-]+)+\.(?:rs|py|pyi|md|toml)")
 NOT_YET = {"safety/src/controller/speed.rs", "src/my_stylus/driver.py"}
 """The controller that CONTRIBUTING shows how to add, and what `haptether new-driver` writes."""

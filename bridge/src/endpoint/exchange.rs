@@ -171,7 +171,7 @@ impl Exchange {
     }
 
     /// The same of a frame whose bytes nobody has looked at, without them.
-    #[inline(always)] // as all of what takes a frame: docs/architecture.md
+    #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame, axes: usize) -> Result<(), RejectReason> {
         let is_known = self.link.newest().is_some();
         let head = self.link.take_frame(time, frame, axes)?;
@@ -180,7 +180,7 @@ impl Exchange {
     }
 
     /// The link has taken a frame; `is_known`: not its first.
-    #[inline(always)] // as all of what takes a frame: docs/architecture.md
+    #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     fn accepted(&mut self, time: LinkTime, is_known: bool, head: &FrameHead) {
         let FrameHead { begins, sequence, sent_ns, state, reason, ending, text } = *head;
         if begins {
@@ -405,7 +405,7 @@ impl Exchange {
     }
 
     /// Makes the frame of this tick, of `axes` axes, of an empty one or of one that this side has made before.
-    #[inline(always)] // as all that makes a frame: docs/architecture.md
+    #[inline(always)] // makes a frame: docs/decisions/060-ticks-in-a-row.md
     pub(crate) fn fill_frame(&mut self, time: LinkTime, axes: usize, frame: &mut Frame) {
         // Who ends follows and leads no more, whatever its ladder says.
         let state = match self.ladder.state() {

@@ -96,7 +96,7 @@ impl PeerPath {
     ///
     /// It is taken at `now_ns` and had arrived by `by_ns`, which is later where the loop woke late. When ours left we
     /// know ourselves; of the echo only the counter and the time held are used.
-    #[inline(always)] // as all of what takes a frame: docs/architecture.md
+    #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     pub fn newest(&mut self, sent_ns: u64, echo: Option<&Echo>, now_ns: u64, by_ns: u64) {
         let exchanged = echo.and_then(|echo| Some((self.age.sent_at(echo.sequence)?, echo.held_ns)));
         let aged =

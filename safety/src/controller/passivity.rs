@@ -12,9 +12,9 @@ use crate::{
 /// `F_pc = E_so / (V dT)` for `E_so < 0`, else 0; for vectors `F_pc = E_so V / (|V|² dT)`.
 ///
 /// The paper prints `-E_so / (V dT)`: there a force counts against the motion, here a positive force pushes
-/// along +x (`docs/architecture.md`, signs). The division by V is bounded: the force never exceeds `alpha V` with
-/// alpha the largest damping that the sampled device stands, so it goes to zero with V instead of to infinity.
-/// What the bound leaves unpaid stays in `E_so` and is requested again at the next tick.
+/// along +x (`docs/architecture.md`, "Signs and symbols"). The division by V is bounded: the force never exceeds
+/// `alpha V`, with alpha the largest damping that the sampled device can render, so it goes to zero with V and not
+/// to infinity. The unpaid rest stays in `E_so` and is requested again at the next tick.
 ///
 /// Source: paper Eq. 12; Hannaford and Ryu 2002, section IV.
 #[derive(Clone, Debug, PartialEq)]
