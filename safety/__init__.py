@@ -1,4 +1,4 @@
-"""Safety observers, controllers and limits that stand between a remote push and a hand."""
+"""Safety observers, controllers and limits between a remote push and a hand."""
 
 from typing import Literal, TypeAlias
 
@@ -39,7 +39,7 @@ from haptether.safety.ejection.bound import (
 from haptether.safety.research import ResearchController, SafetyForce
 
 ControllerName: TypeAlias = Literal["vfc", "hsc", "wsc", "pc"]
-"""The names of `CONTROLLERS`, for scenes and type checkers."""
+"""Names of `CONTROLLERS`, for scenes and type checkers."""
 
 __all__ = [
     "CONTROLLERS",

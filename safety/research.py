@@ -1,4 +1,4 @@
-"""Controllers of the caller's own, in Python, for simulated runs."""
+"""Protocol of research controllers in Python, for simulated runs."""
 
 from typing import TYPE_CHECKING, Protocol, TypeAlias, runtime_checkable
 
@@ -11,17 +11,18 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
 SafetyForce: TypeAlias = "Sequence[float] | npt.NDArray[np.float64] | float | None"
-"""F_c in N, one value per axis, or a number of a device with one; none to add no force."""
+"""F_c in N: one value per axis, a number for a device with one axis, or None to add no force."""
 
 
 @runtime_checkable
 class ResearchController(Protocol):
-    """What a controller in Python is: called once a tick, after the controllers of the scene.
+    """Controller in Python, called once per tick after the controllers of the scene.
 
-    It is made for each run, with the options of `[safety.research]` as keywords, and with `axes` and `period_s` where
-    it has these. Where it also has a method `reset`, that is called when the layer forgets its past, after a fault.
+    An instance is created for each run, with the options of `[safety.research]` as keyword arguments. It also receives
+    `axes` and `period_s` if its parameters include them. An optional method `reset` is called when the layer clears its
+    past after a fault.
     """
 
     def step(self, observation: ResearchObservation) -> SafetyForce:
-        """F_c in N that is added to the rendered force, in the share that an intervention of the others leaves."""
+        """Return F_c in N, which is added to the rendered force, scaled by the share that other interventions leave."""
         ...

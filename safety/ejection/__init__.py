@@ -1,1 +1,1 @@
-"""A bound on the speed of a device that a hand has let go, from settings alone: `docs/ejection_bound.md`."""
+"""Bound of the speed of a device after a release, computed from settings: `docs/ejection_bound.md`."""

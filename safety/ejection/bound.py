@@ -1,4 +1,4 @@
-"""How fast a device can become after a hand has let it go, whatever it is told to render."""
+"""Bound of the speed of a device after a release, for any rendered force."""
 
 from collections.abc import Callable
 from math import expm1, inf, isfinite, sqrt
@@ -13,46 +13,47 @@ from haptether.safety.ejection.kernel import Kernel, exact, kernel
 from haptether.safety.ejection.push import Array, best_push, best_rising_push, worst_push
 
 MAX_LATE_S = 0.02
-"""A tick that is later is a tick that is left out: the loop drops the force."""
+"""Largest lateness in s of a tick that is executed; at a later tick the loop drops the force."""
 THROWN_SPEED = 0.5
-"""Speed in m/s above which a release has thrown the device: above the 0.36 and 0.3 m/s that WSC and HSC of the paper
-leave, and far below the 1.3 m/s without a controller.
+"""Speed in m/s above which a release counts as an ejection.
+
+It is above the 0.36 and 0.3 m/s that WSC and HSC of the paper leave, and far below the 1.3 m/s without a controller.
 
 Source: paper Fig. 9 and 10; `docs/check.md`.
 """
 BOUNDED = ("hsc", "wsc")
-"""Controllers for which there is a bound."""
+"""Controllers for which a bound exists."""
 
 
 class EjectionSettings(Struct, frozen=True, kw_only=True):
-    """What the bound depends on: device, loop, estimator, limits, thresholds, and what the hand did before."""
+    """Inputs of the bound: device, loop, estimator, limits, thresholds and the hand before the release."""
 
     controllers: tuple[str, ...]
-    """Who watches."""
+    """Controllers in use."""
     mass_kg: tuple[float, ...]
-    """m in kg that the safety layer knows, one an axis."""
+    """Mass m in kg that the safety layer assumes, one value per axis."""
     viscous: tuple[float, ...] = (0.0,)
-    """b in N s/m, one an axis."""
+    """b in N s/m, one value per axis."""
     coulomb: tuple[float, ...] = (0.0,)
-    """c in N, one an axis."""
+    """c in N, one value per axis."""
     friction: Literal["vector", "axis"] = "vector"
-    """Whether c acts along the motion, as the safety layer takes it, or on each axis by itself."""
+    """Direction of c: along the motion, as in the safety layer, or on each axis separately."""
     period_s: float = 1e-3
     """dT in s."""
     estimator: EstimatorKind | None = EstimatorKind()
-    """How V and A are had from the position; none where V itself is measured."""
+    """Estimator of V and A from the position; None if V is measured."""
     quantum_m: float = 0.0
     """Resolution of the position in m; 0 is exact."""
     max_force_n: float = 7.9
     """F_max in N."""
     max_slew_n_per_s: float = inf
-    """Largest growth of the force in N/s; unloading is free."""
+    """Largest growth of the force in N/s; unloading is not limited."""
     force_quantum_n: float = 0.0
     """Resolution of the force in N; 0 is exact."""
     energy_threshold_j: float = -0.03
     """delta in J, of WSC."""
     wsc_force_threshold_n: float = 0.0
-    """F_w in N, of WSC; 0 is as printed."""
+    """F_w in N, of WSC; 0 is Eq. 13 as printed."""
     energy_ratio: float = 0.5
     """eta, of WSC."""
     window: int = 100
@@ -64,111 +65,111 @@ class EjectionSettings(Struct, frozen=True, kw_only=True):
     hsc_force_threshold_n: float = 0.1
     """F_t in N, of HSC."""
     hsc_velocity_threshold: float = 0.0
-    """V_s in m/s, of HSC; 0 is as printed."""
+    """V_s in m/s, of HSC; 0 is Eq. 14 as printed."""
     velocity_threshold: float = 0.6
     """V_t in m/s, of VFC."""
     vfc_force_threshold_n: float = 1.0
     """F_t in N, of VFC."""
     vfc_form: Literal["product", "both"] = "product"
-    """Which reading of VFC's threshold."""
+    """Form of the threshold of VFC."""
     release_ramp_s: float = 0.0
-    """Time in s over which an intervention fades out."""
+    """Fade-out time of an intervention in s."""
     damping: float = 5.0
     """mu in N s/m."""
     probe_force_n: float = 0.0
-    """A in N of the probe for a hand; 0 without."""
+    """A in N of the probe for a hand; 0 is no probe."""
     release_tries: int = 0
-    """After how many tries the force is withheld; 0 is no end. The bound holds for any."""
+    """Number of tries before the force is withheld; 0 is no limit. The bound holds for any number."""
     travel_m: float | None = None
-    """X in m: the way from one mechanical stop to the other; none without stops."""
+    """X in m: distance between the mechanical stops; None without stops."""
     free_s: float = inf
-    """T in s: how long a free device moves at most, as a run ends; infinite on a real device."""
+    """T in s: longest time for which a free device moves, as a run ends; infinite on a real device."""
     fades: bool = True
-    """Whether the damping may fade while the device moves, as the ladder has it where the link is lost."""
+    """True if the damping may fade while the device moves, as the ladder requires after a loss of the link."""
     ramp_in_s: float = 0.0
-    """Time in s over which every force, damping included, rises from zero at the start."""
+    """Time in s over which every force, including damping, rises from zero at the start."""
 
     hand_speed: float = 0.0
-    """V0 in m/s: of the hand when it lets go."""
+    """V0 in m/s: speed of the hand at the release."""
     hand_power_w: float | None = None
-    """P_h in W: what the hand put in at most before; by default that of a hand of that speed against the whole cap."""
+    """P_h in W: largest power of the hand before the release; default: that of a hand of speed V0 against the cap."""
     held_force_n: float | None = None
-    """F_0 in N: what the hand held when it let go; by default the cap."""
+    """F_0 in N: force that the hand held at the release; default: the cap."""
     late_s: float = 0.0
-    """J in s: how much longer a force is held at a late tick, at most 0.02; one such tick within a window."""
+    """J in s, at most 0.02: extra time for which a late tick holds a force; at most one such tick per window."""
     mass_error: float = 0.0
     """Largest relative error of `mass_kg`, at least 0 and below 1."""
     turns: bool = False
-    """Whether the device turns as well: rotation has no bound."""
+    """True if the device also turns; rotation has no bound."""
     outside: str | None = None
-    """Why what is described is outside the assumptions, and has no bound; none where it has."""
+    """Reason why the scene violates the assumptions and has no bound; None if it satisfies them."""
 
 
 class HasEjectionSettings(Protocol):
-    """A scene, or whatever else knows what the bound depends on."""
+    """Scene or other source of the inputs of the bound."""
 
     def ejection_settings(self) -> EjectionSettings:
-        """What the bound depends on."""
+        """Return the inputs of the bound."""
 
 
 class EjectionTerms(Struct, frozen=True, kw_only=True):
-    """What a bound is made of, Eq. numbers of `docs/ejection_bound.md`."""
+    """Terms of a bound; the Eq. numbers are those of `docs/ejection_bound.md`."""
 
     lag_s: float
-    """Lambda - dT in s: lag of the estimate of V under the growth limit, where V is at its greatest (Eq. 6a)."""
+    """Lambda - dT in s: lag of the estimate of V under the growth limit at the greatest V (Eq. 6a)."""
     lag_norm_s: float
     """L_v in s."""
     acceleration: float
     """a = F_max / m in m/s²."""
     threshold_speed: float | None = None
-    """v_th in m/s: speed that the observer lets pass (Eq. 10), of WSC."""
+    """v_th in m/s of WSC: speed that the observer does not detect (Eq. 10)."""
     lag_speed: float = 0.0
-    """r - a (dT + J) in m/s: how much faster than its estimate the device may be (Eq. 6a)."""
+    """r - a (dT + J) in m/s: excess of the speed over its estimate (Eq. 6a)."""
     tick_speed: float = 0.0
-    """a (dT + J) in m/s: what the tick adds in which the controller decides."""
+    """a (dT + J) in m/s: speed gained in the tick in which the controller decides."""
     phantom_force_n: float = 0.0
-    """rho in N: of a hand that is not there (Eq. 8)."""
+    """rho in N: apparent force of an absent hand (Eq. 8)."""
     phantom_energy_j: float = 0.0
-    """W in J: energy of the hand that is still in the window, or never was (Eq. 9)."""
+    """W in J: energy of the hand that is still in the window, or only apparent (Eq. 9)."""
     unseen_force_n: float | None = None
-    """F_e in N: the push that HSC never sees (Eq. 13)."""
+    """F_e in N: largest push that HSC never detects (Eq. 13)."""
     floor: float = 0.0
-    """r without noise in m/s: no threshold guarantees less (Eq. 6a)."""
+    """r without noise in m/s: no threshold guarantees a lower speed (Eq. 6a)."""
     driven_speed: float = 0.0
-    """What negative viscous friction adds after the trip, in m/s (Eq. 17)."""
+    """Speed in m/s that negative viscous friction adds after the trip (Eq. 17)."""
     driven_until: str | None = None
-    """What ends that; none where it adds nothing."""
+    """Condition that ends this growth; None without growth."""
 
 
 class ControllerBound(Struct, frozen=True, kw_only=True):
-    """The bound of one controller."""
+    """Bound of one controller."""
 
     controller: str
-    """Its name, or those of two that have a bound together: "wsc and vfc"."""
+    """Name of the controller, or of two that have a joint bound: "wsc and vfc"."""
     speed: float | None
-    """In m/s; none where there is none."""
+    """Bound in m/s; None without a bound."""
     reason: str | None
-    """Why there is none."""
+    """Reason for the absence of a bound."""
     terms: EjectionTerms | None = None
-    """What it is made of."""
+    """Terms of the bound."""
 
 
 class EjectionBound(Struct, frozen=True, kw_only=True):
-    """The bound of all controllers together: the least of theirs, for any of them trips."""
+    """Bound of all controllers together: the smallest single bound, since any controller trips."""
 
     speed: float | None
-    """Largest |V| in m/s after a release; none where there is no bound."""
+    """Largest |V| in m/s after a release; None without a bound."""
     reason: str | None
-    """Why there is none."""
+    """Reason for the absence of a bound."""
     controller: str | None
-    """Whose bound it is."""
+    """Controller with the smallest bound."""
     of: tuple[ControllerBound, ...]
-    """That of each controller that watches and has one."""
+    """Bound of each controller in use that can have one."""
     assumptions: tuple[str, ...]
-    """What it holds under."""
+    """Assumptions of the bound."""
 
     def text(self, unit: str = "m/s") -> str:
-        """In one line."""
+        """Describe the bound in one line."""
         if self.speed is None:
             return f"no bound on the speed after a release: {self.reason}"
         return f"after a release at most {_rounded_up(self.speed)} {unit}, by {self.controller}"
@@ -182,23 +183,23 @@ def ejection_bound(
     mass_error: float | None = None,
     free_s: float | None = None,
 ) -> EjectionBound:
-    """Largest speed in m/s of a device after a hand has let it go, whatever force it is then told to render.
+    """Compute the largest speed in m/s of a device after a release, for any force that it renders afterwards.
 
-    `|V| <= max(V0, v_th + r)` for WSC, `V² <= V_H² + 2 F_e X / m` for HSC, the least of all who watch; WSC and VFC
-    together have one of their own.
+    `|V| <= max(V0, v_th + r)` for WSC, `V² <= V_H² + 2 F_e X / m` for HSC; the result is the smallest bound of the
+    controllers in use. WSC and VFC together have a joint bound.
 
     Args:
-        of: A scene, or settings.
-        hand_speed: V0 in m/s, of the hand when it lets go; 0 where the settings say nothing.
-        late_s: J in s, how much longer than a tick the device may keep a force, 0 to 0.02.
-        mass_error: Largest relative error of the mass that the safety layer knows, 0 to 1.
-        free_s: T in s, how long a free device moves at most. By default the run of a scene ends it; give infinity for a
-            real device.
+        of: Scene or settings.
+        hand_speed: V0 in m/s, speed of the hand at the release; by default that of the settings, 0 for a scene.
+        late_s: J in s, extra time for which the device may keep a force, 0 to 0.02.
+        mass_error: Largest relative error of the mass in the safety layer, 0 to 1.
+        free_s: T in s, longest time for which a free device moves. By default the end of a scene's run limits it; pass
+            infinity for a real device.
 
     Raises:
-        TypeError: What is neither a scene nor settings.
-        ValueError: A number outside its range.
-        SceneError: A scene that cannot be built.
+        TypeError: `of` is neither a scene nor settings.
+        ValueError: A value is out of range.
+        SceneError: The scene cannot be built.
 
     Source: `docs/ejection_bound.md`, Eq. 6a to 19, on paper Eq. 1, 5, 11, 13 and 14.
     """
@@ -214,7 +215,7 @@ def ejection_bound(
         )
     except ValueError as error:
         return EjectionBound(speed=None, reason=str(error), controller=None, of=(), assumptions=())
-    # Numbers at the ends of their ranges lead to infinity, which is no bound.
+    # Values at the ends of their ranges may overflow to infinity, which is no bound.
     with np.errstate(over="ignore", invalid="ignore"):
         model = _Model(settings, known)
         bounds = tuple(
@@ -234,15 +235,15 @@ def ejection_bound(
 
 
 def rising_push(of: EjectionSettings | HasEjectionSettings) -> tuple[float, ...]:
-    """The force at each tick, oldest first, after which V is farthest ahead of V^: in shares of the cap, -1 to 1.
+    """Return the force of each tick, oldest first, that maximises V - V^; in shares of the cap, -1 to 1.
 
-    The argument of the maximum of Eq. 6a. It is empty where V is measured, or the estimator has no kernel.
+    It is the argument of the maximum of Eq. 6a. It is empty if V is measured, or if the estimator has no kernel.
 
     Args:
-        of: A scene, or settings.
+        of: Scene or settings.
 
     Raises:
-        TypeError: What is neither.
+        TypeError: `of` is neither a scene nor settings.
 
     Source: `docs/ejection_bound.md`, Eq. 6a.
     """
@@ -256,7 +257,7 @@ def rising_push(of: EjectionSettings | HasEjectionSettings) -> tuple[float, ...]
     growth = (settings.max_slew_n_per_s * settings.period_s + settings.force_quantum_n) / settings.max_force_n
     weights = np.append(settings.period_s, known.lag_s)
     push = worst_push(weights + known.rising_speed(growth).lift, growth)
-    # Forces of long ago that do not matter are left out.
+    # Leave out old forces with negligible weights.
     counted = np.flatnonzero(np.abs(weights[: len(push)]) > WORTH * np.abs(weights).max())
     return tuple(map(float, push[: counted[-1] + 1][::-1]))
 
@@ -274,7 +275,7 @@ def _check(settings: EjectionSettings) -> None:
     for name, (low, high) in RANGES.items():
         value = getattr(settings, name)
         for each in value if isinstance(value, tuple) else (value,):
-            # A comparison with NaN is false.
+            # Negated comparison: it also refuses NaN.
             if each is not None and not low <= each <= high:
                 allowed = f"above 0 and at most {high:g}" if low == LEAST else f"between {low:g} and {high:g}"
                 message = f"{name} = {each}: must be {allowed}"
@@ -334,7 +335,7 @@ def _assumptions(settings: EjectionSettings) -> tuple[str, ...]:
 
 
 class _Model:
-    """The bound's terms for one device, loop and estimator."""
+    """Terms of the bound for one device, loop and estimator."""
 
     def __init__(self, settings: EjectionSettings, known: Kernel) -> None:
         self.settings, self.kernel = settings, known
@@ -343,7 +344,7 @@ class _Model:
         self.mass = self.known_mass / (1.0 + settings.mass_error)
         self.heaviest = max(settings.mass_kg)
         self.force = settings.max_force_n + 0.5 * settings.force_quantum_n
-        # The device exerts what is asked of it to half a quantum.
+        # The device exerts the requested force to within half a quantum.
         self.rounded = 0.5 * settings.force_quantum_n
         self.held = self.force if settings.held_force_n is None else min(settings.held_force_n, self.force)
         self.viscous = max(abs(one) for one in settings.viscous)
@@ -352,7 +353,7 @@ class _Model:
         per_axis = axes > 1 and settings.friction == "axis"
         coulomb = np.broadcast_to(settings.coulomb, axes)
         self.coulomb = float(np.linalg.norm(coulomb) if per_axis else coulomb.max())
-        # Of several axes friction that differs between them, or acts on each, does not cancel in direction.
+        # With several axes, friction that differs between them, or acts on each, does not cancel in direction.
         self.kernel_of_friction = known.acceleration if axes == 1 else np.abs(known.acceleration)
         self.is_modelled = not per_axis
         self.wrong_force = 0.5 * settings.force_quantum_n * sqrt(axes) * known.gain
@@ -370,17 +371,17 @@ class _Model:
         self.late_s = settings.late_s
 
     def acceleration(self, speed: float) -> float:
-        """Of the force, a in m/s², with what a negative b adds at that speed."""
+        """Return the acceleration a in m/s² by the force, including the part of a negative b at that speed."""
         return (self.force + self.drives * speed) / self.mass
 
     def lag(self, speed: float) -> float:
-        """How far the estimate may be off, e in m/s: `|V - V^|` below that speed (Eq. 5)."""
+        """Return e in m/s, the largest error of the estimate: `|V - V^|` below that speed (Eq. 5)."""
         friction = self.kernel.lag_norm_s * (self.coulomb + self.viscous * speed)
         late = self.acceleration(speed) * self.late_s
         return (self.force * self.lag_s + friction) / self.mass + late + self.velocity_noise
 
     def rise(self, speed: float) -> float:
-        """How far the greatest speed may be from the estimate of the tick before, in m/s (r of Eq. 6a)."""
+        """Return r of Eq. 6a in m/s: largest difference of the greatest speed and the estimate of the tick before."""
         late = self.acceleration(speed) * self.late_s
         friction = self.coulomb + self.viscous * speed
 
@@ -391,15 +392,15 @@ class _Model:
 
         free = most(self.lag_s + self.settings.period_s, self.kernel.lag_norm_s + self.settings.period_s, 0.0)
         if self.settings.wsc_force_threshold_n > 0.0 or self.driven_n(speed) > 0.0:
-            # V may have been greater before: neither a push of F_w nor negative friction is seen.
+            # V may have been greater before: a push of F_w and negative friction are not detected.
             return free + self.velocity_noise
         lifted = most(self.rising.most, self.rising_norm_s, float(self.rising.lift[0]))
         return min(free, lifted) + self.velocity_noise
 
     def probed(self, speed: float) -> float:
-        """Speed in m/s to which a probe drives a free device that stays below `speed`; 0 without a probe.
+        """Return the speed in m/s to which a probe drives a free device that stays below `speed`; 0 without a probe.
 
-        `(A + 1.25 mu e) / (1.25 mu - d) + a (dT + J)`, damped on V^.
+        `(A + 1.25 mu e) / (1.25 mu - d) + a (dT + J)`; the damping acts on V^.
         """
         settings = self.settings
         if settings.probe_force_n == 0.0:
@@ -410,13 +411,14 @@ class _Model:
         return steady + (force + self.drives * speed) / self.mass * late_s
 
     def driven_n(self, speed: float) -> float:
-        """Force in N with which negative viscous friction drives the device at that speed: `(d V - c)+` of Eq. 17."""
+        """Return the force in N by which negative viscous friction drives the device: `(d V - c)+` of Eq. 17."""
         return max(0.0, self.drives * speed - self.least_coulomb)
 
     def driven(self, start: float, speed: float) -> tuple[float, str | None]:
-        """Largest speed in m/s of a device that trips at `start` and stays below `speed`, and what ends its growth.
+        """Return the largest speed in m/s after a trip at `start`, below `speed`, and the end of its growth.
 
-        The least over the travel (Eq. 18a), within the time (18b) and under damping that never fades (18c).
+        It is the smallest of three bounds: over the travel (Eq. 18a), within the time (18b) and under damping that
+        never fades (18c).
         """
         settings, top = self.settings, max(start, speed)
         if self.driven_n(start) == 0.0:
@@ -430,12 +432,12 @@ class _Model:
         return min(found)
 
     def _driven_for(self, start: float, seconds: float) -> float:
-        """Speed in m/s after so long of Eq. 17, from `start` above c / d (Eq. 18b)."""
+        """Return the speed in m/s after `seconds` of Eq. 17, from `start` above c / d (Eq. 18b)."""
         rate = self.drives * seconds / self.mass
         return start + (start - self.least_coulomb / self.drives) * expm1(rate) if rate < MOST_RATE else inf
 
     def _driven_against(self, start: float, top: float) -> float:
-        """Speed in m/s under damping that never fades (Eq. 18c); infinite where that does not outweigh the friction."""
+        """Return the speed in m/s under damping that never fades (Eq. 18c); infinite if below the friction."""
         settings, lag, rounded = self.settings, self.lag(top), self.rounded
         if settings.damping <= self.drives:
             return inf
@@ -443,7 +445,7 @@ class _Model:
         level = max(start, balanced)
         if (settings.max_force_n - rounded) * (level - lag) < self.driven_n(top) * level:
             return inf
-        # From that level on so much of the damping suffices, at every speed above it, too.
+        # From this level on, this share of the damping suffices, at every higher speed too.
         needed = max((self.driven_n(level) + rounded) / (level - lag), self.drives) / settings.damping
         step_n = settings.max_slew_n_per_s * settings.period_s
         slews_s = settings.period_s * (self.driven_n(top) + rounded) / step_n
@@ -451,15 +453,15 @@ class _Model:
         return self._driven_for(level, undamped_s)
 
     def phantom_force(self, speed: float) -> float:
-        """What a hand that is long gone seems to exert, rho in N: `|F_h^|` below that speed (Eq. 8)."""
+        """Return rho in N, the apparent force of a hand that is long gone: `|F_h^|` below that speed (Eq. 8)."""
         friction = (1.0 + self.kernel.gain) * self.coulomb
         noise = self.heaviest * self.acceleration_noise
         return friction + self._viscous(speed) + self._wrong_mass(speed) + self.wrong_force + noise
 
     def phantom_energy(self, speed: float) -> float:
-        """Energy in J of a hand that is long gone, in a window below that speed (Eq. 9).
+        """Return the apparent energy in J of a hand that is long gone, in a window below that speed (Eq. 9).
 
-        Friction shows only while its kernel still has the other direction, the noise of readings only where V^ bends.
+        Friction contributes only while its kernel contains the other direction, noise of readings only where V^ bends.
         """
         known, settings = self.kernel, self.settings
         window_s, mass = settings.window * settings.period_s, self.heaviest
@@ -477,51 +479,51 @@ class _Model:
         return (friction + viscous + wrong) * window_s + noise + both
 
     def _viscous(self, speed: float) -> float:
-        """What viscous friction leaves in F_h^, in N: V^ and the V of the friction differ by lag alone."""
+        """Return the remainder of viscous friction in F_h^ in N; V^ and the V of the friction differ by lag only."""
         known = self.kernel
         lagging = self.acceleration(speed) * known.viscous_lag_s + self.velocity_noise
         return self.viscous * min((1.0 + known.gain) * speed, lagging)
 
     def _wrong_mass(self, speed: float) -> float:
-        """What a wrong mass leaves in F_h^, in N."""
+        """Return the remainder of a wrong mass in F_h^ in N."""
         return self.settings.mass_error * self.kernel.gain * (self.force + self.coulomb + self.viscous * speed)
 
     def _turned(self, speed: float) -> float:
-        """`max sum_j g_j |V^|` over the ages j at which V had another direction than V^ has now, in m/s (Eq. 9b)."""
+        """Return `max sum_j g_j |V^|` in m/s over the ages j at which V had another direction than V^ has (Eq. 9b)."""
         share = np.maximum(self.kernel_of_friction, 0.0)
         steady = (self.coulomb + self.viscous * speed) / self.mass
         since = self.acceleration(speed) * self.turned + steady * self.turned_freely + self.velocity_noise
         since = np.minimum(since, speed + self.lag(speed))
         if len(self.settings.mass_kg) > 1:
-            # There directions may differ by less than a half turn.
+            # The directions may differ by less than a half turn.
             return float((share * since).sum())
         # |V^| is at most the least `since` of those ages.
         order = np.argsort(since)[::-1]
         return float((since[order] * np.cumsum(share[order])).max())
 
     def tail_energy(self, speed: float) -> float:
-        """Energy in J of the hand that A still shows after it has gone (Eq. 9a).
+        """Return the energy in J of the hand that A still contains after the release (Eq. 9a).
 
-        It held against the push, so a motion with the push takes energy out, and one against it, whose force has to
-        grow from zero, puts some in.
+        The hand held against the push, so a motion with the push takes energy out. A motion against the push puts
+        energy in; its force has to grow from zero first.
         """
         settings = self.settings
         friction = (self.coulomb + self.viscous * speed) / self.mass
         drives = self.drives * speed / self.mass
-        # Stiction may have held as well: the force then begins so far beyond zero.
+        # Stiction may have held too; the force then starts beyond zero by that amount.
         way = (self.force * self.tail_way) / self.mass + (2.0 * friction + drives) * self.free_tail_way
         moved = (settings.hand_speed + self.velocity_noise) * self.kernel.tail_s
         return self.held * (1.0 + settings.mass_error) * (way + moved)
 
     def of_wsc(self) -> ControllerBound:
-        """WSC, Eq. 7 to 11, and 16."""
+        """Return the bound of WSC, Eq. 7 to 11, and 16."""
         if self.settings.wsc_force_threshold_n > 0.0 and self.settings.travel_m is None:
             reason = "wsc does not see a push of less than F_w, and without mechanical stops nothing ends it"
             return ControllerBound(controller="wsc", speed=None, reason=reason)
         return self._of_energy("wsc", lambda threshold, speed: threshold + self.rise(speed))
 
     def of_wsc_and_vfc(self) -> ControllerBound | None:
-        """WSC and VFC together, Eq. 15; none where that is what WSC alone gives."""
+        """Return the joint bound of WSC and VFC, Eq. 15; None if it equals that of WSC."""
         settings = self.settings
         watched = {"wsc", "vfc"} <= set(settings.controllers) and settings.wsc_force_threshold_n == 0.0
         if not watched or settings.vfc_form != "product" or len(settings.mass_kg) > 1 or settings.late_s > 0.0:
@@ -529,7 +531,7 @@ class _Model:
         alone = self.of_wsc()
         if alone.speed is None or alone.terms is None or alone.terms.threshold_speed is None:
             return None
-        # V^ at a tick, and the greatest speed after it: V^ was at most so much lower some ticks ago, and F_v with it.
+        # V^ at a tick and the greatest speed after it. V^ was at most this much lower some ticks ago, which limits F_v.
         estimated = float(self._allowed(alone.speed)[1].max()) * np.sqrt(np.linspace(0.0, 1.0, GRID))
         most, norm_s = self._limited_rises(estimated[:-1], alone.speed)
 
@@ -543,9 +545,9 @@ class _Model:
         return self._of_energy("wsc and vfc", passes)
 
     def _limited_rises(self, estimated: Array, speed: float) -> tuple[Array, Array]:
-        """`max sum w f` in s after each V^ in m/s, where `F_v V^ <= V_t F_t` at each tick before (Eq. 15).
+        """Return `max sum w f` in s after each V^ in m/s, with `F_v V^ <= V_t F_t` at each tick before (Eq. 15).
 
-        And what friction counts with, in s.
+        The second result is the factor of friction in s.
         """
         settings, known = self.settings, self.kernel
         since, freely = known.rises_since(self.growth)
@@ -563,7 +565,7 @@ class _Model:
         most, norm_s = np.full(len(estimated), np.inf), np.zeros(len(estimated))
         lifts = [np.zeros(len(weights))]
         if self.driven_n(speed) == 0.0:
-            # Where the force is limited another lift is the best: that of the greatest V^ is tried for all.
+            # With a limited force another lift is the best; that of the greatest V^ is tried for all.
             of_greatest = best_rising_push(weights, self.growth, highest=highest[-1]).lift
             lifts += [share * self.rising.lift for share in (0.5, 1.0, 1.5)]
             lifts += [share * of_greatest for share in (0.5, 0.75, 1.0)]
@@ -575,35 +577,35 @@ class _Model:
         return most, norm_s
 
     def _allowed(self, speed: float) -> tuple[float, Array]:
-        """The energy W in J that no hand has put in, below that speed, and v_th at each tick since (Eq. 9, 10)."""
+        """Return the apparent energy W of a hand in J below that speed, and v_th at each tick since (Eq. 9, 10)."""
         settings = self.settings
         power = settings.hand_power_w
         if power is None:
             power = max(self.force, settings.damping * settings.hand_speed) * settings.hand_speed
             power *= 1.0 + settings.mass_error
-        # The force that is held for longer differs from the next by its growth beyond zero, at most.
+        # The force that is held longer differs from the next by at most its growth beyond zero.
         late = (1.0 + min(self.growth, 1.0)) * self.kernel.gain * self.force * self.late_s
         energy = self.tail_energy(speed) + self.phantom_energy(speed) + late * (speed + self.lag(speed))
-        # Ticks since the release: as long as energy from before is in the window.
+        # Ticks since the release, while energy from before is in the window.
         left_s = settings.period_s * np.arange(settings.window, -1, -1)
         whole = abs(settings.energy_threshold_j) + energy + left_s * power
         return energy, np.sqrt(2.0 * settings.energy_ratio * whole / self.known_mass)
 
     def _of_energy(self, name: str, passes: Callable[[Array, float], Array]) -> ControllerBound:
-        """The bound of whoever lets V^ pass up to v_th; `passes` has the greatest speed in m/s after each v_th."""
+        """Return the bound of a controller that accepts V^ up to v_th; `passes` maps v_th to the greatest speed."""
         settings = self.settings
 
         def next_speed(speed: float) -> float:
             reached = passes(self._allowed(speed)[1], speed)
             late_s = self.late_s + settings.period_s * np.arange(1, settings.window + 2) + self.late_s
             sooner = np.minimum(settings.hand_speed + self.acceleration(speed) * late_s, reached)
-            # After the window has passed nothing depends on the time any more.
+            # After the window has passed, nothing depends on the time.
             return float(max(settings.hand_speed, sooner.max(), reached[-1], self.probed(speed)))
 
         unseen_n = settings.wsc_force_threshold_n
 
         def pushed_on(speed: float) -> float:
-            """With a push of F_w over the travel, which is not seen (Eq. 16), or negative friction (Eq. 17)."""
+            """Add an undetected push of F_w over the travel (Eq. 16), or negative friction (Eq. 17)."""
             tripped = next_speed(speed)
             if unseen_n == 0.0:
                 return self.driven(tripped, speed)[0]
@@ -629,7 +631,7 @@ class _Model:
         return ControllerBound(controller=name, speed=speed, reason=None, terms=terms)
 
     def _undamped(self) -> str:
-        """Why negative viscous friction leaves no bound."""
+        """Return the reason why negative viscous friction leaves no bound."""
         settings = self.settings
         if settings.damping == 0.0:
             damped = "nothing damps"
@@ -655,7 +657,7 @@ class _Model:
         )
 
     def of_hsc(self) -> ControllerBound:
-        """HSC, Eq. 12 to 14."""
+        """Return the bound of HSC, Eq. 12 to 14."""
         settings = self.settings
         if settings.travel_m is None:
             reason = "hsc does not see a push of less than F_t, and without mechanical stops nothing ends it"
@@ -666,7 +668,7 @@ class _Model:
             reason = "hsc does not look at the tick in which the force comes back as a step: give a release_ramp_s"
             return ControllerBound(controller="hsc", speed=None, reason=reason)
 
-        # A push that falls leaves the kernel's negative part behind: an impulse, once, however it falls (Eq. 13).
+        # A falling push leaves the negative part of the kernel: one impulse, for any course of the fall (Eq. 13).
         dip = np.maximum(-self.kernel.acceleration, 0.0)
         impulse = self.held * settings.period_s * float((np.arange(len(dip)) * dip).sum()) / self.mass
 
@@ -676,7 +678,7 @@ class _Model:
             gained = self._gained(push, speed)
 
             def over_travel(force: Array) -> Array:
-                # From each tick on, the largest of the forces to come works over the whole travel.
+                # From each tick on, the largest later force works over the whole travel.
                 later = np.maximum.accumulate(np.concatenate((force, force[-1:]))[::-1])[::-1]
                 work = 2.0 * (later + self.drives * speed) * travel_m / self.mass
                 reached: Array = np.sqrt((gained + a_tick) ** 2 + work)
@@ -693,10 +695,10 @@ class _Model:
         return ControllerBound(controller="hsc", speed=speed, reason=None, terms=terms)
 
     def _gained(self, push: Array, speed: float) -> Array:
-        """Largest speed in m/s at each tick after the release, by the impulses of what HSC lets pass: V_H of Eq. 12.
+        """Return V_H of Eq. 12: largest speed in m/s at each tick after the release, by the pushes that HSC accepts.
 
-        A tick that does not trip has a push of at most `push`, or a V^ of at most V_s: V is then below V_s + e, and the
-        whole cap may act over the tick (Eq. 13a).
+        A tick without a trip has a push of at most `push`, or a V^ of at most V_s. In the second case V is below
+        V_s + e, and the whole cap may act over the tick (Eq. 13a).
         """
         settings = self.settings
         slowest, push = settings.hsc_velocity_threshold, push + self.driven_n(speed)
@@ -713,15 +715,16 @@ class _Model:
         return reached
 
     def _unseen(self, speed: float) -> tuple[Array, Array]:
-        """Largest push in N at each tick after the release that HSC does not trip at, the last for ever (Eq. 12, 13).
+        """Return the largest push in N that HSC accepts at each tick after the release (Eq. 12, 13).
 
-        And what A then shows of it at most, which is the same of a push that is steady.
+        The last value holds for ever. The second result is the largest force that A then shows; for a steady push it
+        equals the push.
         """
         settings, known = self.settings, self.kernel
         tail = known.tail
         grasp = (1.0 + settings.mass_error) * self.held * np.abs(tail)
         grasp += self.phantom_force(speed) + settings.grasp_floor_n
-        # What A shows of a push F that has not grown since it was F_0: at least `reach F - dip F_0 + tail F_0`.
+        # A shows at least `reach F - dip F_0 + tail F_0` of a push F that has not grown since it was F_0.
         reach = np.concatenate(([0.0], np.cumsum(np.maximum(known.acceleration, 0.0))))
         dip = np.concatenate(([0.0], np.cumsum(np.maximum(-known.acceleration, 0.0))))
         limit = np.maximum(settings.hsc_force_threshold_n, settings.grasp_threshold * grasp)
@@ -729,17 +732,17 @@ class _Model:
         push = np.maximum((limit + (dip - tail) * self.held) / reach, settings.hsc_force_threshold_n)
         push[0] = self.force
         if settings.release_ramp_s > 0.0:
-            # An intervention that fades lets through so much more at its last tick than at the one before.
+            # A fading intervention passes this much more at its last tick than at the one before.
             more = 2.0 * self.force * settings.period_s / settings.release_ramp_s
             push, limit = push + more, limit + more
         return np.minimum(push + self.rounded, self.force), np.minimum(limit + self.rounded, self.force)
 
 
 def _least_fixed_point(of: Callable[[float], float], start: float) -> float | None:
-    """The least speed that is its own bound, from below; none where there is no such speed.
+    """Return the least speed that is its own bound, from below; None without such a speed.
 
-    Any speed that `of`, which grows with it, does not raise is a bound: by induction over the ticks none exceeds it. So
-    where iteration is slow the end is guessed from its rate, and halved in to.
+    `of` is non-decreasing. Any speed that `of` does not raise is a bound: by induction over the ticks, no speed exceeds
+    it. If the iteration is slow, its limit is extrapolated from its rate and refined by bisection.
     """
     speed, last_step = start, 0.0
     for iteration in range(MOST_ITERATIONS):
@@ -758,7 +761,7 @@ def _least_fixed_point(of: Callable[[float], float], start: float) -> float | No
 
 
 def _halved(of: Callable[[float], float], low: float, high: float) -> float:
-    """The least speed between that `of` does not raise, of which `high` is one."""
+    """Bisect for the least speed in [low, high] that `of` does not raise; `high` is not raised."""
     while high - low > TOLERANCE * high:
         middle = 0.5 * (low + high)
         if of(middle) <= middle:
@@ -769,9 +772,9 @@ def _halved(of: Callable[[float], float], low: float, high: float) -> float:
 
 
 LEAST = 5e-324
-"""The least positive number: what is above 0."""
+"""Smallest positive number, for ranges above 0."""
 LARGEST = 1e9
-"""No number of a scene is larger."""
+"""Upper limit of the values of a scene."""
 RANGES = {
     "mass_kg": (LEAST, LARGEST),
     "viscous": (-LARGEST, LARGEST),
@@ -804,20 +807,20 @@ RANGES = {
     "late_s": (0.0, MAX_LATE_S),
     "mass_error": (0.0, 0.999),
 }
-"""Least and largest of each number."""
+"""Smallest and largest value of each field."""
 MOST_RATE = 700.0
-"""Beyond it an exponential is infinite."""
+"""Largest exponent; beyond it an exponential is infinite."""
 PLAIN_ITERATIONS = 10
 WORTH = 0.05
-"""Share of the largest weight below which a force of the past is left out of the worst push."""
+"""Share of the largest weight below which a past force is left out of the worst push."""
 GRID = 33
-"""Speeds V^ at which the forces that VFC lets pass are computed."""
+"""Number of speeds V^ at which the forces that VFC accepts are computed."""
 MOST_ITERATIONS = 1000
 TOLERANCE = 1e-9
 FASTEST = 1e3
-"""In m/s: what the safety layer takes for possible."""
+"""Largest valid speed in m/s, that of the safety layer."""
 
 
 def _rounded_up(speed: float) -> str:
-    """To two digits behind the point, never below."""
+    """Round up to two decimal places."""
     return f"{np.ceil(speed * 100.0 - 1e-9) / 100.0:.2f}"

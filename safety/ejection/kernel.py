@@ -1,4 +1,4 @@
-"""What stands between the motion of a device and its estimate, as kernels read from the estimator itself."""
+"""Kernels between the motion of a device and its estimate, measured from the estimator itself."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -9,22 +9,25 @@ from haptether._core import Estimator, EstimatorKind
 from haptether.safety.ejection.push import Array, Rising, best_push, best_rising_push
 
 REST_TICKS = 130
-"""At rest before the impulse: longer than any window (128)."""
+"""Ticks at rest before the impulse; longer than any window (128)."""
 LEAST_TICKS = 256
 MOST_TICKS = 1 << 17
 NEGLIGIBLE = 1e-10
-"""Share of a kernel that may lie beyond its end."""
+"""Largest share of a kernel beyond its end."""
 DIRECT = 2048
-"""Longest kernel that is convolved term by term."""
+"""Longest kernel that is convolved directly."""
 MOST_TURNS = 64
-"""Ages of which the largest change of V^ since is computed; beyond them it is bounded by the cap."""
+"""Number of ages for which the largest change of V^ since is computed; at older ages the cap bounds it."""
 MOST_TAIL_TICKS = 256
-"""Ticks for which the hand may show in A, if its energy is to be that of one push and not of the worst at each tick."""
+"""Largest number of ticks in which the hand still shows in A, for its energy to be computed from a single push.
+
+With more ticks, the worst push of each tick is used.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kernel:
-    """A linear estimator by its answers to one tick of unit acceleration, and to one reading that is wrong.
+    """Linear estimator, by its responses to one tick of unit acceleration and to one wrong reading.
 
     `V - V^ = sum_j lag_s[j] a[n-j]`, `A = sum_j acceleration[j] a[n-j]`, with a[n] of the tick that ends at n.
 
@@ -38,9 +41,9 @@ class Kernel:
     acceleration: Array
     """g, shape `(n,)`."""
     velocity_noise: Array
-    """V^ in 1/s after a reading that is off by 1 m for one tick, shape `(n,)`."""
+    """Response of V^ in 1/s to a reading that is wrong by 1 m for one tick, shape `(n,)`."""
     acceleration_noise: Array
-    """The same of A, in 1/s²."""
+    """Response of A in 1/s² to the same reading."""
 
     @property
     def lag_norm_s(self) -> float:
@@ -54,7 +57,7 @@ class Kernel:
 
     @property
     def tail(self) -> Array:
-        """`tail[k] = 1 - sum_(j<k) g[j]`: the share of a force of the past that A still has k ticks after its end."""
+        """`tail[k] = 1 - sum_(j<k) g[j]`: share of a past force that A still contains k ticks after its end."""
         return 1.0 - np.concatenate(([0.0], np.cumsum(self.acceleration)))
 
     @property
@@ -64,43 +67,45 @@ class Kernel:
 
     @property
     def velocity(self) -> Array:
-        """V^ in s to one tick of unit acceleration: `dT - h`."""
+        """Response of V^ in s to one tick of unit acceleration: `dT - h`."""
         return self.period_s - self.lag_s
 
     @property
     def viscous_lag_s(self) -> float:
-        """`L_b = sum |V^ - g * V|` in s, V the mean over a tick: what viscous friction leaves in the grasp force."""
+        """`L_b = sum |V^ - g * V|` in s, V the mean over a tick: remainder of viscous friction in the grasp force."""
         mean = self.period_s * (np.cumsum(self.acceleration) - self.acceleration / 2.0)
         return float(np.abs(self.velocity - mean).sum())
 
     def growing_lag_s(self, growth: float) -> float:
-        """Largest V - V^ in s, for a force of at most 1 whose growth from tick to tick is at most `growth`.
+        """Return the largest V - V^ in s for a force of at most 1 that grows by at most `growth` per tick.
 
-        Unloading is free, and the force at the release is any. Without a bound on growth it is at most L_v.
+        Unloading is free, and the force at the release is arbitrary. Without a growth limit the result is at most L_v.
 
         Source: `docs/ejection_bound.md`, Eq. 6.
         """
         return float(best_push(self.lag_s, growth).max())
 
     def rising_speed(self, growth: float) -> Rising:
-        """Largest `V - V^` in s one tick later, V nowhere above that before, for a force as in `growing_lag_s`.
+        """Return the largest `V - V^` in s one tick later if V was never larger before.
 
-        `max dT f[-1] + sum_j lag_s[j] f[j]`, with dT of the tick in which the speed is reached.
+        The force is that of `growing_lag_s`:
+
+        `max dT f[-1] + sum_j lag_s[j] f[j]`, with dT for the tick in which the speed is reached.
 
         Source: `docs/ejection_bound.md`, Eq. 6.
         """
         return best_rising_push(np.concatenate(([self.period_s], self.lag_s)), growth)
 
     def turned_speeds(self, growth: float) -> tuple[Array, Array]:
-        """`max V^[n] - V` in s, V that of the tick that ends at n-j, for each age j; and for a force of any growth.
+        """Return `max V^[n] - V` in s for each age j, with V of the tick that ends at n-j; and the same for any growth.
 
         Source: `docs/ejection_bound.md`, Eq. 9b.
         """
         size = len(self.acceleration)
-        # Where it is not computed it is what the cap gives in j + 1 ticks, and the lag.
+        # Beyond the computed ages, the bound is the change by the cap in j + 1 ticks plus the lag.
         passed_s = self.period_s * np.arange(1, size + 1, dtype=np.float64)
         since, free = self.growing_lag_s(growth) + passed_s, self.lag_norm_s + passed_s
-        # V at both ends of the tick: j and j + 1 ticks ago.
+        # V at both ends of the tick, j and j + 1 ticks ago.
         ends = np.arange(min(size, MOST_TURNS) + 1)
         change = np.where(np.arange(size) < ends[:, None], self.period_s, 0.0) - self.lag_s
         for bound, found in ((since, best_push(change, growth).max(axis=-1)), (free, np.abs(change).sum(axis=-1))):
@@ -108,7 +113,7 @@ class Kernel:
         return since, free
 
     def rises_since(self, growth: float) -> tuple[Array, Array]:
-        """`max V^[n] - V^[n-j]` in s for each age j up to `MOST_TURNS`, and the same for a force of any growth.
+        """Return `max V^[n] - V^[n-j]` in s for each age j up to `MOST_TURNS`, and the same for any growth.
 
         Source: `docs/ejection_bound.md`, Eq. 15.
         """
@@ -118,15 +123,15 @@ class Kernel:
         return best_push(change, growth).max(axis=-1), np.abs(change).sum(axis=-1)
 
     def tail_way(self, growth: float, window: int) -> tuple[float, float]:
-        """Largest `-dT sum_k tail[k] V^[k]` in s² over ticks that a window can hold, and the same for any growth.
+        """Return the largest `-dT sum_k tail[k] V^[k]` in s² over the ticks of a window, and the same for any growth.
 
-        V^ is that of a force of at most 1 since the release, which follows on one that is not negative.
+        V^ belongs to a force of at most 1 since the release, which follows a force that is not negative.
 
         Source: `docs/ejection_bound.md`, Eq. 9a.
         """
         tail = self.tail[:-1]
         answer = np.abs(self.velocity)
-        # At the worst of each tick for itself: the force that pushes on, and the one that has turned round and grows.
+        # Worst case of each tick separately: the force pushes on, or it has reversed and grows.
         forward = np.concatenate(([0.0], np.cumsum(answer)))[:-1]
         grown = np.minimum(1.0, growth * np.arange(1, len(answer) + 1))
         backward = np.concatenate(([0.0], _convolved(answer, grown)[: len(answer)]))[:-1]
@@ -135,13 +140,13 @@ class Kernel:
         left = np.cumsum(each[::-1])[::-1]
         ticks = int((left > 1e-6 * worst).sum())
         if 0 < ticks <= min(MOST_TAIL_TICKS, len(tail)):
-            # What a force at tick i adds to the sum from the release to tick k.
+            # Contribution of a force at tick i to the sum from the release to tick k.
             lasting = np.tril(np.ones((ticks, ticks)))
             pushed = np.zeros((ticks, ticks))
             for i in range(ticks - 1):
                 pushed[i + 1 :, i] = -tail[i + 1 : ticks] * self.velocity[: ticks - 1 - i]
             until = lasting @ pushed
-            # A window that ends at k, or begins after k and ends a window later.
+            # Windows that end at k, and windows that begin after k and end a window later.
             begins = np.minimum(np.arange(ticks) + window, ticks - 1)
             windows = np.concatenate((until[: min(ticks, window)], until[begins] - until))
             rest = float(left[ticks]) if ticks < len(left) else 0.0
@@ -150,7 +155,7 @@ class Kernel:
         return self.period_s * worst, self.period_s * free
 
     def readings(self, growth: float) -> "Readings":
-        """What wrong readings meet (Eq. 9c)."""
+        """Return the effect of wrong readings (Eq. 9c)."""
         size = len(self.lag_s)
         answer = np.concatenate((np.zeros(size - 1), self.velocity, np.full(size, self.period_s)))
         met = _convolved(answer, self.acceleration_noise[::-1])[size - 1 : len(answer)]
@@ -166,7 +171,7 @@ class Kernel:
 
 
 def _convolved(one: Array, other: Array) -> Array:
-    """The convolution of two kernels, of long ones by their spectra."""
+    """Convolve two kernels; long ones by their spectra."""
     if min(len(one), len(other)) <= DIRECT:
         return np.convolve(one, other)
     size = len(one) + len(other) - 1
@@ -176,30 +181,31 @@ def _convolved(one: Array, other: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Readings:
-    """What an estimator makes of wrong readings: in A, and so in an energy."""
+    """Effect of wrong readings on A and thus on an energy."""
 
     period_s: float
     """dT in s."""
     bend: float
-    """Largest answer of A to readings, of V^ under a unit force of limited growth."""
+    """Largest correlation of V^ with the response of A to a reading, under a unit force of limited growth."""
     free_bend: float
-    """The same of any growth."""
+    """The same under a force of any growth."""
     change: float
-    """Largest change of V^ in a tick under a unit force."""
+    """Largest change of V^ in one tick under a unit force."""
     parts: Array
-    """What A has seen of a reading after so many ticks, shape `(n,)`, and at most, `sizes`."""
+    """Size of the summed response of A to a reading after k ticks, shape `(n,)`."""
     sizes: Array
+    """Sum of the sizes of that response after k ticks, shape `(n,)`."""
 
     def power(self, *, ticks: int, force: float, steady: float, speed: float) -> float:
-        """Largest `dT sum A_noise V^` in m²/s² over a window, for readings that are each off by at most 1 m.
+        """Return the largest `dT sum A_noise V^` in m²/s² over a window, for readings each wrong by at most 1 m.
 
-        A sees no steady velocity, so that noise of A and a velocity that changes slowly do not add up to an energy:
-        summed by parts, each reading meets the second difference of V^, and V^ itself at both ends of the window only.
+        A does not respond to a steady velocity, so noise of A and a slowly changing velocity add little energy. Summed
+        by parts, each reading meets the second difference of V^; only at both ends of the window it meets V^ itself.
 
         Args:
             ticks: w.
-            force: Acceleration in m/s² that the cap gives, under the limit on growth.
-            steady: What friction adds to it, of any growth.
+            force: Acceleration in m/s² by the cap, under the growth limit.
+            steady: Additional acceleration in m/s² by friction, of any growth.
             speed: Largest |V^| in m/s.
 
         Source: `docs/ejection_bound.md`, Eq. 9c.
@@ -209,17 +215,17 @@ class Readings:
         inside = force * self.bend + steady * self.free_bend
         change = (force + steady) * self.change
         left = np.maximum(self.sizes[-1] - self.sizes, 0.0)
-        # The newest readings: what of their answer has come by now.
+        # The newest readings: the part of their response that has come.
         come = np.concatenate(([0.0], np.cumsum(self.sizes)[:-1]))
         newest = np.minimum(speed * self.parts + change * come, inside + speed * left)
-        # Readings before the window: what of their answer is still to come.
+        # Readings before the window: the part of their response that is still to come.
         coming = np.concatenate((np.cumsum(left[::-1])[::-1][1:], [0.0]))
         before = np.minimum(speed * self.parts + change * coming, speed * left)
         return self.period_s * float(ticks * inside + np.maximum(newest - inside, 0.0).sum() + before.sum())
 
 
 def exact(period_s: float) -> Kernel:
-    """The kernel of a velocity that is measured: no lag, and A is the mean acceleration of the last tick."""
+    """Return the kernel of a measured velocity: no lag, and A is the mean acceleration of the last tick."""
     return Kernel(
         period_s=period_s,
         lag_s=np.zeros(1),
@@ -230,16 +236,16 @@ def exact(period_s: float) -> Kernel:
 
 
 def kernel(of: EstimatorKind, period_s: float) -> Kernel:
-    """The kernels of an estimator, by impulses through the estimator itself.
+    """Measure the kernels of an estimator by impulses.
 
     Raises:
-        ValueError: The estimator is not linear, so it has none, or it forgets too slowly.
+        ValueError: The estimator is not linear and has no kernel, or its memory is too long.
     """
     return _kernel(repr(of), _Hashed(of), period_s)
 
 
 class _Hashed:
-    """An estimator's kind for a cache whose key is its text."""
+    """Hashable wrapper of an estimator kind, for a cache whose key is the kind's text."""
 
     def __init__(self, kind: EstimatorKind) -> None:
         self.kind = kind
@@ -273,7 +279,7 @@ def _kernel(text: str, of: _Hashed, period_s: float) -> Kernel:
 def _measured(of: EstimatorKind, period_s: float, ticks: int) -> Kernel:
     after = np.arange(ticks)
     rest = np.zeros(REST_TICKS)
-    # One tick of 1 m/s²: V = dT from then on.
+    # One tick of 1 m/s²; V = dT from then on.
     pushed = np.concatenate((rest, period_s**2 * (after + 0.5)))
     wrong = np.concatenate((rest, (after == 0).astype(float)))
     velocity, acceleration, _ = Estimator(of, period_s=period_s).run(pushed)

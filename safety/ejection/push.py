@@ -1,4 +1,4 @@
-"""The force that does most, of all that the limiter lets pass: a linear function of it at its largest."""
+"""Worst-case force: the largest value of a linear function over all forces that the limiter passes."""
 
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -9,31 +9,35 @@ import numpy.typing as npt
 Array: TypeAlias = npt.NDArray[np.float64]
 
 MOST_LEVELS = 256
-"""Steps in which a force grows to its cap; a slower growth is taken for this one."""
+"""Largest number of steps in which a force grows to its cap; slower growth is rounded up to this one."""
 MOST_WEIGHTS = 1 << 16
-"""Of more weights, in all rows, the force may turn round at once: over so long a memory that counts little."""
+"""Largest number of weights, over all rows, for the exact search. With more, the force may reverse at once.
+
+Over such a long memory the difference is small.
+"""
 LEVEL_OF_LIMIT = 0.04
-"""Largest distance of levels where the force has a limit of its own at each age."""
+"""Largest spacing of the levels if the force has a separate limit at each age."""
 FEW_AGES = 64
+"""Number of weights that are always searched."""
 NEGLIGIBLE = 1e-6
-"""Share of more weights than those few that is added as if free: a kernel that has died away costs nothing."""
+"""Share of the weights beyond `FEW_AGES` that is added without growth limit, so that a decayed kernel costs nothing."""
 LIFTS = 16
-"""Heights of a lift that are tried at once."""
+"""Number of lift heights per round of the search."""
 ROUNDS = 2
-"""How often they are tried anew about the best."""
+"""Number of rounds; later rounds refine the search around the best height."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Levels:
-    """The levels on which an optimum lies, and which of them may follow on which."""
+    """Levels that contain an optimum, and the transitions between them."""
 
     growth: float
     force: Array
-    """From -1 to 1."""
+    """Levels from -1 to 1."""
     zero: int
-    """Place of 0."""
+    """Index of level 0."""
     reach: npt.NDArray[np.intp]
-    """Of a level of size `force[zero + i]`, how many places from zero its growth may lead to."""
+    """For a level of size `force[zero + i]`, the largest index distance from `zero` that its growth allows."""
 
     @classmethod
     def of(cls, growth: float, spacing: float = 1.0) -> "_Levels":
@@ -45,35 +49,36 @@ class _Levels:
         return cls(growth, np.concatenate((-half[:0:-1], half)), len(half) - 1, reach)
 
     def best_newer(self, value: Array) -> Array:
-        """Of each level the best value among those that may follow on it; shape `(..., levels)` as `value`."""
+        """Return, for each level, the best value among its successors; shape `(..., levels)` as `value`."""
         least, zero = self.reach[0], self.zero
         rising = np.maximum.accumulate(value[..., zero - least :], axis=-1)[..., least:]
         falling = np.maximum.accumulate(value[..., zero + least :: -1], axis=-1)[..., least:]
         return np.concatenate((falling[..., self.reach][..., :0:-1], rising[..., self.reach]), axis=-1)
 
     def from_zero(self) -> slice:
-        """The levels that may follow on 0 and on any force above it."""
+        """Return the levels that may follow 0 or any force above it."""
         return slice(self.zero - int(self.reach[0]), None)
 
 
 def best_push(weights: Array, growth: float, *, from_zero: bool = False, highest: Array | None = None) -> Array:
-    """`max sum_(j<=k) w[j] f[j]` for each k, over |f| <= 1 whose size grows by at most `growth` a tick: f[0] is newest.
+    """Compute `max sum_(j<=k) w[j] f[j]` for each k, over forces |f| <= 1 of limited growth.
 
-    `min(0, f[j]) - growth <= f[j-1] <= max(0, f[j]) + growth`. For given signs these are differences, so an optimum has
-    all |f| at `i growth` or `1 - i growth`: dynamic programming over those levels is exact.
+    f[0] is the newest force; its size grows by at most `growth` per tick:
+    `min(0, f[j]) - growth <= f[j-1] <= max(0, f[j]) + growth`. For given signs, these constraints are differences, so
+    an optimum has all |f| at `i growth` or `1 - i growth`. Dynamic programming over those levels is exact.
 
     Args:
         weights: w, shape `(..., n)`.
-        growth: Largest growth a tick, in units of the cap.
-        from_zero: Whether the oldest force follows on one that is not negative, so that it is at least `-growth`.
-        highest: Largest force at each age, 0 to 1, shape as `weights`; counted as the next level.
+        growth: Largest growth per tick, in units of the cap.
+        from_zero: If true, the oldest force follows a force that is not negative, so it is at least `-growth`.
+        highest: Largest force at each age, 0 to 1, shape as `weights`; rounded up to the next level.
 
     Source: Bellman 1957; Hoffman and Kruskal 1956 (integral vertices).
     """
     free = np.abs(weights) if highest is None else np.maximum(weights * highest, -weights)
     sizes = np.cumsum(free, axis=-1)
     if growth >= 1.0 or weights.size > MOST_WEIGHTS:
-        # Only a reversal of more than the cap is limited then; free is more.
+        # Only a reversal beyond the cap is limited in this case; the sum without a limit is an upper bound.
         return np.asarray(sizes)
     levels = _Levels.of(growth, 1.0 if highest is None else LEVEL_OF_LIMIT)
     oldest = levels.from_zero() if from_zero else slice(None)
@@ -96,7 +101,7 @@ def best_push(weights: Array, growth: float, *, from_zero: bool = False, highest
 
 
 def worst_push(weights: Array, growth: float) -> Array:
-    """A force that reaches the largest `best_push`, newest first, shape `(k,)` with k at most that of `weights`."""
+    """Return a force that attains the largest `best_push`, newest first, shape `(k,)`, at most as long as `weights`."""
     if growth >= 1.0:
         return np.where(weights < 0.0, -1.0, 1.0)
     levels = _Levels.of(growth)
@@ -122,24 +127,24 @@ def worst_push(weights: Array, growth: float) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rising:
-    """The largest function of a force that is nowhere as far forward before as it is now (Eq. 6)."""
+    """Bound of a linear function over forces under which V is greatest at the newest tick (Eq. 6)."""
 
     most: float
-    """A bound on `max sum w f`."""
+    """Bound of `max sum w f`."""
     lift: Array
-    """mu: what was added to w, at least 0 and not growing with age."""
+    """mu that was added to w; at least 0 and not growing with age."""
 
 
 def best_rising_push(weights: Array, growth: float, *, highest: Array | None = None) -> Rising:
-    """A bound on `max sum w[j] f[j]` over forces as in `best_push` whose sums `f[0] + ... + f[j]` are all at least 0.
+    """Bound `max sum w[j] f[j]` over forces as in `best_push` whose sums `f[0] + ... + f[j]` are all at least 0.
 
-    Any mu that is at least 0 and does not grow with age may be added to w: `sum mu f` is a sum of those sums, in shares
-    that are at least 0 (summation by parts). The least that `best_push` of `w + mu` becomes is the bound; tried are mu
-    that are even up to one age and 0 from there on.
+    Any mu that is at least 0 and does not grow with age may be added to w: by summation by parts, `sum mu f` is a
+    non-negative combination of those sums. The bound is the least `best_push` of `w + mu`. The search uses mu that are
+    constant up to one age and 0 beyond it.
 
     Args:
         weights: w, shape `(n,)`.
-        growth: Largest growth a tick, in units of the cap.
+        growth: Largest growth per tick, in units of the cap.
         highest: Largest force at each age, 0 to 1, shape as `weights`.
 
     Source: `docs/ejection_bound.md`, Eq. 6; weak duality (Boyd and Vandenberghe 2004, section 5.2.2).
@@ -148,7 +153,7 @@ def best_rising_push(weights: Array, growth: float, *, highest: Array | None = N
     if not (weights < 0.0).any() or LIFTS * len(weights) > MOST_WEIGHTS:
         return Rising(most=most, lift=lift)
     negative = weights < -1e-3 * np.abs(weights).max()
-    # A lift that ends within a part that is negative, or just behind it.
+    # Try lifts that end within a negative part, or just after it.
     first = int(np.argmax(negative))
     ends = first + np.flatnonzero(np.diff(negative[first:].astype(int)) == -1)
     ends = np.unique(np.clip(ends[:2, None] + np.arange(-2, 3), 1, len(weights) - 1))

@@ -1,8 +1,8 @@
-//! Named faults: what the checks on entry to the safety layer refuse.
+//! Named faults of the checks at the entry of the safety layer.
 
 use crate::lanes::{Axes, is_within};
 
-/// A signal that enters the safety layer, with the largest magnitude that is not absurd.
+/// Signal that enters the safety layer, with the largest valid magnitude.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Signal {
     /// Device position x.
@@ -41,7 +41,7 @@ impl Signal {
         Self::EnvironmentTorque,
     ];
 
-    /// The same of a rotation, by the same number: rad/s for m/s, N m for N.
+    /// Return the corresponding signal of a rotation, with the same bound: rad/s for m/s, N m for N.
     pub(crate) const fn of_rotation(self) -> Self {
         match self {
             Self::Position | Self::Orientation => Self::Orientation,
@@ -52,16 +52,16 @@ impl Signal {
         }
     }
 
-    /// Whether it is a velocity, of a point or of a rotation.
+    /// Return whether it is a velocity, of a point or of a rotation.
     pub(crate) const fn is_velocity(self) -> bool {
         matches!(self, Self::Velocity | Self::AngularVelocity)
     }
 
-    /// Largest magnitude per axis, in SI, that is taken for a measurement rather than for a broken source.
+    /// Return the largest valid magnitude per axis in SI units; a larger value indicates a broken source.
     ///
-    /// Chosen two orders of magnitude above any desktop haptic device (0.5 m, 5 m/s, 40 N) and leader arm
-    /// (6 rad, 30 rad/s), so that no true sample is refused. Of an orientation it is how far the norm of its quaternion
-    /// may lie from 1.
+    /// The bounds are two orders of magnitude above any desktop haptic device (0.5 m, 5 m/s, 40 N) and leader arm (6
+    /// rad, 30 rad/s), so that no true sample is refused. For an orientation, the bound limits the deviation of the
+    /// quaternion's norm from 1.
     pub const fn bound(self) -> f64 {
         match self {
             Self::Position | Self::Velocity | Self::AngularVelocity => 1e3,
@@ -70,7 +70,7 @@ impl Signal {
         }
     }
 
-    /// The signal's name in messages.
+    /// Return the signal's name in messages.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Position => "position",
@@ -97,7 +97,7 @@ impl Signal {
         }
     }
 
-    /// What is wrong with a finite one.
+    /// Describe a finite value that is out of range.
     fn out_of_range(self) -> String {
         match self {
             Self::Orientation => "orientation is no unit quaternion: its norm is not 1 to 1e-9".to_owned(),
@@ -105,7 +105,7 @@ impl Signal {
         }
     }
 
-    /// Passes a value within its bound, or names the fault.
+    /// Return a fault unless the value is within its bound.
     #[inline]
     pub fn check<const N: usize>(self, value: &Axes<N>) -> Result<(), Fault> {
         if is_within(value, self.bound()) {
@@ -119,25 +119,25 @@ impl Signal {
     }
 }
 
-/// Why the safety layer renders no force.
+/// Reason why the safety layer renders no force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Fault {
     /// A sample was NaN or infinite.
     #[error("{} is not a finite number", .0.name())]
     NotFinite(Signal),
-    /// A sample was finite and absurd.
+    /// A sample was finite and out of range.
     #[error("{}", .0.out_of_range())]
     OutOfRange(Signal),
-    /// What drives the device has failed, or says that the device has.
+    /// The device, or its driver, has failed.
     #[error("the device failed")]
     Device,
-    /// Positions or velocities beyond the speed bound of the device, which do not go back: [`crate::Excess`].
+    /// Positions or velocities exceed the speed bound of the device and do not revert: [`crate::Excess`].
     #[error("{} exceeds the speed bound of the device", .0.name())]
     TooFast(Signal),
 }
 
 impl Fault {
-    /// A small number for records: 0 is reserved for "no fault".
+    /// Return a code for records; 0 is reserved for "no fault".
     pub const fn code(self) -> u8 {
         match self {
             Self::NotFinite(signal) if signal as u8 <= Signal::EnvironmentForce as u8 => 1 + signal as u8,
@@ -152,7 +152,7 @@ impl Fault {
         }
     }
 
-    /// The fault with that [`code`](Fault::code), if there is one.
+    /// Return the fault with that [`code`](Fault::code), if there is one.
     pub fn from_code(code: u8) -> Option<Self> {
         let all =
             Signal::ALL.into_iter().flat_map(|signal| [Self::NotFinite(signal), Self::OutOfRange(signal)]);
@@ -161,7 +161,7 @@ impl Fault {
         all.chain([Self::Device]).chain(too_fast).find(|fault| fault.code() == code)
     }
 
-    /// The same fault of a rotation.
+    /// Return the corresponding fault of a rotation.
     pub(crate) const fn of_rotation(self) -> Self {
         match self {
             Self::NotFinite(signal) => Self::NotFinite(signal.of_rotation()),
@@ -177,7 +177,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_bad_number_has_a_name() {
+    fn every_invalid_value_has_a_name() {
         let bad = |x: f64| Signal::RenderedForce.check(&Axes::<3>::new(0.0, x, 0.0));
         assert_eq!(bad(f64::NAN), Err(Fault::NotFinite(Signal::RenderedForce)));
         assert_eq!(bad(f64::NEG_INFINITY), Err(Fault::NotFinite(Signal::RenderedForce)));
@@ -196,7 +196,7 @@ mod tests {
         for code in 1..=25 {
             assert_eq!(Fault::from_code(code).map(Fault::code), Some(code));
         }
-        // Records and packets have these numbers.
+        // Records and packets contain these codes.
         assert_eq!(Fault::NotFinite(Signal::Position).code(), 1);
         assert_eq!(Fault::OutOfRange(Signal::EnvironmentForce).code(), 10);
         assert_eq!(Fault::Device.code(), 11);

@@ -1,4 +1,4 @@
-//! What the pipeline computes with: a vector over the axes of a device, for one scenario or several side by side.
+//! Arithmetic of the pipeline: a vector over the axes of a device, for one scenario or for several at once.
 
 use std::{fmt::Debug, ops::Neg};
 
@@ -11,20 +11,20 @@ use num_traits::{One, Zero};
 /// One value per axis: position in m (rad), velocity in m/s (rad/s) or force in N (N m).
 pub type Axes<const N: usize, S = f64> = SVector<S, N>;
 
-/// Where every axis is finite and at most `bound` in absolute value.
-#[inline(always)] // as of all that a tick checks
+/// Mask of lanes in which every axis is finite and at most `bound` in absolute value.
+#[inline(always)] // as every check of a tick
 pub fn is_within<const N: usize, S: Real>(value: &Axes<N, S>, bound: f64) -> S::SimdBool {
-    // A comparison with NaN is false, so one test covers NaN, infinity and absurdity.
+    // A comparison with NaN is false, so one test covers NaN, infinity and values out of range.
     value.iter().fold(!nowhere::<S>(), |all, x| all & x.magnitude().simd_le(S::splat(bound)))
 }
 
-/// A real number `f64`, or several that are computed with at once, each in a lane of its own.
+/// Real number: one `f64`, or several that are computed at once, one per lane.
 ///
-/// All of this crate's steps are written over it. No operation mixes lanes: each lane holds, bit for bit, what an
-/// `f64` of its own would hold, and a NaN stays in its lane. What depends on a number is therefore selected, never
-/// branched on; for `f64`, `choose!` is a branch again.
+/// All steps of this crate are generic over it. No operation mixes lanes: each lane holds, bit for bit, the result of
+/// a single `f64`, and a NaN stays in its lane. Conditions on a number therefore select and never branch; for `f64`,
+/// `choose!` compiles to a branch.
 ///
-/// Parameters are checked one by one: an instance over lanes is gathered from as many instances over `f64`.
+/// Parameters are checked as `f64`: an instance over lanes is gathered from one checked instance per lane.
 pub trait Real:
     Scalar
     + Copy
@@ -38,22 +38,22 @@ pub trait Real:
     + SimdPartialOrd
     + SimdValue<Element = f64, SimdBool: Debug>
 {
-    /// The square root of each lane.
+    /// Return the square root of each lane.
     #[must_use]
     fn root(self) -> Self;
 
-    /// The absolute value of each lane.
+    /// Return the absolute value of each lane.
     #[must_use]
     fn magnitude(self) -> Self;
 
-    /// The larger of two, the second where they are equal or cannot be compared: what one instruction does.
+    /// Return the larger of two, or the second if they are equal or unordered, as one machine instruction does.
     #[inline(always)]
     #[must_use]
     fn larger(self, other: Self) -> Self {
         self.select(self.simd_gt(other), other)
     }
 
-    /// The lesser of two, as [`larger`](Self::larger).
+    /// Return the lesser of two, or the second if they are equal or unordered.
     #[inline(always)]
     #[must_use]
     fn lesser(self, other: Self) -> Self {
@@ -76,23 +76,25 @@ where
     }
 }
 
-/// The Euclidean norm in each lane; along one axis without a root, to the same bits unless the square leaves the range of
-/// numbers, beyond 1e154 and below 1e-154: there the root is wrong.
+/// Return the Euclidean norm in each lane.
+///
+/// Along one axis it takes no root. The result has the same bits unless the square over- or underflows, beyond 1e154
+/// and below 1e-154, where the root would be wrong.
 #[inline(always)]
 pub fn norm<const N: usize, S: Real>(value: &Axes<N, S>) -> S {
     if N == 1 { value[0].magnitude() } else { value.dot(value).root() }
 }
 
-/// False in all lanes.
+/// Return false in all lanes.
 #[inline(always)]
 pub(crate) fn nowhere<S: Real>() -> S::SimdBool {
     S::splat(0.0).simd_lt(S::splat(0.0))
 }
 
-/// One of two numbers in each lane; for `f64` only the one that is needed is computed.
+/// Select one of two numbers in each lane; for `f64` only the selected one is computed.
 ///
-/// Not [`if_else`](nalgebra::SimdBool::if_else): a closure that is too long to be inlined is a call that is built without
-/// the processor's vectors, and all that it captures stands in memory at each tick, also where it is not called.
+/// [`if_else`](nalgebra::SimdBool::if_else) is unsuitable. A closure that is too long for inlining becomes a call
+/// without vector instructions. All that it captures is then kept in memory at each tick, even without the call.
 macro_rules! choose {
     ($S:ty, $first:expr, $one:expr, $other:expr) => {{
         let first = $first;
@@ -104,7 +106,7 @@ macro_rules! choose {
     }};
 }
 
-/// The same of vectors, axis by axis.
+/// Select one of two vectors in each lane, axis by axis.
 macro_rules! choose_axes {
     ($S:ty, $first:expr, $one:expr, $other:expr) => {{
         let first = $first;
@@ -118,7 +120,7 @@ macro_rules! choose_axes {
 
 pub(crate) use {choose, choose_axes};
 
-/// One of two in each lane, axis by axis. nalgebra's own is a call.
+/// Select one of two vectors in each lane, axis by axis, inline; nalgebra's own function is a call.
 #[inline(always)]
 pub(crate) fn selected<const N: usize, S: Real>(
     first: S::SimdBool,
@@ -132,7 +134,7 @@ pub(crate) fn selected<const N: usize, S: Real>(
     chosen
 }
 
-/// A value of each instance, lane by lane; None unless there are as many instances as lanes.
+/// Pack a value of each instance into lanes; return None unless there is one instance per lane.
 pub(crate) fn pack<T, P: SimdValue>(of: &[T], value: impl Fn(&T) -> P::Element) -> Option<P> {
     if of.len() != P::LANES {
         return None;
@@ -144,31 +146,31 @@ pub(crate) fn pack<T, P: SimdValue>(of: &[T], value: impl Fn(&T) -> P::Element) 
     Some(packed)
 }
 
-/// Added and taken away again, it leaves all that is above 1e-84 as it is, bit for bit, and nothing below 1e-117.
+/// Added and subtracted again, it keeps every value above 1e-84 bit for bit and clears values below 1e-117.
 const NEGLIGIBLE: f64 = 1e-100;
 
-/// The same axes, zero where they are negligible beside [`NEGLIGIBLE`].
+/// Set axes to zero that are negligible relative to [`NEGLIGIBLE`].
 ///
-/// At rest a recursive filter decays towards zero without reaching it: its state would end among the subnormal numbers,
-/// with which a multiplication takes some 150 cycles instead of 4. Two sums cost less than a comparison in each lane.
+/// At rest, the state of a recursive filter decays towards zero and would end among the subnormal numbers. A
+/// multiplication with them takes about 150 cycles instead of 4. Two sums cost less than a comparison in each lane.
 #[inline(always)]
 pub(crate) fn without_residue<const N: usize, S: Real>(innovation: Axes<N, S>) -> Axes<N, S> {
     innovation.map(|x| (x + S::splat(NEGLIGIBLE)) - S::splat(NEGLIGIBLE))
 }
 
-/// The lesser of two, the second where they cannot be compared. What `simd_min` does there depends on the lanes' type.
+/// Return the lesser of two, or the second if they are unordered. `simd_min` depends on the lane type there.
 #[inline(always)]
 pub(crate) fn lesser<S: Real>(a: S, b: S) -> S {
     a.select(a.simd_le(b), b)
 }
 
-/// The value that all instances have in common.
+/// Return the value that all instances have in common.
 pub(crate) fn shared<T, V: PartialEq>(of: &[T], value: impl Fn(&T) -> V) -> Option<V> {
     let first = value(of.first()?);
     of.iter().all(|one| value(one) == first).then_some(first)
 }
 
-/// A part of each instance, gathered in order.
+/// Gather a part of each instance, in order.
 pub(crate) fn part<'a, T, P: 'a, G>(
     of: &[&'a T],
     part: impl Fn(&'a T) -> &'a P,
@@ -177,8 +179,8 @@ pub(crate) fn part<'a, T, P: 'a, G>(
     gather(&of.iter().map(|one| part(one)).collect::<Vec<_>>())
 }
 
-/// A part that all instances have, or none of them.
-#[allow(clippy::option_option)] // refused, built in none, built in all
+/// Gather a part that all instances have; return None if only some have it.
+#[allow(clippy::option_option)] // None: refused; Some(None): absent in all; Some(Some): present in all
 pub(crate) fn option<'a, T, P: 'a, G>(
     of: &[&'a T],
     part: impl Fn(&'a T) -> Option<&'a P>,
@@ -211,19 +213,19 @@ mod tests {
     }
 
     #[test]
-    fn what_all_have_or_none_is_gathered() {
+    fn part_of_all_or_none_is_gathered() {
         let half = |parts: &[&f64]| (parts.iter().copied().sum::<f64>() < 100.0).then_some(parts.len());
         let all = |of: &[Option<f64>]| option(&of.iter().collect::<Vec<_>>(), |one| one.as_ref(), half);
         assert_eq!(all(&[Some(1.0), Some(2.0)]), Some(Some(2)));
         assert_eq!(all(&[None, None]), Some(None));
         assert_eq!(all(&[Some(1.0), None]), None);
-        assert_eq!(all(&[Some(99.0), Some(2.0)]), None, "refused by what gathers");
+        assert_eq!(all(&[Some(99.0), Some(2.0)]), None, "refused by the gathering function");
         assert_eq!(part(&[&(1.0, 0), &(2.0, 0), &(3.0, 0)], |one| &one.0, half), Some(3));
         assert_eq!(part(&[&(100.0, 0)], |one| &one.0, half), None);
     }
 
     #[test]
-    fn a_value_is_shared_where_all_have_it() {
+    fn value_is_shared_if_all_have_it() {
         assert_eq!(shared(&[2, 2, 2], |one| *one), Some(2));
         assert_eq!(shared(&[2, 2, 3], |one| *one), None);
         assert_eq!(shared(&[1, 2, 2], |one| *one), None);

@@ -1,4 +1,4 @@
-//! The whole pipeline of one master tick: from a device sample to the force that the device is commanded to exert.
+//! Pipeline of one master tick, from the device sample to the commanded device force.
 
 use nalgebra::SimdValue as _;
 
@@ -17,14 +17,14 @@ use crate::{
 #[cfg(test)]
 mod tests;
 
-/// How a safety layer is built.
+/// Settings of a safety layer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LayerSettings<const N: usize> {
     /// Dynamics of the device, for the grasp force and the kinetic energy.
     pub device: DeviceModel<N>,
     /// dT in s.
     pub period_s: f64,
-    /// How V and A are had from positions, for a device that does not measure its velocity.
+    /// Estimator of V and A from positions, for a device that does not measure its velocity.
     pub estimator: EstimatorKind,
     /// Observers and controllers.
     pub safety: SafetySettings,
@@ -32,13 +32,13 @@ pub struct LayerSettings<const N: usize> {
     pub limiter: LimiterSettings,
 }
 
-/// Lever in m at which a handle is held, where nothing else is known.
+/// Default lever of a handle in m.
 pub(crate) const DEFAULT_LEVER_M: f64 = 0.05;
 
 /// Estimator, grasp force, observers, controllers and limiter in one step.
 ///
-/// The limiter stands at both ends: before the observers, so that they see the force that can be rendered, and after
-/// the controllers, so that nothing leaves unbounded.
+/// The limiter acts twice. Before the observers it reduces `F_v` to the force that the device can render. After the
+/// controllers it bounds the sum that leaves.
 ///
 /// Source: paper Eq. 1 to 14, in the order of `docs/architecture.md`, "One master tick".
 #[derive(Clone, Debug)]
@@ -47,49 +47,49 @@ pub struct SafetyLayer<const N: usize, S = f64> {
     period_s: f64,
     estimator: AnyEstimator<N, S>,
     measured: MeasuredVelocity<N, S>,
-    /// The estimator once more, as the kernel for what the device was asked to render; only where a controller compares that
-    /// with `F_h`.
+    /// Second copy of the estimator, whose kernel filters the asked force; present only where a controller compares
+    /// that force with `F_h`.
     rendered: Option<AnyEstimator<N, S>>,
     last_rendered: Axes<N, S>,
-    /// What the device was asked to render at the last tick.
+    /// Force that the device was asked to render at the last tick.
     asked: Axes<N, S>,
-    /// What the device can render of what is requested: norm, growth and ramp-in of `F_v` alone.
+    /// Limiter of `F_v` alone: norm, growth and ramp-in.
     rendering: Limiter<N, S>,
     controller: SafetyController<N, S>,
-    /// The bounds on the sum.
+    /// Limiter of the sum `F_v + F_c`.
     limiter: Limiter<N, S>,
     device_force: Axes<N, S>,
     fault: Option<Fault>,
-    /// Only in simulated runs that ask for one.
+    /// Present only in simulated runs that configure one.
     research: Option<Research>,
-    /// Where samples enter; of one scenario only.
+    /// Sample guard and held ticks; used with one scenario only.
     entry: Entry<N>,
 }
 
-/// Where the samples of a device enter, and what waits for those that are held.
+/// Entry of the samples: the guard, and the ticks whose samples are held.
 #[derive(Clone, Debug)]
 struct Entry<const N: usize> {
     guard: Guard<N>,
-    /// The last tick, and its authority.
+    /// The last tick and its authority.
     last: SafetyTick<N>,
     authority: f64,
     held: [HeldTick<N>; MAX_HELD + 1],
     count: usize,
-    /// Whose turn it is, of those that are caught up with.
+    /// Index in `held` of the tick that is being caught up with.
     recalled: Option<usize>,
     excess: Option<Excess>,
 }
 
-/// The forces of a tick whose sample was held.
+/// Forces of a tick whose sample is held.
 #[derive(Clone, Copy, Debug)]
 struct HeldTick<const N: usize> {
-    /// Ticks since the last sample that was taken.
+    /// Ticks since the last accepted sample.
     at: f64,
-    /// `F_v` in N of the tick.
+    /// `F_v` in N at this tick.
     rendered_force: Axes<N>,
-    /// `F_device` in N up to the tick.
+    /// `F_device` in N up to this tick.
     device_force: Axes<N>,
-    /// What the device was asked to render up to the tick, in N.
+    /// Force in N that the device was asked to render up to this tick.
     asked: Axes<N>,
 }
 
@@ -106,7 +106,7 @@ impl<const N: usize> Entry<N> {
         self.count += 1;
     }
 
-    /// As before the first tick.
+    /// Restore the state before the first tick.
     fn clear(&mut self, at: &Sample<N>) {
         self.guard.begin_anew(at);
         (self.last, self.count, self.recalled, self.excess) = (SafetyTick::still(), 0, None, None);
@@ -114,7 +114,7 @@ impl<const N: usize> Entry<N> {
 }
 
 impl<const N: usize> SafetyLayer<N> {
-    /// A layer for a device at rest, without force.
+    /// Create a layer for a device at rest, without force.
     pub fn new(settings: &LayerSettings<N>) -> Result<Self, ParameterError> {
         let LayerSettings { device, period_s, estimator, safety, limiter } = settings;
         Ok(Self {
@@ -144,21 +144,21 @@ impl<const N: usize> SafetyLayer<N> {
         })
     }
 
-    /// The layer before its first tick, whose samples are held against these bounds, and their rotation against `rotation`.
+    /// Set the sample bounds of position and rotation. Call this before the first tick.
     #[must_use]
     pub(crate) fn guarded(mut self, bounds: SampleBounds, rotation: SampleBounds, period_s: f64) -> Self {
         self.entry = Entry::new(Guard::new(bounds, rotation, period_s));
         self
     }
 
-    /// The layer before its first tick, whose samples are held against other bounds than [`SampleBounds::of_axes`].
+    /// Replace the default sample bounds, [`SampleBounds::of_axes`]. Call this before the first tick.
     #[must_use]
     pub fn with_samples(self, bounds: SampleBounds) -> Self {
         let period_s = self.period_s;
         self.guarded(bounds, SampleBounds::UNBOUNDED, period_s)
     }
 
-    /// The layer before its first tick, with a controller of the caller's own behind the others.
+    /// Add a controller of the caller after the built-in ones. Call this before the first tick.
     #[must_use]
     pub fn with_research(mut self, controller: Box<dyn ResearchController>) -> Self {
         self.rendered.get_or_insert_with(|| self.estimator.clone());
@@ -166,12 +166,13 @@ impl<const N: usize> SafetyLayer<N> {
         self
     }
 
-    /// One tick: position x in m, velocity V in m/s if the device measures it (at every tick or at none), `F_v`
-    /// in N.
+    /// Compute one tick from position x in m, velocity V in m/s and `F_v` in N.
     ///
-    /// A sample that leaves the path of the others is held, and its prediction stands for it: [`Guard`]. A number that is not
-    /// finite or absurd, and a step beyond the speed bound of the device, return zero force at this tick and a fault that stays
-    /// until [`reset`](Self::reset).
+    /// Pass the velocity at every tick if the device measures it, else never.
+    ///
+    /// [`Guard`] holds a sample that leaves the path of the others and replaces it by its prediction. A value that is
+    /// not finite or out of range, and a step beyond the speed bound of the device, are faults. A fault gives zero
+    /// force at this tick and stays until [`reset`](Self::reset).
     pub fn tick(
         &mut self,
         position: &Axes<N>,
@@ -181,7 +182,7 @@ impl<const N: usize> SafetyLayer<N> {
         self.tick_with_authority(position, velocity, requested_force, 1.0)
     }
 
-    /// As [`tick`](Self::tick), with the controllers' damping in the share `authority` (0 to 1) only.
+    /// Compute one tick as [`tick`](Self::tick), with the controllers' damping scaled by `authority` (0 to 1).
     #[inline(always)]
     pub fn tick_with_authority(
         &mut self,
@@ -193,9 +194,11 @@ impl<const N: usize> SafetyLayer<N> {
         self.tick_after(0, position, velocity, requested_force, authority)
     }
 
-    /// The same after `missed` ticks that were left out: the device has kept its force. Estimator and observers are carried over
-    /// them along a straight line, so that a late loop does not read several ticks of motion as one; nothing is decided.
-    #[inline(always)] // what it returns is large, and not all of it is looked at
+    /// Compute the tick that follows `missed` skipped ticks, during which the device kept its force.
+    ///
+    /// Estimator and observers advance over the skipped ticks along a straight line, without decisions. A late loop
+    /// therefore does not read several ticks of motion as one.
+    #[inline(always)] // the return value is large, and callers read only part of it
     pub fn tick_after(
         &mut self,
         missed: u64,
@@ -223,7 +226,7 @@ impl<const N: usize> SafetyLayer<N> {
         }
     }
 
-    /// Refuses numbers that are not finite or absurd, and all in a fault.
+    /// Return the stored fault, or a fault for a value that is not finite or out of range.
     #[inline(always)]
     pub(crate) fn check(
         &self,
@@ -239,7 +242,7 @@ impl<const N: usize> SafetyLayer<N> {
         Signal::RenderedForce.check(requested_force)
     }
 
-    /// Whether a sample is on the path, or why it cannot be.
+    /// Judge a sample against its path; return a fault if the device cannot move so fast.
     #[inline(always)]
     pub(crate) fn judge(&mut self, missed: u64, sample: &Sample<N>) -> Result<Judged<N>, Fault> {
         let judged = self.entry.guard.judge(sample, (missed + 1) as f64);
@@ -250,15 +253,16 @@ impl<const N: usize> SafetyLayer<N> {
         Ok(judged)
     }
 
-    /// The tick of one scenario, kept for the next.
+    /// Store the tick of one scenario for the next.
     #[inline(always)]
     pub(crate) fn keep(&mut self, advance: &Advance<N>, authority: f64) -> SafetyTick<N> {
         (self.entry.last, self.entry.authority) = (advance.lane(0), authority);
         self.entry.last
     }
 
-    /// A tick whose sample is held: nothing is estimated, observed or decided. V stays, `F_v` goes on, and the damping of the
-    /// intervention fades with the authority.
+    /// Compute a tick whose sample is held, without estimation, observation or decision.
+    ///
+    /// V stays, `F_v` continues, and the damping of the intervention fades with the authority.
     #[inline(never)]
     pub(crate) fn hold(&mut self, at: f64, requested_force: &Axes<N>, authority: f64) -> SafetyTick<N> {
         let Entry { last, authority: before, .. } = self.entry;
@@ -285,7 +289,7 @@ impl<const N: usize> SafetyLayer<N> {
         self.entry.last
     }
 
-    /// The ticks since the last sample that was taken.
+    /// Advance over the ticks since the last accepted sample.
     #[inline(never)]
     fn catch_up(&mut self) {
         let Some(between) = self.begin_to_catch_up() else { return };
@@ -297,7 +301,8 @@ impl<const N: usize> SafetyLayer<N> {
         self.recall(between.ticks);
     }
 
-    /// The ticks that are to be caught up with, each after a [`recall`](Self::recall), and one for the tick itself.
+    /// Return the ticks to catch up with. Call [`recall`](Self::recall) before each of them and before the current
+    /// tick.
     pub(crate) fn begin_to_catch_up(&mut self) -> Option<Between<N>> {
         let between = self.entry.guard.between()?;
         self.hold_until(between.ticks);
@@ -307,7 +312,7 @@ impl<const N: usize> SafetyLayer<N> {
         Some(between)
     }
 
-    /// The last of those that are caught up with: its force is the one that acts.
+    /// Store the forces in effect as those of the current tick, the last one to catch up with.
     pub(crate) fn hold_until(&mut self, tick: u64) {
         self.hold_forces(tick as f64, Axes::zeros());
     }
@@ -317,7 +322,7 @@ impl<const N: usize> SafetyLayer<N> {
         self.entry.hold(HeldTick { at, rendered_force, device_force, asked });
     }
 
-    /// The forces of a tick that is caught up with are those that acted then.
+    /// Restore the forces that acted at a tick to catch up with.
     pub(crate) fn recall(&mut self, tick: u64) {
         let at = tick as f64;
         let entry = &mut self.entry;
@@ -332,23 +337,23 @@ impl<const N: usize> SafetyLayer<N> {
         }
     }
 
-    /// The sample that stands for the newest one: itself, or its prediction.
+    /// Return the accepted sample, or the prediction while the newest sample is held.
     #[inline]
     pub fn taken(&self) -> &Sample<N> {
         self.entry.guard.taken()
     }
 
-    /// What samples are held against.
+    /// Return the guard of the samples.
     pub fn guard(&self) -> &Guard<N> {
         &self.entry.guard
     }
 
-    /// The speed beyond the bound of the device that led to the fault.
+    /// Return the speed beyond the bound of the device that caused the fault.
     pub fn excess(&self) -> Option<Excess> {
         self.entry.excess
     }
 
-    /// What a tick sees, or why it sees nothing; the sample is on its path.
+    /// Check the values and observe one tick; the sample must be on its path.
     #[inline(always)]
     pub(crate) fn checked(
         &mut self,
@@ -373,14 +378,15 @@ impl<const N: usize> SafetyLayer<N> {
         perceived.seen.check().map(|()| perceived)
     }
 
-    /// A tick that was missed: the device has kept its force, and was at `position` (between two samples) by then.
+    /// Carry the controllers over a missed tick: the device kept its force, and `position` lies between two
+    /// samples.
     pub(crate) fn missed(&mut self, position: &Axes<N>, velocity: Option<&Axes<N>>) {
         if let Some(seen) = self.missed_observation(position, velocity, &mut PointMass) {
             self.controller.carry(&seen);
         }
     }
 
-    /// What observers are carried along with over a missed tick.
+    /// Observe a missed tick; return None if a value is invalid.
     pub(crate) fn missed_observation(
         &mut self,
         position: &Axes<N>,
@@ -393,7 +399,7 @@ impl<const N: usize> SafetyLayer<N> {
         seen.check().ok().map(|()| seen)
     }
 
-    /// Moves the origin of the positions: the device has stood by so much in m further.
+    /// Move the origin of the positions by `by` in m.
     pub(crate) fn shift(&mut self, by: &Axes<N>) {
         self.estimator.shift(by);
         if let Some(kernel) = &mut self.rendered {
@@ -401,8 +407,10 @@ impl<const N: usize> SafetyLayer<N> {
         }
     }
 
-    /// Forces that are held in other axes: those of the last tick as they were in its middle, and for the growth of the
-    /// next as they are now.
+    /// Express the stored forces in turned axes.
+    ///
+    /// Forces of the last tick turn to the axes in the middle of that tick. The growth of the next force is measured
+    /// in the current axes.
     pub(crate) fn turn(
         &mut self,
         to_middle: impl Fn(&Axes<N>) -> Axes<N>,
@@ -420,12 +428,12 @@ impl<const N: usize> SafetyLayer<N> {
         }
     }
 
-    /// Why it renders no force.
+    /// Return the fault that keeps the force at zero.
     pub(crate) fn fault(&self) -> Option<Fault> {
         self.fault
     }
 
-    /// Renders no force from now on, until [`reset`](Self::reset): a fault that only others can see.
+    /// Set a fault that the layer cannot detect itself: no force until [`reset`](Self::reset).
     pub fn fail(&mut self, fault: Fault) {
         self.fault.get_or_insert(fault);
     }
@@ -439,7 +447,7 @@ impl<const N: usize> SafetyLayer<N> {
         SafetyTick { fault: Some(fault), ..SafetyTick::still() }
     }
 
-    /// Clears the past as [`reset`](Self::reset) does, but keeps a fault.
+    /// Clear the past as [`reset`](Self::reset) does, but keep the fault.
     pub fn restart(&mut self, position: &Axes<N>) -> Result<(), Fault> {
         let (fault, excess) = (self.fault, self.entry.excess);
         let restarted = self.reset(position);
@@ -448,7 +456,7 @@ impl<const N: usize> SafetyLayer<N> {
         restarted
     }
 
-    /// Clears a fault and the past: the device rests at `position`, and its force rises from zero again.
+    /// Clear fault and past: the device rests at `position`, and its force rises from zero.
     pub fn reset(&mut self, position: &Axes<N>) -> Result<(), Fault> {
         Signal::Position.check(position)?;
         self.rest_at(position);
@@ -457,15 +465,18 @@ impl<const N: usize> SafetyLayer<N> {
         Ok(())
     }
 
-    /// The path begins here.
+    /// Start the path at this sample.
     pub(crate) fn enter_at(&mut self, sample: &Sample<N>) {
         self.entry.clear(sample);
     }
 }
 
 impl<const N: usize, S: Real> SafetyLayer<N, S> {
-    /// As many layers as there are lanes, without fault, whose parts can be gathered; else None. Period, estimator
-    /// and what is watched must be the same in all; thresholds, bounds, times and the device need not.
+    /// Gather one layer per lane.
+    ///
+    /// Returns None if a layer has a fault, a research controller or a held sample, or if the parts cannot be
+    /// gathered. Period, estimator and the set of controllers must be equal; thresholds, bounds, times and the device
+    /// may differ.
     pub fn gather(of: &[&SafetyLayer<N>]) -> Option<Self> {
         if of.iter().any(|one| one.fault.is_some() || one.research.is_some() || one.entry.count > 0) {
             return None;
@@ -488,9 +499,11 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         })
     }
 
-    /// One tick as [`tick_with_authority`](SafetyLayer::tick_with_authority), in each lane and without its checks: a
-    /// bad number stops nothing. Where [`Advance::seen`] does not [pass](Observation::passes), or a number that is
-    /// given here would not, the checked tick would have stopped.
+    /// Compute one tick in each lane as [`tick_with_authority`](SafetyLayer::tick_with_authority), without its
+    /// checks.
+    ///
+    /// An invalid value stops no lane. The checked tick would stop where an argument is invalid or [`Advance::seen`]
+    /// does not [pass](Observation::passes).
     #[inline(always)]
     pub fn advance(
         &mut self,
@@ -511,8 +524,8 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         requested_force: &Axes<N, S>,
         inertia: &mut impl Inertia<N, S>,
     ) -> Perceived<N, S> {
-        // The observers compare F_v with the hand. A force that the device cannot or must not render yet would look
-        // like one that nobody holds, so F_v is bounded before it is observed. At V = 0 the power bound is idle.
+        // The observers compare F_v with the force of the hand. A force that the device cannot render yet would look
+        // like one that nobody holds, so F_v is limited first. The power bound is idle at V = 0.
         let rendering = self.rendering.limit(requested_force, &Axes::zeros());
         let (motion, seen) = self.observe(position, velocity, &rendering.force, inertia);
         Perceived { rendering, motion, seen }
@@ -529,13 +542,13 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         self.bound(perceived, response)
     }
 
-    /// The observers and controllers.
+    /// Return the observers and controllers.
     #[inline(always)]
     pub(crate) fn controller(&mut self) -> &mut SafetyController<N, S> {
         &mut self.controller
     }
 
-    /// What the device is to exert for what the controllers answer.
+    /// Add the controllers' response to `F_v` and limit the sum.
     #[inline(always)]
     pub(crate) fn bound(&mut self, perceived: &Perceived<N, S>, response: Response<N, S>) -> Advance<N, S> {
         let Perceived { rendering, motion, seen } = *perceived;
@@ -558,18 +571,18 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         }
     }
 
-    /// Keeps what the device is asked to render, beside `F_device`.
+    /// Store `F_v` and the force that the device is asked to render.
     #[inline(always)]
     fn ask(&mut self, rendered_force: &Axes<N, S>) {
         self.last_rendered = *rendered_force;
-        // What a controller of the caller's own adds is its own business.
+        // The force of a research controller does not count as asked.
         self.asked = match self.research {
             None => self.controller.asked(rendered_force, &self.device_force),
             Some(_) => rendered_force * self.controller.let_through(),
         };
     }
 
-    /// V and A, and what the observers see of them.
+    /// Estimate V and A, and compute the observation.
     #[inline(always)]
     fn observe(
         &mut self,
@@ -604,8 +617,8 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         (motion, seen)
     }
 
-    /// What the device was asked to render in the past ticks through the kernel of A, only where an observer compares it with
-    /// `F_h`.
+    /// Return the force asked of the device in the past ticks, filtered by the kernel of A. Without a controller
+    /// that compares it with `F_h`, returns `F_v`.
     #[inline(always)]
     fn align_asked(
         &mut self,
@@ -614,10 +627,10 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         rendered_force: &Axes<N, S>,
     ) -> Axes<N, S> {
         match (&mut self.rendered, velocity) {
-            // F_h is a mean over the last tick, in which that was rendered.
+            // F_h is a mean over the last tick, during which the device rendered this force.
             (Some(_), Some(_)) => self.asked,
             (Some(kernel), None) => {
-                // A kernel that depends on the motion must see the same motion.
+                // The kernel may depend on the motion, so it sees the same positions.
                 kernel.step(position);
                 kernel.align(&self.asked)
             }
@@ -625,7 +638,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         }
     }
 
-    /// Clears the past: the device rests at `position`, and its force rises from zero again.
+    /// Clear the past: the device rests at `position`, and its force rises from zero.
     pub fn rest_at(&mut self, position: &Axes<N, S>) {
         self.estimator.reset(position);
         self.measured.reset();
@@ -643,7 +656,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
     }
 }
 
-/// What is known before the controllers decide.
+/// Motion, observation and limited `F_v` of a tick, before the controllers decide.
 #[derive(Clone, Copy)]
 pub(crate) struct Perceived<const N: usize, S: Real> {
     rendering: SaturatedForce<N, S>,
@@ -651,12 +664,12 @@ pub(crate) struct Perceived<const N: usize, S: Real> {
     pub(crate) seen: Observation<N, S>,
 }
 
-/// The inertial forces of a device beside `m A`.
+/// Inertial forces of a device beyond `m A`.
 pub(crate) trait Inertia<const N: usize, S: Real = f64> {
-    /// `F_device` as late as A, less the inertial forces beside `m A`.
+    /// Return `F_device` with the lag of A, less the inertial forces beyond `m A`.
     ///
-    /// `kernel` is what stands between the true acceleration and A; `is_late` says that V has passed one of its own, of
-    /// which A is the difference ([`Estimator::has_late_velocity`]).
+    /// `kernel` is the filter between the true acceleration and A. `is_late` is true if V itself is filtered and A is
+    /// the difference of V ([`Estimator::has_late_velocity`]).
     fn align(
         &mut self,
         motion: &Motion<N, S>,
@@ -666,7 +679,7 @@ pub(crate) trait Inertia<const N: usize, S: Real = f64> {
     ) -> Axes<N, S>;
 }
 
-/// A point has none.
+/// A point mass, without inertial forces beyond `m A`.
 pub(crate) struct PointMass;
 
 impl<const N: usize, S: Real> Inertia<N, S> for PointMass {
@@ -682,30 +695,30 @@ impl<const N: usize, S: Real> Inertia<N, S> for PointMass {
     }
 }
 
-/// What the safety layer saw and decided at one tick.
+/// Observations and decisions of the safety layer at one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SafetyTick<const N: usize> {
     /// V and A.
     pub motion: Motion<N>,
-    /// `F_v` in N as far as the device can render it: what the observers saw.
+    /// `F_v` in N, limited to what the device can render; the observers see this force.
     pub rendered_force: Axes<N>,
     /// `F_h` in N; zero when no controller reads it.
     pub grasp_force: Axes<N>,
-    /// `F_device` in N: what the device is to exert until the next tick.
+    /// `F_device` in N, commanded until the next tick.
     pub device_force: Axes<N>,
     /// `F_c` and the observers' values.
     pub intervention: Intervention<N>,
-    /// Which bounds acted.
+    /// The bounds that acted.
     pub acted: Acted,
-    /// Energy in J that PC requested and the bounds kept it from dissipating.
+    /// Energy in J that PC requested to dissipate and the bounds prevented.
     pub owed_energy_j: f64,
-    /// Why the force is zero, if it is so because of a bad number. Stays until
+    /// Fault that keeps the force at zero. It stays until
     /// [`SafetyLayer::reset`](SafetyLayer::reset).
     pub fault: Option<Fault>,
 }
 
 impl<const N: usize> SafetyTick<N> {
-    /// Without motion, force and fault.
+    /// Return a tick without motion, force or fault.
     pub fn still() -> Self {
         Self {
             motion: Motion { velocity: Axes::zeros(), acceleration: Axes::zeros() },
@@ -720,31 +733,31 @@ impl<const N: usize> SafetyTick<N> {
     }
 }
 
-/// What the safety layer saw and decided at one tick, in each lane.
+/// Observations and decisions of the safety layer at one tick, in each lane.
 #[derive(Clone, Copy, Debug)]
 pub struct Advance<const N: usize, S: Real = f64> {
     /// V and A.
     pub motion: Motion<N, S>,
-    /// `F_v` in N as far as the device can render it: what the observers saw.
+    /// `F_v` in N, limited to what the device can render; the observers see this force.
     pub rendered_force: Axes<N, S>,
     /// `F_h` in N; zero when no controller reads it.
     pub grasp_force: Axes<N, S>,
-    /// What the device was asked to render, in N, as late as `F_h`.
+    /// Force in N that the device was asked to render, with the lag of `F_h`.
     pub aligned_rendered_force: Axes<N, S>,
-    /// `F_device` in N: what the device is to exert until the next tick.
+    /// `F_device` in N, commanded until the next tick.
     pub device_force: Axes<N, S>,
     /// `F_c` and the observers' values.
     pub response: Response<N, S>,
-    /// `F_v` and where it was bounded.
+    /// `F_v` and the lanes in which a bound acted on it.
     pub rendering: SaturatedForce<N, S>,
-    /// `F_device` and where it was bounded.
+    /// `F_device` and the lanes in which a bound acted on it.
     pub limited: SaturatedForce<N, S>,
-    /// Energy in J that PC requested and the bounds kept it from dissipating.
+    /// Energy in J that PC requested to dissipate and the bounds prevented.
     pub owed_energy_j: S,
 }
 
 impl<const N: usize, S: Real> Advance<N, S> {
-    /// What the observers saw.
+    /// Return the observation of the tick.
     #[inline(always)]
     pub fn seen(&self) -> Observation<N, S> {
         Observation {
@@ -755,7 +768,7 @@ impl<const N: usize, S: Real> Advance<N, S> {
         }
     }
 
-    /// The tick of one lane.
+    /// Return the tick of one lane.
     #[inline(always)]
     pub fn lane(&self, lane: usize) -> SafetyTick<N> {
         SafetyTick {

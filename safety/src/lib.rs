@@ -1,9 +1,10 @@
-//! Safety observers, controllers and limits that stand between a remote push and a hand.
+//! Safety observers, controllers and limits between a remote push and a hand.
 //!
 //! Per tick: position -> [`Guard`] -> [`estimator`] -> grasp force ([`DeviceModel::grasp_force`]) -> [`observer`] ->
-//! [`controller`] -> [`Limiter`]. [`SafetyLayer`] is that pipeline in one step, [`RotationLayer`] the same of a rotation,
-//! [`WrenchLayer`] both for one hand. Everything is a pure state machine: no clock, no allocation after construction, no
-//! lock. What a point needs is written over a [`Real`]: `f64`, or lanes of several scenarios that are stepped at once.
+//! [`controller`] -> [`Limiter`]. [`SafetyLayer`] runs that pipeline in one step. [`RotationLayer`] does so for a
+//! rotation, [`WrenchLayer`] for both on one hand. Everything is a pure state machine: no clock, no lock, no
+//! allocation after construction. The code of a point is generic over [`Real`]: an `f64`, or lanes of several
+//! scenarios that are stepped at once.
 
 pub mod controller;
 pub mod estimator;
@@ -29,13 +30,13 @@ pub use plausible::{Excess, Guard, Sample, SampleBounds, Track, Turned};
 pub use rotation::{RotationLayer, RotationModel, RotationSettings};
 pub use wrench::{PoseSample, WrenchLayer, WrenchSettings, WrenchTick};
 
-/// What an observer, a controller or an estimator is called, and where it comes from.
+/// Name, title and source of an observer, a controller or an estimator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct About {
-    /// Its name, where one of them is chosen.
+    /// Name in settings and on the command line.
     pub name: &'static str,
-    /// What it goes by, in a few words.
+    /// Title of a few words.
     pub title: &'static str,
-    /// Its equation, or where it is described.
+    /// Equation or reference.
     pub source: &'static str,
 }

@@ -1,4 +1,4 @@
-//! The last bounds before the device: norm, slew, power, ramp-in.
+//! Last limits before the device: norm, slew, power and ramp-in.
 
 use nalgebra::SimdBool as _;
 
@@ -8,22 +8,24 @@ use crate::{
     parameter::{in_range, positive},
 };
 
-/// Bounds on the force that a device is commanded to exert.
+/// Limits of the force that a device is commanded to exert.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct LimiterSettings {
     /// Largest `|F|` in N.
     pub max_force_n: f64,
-    /// Largest growth of the force in N/s. Unloading is free: a force may drop towards zero at once.
+    /// Largest growth of the force in N/s. Unloading is not limited: the force may drop towards zero at once.
     pub max_slew_n_per_s: f64,
-    /// Largest power in W that the device may put into the hand, F·V.
+    /// Largest power F·V in W from the device into the hand.
     pub max_power_w: f64,
     /// Time in s over which the force rises from zero after a reset.
     pub ramp_in_s: f64,
 }
 
 impl LimiterSettings {
-    /// The bounds of a rotation whose handle is held at this lever r in m: torque is r F, power and time are the same.
+    /// Convert the limits to a rotation whose handle is held at lever r in m.
+    ///
+    /// Torque is r F; power and time stay.
     #[must_use]
     pub fn at_lever(self, lever_m: f64) -> Self {
         Self {
@@ -35,14 +37,16 @@ impl LimiterSettings {
 }
 
 impl Default for LimiterSettings {
-    /// A PHANTOM Desktop's 7.9 N; a force that rises from zero to it in 8 ms; 20 W, above what an unprotected
-    /// ejection of the paper reaches (7.8 N at 1.4 m/s is 11 W), so that the bound acts on faults only; 200 ms.
+    /// Return 7.9 N of a PHANTOM Desktop, 1000 N/s, 20 W and 0.2 s.
+    ///
+    /// The force then rises from zero to 7.9 N in 8 ms. An unprotected ejection of the paper reaches 11 W (7.8 N at
+    /// 1.4 m/s), so the power limit acts on faults only.
     fn default() -> Self {
         Self { max_force_n: 7.9, max_slew_n_per_s: 1000.0, max_power_w: 20.0, ramp_in_s: 0.2 }
     }
 }
 
-/// Which bounds acted at a tick.
+/// Set of limits that acted at a tick.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Acted(u8);
 
@@ -56,53 +60,53 @@ impl Acted {
     /// The force is still rising from zero.
     pub const RAMP: Self = Self(8);
 
-    /// A number was not finite: no force.
+    /// A value was not finite; the force is zero.
     pub const FAULT: Self = Self(16);
 
-    /// Whether all of `other` is set.
+    /// Return whether all of `other` is set.
     pub fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
     }
 
-    /// What acted here or there.
+    /// Return the union.
     pub(crate) fn and(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
 
-    /// The bits, for records: norm 1, slew 2, power 4, ramp 8, fault 16.
+    /// Return the bits for records: norm 1, slew 2, power 4, ramp 8, fault 16.
     pub fn bits(self) -> u8 {
         self.0
     }
 }
 
-/// A limited force and what limited it.
+/// Limited force and the limits that acted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limited<const N: usize> {
     /// The force in N.
     pub force: Axes<N>,
-    /// The bounds that acted.
+    /// The limits that acted.
     pub acted: Acted,
 }
 
-/// A limited force and where each bound acted, in each lane.
+/// Limited force and the mask of each limit.
 #[derive(Clone, Copy, Debug)]
 pub struct SaturatedForce<const N: usize, S: Real = f64> {
     /// The force in N.
     pub force: Axes<N, S>,
-    /// Where the norm was clipped.
+    /// Lanes in which the norm was clipped.
     pub norm: S::SimdBool,
-    /// Where the growth was limited.
+    /// Lanes in which the growth was limited.
     pub slew: S::SimdBool,
-    /// Where the power was limited.
+    /// Lanes in which the power was limited.
     pub power: S::SimdBool,
-    /// Where the force is still rising from zero.
+    /// Lanes in which the force is still rising from zero.
     pub ramp: S::SimdBool,
-    /// Where a number was not finite: no force.
+    /// Lanes in which a value was not finite; the force is zero.
     pub fault: S::SimdBool,
 }
 
 impl<const N: usize, S: Real> SaturatedForce<N, S> {
-    /// The bounds that acted in one lane.
+    /// Return the limits that acted in one lane.
     #[inline(always)]
     pub fn acted(&self, lane: usize) -> Acted {
         let bit = |mask: S::SimdBool, bound: Acted| if mask.bitmask() >> lane & 1 == 1 { bound.0 } else { 0 };
@@ -116,25 +120,29 @@ impl<const N: usize, S: Real> SaturatedForce<N, S> {
     }
 }
 
-/// Keeps the device force inside its bounds, as a vector: no axis is clipped on its own, which would rotate it.
+/// Limiter of the device force as a vector. No axis is clipped on its own, since that would rotate the force.
 ///
-/// In this order: ramp-in scales; the norm is clipped to `max_force_n`; the step from the last force is limited
-/// (to `max_slew dT` beyond the part that only unloads); the component along V is reduced so that
-/// `F·V <= max_power`. Norm and power therefore hold at every tick. The growth is exceeded only by what the power
-/// bound takes away.
+/// The steps, in this order:
+///
+/// 1. The ramp-in scales the force.
+/// 2. The norm is clipped to `max_force_n`.
+/// 3. The growth from the last force is limited to `max_slew dT`; the part of the change that only unloads is free.
+/// 4. The component along V is reduced so that `F·V <= max_power`.
+///
+/// Norm and power therefore hold at every tick. Only the power limit can cause a larger growth.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Limiter<const N: usize, S = f64> {
     max_force_n: S,
     max_power_w: S,
     step_n: S,
     ramp_ticks: S,
-    /// Ticks of the ramp that are over: a lane that is not finite waits, so they are counted in each.
+    /// Elapsed ticks of the ramp, per lane: a lane with an invalid value does not advance.
     ticks: S,
     last: Axes<N, S>,
 }
 
 impl<const N: usize> Limiter<N> {
-    /// Bounds for a loop of period `period_s`.
+    /// Create a limiter for a loop of period `period_s`.
     pub fn new(period_s: f64, settings: LimiterSettings) -> Result<Self, ParameterError> {
         let period_s = positive("period_s", "dT", period_s)?;
         let max_force_n = positive("max_force_n", "F_max", settings.max_force_n)?;
@@ -151,7 +159,7 @@ impl<const N: usize> Limiter<N> {
         })
     }
 
-    /// Limits the requested force at this tick, with V in m/s.
+    /// Limit the requested force at this tick, with V in m/s.
     #[inline(always)]
     pub fn step(&mut self, requested_force: &Axes<N>, velocity: &Axes<N>) -> Limited<N> {
         let saturated = self.limit(requested_force, velocity);
@@ -159,18 +167,18 @@ impl<const N: usize> Limiter<N> {
     }
 }
 
-/// Changes a force in some lanes; most ticks need it in none.
+/// Change a force in the lanes of a mask, which is empty at most ticks.
 macro_rules! change {
     ($S:ty, $force:ident, $place:expr, $changed:expr) => {
         if $place.any() {
-            seldom();
+            rare_branch();
             $force = choose_axes!($S, $place, $changed, $force);
         }
     };
 }
 
 impl<const N: usize, S: Real> Limiter<N, S> {
-    /// As many limiters as there are lanes; None for another number of them.
+    /// Gather one limiter per lane; return None if their number is not that of the lanes.
     pub fn gather(of: &[&Limiter<N>]) -> Option<Self> {
         Some(Self {
             max_force_n: pack(of, |one| one.max_force_n)?,
@@ -182,14 +190,14 @@ impl<const N: usize, S: Real> Limiter<N, S> {
         })
     }
 
-    /// Limits the requested force at this tick, with V in m/s, in each lane.
+    /// Limit the requested force in each lane at this tick, with V in m/s.
     #[inline(always)]
     pub fn limit(&mut self, requested_force: &Axes<N, S>, velocity: &Axes<N, S>) -> SaturatedForce<N, S> {
-        // Copies: what a call gets the address of, and all that the caller has beside it, would stand in memory at each
-        // tick, also where it is not called.
+        // Copies: an argument passed by address would be kept in memory at every tick, with all that the caller
+        // stores next to it, even without the call.
         let (mut force, velocity) = (*requested_force, *velocity);
         let Self { max_force_n, max_power_w, step_n: most_growth, ramp_ticks, ticks, .. } = *self;
-        // A comparison with NaN is false, so every bound below would let one through.
+        // A comparison with NaN is false, so the limits below would let a NaN pass.
         let mut is_finite = !nowhere::<S>();
         for axis in 0..N {
             for number in [force[axis], velocity[axis]] {
@@ -200,7 +208,7 @@ impl<const N: usize, S: Real> Limiter<N, S> {
         change!(S, force, ramp, force * (ticks / ramp_ticks));
         self.ticks = (ticks + S::splat(1.0)).select(ramp, ticks);
         if S::LANES == 1 && is_finite.all() && is_none(&force) {
-            // No bound is in the way of no force.
+            // A zero force meets every limit.
             let no = nowhere::<S>();
             self.last = force;
             return SaturatedForce { force, norm: no, slew: no, power: no, ramp, fault: no };
@@ -208,7 +216,7 @@ impl<const N: usize, S: Real> Limiter<N, S> {
         let length = norm(&force);
         let long = is_finite & length.simd_gt(max_force_n);
         change!(S, force, long, force * (max_force_n / length));
-        // The nearest point on the way from the last force to zero: getting there only unloads.
+        // The nearest point between the last force and zero; reaching it only unloads.
         let unloaded = self.last * nearest_share(&self.last, &force);
         let growth = force - unloaded;
         let step_n = norm(&growth);
@@ -221,33 +229,33 @@ impl<const N: usize, S: Real> Limiter<N, S> {
         SaturatedForce { force: self.last, norm: long, slew, power, ramp, fault: !is_finite }
     }
 
-    /// The force of the last tick in other axes.
+    /// Express the force of the last tick in other axes.
     pub(crate) fn turn(&mut self, turned: impl FnOnce(&Axes<N, S>) -> Axes<N, S>) {
         self.last = turned(&self.last);
     }
 
-    /// Zero force at once, and the ramp starts anew.
+    /// Set the force to zero and restart the ramp.
     pub fn reset(&mut self) {
         (self.last, self.ticks) = (Axes::zeros(), S::splat(0.0));
     }
 }
 
-/// Whether a force is zero in all lanes.
+/// Return whether a force is zero in all lanes.
 #[inline(always)]
 fn is_none<const N: usize, S: Real>(force: &Axes<N, S>) -> bool {
     force.iter().all(|force| force.simd_eq(S::splat(0.0)).all())
 }
 
-/// Keeps the compiler from computing what is seldom needed: a division and a root in the way of every tick.
+/// Mark a rare branch, so that the compiler does not compute its division and root at every tick.
 #[cold]
-fn seldom() {}
+fn rare_branch() {}
 
-/// The share s in [0, 1] for which `s last` is nearest to `force`.
+/// Return the share s in [0, 1] for which `s last` is nearest to `force`.
 #[inline(always)]
 fn nearest_share<const N: usize, S: Real>(last: &Axes<N, S>, force: &Axes<N, S>) -> S {
     let (none, all) = (S::splat(0.0), S::splat(1.0));
     let squared = last.dot(last);
-    // For one scenario most ticks need no division.
+    // With one scenario, most ticks need no division.
     if S::LANES == 1 && (last.dot(force).simd_ge(squared) & squared.simd_gt(none)).all() {
         return all;
     }
@@ -256,7 +264,7 @@ fn nearest_share<const N: usize, S: Real>(last: &Axes<N, S>, force: &Axes<N, S>)
         squared.simd_gt(none),
         {
             let share = last.dot(force) / squared;
-            // Not simd_clamp: over lanes it takes NaN for a number.
+            // Not simd_clamp: over lanes it turns NaN into a number.
             none.select(share.simd_lt(none), all.select(share.simd_gt(all), share))
         },
         none
@@ -317,7 +325,7 @@ mod tests {
         let requested = Axes::<2>::new(3.0, -4.0);
         for tick in 0..20_u8 {
             let Limited { force, acted } = limiter.step(&requested, &Axes::zeros());
-            // Eighths are exact.
+            // Multiples of 1/8 are exact.
             assert_eq!(force, requested * (f64::from(tick.min(8)) / 8.0));
             assert_eq!(acted.contains(Acted::RAMP), tick < 8);
         }
@@ -327,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_is_not_finite_there_is_no_force() {
+    fn non_finite_input_gives_no_force() {
         for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             for places in 1_u8..64 {
                 let mut values = [0.5; 6];
@@ -362,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_that_is_not_finite_leaves() {
+    fn non_finite_input_after_a_force_gives_no_force() {
         let mut limiter = Limiter::<2>::new(1e-3, OPEN).unwrap();
         limiter.step(&Axes::<2>::new(1.0, 1.0), &Axes::zeros());
         for (force, speed) in [(f64::NAN, 0.0), (f64::INFINITY, 0.0), (1.0, f64::NAN)] {
@@ -407,9 +415,9 @@ mod tests {
             }
         }
 
-        /// What one scenario need not compute changes nothing: side by side all is computed.
+        /// The scalar shortcuts change no bit; the lanes compute every step.
         #[test]
-        fn what_is_skipped_for_one_scenario_changes_no_bit(
+        fn scalar_shortcuts_change_no_bit(
             ticks in prop::collection::vec((0..7usize, prop::array::uniform2(-9.0..9.0f64), -5.0..5.0f64), 1..80),
         ) {
             use nalgebra::SimdValue as _;
@@ -436,7 +444,7 @@ mod tests {
             }
         }
 
-        /// The limiter knows no axes: limiting a rotated force gives the rotated limited force.
+        /// Limiting a rotated force gives the rotated limited force: the limiter does not depend on axes.
         #[test]
         fn rotates_with_the_frame(
             requested in prop::array::uniform2(-20.0..20.0f64),

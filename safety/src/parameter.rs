@@ -1,8 +1,8 @@
-//! Parameters that are refused: one error type for every part of this crate.
+//! Check of parameters, with one error type for all parts of this crate.
 
 use thiserror::Error;
 
-/// A parameter outside what its equation allows.
+/// Parameter outside the range of its equation.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[error("{name} ({symbol}) = {seen}: must be {allowed}")]
 pub struct ParameterError {
@@ -10,26 +10,26 @@ pub struct ParameterError {
     pub name: &'static str,
     /// Symbol in the equation.
     pub symbol: &'static str,
-    /// The value that was refused.
+    /// Refused value.
     pub seen: f64,
-    /// What would have been accepted.
+    /// Allowed values.
     pub allowed: &'static str,
 }
 
 impl ParameterError {
-    /// The same error under the name that the caller's settings have for the field.
+    /// Rename the field of the error from `name` to the name in the caller's settings.
     pub(crate) fn of_field(self, name: &str, known_as: &'static str) -> Self {
         if self.name == name { Self { name: known_as, ..self } } else { self }
     }
 }
 
-/// Passes a finite value above zero.
+/// Check that a value is finite and above zero.
 pub(crate) fn positive(name: &'static str, symbol: &'static str, value: f64) -> Result<f64, ParameterError> {
     let allowed = "finite and above 0";
     check(name, symbol, value, value.is_finite() && value > 0.0, allowed)
 }
 
-/// Passes a finite value of zero or more.
+/// Check that a value is finite and zero or more.
 pub(crate) fn non_negative(
     name: &'static str,
     symbol: &'static str,
@@ -39,7 +39,7 @@ pub(crate) fn non_negative(
     check(name, symbol, value, value.is_finite() && value >= 0.0, allowed)
 }
 
-/// Passes a value of the closed interval from `low` to `high`; `allowed` says the interval in words.
+/// Check that a value lies in the closed interval from `low` to `high`; `allowed` describes the interval.
 pub(crate) fn in_range(
     name: &'static str,
     symbol: &'static str,
@@ -48,22 +48,22 @@ pub(crate) fn in_range(
     high: f64,
     allowed: &'static str,
 ) -> Result<f64, ParameterError> {
-    // With an infinite bound the interval alone would let infinity through.
+    // With an infinite bound, the comparison alone would accept infinity.
     let inside = value.is_finite() && value >= low && value <= high;
     check(name, symbol, value, inside, allowed)
 }
 
-/// Passes any finite value.
+/// Check that a value is finite.
 pub(crate) fn finite(name: &'static str, symbol: &'static str, value: f64) -> Result<f64, ParameterError> {
     check(name, symbol, value, value.is_finite(), "finite")
 }
 
-/// Passes a share above 0 and at most 1.
+/// Check that a value is above 0 and at most 1.
 pub(crate) fn ratio(name: &'static str, symbol: &'static str, value: f64) -> Result<f64, ParameterError> {
     check(name, symbol, value, value > 0.0 && value <= 1.0, "above 0 and at most 1")
 }
 
-/// Passes a count between `low` and `high`; `allowed` says the interval in words.
+/// Check that a count lies between `low` and `high`; `allowed` describes the interval.
 pub(crate) fn whole(
     name: &'static str,
     symbol: &'static str,
@@ -90,7 +90,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bounds_are_those_of_the_name() {
+    fn bounds_match_the_function_names() {
         assert_eq!(positive("mass_kg", "m", 0.1), Ok(0.1));
         assert!(positive("mass_kg", "m", 0.0).is_err());
         assert_eq!(non_negative("viscous", "b", 0.0), Ok(0.0));
@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_finite_is_refused() {
+    fn non_finite_values_are_refused() {
         for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             assert!(positive("mass_kg", "m", value).is_err());
             assert!(non_negative("viscous", "b", value).is_err());
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn intervals_are_as_their_names_say() {
+    fn intervals_match_the_function_names() {
         assert_eq!(finite("viscous", "b", -1e300), Ok(-1e300));
         assert_eq!(ratio("gain", "k", 1.0), Ok(1.0));
         for value in [0.0, -0.1, 1.0 + f64::EPSILON, f64::NAN] {
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn a_field_is_known_under_another_name() {
+    fn an_error_is_renamed_for_its_field_only() {
         let error = ParameterError { name: "threshold", symbol: "t", seen: 2.0, allowed: "1" };
         assert_eq!(error.clone().of_field("window", "other"), error);
         assert_eq!(error.clone().of_field("threshold", "other"), ParameterError { name: "other", ..error });

@@ -1,4 +1,4 @@
-//! Plausible samples: a wrong one moves neither force nor arm, and a device that cannot have moved so far is a fault.
+//! Plausibility check of samples: a wrong sample moves neither force nor arm, and an impossible motion is a fault.
 
 use std::fmt;
 
@@ -12,27 +12,27 @@ use crate::{
 #[cfg(test)]
 mod tests;
 
-/// What the samples of a device are held against.
+/// Bounds on the samples of a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SampleBounds {
     /// Speed bound of the device in m/s (rad/s).
     pub speed: f64,
-    /// Largest change of velocity in m/s (rad/s) from a sample to the next one on the same path: 0.5 m/s is 0.5 mm off
-    /// the path at 1 kHz.
+    /// Largest change of velocity in m/s (rad/s) between successive samples of one path. At 1 kHz, 0.5 m/s is 0.5 mm
+    /// off the path.
     pub velocity_change: f64,
     /// Resolution of the position in m (rad).
     pub quantum: f64,
-    /// Whether each axis is held against the bounds by itself, as joints are; else the norm is.
+    /// If true, each axis must meet the bounds separately, as for joints; else the norm must.
     pub per_axis: bool,
 }
 
 impl SampleBounds {
-    /// A point: 20 m/s, and 0.5 mm off its path at 1 kHz.
+    /// Bounds of a point: 20 m/s, and 0.5 mm off its path at 1 kHz.
     ///
-    /// A hand throws at 10 m/s at most, and a motor of 8.5 N on 75 g reaches 9.3 m/s over its workspace.
+    /// A hand throws at 10 m/s at most. A motor of 8.5 N on 75 g reaches 9.3 m/s over its workspace.
     pub const LINEAR: Self = Self { speed: 20.0, velocity_change: 0.5, quantum: 0.0, per_axis: false };
 
-    /// Joints: 60 rad/s, and the path of a point at a lever of 0.1 m, a short link.
+    /// Bounds of joints: 60 rad/s, and the path of a point at a lever of 0.1 m, a short link.
     pub const JOINTS: Self = Self {
         speed: 60.0,
         velocity_change: Self::LINEAR.velocity_change / 0.1,
@@ -40,16 +40,16 @@ impl SampleBounds {
         per_axis: true,
     };
 
-    /// Nothing is held against anything.
+    /// No bounds: every sample is valid.
     pub const UNBOUNDED: Self =
         Self { speed: f64::INFINITY, velocity_change: f64::INFINITY, quantum: 0.0, per_axis: false };
 
-    /// A device of so many axes of which nothing else is known: joints from four on.
+    /// Default bounds for a number of axes: joints from four axes on, else a point.
     pub const fn of_axes(axes: usize) -> Self {
         if axes <= 3 { Self::LINEAR } else { Self::JOINTS }
     }
 
-    /// The same, if a device can have them: all above 0, and the quantum 0 or more; none is no number.
+    /// Check that speed and velocity change are above 0, and the quantum finite and 0 or more. NaN is refused.
     pub fn checked(self) -> Result<Self, ParameterError> {
         let refused = |name, symbol, seen: f64, accepted: bool, allowed| {
             if accepted { Ok(()) } else { Err(ParameterError { name, symbol, seen, allowed }) }
@@ -61,8 +61,10 @@ impl SampleBounds {
         Ok(self)
     }
 
-    /// The rotation of a handle that the hand holds at this lever r in m: its rim leaves the path as a point does. Its
-    /// speed is that of [`JOINTS`](Self::JOINTS).
+    /// Bounds of the rotation of a handle that the hand holds at lever r in m.
+    ///
+    /// A point on its rim deviates from the path as a point device may. The speed bound is that of
+    /// [`JOINTS`](Self::JOINTS).
     #[must_use]
     pub fn at_lever(self, lever_m: f64) -> Self {
         Self {
@@ -73,7 +75,7 @@ impl SampleBounds {
         }
     }
 
-    /// The same per tick of `period_s`.
+    /// Convert the bounds to units per tick of `period_s`.
     fn per_tick(self, period_s: f64) -> PerTick {
         let Self { speed, velocity_change, quantum, per_axis } = self;
         PerTick { period_s, speed: speed * period_s, change: velocity_change * period_s, quantum, per_axis }
@@ -91,7 +93,7 @@ struct PerTick {
 }
 
 impl PerTick {
-    /// Where a velocity in m/s goes on from the last one, `gap` ticks before, and is within the bound on the speed.
+    /// Test a velocity in m/s: its speed is within the bound, and it follows from the velocity `gap` ticks before.
     #[inline(always)]
     fn is_steady<const N: usize, S: Real>(&self, from: &Axes<N, S>, to: &Axes<N, S>, gap: S) -> S::SimdBool {
         let [period_s, speed, change, quantum] =
@@ -102,7 +104,7 @@ impl PerTick {
     }
 }
 
-/// Where a vector is no longer than a limit.
+/// Mask of vectors no longer than a limit.
 #[inline(always)]
 fn is_short<const N: usize, S: Real>(vector: &Axes<N, S>, limit: S, per_axis: bool) -> S::SimdBool {
     if N == 1 || per_axis {
@@ -111,34 +113,35 @@ fn is_short<const N: usize, S: Real>(vector: &Axes<N, S>, limit: S, per_axis: bo
     vector.dot(vector).simd_le(limit * limit)
 }
 
-/// Most ticks between two samples of a device that samples more slowly than the loop.
+/// Largest number of ticks between two samples of a device that samples more slowly than the loop.
 const MAX_EVERY: f64 = 4.0;
 
-/// The path of a point: `x(k) = x_a + v k`, k ticks after the anchor `x_a`.
+/// Path of a point: `x(k) = x_a + v k`, k ticks after the anchor `x_a`.
 ///
-/// The anchor is the last sample, unless that repeats the one before as those of a device do that samples more slowly than the
-/// loop: then it is the first of those that are the same.
+/// The anchor is the last sample. A device that samples more slowly than the loop repeats its samples; the anchor is
+/// then the first of equal samples.
 ///
-/// A sample is on the path where `|x - x_a - v k| <= dV dT g + 2 q`, g ticks after the sample before: a change of velocity of
-/// dV, and rounding to the quantum q of this sample and of the two that the path is of.
+/// A sample is on the path where `|x - x_a - v k| <= dV dT g + 2 q`, g ticks after the sample before. The bound
+/// allows a change of velocity by dV. It also allows rounding to the quantum q, of this sample and of the two that
+/// define the path.
 ///
 /// Source: derived here.
 #[derive(Clone, Copy, Debug)]
 pub struct Track<const N: usize, S = f64> {
     bounds: PerTick,
     anchor: Option<Axes<N, S>>,
-    /// v in m per tick; none before the second sample.
+    /// v in m per tick; None before the second sample.
     rate: Option<Axes<N, S>>,
     /// Ticks from the anchor to the last sample.
     since: S,
-    /// Ticks from the last sample that differed from the one before to the last one.
+    /// Ticks from the last sample that differed from its predecessor to the last sample.
     same_for: S,
     /// Ticks between the last two samples that differed.
     every: S,
 }
 
 impl<const N: usize, S: Real> Track<N, S> {
-    /// The path of a device that is sampled every `period_s`, before its first sample.
+    /// Create the path of a device sampled every `period_s`, before its first sample.
     pub fn new(bounds: SampleBounds, period_s: f64) -> Self {
         Self::of(bounds.per_tick(period_s))
     }
@@ -148,13 +151,13 @@ impl<const N: usize, S: Real> Track<N, S> {
         Self { bounds, anchor: None, rate: None, since, same_for, every }
     }
 
-    /// As many paths as there are lanes, all of the same bounds and before their first sample; else None.
+    /// Gather one path per lane. Returns None if bounds differ or a path has begun.
     pub fn gather(of: &[&Track<N>]) -> Option<Self> {
         let bounds = of.first()?.bounds;
         of.iter().all(|one| one.bounds == bounds && one.anchor.is_none()).then(|| Self::of(bounds))
     }
 
-    /// Where a sample is on the path, `ticks` after the last one of it and `gap` after the sample before.
+    /// Return the mask of samples on the path, `ticks` after its last sample and `gap` after the sample before.
     #[inline(always)]
     fn contains(&self, position: &Axes<N, S>, ticks: S, gap: S) -> S::SimdBool {
         let Some(anchor) = &self.anchor else { return !nowhere::<S>() };
@@ -167,7 +170,7 @@ impl<const N: usize, S: Real> Track<N, S> {
         is_slow & is_short(&(moved - rate * k), change * gap + quantum + quantum, per_axis)
     }
 
-    /// Takes a sample, `ticks` after the last one.
+    /// Accept a sample, `ticks` after the last one.
     #[inline(always)]
     fn accept(&mut self, position: &Axes<N, S>, ticks: S) {
         let Some(anchor) = self.anchor.replace(*position) else { return };
@@ -180,21 +183,22 @@ impl<const N: usize, S: Real> Track<N, S> {
         }
         let rate = self.rate.unwrap_or(Axes::zeros());
         self.rate = Some(selected(repeats, rate, &(moved / k)));
-        // A repeat is where the anchor is.
+        // A repeat keeps the position of the anchor.
         self.since = k.select(repeats, S::zero());
         self.every = self.every.select(is_same, same_for.lesser(S::splat(MAX_EVERY)));
         self.same_for = same_for.select(is_same, S::zero());
     }
 
-    /// Where a velocity in m/s that is measured goes on from that of the last sample, `ticks` before, and is within the bound on
-    /// the speed.
+    /// Test a measured velocity in m/s: its speed is within the bound, and it follows from the velocity `ticks`
+    /// before.
     #[inline(always)]
     pub fn is_steady(&self, from: &Axes<N, S>, to: &Axes<N, S>, ticks: S) -> S::SimdBool {
         self.bounds.is_steady(from, to, ticks)
     }
 
-    /// Takes the sample, `ticks` after the one before; returns where it was on the path. Elsewhere the path is of no use any
-    /// more.
+    /// Accept a sample, `ticks` after the one before, and return the mask of lanes where it was on the path.
+    ///
+    /// In the other lanes the path is no longer usable.
     #[inline(always)]
     pub fn step(&mut self, position: &Axes<N, S>, ticks: S) -> S::SimdBool {
         let on_path = self.contains(position, ticks, ticks);
@@ -204,14 +208,14 @@ impl<const N: usize, S: Real> Track<N, S> {
 }
 
 impl<const N: usize> Track<N> {
-    /// Where the path is, `ticks` after its last sample; none before the first.
+    /// Predict the position `ticks` after the last sample; None before the first.
     fn at(&self, ticks: f64) -> Option<Axes<N>> {
         let rate = self.rate.unwrap_or(Axes::zeros());
         self.anchor.map(|anchor| anchor + rate * (self.since + ticks))
     }
 }
 
-/// An orientation and, of a device that measures it, an angular velocity in rad/s, both in the base frame.
+/// Orientation and, if the device measures it, angular velocity in rad/s, both in the base frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Turned {
     /// R, `base_from_body`.
@@ -220,9 +224,9 @@ pub struct Turned {
     pub angular_velocity: Option<Axes<3>>,
 }
 
-/// The path of a rotation, `R(k) = exp(w k) R_a`, on SO(3); as [`Track`], with angles for lengths.
+/// Path of a rotation on SO(3), `R(k) = exp(w k) R_a`; as [`Track`], with angles for lengths.
 ///
-/// The sine of half an angle is held against half of a limit: for less than 0.5 rad the same to 1 %.
+/// The test compares the sine of half the angle with half of the limit. Below 0.5 rad they agree to 1 %.
 #[derive(Clone, Copy, Debug)]
 struct TurnTrack {
     bounds: PerTick,
@@ -234,7 +238,7 @@ struct TurnTrack {
     every: f64,
 }
 
-/// Whether a rotation is by no more than an angle.
+/// Return whether the angle of a rotation is at most `angle` in rad.
 #[inline]
 fn is_small(turn: &UnitQuaternion<f64>, angle: f64) -> bool {
     turn.imag().norm_squared() <= 0.25 * angle * angle
@@ -278,25 +282,25 @@ impl TurnTrack {
     }
 }
 
-/// What a device measures at one tick.
+/// Measurements of a device at one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample<const N: usize> {
     /// x in m (rad).
     pub position: Axes<N>,
-    /// V in m/s (rad/s), of a device that measures it, at every sample or at none.
+    /// V in m/s (rad/s), if the device measures it; given at every sample or at none.
     pub velocity: Option<Axes<N>>,
-    /// Of a device that turns.
+    /// Rotation of a device that turns.
     pub rotation: Option<Turned>,
 }
 
 impl<const N: usize> Sample<N> {
-    /// Of a point.
+    /// Create the sample of a point.
     #[inline]
     pub fn point(position: &Axes<N>, velocity: Option<&Axes<N>>) -> Self {
         Self { position: *position, velocity: velocity.copied(), rotation: None }
     }
 
-    /// The same of a device whose origin has moved, by a rotation in the base frame.
+    /// Return the sample of a device whose origin moves by `by`; the rotation is in the base frame.
     fn shifted(&self, by: &Self) -> Self {
         let turned = self
             .rotation
@@ -305,7 +309,7 @@ impl<const N: usize> Sample<N> {
         Self { position: self.position + by.position, rotation: turned.or(self.rotation), ..*self }
     }
 
-    /// Between this and a later one, at a share of the way: along a straight line, and evenly about one axis.
+    /// Interpolate from this sample to a later one: along a straight line, and at constant rate about one axis.
     #[must_use]
     pub fn towards(&self, later: &Self, share: f64) -> Self {
         let turned = |from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>| {
@@ -327,21 +331,21 @@ fn between<const N: usize>(from: Option<Axes<N>>, to: Option<Axes<N>>, share: f6
     from.zip(to).map(|(from, to)| from + (to - from) * share)
 }
 
-/// A speed beyond the bound of its device.
+/// Speed beyond the bound of the device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Excess {
-    /// Of which signal.
+    /// Signal that exceeds the bound.
     pub signal: Signal,
-    /// In m/s (rad/s).
+    /// Seen speed in m/s (rad/s).
     pub seen: f64,
-    /// In m/s (rad/s).
+    /// Bound in m/s (rad/s).
     pub bound: f64,
-    /// Whether both are in rad/s.
+    /// True if both are in rad/s.
     pub is_angular: bool,
 }
 
 impl Excess {
-    /// The fault.
+    /// Return the fault.
     pub fn fault(&self) -> Fault {
         Fault::TooFast(self.signal)
     }
@@ -360,44 +364,44 @@ impl fmt::Display for Excess {
     }
 }
 
-/// Most samples off the path that may still be outliers.
+/// Largest number of successive samples off the path that count as outliers.
 const MAX_OUTLIERS: usize = 3;
-/// Most samples that are held: one more, where the fourth may itself be wrong.
+/// Largest number of held samples: one more, since the fourth sample may itself be wrong.
 pub(crate) const MAX_HELD: usize = MAX_OUTLIERS + 1;
 
-/// A sample, and how many ticks after the last one of the path.
+/// Sample and its time in ticks after the last sample of the path.
 #[derive(Clone, Copy, Debug)]
 struct Knot<const N: usize> {
     at: f64,
     sample: Sample<N>,
 }
 
-/// What becomes of a sample.
+/// Result of judging a sample.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Judged<const N: usize> {
-    /// It is on the path, one tick after the last: taken as it is.
+    /// Accepted unchanged: on the path, one tick after the last sample.
     Passed,
-    /// It is off the path and may be an outlier: [`Guard::taken`] is the prediction, so many ticks after the path.
+    /// Held: off the path, perhaps an outlier. [`Guard::taken`] is the prediction for this time in ticks.
     Held(f64),
-    /// It is taken, and so are the ticks since the last one that was.
+    /// Accepted, after ticks since the last accepted sample that must be caught up with.
     Settled,
-    /// The device cannot have moved so.
+    /// Refused: the device cannot move so fast.
     Stepped(Excess),
 }
 
-/// The ticks between two samples that were taken, on lines between what was measured.
+/// Ticks between two accepted samples, interpolated linearly between the measurements.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Between<const N: usize> {
     knots: [Knot<N>; MAX_HELD + 2],
     count: usize,
     /// Ticks up to the newest sample.
     pub(crate) ticks: u64,
-    /// By how much the origin of the device has moved meanwhile.
+    /// Movement of the device origin in this time.
     pub(crate) shift: Option<Sample<N>>,
 }
 
 impl<const N: usize> Between<N> {
-    /// The sample of one of the ticks between.
+    /// Interpolate the sample of one tick.
     pub(crate) fn at(&self, tick: u64) -> Sample<N> {
         let tick = tick as f64;
         let knots = &self.knots[..self.count];
@@ -407,16 +411,18 @@ impl<const N: usize> Between<N> {
     }
 }
 
-/// Holds the samples of a device against their path, before anything else sees them.
+/// Check the samples of a device against their path, before any other part uses them.
 ///
-/// The path goes on from the last sample with the velocity of the last two: [`Track`]. A sample on it passes unchanged.
+/// The path extrapolates from the last sample with the velocity of the last two: [`Track`]. A sample on it passes
+/// unchanged.
 ///
-/// - **Outlier.** A sample off the path is held, and the prediction stands for it. Where one of the next 3 ticks is on the path
-///   again, those that were held are counted, and lie on the line between the samples around them.
-/// - **Change of velocity that stays**, as at a mechanical stop: after 3 ticks off the path the samples are the truth, if the
-///   speed between them is within the bound of the device. One among them that fits neither neighbour is left out.
-/// - **Step.** A speed beyond the bound that does not go back is a fault. A step within the bound, after which the device moves on as
-///   before, moves the origin and is no velocity.
+/// - **Outlier.** A sample off the path is held and replaced by its prediction. If one of the next 3 ticks is on the
+///   path again, the held samples count as outliers. They are then interpolated between the samples around them.
+/// - **Change of velocity that stays**, for example at a mechanical stop. After 3 ticks off the path the samples are
+///   accepted if the speed between them is within the bound of the device. One sample that fits neither neighbour is
+///   left out.
+/// - **Step.** A speed beyond the bound that does not revert is a fault. A step within the bound, after which the
+///   device moves on as before, moves the origin and adds no velocity.
 ///
 /// Source: derived here.
 #[derive(Clone, Debug)]
@@ -425,11 +431,11 @@ pub struct Guard<const N: usize> {
     period_s: f64,
     track: Track<N>,
     turn: TurnTrack,
-    /// The path without its last sample, and how many ticks after the one before that was.
+    /// Path before the last sample was accepted, and the ticks from its end to that sample.
     before: (Track<N>, TurnTrack, f64),
-    /// The last sample of the path; before the first, what stands for it.
+    /// Last sample of the path; before the first, the sample at which the path was reset.
     last: Sample<N>,
-    /// What stands for one that is held.
+    /// Prediction that replaces a held sample.
     predicted: Sample<N>,
     held: [Knot<N>; MAX_HELD],
     count: usize,
@@ -438,7 +444,7 @@ pub struct Guard<const N: usize> {
 }
 
 impl<const N: usize> Guard<N> {
-    /// A guard for samples every `period_s`: bounds of the position, and of the rotation of a device that turns.
+    /// Create a guard for samples every `period_s`, with bounds of the position and of the rotation.
     pub fn new(bounds: SampleBounds, rotation: SampleBounds, period_s: f64) -> Self {
         let nothing = Sample { position: Axes::zeros(), velocity: None, rotation: None };
         let (track, turn) = (Track::new(bounds, period_s), TurnTrack::new(rotation, period_s));
@@ -457,65 +463,67 @@ impl<const N: usize> Guard<N> {
         }
     }
 
-    /// The sample that stands for the newest one: itself, or its prediction.
+    /// Return the accepted sample, or the prediction while the newest sample is held.
     #[inline]
     pub fn taken(&self) -> &Sample<N> {
         if self.count == 0 { &self.last } else { &self.predicted }
     }
 
-    /// Whether the newest sample is held.
+    /// Return whether the newest sample is held.
     #[inline]
     pub fn holds(&self) -> bool {
         self.count > 0
     }
 
-    /// How many outliers there were.
+    /// Return the number of outliers.
     pub fn outliers(&self) -> u64 {
         self.outliers
     }
 
-    /// The path of the positions, for lanes.
+    /// Return the path of the positions, for lanes.
     pub fn track(&self) -> &Track<N> {
         &self.track
     }
 
-    /// Forgets the path: the next sample begins another. Until then this one stands for it.
+    /// Forget the path. The next sample starts a path; until then [`taken`](Self::taken) returns `sample`.
     pub fn begin_anew(&mut self, sample: &Sample<N>) {
         let ([bounds, rotation], outliers) = (self.bounds, self.outliers);
         *self = Self { outliers, last: *sample, ..Self::new(bounds, rotation, self.period_s) };
     }
 
-    /// Judges a sample, whose numbers are finite, `ticks` after the one before: the fault where the device cannot have moved
-    /// so. [`taken`](Self::taken) then stands for it.
+    /// Judge a finite sample, `ticks` after the one before; return the excess if the device cannot move so fast.
+    ///
+    /// [`taken`](Self::taken) then returns the sample or its prediction.
     pub fn pass(&mut self, sample: &Sample<N>, ticks: f64) -> Result<(), Excess> {
         if self.count == 0 && self.contains(sample, ticks, ticks) {
             self.accept(sample, ticks);
             return Ok(());
         }
-        match self.judge_seldom(sample, ticks) {
+        match self.judge_general(sample, ticks) {
             Judged::Stepped(excess) => Err(excess),
             _ => Ok(()),
         }
     }
 
-    /// The same for whoever catches up with [`between`](Self::between).
+    /// Judge as [`pass`](Self::pass), for a caller that catches up with [`between`](Self::between).
     #[inline(always)]
     pub(crate) fn judge(&mut self, sample: &Sample<N>, ticks: f64) -> Judged<N> {
         if self.count == 0 && ticks == 1.0 && self.contains(sample, 1.0, 1.0) {
             self.accept(sample, 1.0);
             return Judged::Passed;
         }
-        self.judge_seldom(sample, ticks)
+        self.judge_general(sample, ticks)
     }
 
     #[inline(never)]
-    fn judge_seldom(&mut self, sample: &Sample<N>, gap: f64) -> Judged<N> {
+    fn judge_general(&mut self, sample: &Sample<N>, gap: f64) -> Judged<N> {
         let at = gap + if self.count == 0 { 0.0 } else { self.held[self.count - 1].at };
-        // What repeats the last sample is late, and not wrong.
+        // A held sample that repeats the last one is late, not wrong.
         let last = self.last;
         let wrong = self.held[..self.count].iter().filter(|knot| last != knot.sample).count();
-        // After a wrong sample, another wrong one is as likely as a return. A device that accelerates by a tenth of dV a tick,
-        // 50 m/s^2 at 1 kHz, leaves the path by dV dT k (k + 1) / 20 in k ticks.
+        // After a wrong sample the next may be wrong too, so the limit is tighter. It follows a device that
+        // accelerates by dV / 10 per tick, 50 m/s^2 at 1 kHz; this leaves the path by dV dT k (k + 1) / 20 in k
+        // ticks.
         let closely = if wrong == 0 { gap } else { gap * (0.05 * at * (at + 1.0)).min(1.0) };
         if self.contains(sample, at, closely) {
             self.outliers += wrong as u64;
@@ -524,7 +532,7 @@ impl<const N: usize> Guard<N> {
             return Judged::Settled;
         }
         if self.count == 0 && self.returns(sample, gap) {
-            // The last one was off the path, by less than is seen.
+            // The last sample was off the path, by less than the limit.
             let (track, turn, ticks) = self.before;
             (self.track, self.turn) = (track, turn);
             self.settle(&[], Knot { at, sample: *sample }, None);
@@ -537,11 +545,11 @@ impl<const N: usize> Guard<N> {
         self.decide(Knot { at, sample: *sample })
     }
 
-    /// Whether a sample is on the path without its last one.
+    /// Return whether a sample is on the path without its last sample.
     fn returns(&self, sample: &Sample<N>, gap: f64) -> bool {
         let (track, turn, ticks) = &self.before;
         let repeats = self.last == *sample && self.track.since + gap < self.track.every;
-        // A path of one sample goes anywhere, and a repeat is where the last one was.
+        // A path of one sample has no direction, and a repeat equals the last sample.
         track.rate.is_some() && !repeats && self.is_on(track, turn, sample, ticks + gap, gap)
     }
 
@@ -552,7 +560,7 @@ impl<const N: usize> Guard<N> {
         Judged::Held(knot.at)
     }
 
-    /// Where the path is, with the velocities of the last sample.
+    /// Predict the sample on the path; velocities stay those of the last sample.
     fn path_at(&self, ticks: f64) -> Sample<N> {
         let last = self.last;
         Sample {
@@ -601,7 +609,7 @@ impl<const N: usize> Guard<N> {
         (self.last, self.count) = (*sample, 0);
     }
 
-    /// More samples are off the path than may be outliers.
+    /// Decide when more samples are off the path than may be outliers.
     fn decide(&mut self, newest: Knot<N>) -> Judged<N> {
         let mut chain = [newest; MAX_HELD + 2];
         chain[0] = Knot { at: 0.0, sample: self.last };
@@ -612,7 +620,7 @@ impl<const N: usize> Guard<N> {
             let in_line = |of: [usize; 3]| {
                 self.are_in_line(&chain[length - of[0]], &chain[length - of[1]], &chain[length - of[2]])
             };
-            // The newest, or the one before, may be wrong by less than the bound.
+            // The newest sample, or the one before, may be wrong by less than the speed bound.
             if self.count < MAX_HELD && !in_line([3, 2, 1]) {
                 return self.hold(newest);
             }
@@ -624,14 +632,14 @@ impl<const N: usize> Guard<N> {
         let fits_without = |wrong: usize| {
             let links = (1..length).filter(|to| *to != wrong);
             let fits = |to: usize| excess(if to == wrong + 1 { wrong - 1 } else { to - 1 }, to).is_none();
-            // Those after it, or before it, are on another line than it is.
+            // The two samples after it, or before it, define a line that does not contain it.
             let (from, to) = if wrong + 2 < length { (wrong + 1, wrong + 2) } else { (wrong - 2, wrong - 1) };
             links.clone().all(fits) && !self.are_in_line(&chain[from], &chain[to], &chain[wrong])
         };
         if let Some(wrong) = (1..length - 1).find(|wrong| fits_without(*wrong)) {
             return self.change_without(wrong, &chain[..length]);
         }
-        // The newest may be the one that is wrong.
+        // The newest sample may itself be wrong.
         if first == length - 1 && self.count < MAX_HELD {
             return self.hold(newest);
         }
@@ -641,15 +649,15 @@ impl<const N: usize> Guard<N> {
         }
     }
 
-    /// Whether a sample is on the path that two others make.
+    /// Return whether a sample is on the line through two others.
     fn are_in_line(&self, from: &Knot<N>, to: &Knot<N>, other: &Knot<N>) -> bool {
         let expected = from.sample.towards(&to.sample, (other.at - from.at) / (to.at - from.at));
         self.are_near(&expected, &other.sample, 1.0)
     }
 
-    /// Whether two samples of one tick are as near as those of one path.
+    /// Return whether two samples of one tick are as close as those of one path.
     fn are_near(&self, one: &Sample<N>, other: &Sample<N>, ticks: f64) -> bool {
-        // Each tick adds the rounding of the velocity.
+        // The rounding of the velocity adds up over the ticks.
         let limit = |of: PerTick| of.change + of.quantum * (ticks + 1.0);
         let (point, turn) = (self.track.bounds, self.turn.bounds);
         is_short(&(other.position - one.position), limit(point), point.per_axis)
@@ -659,7 +667,7 @@ impl<const N: usize> Guard<N> {
             && one.velocity.zip(other.velocity).is_none_or(|(one, other)| point.is_steady(&one, &other, 1.0))
     }
 
-    /// Samples are the truth but for one that is an outlier.
+    /// Accept the samples after a change, without the outlier at index `wrong`.
     fn change_without(&mut self, wrong: usize, chain: &[Knot<N>]) -> Judged<N> {
         self.outliers += 1;
         let mut kept = [chain[0]; MAX_HELD + 2];
@@ -668,7 +676,7 @@ impl<const N: usize> Guard<N> {
         self.change(&kept[1..chain.len() - 1])
     }
 
-    /// Samples, the first after the last of the path, are the truth.
+    /// Accept the samples after a change of the path; `knots` follow the last sample of the path.
     fn change(&mut self, knots: &[Knot<N>]) -> Judged<N> {
         let [held @ .., newest] = knots else { return Judged::Settled };
         let shift = self.step_of(knots);
@@ -676,7 +684,7 @@ impl<const N: usize> Guard<N> {
         if shift.is_none() {
             self.track = Track::new(self.bounds[0], self.period_s);
             self.turn = TurnTrack::new(self.bounds[1], self.period_s);
-            // Two make a path, and without the last there is one, too.
+            // Two samples define a path; the third defines the path without its last sample.
             let path = &knots[knots.len().saturating_sub(3)..];
             let mut at = path[0].at - 1.0;
             for knot in path {
@@ -693,7 +701,7 @@ impl<const N: usize> Guard<N> {
         Judged::Settled
     }
 
-    /// By how much all of these samples lie beside the path, if it is the same for all; its rotation is in the base frame.
+    /// Return the offset of the samples from the path if it is the same for all; its rotation is in the base frame.
     fn step_of(&self, knots: &[Knot<N>]) -> Option<Sample<N>> {
         let newest = knots.last()?;
         let expected = self.path_at(newest.at);
@@ -715,7 +723,7 @@ impl<const N: usize> Guard<N> {
         let last = shift.map_or(self.last, |shift| self.last.shifted(&shift));
         let mut knots = [newest; MAX_HELD + 2];
         knots[0] = Knot { at: 0.0, sample: last };
-        // A step leaves its samples on the path.
+        // After a step the held samples are on the shifted path.
         let held = if shift.is_some() { &[] } else { held };
         knots[1..=held.len()].copy_from_slice(held);
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a number of ticks
@@ -723,12 +731,12 @@ impl<const N: usize> Guard<N> {
         self.between = Some(Between { knots, count: held.len() + 2, ticks, shift });
     }
 
-    /// The ticks between the last two samples that were taken; once.
+    /// Return the ticks between the last two accepted samples, once.
     pub(crate) fn between(&mut self) -> Option<Between<N>> {
         self.between.take()
     }
 
-    /// The speed between two samples, or one that the device measures, beyond the bound.
+    /// Return a speed beyond the bound, between two samples or as the device measures it.
     fn excess(&self, from: &Knot<N>, to: &Knot<N>) -> Option<Excess> {
         let [bounds, of_turn] = &self.bounds;
         let elapsed_s = (to.at - from.at) * self.period_s;

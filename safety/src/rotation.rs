@@ -1,4 +1,4 @@
-//! The safety of a rotation: the layer of a point, on body increments.
+//! Safety layer of a rotation: the layer of a point, applied to body increments.
 
 use nalgebra::UnitQuaternion;
 
@@ -15,20 +15,21 @@ use crate::{
 #[cfg(test)]
 mod tests;
 
-/// Dynamics of the rotation of a haptic device as a rigid body, in the frame of its principal axes.
+/// Dynamics of a turning haptic device: a rigid body in the frame of its principal axes.
 ///
 /// `I a + w x I w + b_r w + c_r w / |w| = tau_device + tau_h`
 ///
 /// Source: Euler's equations, Goldstein, Poole and Safko 2002, Eq. 5.39; friction as paper Eq. 3.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RotationModel {
-    /// The same equation without `w x I w`, which is Eq. 3: friction there has the direction of V too.
+    /// The same equation without `w x I w`. This is Eq. 3, whose friction is along V as well.
     axes: DeviceModel<3>,
 }
 
 impl RotationModel {
-    /// A body of inertia I in kg m² about each axis (> 0), viscous friction `b_r` in N m s/rad (any sign) and Coulomb
-    /// friction `c_r` in N m (>= 0).
+    /// Create a body with inertia I in kg m² about each axis (> 0).
+    ///
+    /// Viscous friction `b_r` is in N m s/rad (any sign), Coulomb friction `c_r` in N m (>= 0).
     pub fn new(inertia_kg_m2: Axes<3>, viscous: f64, coulomb: f64) -> Result<Self, ParameterError> {
         for inertia in &inertia_kg_m2 {
             positive("inertia_kg_m2", "I", *inertia)?;
@@ -43,35 +44,37 @@ impl RotationModel {
         self.axes.mass_kg()
     }
 
-    /// `w x I w` in N m.
+    /// Return `w x I w` in N m.
     #[inline]
     pub fn gyroscopic_torque(&self, angular_velocity: &Axes<3>) -> Axes<3> {
         angular_velocity.cross(&self.inertia_kg_m2().component_mul(angular_velocity))
     }
 
-    /// `tau_h = I a + w x I w + b_r w + c_r w / |w| - tau_device` in N m of exact signals, in the frame of the body.
+    /// Return the hand torque in N m in the body frame, from exact signals.
+    ///
+    /// `tau_h = I a + w x I w + b_r w + c_r w / |w| - tau_device`
     ///
     /// Source: paper Eq. 4, with the gyroscopic torque of Euler's equations.
     pub fn grasp_torque(&self, motion: &Motion<3>, device_torque: &Axes<3>) -> Axes<3> {
         self.axes.grasp_force(motion, &(device_torque - self.gyroscopic_torque(&motion.velocity)))
     }
 
-    /// Kinetic energy `w' I w / 2` in J.
+    /// Return the kinetic energy `w' I w / 2` in J.
     pub fn kinetic_energy_j(&self, angular_velocity: &Axes<3>) -> f64 {
         self.axes.kinetic_energy_j(angular_velocity)
     }
 }
 
-/// How the safety layer of a rotation is built; forces are torques in N m, velocities in rad/s, positions in rad.
+/// Settings of the safety layer of a rotation: torques in N m, velocities in rad/s, positions in rad.
 ///
-/// [`SafetySettings::at_lever`] and [`LimiterSettings::at_lever`] turn thresholds of a point into these.
+/// [`SafetySettings::at_lever`] and [`LimiterSettings::at_lever`] convert the thresholds of a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RotationSettings {
     /// Dynamics of the device.
     pub device: RotationModel,
     /// dT in s.
     pub period_s: f64,
-    /// How w and a are had from orientations, for a device that does not measure its angular velocity.
+    /// Estimator of w and a from orientations, for a device that does not measure its angular velocity.
     pub estimator: EstimatorKind,
     /// Observers and controllers.
     pub safety: SafetySettings,
@@ -79,28 +82,28 @@ pub struct RotationSettings {
     pub limiter: LimiterSettings,
 }
 
-/// Largest angle in rad of one axis; beyond it the origin is moved by as much. A power of two, so that what is near it
-/// loses no bit.
+/// Largest accumulated angle in rad of one axis; beyond it the origin moves by the same amount. A power of two, so
+/// that the subtraction is exact.
 const REBASE: f64 = 8.0;
 
-/// Largest turn in rad between two samples: nearer to pi, the way round that it went is a guess.
+/// Largest turn in rad between two samples. Near pi the sense of rotation is ambiguous.
 const MAX_TURN: f64 = 3.0;
 
 /// The safety layer of a rotation: [`SafetyLayer`] on body increments.
 ///
 /// `x_k = x_(k-1) + log(R_(k-1)^T R_k)`
 ///
-/// so that its V is the angular velocity and its A the angular acceleration of the body, in the frame of the body, and a turn
-/// of 2 pi is as any other. An increment is the integral of w over the tick but for `dT³ w x a / 12` (the second term of
-/// the Magnus expansion). x is kept within 8 rad by moving the origin of the estimators with it.
+/// V is then the angular velocity and A the angular acceleration of the body, in the body frame. A full turn of 2 pi
+/// needs no special case. An increment is the integral of w over the tick except for `dT³ w x a / 12`, the second
+/// term of the Magnus expansion. The layer keeps x within 8 rad by moving the origin of the estimators with it.
 ///
-/// Orientations R are `base_from_body`. Angular velocities and torques enter and leave **in the base frame**, by R of the
-/// tick. A torque that is held over a tick keeps its direction in the base frame: in Eq. 4 it counts as it stood to the
-/// body in the middle of the tick, and its growth is measured from where it stands at the end.
+/// Orientations R are `base_from_body`. Angular velocities and torques enter and leave **in the base frame**; R of
+/// the tick converts them. A held torque keeps its direction in the base frame. Eq. 4 uses the torque relative to the
+/// body in the middle of the tick; its growth is measured relative to the body at the end.
 ///
-/// **Gyroscopic torque.** `w x I w` must be as late as A. Of an estimator whose V is of the newest sample it passes
-/// through the kernel of A with the device torque, as the mean over the tick; of one whose V is late too, A is the difference
-/// of V, and it is taken where that difference lies. Both at the mean of two successive V.
+/// **Gyroscopic torque.** `w x I w` must have the lag of A. If V belongs to the newest sample, `w x I w` passes
+/// through the kernel of A together with the device torque, as the mean over the tick. If V is filtered too, A is the
+/// difference of V, and `w x I w` is evaluated at that difference. Both cases use the mean of two successive V.
 ///
 /// Source: increments, Bullo and Murray 1999, section 2; Iserles et al. 2000, section 4 (Magnus); the rest as
 /// [`SafetyLayer`].
@@ -116,7 +119,7 @@ pub struct RotationLayer {
 }
 
 impl RotationLayer {
-    /// A layer for a device at rest, without torque.
+    /// Create a layer for a device at rest, without torque.
     pub fn new(settings: &RotationSettings) -> Result<Self, ParameterError> {
         let RotationSettings { device, period_s, estimator, safety, limiter } = *settings;
         let layer =
@@ -132,20 +135,24 @@ impl RotationLayer {
         })
     }
 
-    /// The layer before its first tick, whose samples are held against other bounds than those of a point at a lever of 0.05 m.
+    /// Replace the default sample bounds, those of a point at a lever of 0.05 m. Call this before the first tick.
     #[must_use]
     pub fn with_samples(self, bounds: SampleBounds) -> Self {
         let layer = self.layer.guarded(SampleBounds::UNBOUNDED, bounds, self.period_s);
         Self { layer, ..self }
     }
 
-    /// One tick: orientation R, angular velocity w in rad/s if the device measures it (at every tick or at none), the
-    /// torque in N m that the remote side requests; all in the base frame, as what is returned.
+    /// Compute one tick from orientation R, angular velocity w in rad/s and the requested torque in N m.
     ///
-    /// A sample that leaves the path of the others is held, and its prediction stands for it: [`Guard`](crate::Guard). A
-    /// quaternion that is not finite or whose norm is not 1 to 1e-9, a step beyond the speed bound of the device, a turn of more
-    /// than 3 rad or 1000 rad/s between two samples, and other numbers that are not finite or absurd return zero torque at this
-    /// tick and a fault that stays until [`reset`](Self::reset).
+    /// Arguments and results are in the base frame. Pass w at every tick if the device measures it, else never.
+    ///
+    /// [`Guard`](crate::Guard) holds a sample that leaves the path of the others and replaces it by its prediction. A
+    /// fault gives zero torque at this tick and stays until [`reset`](Self::reset). Causes of a fault:
+    ///
+    /// - a quaternion that is not finite, or whose norm differs from 1 by more than 1e-9;
+    /// - a step beyond the speed bound of the device;
+    /// - a turn of more than 3 rad, or faster than 1000 rad/s, between two samples;
+    /// - another value that is not finite or out of range.
     pub fn tick(
         &mut self,
         orientation: &UnitQuaternion<f64>,
@@ -155,7 +162,8 @@ impl RotationLayer {
         self.tick_after(0, orientation, angular_velocity, requested_torque, 1.0)
     }
 
-    /// The same after `missed` ticks that were left out, with the controllers' damping in the share `authority` (0 to 1) only.
+    /// Compute the tick that follows `missed` skipped ticks, with the controllers' damping scaled by `authority` (0
+    /// to 1).
     pub fn tick_after(
         &mut self,
         missed: u64,
@@ -182,7 +190,7 @@ impl RotationLayer {
         }
     }
 
-    /// As [`SafetyLayer::hold`], at the last orientation that was taken.
+    /// Compute a tick whose sample is held, as [`SafetyLayer::hold`], at the last accepted orientation.
     pub(crate) fn hold(&mut self, at: f64, requested_torque: &Axes<3>, authority: f64) -> SafetyTick<3> {
         let orientation = self.orientation.unwrap_or_default();
         let torque = orientation.inverse_transform_vector(requested_torque);
@@ -201,7 +209,9 @@ impl RotationLayer {
         self.layer.recall(between.ticks);
     }
 
-    /// A step of the orientation is no velocity: increments go on from beyond it, and torques keep their base frame.
+    /// Apply a step of the orientation that is not a velocity; increments continue after it.
+    ///
+    /// Stored torques keep their direction in the base frame.
     pub(crate) fn shift<const N: usize>(&mut self, by: Option<&Sample<N>>) {
         let by = by.and_then(|by| by.rotation);
         if let (Some(last), Some(by)) = (&mut self.orientation, by) {
@@ -213,12 +223,12 @@ impl RotationLayer {
         }
     }
 
-    /// The speed beyond the bound of the device that led to the fault.
+    /// Return the speed beyond the bound of the device that caused the fault.
     pub fn excess(&self) -> Option<Excess> {
         self.layer.excess()
     }
 
-    /// Refuses numbers that are not finite or absurd, and all in a fault.
+    /// Return the stored fault, or a fault for a value that is not finite or out of range.
     pub(crate) fn check(
         &self,
         orientation: &UnitQuaternion<f64>,
@@ -228,13 +238,13 @@ impl RotationLayer {
         if let Some(fault) = self.layer.fault() {
             return Err(fault);
         }
-        // Before the state changes, and in the base frame: a NaN has no direction.
+        // Check before the state changes, and in the base frame: a vector with a NaN has no direction.
         check(orientation)?;
         angular_velocity.map_or(Ok(()), |w| Signal::AngularVelocity.check(w))?;
         Signal::RenderedTorque.check(requested_torque)
     }
 
-    /// What a tick sees, in the frame of the body, or why it sees nothing; the sample is on its path.
+    /// Check the values and observe one tick in the body frame; the sample must be on its path.
     pub(crate) fn checked(
         &mut self,
         orientation: &UnitQuaternion<f64>,
@@ -248,7 +258,7 @@ impl RotationLayer {
         self.layer.checked(&self.turned, w.as_ref(), &torque, &mut self.gyroscope).map_err(Fault::of_rotation)
     }
 
-    /// Adds the increment to this orientation, and turns what is held in the base frame with it.
+    /// Add the increment to this orientation, and turn the stored torques.
     fn turn_to(&mut self, orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
         let last = self.orientation.unwrap_or(*orientation);
         let step = last.inverse() * orientation;
@@ -257,7 +267,7 @@ impl RotationLayer {
             return Err(Fault::OutOfRange(Signal::AngularVelocity));
         }
         self.orientation = Some(*orientation);
-        // exp(log(step) / 2), without an angle: q and -q are the same rotation.
+        // Compute exp(log(step) / 2) without an angle; q and -q are the same rotation.
         let step = step.into_inner();
         let step = if step.w < 0.0 { -step } else { step };
         let half = UnitQuaternion::new_normalize(step + nalgebra::Quaternion::identity());
@@ -273,8 +283,9 @@ impl RotationLayer {
         Ok(())
     }
 
-    /// A tick that was missed: the device has kept its torque, and was at `orientation` (between two samples) by then. As
-    /// [`SafetyLayer::missed`].
+    /// Carry the controllers over a missed tick, as [`SafetyLayer::missed`].
+    ///
+    /// The device kept its torque, and `orientation` lies between two samples.
     pub(crate) fn missed(&mut self, orientation: &UnitQuaternion<f64>, angular_velocity: Option<&Axes<3>>) {
         if let Some(seen) = self.missed_observation(orientation, angular_velocity) {
             self.layer.controller().carry(&seen);
@@ -293,7 +304,7 @@ impl RotationLayer {
         self.layer.missed_observation(&self.turned, w.as_ref(), &mut self.gyroscope)
     }
 
-    /// Renders no torque from now on, until [`reset`](Self::reset): a fault that only others can see.
+    /// Set a fault that the layer cannot detect itself: no torque until [`reset`](Self::reset).
     pub fn fail(&mut self, fault: Fault) {
         self.layer.fail(fault);
     }
@@ -306,7 +317,7 @@ impl RotationLayer {
         &mut self.layer
     }
 
-    /// Clears the past as [`reset`](Self::reset) does, but keeps a fault.
+    /// Clear the past as [`reset`](Self::reset) does, but keep the fault.
     pub fn restart(&mut self, orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
         check(orientation)?;
         self.layer.restart(&Axes::zeros())?;
@@ -314,7 +325,7 @@ impl RotationLayer {
         Ok(())
     }
 
-    /// Clears a fault and the past: the device rests at `orientation`, and its torque rises from zero again.
+    /// Clear fault and past: the device rests at `orientation`, and its torque rises from zero.
     pub fn reset(&mut self, orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
         check(orientation)?;
         self.layer.reset(&Axes::zeros())?;
@@ -330,19 +341,19 @@ impl RotationLayer {
     }
 }
 
-/// A sample of a rotation alone.
+/// Create the sample of a pure rotation.
 fn sample_of(orientation: &UnitQuaternion<f64>, angular_velocity: Option<&Axes<3>>) -> Sample<3> {
     let turned = Turned { orientation: *orientation, angular_velocity: angular_velocity.copied() };
     Sample { position: Axes::zeros(), velocity: None, rotation: Some(turned) }
 }
 
-/// Passes a unit quaternion, or names the fault.
+/// Return a fault if the quaternion is not a unit quaternion.
 pub(crate) fn check(orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
     let norm = orientation.quaternion().norm();
     if (norm - 1.0).abs() <= Signal::Orientation.bound() {
         return Ok(());
     }
-    // Finite numbers may have an infinite norm.
+    // The norm of finite components may be infinite.
     Err(if orientation.coords.iter().all(|x| x.is_finite()) {
         Fault::OutOfRange(Signal::Orientation)
     } else {
@@ -350,14 +361,14 @@ pub(crate) fn check(orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
     })
 }
 
-/// The tick with its vectors in the base frame.
+/// Convert the vectors of a tick to the base frame.
 pub(crate) fn in_base(orientation: &UnitQuaternion<f64>, tick: &SafetyTick<3>) -> SafetyTick<3> {
     let mut intervention = tick.intervention;
     intervention.safety_force = orientation * intervention.safety_force;
     SafetyTick {
         motion: Motion {
             velocity: orientation * tick.motion.velocity,
-            // w x w = 0, so this is the derivative of w in the base frame as well.
+            // w x w = 0, so this is also the derivative of w in the base frame.
             acceleration: orientation * tick.motion.acceleration,
         },
         rendered_force: orientation * tick.rendered_force,
@@ -368,7 +379,7 @@ pub(crate) fn in_base(orientation: &UnitQuaternion<f64>, tick: &SafetyTick<3>) -
     }
 }
 
-/// `w x I w` as late as A.
+/// Gyroscopic torque `w x I w` with the lag of A.
 #[derive(Clone, Copy, Debug)]
 struct Gyroscope {
     device: RotationModel,

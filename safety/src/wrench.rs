@@ -1,4 +1,4 @@
-//! The safety of a hand that moves and turns: a translation and a rotation that trip together.
+//! Safety layer of a pose: a translation and a rotation whose trips are shared.
 
 use nalgebra::UnitQuaternion;
 
@@ -13,27 +13,27 @@ use crate::{
 #[cfg(test)]
 mod tests;
 
-/// How the safety layer of a pose is built.
+/// Settings of the safety layer of a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WrenchSettings<const N: usize = 3> {
-    /// The layer of forces.
+    /// Settings of the force layer.
     pub translation: LayerSettings<N>,
-    /// The layer of torques, with thresholds of its own.
+    /// Settings of the torque layer, with its own thresholds.
     pub rotation: RotationSettings,
-    /// Whether a trip of one acts on both.
+    /// If true, a trip of one layer acts on both.
     pub shares_trips: bool,
 }
 
-/// What a device measures of its pose at one tick, in the base frame about the tool point.
+/// Pose measured at one tick, in the base frame about the tool point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseSample<const N: usize = 3> {
     /// x in m.
     pub position: Axes<N>,
     /// R, `base_from_body`.
     pub orientation: UnitQuaternion<f64>,
-    /// V in m/s, if the device measures it (at every tick or at none).
+    /// V in m/s if the device measures it; given at every tick or at none.
     pub velocity: Option<Axes<N>>,
-    /// w in rad/s, if the device measures it (at every tick or at none).
+    /// w in rad/s if the device measures it; given at every tick or at none.
     pub angular_velocity: Option<Axes<3>>,
 }
 
@@ -44,33 +44,33 @@ impl<const N: usize> From<&PoseSample<N>> for Sample<N> {
     }
 }
 
-/// What the safety layer saw and decided of force and torque at one tick, in the base frame.
+/// Observations and decisions on force and torque at one tick, in the base frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WrenchTick<const N: usize = 3> {
-    /// Of the force, in N, m/s and m/s².
+    /// Tick of the force layer, in N, m/s and m/s².
     pub translation: SafetyTick<N>,
-    /// Of the torque, in N m, rad/s and rad/s².
+    /// Tick of the torque layer, in N m, rad/s and rad/s².
     pub rotation: SafetyTick<3>,
 }
 
-/// A layer of forces and a layer of torques on one hand; a hand that turns moves along N = 3 axes.
+/// A force layer and a torque layer on one hand; a hand that turns moves along N = 3 axes.
 ///
-/// Each watches, answers and bounds in its own unit. While trips are shared, a tick that one calls unsafe is unsafe for
-/// both, so that both cancel, hold off and fade together, by times that must be the same; the one that did not trip
-/// says [`Tripped::HELD`](crate::controller::Tripped::HELD). The force of PC is no intervention and stays with its layer.
-/// A fault of one stops both, whatever is shared.
+/// Each layer observes, responds and limits in its own unit. With shared trips, a tick that one layer calls unsafe is
+/// unsafe for both. Both then cancel, hold off and fade together, so their times must be equal. The layer that did
+/// not trip reports [`Tripped::HELD`](crate::controller::Tripped::HELD). The force of PC is not an intervention and
+/// stays in its layer. A fault of one layer always stops both.
 #[derive(Clone, Debug)]
 pub struct WrenchLayer<const N: usize = 3> {
     translation: SafetyLayer<N>,
     rotation: RotationLayer,
     shares_trips: bool,
-    /// Whether the hand was felt, or nothing has tripped, while trips are shared.
+    /// With shared trips: true if a hand was felt or nothing has tripped.
     is_felt: bool,
     period_s: f64,
 }
 
 impl<const N: usize> WrenchLayer<N> {
-    /// A layer for a device at rest, without force.
+    /// Create a layer for a device at rest, without force.
     pub fn new(settings: &WrenchSettings<N>) -> Result<Self, ParameterError> {
         let WrenchSettings { translation, rotation, shares_trips } = settings;
         same("period_s", "dT", [translation.period_s, rotation.period_s])?;
@@ -90,23 +90,24 @@ impl<const N: usize> WrenchLayer<N> {
         Ok(layer.with_samples(bounds, bounds.at_lever(DEFAULT_LEVER_M)))
     }
 
-    /// The layer before its first tick, whose samples are held against other bounds, of the position and of the rotation.
+    /// Replace the sample bounds of position and rotation. Call this before the first tick.
     #[must_use]
     pub fn with_samples(mut self, bounds: SampleBounds, rotation: SampleBounds) -> Self {
         self.translation = self.translation.guarded(bounds, rotation, self.period_s);
         self
     }
 
-    /// One tick: the pose, and the force in N and torque in N m that the remote side requests.
+    /// Compute one tick from the pose and the requested force in N and torque in N m.
     ///
-    /// A pose that leaves its path is held, and its prediction stands for it: [`Guard`]. Numbers that either layer refuses, and a
-    /// step beyond a speed bound of the device, return no force and no torque at this tick and a fault in both that stays until
-    /// [`reset`](Self::reset).
+    /// [`Guard`] holds a pose that leaves its path and replaces it by its prediction. A value that either layer
+    /// refuses, and a step beyond a speed bound of the device, are faults of both layers. A fault gives zero force
+    /// and torque at this tick and stays until [`reset`](Self::reset).
     pub fn tick(&mut self, sample: &PoseSample<N>, force: &Axes<N>, torque: &Axes<3>) -> WrenchTick<N> {
         self.tick_after(0, sample, force, torque, 1.0)
     }
 
-    /// The same after `missed` ticks that were left out, with the controllers' damping in the share `authority` (0 to 1) only.
+    /// Compute the tick that follows `missed` skipped ticks, with the controllers' damping scaled by `authority` (0
+    /// to 1).
     pub fn tick_after(
         &mut self,
         missed: u64,
@@ -165,7 +166,7 @@ impl<const N: usize> WrenchLayer<N> {
         }
     }
 
-    /// The ticks since the last sample that was taken.
+    /// Advance over the ticks since the last accepted sample.
     fn catch_up(&mut self) {
         let Some(between) = self.translation.begin_to_catch_up() else { return };
         self.rotation.layer().hold_until(between.ticks);
@@ -185,28 +186,28 @@ impl<const N: usize> WrenchLayer<N> {
         self.rotation.layer().recall(tick);
     }
 
-    /// The sample that stands for the newest one: itself, or its prediction.
+    /// Return the accepted sample, or the prediction while the newest sample is held.
     pub fn taken(&self) -> &Sample<N> {
         self.translation.taken()
     }
 
-    /// What samples are held against.
+    /// Return the guard of the samples.
     pub fn guard(&self) -> &Guard<N> {
         self.translation.guard()
     }
 
-    /// The speed beyond the bound of the device that led to the fault.
+    /// Return the speed beyond the bound of the device that caused the fault.
     pub fn excess(&self) -> Option<Excess> {
         self.translation.excess()
     }
 
-    /// A tick that was missed.
+    /// Carry both layers over a missed tick.
     pub(crate) fn missed(&mut self, sample: &PoseSample<N>) {
         let PoseSample { position, orientation, velocity, angular_velocity } = sample;
         let mut point = crate::layer::PointMass;
         let moves = self.translation.missed_observation(position, velocity.as_ref(), &mut point);
         let turns = self.rotation.missed_observation(orientation, angular_velocity.as_ref());
-        // A bad number would be met again at the tick, which stops both.
+        // The tick itself meets an invalid value again and stops both layers.
         let (Some(moves), Some(turns)) = (moves, turns) else { return };
         let (translation, rotation) = (self.translation.controller(), self.rotation.layer().controller());
         if self.shares_trips {
@@ -226,7 +227,7 @@ impl<const N: usize> WrenchLayer<N> {
         }
     }
 
-    /// Renders nothing from now on, until [`reset`](Self::reset): a fault that only others can see.
+    /// Set a fault that the layers cannot detect themselves: no force until [`reset`](Self::reset).
     pub fn fail(&mut self, fault: Fault) {
         self.translation.fail(fault);
         self.rotation.fail(fault);
@@ -236,7 +237,7 @@ impl<const N: usize> WrenchLayer<N> {
         WrenchTick { translation: self.translation.stop(fault), rotation: self.rotation.stop(fault) }
     }
 
-    /// Clears the past as [`reset`](Self::reset) does, but keeps a fault.
+    /// Clear the past as [`reset`](Self::reset) does, but keep the fault.
     pub fn restart(&mut self, position: &Axes<N>, orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
         check(orientation)?;
         self.translation.restart(position)?;
@@ -250,7 +251,7 @@ impl<const N: usize> WrenchLayer<N> {
         self.translation.enter_at(&Sample { position: *position, velocity: None, rotation: Some(turned) });
     }
 
-    /// Clears a fault and the past: the device rests at this pose, and force and torque rise from zero again.
+    /// Clear fault and past: the device rests at this pose, and force and torque rise from zero.
     pub fn reset(&mut self, position: &Axes<N>, orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
         check(orientation)?;
         self.translation.reset(position)?;
@@ -260,8 +261,10 @@ impl<const N: usize> WrenchLayer<N> {
     }
 }
 
-/// How fast the force may come back to a hand that either probe is to feel, and that both are to feel bear it from then on;
-/// where only one is there, that one decides.
+/// Combine the eases of both probes: how fast force and torque may return.
+///
+/// A hand counts as felt once either probe feels it. From then on it must bear both, so the smaller ease applies.
+/// With one probe only, its ease applies.
 fn together(of_force: Option<f64>, of_torque: Option<f64>, is_felt: bool) -> Option<f64> {
     match (of_force, of_torque) {
         (Some(force), Some(torque)) if is_felt => Some(force.min(torque)),
@@ -271,7 +274,7 @@ fn together(of_force: Option<f64>, of_torque: Option<f64>, is_felt: bool) -> Opt
     }
 }
 
-/// Refuses a number of the rotation that must be that of the translation.
+/// Refuse a setting of the rotation that differs from that of the translation.
 fn same(name: &'static str, symbol: &'static str, [expected, seen]: [f64; 2]) -> Result<(), ParameterError> {
     if expected == seen {
         return Ok(());

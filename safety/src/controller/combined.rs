@@ -1,4 +1,4 @@
-//! Controllers combined: any of them trips, one law answers.
+//! Combination of the controllers: any of them trips, one law responds.
 
 use nalgebra::{SimdBool as _, SimdValue as _};
 
@@ -13,13 +13,13 @@ use crate::{
     parameter::{in_range, positive},
 };
 
-/// Which controllers watch, their thresholds, and how an intervention begins and ends.
+/// Set of controllers, their thresholds, and the times of an intervention.
 ///
-/// A controller that does not watch is not built, and an observer that no controller reads is not computed.
+/// Only the controllers of the set are built, and only the observers that they read are computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema))] // unknown keys are the table's to refuse: it flattens this
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema))] // the outer table refuses unknown keys
 pub struct SafetySettings {
-    /// Which of them watch.
+    /// Controllers in use.
     pub controllers: Controllers,
     /// mu in N s/m, of Eq. 2, 13, 14.
     pub damping: f64,
@@ -27,7 +27,7 @@ pub struct SafetySettings {
     pub velocity_threshold: f64,
     /// `F_t` in N, of Eq. 1.
     pub vfc_force_threshold_n: f64,
-    /// Which reading of Eq. 1.
+    /// Form of Eq. 1.
     pub vfc_form: VelocityForceForm,
     /// zeta, of Eq. 8.
     pub grasp_threshold: f64,
@@ -35,34 +35,36 @@ pub struct SafetySettings {
     pub grasp_floor_n: f64,
     /// `F_t` in N, of Eq. 14.
     pub hsc_force_threshold_n: f64,
-    /// `V_s` in m/s: speed along `F_v` up to which HSC lets a push pass; 0 is Eq. 14 as printed.
+    /// `V_s` in m/s: HSC accepts a push up to this speed along `F_v`. 0 is Eq. 14 as printed.
     pub hsc_velocity_threshold: f64,
     /// delta in J, of Eq. 10.
     pub energy_threshold_j: f64,
-    /// `F_w` in N: push along the motion up to which WSC lets a motion pass; 0 is Eq. 13 as printed.
+    /// `F_w` in N: WSC accepts a motion up to this push along it. 0 is Eq. 13 as printed.
     pub wsc_force_threshold_n: f64,
     /// eta, of Eq. 9.
     pub energy_ratio: f64,
     /// w in ticks, of Eq. 11.
     pub window: usize,
-    /// alpha in N s/m: bound on the damping of Eq. 12.
+    /// alpha in N s/m: upper bound of the damping of Eq. 12.
     pub pc_max_damping: f64,
-    /// Least duration of an intervention in s.
+    /// Minimum duration of an intervention in s.
     pub hold_off_s: f64,
-    /// Least time in s over which an intervention fades out; 0 returns the rendered force as a step.
+    /// Minimum fade-out time of an intervention in s. 0 returns the rendered force as a step.
     pub release_ramp_s: f64,
-    /// A in N of the probe that a hand must answer before an intervention fades; 0 only listens for one that moves.
+    /// Force A in N of the probe that a hand must answer before an intervention fades. 0 applies no probe and detects
+    /// a hand only by its motion.
     pub probe_force_n: f64,
-    /// `r_th`: share of the probe that a hand holds against, at least.
+    /// `r_th`: smallest share of the probe that counts as a hand.
     pub probe_threshold: f64,
-    /// After so many tries without the force being back for 1 s it is withheld; 0 is no end, and without a probe asks for no
-    /// hand.
+    /// Number of tries before the force is withheld; a force that is back for 1 s clears the count. 0 is no limit;
+    /// without a probe, 0 also requires no hand.
     pub release_tries: u32,
 }
 
 impl SafetySettings {
-    /// The thresholds of a rotation whose handle is held at this lever r in m: torque is r F, angular velocity V / r,
-    /// damping r² mu; energies and times are the same.
+    /// Convert the thresholds to a rotation whose handle is held at lever r in m.
+    ///
+    /// Torque is r F, angular velocity V / r and damping r² mu; energies and times stay.
     #[must_use]
     pub fn at_lever(self, lever_m: f64) -> Self {
         Self {
@@ -79,8 +81,9 @@ impl SafetySettings {
         }
     }
 
-    /// The thresholds of a device whose forces are `force` and whose ways are `way` times those of the device that these
-    /// are meant for, in the same times: velocity by `way`, energy by `force way`, damping by `force / way`.
+    /// Scale the thresholds to a device with `force` times the forces and `way` times the distances.
+    ///
+    /// Times stay. Velocity scales by `way`, energy by `force way`, damping by `force / way`.
     #[must_use]
     pub fn at_scale(self, force: f64, way: f64) -> Self {
         Self {
@@ -100,7 +103,7 @@ impl SafetySettings {
 }
 
 impl Default for SafetySettings {
-    /// The paper's thresholds (section 4), no controller, no hold-off, no ramp, no probe.
+    /// Return the thresholds of the paper (section 4), without controller, hold-off, ramp or probe.
     fn default() -> Self {
         Self {
             controllers: Controllers::NONE,
@@ -128,13 +131,13 @@ impl Default for SafetySettings {
 
 /// Controllers combined by "any of".
 ///
-/// While one of VFC, HSC, WSC trips, `F_c = -F_v - mu V`. It stays so for at least the hold-off, then fades over
-/// the release ramp: `F_c = g (-F_v - mu V)` with `g = 1 - s²`, s from 0 to 1. A new trip sets g to 1 at once. PC adds
-/// its own force in the share 1 - g that the intervention leaves.
+/// While VFC, HSC or WSC trips, `F_c = -F_v - mu V`. The intervention lasts at least the hold-off, then fades over
+/// the release ramp: `F_c = g (-F_v - mu V)` with `g = 1 - s²`, s from 0 to 1. A new trip sets g to 1 at once. PC
+/// adds its own force, scaled by 1 - g.
 ///
-/// With a probe ([`SafetySettings::probe_force_n`]) or a number of tries ([`SafetySettings::release_tries`]) it fades only once a
-/// hand was felt, and no faster than that hand bears; until then, and after so many tries, g = 1.
-///
+/// With a probe ([`SafetySettings::probe_force_n`]) or a limit of tries ([`SafetySettings::release_tries`]), an
+/// intervention waits for a hand. It fades only after a hand is felt, and no faster than the hand bears the force.
+/// Otherwise g stays 1, also after the last try.
 /// Source: paper Eq. 2, 12, 13, 14.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SafetyController<const N: usize, S = f64> {
@@ -142,24 +145,24 @@ pub struct SafetyController<const N: usize, S = f64> {
     damping: S,
     hold_off_ticks: S,
     ramp_ticks: S,
-    /// Ticks since the current intervention began, the first counted; 0 while none is on.
+    /// Ticks since the current intervention began, including the first; 0 without an intervention.
     on_for: S,
-    /// Ticks of the ramp that are over since the intervention began to fade.
+    /// Elapsed ticks of the ramp since the intervention began to fade.
     fading_for: S,
     /// Share of `F_v` that the last tick let through.
     let_through: S,
-    /// Only where a hand must be felt before an intervention fades.
+    /// Present only if a hand must be felt before an intervention fades.
     probe: Option<GraspProbes<N, S>>,
 }
 
-/// Authority at which a probe neither begins, nor counts, nor is given up.
+/// Authority at which a probe neither starts, nor counts, nor is given up.
 pub(crate) const UNDECIDED: f64 = 0.5;
 
 impl<const N: usize> SafetyController<N> {
     /// Longest hold-off or ramp in s.
     pub const MAX_HOLD_S: f64 = 60.0;
 
-    /// Builds what `settings` name, for a device sampled every `period_s`.
+    /// Build the controllers of `settings`, for a device sampled every `period_s`.
     pub fn new(
         device: &DeviceModel<N>,
         period_s: f64,
@@ -168,7 +171,7 @@ impl<const N: usize> SafetyController<N> {
         let period_s = positive("period_s", "dT", period_s)?;
         let ticks = |name, value| {
             let value = in_range(name, "time", value, 0.0, Self::MAX_HOLD_S, "between 0 and 60 s")?;
-            // Counted in S, of which each lane has its own.
+            // Ticks are counted in S, since each lane has its own count.
             Ok((value / period_s).round())
         };
         let controllers = Built::new(device, period_s, settings)?;
@@ -186,22 +189,22 @@ impl<const N: usize> SafetyController<N> {
         })
     }
 
-    /// `F_c` for this tick. A sample that is not finite or absurd changes no state and is returned as a fault.
+    /// Compute `F_c` of this tick. A value that is not finite or out of range is a fault and changes no state.
     pub fn step(&mut self, seen: &Observation<N>) -> Result<Intervention<N>, Fault> {
         self.step_with_authority(seen, 1.0)
     }
 
-    /// As [`step`](Self::step), with damping in the share `authority` (0 to 1) only.
+    /// Compute `F_c` as [`step`](Self::step), with the damping scaled by `authority` (0 to 1).
     ///
-    /// Cancelling `F_v` needs no authority, for it takes a force away. Damping is a force: without a peer it goes as
-    /// the rendered force goes.
+    /// Cancelling `F_v` needs no authority, since it only removes a force. Damping is a force: without a peer it
+    /// fades as the rendered force does.
     pub fn step_with_authority(
         &mut self,
         seen: &Observation<N>,
         authority: f64,
     ) -> Result<Intervention<N>, Fault> {
         seen.check()?;
-        // Exact signals: the hand answers what the last tick asked the device to render.
+        // With exact signals, the hand responds to the force that the last tick asked of the device.
         let share = self.felt_share();
         let damping = self.damping * authority * (1.0 - share);
         let aligned_rendered_force = seen.aligned_rendered_force * share - seen.velocity * damping;
@@ -210,8 +213,9 @@ impl<const N: usize> SafetyController<N> {
 }
 
 impl<const N: usize, S: Real> SafetyController<N, S> {
-    /// As many controllers as there are lanes, which have built the same; else None. Thresholds and times may differ,
-    /// the period, the window and the form of VFC may not.
+    /// Gather one controller per lane; return None unless all have built the same controllers.
+    ///
+    /// Thresholds and times may differ; period, window and form of VFC must be equal.
     pub fn gather(of: &[&SafetyController<N>]) -> Option<Self> {
         Some(Self {
             controllers: Built::gather(&of.iter().map(|one| &one.controllers).collect::<Vec<_>>())?,
@@ -225,9 +229,9 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         })
     }
 
-    /// `F_c` for this tick, with damping in the share `authority` (0 to 1) only; nothing is checked.
+    /// Compute `F_c` of this tick without checks, with the damping scaled by `authority` (0 to 1).
     ///
-    /// `seen.aligned_rendered_force` is what the device was [asked](Self::asked) to render, as late as `F_h`.
+    /// `seen.aligned_rendered_force` is the force [asked](Self::asked) of the device, with the lag of `F_h`.
     #[inline(always)]
     pub fn respond(&mut self, seen: &Observation<N, S>, authority: S) -> Response<N, S> {
         if S::LANES == 1 && self.controllers.is_empty() && self.probe.is_none() {
@@ -239,15 +243,17 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         self.answer(seen, authority, &verdicts, Judged { is_unsafe, ease })
     }
 
-    /// What each controller makes of this tick. An [`answer`](Self::answer) must follow.
+    /// Step each controller. Call [`answer`](Self::answer) afterwards.
     #[inline(always)]
     pub(crate) fn judge(&mut self, seen: &Observation<N, S>) -> Verdicts<N, S> {
         let rendered_force = seen.rendered_force * self.felt_share();
         self.controllers.step(&Observation { rendered_force, ..*seen })
     }
 
-    /// How fast an intervention may fade, in shares of its ramp: at most 1, and [`NOT_FELT`] where no hand was felt; None where
-    /// no hand is asked for. An [`answer`](Self::answer) must follow.
+    /// Return the speed at which an intervention may fade, as a share of its ramp.
+    ///
+    /// It is at most 1, and [`NOT_FELT`] in lanes where no hand is felt. None means that no hand is required. Call
+    /// [`answer`](Self::answer) afterwards.
     #[inline(always)]
     pub(crate) fn feel(
         &mut self,
@@ -261,7 +267,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         if probe.rests(any) {
             return Some(S::splat(1.0));
         }
-        // Copies: what a call gets the address of would have to stand in memory at each tick.
+        // Copies: an argument passed by address would be kept in memory at every tick.
         let (seen, on_for, let_through, authority) = (*seen, self.on_for, self.let_through, authority);
         Some(probe.step(&seen, |lane| Intervening {
             is_on: on_for.extract(lane) > 0.0,
@@ -272,8 +278,9 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         }))
     }
 
-    /// Carries all along over a tick that was missed, and decides nothing: whoever is in full authority may be felt, and who
-    /// has none may try anew, so it is neither.
+    /// Carry controllers and probe over a missed tick without a decision.
+    ///
+    /// At full authority a hand may be felt, and without authority the tries restart. [`UNDECIDED`] is neither.
     #[inline(always)]
     pub(crate) fn carry(&mut self, seen: &Observation<N, S>) {
         let verdicts = self.judge(seen);
@@ -282,14 +289,14 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         self.answer(seen, S::splat(1.0), &verdicts, Judged { is_unsafe, ease });
     }
 
-    /// Takes it that a hand is there or not, as the probe of another device that it holds has it.
+    /// Adopt the result of another device that the same hand holds: a hand is felt or not.
     pub(crate) fn agree(&mut self, is_felt: bool) {
         if let Some(probe) = self.probe.as_mut() {
             probe.agree(is_felt);
         }
     }
 
-    /// `F_c` for verdicts and what is made of them: by this device alone, or also by another that the same hand holds.
+    /// Compute `F_c` from the verdicts and the joint decision, of this device alone or together with another.
     #[inline(always)]
     pub(crate) fn answer(
         &mut self,
@@ -301,16 +308,16 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
         let (mut gain, mut is_on) = (nothing, nowhere::<S>());
         let mut safety_force = Axes::<N, S>::zeros();
-        // Most ticks need no answer: what follows then waits for no observer.
+        // Most ticks need no intervention and then do not wait for the observers.
         let intervenes = (judged.is_unsafe | self.on_for.simd_gt(nothing)).any();
         if intervenes {
             gain = self.gain(judged);
-            // Else it is 1 already: an intervention ends with a gain of 0.
+            // Otherwise it is already 1, since an intervention ends with a gain of 0.
             self.let_through = all - gain;
             is_on = gain.simd_gt(nothing);
             let answer = cancel_and_damp(seen, self.damping * authority) * gain;
             for axis in 0..N {
-                // Not -0.0 where nothing is on: records stay clean.
+                // Avoid -0.0 without an intervention, for clean records.
                 safety_force[axis] = answer[axis].select(is_on, nothing);
             }
         }
@@ -335,30 +342,31 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         response
     }
 
-    /// Share of `F_v` that the device was asked to render: what every controller watches.
+    /// Return the share of `F_v` that the device was asked to render; every controller observes this share.
     ///
-    /// While an intervention cancels `F_v`, a hand has nothing to hold against, and a push that is not there throws nothing.
-    /// Against all of `F_v`, `S_h` and `S_vf` would stay large, and the hand that has come back would never get its force again.
-    /// Without a ramp or a probe, Eq. 2, 13 and 14 stand as printed.
+    /// While an intervention cancels `F_v`, the hand has nothing to hold against, and no push can eject the device.
+    /// Compared with all of `F_v`, `S_h` and `S_vf` would stay large, and a hand that returns would never get its
+    /// force back. Without a ramp or a probe, Eq. 2, 13 and 14 hold as printed.
     #[inline(always)]
     fn felt_share(&self) -> S {
         self.let_through.select(self.on_for.simd_gt(S::splat(0.0)) & self.fades(), S::splat(1.0))
     }
 
-    /// Where the force comes back over a ramp or to a hand, not as printed.
+    /// Mask of lanes where the force returns over a ramp or after a probe, unlike the printed equations.
     #[inline(always)]
     fn fades(&self) -> S::SimdBool {
         if self.probe.is_some() { !nowhere::<S>() } else { self.ramp_ticks.simd_gt(S::splat(0.0)) }
     }
 
-    /// The force that a hand had to answer at a tick, to be compared with `F_h`: what the device was asked to render, and as
-    /// printed `F_v`.
+    /// Return the force that the hand had to hold at a tick, for comparison with `F_h`.
+    ///
+    /// It is `F_device` where an intervention fades, else `F_v` as printed.
     #[inline(always)]
     pub(crate) fn asked(&self, rendered_force: &Axes<N, S>, device_force: &Axes<N, S>) -> Axes<N, S> {
         choose_axes!(S, self.fades(), *device_force, *rendered_force)
     }
 
-    /// Share of the intervention that is on at this tick.
+    /// Update the course of the intervention and return its gain g.
     #[inline(always)]
     fn gain(&mut self, judged: Judged<S>) -> S {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
@@ -367,7 +375,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         let stays = on_for.simd_lt(hold_off_ticks);
         let faded = (fading_for + ease.unwrap_or(all)).larger(nothing);
         let is_over = faded.simd_gt(ramp_ticks);
-        // One of four in each lane: it trips, nothing is on, it stays on, it fades.
+        // Each lane is in one of four states: it trips, no intervention is on, the intervention stays, or it fades.
         macro_rules! by_state {
             ($trips:expr, $rests:expr, $stays:expr, $fades:expr) => {
                 choose!(
@@ -385,32 +393,34 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
             nothing.select(is_over, on_for)
         );
         self.fading_for = by_state!(nothing, nothing, fading_for, nothing.select(is_over, faded));
-        // Fading slowly at first: a hand needs some 50 ms to take up a load, and one that is still taking it up looks gone.
+        // The fade starts slowly: a hand needs some 50 ms to take up a load, and looks absent until then.
         by_state!(all, nothing, all, {
             let share = faded / (ramp_ticks + all);
             nothing.select(is_over, all - share * share)
         })
     }
 
-    /// Share of `F_v` that the last tick let through.
+    /// Return the share of `F_v` that the last tick let through.
     #[inline(always)]
     pub(crate) fn let_through(&self) -> S {
         self.let_through
     }
 
-    /// Which of them watch.
+    /// Return the controllers in use.
     pub fn kinds(&self) -> Controllers {
         self.controllers.kinds()
     }
 
-    /// Whether a controller reads the grasp force.
+    /// Return whether a controller or the probe reads the grasp force.
     #[inline(always)]
     pub fn needs_grasp_force(&self) -> bool {
         self.controllers.reads_grasp_force() || self.probe.is_some()
     }
 
-    /// Energy in J that PC requested (`E_so` of the tick) and the force `delivered` beyond `F_v` did not dissipate; 0
-    /// without PC.
+    /// Return the energy in J that PC requested (`E_so`) and that the force `delivered` beyond `F_v` did not
+    /// dissipate.
+    ///
+    /// It is 0 without PC.
     #[inline(always)]
     pub fn owed_energy_j(
         &self,
@@ -421,7 +431,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         self.controllers.owed_energy_j(observed, delivered, velocity)
     }
 
-    /// Clears all energy and ends any intervention.
+    /// Clear all energies and end any intervention.
     pub fn reset(&mut self) {
         self.controllers.reset();
         if let Some(probe) = &mut self.probe {
@@ -431,32 +441,32 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     }
 }
 
-/// What is made of the verdicts of one hand.
+/// Decision that follows from the verdicts for one hand.
 #[derive(Clone, Copy)]
 pub(crate) struct Judged<S: Real> {
-    /// Where the tick is unsafe.
+    /// Mask of lanes in which the tick is unsafe.
     pub(crate) is_unsafe: S::SimdBool,
-    /// How fast an intervention may fade, as [`SafetyController::feel`] has it.
+    /// Speed at which an intervention may fade: [`SafetyController::feel`].
     pub(crate) ease: Option<S>,
 }
 
-/// What the safety controllers add at one tick, and what they saw.
+/// Force and observations of the safety controllers at one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intervention<const N: usize> {
     /// `F_c` in N.
     pub safety_force: Axes<N>,
-    /// Who tripped.
+    /// Controllers that tripped.
     pub tripped: Tripped,
-    /// All tries are over without the force being back: there is none until the authority was at zero, or a reset.
+    /// All tries are used up. The force stays away until the authority is zero, or until a reset.
     pub withheld: bool,
-    /// The last try has felt a hand, which then did not bear the force.
+    /// The last try felt a hand, which then did not bear the force.
     pub yields: bool,
-    /// `S_vf`, `S_h`, `E_wso` and `E_so` in J; NaN where the controller is not built.
+    /// `S_vf`, `S_h`, `E_wso` and `E_so` in J; NaN for a controller that is not built.
     pub observed: PerController<f64>,
 }
 
 impl<const N: usize> Intervention<N> {
-    /// No force, and nothing was observed.
+    /// Return no force and no observation.
     pub fn none() -> Self {
         Self {
             safety_force: Axes::zeros(),
@@ -468,32 +478,33 @@ impl<const N: usize> Intervention<N> {
     }
 }
 
-/// What the safety controllers add at one tick, and what they saw, in each lane.
+/// Force and observations of the safety controllers at one tick, in each lane.
 #[derive(Clone, Copy, Debug)]
 pub struct Response<const N: usize, S: Real = f64> {
     /// `F_c` in N.
     pub safety_force: Axes<N, S>,
     /// If false, `acts` is false in every lane.
     pub may_act: bool,
-    /// Where any of them acts.
+    /// Lanes in which any controller acts.
     pub acts: S::SimdBool,
-    /// Where each called the tick unsafe, or adds a force of its own.
+    /// Lanes in which each controller calls the tick unsafe, or adds its own force.
     pub tripped: PerController<S::SimdBool>,
-    /// Where no controller does now, but the minimum time on or the release ramp has not ended, or the intervention is
-    /// that of another device of the same hand.
+    /// Lanes in which an intervention is on, but no controller calls the tick unsafe.
+    ///
+    /// The hold-off or the release ramp has not ended, or another device of the same hand tripped.
     pub held: S::SimdBool,
-    /// Where all tries are over without the force being back: there is none until the authority was at zero, or a reset.
+    /// Lanes in which all tries are used up. The force stays away until the authority is zero, or until a reset.
     pub withheld: S::SimdBool,
-    /// Where the last try has felt a hand, which then did not bear the force.
+    /// Lanes in which the last try felt a hand, which then did not bear the force.
     pub yields: S::SimdBool,
-    /// Where a [research controller](crate::controller::ResearchController) adds a force of its own.
+    /// Lanes in which a [research controller](crate::controller::ResearchController) adds its own force.
     pub research: S::SimdBool,
-    /// The observers' values; NaN where the controller is not built.
+    /// Values of the observers; NaN for a controller that is not built.
     pub observed: PerController<S>,
 }
 
 impl<const N: usize, S: Real> Response<N, S> {
-    /// No force, and nothing was observed.
+    /// Return no force and no observation.
     #[inline(always)]
     fn none() -> Self {
         let nowhere = nowhere::<S>();
@@ -510,7 +521,7 @@ impl<const N: usize, S: Real> Response<N, S> {
         }
     }
 
-    /// The intervention in one lane.
+    /// Return the intervention in one lane.
     #[inline]
     pub fn lane(&self, lane: usize) -> Intervention<N> {
         let is_set = |mask: S::SimdBool| mask.bitmask() >> lane & 1 == 1;
@@ -532,7 +543,7 @@ impl<const N: usize, S: Real> Response<N, S> {
         }
     }
 
-    /// Adds the `force` of a controller in the share `1 - gain` that an intervention leaves.
+    /// Add the `force` of a controller, scaled by the share `1 - gain` that an intervention leaves.
     #[inline(always)]
     pub(super) fn add_force(&mut self, kind: ControllerKind, force: &Axes<N, S>, gain: S, authority: S) {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));

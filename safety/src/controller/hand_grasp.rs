@@ -8,11 +8,11 @@ use crate::{
     parameter::{in_range, non_negative},
 };
 
-/// HSC: unsafe while `S_h > zeta` and `|F_v| > F_t`, and with a velocity threshold `V·F_v / |F_v| > V_s`.
+/// HSC: unsafe while `S_h > zeta` and `|F_v| > F_t`; with a velocity threshold, also `V·F_v / |F_v| > V_s`.
 ///
-/// A push ejects a device only by doing work on it. While a hand takes up a load it moves into the push, or yields slowly,
-/// and the force of the device's inertia is a part of `F_v` that no hand holds: `S_h` is above zeta, and nothing is
-/// thrown. `V_s` lets that pass; a device that was let go passes `V_s` after `m V_s / |F_v|`.
+/// A push ejects a device only by doing work on it. A hand that takes up a load moves into the push, or yields
+/// slowly. The inertial force of the device is then part of `F_v`, but no hand holds it: `S_h` exceeds zeta without
+/// an ejection. `V_s` accepts this case. A released device exceeds `V_s` after `m V_s / |F_v|`.
 ///
 /// Source: paper Eq. 14 with the criterion of Eq. 8; `V_s`, `docs/thresholds.md`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,12 +20,13 @@ pub struct HandGraspController<const N: usize, S = f64> {
     observer: HandGraspObserver<S>,
     grasp_threshold: S,
     force_threshold_n: S,
-    /// `V_s`; 0 without.
+    /// `V_s`; 0 disables the condition.
     velocity_threshold: S,
 }
 
 impl<const N: usize> HandGraspController<N> {
-    /// Grasp threshold zeta (above 1; the paper uses 1.5), force threshold `F_t` in N (>= 0).
+    /// Create a controller with grasp threshold zeta (above 1; the paper uses 1.5) and force threshold `F_t` in N (>=
+    /// 0).
     pub fn new(
         observer: HandGraspObserver,
         grasp_threshold: f64,
@@ -46,7 +47,7 @@ impl<const N: usize> HandGraspController<N> {
         })
     }
 
-    /// The same with a velocity threshold `V_s` in m/s (>= 0); 0 is Eq. 14 as printed.
+    /// Set the velocity threshold `V_s` in m/s (>= 0); 0 is Eq. 14 as printed.
     pub fn with_velocity_threshold(self, velocity_threshold: f64) -> Result<Self, ParameterError> {
         let velocity_threshold = non_negative("velocity_threshold", "V_s", velocity_threshold)?;
         Ok(Self { velocity_threshold, ..self })
@@ -86,11 +87,11 @@ impl<const N: usize, S: Real> Controller<N, S> for HandGraspController<N, S> {
     #[inline(always)]
     fn step(&mut self, seen: &Observation<N, S>) -> Verdict<N, S> {
         let observed = self.observer.observe(seen);
-        // F_t is there because S_h means little of small forces, so it must hold for the force that S_h is made of.
+        // S_h is unreliable for small forces, so F_t must also hold for the force that S_h is computed from.
         let force = norm(&seen.rendered_force);
         let pushing = force.simd_gt(self.force_threshold_n)
             & norm(&seen.aligned_rendered_force).simd_gt(self.force_threshold_n);
-        // Not "is above": what cannot be compared is no reason to let a push pass.
+        // Negated comparison: a NaN must not let a push pass.
         let yields = !seen.velocity.dot(&seen.rendered_force).simd_le(self.velocity_threshold * force);
         let moves = yields | self.velocity_threshold.simd_eq(S::splat(0.0));
         Verdict::without_force(observed, pushing & observed.simd_gt(self.grasp_threshold) & moves)
@@ -121,7 +122,7 @@ mod tests {
         assert!(HandGraspController::<1>::new(observer, 1.0, 1.0).is_err());
     }
 
-    /// The speed along the push counts, whichever way it points and whatever moves across it.
+    /// Only the speed along the push counts, for any direction of the push and any motion across it.
     #[test]
     fn with_a_velocity_threshold_the_device_must_move_along_the_push() {
         let observer = HandGraspObserver::new(1e-3).unwrap();
@@ -145,7 +146,7 @@ mod tests {
                 let seen = Observation::exact(velocity, push * turn, Axes::<2>::zeros());
                 assert_eq!(controller.step(&seen).is_unsafe, trips, "{threshold} {speed} {sideways}");
                 let held = Observation::exact(velocity, push * turn, -push * turn);
-                assert!(!controller.step(&held).is_unsafe, "a hand holds");
+                assert!(!controller.step(&held).is_unsafe, "a hand holds the force");
             }
         }
         for wrong in [-0.1, f64::NAN, f64::INFINITY] {

@@ -1,8 +1,8 @@
-//! Safety controllers: when an observer calls the hand unsafe, take the push away and damp.
+//! Safety controllers: when an observer calls the hand unsafe, remove the push and damp the motion.
 //!
-//! A controller is one file here, which implements [`Controller`], and one line in the registry below. From that line
-//! come its [`ControllerKind`], its bit in [`Tripped`], its place in the tick, its name in scenes, on the command line
-//! and in Python, and its column in what is recorded.
+//! A controller is one file in this folder, which implements [`Controller`], and one line in the registry below. That
+//! line defines its [`ControllerKind`], its bit in [`Tripped`], its order in the tick and its column in records. It
+//! also defines its name in scenes, on the command line and in Python.
 
 mod combined;
 mod hand_grasp;
@@ -38,23 +38,25 @@ registry::controllers! {
     Pc: passivity::PassivityController;
 }
 
-/// A controller: what the registry builds, steps and names.
+/// Controller that the registry builds, steps and names.
 pub trait Controller<const N: usize, S: Real>: Sized {
     /// The same controller over `f64`.
     type One;
-    /// What it is called.
+    /// Name, title and source.
     const ABOUT: &'static About;
-    /// What its observer's value is called.
+    /// Names of the observer's value.
     const OBSERVED: &'static Observed;
-    /// Whether it reads `F_h`, which is then estimated.
+    /// True if it reads `F_h`, which is then estimated.
     const READS_GRASP_FORCE: bool = false;
-    /// Whether it compares `F_v` with `F_h`: `F_v` is then made as late as `F_h`.
+    /// True if it compares `F_v` with `F_h`; `F_v` then gets the lag of `F_h`.
     const READS_ALIGNED_FORCE: bool = false;
-    /// Whether it adds a force of its own; the others call for `-F_v - mu V`.
+    /// True if it adds its own force; the other controllers request `-F_v - mu V`.
     const ADDS_FORCE: bool = false;
 
-    /// The controller that `settings` describe, for a device sampled every `period_s`. All numbers are checked also
-    /// where it is not used, but then it reserves no memory and applies no damping.
+    /// Build the controller from `settings`, for a device sampled every `period_s`.
+    ///
+    /// All values are checked, also for an unused controller. An unused controller reserves no memory and applies no
+    /// damping.
     fn build(
         device: &DeviceModel<N>,
         period_s: f64,
@@ -62,57 +64,59 @@ pub trait Controller<const N: usize, S: Real>: Sized {
         is_used: bool,
     ) -> Result<Self::One, ParameterError>;
 
-    /// As many controllers as there are lanes, if they can be stepped at once; else None.
+    /// Gather one controller per lane; return None if they cannot be stepped at once.
     fn gather(of: &[&Self::One]) -> Option<Self>;
 
-    /// What it makes of one tick.
+    /// Observe one tick and return the verdict.
     fn step(&mut self, seen: &Observation<N, S>) -> Verdict<N, S>;
 
-    /// What its observer's value is compared with.
+    /// Return the threshold of the observer's value.
     fn threshold(settings: &SafetySettings) -> f64;
 
-    /// Energy in J that it wanted dissipated at a tick that `observed` so much, and the force `delivered` (N, after
-    /// every limit) will not have dissipated by the end of that tick.
+    /// Return the energy in J that it wanted dissipated and that the force `delivered` will not dissipate in this
+    /// tick.
+    ///
+    /// `observed` is the observer's value, `delivered` the force in N after every limit.
     #[inline(always)]
     fn owed_energy_j(&self, _observed: S, _delivered: &Axes<N, S>, _velocity: &Axes<N, S>) -> S {
         S::splat(0.0)
     }
 
-    /// Clears what it remembers of past ticks.
+    /// Clear the memory of past ticks.
     fn reset(&mut self) {}
 }
 
-/// What the value of a controller's observer is called.
+/// Names of the value of a controller's observer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Observed {
-    /// Its symbol, with the unit.
+    /// Symbol with the unit.
     pub symbol: &'static str,
-    /// Its column in records and traces.
+    /// Column in records and traces.
     pub column: &'static str,
-    /// What a record says of that column.
+    /// Description of the column in a record.
     pub meaning: &'static str,
 }
 
-/// What a controller makes of one tick.
+/// Result of a controller at one tick.
 #[derive(Clone, Copy, Debug)]
 pub struct Verdict<const N: usize, S: Real = f64> {
-    /// The value of its observer.
+    /// Value of its observer.
     pub observed: S,
-    /// Where the tick is unsafe.
+    /// Lanes in which the tick is unsafe.
     pub is_unsafe: S::SimdBool,
-    /// A force in N of its own, for a controller that [adds one](Controller::ADDS_FORCE).
+    /// Own force in N of a controller that [adds one](Controller::ADDS_FORCE).
     pub force: Axes<N, S>,
 }
 
 impl<const N: usize, S: Real> Verdict<N, S> {
-    /// The verdict of a controller that adds no force.
+    /// Return the verdict of a controller that adds no force.
     #[inline(always)]
     fn without_force(observed: S, is_unsafe: S::SimdBool) -> Self {
         Self { observed, is_unsafe, force: Axes::zeros() }
     }
 }
 
-/// `F_c = -F_v - mu V`: cancels the rendered force and damps the motion, so that the device renders `-mu V`.
+/// Cancel the rendered force and damp the motion, `F_c = -F_v - mu V`, so that the device renders `-mu V`.
 ///
 /// Source: paper Eq. 2, 13 and 14, which share it.
 #[inline(always)]
@@ -120,13 +124,13 @@ fn cancel_and_damp<const N: usize, S: Real>(seen: &Observation<N, S>, damping: S
     -seen.rendered_force - seen.velocity * damping
 }
 
-/// Passes a damping mu in N s/m that a sampled loop can apply without feeding the motion: up to `m / (5 dT)`.
+/// Check a damping mu in N s/m: up to `m / (5 dT)`, a sampled loop applies it without adding energy to the motion.
 ///
-/// Held over a tick, `-mu V` turns V into `V (1 - mu dT / m)`, which reverses the motion above `m / dT`; but an
-/// estimated V lags by several ticks, and damping that is late becomes a spring that pushes. At a fifth, every
-/// smoothing estimator of this crate still brings a device to rest (`tests/damping.rs`).
+/// Held over a tick, `-mu V` turns V into `V (1 - mu dT / m)`, which reverses the motion above `m / dT`. An estimated
+/// V lags by several ticks, and damping that lags acts as a spring that pushes. At a fifth of `m / dT`, every
+/// smoothing estimator of this crate still brings a device to rest (`tests/all/damping.rs`).
 ///
-/// The bound holds only where the damping is applied: the defaults suit a stylus at 1 kHz.
+/// The bound applies only where the damping is used; the defaults suit a stylus at 1 kHz.
 fn dampable<const N: usize>(
     name: &'static str,
     symbol: &'static str,

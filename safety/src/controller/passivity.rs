@@ -7,14 +7,16 @@ use crate::{
     observer::SafetyObserver,
 };
 
-/// PC: dissipates what the safety observer finds missing.
+/// PC: dissipates the energy that the safety observer finds missing.
 ///
 /// `F_pc = E_so / (V dT)` for `E_so < 0`, else 0; for vectors `F_pc = E_so V / (|V|² dT)`.
 ///
-/// The paper prints `-E_so / (V dT)`: there a force counts against the motion, here a positive force pushes
-/// along +x (`docs/architecture.md`, "Signs and symbols"). The division by V is bounded: the force never exceeds
-/// `alpha V`, with alpha the largest damping that the sampled device can render, so it goes to zero with V and not
-/// to infinity. The unpaid rest stays in `E_so` and is requested again at the next tick.
+/// The paper prints `-E_so / (V dT)`, where a force counts against the motion. Here a positive force pushes along +x
+/// (`docs/architecture.md`, "Signs and symbols").
+///
+/// The force never exceeds `alpha V`, with alpha the largest damping that the sampled device tolerates. It therefore
+/// goes to zero with V instead of to infinity. Energy that this bound leaves undissipated stays in `E_so` and is
+/// requested again at the next tick.
 ///
 /// Source: paper Eq. 12; Hannaford and Ryu 2002, section IV.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,7 +27,7 @@ pub struct PassivityController<const N: usize, S = f64> {
 }
 
 impl<const N: usize> PassivityController<N> {
-    /// Bound alpha in N s/m, between 0 and m / (5 dT).
+    /// Create a controller with the bound alpha in N s/m, between 0 and m / (5 dT).
     pub fn new(
         observer: SafetyObserver<N>,
         device: &DeviceModel<N>,
@@ -56,7 +58,7 @@ impl<const N: usize, S: Real> Controller<N, S> for PassivityController<N, S> {
         PassivityController::new(observer, device, period_s, if is_used { alpha } else { 0.0 })
     }
 
-    /// All of one period.
+    /// Gather controllers of one period.
     fn gather(of: &[&Self::One]) -> Option<Self> {
         Some(Self {
             observer: part(of, |one| &one.observer, SafetyObserver::gather)?,
@@ -65,7 +67,7 @@ impl<const N: usize, S: Real> Controller<N, S> for PassivityController<N, S> {
         })
     }
 
-    /// `F_pc` in N, against the motion; nothing is unsafe.
+    /// Compute `F_pc` in N, against the motion; no tick is unsafe.
     #[inline(always)]
     fn step(&mut self, seen: &Observation<N, S>) -> Verdict<N, S> {
         let energy_j = self.observer.step(seen);
@@ -79,7 +81,7 @@ impl<const N: usize, S: Real> Controller<N, S> for PassivityController<N, S> {
         Verdict { observed: energy_j, is_unsafe: nowhere::<S>(), force }
     }
 
-    /// 0, of Eq. 12.
+    /// Return 0, of Eq. 12.
     fn threshold(_: &SafetySettings) -> f64 {
         0.0
     }
@@ -95,7 +97,7 @@ impl<const N: usize, S: Real> Controller<N, S> for PassivityController<N, S> {
     }
 }
 
-/// The value where it is positive, else 0.
+/// Return the value where it is positive, else 0.
 #[inline(always)]
 fn above_zero<S: Real>(value: S) -> S {
     let nothing = S::splat(0.0);
@@ -119,8 +121,8 @@ mod tests {
     }
 
     #[test]
-    fn pays_exactly_what_is_missing_when_it_may() {
-        // Energy that the hand put in leaves little missing: E = dT F_h V - m V² / (2 eta).
+    fn dissipates_exactly_the_missing_energy_within_its_bound() {
+        // The hand puts energy in, so little is missing: E = dT F_h V - m V² / (2 eta).
         let mut controller = controller(31.0);
         let mut seen = ejected(0.5);
         seen.grasp_force = Axes::<1>::new((0.157 * 0.25 - 0.005) / (0.5 * PERIOD));
@@ -147,21 +149,21 @@ mod tests {
     }
 
     #[test]
-    fn where_nothing_is_missing_or_nothing_moves_there_is_no_force() {
+    fn no_force_without_missing_energy_or_motion() {
         let mut controller = controller(20.0);
-        // Put in by the hand: what is left over must not push.
+        // The hand puts in a surplus of energy, which must not push.
         let mut seen = ejected(0.5);
         seen.grasp_force = Axes::<1>::new(1e3);
         let action = controller.step(&seen);
         assert!(action.observed > 0.0);
         assert_eq!(action.force[0], 0.0);
-        // At rest, with energy left over and with energy missing.
+        // At rest, with a surplus and with missing energy.
         assert_eq!(controller.step(&ejected(0.0)).force[0], 0.0);
         let mut taken = ejected(0.5);
         taken.grasp_force = Axes::<1>::new(-2e3);
         assert!(controller.step(&taken).observed < 0.0);
         assert_eq!(controller.step(&ejected(0.0)).force[0], 0.0);
-        // Nothing is left of that after a reset.
+        // A reset clears it.
         controller.reset();
         assert_eq!(controller, self::controller(20.0));
         assert_eq!(controller.step(&ejected(0.0)).observed, 0.0);

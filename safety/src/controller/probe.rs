@@ -1,4 +1,4 @@
-//! The probe for a hand: after a trip the force comes back to a hand only.
+//! Probe for a hand: after a trip the force returns only to a hand.
 
 use nalgebra::SimdValue as _;
 
@@ -9,76 +9,88 @@ use crate::{
     parameter::{in_range, positive},
 };
 
-/// How long each half of the probe lasts, in s.
+/// Duration of each half of the probe in s.
 const HALF_S: f64 = 0.1;
-/// Rise and fall of each half in s, so that nothing of it is felt as a knock.
+/// Rise and fall time of each half in s, so that the probe is not felt as a knock.
 const EDGE_S: f64 = 0.01;
-/// From when on the resistance counts, in s: `F_h` is late, and a model whose mass is wrong errs while the device speeds up.
+/// Start in s of the evaluation of a half. Earlier, `F_h` lags, and a wrong model mass causes an error while the
+/// device accelerates.
 const JUDGED_FROM_S: f64 = 0.03;
-/// Until when it counts in the half that brings the device back, in s: before it can be at a stop again that it leaned on.
+/// End in s of the evaluation of the second half, before the device can reach a stop that it leaned on.
 const BACK_S: f64 = 0.08;
-/// Damping in mu while the device is probed: what a free one can reach is slower by as much, and what a hand adds is not.
+/// Damping during the probe in units of mu. It reduces the speed of a free device by this factor, but not the force
+/// of a hand.
 pub const PROBED_DAMPING: f64 = 1.25;
-/// How long a hand must drive the device without a break, in s.
+/// Time in s for which a hand must drive the device without interruption.
 const DRIVEN_S: f64 = 0.06;
-/// How long the device must be still before a probe, in s.
+/// Time in s for which the device must be still before a probe.
 const STILL_S: f64 = 0.05;
-/// Below so much of `A / mu` the device is still.
+/// The device is still below this share of `A / mu`.
 const STILL_SHARE: f64 = 0.2;
-/// From one try to the next, in s; so long after an intervention the next has all its tries.
+/// Time in s between tries. After this time without an intervention, all tries are available again.
 const INTERVAL_S: f64 = 1.0;
-/// What a model of Coulomb friction may be wrong by, in shares of it, with room for what else is wrong.
+/// Assumed error of the Coulomb friction model as a factor of c, with room for other errors.
 pub const FRICTION_ROOM: f64 = 2.0;
-/// How much longer a hand may bear nothing more of what comes back than it bears more, in s.
+/// Limit in s of the net time in which the hand bears no more of the returning force. Time in which it bears more is
+/// subtracted.
 const UNBORNE_S: f64 = 0.5;
-/// Up to so much of the power at which a controller trips the force comes back.
+/// The force returns up to this share of the power at which a controller trips.
 const TAKEN_SHARE: f64 = 0.9;
-/// Within the last quarter of what it may come back by, it does so more slowly.
+/// Slope of the ease: the return slows down within the last quarter of its limit.
 const EASE_SLOPE: f64 = 4.0;
-/// Below that ease nothing more is borne.
+/// Ease below which the hand counts as bearing no more of the force.
 const LEAST_EASE: f64 = 0.05;
-/// Ease where no hand was felt: nothing of the force comes back.
+/// Ease without a felt hand: no force returns.
 pub(crate) const NOT_FELT: f64 = f64::NEG_INFINITY;
 
-/// Whether a hand holds the device, asked while an intervention keeps `F_v` away and damps.
+/// Detection of a hand on the device while an intervention removes `F_v` and damps.
 ///
-/// **Still hands are probed.** Once the device is still, `F_p = +-A d - 0.25 mu V` is added, A a trapezoid of 100 ms for each sign, first
-/// with d against the push that tripped (a stylus that was thrown against its stop moves away from it, so the stop cannot
-/// pass for a hand), then back. In each half, from 30 ms on and in the second to 80 ms, `r = mean |F_h . d| / A` is what a hand adds. A
-/// free device has r = 0 but for errors of the model, `|eps| + (|c - c^| + gravity + 3 sigma_F) / A`; a hand adds its mass,
-/// damping and stiffness, or the motion that it was in. It is felt where `r > r_th`; each half is judged by itself.
+/// **Still hand: probe.** Once the device is still, the probe adds `F_p = +-A d - 0.25 mu V`. A is a trapezoid of
+/// 100 ms for each sign. The first half pushes along d, against the push that tripped, and the second half pushes
+/// back. A stylus that was thrown against its stop moves away from it, so the stop is not mistaken for a hand. In
+/// each half, `r = mean |F_h . d| / A` is the share that a hand adds. The mean starts after 30 ms; in the second half
+/// it ends at 80 ms.
 ///
-/// **Moving hands are listened to.** With `F_v` away and damping on, a free device slows down. A hand drives it where
-/// `F_h . V / |V| > r_th A + mu |V| / 2` for 60 ms without a break: a stop gives no energy for so long, and of a free device
-/// `F_h` is at most `|eps| mu |V|` beside what `r_th A` covers. Without a probe (A = 0) c stands for `r_th A`: a free device shows
-/// `c^ - c + |eps| (mu |V| + c)` at most, a hand `c^ + mu |V|`.
+/// A free device has r = 0 except for model errors, `|eps| + (|c - c^| + gravity + 3 sigma_F) / A`. A hand adds its
+/// mass, damping and stiffness, or its present motion. It is felt if `r > r_th`; each half is judged separately.
 ///
-/// **What comes back must be borne.** Once a hand was felt, the force comes back over the ramp as long as the hand takes it up.
-/// Of P that is let through, `U = P - max(0, -F_h . F_v / |F_v|)` is not borne, and turns into speed: `U = m A + mu V`. The ramp
-/// slows down from three quarters of `A / 1.25` (of 4 c without a probe) and rests at all of it, so that a device that nobody
-/// holds becomes no faster than by the probe. So it does where the hand has yielded so far that a spring of `mu / HALF_S` in N/m
-/// would bear as much more than P: what is softer is no hand. It slows down likewise as `P . V` nears 0.9 of the power at which a controller
-/// trips that watches: `V_t F_t` of VFC, `-delta / w dT` of WSC. Where nothing more was borne for 0.5 s it was no hand.
+/// **Moving hand: drive.** With `F_v` removed and damping on, a free device slows down. A hand drives it if
+/// `F_h . V / |V| > r_th A + mu |V| / 2` for 60 ms without interruption. A stop does not deliver energy for so long.
+/// On a free device, `F_h` is at most `|eps| mu |V|` beyond the part that `r_th A` covers. Without a probe (A = 0), c
+/// replaces `r_th A`: a free device shows at most `c^ - c + |eps| (mu |V| + c)`, a hand `c^ + mu |V|`.
 ///
-/// Nothing fades without a yes. Tries are 1 s apart. After `release_tries` without the force being back for 1 s it is withheld until the
-/// authority has been at zero, which is what a hold of the ladder leads to, or a [`reset`](Self::reset). The probe moves a
-/// free device by less than `A / 1.25 mu` in speed and `A HALF_S / 1.25 mu` in way.
+/// **The hand must bear the returning force.** After a hand is felt, the force returns over the ramp while the hand
+/// takes it up. P is the force let through. The unborne part is `U = P - max(0, -F_h . F_v / |F_v|)`; it accelerates
+/// the device, `U = m A + mu V` with A the acceleration. The ramp slows down from U = three quarters of `A / 1.25`
+/// (of 4 c without a probe) and stops at `A / 1.25`. A device that nobody holds therefore becomes no faster than by
+/// the probe. The ramp also stops if the hand yields so far that a spring of `mu / HALF_S` in N/m would bear
+/// `P + A / 1.25`. A softer grip is not a hand.
 ///
-/// Source: derived here; the trials of `safety/tests/all/probe.rs` and `benches/regrasp.py` have its error rates.
+/// The ramp slows down likewise as `P . V` nears 0.9 of the power at which an active controller trips: `V_t F_t` of
+/// VFC, `-delta / w dT` of WSC. If the hand bears no more for 0.5 s, it was not a hand.
+///
+/// Nothing fades before a hand is felt. Tries are 1 s apart; a force that is back for 1 s clears their count. After
+/// `release_tries` the force is withheld until the authority has been zero, as in a hold of the ladder, or until a
+/// [`reset`](Self::reset). The probe moves a free device by less than `A / 1.25 mu` in speed and `A HALF_S / 1.25 mu`
+/// in distance.
+///
+/// Source: derived here; the trials of `safety/tests/all/probe.rs` and `benches/regrasp.py` state its error rates.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct GraspProbe<const N: usize> {
-    /// A; 0 only listens.
+    /// Force A in N; 0 applies no probe.
     force_n: f64,
     /// `r_th`.
     threshold: f64,
-    /// What a free device that slows down shows along its motion at most, beside what goes with its speed.
+    /// Largest force along its motion that a free, slowing device shows, apart from the part that grows with its
+    /// speed.
     free_n: f64,
-    /// Of what comes back, so much turns a free device as fast as the probe, in N.
+    /// Unborne force in N that makes a free device as fast as the probe does.
     bear_n: f64,
-    /// The power in W at which a controller trips that watches; infinite where none does by power.
+    /// Smallest power in W at which an active controller trips, times [`TAKEN_SHARE`]; infinite if none trips by
+    /// power.
     power_w: f64,
     damping: f64,
-    /// Tries before the force is withheld; none is no end of them.
+    /// Number of tries before the force is withheld; None is no limit.
     limit: Option<u32>,
     period_s: f64,
     phase: Phase,
@@ -90,49 +102,49 @@ pub(super) struct GraspProbe<const N: usize> {
     calm_for: u32,
     /// d.
     direction: Axes<N>,
-    /// Sum of `|F_h . d|` over the ticks that count.
+    /// Sum of `|F_h . d|` over the evaluated ticks.
     resisted_n: f64,
-    /// By how much the hand has yielded to what came back.
+    /// Distance by which the hand has yielded to the returning force.
     yielded_m: f64,
     unborne_for: u32,
-    /// Whether the last try has felt a hand.
+    /// True if the last try felt a hand.
     has_felt: bool,
 }
 
-/// What is going on.
+/// State of the probe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
     /// No intervention.
     Idle,
-    /// The device is being brought to rest.
+    /// The device comes to rest.
     Settling,
     /// The probe acts.
     Probing,
-    /// No hand was felt; the next try is to come.
+    /// No hand was felt; the next try follows.
     Waiting,
-    /// A hand was felt: the force may come back.
+    /// A hand was felt; the force may return.
     Felt,
     /// No hand was felt in all tries.
     Withheld,
 }
 
-/// What is known of the intervention at a tick.
+/// State of the intervention at a tick.
 #[derive(Clone, Copy)]
 pub(super) struct Intervening {
-    /// It was on at the last tick.
+    /// The intervention was on at the last tick.
     pub(super) is_on: bool,
-    /// Its least duration is over.
+    /// The hold-off is over.
     pub(super) may_end: bool,
     /// This tick is unsafe.
     pub(super) is_unsafe: bool,
-    /// Share of `F_v` that was let through at the last tick.
+    /// Share of `F_v` that the last tick let through.
     pub(super) let_through: f64,
     /// Share of the damping that may act.
     pub(super) authority: f64,
 }
 
 impl<const N: usize> GraspProbe<N> {
-    /// The probe of these settings; None where they have none.
+    /// Build the probe from the settings; return None if they require no hand.
     pub(super) fn new(
         device: &DeviceModel<N>,
         period_s: f64,
@@ -164,7 +176,7 @@ impl<const N: usize> GraspProbe<N> {
         Ok(Some(Self {
             force_n,
             threshold,
-            // Friction that is not there looks like a hand of c.
+            // Friction of the model that the device does not have looks like a hand of force c.
             free_n: if probes { threshold * force_n } else { device.largest_coulomb() },
             bear_n: if probes {
                 force_n / PROBED_DAMPING
@@ -189,17 +201,17 @@ impl<const N: usize> GraspProbe<N> {
         }))
     }
 
-    /// Whether so many ticks are so long.
+    /// Return whether `ticks` last at least `seconds`.
     fn lasts(&self, ticks: u32, seconds: f64) -> bool {
         f64::from(ticks) * self.period_s >= seconds - self.period_s / 2.0
     }
 
-    /// Whether so long is over at this tick.
+    /// Return whether the phase reaches `seconds` at this tick.
     fn ends(&self, seconds: f64) -> bool {
         self.lasts(self.ticks, seconds) && !self.lasts(self.ticks - 1, seconds)
     }
 
-    /// `F_p` in N of this tick, and how fast the force may come back.
+    /// Compute `F_p` in N of this tick, and the ease with which the force may return.
     fn step(&mut self, seen: &Observation<N>, now: Intervening) -> (Axes<N>, f64) {
         let force = self.probed(seen, now);
         let ease = match self.phase {
@@ -210,16 +222,16 @@ impl<const N: usize> GraspProbe<N> {
         (force, ease)
     }
 
-    /// How fast the force may come back, of which so much is let through: 0 to 1, or not at all.
+    /// Compute the ease, 0 to 1, with which the force may return, or [`NOT_FELT`].
     fn ease(&mut self, seen: &Observation<N>, let_through: f64) -> f64 {
         let push_n = norm(&seen.rendered_force);
-        // Without friction and damping nothing tells what is borne.
+        // Without friction and damping the borne part cannot be measured.
         if push_n == 0.0 || self.bear_n == 0.0 {
             return 1.0;
         }
         let along = seen.rendered_force / push_n;
         let returned_n = push_n * let_through;
-        // What drives the device along the push bears nothing of it.
+        // A hand that drives the device along the push bears nothing of it.
         let borne_n = -seen.grasp_force.dot(&along);
         let speed = seen.velocity.dot(&along);
         self.yielded_m = (self.yielded_m + speed * self.period_s).max(0.0);
@@ -251,10 +263,10 @@ impl<const N: usize> GraspProbe<N> {
         self.ticks = self.ticks.saturating_add(1);
         match self.phase {
             Phase::Idle | Phase::Felt if is_unsafe => self.begin(seen),
-            // Without a peer it is for a person to begin anew, and then all tries are there again.
+            // Without a peer, the operator restarts; all tries are then available again.
             Phase::Withheld if authority <= 0.0 => {
                 self.tries = 0;
-                // Who cannot be probed has said by the press that there is a hand.
+                // Without a probe, the press of the operator confirms the hand.
                 self.enter(if self.probes() { Phase::Settling } else { Phase::Felt });
             }
             Phase::Settling if authority < 1.0 => self.ticks = 0,
@@ -264,12 +276,12 @@ impl<const N: usize> GraspProbe<N> {
                 } else if self.probes() && self.lasts(self.still_for, STILL_S) {
                     self.attempt(Phase::Probing);
                 } else if self.lasts(self.ticks, INTERVAL_S) {
-                    // What never rests and is not driven: nobody can say that there is a hand.
+                    // The device neither rests nor is driven, so a hand cannot be confirmed.
                     self.attempt(Phase::Settling);
                 }
             }
             Phase::Probing if authority < 1.0 => {
-                // Cut off, so it was no try.
+                // The probe was interrupted and does not count as a try.
                 self.tries = self.tries.saturating_sub(1);
                 self.enter(Phase::Settling);
             }
@@ -283,7 +295,7 @@ impl<const N: usize> GraspProbe<N> {
         Axes::zeros()
     }
 
-    /// Takes it that a hand is there or not, as it was found elsewhere.
+    /// Adopt the result of another probe: a hand is felt or not.
     fn agree(&mut self, is_felt: bool) {
         match self.phase {
             Phase::Settling | Phase::Probing | Phase::Waiting if is_felt => self.enter(Phase::Felt),
@@ -292,22 +304,22 @@ impl<const N: usize> GraspProbe<N> {
         }
     }
 
-    /// The try is over, and the force is not back.
+    /// End the try without the force.
     fn give_up(&mut self) {
         self.enter(if self.limit == Some(self.tries) { Phase::Withheld } else { Phase::Waiting });
     }
 
-    /// Whether a tick without an intervention would change nothing that counts.
+    /// Return whether a tick without an intervention would change no relevant state.
     fn is_at_rest(&self) -> bool {
         self.phase == Phase::Idle && self.tries == 0
     }
 
-    /// Whether it is given up.
+    /// Return whether the force is withheld.
     pub(super) fn is_withheld(&self) -> bool {
         self.phase == Phase::Withheld
     }
 
-    /// Whether it is given up although the last try has felt a hand.
+    /// Return whether the force is withheld although the last try felt a hand.
     pub(super) fn yields(&self) -> bool {
         self.is_withheld() && self.has_felt
     }
@@ -328,7 +340,7 @@ impl<const N: usize> GraspProbe<N> {
         }
     }
 
-    /// An intervention begins, or the force that came back has tripped.
+    /// Begin when an intervention starts, or when the returning force trips again.
     fn begin(&mut self, seen: &Observation<N>) {
         let against = |vector: &Axes<N>| vector.try_normalize(0.0).map(|along| -along);
         self.direction =
@@ -341,7 +353,7 @@ impl<const N: usize> GraspProbe<N> {
         self.enter(Phase::Settling);
     }
 
-    /// Goes on to `phase` with a try less, or gives up.
+    /// Use up a try and enter `phase`, or withhold the force.
     fn attempt(&mut self, phase: Phase) {
         if self.limit == Some(self.tries) {
             self.enter(Phase::Withheld);
@@ -352,20 +364,20 @@ impl<const N: usize> GraspProbe<N> {
         self.enter(phase);
     }
 
-    /// Follows whether the device rests and whether it is driven.
+    /// Count the ticks for which the device rests and for which it is driven.
     fn watch(&mut self, seen: &Observation<N>) {
         let speed = norm(&seen.velocity);
         let count = |ticks: u32, goes_on: bool| if goes_on { ticks.saturating_add(1) } else { 0 };
         self.still_for = count(self.still_for, speed < STILL_SHARE * self.force_n / self.damping);
         let along_n = seen.grasp_force.dot(&seen.velocity);
         let free_n = self.free_n + self.damping * speed / 2.0;
-        // At rest `c sign V` of an estimate that dies out is as large as what is asked for.
+        // Near rest, the friction term `c sign V` of a decaying estimate is as large as the threshold.
         let moves = self.probes() || speed * self.damping > STILL_SHARE * self.free_n;
         let is_driven = self.phase != Phase::Probing && moves && along_n > free_n * speed;
         self.driven_for = count(self.driven_for, is_driven);
     }
 
-    /// Without damping a free device does not slow down, and nothing tells it from one that is driven.
+    /// Return whether a hand drives the device. Without damping a free device does not slow down and looks driven.
     fn is_driven(&self) -> bool {
         self.damping > 0.0 && self.lasts(self.driven_for, DRIVEN_S)
     }
@@ -382,7 +394,7 @@ impl<const N: usize> GraspProbe<N> {
             self.resisted_n += seen.grasp_force.dot(&self.direction).abs();
         } else if self.ends(begun_s + judged_s) {
             let counted = (judged_s - JUDGED_FROM_S) / self.period_s;
-            // The way back begins with a step of 2 A, so that a wrong mass errs by twice as much.
+            // The second half begins with a step of 2 A, so a wrong mass causes twice the error.
             let room = if first_half || self.ends(HALF_S) { 1.0 } else { 2.0 };
             if self.resisted_n > room * self.threshold * self.force_n * counted {
                 self.enter(Phase::Felt);
@@ -401,13 +413,13 @@ impl<const N: usize> GraspProbe<N> {
     }
 }
 
-/// The probes of all lanes.
+/// Probes of all lanes.
 ///
-/// Each has a state of its own: what a lane does depends on what it has felt.
+/// Each lane has its own state, since its course depends on what it has felt.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct GraspProbes<const N: usize, S> {
     lanes: Box<[GraspProbe<N>]>,
-    /// Nothing goes on in any lane, and each has all its tries.
+    /// No lane has an intervention, and each has all its tries.
     at_rest: bool,
     /// `F_p` in N of this tick.
     pub(super) force: Axes<N, S>,
@@ -420,7 +432,7 @@ impl<const N: usize> GraspProbes<N, f64> {
 }
 
 impl<const N: usize, S: Real> GraspProbes<N, S> {
-    /// As many as there are lanes; else None.
+    /// Gather one probe per lane; return None if their number is not that of the lanes.
     pub(super) fn gather(of: &[&GraspProbes<N, f64>]) -> Option<Self> {
         let lanes: Box<[_]> = of.iter().flat_map(|one| one.lanes.iter().cloned()).collect();
         let mut force = Axes::<N, S>::zeros();
@@ -431,14 +443,15 @@ impl<const N: usize, S: Real> GraspProbes<N, S> {
         (lanes.len() == S::LANES).then_some(Self { lanes, at_rest, force })
     }
 
-    /// Whether there is nothing to do at this tick; `any` is whether an intervention is on, or begins, in any lane. Then the
-    /// force may come back everywhere.
+    /// Return whether this tick needs no step; the force may then return in every lane.
+    ///
+    /// `any` is true if an intervention is on, or begins, in any lane.
     #[inline(always)]
     pub(super) fn rests(&self, any: bool) -> bool {
         self.at_rest && !any
     }
 
-    /// How fast the force may come back after this tick.
+    /// Compute the ease of each lane after this tick.
     pub(super) fn step(
         &mut self,
         seen: &Observation<N, S>,
@@ -460,17 +473,17 @@ impl<const N: usize, S: Real> GraspProbes<N, S> {
         eases
     }
 
-    /// Takes it that a hand is there or not, as another probe has it.
+    /// Adopt the result of another probe: a hand is felt or not.
     pub(super) fn agree(&mut self, is_felt: bool) {
         self.lanes.iter_mut().for_each(|probe| probe.agree(is_felt));
     }
 
-    /// Where the last try has felt a hand.
+    /// Mask of lanes in which the last try felt a hand and the force is withheld.
     pub(super) fn yields(&self) -> S::SimdBool {
         self.mask(GraspProbe::yields)
     }
 
-    /// Where no hand was felt in all tries.
+    /// Mask of lanes in which the force is withheld.
     pub(super) fn withheld(&self) -> S::SimdBool {
         self.mask(GraspProbe::is_withheld)
     }

@@ -1,4 +1,4 @@
-//! What comes from the lines of the registry: kinds, sets, bits, and the controllers that a tick steps.
+//! Items generated from the registry: kinds, sets, bits, and the controllers that a tick steps.
 
 use std::{
     fmt::{self, Debug, Formatter},
@@ -7,14 +7,14 @@ use std::{
 
 use super::ControllerKind;
 
-/// Declares all that depends on which controllers there are; each line is `Kind: file::Type;`.
+/// Declare every item that depends on the set of controllers; each line is `Kind: file::Type;`.
 ///
-/// The controllers lie side by side in a struct, so that a tick knows each at compile time.
+/// The controllers are fields of one struct, so that each is known to a tick at compile time.
 macro_rules! controllers {
     ($($(#[$doc:meta])* $kind:ident: $file:ident::$controller:ident;)+) => {
         $(pub use $file::$controller;)+
 
-        /// A controller.
+        /// Kind of a controller.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(rename_all = "snake_case"))]
         pub enum ControllerKind {
@@ -22,36 +22,36 @@ macro_rules! controllers {
         }
 
         impl ControllerKind {
-            /// All of them, in the order of the registry.
+            /// All kinds, in the order of the registry.
             pub const ALL: [Self; [$(stringify!($kind)),+].len()] = [$(Self::$kind),+];
 
-            /// What it is called.
+            /// Return name, title and source.
             pub const fn about(self) -> &'static About {
                 match self { $(Self::$kind => <$controller<1> as Controller<1, f64>>::ABOUT,)+ }
             }
 
-            /// What its observer's value is called.
+            /// Return the names of the observer's value.
             pub const fn observed(self) -> &'static Observed {
                 match self { $(Self::$kind => <$controller<1> as Controller<1, f64>>::OBSERVED,)+ }
             }
 
-            /// What its observer's value is compared with.
+            /// Return the threshold of the observer's value.
             pub fn threshold(self, settings: &SafetySettings) -> f64 {
                 match self { $(Self::$kind => <$controller<1> as Controller<1, f64>>::threshold(settings),)+ }
             }
 
-            /// Whether it adds a force of its own; the others call for `-F_v - mu V`.
+            /// Return whether it adds its own force; the other controllers request `-F_v - mu V`.
             pub const fn adds_force(self) -> bool {
                 match self { $(Self::$kind => <$controller<1> as Controller<1, f64>>::ADDS_FORCE,)+ }
             }
 
-            /// Whether it compares `F_v` with `F_h`.
+            /// Return whether it compares `F_v` with `F_h`.
             pub(crate) const fn reads_aligned_force(self) -> bool {
                 match self { $(Self::$kind => <$controller<1> as Controller<1, f64>>::READS_ALIGNED_FORCE,)+ }
             }
         }
 
-        /// The controllers that watch; the others are not built.
+        /// The controllers in use; the others are not built.
         #[derive(Clone, Debug, PartialEq)]
         struct Built<const N: usize, S = f64> {
             $($file: Option<$controller<N, S>>,)+
@@ -63,7 +63,7 @@ macro_rules! controllers {
                 period_s: f64,
                 settings: &SafetySettings,
             ) -> Result<Self, ParameterError> {
-                // All are checked, also those that do not watch: a wrong number is wrong before it is needed.
+                // Unused controllers are built and checked too: a wrong value is reported before it is used.
                 $(let $file = {
                     let is_used = settings.controllers.contains(ControllerKind::$kind);
                     let built =
@@ -75,7 +75,7 @@ macro_rules! controllers {
         }
 
         impl<const N: usize, S: Real> Built<N, S> {
-            /// As many as there are lanes, all of which have built the same; else None.
+            /// Gather one set per lane; return None unless all have built the same controllers.
             fn gather(of: &[&Built<N>]) -> Option<Self> {
                 Some(Self { $($file: option(of, |one| one.$file.as_ref(), Controller::gather)?,)+ })
             }
@@ -86,7 +86,7 @@ macro_rules! controllers {
                 Verdicts {
                     $($file: if let Some(controller) = &mut self.$file {
                         let verdict = controller.step(seen);
-                        // Gathered here, so that controllers that are not built cost nothing.
+                        // Combined here, so that controllers that are not built cost nothing.
                         is_unsafe = is_unsafe | verdict.is_unsafe;
                         verdict
                     } else {
@@ -101,7 +101,7 @@ macro_rules! controllers {
                 false $(|| $controller::<N, S>::READS_GRASP_FORCE && self.$file.is_some())+
             }
 
-            /// Energy in J that the force `delivered` owes to all of them.
+            /// Return the energy in J that the force `delivered` owes to all controllers.
             #[inline(always)]
             fn owed_energy_j(
                 &self,
@@ -135,33 +135,34 @@ macro_rules! controllers {
             }
         }
 
-        /// What each makes of one tick; of one that is not built, NaN and nothing.
+        /// Verdict of each controller at one tick; NaN and no force for a controller that is not built.
         pub(crate) struct Verdicts<const N: usize, S: Real> {
             $($file: Verdict<N, S>,)+
-            /// Where any of them calls the tick unsafe.
+            /// Lanes in which any controller calls the tick unsafe.
             is_unsafe: S::SimdBool,
         }
 
         impl<const N: usize, S: Real> Verdicts<N, S> {
-            /// Where each calls the tick unsafe.
+            /// Return the lanes in which each controller calls the tick unsafe.
             #[inline(always)]
             fn tripped(&self) -> PerController<S::SimdBool> {
                 PerController([$(self.$file.is_unsafe),+])
             }
 
-            /// Where any of them calls it unsafe.
+            /// Return the lanes in which any controller calls the tick unsafe.
             #[inline(always)]
             pub(crate) fn is_unsafe(&self) -> S::SimdBool {
                 self.is_unsafe
             }
 
-            /// The observers' values.
+            /// Return the observers' values.
             #[inline(always)]
             fn observed(&self) -> PerController<S> {
                 PerController([$(self.$file.observed),+])
             }
 
-            /// Adds the force of each that has one, in the share `1 - gain` that an intervention leaves.
+            /// Add the force of each controller that has one, scaled by the share `1 - gain` that an intervention
+            /// leaves.
             #[inline(always)]
             fn add_forces(&self, built: &Built<N, S>, gain: S, authority: S, response: &mut Response<N, S>) {
                 $(if $controller::<N, S>::ADDS_FORCE && built.$file.is_some() {
@@ -173,38 +174,38 @@ macro_rules! controllers {
 }
 pub(super) use controllers;
 
-/// How many controllers there are.
+/// Number of controllers.
 const COUNT: usize = ControllerKind::ALL.len();
 
 impl ControllerKind {
-    /// Those that call for `-F_v - mu V`, in the order of the registry.
+    /// Iterate over the kinds that request `-F_v - mu V`, in the order of the registry.
     pub fn cancelling() -> impl Iterator<Item = Self> {
         Self::ALL.into_iter().filter(|kind| !kind.adds_force())
     }
 
-    /// Its bit in [`Tripped`]; that of [`Tripped::HELD`], after the first four, belongs to no controller.
+    /// Return its bit in [`Tripped`]. The bit of [`Tripped::HELD`], after the first four, belongs to no controller.
     const fn bit(self) -> u8 {
         let bit = 1 << self as u8;
         if bit < Tripped::HELD.0 { bit } else { bit << 1 }
     }
 }
 
-/// A value for each controller.
+/// One value per controller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PerController<T>(
-    /// In the order of [`ControllerKind::ALL`].
+    /// Values in the order of [`ControllerKind::ALL`].
     pub [T; COUNT],
 );
 
 impl<T> PerController<T> {
-    /// A value made for each.
+    /// Compute a value for each kind.
     pub fn of(value: impl FnMut(ControllerKind) -> T) -> Self {
         Self(ControllerKind::ALL.map(value))
     }
 }
 
 impl<T: Copy> PerController<T> {
-    /// The same value for all.
+    /// Repeat one value for all kinds.
     pub const fn repeat(value: T) -> Self {
         Self([value; COUNT])
     }
@@ -226,7 +227,7 @@ impl<T> IndexMut<ControllerKind> for PerController<T> {
     }
 }
 
-/// A set of controllers; in JSON the list of their names.
+/// Set of controllers; in JSON the list of their names.
 #[derive(Clone, Copy, Default, PartialEq, Eq)]
 #[cfg_attr(
     feature = "serde",
@@ -237,21 +238,21 @@ impl<T> IndexMut<ControllerKind> for PerController<T> {
 pub struct Controllers(u8);
 
 impl Controllers {
-    /// None of them.
+    /// The empty set.
     pub const NONE: Self = Self(0);
 
-    /// Whether `kind` belongs to the set.
+    /// Return whether `kind` belongs to the set.
     pub const fn contains(self, kind: ControllerKind) -> bool {
         self.0 >> kind as u8 & 1 == 1
     }
 
-    /// The set with `kind`, or without it.
+    /// Return the set with or without `kind`.
     #[must_use]
     pub const fn with(self, kind: ControllerKind, is_member: bool) -> Self {
         Self(self.0 & !(1 << kind as u8) | (is_member as u8) << kind as u8)
     }
 
-    /// The controllers of the set, in the order of [`ControllerKind::ALL`].
+    /// Iterate over the controllers of the set, in the order of [`ControllerKind::ALL`].
     pub fn iter(self) -> impl Iterator<Item = ControllerKind> {
         ControllerKind::ALL.into_iter().filter(move |kind| self.contains(*kind))
     }
@@ -281,24 +282,24 @@ impl Debug for Controllers {
     }
 }
 
-/// Which controllers called the tick unsafe.
+/// Set of controllers that called the tick unsafe.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tripped(u8);
 
 impl Tripped {
-    /// Nobody.
+    /// No controller.
     pub const NONE: Self = Self(0);
-    /// No controller now, but its minimum time on or the release ramp has not ended.
+    /// No controller now, but the hold-off or the release ramp has not ended.
     pub const HELD: Self = Self(16);
-    /// A [research controller](super::ResearchController); the last bit, so that the registry has room.
+    /// A [research controller](super::ResearchController); the last bit, so that the registry can grow.
     pub const RESEARCH: Self = Self(128);
 
-    /// One controller.
+    /// Return the bit of one controller.
     pub const fn of(kind: ControllerKind) -> Self {
         Self(kind.bit())
     }
 
-    /// From [`bits`](Self::bits); bits without meaning are dropped.
+    /// Convert from [`bits`](Self::bits); unknown bits are dropped.
     pub fn from_bits(bits: u8) -> Self {
         let all = ControllerKind::ALL
             .into_iter()
@@ -306,30 +307,30 @@ impl Tripped {
         Self(bits & all.0)
     }
 
-    /// Whether anything is set.
+    /// Return whether any bit is set.
     pub fn any(self) -> bool {
         self.0 != 0
     }
 
-    /// Whether all of `other` is set.
+    /// Return whether all of `other` is set.
     pub fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
     }
 
-    /// What is set here or there.
+    /// Return the union.
     #[must_use]
     pub fn and(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
 
-    /// Names of what is set: the controllers in the order of the registry, then "held" and "research".
+    /// Iterate over the names of the set bits: controllers in the order of the registry, then "held" and "research".
     pub fn names(self) -> impl Iterator<Item = &'static str> {
         let names = ControllerKind::ALL.map(|kind| (Self::of(kind), kind.about().name));
         let named = names.into_iter().chain([(Self::HELD, "held"), (Self::RESEARCH, "research")]);
         named.filter(move |(bit, _)| self.contains(*bit)).map(|(_, name)| name)
     }
 
-    /// The bits, for records: VFC 1, HSC 2, WSC 4, PC 8, held 16, research 128.
+    /// Return the bits for records: VFC 1, HSC 2, WSC 4, PC 8, held 16, research 128.
     pub fn bits(self) -> u8 {
         self.0
     }
@@ -340,7 +341,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bits_and_names_are_of_the_controllers_that_tripped() {
+    fn bits_and_names_match_the_tripped_controllers() {
         let named: Vec<_> = ControllerKind::ALL
             .into_iter()
             .map(|kind| (Tripped::of(kind), kind.about().name))
@@ -351,7 +352,7 @@ mod tests {
             [(1, "vfc"), (2, "hsc"), (4, "wsc"), (8, "pc")]
         );
         let known: u8 = named.iter().map(|(bit, _)| bit.bits()).sum();
-        assert_eq!(known.count_ones() as usize, named.len(), "a bit of one's own");
+        assert_eq!(known.count_ones() as usize, named.len(), "each has its own bit");
         for bits in 0..=u8::MAX {
             let tripped = Tripped::from_bits(bits);
             assert_eq!((tripped.bits(), tripped.any()), (bits & known, bits & known != 0));
@@ -370,7 +371,7 @@ mod tests {
     }
 
     #[test]
-    fn a_set_has_what_was_put_in() {
+    fn a_set_contains_its_members() {
         for bits in 0..1_usize << COUNT {
             let is_in = |kind: ControllerKind| bits >> kind as usize & 1 == 1;
             let set: Controllers = ControllerKind::ALL.into_iter().filter(|kind| is_in(*kind)).collect();

@@ -1,4 +1,4 @@
-//! A controller of the caller's own, for research: it sees what the others see and adds a force.
+//! Research controller: a controller of the caller that sees the same signals as the others and adds a force.
 
 use std::fmt::{self, Debug, Formatter};
 
@@ -7,22 +7,22 @@ use nalgebra::SimdValue as _;
 use super::Response;
 use crate::{Axes, Observation, Real, Signal, lanes::nowhere};
 
-/// A controller that is not of the registry.
+/// Controller outside the registry.
 ///
-/// It stands after those that are and is the caller's alone: it may allocate, lock and be slow, so that it belongs into
-/// simulated runs and not into a loop that a hand holds.
+/// It runs after the registered controllers. It may allocate, lock and be slow, so use it in simulated runs only, not
+/// in a loop that a hand holds.
 pub trait ResearchController: Send + Sync {
-    /// One tick: writes `F_c` in N, which is zero before; returns whether it could.
+    /// Compute one tick: write `F_c` in N into `safety_force`, which is zero on entry. Return false on failure.
     fn step(&mut self, seen: &ResearchObservation<'_>, safety_force: &mut [f64]) -> bool;
 
-    /// Clears what it remembers of past ticks: the device rests.
+    /// Clear the memory of past ticks; the device rests.
     fn reset(&mut self);
 
-    /// Another one in the same state, for a layer that is cloned.
+    /// Clone the controller with its state, for a layer that is cloned.
     fn boxed_clone(&self) -> Box<dyn ResearchController>;
 }
 
-/// What a research controller sees of one tick, one value per axis.
+/// Signals of one tick for a research controller, one value per axis.
 #[derive(Clone, Copy, Debug)]
 pub struct ResearchObservation<'a> {
     /// V in m/s.
@@ -31,11 +31,11 @@ pub struct ResearchObservation<'a> {
     pub rendered_force: &'a [f64],
     /// `F_h` in N.
     pub grasp_force: &'a [f64],
-    /// `F_v` in N as late as `F_h` is, to compare the two.
+    /// `F_v` in N with the lag of `F_h`, for comparison with it.
     pub aligned_rendered_force: &'a [f64],
 }
 
-/// A research controller in its place behind the others.
+/// Research controller that runs after the others.
 pub(crate) struct Research(Box<dyn ResearchController>);
 
 impl Clone for Research {
@@ -55,11 +55,12 @@ impl Research {
         Self(controller)
     }
 
-    /// Adds its force in the share `let_through` that the intervention of the others leaves, as PC adds its own, and what of
-    /// it does not cancel `F_v` in the share `authority`. Where it fails, or gives a number that is no force, the device
-    /// renders none.
+    /// Add its force, scaled by the share `let_through` that the intervention of the others leaves, as for PC.
     ///
-    /// Only of one scenario: lanes have no research controller.
+    /// `authority` scales the part that does not cancel `F_v`. If the controller fails or returns an invalid force,
+    /// the device renders no force.
+    ///
+    /// Used with one scenario only: lanes have no research controller.
     pub(crate) fn add<const N: usize, S: Real>(
         &mut self,
         seen: &Observation<N, S>,
@@ -98,8 +99,9 @@ impl Research {
     }
 }
 
-/// A safety force of which only what goes beyond `-F_v` needs authority: cancelling takes a force away, which has faded
-/// with the authority already.
+/// Scale the part of a safety force beyond `-F_v` by `authority`.
+///
+/// The cancelling part only removes a force, which has already faded with the authority.
 fn with_authority<const N: usize>(force: &Axes<N>, rendered: &Axes<N>, authority: f64) -> Axes<N> {
     let squared = rendered.norm_squared();
     if authority == 1.0 || squared == 0.0 {

@@ -16,7 +16,7 @@ pub struct VelocityForceController<const N: usize, S = f64> {
 }
 
 impl<const N: usize, S> VelocityForceController<N, S> {
-    /// A controller on that observer.
+    /// Create a controller that reads `observer`.
     pub fn new(observer: VelocityForceObserver<S>) -> Self {
         Self { observer }
     }
@@ -40,7 +40,7 @@ impl<const N: usize, S: Real> Controller<N, S> for VelocityForceController<N, S>
             .map_err(|error| error.of_field("force_threshold_n", "vfc_force_threshold_n"))
     }
 
-    /// All of one form.
+    /// Gather controllers of one form.
     fn gather(of: &[&Self::One]) -> Option<Self> {
         part(of, |one| &one.observer, VelocityForceObserver::gather).map(Self::new)
     }
@@ -51,7 +51,7 @@ impl<const N: usize, S: Real> Controller<N, S> for VelocityForceController<N, S>
         Verdict::without_force(observed, observed.simd_gt(S::splat(1.0)))
     }
 
-    /// 1, of Eq. 1.
+    /// Return 1, of Eq. 1.
     fn threshold(_: &SafetySettings) -> f64 {
         1.0
     }

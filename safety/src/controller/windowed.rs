@@ -8,24 +8,24 @@ use crate::{
     parameter::{in_range, non_negative, whole},
 };
 
-/// WSC: unsafe while `E_wso < delta`, with delta negative, and with a force threshold `F_v·V / |V| > F_w`.
+/// WSC: unsafe while `E_wso < delta`, with delta negative; with a force threshold, also `F_v·V / |V| > F_w`.
 ///
-/// `E_wso` falls below delta also where a hand is quick in free motion or meets a wall, and no push is there that could throw
-/// anything: `F_w` lets that pass.
+/// `E_wso` also falls below delta when a hand moves fast in free motion or meets a wall. No push is present then that
+/// could eject the device: `F_w` accepts this case.
 ///
 /// Source: paper Eq. 13; `F_w`, `docs/thresholds.md`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WindowedSafetyController<const N: usize, S = f64> {
     observer: WindowedSafetyObserver<N, S>,
     energy_threshold_j: S,
-    /// `F_w`; 0 without.
+    /// `F_w`; 0 disables the condition.
     force_threshold_n: S,
-    /// Whether `F_w` is 0 in every lane: Eq. 13 as printed.
+    /// True if `F_w` is 0 in every lane: Eq. 13 as printed.
     has_no_force_threshold: bool,
 }
 
 impl<const N: usize> WindowedSafetyController<N> {
-    /// Energy threshold delta in J (< 0: a safe hand may take out a little energy).
+    /// Create a controller with the energy threshold delta in J (< 0: a safe hand may extract a little energy).
     pub fn new(observer: WindowedSafetyObserver<N>, energy_threshold_j: f64) -> Result<Self, ParameterError> {
         let energy_threshold_j = in_range(
             "energy_threshold_j",
@@ -38,7 +38,7 @@ impl<const N: usize> WindowedSafetyController<N> {
         Ok(Self { observer, energy_threshold_j, force_threshold_n: 0.0, has_no_force_threshold: true })
     }
 
-    /// The same with a force threshold `F_w` in N (>= 0); 0 is Eq. 13 as printed.
+    /// Set the force threshold `F_w` in N (>= 0); 0 is Eq. 13 as printed.
     pub fn with_force_threshold(self, force_threshold_n: f64) -> Result<Self, ParameterError> {
         let force_threshold_n = non_negative("force_threshold_n", "F_w", force_threshold_n)?;
         Ok(Self { force_threshold_n, has_no_force_threshold: force_threshold_n == 0.0, ..self })
@@ -64,7 +64,7 @@ impl<const N: usize, S: Real> Controller<N, S> for WindowedSafetyController<N, S
         let SafetySettings { window, energy_ratio, energy_threshold_j, wsc_force_threshold_n, .. } =
             *settings;
         whole("window", "w", window, 1, WindowedSafetyObserver::<N>::MAX_WINDOW, "1 to 3600000 ticks")?;
-        // A window that nobody reads is not reserved.
+        // An unused controller reserves no window.
         let window = if is_used { window } else { 1 };
         let observer = WindowedSafetyObserver::new(*device, period_s, energy_ratio, window)?;
         WindowedSafetyController::new(observer, energy_threshold_j)?
@@ -72,7 +72,7 @@ impl<const N: usize, S: Real> Controller<N, S> for WindowedSafetyController<N, S
             .map_err(|error| error.of_field("force_threshold_n", "wsc_force_threshold_n"))
     }
 
-    /// If their observers can be gathered.
+    /// Gather controllers whose observers can be gathered.
     fn gather(of: &[&Self::One]) -> Option<Self> {
         Some(Self {
             observer: part(of, |one| &one.observer, WindowedSafetyObserver::gather)?,
@@ -89,14 +89,14 @@ impl<const N: usize, S: Real> Controller<N, S> for WindowedSafetyController<N, S
         if self.has_no_force_threshold {
             return Verdict::without_force(observed, is_low);
         }
-        // Not "is above": what cannot be compared is no reason to let a push pass.
+        // Negated comparison: a NaN must not let a push pass.
         let along = seen.rendered_force.dot(&seen.velocity);
         let pushed = !along.simd_le(self.force_threshold_n * norm(&seen.velocity));
         let pushed = pushed | self.force_threshold_n.simd_eq(S::splat(0.0));
         Verdict::without_force(observed, is_low & pushed)
     }
 
-    /// delta, of Eq. 10.
+    /// Return delta, of Eq. 10.
     fn threshold(settings: &SafetySettings) -> f64 {
         settings.energy_threshold_j
     }
@@ -112,7 +112,7 @@ mod tests {
     use crate::Axes;
 
     #[test]
-    fn it_is_unsafe_below_its_threshold_and_forgets_by_a_reset() {
+    fn unsafe_below_the_threshold_and_cleared_by_reset() {
         let device = DeviceModel::uniform(0.157, 0.0, 0.0).unwrap();
         let observer = WindowedSafetyObserver::<1>::new(device, 1e-3, 0.5, 100).unwrap();
         let build = || WindowedSafetyController::new(observer.clone(), -0.03).unwrap();
@@ -133,7 +133,7 @@ mod tests {
         assert_eq!(controller, build());
     }
 
-    /// The force along the motion counts, whichever way it points and whatever pushes across it.
+    /// Only the force along the motion counts, for any direction of the motion and any force across it.
     #[test]
     fn with_a_force_threshold_a_push_must_drive_the_device() {
         let device = DeviceModel::uniform(0.157, 0.0, 0.0).unwrap();

@@ -1,4 +1,4 @@
-//! First-order adaptive windowing: long windows when the hand is slow, short ones when it reverses.
+//! First-order adaptive windowing: long windows during slow motion, short ones at a reversal.
 
 use nalgebra::SimdValue;
 
@@ -7,24 +7,24 @@ use crate::lanes::shared;
 use crate::parameter::{ParameterError, in_range, positive};
 use crate::{About, Axes, Real};
 
-/// V is the slope of the longest straight line that stays within the noise bound d of every sample it spans.
+/// V is the slope of the longest straight line that stays within the noise bound d of every sample that it spans.
 ///
-/// The window i = 1, 2, ... grows until for the slope `b_i` of that window some sample j = 1 ... i fails
-/// |x\[n\] - x\[n-j\] - j dT `b_i`| <= d, or until it has its greatest length. All samples up to j together allow
-/// the slopes of one interval, the intersection of \[(x\[n\] - x\[n-j\] ± d) / (j dT)\], so each i costs one
-/// comparison and a tick costs O(window), not its square. A line that passes a sample at exactly d is within it,
-/// wherever the device stands: positions of an encoder do that at a third of all ticks.
+/// The window i = 1, 2, ... grows up to its greatest length, or until a sample j = 1 ... i violates |x\[n\] -
+/// x\[n-j\] - j dT `b_i`| <= d for the slope `b_i` of the window. All samples up to j together allow one interval of
+/// slopes, the intersection of \[(x\[n\] - x\[n-j\] ± d) / (j dT)\]. Each i therefore costs one comparison, and a
+/// tick costs O(window) instead of its square. A line at a distance of exactly d is within the bound at any device
+/// position. Encoder positions meet this case at a third of all ticks.
 ///
-/// A is the slope of V found in the same way. There a sample is as uncertain as its own window leaves it: two
-/// positions, each wrong by d, give 2 d / (i dT); of the two samples compared the larger bound counts.
-/// Windows are chosen per axis, so no axis disturbs another.
+/// A is the slope of V, found in the same way. The uncertainty of a value of V follows from its window: two
+/// positions, each wrong by d, give 2 d / (i dT). The larger bound of the two compared samples counts. Each axis has
+/// its own windows, so no axis disturbs another.
 ///
-/// **Alignment.** V is the slope over given windows of x, and A of V, so the force takes the same windows: it moves
-/// a unit mass, whose V and A are computed with the windows the device had at each tick. Adding a line to the
-/// path of that mass adds a constant to V and nothing to A; hence after each tick the line on which the mass
-/// would coast is subtracted from the remembered path. Under the force f of the newest tick this makes the value
-/// at lag l, with dT = 1, path\[l\] = path\[l-1\] + f (l - 1/2) and V\[l\] = V\[l-1\] - f: a window of forces and no
-/// running integral, thus nothing that could drift.
+/// **Alignment.** V is the slope of x over known windows, and A that of V, so the force uses the same windows. It
+/// moves a unit mass, whose V and A are computed with the device's windows at each tick. A line added to the path of
+/// that mass adds a constant to V and nothing to A. After each tick, the line along which the mass would coast is
+/// therefore subtracted from the stored path. Let f be the force of the newest tick and dT = 1. The values at lag l
+/// become path\[l\] = path\[l-1\] + f (l - 1/2) and V\[l\] = V\[l-1\] - f. This is a window of forces without a
+/// running integral, so nothing can drift.
 ///
 /// Source: Janabi-Sharifi, Hayward & Chen 2000, "Discrete-time adaptive windowing for velocity estimation", IEEE
 /// Trans. Control Systems Technology 8(6) (end-fit and best-fit FOAW); A and alignment derived above.
@@ -37,18 +37,19 @@ pub struct AdaptiveWindow<const N: usize> {
 }
 
 impl<const N: usize> AdaptiveWindow<N> {
-    /// What it is called.
+    /// Name, title and source.
     pub const ABOUT: About = About {
         name: "adaptive-window",
         title: "longest straight line through the last samples",
         source: "Janabi-Sharifi, Hayward and Chen 2000",
     };
 
-    /// An estimator for positions sampled every `period_s` with windows of up to `max_window` ticks (at most
-    /// [`MAX_WINDOW`]) and the noise bound d = `noise_bound_m`.
+    /// Create an estimator for positions sampled every `period_s`, with windows of up to `max_window` ticks and
+    /// d = `noise_bound_m`.
     ///
-    /// For an encoder of quantum q, d = q lets every straight motion have the full window: the line joins two
-    /// rounded positions and passes a third, each wrong by q/2 at most. The paper's d = q/2 follows a reversal faster.
+    /// `max_window` is at most [`MAX_WINDOW`]. For an encoder of quantum q, d = q gives every straight motion the
+    /// full window: the line joins two rounded positions and passes a third, each wrong by at most q/2. The paper's
+    /// d = q/2 follows a reversal faster.
     pub fn new(
         period_s: f64,
         noise_bound_m: f64,
@@ -67,7 +68,7 @@ impl<const N: usize> AdaptiveWindow<N> {
         })
     }
 
-    /// Whether these can be the lanes of one estimator: as many, of one period.
+    /// Return whether these estimators can be the lanes of one: the right number, all of one period.
     fn are_lanes(of: &[Self], lanes: usize) -> bool {
         of.len() == lanes && shared(of, |one| one.period_s).is_some()
     }
@@ -114,7 +115,7 @@ impl<const N: usize> Estimator<N> for AdaptiveWindow<N> {
     }
 }
 
-/// One estimator for each lane: how far back a window reaches depends on the samples of its lane.
+/// One estimator per lane, since the reach of a window depends on the samples of its lane.
 impl<const N: usize, S: Real> Estimator<N, S> for Box<[AdaptiveWindow<N>]> {
     type One = Self;
 
@@ -164,7 +165,7 @@ impl<const N: usize> From<AdaptiveWindow<N>> for Box<[AdaptiveWindow<N>]> {
     }
 }
 
-/// The line whose slope is the estimate; it passes through the newest sample.
+/// Line whose slope is the estimate; it passes through the newest sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(
     feature = "serde",
@@ -179,7 +180,7 @@ pub enum Fit {
     Best,
 }
 
-/// How a window is chosen.
+/// Parameters of the choice of a window.
 #[derive(Clone, Copy, Debug)]
 struct Rule {
     fit: Fit,
@@ -187,17 +188,17 @@ struct Rule {
     max_window: usize,
 }
 
-/// One axis, in ticks: a velocity is in m per tick.
+/// State of one axis, in ticks: a velocity is in m per tick.
 #[derive(Clone, Copy, Debug)]
 struct Axis {
     positions: Series,
     velocities: Series,
-    /// By how much each velocity may be wrong.
+    /// Error bound of each velocity.
     velocity_bounds: Series,
     acceleration: f64,
     velocity_window: usize,
     acceleration_window: usize,
-    /// Path and velocities of a unit mass under the force, seen from where it would coast now.
+    /// Path and velocities of a unit mass under the force, relative to its present coasting line.
     force_path: Series,
     force_velocities: Series,
 }
@@ -226,7 +227,7 @@ impl Axis {
         push(&mut self.velocity_bounds, 2.0 * bound / window as f64, max_window);
         let bounds = &self.velocity_bounds;
         let velocities = &self.velocities[..=max_window];
-        // A velocity carries the rounding of the positions that it is made of.
+        // A velocity carries the rounding errors of its positions.
         let size = |lag: usize| positions[lag].abs() + velocities[lag].abs();
         (self.acceleration_window, self.acceleration) =
             widest_line(fit, velocities, |lag| bounds[0].max(bounds[lag]), size);
@@ -247,7 +248,7 @@ impl Axis {
     }
 }
 
-/// Puts `value` in front and lets the value at lag `max_window` fall out.
+/// Insert `value` at lag 0 and drop the value at lag `max_window`.
 fn push(series: &mut Series, value: f64, max_window: usize) {
     series.copy_within(..max_window, 1);
     series[0] = value;
@@ -256,15 +257,15 @@ fn push(series: &mut Series, value: f64, max_window: usize) {
 /// Values of one axis, newest first.
 type Series = [f64; MAX_WINDOW + 1];
 
-/// The longest window, in ticks, whose line stays within `bound(lag)` of each of its samples, and its slope.
+/// Return the longest window in ticks whose line stays within `bound(lag)` of each of its samples, and its slope.
 ///
-/// A sample allows the slopes of one interval; all samples of a window together allow the intersection, which is
-/// carried along as the window grows. `series` holds at least two samples, newest first.
+/// A sample allows one interval of slopes; all samples of a window together allow the intersection, which is updated
+/// as the window grows. `series` holds at least two samples, newest first.
 ///
-/// Samples of an encoder meet their bound exactly, and often: each is a whole number of quanta, and so is the bound.
-/// There rounding must not decide, which goes by how far from zero a device stands. So the bound is widened by what
-/// rounding may add: a sample is wrong by eps/2 of `size(lag)`, and line and difference add a few times that.
-/// What is truly beyond the bound is so by at least a quantum / window, far above it.
+/// Encoder samples often meet their bound exactly, since samples and bound are whole numbers of quanta. Rounding must
+/// not decide this case, because it depends on the distance of the device from zero. The bound is therefore widened
+/// by the largest rounding error: a sample is wrong by eps/2 of `size(lag)`, and line and difference add a few times
+/// that. A true violation exceeds the bound by at least a quantum / window, which is far larger.
 fn widest_line(
     fit: Fit,
     series: &[f64],
@@ -278,7 +279,7 @@ fn widest_line(
     let mut widest = (1, newest - series[1]);
     for (lag, sample) in series.iter().enumerate().skip(1) {
         let ticks = lag as f64;
-        // One division a lag: they are what this loop costs.
+        // One division per lag, since divisions dominate the cost of this loop.
         let per_tick = 1.0 / ticks;
         let rise = newest - sample;
         let slope = match fit {
@@ -286,7 +287,7 @@ fn widest_line(
             Fit::Best => sums.add(ticks, rise).least_squares_slope(ticks),
         };
         let roundings = match fit {
-            // Both samples, their difference, the interval and the slope: less than 4 each.
+            // Rounding of both samples, their difference, the interval and the slope: less than 4 each.
             Fit::End => 8.0,
             // Sums of so many terms add 12 eps to the slope (Higham 2002, section 4.2), per tick of lag.
             Fit::Best => 8.0 + 12.0 * ticks,
@@ -303,7 +304,7 @@ fn widest_line(
     widest
 }
 
-/// The slope per tick over a given window.
+/// Return the slope per tick over a given window.
 fn slope(fit: Fit, series: &Series, window: usize) -> f64 {
     let newest = series[0];
     match fit {
@@ -318,7 +319,7 @@ fn slope(fit: Fit, series: &Series, window: usize) -> f64 {
     }
 }
 
-/// What least squares needs of the rises since each lag.
+/// Sums of the rises since each lag for the least-squares slope.
 #[derive(Default)]
 struct Sums {
     rise: f64,
@@ -332,7 +333,7 @@ impl Sums {
         self
     }
 
-    /// 6 sum (2 l - i) rise\[l\] / (i (i+1) (i+2)) over l = 0 ... i.
+    /// Return 6 sum (2 l - i) rise\[l\] / (i (i+1) (i+2)) over l = 0 ... i.
     fn least_squares_slope(&self, window: f64) -> f64 {
         let scale = window * (window + 1.0) * (window + 2.0);
         6.0 * (2.0 * self.moment - window * self.rise) / scale
@@ -374,7 +375,7 @@ mod tests {
 
     #[test]
     fn noise_below_the_bound_leaves_the_window_full_and_noise_above_does_not() {
-        // Alternating noise is the worst case: neighbours differ by its full range.
+        // Alternating noise is the worst case: neighbours differ by twice the amplitude.
         for (amplitude_m, full) in [(0.49 * BOUND_M, true), (0.51 * BOUND_M, false)] {
             let mut estimator = estimator(Fit::End);
             let mut windows = Vec::new();
@@ -398,16 +399,16 @@ mod tests {
         assert_eq!(window(&estimator), 1);
     }
 
-    /// Windows, and V and A in quanta per tick, from whole numbers: every velocity is a fraction of `LCM`.
+    /// Windows, V and A in quanta per tick, computed in integers: every velocity is a fraction of `LCM`.
     struct InCounts {
         fit: Fit,
         positions: Vec<i128>,
-        /// In 1 / LCM of a quantum per tick, with their windows.
+        /// Velocities in 1 / LCM of a quantum per tick, with their windows.
         velocities: Vec<(i128, i128)>,
     }
 
     const LONGEST: usize = 16;
-    /// A common multiple of what windows of up to 16 ticks divide by, end-fit and best-fit: i (i+1) (i+2) / 6.
+    /// Common multiple of the divisors of windows of up to 16 ticks, end-fit and best-fit: i (i+1) (i+2) / 6.
     const LCM: i128 = 12_252_240;
 
     impl InCounts {
@@ -419,7 +420,7 @@ mod tests {
             }
         }
 
-        /// Slope of a window as numerator and denominator.
+        /// Return the slope of a window as numerator and denominator.
         fn slope(&self, series: &[i128], window: usize) -> (i128, i128) {
             let i = window as i128;
             match self.fit {
@@ -431,7 +432,7 @@ mod tests {
             }
         }
 
-        /// The longest line; `bound` as numerator and denominator in the unit of the series.
+        /// Return the longest line; `bound` gives numerator and denominator in the unit of the series.
         fn widest(&self, series: &[i128], bound: impl Fn(usize) -> (i128, i128)) -> (usize, (i128, i128)) {
             let holds = |window: &usize| {
                 let (top, bottom) = self.slope(series, *window);
@@ -458,17 +459,17 @@ mod tests {
         }
     }
 
-    /// A hand that draws, slows down, rests and reverses, in quanta.
-    #[allow(clippy::cast_possible_truncation)] // some thousand quanta
+    /// Position in quanta of a hand that draws, slows down, rests and reverses.
+    #[allow(clippy::cast_possible_truncation)] // a few thousand quanta
     fn hand(n: i32) -> i128 {
         let t = f64::from(n) * PERIOD_S;
         let x = 0.02 * (4.4 * t).sin() + 0.002 * (18.85 * t).sin() + 2e-5 * (62.8 * t).sin();
         (x / BOUND_M).round() as i128
     }
 
-    /// How sure a velocity of the rest was counts from the first tick on, also where the device has moved by then.
+    /// The velocity bound of the rest applies from the first tick on, also if the device has moved by then.
     #[test]
-    fn a_motion_from_rest_has_the_windows_of_whole_numbers() {
+    fn motion_from_rest_has_the_exact_windows() {
         for (fit, jump) in
             [Fit::End, Fit::Best].into_iter().flat_map(|fit| (0..8).map(move |jump| (fit, jump)))
         {
@@ -503,12 +504,12 @@ mod tests {
         }
     }
 
-    /// Ties at d = quantum come out as exact numbers say, wherever the device stands: no tick differs in its windows,
-    /// and V and A are equal up to the rounding of the positions.
+    /// Ties at d = quantum are resolved as in exact arithmetic at any device position. All windows are equal, and V
+    /// and A differ only by the rounding of the positions.
     #[test]
-    fn windows_are_those_of_whole_numbers_wherever_the_device_stands() {
+    fn windows_match_exact_arithmetic_at_any_position() {
         for fit in [Fit::End, Fit::Best] {
-            // Up to 10 m to both sides.
+            // Up to 10 m in both directions.
             for offset in [0_i128, 1, 4_348, 43_478, -217_391, 434_782, -434_782] {
                 let mut exact = InCounts::new(fit, hand(0) + offset);
                 let mut estimator = AdaptiveWindow::<1>::new(PERIOD_S, BOUND_M, LONGEST, fit).unwrap();
@@ -522,7 +523,7 @@ mod tests {
                     let found = [axis.velocity_window, axis.acceleration_window];
                     assert_eq!(found, windows, "{fit:?} {offset} tick {n}");
                     short += u32::from(windows[0] < LONGEST);
-                    // Positions up to 10.1 m, each wrong by eps/2 of that; no slope weighs them more than twice.
+                    // Positions up to 10.1 m, each wrong by eps/2 of that; no slope weights them more than twice.
                     let rounding = 4.0 * f64::EPSILON * 10.1;
                     let apart = [
                         motion.velocity[0] * PERIOD_S - velocity * BOUND_M,
@@ -539,14 +540,14 @@ mod tests {
     }
 
     #[test]
-    fn parameters_that_leave_no_window_are_refused() {
+    fn invalid_parameters_are_refused() {
         assert!(AdaptiveWindow::<1>::new(PERIOD_S, 0.0, 32, Fit::End).is_err());
         assert!(AdaptiveWindow::<1>::new(PERIOD_S, BOUND_M, 0, Fit::End).is_err());
         assert!(AdaptiveWindow::<1>::new(PERIOD_S, BOUND_M, 129, Fit::End).is_err());
     }
 
     #[test]
-    fn the_interval_test_finds_the_window_that_testing_each_sample_finds() {
+    fn interval_test_matches_the_test_of_each_sample() {
         let mut series = [0.0; MAX_WINDOW + 1];
         for (lag, sample) in series.iter_mut().enumerate() {
             let t = lag as f64;

@@ -1,4 +1,4 @@
-//! Backward differences: the estimator that lags least, and the one that lets all quantisation through.
+//! Backward differences: the estimator with the smallest lag, which passes all quantisation noise.
 
 use super::{Estimator, Motion};
 use crate::lanes::{option, pack, shared};
@@ -7,12 +7,12 @@ use crate::{About, Axes, Real};
 
 /// V\[n\] = (x\[n\] - x\[n-1\]) / dT and A\[n\] = (V\[n\] - V\[n-1\]) / dT.
 ///
-/// Under a force that is held over each tick, V is the true mean velocity of the last tick, and A is the mean of
-/// the true accelerations of the last **two** ticks: with a\[n\] the acceleration of the tick that ends at n,
+/// Under a force held over each tick, V is the true mean velocity of the last tick. A is the mean of the true
+/// accelerations of the last **two** ticks; with a\[n\] the acceleration of the tick that ends at n,
 ///
 /// x\[n\] - 2 x\[n-1\] + x\[n-2\] = dT² (a\[n\] + a\[n-1\]) / 2.
 ///
-/// A is 1 dT late. A position quantum q appears in A as q / dT², which is 23 m/s² for 23 µm at 1 kHz.
+/// A lags by 1 dT. A position quantum q appears in A as q / dT², which is 23 m/s² for 23 µm at 1 kHz.
 ///
 /// Source: paper Eq. 4 (A from sampled positions); the mean over two ticks is derived above.
 #[derive(Clone, Debug)]
@@ -24,11 +24,11 @@ pub struct BackwardDifference<const N: usize, S = f64> {
 }
 
 impl<const N: usize> BackwardDifference<N> {
-    /// What it is called.
+    /// Name, title and source.
     pub const ABOUT: About =
         About { name: "backward-difference", title: "differences of the position", source: "paper Eq. 4" };
 
-    /// An estimator for positions sampled every `period_s`.
+    /// Create an estimator for positions sampled every `period_s`.
     pub fn new(period_s: f64) -> Result<Self, ParameterError> {
         Ok(Self {
             period_s: positive("period_s", "dT", period_s)?,
@@ -42,7 +42,7 @@ impl<const N: usize> BackwardDifference<N> {
 impl<const N: usize, S: Real> Estimator<N, S> for BackwardDifference<N, S> {
     type One = BackwardDifference<N>;
 
-    /// All of one period.
+    /// Gather estimators of one period.
     fn gather(of: &[&BackwardDifference<N>]) -> Option<Self> {
         Some(Self {
             period_s: shared(of, |one| one.period_s)?,
@@ -96,7 +96,7 @@ mod tests {
 
     #[test]
     fn a_ramp_is_exact() {
-        // A period and a slope that are powers of two leave nothing to round.
+        // With a period and a slope that are powers of two, the result is exact.
         let period_s = 1.0 / 1024.0;
         let mut estimator = BackwardDifference::<1>::new(period_s).unwrap();
         estimator.step(&Axes::from([0.0]));
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn a_period_that_cannot_divide_is_refused() {
+    fn invalid_periods_are_refused() {
         for period_s in [0.0, -1e-3, f64::NAN, f64::INFINITY] {
             assert!(BackwardDifference::<1>::new(period_s).is_err());
         }

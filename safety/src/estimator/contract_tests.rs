@@ -1,4 +1,4 @@
-//! What every estimator owes its caller, tested over all of them.
+//! Contract of all estimators.
 
 use proptest::prelude::*;
 
@@ -22,7 +22,7 @@ const KINDS: [EstimatorKind; 10] = [
     EstimatorKind::DualKalman { velocity_jerk_density: 1000.0, jerk_density: 10.0, quantum_m: QUANTUM_M },
 ];
 
-/// Positions of a device that rests at `start` and is then moved by accelerations, each held over one tick.
+/// Return positions of a device that rests at `start` and then accelerates, constantly over each tick.
 fn moved_by<const N: usize>(start: Axes<N>, accelerations: &[Axes<N>]) -> Vec<Axes<N>> {
     let mut position = start;
     let mut velocity = Axes::zeros();
@@ -35,7 +35,7 @@ fn moved_by<const N: usize>(start: Axes<N>, accelerations: &[Axes<N>]) -> Vec<Ax
     positions
 }
 
-/// Largest |m A - align(m a)| in N, and the largest |x| in m.
+/// Return the largest |m A - align(m a)| in N and the largest |x| in m.
 fn misalignment<const N: usize>(estimator: &mut impl Estimator<N>, accelerations: &[Axes<N>]) -> (f64, f64) {
     let positions = moved_by(Axes::repeat(0.7), accelerations);
     estimator.step(&positions[0]);
@@ -51,7 +51,7 @@ fn misalignment<const N: usize>(estimator: &mut impl Estimator<N>, accelerations
     worst
 }
 
-/// Smooth motion of an arm: 2 cm at 0.7 Hz and 2 mm at 3 Hz, of a device at rest before.
+/// Accelerations of a smooth arm motion from rest: 2 cm at 0.7 Hz and 2 mm at 3 Hz.
 fn hand_motion(ticks: i32) -> Vec<Axes<1>> {
     let at = |n: i32| {
         let t = f64::from(n) * PERIOD_S;
@@ -60,7 +60,8 @@ fn hand_motion(ticks: i32) -> Vec<Axes<1>> {
     (0..ticks).map(at).collect()
 }
 
-/// Root mean square and largest |A - kernel(a)| in m/s² on quantised hand motion, start-up left out.
+/// Return the root mean square and the largest |A - kernel(a)| in m/s² on quantised hand motion, without the
+/// start-up.
 fn quantisation_noise(kind: EstimatorKind) -> (f64, f64) {
     let accelerations = hand_motion(5000);
     let positions = moved_by(Axes::from([0.1]), &accelerations);
@@ -89,8 +90,8 @@ proptest! {
         for kind in KINDS {
             let mut estimator = kind.build::<3>(PERIOD_S).unwrap();
             let (apart, reach) = misalignment(&mut estimator, &accelerations);
-            // A position is rounded some four times on its way (two sums here, two in the estimator), each time by
-            // eps/2 of its size, and no estimator weighs positions more than the second difference, 4 / dT².
+            // A position is rounded about four times (two sums here, two in the estimator), each time by eps/2 of its
+            // size. No estimator weights positions more than the second difference, 4 / dT².
             let tolerance = MASS_KG * 4.0 / (PERIOD_S * PERIOD_S) * 2.0 * f64::EPSILON * reach;
             prop_assert!(apart <= tolerance, "{:?}: {} > {}", kind, apart, tolerance);
         }
@@ -105,7 +106,7 @@ proptest! {
             let mut scalars = [(); 3].map(|()| kind.build::<1>(PERIOD_S).unwrap());
             for position in &positions {
                 let motion = vector.step(&Axes::from(*position));
-                // Any force will do; the positions are at hand.
+                // Any force will do, so the test reuses the positions.
                 let force = vector.align(&Axes::from(*position));
                 for (axis, scalar) in scalars.iter_mut().enumerate() {
                     let alone = scalar.step(&Axes::from([position[axis]]));
@@ -119,7 +120,7 @@ proptest! {
     }
 
     #[test]
-    fn a_reset_estimator_is_a_new_one(
+    fn reset_estimator_equals_a_new_one(
         past in prop::collection::vec(-0.01..0.01_f64, 1..100),
         positions in prop::collection::vec(-0.01..0.01_f64, 1..100),
     ) {
@@ -140,7 +141,7 @@ proptest! {
 }
 
 #[test]
-fn a_device_at_rest_has_no_motion_wherever_it_stands() {
+fn device_at_rest_has_no_motion_at_any_position() {
     for kind in KINDS {
         let mut estimator = kind.build::<2>(PERIOD_S).unwrap();
         for _ in 0..1000 {
@@ -153,8 +154,8 @@ fn a_device_at_rest_has_no_motion_wherever_it_stands() {
 }
 
 #[test]
-fn a_lasting_force_is_passed_on_without_drift() {
-    // A hand holds the device against 3 N: 2000 s at 1 kHz, in which a free mass would go 6e6 m far.
+fn lasting_force_is_aligned_without_drift() {
+    // A hand holds the device against 3 N for 2000 s at 1 kHz; a free mass would move 6e6 m.
     for kind in KINDS {
         let mut estimator = kind.build::<1>(PERIOD_S).unwrap();
         let mut aligned = Axes::zeros();
@@ -162,19 +163,19 @@ fn a_lasting_force_is_passed_on_without_drift() {
             estimator.step(&Axes::from([0.05]));
             aligned = estimator.align(&Axes::from([3.0]));
         }
-        // A sum of at most 128 weights that cancel by a factor below 100, each rounded a few times.
+        // The sum has at most 128 weights, which cancel by a factor below 100; each is rounded a few times.
         assert!((aligned[0] - 3.0).abs() < 3.0 * 100.0 * 4.0 * f64::EPSILON, "{kind:?} {aligned}");
     }
 }
 
 #[test]
-fn quantisation_passes_the_difference_whole_and_the_others_in_part() {
+fn difference_passes_all_quantisation_noise_and_the_others_a_part() {
     let quantum_of_acceleration = QUANTUM_M / (PERIOD_S * PERIOD_S);
     let (difference_rms, difference_worst) = quantisation_noise(EstimatorKind::BackwardDifference {});
     assert!(difference_worst > 0.9 * quantum_of_acceleration, "{difference_worst}");
-    // White rounding noise of variance q²/12 has sqrt(6/12) of a quantum behind the second difference.
+    // White rounding noise of variance q²/12 gives sqrt(6/12) of a quantum after the second difference.
     assert!((difference_rms / quantum_of_acceleration - 0.5_f64.sqrt()).abs() < 0.1, "{difference_rms}");
-    // About 1.5 times what each lets through: a worse choice of weights or windows shows.
+    // The limits are about 1.5 times the actual noise, so a worse choice of weights or windows fails.
     for (kind, part) in [(1, 0.16), (2, 0.006), (3, 0.0036), (4, 0.008), (5, 0.018), (7, 0.01), (9, 0.01)] {
         let (rms, _) = quantisation_noise(KINDS[kind]);
         assert!(rms < part * difference_rms, "{:?}: {rms}", KINDS[kind]);
@@ -182,7 +183,7 @@ fn quantisation_passes_the_difference_whole_and_the_others_in_part() {
 }
 
 #[test]
-fn a_bad_parameter_is_named() {
+fn invalid_parameter_is_named() {
     for (kind, name) in [
         (EstimatorKind::LowPass { cutoff_hz: -1.0 }, "cutoff_hz"),
         (EstimatorKind::SavitzkyGolay { degree: 5, window: 21 }, "degree"),
@@ -193,19 +194,19 @@ fn a_bad_parameter_is_named() {
     assert_eq!(EstimatorKind::default().build::<1>(0.0).unwrap_err().name, "period_s");
 }
 
-/// A multiplication with a subnormal number is some forty times as slow, and rest is where a device mostly is.
+/// A multiplication with a subnormal number is about forty times slower, and a device mostly rests.
 #[test]
-fn what_is_left_of_a_motion_does_not_end_among_the_subnormal_numbers() {
+fn decaying_motion_does_not_end_in_subnormal_numbers() {
     for kind in KINDS {
         let mut estimator = kind.build::<1>(PERIOD_S).unwrap();
         estimator.step(&Axes::from([0.0]));
-        // The slowest of them, 0.1 / tick, is through 1e-308 after 7000 ticks.
+        // The slowest estimator decays by 0.1 per tick and passes 1e-308 after 7000 ticks.
         for n in 0..20_000_i32 {
             let moves = f64::from((200 - n).max(0));
             let motion = estimator.step(&Axes::from([0.2 - 1e-3 * moves]));
             let force = estimator.align(&Axes::from([moves]));
             for x in [motion.velocity[0], motion.acceleration[0], force[0]] {
-                // The square, as an energy has it, is to be a normal number as well.
+                // Its square, as in an energy, must be normal as well.
                 assert!(x == 0.0 || (x * x).is_normal(), "{kind:?} at tick {n}: {x:e}");
             }
         }

@@ -1,15 +1,15 @@
-//! Two Kalman filters of one position: a quick one for V, a calm one for A.
+//! Two Kalman filters of one position: a fast one for V, a slow one for A.
 
 use super::{Estimator, Kalman, Motion};
 use crate::lanes::part;
 use crate::parameter::ParameterError;
 use crate::{About, Axes, Real};
 
-/// V of a [`Kalman`] filter of jerk density `q_v`, A of one of q.
+/// V from a [`Kalman`] filter of jerk density `q_v`, A from one of density q.
 ///
-/// One filter has one bandwidth: what keeps the noise of A, and of the grasp force `m A`, low has V lag. The noise of V
-/// matters little to an energy `m V² / 2`, but its lag is all that the bound on ejection speed has left once delta is
-/// small. Alignment is that of A.
+/// A single filter has one bandwidth: a low noise of A, and thus of the grasp force `m A`, costs lag of V. The noise
+/// of V has little effect on an energy `m V² / 2`. For a small delta, only the lag of V limits the bound on the
+/// ejection speed. Alignment is that of A.
 ///
 /// Source: [`Kalman`]; `docs/ejection_bound.md`, Eq. 5.
 #[derive(Clone, Debug)]
@@ -19,15 +19,16 @@ pub struct DualKalman<const N: usize, S = f64> {
 }
 
 impl<const N: usize> DualKalman<N> {
-    /// What it is called.
+    /// Name, title and source.
     pub const ABOUT: About = About {
         name: "dual-kalman",
         title: "quick Kalman filter for V, calm one for A",
         source: "Bar-Shalom, Li and Kirubarajan 2001, section 6.2.3, twice",
     };
 
-    /// An estimator for positions rounded to `quantum_m` and sampled every `period_s`; jerk densities in m²/s⁵, within
-    /// the bounds of [`Kalman::new`].
+    /// Create an estimator for positions rounded to `quantum_m` and sampled every `period_s`.
+    ///
+    /// The jerk densities are in m²/s⁵, within the bounds of [`Kalman::new`].
     pub fn new(
         period_s: f64,
         velocity_jerk_density: f64,
@@ -45,7 +46,7 @@ impl<const N: usize> DualKalman<N> {
 impl<const N: usize, S: Real> Estimator<N, S> for DualKalman<N, S> {
     type One = DualKalman<N>;
 
-    /// As of both filters.
+    /// Gather estimators whose filters can be gathered.
     fn gather(of: &[&DualKalman<N>]) -> Option<Self> {
         Some(Self {
             quick: part(of, |one| &one.quick, Kalman::gather)?,
@@ -84,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_signal_is_that_of_its_filter() {
+    fn each_signal_comes_from_its_filter() {
         let mut both = DualKalman::<1>::new(1e-3, 1000.0, 10.0, 2.3e-5).unwrap();
         let mut quick = Kalman::<1>::new(1e-3, 1000.0, 2.3e-5).unwrap();
         let mut calm = Kalman::<1>::new(1e-3, 10.0, 2.3e-5).unwrap();
@@ -100,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bad_density_is_named_as_it_was_given() {
+    fn an_invalid_density_is_named_as_given() {
         for (velocity_jerk_density, jerk_density, name) in
             [(-1.0, 10.0, "velocity_jerk_density"), (10.0, -1.0, "jerk_density"), (1e30, 10.0, "bandwidth")]
         {

@@ -1,4 +1,4 @@
-//! Steady-state Kalman filter for a device whose jerk is white noise.
+//! Steady-state Kalman filter for a device with white-noise jerk.
 
 use std::cell::Cell;
 
@@ -9,24 +9,25 @@ use crate::lanes::{option, pack, shared, without_residue};
 use crate::parameter::{ParameterError, in_range, positive};
 use crate::{About, Axes, Real};
 
-/// Kalman filter of the state (x, v, a) with white jerk of spectral density q in m²/s⁵ and a position that is
-/// rounded to a quantum, which is taken as noise of variance R = quantum² / 12:
+/// Kalman filter of the state (x, v, a) with white jerk of spectral density q in m²/s⁵.
+///
+/// The position is rounded to a quantum, which counts as noise of variance R = quantum² / 12:
 ///
 /// x⁻ = x + v dT + a dT²/2, v⁻ = v + a dT, a⁻ = a, then each + K (measured - x⁻).
 ///
-/// K is the **steady-state** gain, found in `new` by iterating the Riccati recursion, so the filter is linear and
-/// time-invariant from the first tick. It depends only on `omega` dT with `omega`⁶ = q / (R dT): for slow filters
-/// the error poles form a Butterworth pattern of radius `omega` in rad/s, the bandwidth of the estimate, and
-/// K dT^(0, 1, 2) = (2 `omega` dT, 2 (`omega` dT)², (`omega` dT)³).
+/// K is the **steady-state** gain. `new` iterates the Riccati recursion for it, so the filter is linear and
+/// time-invariant from the first tick. K depends only on `omega` dT with `omega`⁶ = q / (R dT). For slow filters the
+/// error poles form a Butterworth pattern of radius `omega` in rad/s, the bandwidth of the estimate, and K dT^(0, 1,
+/// 2) = (2 `omega` dT, 2 (`omega` dT)², (`omega` dT)³).
 ///
-/// **Alignment.** Run the filter beside a unit mass under the force f\[n\], held over the tick that ends at n. The
-/// errors `e_x` = x - its estimate and `e_v` = v - its estimate obey, with the estimate a,
+/// **Alignment.** Run the filter on a unit mass under the force f\[n\], held over the tick that ends at n. Let `e_x`
+/// be x minus its estimate, `e_v` v minus its estimate, and a the estimate of the acceleration:
 ///
 /// `e_x`⁻ = `e_x` + `e_v` dT + (f - a) dT²/2, `e_v`⁻ = `e_v` + (f - a) dT,
 /// `e_x` = (1 - `K_x`) `e_x`⁻, `e_v` = `e_v`⁻ - `K_v` `e_x`⁻, a = a + `K_a` `e_x`⁻.
 ///
-/// Neither the position nor the velocity of that mass appears, so under a lasting force nothing grows without
-/// bound, and a is the force passed through exactly the kernel that stands before A.
+/// Neither position nor velocity of that mass appears, so a lasting force makes no term grow without bound. a is the
+/// force filtered by exactly the kernel of A.
 ///
 /// Source: Bar-Shalom, Li & Kirubarajan 2001, "Estimation with Applications to Tracking and Navigation", section
 /// 6.2.3 (continuous Wiener-process acceleration model, discretised); alignment derived above.
@@ -47,17 +48,18 @@ pub struct Kalman<const N: usize, S = f64> {
 }
 
 impl<const N: usize> Kalman<N> {
-    /// What it is called.
+    /// Name, title and source.
     pub const ABOUT: About = About {
         name: "kalman",
         title: "Kalman filter under white jerk",
         source: "Bar-Shalom, Li and Kirubarajan 2001, section 6.2.3",
     };
 
-    /// An estimator for positions rounded to `quantum_m` and sampled every `period_s`; `jerk_density` is q in m²/s⁵.
+    /// Create an estimator for positions rounded to `quantum_m` and sampled every `period_s`; `jerk_density` is q in
+    /// m²/s⁵.
     ///
-    /// `omega` dT must lie within 0.001 and 10: below, the filter would take thousands of ticks to see anything;
-    /// above, it is a second difference.
+    /// `omega` dT must lie within 0.001 and 10. Below, the filter would need thousands of ticks to respond; above, it
+    /// is a second difference.
     pub fn new(period_s: f64, jerk_density: f64, quantum_m: f64) -> Result<Self, ParameterError> {
         positive("period_s", "dT", period_s)?;
         positive("jerk_density", "q", jerk_density)?;
@@ -81,7 +83,7 @@ impl<const N: usize> Kalman<N> {
 impl<const N: usize, S: Real> Estimator<N, S> for Kalman<N, S> {
     type One = Kalman<N>;
 
-    /// All of one period and all before their first position or all after it.
+    /// Gather estimators of one period, all before their first position or all after it.
     fn gather(of: &[&Kalman<N>]) -> Option<Self> {
         Some(Self {
             period_s: shared(of, |one| one.period_s)?,
@@ -142,15 +144,15 @@ impl<const N: usize, S: Real> Estimator<N, S> for Kalman<N, S> {
     }
 }
 
-/// Bandwidths and their gains, the newest first: those of an estimator of two filters, of translation and of rotation.
+/// Bandwidths and their gains, newest first; enough for two filters each of translation and rotation.
 type Gains = [Option<(f64, Vector3<f64>)>; 4];
 
 thread_local! {
-    /// What this thread's last estimators have found: the scenarios of a sweep ask for the same.
+    /// Cache of this thread, since the scenarios of a sweep need the same gains.
     static LAST_GAINS: Cell<Gains> = const { Cell::new([None; 4]) };
 }
 
-/// K for dT = 1 and R = 1, where q = (`omega` dT)⁶ is all that is left of the parameters.
+/// Return K for dT = 1 and R = 1, which depends only on q = (`omega` dT)⁶.
 fn steady_gain(bandwidth: f64) -> Vector3<f64> {
     let mut last = LAST_GAINS.get();
     if let Some((_, gain)) = last.iter().flatten().find(|(of, _)| of.to_bits() == bandwidth.to_bits()) {
@@ -163,12 +165,12 @@ fn steady_gain(bandwidth: f64) -> Vector3<f64> {
     gain
 }
 
-/// The same, found by iterating.
+/// Compute K by iteration.
 fn converged_gain(bandwidth: f64) -> Vector3<f64> {
     let mut covariance = Matrix3::identity();
     let mut gain = Vector3::zeros();
-    // The slowest error pole lies at exp(-bandwidth / 2) and the covariance converges with its square, so this
-    // many steps take any start down to rounding.
+    // The slowest error pole is exp(-bandwidth / 2), and the covariance converges with its square. This number of
+    // steps brings any start down to rounding.
     let mut left = 100.0 + 40.0 / bandwidth;
     while left > 0.0 {
         (covariance, gain) = riccati_step(&covariance, bandwidth);
@@ -177,7 +179,7 @@ fn converged_gain(bandwidth: f64) -> Vector3<f64> {
     gain
 }
 
-/// One prediction and one correction of the covariance, and the gain of that correction.
+/// Predict and correct the covariance once; return it with the gain of the correction.
 fn riccati_step(covariance: &Matrix3<f64>, bandwidth: f64) -> (Matrix3<f64>, Vector3<f64>) {
     let transition = Matrix3::new(1.0, 1.0, 0.5, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0);
     let process_noise = white_jerk_noise() * bandwidth.powi(6);
@@ -185,12 +187,12 @@ fn riccati_step(covariance: &Matrix3<f64>, bandwidth: f64) -> (Matrix3<f64>, Vec
     let gain = predicted.column(0) / (predicted[(0, 0)] + 1.0);
     let mut keep = Matrix3::identity();
     keep.column_mut(0).axpy(-1.0, &gain, 1.0);
-    // Joseph's form stays symmetric and positive through tens of thousands of steps.
+    // Joseph's form stays symmetric and positive over tens of thousands of steps.
     let corrected = keep * predicted * keep.transpose() + gain * gain.transpose();
     (corrected, gain)
 }
 
-/// Covariance that white jerk of unit density adds to (x, v, a) in one tick.
+/// Return the covariance that white jerk of unit density adds to (x, v, a) in one tick.
 #[rustfmt::skip]
 fn white_jerk_noise() -> Matrix3<f64> {
     Matrix3::new(
@@ -227,7 +229,7 @@ mod tests {
             }
             let found = converged_gain(bandwidth);
             for axis in 0..3 {
-                // Rounding of a step, 1e-16, is kept for 1/bandwidth steps.
+                // The rounding of a step, 1e-16, persists for 1/bandwidth steps.
                 let tolerance = 1e-14 + 1e-15 / bandwidth;
                 assert!((found[axis] / gain[axis] - 1.0).abs() < tolerance, "{bandwidth} {axis}");
             }
@@ -235,13 +237,13 @@ mod tests {
     }
 
     #[test]
-    fn a_gain_that_was_found_before_is_that_of_its_bandwidth() {
+    fn cached_gains_match_their_bandwidths() {
         let known = |bandwidth: f64| LAST_GAINS.get().iter().flatten().any(|(of, _)| *of == bandwidth);
         for bandwidth in [0.3, 0.1, 0.3, 0.3, 0.1, 0.2, 0.5, 0.7, 0.3, 0.1, 0.9] {
             assert_eq!(steady_gain(bandwidth), converged_gain(bandwidth), "{bandwidth}");
             assert!(known(bandwidth), "{bandwidth}");
         }
-        // Four are kept: 0.9, 0.1, 0.3 and 0.7.
+        // The cache keeps four: 0.9, 0.1, 0.3 and 0.7.
         assert_eq!([0.9, 0.1, 0.3, 0.7, 0.5, 0.2].map(known), [true, true, true, true, false, false]);
     }
 
@@ -262,14 +264,14 @@ mod tests {
         let period_s = 1e-3;
         let mut estimator = Kalman::<1>::new(period_s, 10.0, 2.3e-5).unwrap();
         let bandwidth = (12.0 * 10.0 / (2.3e-5_f64.powi(2) * period_s)).powf(1.0 / 6.0);
-        // The start looks like a jump of v by 0.3 m/s; what is left of it after t is exp(-omega t / 2).
+        // The start looks like a jump of v by 0.3 m/s; its remainder after t is exp(-omega t / 2).
         let settled = (2.0 * 40.0 / (bandwidth * period_s)).ceil();
         let mut n = 0.0;
         while n < settled + 100.0 {
             let t = n * period_s;
             let motion = estimator.step(&Axes::from([0.1 + 0.3 * t - 2.0 * t * t]));
             if n > settled {
-                // Less than 1 m away, a position rounds to 1e-16 m; the gain passes less than 1/dT² of it to A.
+                // Within 1 m, a position rounds to 1e-16 m; the gain passes less than 1/dT² of it to A.
                 assert!((motion.acceleration[0] + 4.0).abs() < 1e-9);
                 assert!((motion.velocity[0] - (0.3 - 4.0 * t)).abs() < 1e-12);
             }
@@ -278,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn parameters_that_leave_no_filter_are_refused() {
+    fn parameters_without_a_valid_filter_are_refused() {
         assert!(Kalman::<1>::new(1e-3, -1.0, 2.3e-5).is_err());
         assert!(Kalman::<1>::new(1e-3, 1.0, 0.0).is_err());
         assert_eq!(Kalman::<1>::new(1e-3, 1e-30, 1.0).unwrap_err().name, "bandwidth");

@@ -1,4 +1,4 @@
-//! Backward difference behind a first-order low-pass: what most haptic loops use.
+//! Backward difference with a first-order low-pass, the usual choice in haptic loops.
 
 use std::f64::consts::TAU;
 
@@ -7,15 +7,14 @@ use crate::lanes::{pack, part, shared, without_residue};
 use crate::parameter::{ParameterError, in_range, positive};
 use crate::{About, Axes, Real};
 
-/// A first-order low-pass of cut-off `f_c` on the backward difference D\[n\] = (x\[n\] - x\[n-1\]) / dT:
+/// First-order low-pass of cut-off `f_c` on the backward difference D\[n\] = (x\[n\] - x\[n-1\]) / dT:
 ///
 /// V\[n\] = V\[n-1\] + beta (D\[n\] - V\[n-1\]), beta = 1 - exp(-2 pi `f_c` dT), A\[n\] = (V\[n\] - V\[n-1\]) / dT.
 ///
-/// This beta puts the discrete pole where the continuous one, s = -2 pi `f_c`, goes over one period, so the step
-/// response is that of the continuous filter at the samples. A is not filtered again: it already is the same
-/// low-pass on the second difference, and V and A stay consistent (A sums up to V). Its kernel on the true
-/// acceleration is therefore the two-tick mean of [`BackwardDifference`] followed by the low-pass, and `align`
-/// runs just that. A is (1/beta) dT late.
+/// This beta maps the continuous pole s = -2 pi `f_c` to its value over one period. At the samples, the step response
+/// then equals that of the continuous filter. A is not filtered again: it already is the same low-pass of the second
+/// difference, and A sums up to V. Its kernel on the true acceleration is the two-tick mean of [`BackwardDifference`]
+/// followed by the low-pass; `align` applies this kernel. A lags by (1/beta) dT.
 ///
 /// Source: pole matching, Franklin, Powell & Workman 1998, "Digital Control of Dynamic Systems", section 6.2.
 #[derive(Clone, Debug)]
@@ -29,14 +28,14 @@ pub struct LowPass<const N: usize, S = f64> {
 }
 
 impl<const N: usize> LowPass<N> {
-    /// What it is called.
+    /// Name, title and source.
     pub const ABOUT: About = About {
         name: "low-pass",
         title: "first-order low-pass on the difference",
         source: "Franklin, Powell and Workman 1998, section 6.2",
     };
 
-    /// An estimator for positions sampled every `period_s`, with a cut-off of at most half the sample rate.
+    /// Create an estimator for positions sampled every `period_s`, with a cut-off of at most half the sample rate.
     pub fn new(period_s: f64, cutoff_hz: f64) -> Result<Self, ParameterError> {
         let difference = BackwardDifference::new(period_s)?;
         positive("cutoff_hz", "f_c", cutoff_hz)?;
@@ -45,7 +44,7 @@ impl<const N: usize> LowPass<N> {
         in_range("cutoff_hz", "f_c", cutoff_hz, 0.0, nyquist_hz, allowed)?;
         Ok(Self {
             period_s,
-            // exp_m1 keeps the digits of a cut-off far below the sample rate.
+            // exp_m1 keeps the precision of a cut-off far below the sample rate.
             share: -(-TAU * cutoff_hz * period_s).exp_m1(),
             difference,
             velocity: Axes::zeros(),
@@ -57,7 +56,7 @@ impl<const N: usize> LowPass<N> {
 impl<const N: usize, S: Real> Estimator<N, S> for LowPass<N, S> {
     type One = LowPass<N>;
 
-    /// All of one period.
+    /// Gather estimators of one period.
     fn gather(of: &[&LowPass<N>]) -> Option<Self> {
         Some(Self {
             period_s: shared(of, |one| one.period_s)?,

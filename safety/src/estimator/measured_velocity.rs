@@ -1,4 +1,4 @@
-//! For devices that measure velocity: only the acceleration is left to estimate.
+//! Estimator for devices that measure velocity; it estimates only the acceleration.
 
 use super::Motion;
 use crate::lanes::{option, pack, shared};
@@ -7,8 +7,9 @@ use crate::{Axes, Real};
 
 /// V\[n\] as measured, A\[n\] = (V\[n\] - V\[n-1\]) / dT.
 ///
-/// A is exactly the mean acceleration over the last tick, so it belongs to the force commanded at n-1 and that
-/// force needs no alignment. This is not an [`Estimator`](super::Estimator): it takes velocities, not positions.
+/// A is exactly the mean acceleration over the last tick. It belongs to the force commanded at n-1, so that force
+/// needs no alignment. This is not an [`Estimator`](super::Estimator), since it takes velocities instead of
+/// positions.
 #[derive(Clone, Debug)]
 pub struct MeasuredVelocity<const N: usize, S = f64> {
     period_s: f64,
@@ -16,15 +17,15 @@ pub struct MeasuredVelocity<const N: usize, S = f64> {
 }
 
 impl<const N: usize> MeasuredVelocity<N> {
-    /// An estimator for velocities sampled every `period_s`.
+    /// Create an estimator for velocities sampled every `period_s`.
     pub fn new(period_s: f64) -> Result<Self, ParameterError> {
         Ok(Self { period_s: positive("period_s", "dT", period_s)?, previous_velocity: None })
     }
 }
 
 impl<const N: usize, S: Real> MeasuredVelocity<N, S> {
-    /// As many estimators as there are lanes, all of one period and all before their first velocity or all after it;
-    /// else None.
+    /// Gather one estimator per lane, all of one period and all before their first velocity or all after it; else
+    /// return None.
     pub fn gather(of: &[&MeasuredVelocity<N>]) -> Option<Self> {
         Some(Self {
             period_s: shared(of, |one| one.period_s)?,
@@ -32,7 +33,7 @@ impl<const N: usize, S: Real> MeasuredVelocity<N, S> {
         })
     }
 
-    /// Takes the measured velocity V\[n\] in m/s and adds A\[n\]; the first velocity is taken to have been constant.
+    /// Take the measured velocity V\[n\] in m/s and add A\[n\]; A is 0 at the first velocity.
     #[inline(always)]
     pub fn step(&mut self, velocity: &Axes<N, S>) -> Motion<N, S> {
         let previous_velocity = self.previous_velocity.replace(*velocity).unwrap_or(*velocity);
@@ -40,13 +41,13 @@ impl<const N: usize, S: Real> MeasuredVelocity<N, S> {
         Motion { velocity: *velocity, acceleration }
     }
 
-    /// Gives `F_device`\[n-1\] back unchanged: A is the mean over the very tick in which that force was held.
+    /// Return `F_device`\[n-1\] unchanged: A is the mean over the tick in which this force was held.
     #[inline(always)]
     pub fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
         *device_force
     }
 
-    /// Clears the past: the next velocity is again taken to have been constant.
+    /// Clear the past: A is 0 at the next velocity.
     pub fn reset(&mut self) {
         self.previous_velocity = None;
     }
@@ -57,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn acceleration_is_that_of_the_last_tick_and_needs_no_alignment() {
+    fn acceleration_of_the_last_tick_needs_no_alignment() {
         let period_s = 1.0 / 1024.0;
         let mut estimator = MeasuredVelocity::<1>::new(period_s).unwrap();
         let mut velocity = Axes::from([3.0]);
@@ -72,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn reset_forgets_the_velocity() {
+    fn reset_clears_the_velocity() {
         let mut estimator = MeasuredVelocity::<1>::new(1e-3).unwrap();
         estimator.step(&Axes::from([3.0]));
         estimator.reset();

@@ -1,8 +1,8 @@
 //! Velocity and acceleration of the device from its sampled position.
 //!
-//! An estimator is one file here, which implements [`Estimator`], and one entry in the registry below, with its
-//! parameters. What sets them apart is how much of the encoder's quantisation they let through and how late they are.
-//! [`MeasuredVelocity`] stands apart: it serves the devices that measure V themselves.
+//! An estimator is one file in this folder, which implements [`Estimator`], and one entry with its parameters in the
+//! registry below. Estimators differ in the quantisation noise that they pass and in their lag. [`MeasuredVelocity`]
+//! is separate: it serves devices that measure V.
 
 use crate::{About, Axes, ParameterError, Real, lanes::part};
 
@@ -24,11 +24,13 @@ pub use low_pass::LowPass;
 pub use measured_velocity::MeasuredVelocity;
 pub use savitzky_golay::SavitzkyGolay;
 
-/// Declares all that depends on which estimators there are. Each entry has the parameters of `new` after the period,
-/// in their order, and says how the estimator is kept: as it is, on the heap, or one for each lane.
+/// Declare every item that depends on the set of estimators.
+///
+/// Each entry lists the parameters of `new` after the period, in order, and the storage: inline, boxed, or one per
+/// lane.
 macro_rules! estimators {
     ($($(#[$doc:meta])* $kind:ident { $($(#[$meaning:meta])* $parameter:ident: $number:ty,)* } as $kept:ty;)+) => {
-        /// An estimator and its parameters.
+        /// Kind of an estimator with its parameters.
         #[derive(Clone, Copy, Debug, PartialEq)]
         #[cfg_attr(
             feature = "serde",
@@ -39,17 +41,17 @@ macro_rules! estimators {
             $($(#[$doc])* $kind { $($(#[$meaning])* $parameter: $number,)* },)+
         }
 
-        /// Any of the estimators; those with a window lie on the heap, allocated once when built.
+        /// Any of the estimators. Those with a window are on the heap, allocated once at construction.
         #[derive(Clone, Debug)]
         pub enum AnyEstimator<const N: usize, S = f64> {
             $($(#[$doc])* $kind($kept),)+
         }
 
-        /// The estimators.
+        /// Name, title and source of each estimator.
         pub const ESTIMATORS: [About; [$(stringify!($kind)),+].len()] = [$($kind::<1>::ABOUT),+];
 
         impl EstimatorKind {
-            /// The estimator for positions sampled every `period_s`.
+            /// Build the estimator for positions sampled every `period_s`.
             pub fn build<const N: usize>(&self, period_s: f64) -> Result<AnyEstimator<N>, ParameterError> {
                 Ok(match *self {
                     $(Self::$kind { $($parameter),* } => {
@@ -62,7 +64,7 @@ macro_rules! estimators {
         impl<const N: usize, S: Real> Estimator<N, S> for AnyEstimator<N, S> {
             type One = AnyEstimator<N>;
 
-            /// All of one kind.
+            /// Gather estimators of one kind.
             fn gather(of: &[&AnyEstimator<N>]) -> Option<Self> {
                 Some(match of.first()? {
                     $(AnyEstimator::$kind(_) => {
@@ -115,7 +117,7 @@ estimators! {
         noise_bound_m: f64,
         /// Longest window in ticks.
         max_window: usize,
-        /// The line that is fitted.
+        /// Line that is fitted.
         fit: Fit,
     } as Box<[AdaptiveWindow<N>]>;
     /// [`SavitzkyGolay`].
@@ -134,9 +136,9 @@ estimators! {
     } as Kalman<N, S>;
     /// [`DualKalman`].
     DualKalman {
-        /// Spectral density `q_v` of the jerk in m²/s⁵ (rad²/s⁵ for joints) that V is filtered for.
+        /// Spectral density `q_v` of the jerk in m²/s⁵ (rad²/s⁵ for joints), for the filter of V.
         velocity_jerk_density: f64,
-        /// The same, q, that A is filtered for.
+        /// Spectral density q of the jerk in m²/s⁵ (rad²/s⁵ for joints), for the filter of A.
         jerk_density: f64,
         /// Position quantum in m (rad for joints).
         quantum_m: f64,
@@ -144,8 +146,9 @@ estimators! {
 }
 
 impl EstimatorKind {
-    /// The estimator of a rotation whose handle is held at this lever r in m: angles are x / r, so that what it takes for
-    /// noise and for jerk is smaller by r and r².
+    /// Convert the parameters to a rotation whose handle is held at lever r in m.
+    ///
+    /// Angles are x / r, so noise bounds scale by 1 / r and jerk densities by 1 / r².
     #[must_use]
     pub fn at_lever(self, lever_m: f64) -> Self {
         match self {
@@ -165,7 +168,7 @@ impl EstimatorKind {
         }
     }
 
-    /// The same for positions of this quantum in m (rad for joints), where it takes one.
+    /// Set the position quantum in m (rad for joints), for kinds that have one.
     #[must_use]
     pub fn with_quantum(self, quantum: f64) -> Self {
         match self {
@@ -182,13 +185,13 @@ impl EstimatorKind {
 }
 
 impl Default for EstimatorKind {
-    /// A Kalman filter for a stylus with a quantum of 23 µm; at 1 kHz its bandwidth is 39 Hz.
+    /// Return a Kalman filter for a stylus with a quantum of 23 µm; its bandwidth at 1 kHz is 39 Hz.
     fn default() -> Self {
         Self::Kalman { jerk_density: 10.0, quantum_m: 2.3e-5 }
     }
 }
 
-/// Longest window in ticks that a windowed estimator takes; its memory is reserved for it.
+/// Longest window in ticks of a windowed estimator; its memory is always reserved.
 pub const MAX_WINDOW: usize = 128;
 
 /// Velocity V in m/s and acceleration A in m/s² of the device at one tick (rad/s, rad/s² for joints).
@@ -200,38 +203,39 @@ pub struct Motion<const N: usize, S = f64> {
     pub acceleration: Axes<N, S>,
 }
 
-/// A causal estimator of velocity and acceleration.
+/// Causal estimator of velocity and acceleration.
 ///
-/// Per tick n: first [`step`](Estimator::step) with x\[n\], then at most once
-/// [`align`](Estimator::align) with `F_device`\[n-1\]. A caller that needs `align` calls it at every tick, for it
-/// remembers past forces; one that does not need it never calls it and pays nothing.
+/// At tick n, call [`step`](Estimator::step) with x\[n\], then optionally [`align`](Estimator::align) with
+/// `F_device`\[n-1\]. `align` remembers past forces, so a caller that uses it must call it at every tick. Without
+/// `align` it costs nothing.
 ///
-/// A new estimator takes the device to have rested at the first position it is given.
+/// A new estimator assumes that the device has rested at its first position.
 pub trait Estimator<const N: usize, S: Real = f64>: Sized {
     /// The same estimator over `f64`.
     type One;
 
-    /// As many estimators as there are lanes, if they can be stepped at once; else None.
+    /// Gather one estimator per lane; return None if they cannot be stepped at once.
     fn gather(of: &[&Self::One]) -> Option<Self>;
 
-    /// Takes the position x\[n\] in m and returns V\[n\] and A\[n\].
+    /// Take the position x\[n\] in m and return V\[n\] and A\[n\].
     fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S>;
 
-    /// Passes the force held over the tick that ended with the newest position through the same kernel that
-    /// stands between the true acceleration and A.
+    /// Filter the force held over the last tick with the kernel between the true acceleration and A.
     ///
-    /// An estimate A\[n\] is late: it is a mean of the true acceleration over some past ticks. Eq. 4 subtracts a
-    /// force from m A, so the force must be the same mean, or every step of the device force would look like a hand.
+    /// A\[n\] lags: it is a mean of the true acceleration over past ticks. Eq. 4 subtracts a force from m A, so the
+    /// force must be the same mean. Otherwise every step of the device force would look like a hand.
     fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S>;
 
-    /// Moves the origin: all past positions were by so much in m further. V and A of the next positions, given from
-    /// the new origin, are what they would have been, but for rounding.
+    /// Move the origin: add `by` in m to all past positions.
+    ///
+    /// Give later positions relative to the new origin; V and A then change only by rounding.
     fn shift(&mut self, by: &Axes<N, S>);
 
-    /// Whether V is a mean over past ticks as A is, which is then a difference of it; else V is of the newest position.
+    /// Return true if V is a mean over past ticks and A its difference, and false if V belongs to the newest
+    /// position.
     fn has_late_velocity(&self) -> bool;
 
-    /// Clears the past: the device has been at rest at `position`, without force.
+    /// Clear the past: the device has rested at `position`, without force.
     fn reset(&mut self, position: &Axes<N, S>);
 }
 

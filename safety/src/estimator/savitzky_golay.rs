@@ -5,22 +5,23 @@ use crate::lanes::{pack, part, shared};
 use crate::parameter::{ParameterError, in_range, positive};
 use crate::{About, Axes, Real};
 
-/// One weight per sample of the window, that of the newest first.
+/// Weights of the samples of the window, newest first.
 type Weights = [f64; MAX_WINDOW];
 
-/// Least-squares polynomial of degree p over the last w samples; V and A are its derivatives at the newest one.
+/// Least-squares polynomial of degree p over the last w samples; V and A are its derivatives at the newest sample.
 ///
 /// Both are sums over the lag i = 0 ... w-1: V = sum `h_i` x\[n-i\] / dT and A = sum `c_i` x\[n-i\] / dT².
-/// A polynomial of degree p is estimated without error, so sum `c_i` = sum `c_i` i = 0 and sum `c_i` i² = 2.
+/// The estimate of a polynomial of degree p is exact, so sum `c_i` = sum `c_i` i = 0 and sum `c_i` i² = 2.
 ///
 /// **Alignment.** Let a\[l\] be the acceleration held over the l-th last tick (l = 1 is the tick that ended at n).
-/// Going back from n, x\[n-i\] = x\[n\] - i dT v\[n\] + dT² sum over l = 1 ... i of (i - l + 1/2) a\[l\]. In A the
-/// terms of x\[n\] and v\[n\] vanish by the two zero sums, and what stays is A = sum `g_l` a\[l\] with
+/// Backwards from n, x\[n-i\] = x\[n\] - i dT v\[n\] + dT² sum over l = 1 ... i of (i - l + 1/2) a\[l\]. In A the
+/// terms of x\[n\] and v\[n\] vanish because of the two zero sums. The rest is A = sum `g_l` a\[l\] with
 ///
 /// `g_l` = sum over i >= l of `c_i` (i - l + 1/2) = `S2_l` + `S1_l` / 2,
 ///
-/// `S1_l` = `S1_(l+1)` + `c_l` and `S2_l` = `S2_(l+1)` + `S1_(l+1)`: the double cumulative sums of c. The third sum
-/// makes sum `g_l` = 1. `align` is this finite impulse response on the force, exact for every force held over ticks.
+/// with `S1_l` = `S1_(l+1)` + `c_l` and `S2_l` = `S2_(l+1)` + `S1_(l+1)`, the double cumulative sums of c. The third
+/// sum gives sum `g_l` = 1. `align` applies this finite impulse response to the force; it is exact for every force
+/// held over ticks.
 ///
 /// Source: Savitzky & Golay 1964, Analytical Chemistry 36(8); for weights off the centre Gorry 1990, Analytical
 /// Chemistry 62(6) (orthogonal polynomials).
@@ -37,15 +38,16 @@ pub struct SavitzkyGolay<const N: usize, S = f64> {
 }
 
 impl<const N: usize> SavitzkyGolay<N> {
-    /// What it is called.
+    /// Name, title and source.
     pub const ABOUT: About = About {
         name: "savitzky-golay",
         title: "polynomial through the last samples",
         source: "Savitzky and Golay 1964, Gorry 1990",
     };
 
-    /// An estimator for positions sampled every `period_s`: `degree` 2 or 3 over `window` samples, more than
-    /// `degree` and at most [`MAX_WINDOW`].
+    /// Create an estimator for positions sampled every `period_s`, of `degree` 2 or 3 over `window` samples.
+    ///
+    /// The window is above `degree` and at most [`MAX_WINDOW`].
     pub fn new(period_s: f64, degree: usize, window: usize) -> Result<Self, ParameterError> {
         positive("period_s", "dT", period_s)?;
         in_range("degree", "p", degree as f64, 2.0, 3.0, "2 or 3")?;
@@ -67,7 +69,7 @@ impl<const N: usize> SavitzkyGolay<N> {
 impl<const N: usize, S: Real> Estimator<N, S> for SavitzkyGolay<N, S> {
     type One = SavitzkyGolay<N>;
 
-    /// All of one period, degree and window, and as far as each other.
+    /// Gather estimators of one period, degree, window and ring position.
     fn gather(of: &[&SavitzkyGolay<N>]) -> Option<Self> {
         let rings = |ring: fn(&SavitzkyGolay<N>) -> &Ring<N>| part(of, ring, Ring::gather);
         Some(Self {
@@ -91,8 +93,8 @@ impl<const N: usize, S: Real> Estimator<N, S> for SavitzkyGolay<N, S> {
         let mut acceleration = Axes::zeros();
         let weights = self.velocity_weights.iter().zip(&self.acceleration_weights);
         for (sample, (h, c)) in self.positions.newest_first().zip(weights) {
-            // The weights sum to zero only up to rounding; relative to the newest sample a device at rest
-            // gives exactly zero wherever it stands.
+            // The weights sum to zero only up to rounding. Relative to the newest sample, a device at rest gives
+            // exactly zero at any position.
             let behind = sample - position;
             velocity += behind * S::splat(*h);
             acceleration += behind * S::splat(*c);
@@ -125,11 +127,11 @@ impl<const N: usize, S: Real> Estimator<N, S> for SavitzkyGolay<N, S> {
     }
 }
 
-/// The weights h of the first and c of the second derivative at the newest sample, per tick and per tick².
+/// Return the weights h and c of the first and second derivative at the newest sample, per tick and per tick².
 ///
 /// The samples lie at u = 1 (newest) down to -1. Over such points the polynomials `P_0` = 1,
-/// `P_(k+1)` = u `P_k` - `r_k` `P_(k-1)` with `r_k` = |`P_k`|² / |`P_(k-1)`|² are orthogonal, so the least-squares
-/// fit needs no matrix, and the weights are accurate to rounding for every window.
+/// `P_(k+1)` = u `P_k` - `r_k` `P_(k-1)` with `r_k` = |`P_k`|² / |`P_(k-1)`|² are orthogonal. The least-squares fit
+/// therefore needs no matrix, and the weights are accurate to rounding for every window.
 fn end_point_weights(degree: usize, window: usize) -> [Weights; 2] {
     let half = (window - 1) as f64 / 2.0;
     let mut first = [0.0; MAX_WINDOW];
@@ -164,7 +166,7 @@ fn end_point_weights(degree: usize, window: usize) -> [Weights; 2] {
     [first, second]
 }
 
-/// `g_l` for l = 1, 2, ... from the weights c of the second derivative.
+/// Return `g_l` for l = 1, 2, ... from the weights c of the second derivative.
 fn force_weights(acceleration_weights: &Weights) -> Weights {
     let mut weights = [0.0; MAX_WINDOW];
     let (mut sum, mut double_sum) = (0.0, 0.0);
@@ -176,7 +178,7 @@ fn force_weights(acceleration_weights: &Weights) -> Weights {
     weights
 }
 
-/// The last `length` samples of a vector in a ring; never allocates.
+/// Ring of the last `length` samples of a vector; never allocates.
 #[derive(Clone, Debug)]
 struct Ring<const N: usize, S = f64> {
     samples: [Axes<N, S>; MAX_WINDOW],
@@ -185,12 +187,12 @@ struct Ring<const N: usize, S = f64> {
 }
 
 impl<const N: usize, S: Real> Ring<N, S> {
-    /// A ring of `length` zeros, from 1 to [`MAX_WINDOW`].
+    /// Create a ring of `length` zeros, from 1 to [`MAX_WINDOW`].
     fn new(length: usize) -> Self {
         Self { samples: [Axes::zeros(); MAX_WINDOW], newest: 0, length: length.clamp(1, MAX_WINDOW) }
     }
 
-    /// As many rings as there are lanes, all of one length and at the same place; else None.
+    /// Gather one ring per lane, all of one length and position; else return None.
     fn gather(of: &[&Ring<N>]) -> Option<Self> {
         let mut ring = Self::new(shared(of, |one| one.length)?);
         ring.newest = shared(of, |one| one.newest)?;
@@ -200,7 +202,7 @@ impl<const N: usize, S: Real> Ring<N, S> {
         Some(ring)
     }
 
-    /// Makes every sample equal to `sample`.
+    /// Set every sample to `sample`.
     fn fill(&mut self, sample: &Axes<N, S>) {
         self.samples.fill(*sample);
     }
@@ -209,14 +211,14 @@ impl<const N: usize, S: Real> Ring<N, S> {
         self.samples.iter_mut().for_each(|sample| *sample += by);
     }
 
-    /// Puts `sample` in the place of the oldest.
+    /// Replace the oldest sample by `sample`.
     #[inline]
     fn push(&mut self, sample: &Axes<N, S>) {
         self.newest = (self.newest + 1) % self.length;
         self.samples[self.newest] = *sample;
     }
 
-    /// The samples from the newest to the oldest.
+    /// Iterate over the samples from the newest to the oldest.
     #[inline]
     fn newest_first(&self) -> impl Iterator<Item = &Axes<N, S>> {
         let (recent, old) = self.samples[..self.length].split_at(self.newest + 1);
@@ -244,7 +246,7 @@ mod tests {
                     (second, if power == 2 { 2.0 } else { 0.0 }),
                 ] {
                     let (sum, size) = moment(&weights);
-                    // Each weight carries some ten roundings (the recurrence has at most four steps of them).
+                    // Each weight carries some ten roundings; the recurrence has at most four steps.
                     let tolerance = 32.0 * f64::EPSILON * size;
                     assert!((sum - expected).abs() <= tolerance, "{degree} {window} {power}: {sum}");
                 }
@@ -258,7 +260,7 @@ mod tests {
         for (lag, (h, c)) in [(1.5, 1.0), (-2.0, -2.0), (0.5, 1.0)].into_iter().enumerate() {
             assert!((first[lag] - h).abs() < 1e-15 && (second[lag] - c).abs() < 1e-15);
         }
-        // The kernel of the second difference: two ticks, half each.
+        // The kernel of the second difference: two ticks with weight 1/2 each.
         let force = force_weights(&second);
         assert!((force[0] - 0.5).abs() < 1e-15 && (force[1] - 0.5).abs() < 1e-15);
         assert!(force[2..].iter().all(|g| *g == 0.0));
@@ -269,7 +271,7 @@ mod tests {
         for (degree, window) in SHAPES {
             let [_, second] = end_point_weights(degree, window);
             let total: f64 = force_weights(&second).iter().sum();
-            // sum g = sum c i²/2, whose terms are far larger than their sum for a cubic: up to w each.
+            // sum g = sum c i²/2; for a cubic its terms, up to w each, are far larger than their sum.
             let size: f64 = (0..window).map(|lag| second[lag].abs() * (lag * lag) as f64).sum();
             assert!((total - 1.0).abs() <= 32.0 * f64::EPSILON * size, "{degree} {window}: {total}");
         }
@@ -284,7 +286,7 @@ mod tests {
             let t = n as f64 * period_s;
             let motion = estimator.step(&Axes::from([0.1 + 0.3 * t - 2.0 * t * t]));
             if n + 1 >= window {
-                // Positions below 0.2 m carry three roundings, each summation another.
+                // Positions below 0.2 m carry three roundings, and each summation one more.
                 let rounding_m = 4.0 * f64::EPSILON * 0.2;
                 let tolerance = rounding_m * size / (period_s * period_s);
                 assert!((motion.acceleration[0] + 4.0).abs() < tolerance);
@@ -294,14 +296,14 @@ mod tests {
     }
 
     #[test]
-    fn shapes_that_cannot_be_fitted_are_refused() {
+    fn invalid_shapes_are_refused() {
         for (degree, window) in [(1, 10), (4, 10), (2, 2), (3, 3), (2, 129)] {
             assert!(SavitzkyGolay::<1>::new(1e-3, degree, window).is_err());
         }
     }
 
     #[test]
-    fn the_newest_comes_first_and_the_oldest_falls_out() {
+    fn ring_iterates_newest_first_and_drops_the_oldest() {
         let mut ring = Ring::<1>::new(3);
         for sample in [1.0, 2.0, 3.0, 4.0, 5.0] {
             ring.push(&Axes::from([sample]));

@@ -1,4 +1,4 @@
-//! The layer as a whole: a hand that holds, lets go and is back, a loop that is late, numbers that cannot be.
+//! Test of the complete layer: a hand that holds, releases and returns, a late loop, invalid values.
 
 use super::*;
 use crate::controller::Tripped;
@@ -16,7 +16,8 @@ fn settings(safety: SafetySettings) -> LayerSettings<1> {
     }
 }
 
-/// A free mass under the layer's force, with an encoder; `F_v` = 5 N from the start, nobody holds.
+/// Return per tick whether HSC trips: a free mass with an encoder, under the layer's force and `F_v` = 5 N from the
+/// start.
 fn ejected_trips(force_seen_by_eq_4: impl Fn(f64) -> f64) -> Vec<bool> {
     let safety = SafetySettings { controllers: [ControllerKind::Hsc].into(), ..SafetySettings::default() };
     let settings = settings(safety);
@@ -28,7 +29,7 @@ fn ejected_trips(force_seen_by_eq_4: impl Fn(f64) -> f64) -> Vec<bool> {
     let mut trips = Vec::new();
     for _ in 0..200 {
         let encoded = Axes::<1>::new((x / 2.3e-5).round() * 2.3e-5);
-        // The same pipeline, with another idea of which force Eq. 4 subtracts.
+        // The pipeline of the layer, with another force subtracted in Eq. 4.
         let motion = estimator.step(&encoded);
         kernel_of_rendered.step(&encoded);
         let of_eq_4 = commanded.map_or(0.0, &force_seen_by_eq_4);
@@ -48,16 +49,17 @@ fn ejected_trips(force_seen_by_eq_4: impl Fn(f64) -> f64) -> Vec<bool> {
 }
 
 #[test]
-fn with_f_v_alone_hsc_switches_itself_off() {
+fn hsc_needs_the_complete_commanded_force() {
     let all_commanded = ejected_trips(|commanded| commanded);
     let rendered_only = ejected_trips(|_| 5.0);
     let on = |trips: &[bool]| trips[50..].iter().filter(|&&on| on).count();
-    assert_eq!(on(&all_commanded), 150, "once nobody holds, HSC stays on");
-    // Its own damping cancels F_v; with F_v alone, that looks like a hand that pushes back with 5 N.
+    assert_eq!(on(&all_commanded), 150, "HSC stays on without a hand");
+    // The damping of HSC cancels F_v; with F_v alone in Eq. 4, this looks like a hand that pushes back with 5 N.
     assert!(on(&rendered_only) < 100, "{}", on(&rendered_only));
 }
 
-/// Ticks on which HSC trips while a braced hand (1500 N/m, 20 N s/m) meets a wall of 200 N/m and holds on.
+/// Count the ticks with a trip of HSC while a braced hand (1500 N/m, 20 N s/m) meets a wall of 200 N/m and keeps
+/// holding.
 fn trips_at_contact(measures_velocity: bool) -> usize {
     let safety = SafetySettings {
         controllers: [ControllerKind::Hsc].into(),
@@ -74,7 +76,7 @@ fn trips_at_contact(measures_velocity: bool) -> usize {
         let tick = layer.tick(&Axes::<1>::new(seen), measures_velocity.then_some(&velocity), &rendered);
         trips += usize::from(tick.intervention.tripped.any());
         force = tick.device_force[0];
-        // Ten steps a tick: the hand is no part of the servo loop.
+        // Ten steps per tick, since the hand is not part of the servo loop.
         for step in 0..10 {
             let target = 0.01 - speed * (f64::from(n) + f64::from(step) / 10.0) * PERIOD;
             let hand = 1500.0 * (target.max(-0.03) - x) - 20.0 * v;
@@ -87,14 +89,15 @@ fn trips_at_contact(measures_velocity: bool) -> usize {
 }
 
 #[test]
-fn a_late_estimate_is_no_release() {
-    // Exact signals show a hand all the time; so must estimated ones, although they lag by 8 ms.
+fn lagging_estimate_is_not_a_release() {
+    // With exact signals the hand is always seen. Estimated signals must show it too, although they lag by 8 ms.
     assert_eq!((trips_at_contact(true), trips_at_contact(false)), (0, 0));
 }
 
-/// Nothing may trip while a hand holds on: a step of the remote force, beyond the cap, during the ramp-in.
+/// Nothing trips while a hand keeps holding: not at a step of the remote force, beyond the cap, or during the
+/// ramp-in.
 #[test]
-fn a_bounded_force_is_no_release() {
+fn limited_force_is_not_a_release() {
     let safety = SafetySettings { controllers: [ControllerKind::Hsc].into(), ..SafetySettings::default() };
     let limiter = LimiterSettings { max_force_n: 4.0, ramp_in_s: 0.05, ..LimiterSettings::default() };
     let mut layer = SafetyLayer::new(&LayerSettings { limiter, ..settings(safety) }).unwrap();
@@ -111,9 +114,9 @@ fn a_bounded_force_is_no_release() {
     }
 }
 
-/// 4 N are rendered all the time; a hand holds, lets go for 50 ms, and is back for good.
+/// Under a constant 4 N, a hand holds, releases for 50 ms, and returns for good.
 #[test]
-fn a_hand_that_is_back_gets_its_force_back_over_the_ramp() {
+fn returning_hand_gets_its_force_back_over_the_ramp() {
     let safety = SafetySettings {
         controllers: [ControllerKind::Hsc].into(),
         hsc_force_threshold_n: 0.5,
@@ -140,21 +143,27 @@ fn a_hand_that_is_back_gets_its_force_back_over_the_ramp() {
             x += v * PERIOD / 10.0;
         }
     }
-    assert!(!states[499].0.any() && (states[499].1 - 4.0).abs() < 1e-9, "held: all is rendered");
+    assert!(
+        !states[499].0.any() && (states[499].1 - 4.0).abs() < 1e-9,
+        "held: the complete force is rendered"
+    );
     assert!(
         states[500..550].iter().any(|(tripped, _)| tripped.contains(Tripped::of(ControllerKind::Hsc))),
-        "let go: it trips"
+        "released: HSC trips"
     );
-    assert!(!states[1499].0.any() && (states[1499].1 - 4.0).abs() < 1e-9, "back: all is rendered again");
-    assert!(largest_step < 0.3, "over the ramp, not as a step: {largest_step} N");
+    assert!(
+        !states[1499].0.any() && (states[1499].1 - 4.0).abs() < 1e-9,
+        "returned: the complete force again"
+    );
+    assert!(largest_step < 0.3, "the force returns over the ramp, not as a step: {largest_step} N");
 }
 
 #[test]
-fn a_late_loop_does_not_read_several_ticks_as_one() {
-    // 0.3 m/s under no force; ticks 100 to 107 are missed.
+fn late_loop_does_not_read_several_ticks_as_one() {
+    // 0.3 m/s without force; ticks 100 to 107 are missed.
     let safety = SafetySettings { controllers: [ControllerKind::Wsc].into(), ..SafetySettings::default() };
     let sample = |n: i32| Axes::<1>::new((3e-4 * f64::from(n) / 2.3e-5).round() * 2.3e-5);
-    // The guard would see the gap.
+    // Unbounded, since the guard would detect the gap.
     let mut carried = SafetyLayer::new(&settings(safety)).unwrap().with_samples(SampleBounds::UNBOUNDED);
     let mut blind = carried.clone();
     let none = Axes::zeros();
@@ -167,12 +176,13 @@ fn a_late_loop_does_not_read_several_ticks_as_one() {
         (109..130).map(|n| layer.tick(&sample(n), None, &none).grasp_force[0].abs()).fold(late, f64::max)
     };
     assert!(worst(&mut carried, 8) < 0.5);
-    assert!(worst(&mut blind, 0) > 5.0, "else the test shows nothing");
+    assert!(worst(&mut blind, 0) > 5.0, "the missed ticks must matter, or the test shows nothing");
 }
 
-/// Once a stop is taken, estimator and forces are those of a layer that took each sample at once, to the bit.
+/// After a stop is accepted, estimator and forces equal those of a layer that accepted each sample at once, bit for
+/// bit.
 #[test]
-fn a_stop_leaves_nothing_of_the_ticks_that_were_held() {
+fn accepted_stop_leaves_no_trace_of_the_held_ticks() {
     let safety = SafetySettings { controllers: [ControllerKind::Hsc].into(), ..SafetySettings::default() };
     for estimator in [
         EstimatorKind::default(),
@@ -186,7 +196,7 @@ fn a_stop_leaves_nothing_of_the_ticks_that_were_held() {
             let x = Axes::<1>::new(2e-3 * f64::from(n.min(100)));
             let rendered = Axes::<1>::new(0.05 * (f64::from(n) * 0.1).sin());
             let (one, other) = (held.tick(&x, None, &rendered), direct.tick(&x, None, &rendered));
-            assert_eq!(one.device_force, other.device_force, "{n}: F_v goes on");
+            assert_eq!(one.device_force, other.device_force, "{n}: F_v continues");
             if (101..104).contains(&n) {
                 assert!(one.motion.velocity[0] > 1.9, "V stays");
             } else {
@@ -198,9 +208,9 @@ fn a_stop_leaves_nothing_of_the_ticks_that_were_held() {
     }
 }
 
-/// A step within the bound is read as no velocity, before and after it is taken.
+/// A step within the bound causes no velocity, before and after it is accepted.
 #[test]
-fn a_step_is_no_velocity() {
+fn step_causes_no_velocity() {
     let mut layer = SafetyLayer::new(&settings(SafetySettings::default())).unwrap();
     for n in 0..200 {
         let x = 3e-4 * f64::from(n) + if n < 100 { 0.0 } else { 0.015 };
@@ -211,7 +221,7 @@ fn a_step_is_no_velocity() {
 }
 
 #[test]
-fn bad_numbers_are_refused_in_the_same_tick_and_stay_stopped() {
+fn invalid_values_stop_the_layer_in_the_same_tick() {
     let good = Axes::<1>::new(0.0);
     for (x, v, f, name) in [
         (f64::NAN, 0.0, 0.0, "position is not a finite number"),
@@ -239,7 +249,7 @@ fn bad_numbers_are_refused_in_the_same_tick_and_stay_stopped() {
 }
 
 #[test]
-fn without_a_controller_the_rendered_force_passes() {
+fn rendered_force_passes_without_a_controller() {
     let mut layer = SafetyLayer::new(&settings(SafetySettings::default())).unwrap();
     let still = Axes::<1>::zeros();
     for n in 0..10 {
@@ -249,9 +259,9 @@ fn without_a_controller_the_rendered_force_passes() {
     }
 }
 
-/// What PC requested and the force that is exerted beyond `F_v` does not dissipate within the tick.
+/// The owed energy is the part of PC's request that the force beyond `F_v` does not dissipate within the tick.
 #[test]
-fn energy_is_owed_by_the_force_that_is_exerted() {
+fn owed_energy_follows_from_the_commanded_force() {
     let safety = SafetySettings { controllers: [ControllerKind::Pc].into(), ..SafetySettings::default() };
     for max_force_n in [1.0, 1.6, 50.0] {
         let limiter = LimiterSettings { max_force_n, ramp_in_s: 0.0, ..LimiterSettings::default() };
@@ -271,7 +281,7 @@ fn energy_is_owed_by_the_force_that_is_exerted() {
     }
 }
 
-/// A layer of an encoder whose past all of it remembers: motion, energy, an intervention, a force.
+/// Create a layer with an encoder and a past: motion, energy, an intervention, a force.
 fn with_a_past() -> SafetyLayer<1> {
     let safety = SafetySettings {
         controllers: [ControllerKind::Hsc, ControllerKind::Wsc, ControllerKind::Pc].into(),
@@ -285,7 +295,7 @@ fn with_a_past() -> SafetyLayer<1> {
     layer
 }
 
-/// The next 50 ticks, from a place.
+/// Run 50 more ticks, starting at position `from`.
 fn next(layer: &mut SafetyLayer<1>, from: f64) -> Vec<SafetyTick<1>> {
     let tick = |n: i32| {
         let x = Axes::<1>::new(from + 1e-4 * f64::from(n));
@@ -299,7 +309,7 @@ fn forces(ticks: &[SafetyTick<1>]) -> Vec<(f64, f64, Option<Fault>)> {
 }
 
 #[test]
-fn a_reset_leaves_nothing_of_the_past_and_a_restart_leaves_a_fault() {
+fn reset_clears_the_past_and_restart_keeps_a_fault() {
     let place = Axes::<1>::new(0.2);
     let mut fresh = SafetyLayer::new(&settings(SafetySettings {
         controllers: [ControllerKind::Hsc, ControllerKind::Wsc, ControllerKind::Pc].into(),
@@ -308,7 +318,7 @@ fn a_reset_leaves_nothing_of_the_past_and_a_restart_leaves_a_fault() {
     .unwrap();
     fresh.reset(&place).unwrap();
     let as_new = forces(&next(&mut fresh, 0.2));
-    assert_ne!(forces(&next(&mut with_a_past(), 0.2)), as_new, "the past shows");
+    assert_ne!(forces(&next(&mut with_a_past(), 0.2)), as_new, "the past must matter");
     let mut layer = with_a_past();
     layer.reset(&place).unwrap();
     assert_eq!(forces(&next(&mut layer, 0.2)), as_new);
@@ -323,14 +333,14 @@ fn a_reset_leaves_nothing_of_the_past_and_a_restart_leaves_a_fault() {
     let stopped = next(&mut layer, 0.2);
     assert!(stopped.iter().all(|tick| tick.fault == Some(first) && tick.device_force[0] == 0.0));
     layer.restart(&place).unwrap();
-    assert!(next(&mut layer, 0.2).iter().all(|tick| tick.fault == Some(first)), "it keeps a fault");
+    assert!(next(&mut layer, 0.2).iter().all(|tick| tick.fault == Some(first)), "restart keeps the fault");
     assert!(layer.restart(&Axes::<1>::new(f64::NAN)).is_err());
     assert!(layer.reset(&Axes::<1>::new(f64::INFINITY)).is_err());
     layer.reset(&place).unwrap();
     assert_eq!(forces(&next(&mut layer, 0.2)), as_new);
 }
 
-/// VFC by hand (Eq. 1 and 2): what a researcher would write; it fails at a tick, where it is given one.
+/// VFC as a researcher would write it (Eq. 1 and 2); it fails at tick `fails_at`.
 struct VelocityForceByHand {
     settings: SafetySettings,
     fails_at: Option<u64>,
@@ -362,7 +372,7 @@ fn by_hand(settings: SafetySettings, fails_at: Option<u64>, gives: f64) -> Box<d
     Box::new(VelocityForceByHand { settings, fails_at, gives, tick: 0 })
 }
 
-/// Forces and trips while 3 N come and nobody holds, tick by tick.
+/// Run 400 ticks with 3 N and without a hand; return force and trips of each tick.
 fn thrown(mut layer: SafetyLayer<1>) -> Vec<(f64, Tripped)> {
     let (mut x, mut v) = (0.0_f64, 0.0);
     let mut ticks = Vec::new();
@@ -378,7 +388,7 @@ fn thrown(mut layer: SafetyLayer<1>) -> Vec<(f64, Tripped)> {
 }
 
 #[test]
-fn a_research_controller_acts_as_one_of_the_registry_with_the_same_law() {
+fn research_controller_matches_the_registered_one() {
     let vfc = SafetySettings { controllers: [ControllerKind::Vfc].into(), ..SafetySettings::default() };
     let nobody = SafetySettings { controllers: crate::controller::Controllers::NONE, ..vfc };
     let bare = || SafetyLayer::new(&settings(nobody)).unwrap();
@@ -392,7 +402,7 @@ fn a_research_controller_acts_as_one_of_the_registry_with_the_same_law() {
 }
 
 #[test]
-fn a_research_controller_that_fails_or_gives_no_force_renders_none() {
+fn failing_research_controller_renders_no_force() {
     let vfc = SafetySettings { controllers: [ControllerKind::Vfc].into(), ..SafetySettings::default() };
     let nobody = SafetySettings { controllers: crate::controller::Controllers::NONE, ..vfc };
     let bare = || SafetyLayer::new(&settings(nobody)).unwrap();
@@ -404,14 +414,15 @@ fn a_research_controller_that_fails_or_gives_no_force_renders_none() {
     }
 }
 
-/// Lanes have none, a reset reaches it, and PC's share is left to it by an intervention.
+/// A research controller runs after the others: an intervention leaves it a share as for PC, a reset reaches it, and
+/// lanes have none.
 #[test]
-fn a_research_controller_stands_behind_the_others() {
+fn research_controller_runs_after_the_others() {
     let vfc = SafetySettings { controllers: [ControllerKind::Vfc].into(), ..SafetySettings::default() };
     let layer = || SafetyLayer::new(&settings(vfc)).unwrap();
     let alone = thrown(layer());
     let both = thrown(layer().with_research(by_hand(vfc, None, 1.0)));
-    // Wherever it calls for a force VFC has an intervention on, which leaves it no share.
+    // Whenever it requests a force, an intervention of VFC is on and leaves it no share.
     for (tick, (a, b)) in alone.iter().zip(&both).enumerate() {
         assert_eq!((a.0.to_bits(), a.1), (b.0.to_bits(), b.1), "{tick}");
     }
@@ -426,7 +437,7 @@ fn a_research_controller_stands_behind_the_others() {
     assert!(SafetyLayer::<1, simba::simd::AutoF64x4>::gather(&[&of; 4]).is_none());
 }
 
-/// Gives a share of `-F_v`, a push of its own and damping.
+/// Research controller with a share of `-F_v`, a push and damping.
 struct Linear {
     cancels: f64,
     push: f64,
@@ -447,9 +458,9 @@ impl ResearchController for Linear {
     }
 }
 
-/// What cancels a force that has faded needs no authority, what pushes does: as for the controllers of the registry.
+/// As for the registered controllers, cancelling a force needs no authority, and pushing does.
 #[test]
-fn a_research_controller_may_take_a_force_away_without_authority() {
+fn research_controller_may_cancel_without_authority() {
     let nobody = SafetySettings::default();
     let rendered = 2.0;
     for (cancels, push, authority, device_force) in [
@@ -457,15 +468,15 @@ fn a_research_controller_may_take_a_force_away_without_authority() {
         (1.0, 0.0, 0.5, 0.0),
         (1.0, 0.0, 0.0, 0.0),
         (0.5, 0.0, 0.25, 1.0),
-        // Beyond -F_v it pushes the other way: 1 N of it.
+        // Beyond -F_v it pushes the other way: 1 N, scaled by the authority.
         (1.5, 0.0, 0.5, -0.5),
         (0.0, 1.0, 0.25, 2.25),
-        // 1 N of push takes part of what cancels back: what is left cancels 1 N of 2.
+        // The push of 1 N takes back a part of the cancelling force, which then cancels 1 N of 2 N.
         (1.0, 1.0, 0.0, 1.0),
     ] {
         let controller = Box::new(Linear { cancels, push, damping: 0.0 });
         let mut layer = SafetyLayer::new(&settings(nobody)).unwrap().with_research(controller);
-        // As long as the force takes to grow.
+        // 20 ticks, so that the force has grown.
         let mut tick =
             || layer.tick_with_authority(&Axes::zeros(), None, &Axes::<1>::new(rendered), authority);
         let force = (0..20).map(|_| tick().device_force[0]).last().unwrap();

@@ -6,10 +6,10 @@ use crate::{
     parameter::positive,
 };
 
-/// HGO: near 1 while the hand holds against the rendered force, large when nobody holds.
+/// HGO: near 1 while the hand holds against the rendered force, large when no hand holds.
 ///
-/// `S_h = |F_v| / (|F_h| + alpha)`, with `F_v` as the device was asked to render it and as late as `F_h`: an estimated
-/// `F_h` lags, and a force that has just risen would otherwise look like one that nobody holds.
+/// `S_h = |F_v| / (|F_h| + alpha)`. `F_v` is the force asked of the device, with the lag of `F_h`. Without that lag,
+/// a force that has just risen would look like one that nobody holds.
 ///
 /// Source: paper Eq. 5.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,22 +18,22 @@ pub struct HandGraspObserver<S = f64> {
 }
 
 impl HandGraspObserver {
-    /// What it is called.
+    /// Name, title and source.
     pub const ABOUT: About = About { name: "hgo", title: "hand grasp", source: "paper Eq. 5" };
 
-    /// The floor alpha in N (> 0) keeps the ratio finite; the paper uses 0.001 N.
+    /// Create an observer with the floor alpha in N (> 0), which keeps the ratio finite; the paper uses 0.001 N.
     pub fn new(grasp_floor_n: f64) -> Result<Self, ParameterError> {
         Ok(Self { grasp_floor_n: positive("grasp_floor_n", "alpha", grasp_floor_n)? })
     }
 }
 
 impl<S: Real> HandGraspObserver<S> {
-    /// As many observers as there are lanes; None for another number of them.
+    /// Gather one observer per lane; return None if their number is not that of the lanes.
     pub fn gather(of: &[&HandGraspObserver]) -> Option<Self> {
         Some(Self { grasp_floor_n: pack(of, |one| one.grasp_floor_n)? })
     }
 
-    /// `S_h`, without unit; the grasp is safe up to zeta (Eq. 8).
+    /// Compute `S_h`, without unit; the grasp is safe up to zeta (Eq. 8).
     #[inline(always)]
     pub fn observe<const N: usize>(&self, seen: &Observation<N, S>) -> S {
         norm(&seen.aligned_rendered_force) / (norm(&seen.grasp_force) + self.grasp_floor_n)

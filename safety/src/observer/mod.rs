@@ -1,7 +1,7 @@
-//! Safety observers: one number per tick that says how safe the hand is.
+//! Safety observers: each gives one value per tick that measures how safe the hand is.
 //!
-//! An observer is one file here and one line in [`OBSERVERS`]. A controller that acts on it is another file, in
-//! [`controller`](crate::controller).
+//! An observer is one file in this folder and one line in [`OBSERVERS`]. A controller that acts on it is another
+//! file, in [`controller`](crate::controller).
 
 mod hand_grasp;
 mod passivity;
@@ -21,7 +21,7 @@ use crate::{
     lanes::{is_within, nowhere},
 };
 
-/// The observers.
+/// Name, title and source of each observer.
 pub const OBSERVERS: [About; 5] = [
     VelocityForceObserver::ABOUT,
     HandGraspObserver::ABOUT,
@@ -30,29 +30,30 @@ pub const OBSERVERS: [About; 5] = [
     PassivityObserver::<1>::ABOUT,
 ];
 
-/// The signals of one tick that observers and controllers read.
+/// Signals of one tick that observers and controllers read.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation<const N: usize, S = f64> {
     /// V in m/s.
     pub velocity: Axes<N, S>,
-    /// `F_v` in N: what the remote side requests.
+    /// `F_v` in N, requested by the remote side.
     pub rendered_force: Axes<N, S>,
     /// `F_h` in N: estimated force of the hand on the device (Eq. 4).
     pub grasp_force: Axes<N, S>,
-    /// What the device was asked to render, in N, as `F_h` sees it: passed through the same kernel of past ticks
-    /// ([`Estimator::align`](crate::estimator::Estimator::align)), because `S_h` compares the two. With exact signals and
-    /// without an intervention it is `F_v` itself.
+    /// Force in N that the device was asked to render, with the lag of `F_h`, because `S_h` compares the two.
+    ///
+    /// It passes through the same kernel of past ticks ([`Estimator::align`](crate::estimator::Estimator::align)).
+    /// With exact signals and without an intervention it equals `F_v`.
     pub aligned_rendered_force: Axes<N, S>,
 }
 
 impl<const N: usize, S: Real> Observation<N, S> {
-    /// An observation of exact signals: `F_h` is not late, so `F_v` needs no alignment.
+    /// Create an observation of exact signals: `F_h` has no lag, so `F_v` needs no alignment.
     #[inline(always)]
     pub fn exact(velocity: Axes<N, S>, rendered_force: Axes<N, S>, grasp_force: Axes<N, S>) -> Self {
         Self { velocity, rendered_force, grasp_force, aligned_rendered_force: rendered_force }
     }
 
-    /// Where [`check`](Observation::check) would let the numbers through.
+    /// Return the mask of lanes that [`check`](Observation::check) would accept.
     #[inline(always)]
     pub fn passes(&self) -> S::SimdBool {
         [
@@ -67,7 +68,7 @@ impl<const N: usize, S: Real> Observation<N, S> {
 }
 
 impl<const N: usize> Observation<N> {
-    /// Refuses numbers that are not finite or absurd.
+    /// Return a fault for a value that is not finite or out of range.
     #[inline(always)]
     pub fn check(&self) -> Result<(), Fault> {
         Signal::Velocity.check(&self.velocity)?;
@@ -84,7 +85,7 @@ mod tests {
     type Field = fn(&mut Observation<2>) -> &mut Axes<2>;
 
     #[test]
-    fn numbers_within_their_bounds_pass_and_all_others_are_named() {
+    fn values_within_bounds_pass_and_others_are_named() {
         let good = Observation::<2>::exact(Axes::zeros(), Axes::zeros(), Axes::zeros());
         assert_eq!((good.check(), good.passes()), (Ok(()), true));
         let fields: [(Signal, Field); 4] = [
@@ -106,7 +107,7 @@ mod tests {
                     let mut seen = good;
                     field(&mut seen)[axis] = value;
                     assert_eq!((seen.passes(), seen.check().is_ok()), (passes, passes), "{seen:?}");
-                    // Two that are wrong are no better than one.
+                    // A second invalid value changes nothing.
                     field(&mut seen)[1 - axis] = value;
                     assert_eq!((seen.passes(), seen.check().is_ok()), (passes, passes), "{seen:?}");
                 }

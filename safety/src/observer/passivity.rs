@@ -5,13 +5,13 @@ use crate::{
     lanes::{option, pack},
 };
 
-/// PO: energy that has flowed from the hand's side into what renders the force, since the start.
+/// PO: energy that has flowed from the hand into the source of the force since the start.
 ///
 /// `E(n) = - sum_{k<n} F_device(k)·(x(k+1) - x(k))`
 ///
-/// The force is held over a tick, so force times displacement is the exact work, whatever the velocity does in
-/// between; F V dT is not. The sign: `F_device` pushes the device along +x, so the environment takes in `-F·dx`.
-/// Negative: the environment has given out more than it took, it is active.
+/// The force is constant over a tick, so force times displacement is the exact work for any velocity within the tick.
+/// `F V dT` is not exact. Sign: `F_device` pushes the device along +x, so the environment takes in `-F·dx`. A
+/// negative value means an active environment, which has given out more energy than it took in.
 ///
 /// Source: Hannaford and Ryu 2002, Eq. 5, with the exact sampled energy of Stramigioli et al. 2005.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,11 +21,11 @@ pub struct PassivityObserver<const N: usize, S = f64> {
 }
 
 impl<const N: usize> PassivityObserver<N> {
-    /// What it is called.
+    /// Name, title and source.
     pub const ABOUT: About =
         About { name: "po", title: "passivity", source: "Hannaford and Ryu 2002, Eq. 5" };
 
-    /// An observer without past.
+    /// Create an observer without past.
     pub fn new() -> Self {
         Self::default()
     }
@@ -38,7 +38,7 @@ impl<const N: usize, S: Real> Default for PassivityObserver<N, S> {
 }
 
 impl<const N: usize, S: Real> PassivityObserver<N, S> {
-    /// As many observers as there are lanes, all before their first position or all after it; else None.
+    /// Gather one observer per lane, all before their first position or all after it; else return None.
     pub fn gather(of: &[&PassivityObserver<N>]) -> Option<Self> {
         Some(Self {
             energy_j: pack(of, |one| one.energy_j)?,
@@ -46,7 +46,7 @@ impl<const N: usize, S: Real> PassivityObserver<N, S> {
         })
     }
 
-    /// E in J at position x(n) in m; `held_force` in N is what was exerted since the last position.
+    /// Return E in J at position x(n) in m; `held_force` in N acted since the last position.
     #[inline]
     pub fn step(&mut self, position: &Axes<N, S>, held_force: &Axes<N, S>) -> S {
         if let Some(last) = self.position {
@@ -56,7 +56,7 @@ impl<const N: usize, S: Real> PassivityObserver<N, S> {
         self.energy_j
     }
 
-    /// Clears all energy.
+    /// Clear all energy.
     pub fn reset(&mut self) {
         *self = Self::default();
     }
@@ -69,7 +69,7 @@ mod tests {
 
     use super::*;
 
-    /// A sampled spring wall gives out more than it takes: by Colgate's K T / 2 it acts as negative damping.
+    /// A sampled spring wall gives out more than it takes in: by Colgate's K T / 2 it acts as negative damping.
     #[test]
     fn sees_the_energy_leak_of_a_sampled_wall() {
         let (stiffness, period) = (200.0, 1e-3);
@@ -81,14 +81,14 @@ mod tests {
             energy = observer.step(&Axes::<1>::new(depth(n)), &held);
             held = Axes::<1>::new(-stiffness * depth(n));
         }
-        // Force lags by half a tick on average: leak = K T/2 * integral of v^2 dt over one cycle of 1 s.
+        // The force lags by half a tick on average: leak = K T/2 * integral of v^2 dt over one cycle of 1 s.
         let v = 0.02 * std::f64::consts::TAU;
         let leak = stiffness * period / 2.0 * v * v / 2.0;
         assert!((energy + leak).abs() < 0.01 * leak, "{energy} against -{leak}");
     }
 
     #[test]
-    fn lanes_go_on_from_what_each_has_seen() {
+    fn lanes_continue_from_their_own_past() {
         let mut one = [1.0, -3.0, 0.5, 2.0].map(|force| {
             let mut observer = PassivityObserver::<1>::new();
             for x in [0.0, 0.1] {
@@ -107,12 +107,12 @@ mod tests {
         one[2].reset();
         assert!(
             PassivityObserver::<1, AutoF64x4>::gather(&one.each_ref()).is_none(),
-            "one without a position yet"
+            "one observer has no position yet"
         );
     }
 
     #[test]
-    fn a_reset_forgets_energy_and_position() {
+    fn reset_clears_energy_and_position() {
         let mut observer = PassivityObserver::<1>::new();
         let held = Axes::<1>::new(2.0);
         for x in [0.0, 0.1] {
@@ -120,7 +120,7 @@ mod tests {
         }
         assert_eq!(observer.step(&Axes::<1>::new(0.2), &held), -0.4);
         observer.reset();
-        assert_eq!(observer.step(&Axes::<1>::new(5.0), &held), 0.0, "a first position is no motion");
+        assert_eq!(observer.step(&Axes::<1>::new(5.0), &held), 0.0, "a first position is not a motion");
         assert_eq!(observer.step(&Axes::<1>::new(4.5), &held), 1.0);
     }
 }

@@ -10,7 +10,7 @@ use crate::{
 ///
 /// `E_so(n) = dT sum_{i=1..n} F_h(i)·V(i) - V(n)' M V(n) / (2 eta)`
 ///
-/// It keeps all energy, so a long press hides a later ejection; the windowed observer exists for that.
+/// SO keeps all energy, so a long press hides a later ejection. The windowed observer avoids this.
 ///
 /// Source: paper Eq. 9.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,10 +23,10 @@ pub struct SafetyObserver<const N: usize, S = f64> {
 }
 
 impl<const N: usize> SafetyObserver<N> {
-    /// What it is called.
+    /// Name, title and source.
     pub const ABOUT: About = About { name: "so", title: "energy of the hand", source: "paper Eq. 9" };
 
-    /// Period dT in s (> 0), energy ratio eta in (0, 1].
+    /// Create an observer with period dT in s (> 0) and energy ratio eta in (0, 1].
     pub fn new(device: DeviceModel<N>, period_s: f64, energy_ratio: f64) -> Result<Self, ParameterError> {
         Ok(Self {
             device,
@@ -38,7 +38,7 @@ impl<const N: usize> SafetyObserver<N> {
 }
 
 impl<const N: usize, S: Real> SafetyObserver<N, S> {
-    /// As many observers as there are lanes, all of one period; else None.
+    /// Gather one observer per lane, all of one period; else return None.
     pub fn gather(of: &[&SafetyObserver<N>]) -> Option<Self> {
         Some(Self {
             device: part(of, |one| &one.device, DeviceModel::gather)?,
@@ -51,20 +51,20 @@ impl<const N: usize, S: Real> SafetyObserver<N, S> {
         })
     }
 
-    /// `E_so` in J after this tick.
+    /// Add this tick and return `E_so` in J.
     #[inline(always)]
     pub fn step(&mut self, seen: &Observation<N, S>) -> S {
         self.hand_energy_j.add(S::splat(self.period_s) * seen.grasp_force.dot(&seen.velocity));
         self.hand_energy_j.total() - self.device.kinetic_energy_j(&seen.velocity) * self.per_ratio
     }
 
-    /// Clears all energy.
+    /// Clear all energy.
     pub fn reset(&mut self) {
         self.hand_energy_j = CompensatedSum::default();
     }
 }
 
-/// A sum that carries its rounding error along: SO adds for hours at 1 kHz.
+/// Sum with a carried rounding error, since SO adds for hours at 1 kHz.
 ///
 /// Source: Neumaier, Z. Angew. Math. Mech. 54 (1974).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -104,7 +104,7 @@ mod tests {
     use crate::Axes;
 
     #[test]
-    fn equals_the_sum_it_is_defined_by() {
+    fn equals_its_defining_sum() {
         let device = DeviceModel::<1>::uniform(0.157, 0.0, 0.0).unwrap();
         let mut observer = SafetyObserver::new(device, 1e-3, 0.5).unwrap();
         let mut sum = 0.0;
@@ -119,15 +119,15 @@ mod tests {
     }
 
     #[test]
-    fn a_year_of_small_terms_is_not_lost() {
+    fn small_terms_of_a_year_are_kept() {
         let mut sum = CompensatedSum::<f64>::default();
         sum.add(1e9);
         for _ in 0..1_000_000 {
             sum.add(1e-9);
         }
         sum.add(-1e9);
-        // A plain sum would give 0: 1e-9 is below half an ulp of 1e9.
-        // 1e6 additions to the carried part, each rounded by at most half an ulp of 1e-3.
+        // A plain sum would give 0, since 1e-9 is below half an ulp of 1e9. Each of the 1e6 additions to the carried
+        // part rounds by at most half an ulp of 1e-3.
         assert!((sum.total() - 1e-3).abs() < 2e-13);
     }
 }

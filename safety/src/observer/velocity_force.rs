@@ -6,7 +6,7 @@ use crate::{
     parameter::positive,
 };
 
-/// How velocity and force are held against their thresholds.
+/// Form of the comparison of velocity and force with their thresholds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(
     feature = "serde",
@@ -14,15 +14,17 @@ use crate::{
     serde(rename_all = "kebab-case")
 )]
 pub enum VelocityForceForm {
-    /// `S_vf = V·F_v / (V_t F_t)`: Eq. 1 as printed. A large force trips it well below `V_t`.
+    /// `S_vf = V·F_v / (V_t F_t)`: Eq. 1 as printed. A large force trips it far below `V_t`.
     #[default]
     Product,
-    /// `S_vf = min(V/V_t, |F_v|/F_t)` with V the speed along `F_v`: what the paper's text says ("larger than the
-    /// thresholds at the same time") and what its Fig. 8 shows (tripped at `V_t`).
+    /// `S_vf = min(V/V_t, |F_v|/F_t)`, with V the speed along `F_v`.
+    ///
+    /// This follows the paper's text ("larger than the thresholds at the same time") and its Fig. 8 (tripped at
+    /// `V_t`).
     Both,
 }
 
-/// VFO: the device pushes the hand, and the hand moves along with the push.
+/// VFO: large while the device pushes the hand and the hand moves along with the push.
 ///
 /// Source: paper Eq. 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,10 +35,10 @@ pub struct VelocityForceObserver<S = f64> {
 }
 
 impl VelocityForceObserver {
-    /// What it is called.
+    /// Name, title and source.
     pub const ABOUT: About = About { name: "vfo", title: "velocity and force", source: "paper Eq. 1" };
 
-    /// Thresholds `V_t` in m/s and `F_t` in N, both > 0.
+    /// Create an observer with thresholds `V_t` in m/s and `F_t` in N, both > 0.
     pub fn new(
         velocity_threshold: f64,
         force_threshold_n: f64,
@@ -51,7 +53,7 @@ impl VelocityForceObserver {
 }
 
 impl<S: Real> VelocityForceObserver<S> {
-    /// As many observers as there are lanes, all of one form; else None.
+    /// Gather one observer per lane, all of one form; else return None.
     pub fn gather(of: &[&VelocityForceObserver]) -> Option<Self> {
         Some(Self {
             velocity_threshold: pack(of, |one| one.velocity_threshold)?,
@@ -60,7 +62,7 @@ impl<S: Real> VelocityForceObserver<S> {
         })
     }
 
-    /// `S_vf`, without unit; above 1 is unsafe. Negative while the hand pushes against the force.
+    /// Compute `S_vf`, without unit. Above 1 is unsafe; it is negative while the hand pushes against the force.
     #[inline(always)]
     pub fn observe<const N: usize>(&self, seen: &Observation<N, S>) -> S {
         let power = seen.velocity.dot(&seen.rendered_force);
@@ -103,7 +105,7 @@ mod tests {
             assert!((product.observe(&seen(v, f)) - as_printed).abs() < 1e-12, "{v} {f}");
             assert!((both.observe(&seen(v, f)) - as_described).abs() < 1e-12, "{v} {f}");
         }
-        // Another V_t and F_t: P = 0.9 W against 0.3 m/s and 2 N.
+        // Other thresholds: P = 0.9 W against 0.3 m/s and 2 N.
         let observed = |form| VelocityForceObserver::new(0.3, 2.0, form).unwrap().observe(&seen(0.6, 1.5));
         assert!((observed(VelocityForceForm::Product) - 1.5).abs() < 1e-12);
         assert!((observed(VelocityForceForm::Both) - 0.75).abs() < 1e-12);

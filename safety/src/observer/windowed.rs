@@ -6,15 +6,15 @@ use crate::{
     parameter::{positive, ratio, whole},
 };
 
-/// WSO: the safety observer over the last w ticks only, so that energy from long ago hides nothing.
+/// WSO: the safety observer over the last w ticks only, so that old energy hides nothing.
 ///
 /// `E_wso(n) = dT sum_{i=max(1, n-w+1)..n} F_h(i)·V(i) - V(n)' M V(n) / (2 eta)`
 ///
-/// Each tick costs one addition and one subtraction, whatever w. A running sum alone would keep the rounding of
-/// every large sample that ever passed through; this one is replaced once per pass over the ring by a sum that was
-/// built up afresh during that pass, so an error lives for at most one window after its cause has left.
+/// Each tick costs one addition and one subtraction for any w. A plain running sum would keep the rounding error of
+/// every large sample. Here, each pass over the ring also builds a fresh sum, which replaces the running sum at its
+/// end. A rounding error therefore lasts at most one window after its sample has left.
 ///
-/// Source: paper Eq. 11, both branches: an empty ring holds zeros, which is the branch n < w.
+/// Source: paper Eq. 11, both branches: an empty ring holds zeros, which gives the branch n < w.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WindowedSafetyObserver<const N: usize, S = f64> {
     device: DeviceModel<N, S>,
@@ -25,19 +25,20 @@ pub struct WindowedSafetyObserver<const N: usize, S = f64> {
     next: usize,
     /// Sum over the ring.
     running: S,
-    /// Sum over what this pass has written so far: becomes `running` when the pass ends.
+    /// Sum over the values that this pass has written; it becomes `running` at the end of the pass.
     fresh: S,
 }
 
 impl<const N: usize> WindowedSafetyObserver<N> {
-    /// What it is called.
+    /// Name, title and source.
     pub const ABOUT: About =
         About { name: "wso", title: "energy of the hand in a window", source: "paper Eq. 11" };
 
     /// Longest window: an hour at 1 kHz.
     pub const MAX_WINDOW: usize = 3_600_000;
 
-    /// Period dT in s (> 0), energy ratio eta in (0, 1], window w in ticks (1 to [`Self::MAX_WINDOW`]).
+    /// Create an observer with period dT in s (> 0), energy ratio eta in (0, 1] and window w in ticks (1 to
+    /// [`Self::MAX_WINDOW`]).
     pub fn new(
         device: DeviceModel<N>,
         period_s: f64,
@@ -58,15 +59,14 @@ impl<const N: usize> WindowedSafetyObserver<N> {
 }
 
 impl<const N: usize, S: Real> WindowedSafetyObserver<N, S> {
-    /// As many observers as there are lanes, all of one period and one window and at the same place of their ring;
-    /// else None.
+    /// Gather one observer per lane, all of one period, one window and one ring position; else return None.
     pub fn gather(of: &[&WindowedSafetyObserver<N>]) -> Option<Self> {
         let window = shared(of, |one| one.power.len())?;
         if of.len() != S::LANES {
             return None;
         }
         let mut power = vec![S::splat(0.0); window].into_boxed_slice();
-        // One ring after the other: for windows that fit into a cache, as nearly all do, the quickest order.
+        // Copy one ring after the other, the fastest order while a window fits into a cache.
         for (lane, one) in of.iter().enumerate() {
             for (lanes, watts) in power.iter_mut().zip(&one.power) {
                 lanes.replace(lane, *watts);
@@ -83,7 +83,7 @@ impl<const N: usize, S: Real> WindowedSafetyObserver<N, S> {
         })
     }
 
-    /// `E_wso` in J after this tick.
+    /// Add this tick and return `E_wso` in J.
     #[inline(always)]
     pub fn step(&mut self, seen: &Observation<N, S>) -> S {
         let power = seen.grasp_force.dot(&seen.velocity);
@@ -104,7 +104,7 @@ impl<const N: usize, S: Real> WindowedSafetyObserver<N, S> {
         }
     }
 
-    /// Clears all energy.
+    /// Clear all energy.
     pub fn reset(&mut self) {
         let nothing = S::splat(0.0);
         self.power.fill(nothing);
@@ -147,9 +147,9 @@ mod tests {
         }
     }
 
-    /// Observers that are gathered amid their windows go on, to the bit, as each by itself.
+    /// Gathered observers with partly filled windows continue bit for bit like the single ones.
     #[test]
-    fn what_each_window_holds_is_gathered() {
+    fn gather_keeps_the_windows() {
         let speed = |lane: usize| [0.1, -0.2, 0.3, -0.4][lane];
         let mut alone = [7; 4].map(observer);
         for tick in 0..10 {
@@ -171,7 +171,7 @@ mod tests {
         assert!(WindowedSafetyObserver::<1, AutoF64x4>::gather(&alone.each_ref()[..3]).is_none());
     }
 
-    /// `SplitMix64` as noise: the test needs 1e8 draws quickly.
+    /// Noise from `SplitMix64`, since the test needs 1e8 draws quickly.
     fn noise(state: &mut u64) -> f64 {
         *state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let z = (*state ^ (*state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -195,7 +195,7 @@ mod tests {
             observer.push(power);
             raw += power - raw_ring[n % WINDOW];
             raw_ring[n % WINDOW] = power;
-            // The spike leaves the ring after WINDOW ticks; one further window is allowed.
+            // The spike leaves the ring after WINDOW ticks; the test allows one more window.
             if n % SPIKE_EVERY == 2 * WINDOW {
                 let sum: f64 = observer.power.iter().sum();
                 worst = worst.max(1e-3 * (observer.running - sum).abs());
@@ -203,6 +203,6 @@ mod tests {
         }
         assert!(worst < 1e-11, "{worst:e} J");
         let sum: f64 = raw_ring.iter().sum();
-        assert!(1e-3 * (raw - sum).abs() > 1e-11, "the plain sum would have done");
+        assert!(1e-3 * (raw - sum).abs() > 1e-11, "a plain sum must drift, or the test shows nothing");
     }
 }

@@ -1,4 +1,4 @@
-//! Outliers, changes of velocity, steps: of points, joints and rotations, of any size, for any time.
+//! Outliers, changes of velocity and steps of points, joints and rotations.
 
 use proptest::prelude::*;
 
@@ -16,7 +16,7 @@ fn at(x: f64) -> Sample<1> {
     Sample::point(&Axes::<1>::new(x), None)
 }
 
-/// What stands for each of some positions, one a tick; and the speed at which it ended, if it did.
+/// Pass positions, one per tick; return the accepted or predicted positions and the excess that ended the run.
 fn taken(guard: &mut Guard<1>, positions: impl IntoIterator<Item = f64>) -> (Vec<f64>, Option<Excess>) {
     let mut all = Vec::new();
     for x in positions {
@@ -32,13 +32,14 @@ fn rounded(x: f64, quantum: f64) -> f64 {
     if quantum > 0.0 { (x / quantum).round() * quantum } else { x }
 }
 
-/// Hands that rest, move, press and are pushed: position in m over time in s.
+/// Draw velocity in m/s, acceleration in m/s² and tremor amplitude in m of a hand that rests, moves, presses or is
+/// pushed.
 fn motions() -> impl Strategy<Value = (f64, f64, f64)> {
     (-2.0..2.0f64, -35.0..35.0f64, 0.0..0.001f64)
 }
 
 proptest! {
-    /// Up to 3 wrong samples of any size and sign, at any place of a motion: the path goes on.
+    /// Up to 3 wrong samples of any size and sign, at any time of a motion, do not interrupt the path.
     #[test]
     fn outliers_are_replaced_and_counted(
         (v, a, tremor) in motions(),
@@ -63,7 +64,7 @@ proptest! {
         prop_assert_eq!(guard.outliers(), run as u64);
         for (n, x) in all.into_iter().enumerate() {
             if (from..from + run).contains(&n) {
-                // a k^2 / 2 and rounding, k = 3.
+                // Acceleration and rounding: a k^2 / 2 with k = 3.
                 prop_assert!((x - true_x(n)).abs() < 3.5e-4 + 4.0 * quantum, "{n}: {x} {}", true_x(n));
             } else {
                 prop_assert_eq!(x.to_bits(), measured(n).to_bits(), "{}", n);
@@ -71,9 +72,9 @@ proptest! {
         }
     }
 
-    /// A wrong sample that is too near to be seen passes, and leads nothing after it astray.
+    /// A wrong sample within the bound passes and does not disturb later samples.
     #[test]
-    fn what_is_too_near_to_be_seen_passes_alone(
+    fn wrong_sample_within_the_bound_passes(
         (v, a, _) in motions(),
         size in -0.0005..0.0005f64,
         quantum in prop::sample::select(vec![0.0, QUANTUM]),
@@ -90,10 +91,11 @@ proptest! {
         }
     }
 
-    /// A stop, a blow or a bounce at any instant of a tick: never a fault, and the truth from the fourth tick on. A wrong sample
-    /// among those that follow does not matter.
+    /// A stop, a blow or a bounce at any instant of a tick is never a fault, and is accepted from the fourth tick on.
+    ///
+    /// A wrong sample among the following ones does not matter.
     #[test]
-    fn a_change_of_velocity_that_stays_is_taken(
+    fn lasting_change_of_velocity_is_accepted(
         before in -9.0..9.0f64,
         after in -9.0..9.0f64,
         instant in 0.0..1.0f64,
@@ -117,9 +119,9 @@ proptest! {
         }
     }
 
-    /// A step beyond the bound of the device that stays is a fault at the fourth tick, with value and bound.
+    /// A lasting step beyond the speed bound is a fault at the fourth tick, with value and bound.
     #[test]
-    fn a_step_is_a_fault(
+    fn step_is_a_fault(
         v in -1.0..1.0f64,
         size in 0.023..5.0f64,
         up in any::<bool>(),
@@ -139,9 +141,9 @@ proptest! {
         prop_assert!((excess.seen * PERIOD - size).abs() < 1.1e-3, "{excess}");
     }
 
-    /// A device that measures its velocity: either may be wrong, or both.
+    /// A wrong measured velocity is an outlier, with or without a wrong position.
     #[test]
-    fn a_wrong_velocity_is_an_outlier(
+    fn wrong_velocity_is_an_outlier(
         v in -2.0..2.0f64,
         wrong_v in 0.6..40.0f64,
         wrong_x in prop::option::of(0.0008..0.5f64),
@@ -160,9 +162,9 @@ proptest! {
         prop_assert!(guard.outliers() == run as u64);
     }
 
-    /// Rotations about any axis: outliers, stops and steps.
+    /// Rotations about any axis have outliers, stops and steps as points have.
     #[test]
-    fn rotations_have_the_same_rule(
+    fn rotations_follow_the_same_rule(
         axis in prop::array::uniform3(-1.0..1.0f64),
         w in -20.0..20.0f64,
         size in 0.02..3.0f64,
@@ -207,11 +209,11 @@ proptest! {
     }
 }
 
-/// Each joint is held against the bounds by itself.
+/// Each joint must meet the bounds separately.
 #[test]
-fn joints_are_held_by_themselves() {
+fn joints_are_checked_separately() {
     let mut guard = Guard::<6>::new(SampleBounds::JOINTS, SampleBounds::UNBOUNDED, PERIOD);
-    // 6 joints of 3 rad/s within a tick: 7.3 mrad together, 3 each.
+    // 6 joints at 3 rad/s: 3 mrad each per tick, 7.3 mrad together.
     for n in 0..20 {
         let joints = Axes::<6>::repeat(if n < 10 { 0.0 } else { 3e-3 * f64::from(n - 9) });
         assert_eq!(guard.pass(&Sample::point(&joints, None), 1.0), Ok(()));
@@ -223,15 +225,15 @@ fn joints_are_held_by_themselves() {
     assert!(guard.holds() && (guard.taken().position[4] - wrong[4] + 0.007).abs() < 1e-12);
 }
 
-/// A sensor at half or a quarter of the rate of the loop: its samples repeat, and none is an outlier.
+/// A sensor at half to a quarter of the loop rate repeats its samples; none is an outlier.
 #[test]
-fn a_device_that_samples_more_slowly_than_the_loop_has_no_outliers() {
+fn slower_sensor_has_no_outliers() {
     for every in [2, 3, 4] {
         for v in [0.1, 0.4, 1.0, 3.0] {
             let mut guard = guard(QUANTUM);
             let x = |n: usize| {
                 let t = (n - n % every) as f64 * PERIOD;
-                // Within 0.2 s to its speed.
+                // Constant acceleration to the speed v within 0.2 s.
                 rounded(v * if t < 0.2 { t * t / 0.4 } else { t - 0.1 }, QUANTUM)
             };
             let (all, ended) = taken(&mut guard, (0..400).map(x));
@@ -244,9 +246,9 @@ fn a_device_that_samples_more_slowly_than_the_loop_has_no_outliers() {
     }
 }
 
-/// A step within the bound is no motion: what comes after it lies on the same path, elsewhere.
+/// A step within the bound is not a motion: later samples lie on the same path with an offset.
 #[test]
-fn a_step_within_the_bound_moves_the_origin() {
+fn step_within_the_bound_moves_the_origin() {
     let mut guard = guard(0.0);
     let x = |n: i32| 1e-4 * f64::from(n) + if n < 50 { 0.0 } else { 0.012 };
     let mut shifts = Vec::new();
@@ -259,7 +261,7 @@ fn a_step_within_the_bound_moves_the_origin() {
 }
 
 #[test]
-fn a_message_states_value_and_limit() {
+fn message_states_value_and_limit() {
     let mut guard = guard(0.0);
     let (_, excess) = taken(&mut guard, (0..20).map(|n| if n < 10 { 0.0 } else { 0.5 }));
     assert_eq!(

@@ -1,4 +1,4 @@
-//! A rotation under the layer: spins, tops, principal axes, frames, numbers that cannot be.
+//! Test of the rotation layer: spins, tops, principal axes, frames, invalid values.
 
 use std::f64::consts::{PI, TAU};
 
@@ -22,7 +22,7 @@ const KINDS: [EstimatorKind; 5] = [
     EstimatorKind::AdaptiveWindow { noise_bound_m: QUANTUM, max_window: 16, fit: Fit::End },
 ];
 
-/// HSC makes the layer estimate the grasp torque; a threshold out of reach keeps it from acting.
+/// HSC makes the layer estimate the grasp torque; an unreachable threshold keeps it from acting.
 fn watching(inertia: [f64; 3], estimator: EstimatorKind) -> RotationSettings {
     let safety = SafetySettings {
         controllers: [ControllerKind::Hsc].into(),
@@ -51,7 +51,7 @@ fn negated(of: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
 }
 
 #[test]
-fn a_spin_of_a_hundred_turns_is_as_exact_as_its_first() {
+fn spin_is_as_exact_after_a_hundred_turns_as_after_one() {
     let (axis, speed) = (Axes::<3>::new(2.0, -1.0, 2.0) / 3.0, 30.0);
     let (step, torque) =
         (UnitQuaternion::from_scaled_axis(axis * speed * PERIOD), Axes::<3>::new(0.1, -0.2, 0.3));
@@ -68,7 +68,8 @@ fn a_spin_of_a_hundred_turns_is_as_exact_as_its_first() {
             let seen = |tick: SafetyTick<3>| (tick.motion, tick.grasp_force, tick.device_force, tick.fault);
             assert_eq!(seen(flipped.tick(&sign, None, &torque)), seen(tick), "{kind:?} {n}");
             if n > 700.0 {
-                // A sample and the sum are wrong by some 2e-15 rad; no estimator weighs them more than differences do.
+                // A sample and the sum are wrong by about 2e-15 rad; no estimator weights them more than differences
+                // do.
                 let apart = (tick.motion.velocity - axis * speed).norm();
                 assert!(apart < 4e-15 / PERIOD, "{kind:?} {n}: {apart}");
                 assert!(tick.motion.acceleration.norm() < 1.2e-14 / (PERIOD * PERIOD), "{kind:?} {n}");
@@ -80,27 +81,28 @@ fn a_spin_of_a_hundred_turns_is_as_exact_as_its_first() {
     }
 }
 
-/// A free symmetric top: R = `exp(L t / I_1) exp(-l e_3 t)`, `l = (I_3 - I_1) w_3 / I_1`; nobody holds it.
+/// A free symmetric top, R = `exp(L t / I_1) exp(-l e_3 t)` with `l = (I_3 - I_1) w_3 / I_1`, shows no hand torque.
 ///
 /// Source: Goldstein, Poole and Safko 2002, section 5.6.
 #[test]
-fn nobody_holds_a_free_top() {
+fn free_top_shows_no_hand() {
     let (inertia, w_t, w_3) = ([1e-4, 1e-4, 3e-4], 4.0, 9.0);
     let rate: f64 = (inertia[2] - inertia[0]) / inertia[0] * w_3;
     let spin = Axes::<3>::new(w_t, 0.0, inertia[2] / inertia[0] * w_3);
     let gyroscopic = (inertia[2] - inertia[0]) * w_3 * w_t;
     let speed = w_t.hypot(w_3);
-    // Means over a tick or two, of a and of w in w x I w, and the Magnus term of the increments: each some (rate T)^2 / 12.
+    // Means over one or two ticks of a and of w in w x I w, and the Magnus term of the increments: each about (rate
+    // T)^2 / 12.
     let of_ticks = PERIOD * PERIOD * rate * (rate + speed) / 4.0;
     let bandwidth = (12.0 * 10.0 / (QUANTUM * QUANTUM * PERIOD)).powf(1.0 / 6.0);
     for (estimator, tolerance) in [
         (None, of_ticks),
         (Some(KINDS[0]), of_ticks),
-        // V and A are late by the same filter.
+        // V and A lag by the same filter.
         (Some(KINDS[1]), of_ticks),
-        // The slope of a parabola at the end of a window W errs by x''' W² / 20 (here with a margin of 2).
+        // The slope of a parabola at the end of a window W is wrong by x''' W² / 20; the limit has a margin of 2.
         (Some(KINDS[2]), (rate * 15.0 * PERIOD).powi(2) / 10.0),
-        // The error of V in the filter's Butterworth form, 2 (rate / omega)²; sampling adds half of it.
+        // The error of V in the filter's Butterworth form is 2 (rate / omega)²; sampling adds half of it.
         (Some(KINDS[3]), 3.0 * (rate / bandwidth).powi(2)),
     ] {
         let settings = watching(inertia, estimator.unwrap_or(KINDS[0]));
@@ -116,20 +118,20 @@ fn nobody_holds_a_free_top() {
             let seen = layer.tick(&orientation, estimator.is_none().then_some(&w), &Axes::zeros());
             if n > 700 {
                 most = most.max(seen.grasp_force.norm());
-                // Without the gyroscopic torque a hand would seem to turn the top.
+                // Without the gyroscopic torque, a hand would seem to turn the top.
                 let alone = seen.grasp_force - orientation * settings.device.gyroscopic_torque(&body);
                 assert!(alone.norm() > 0.9 * gyroscopic);
             }
         }
-        // Rounding of a second difference, I 4 * 4e-15 / dT².
+        // Rounding of a second difference: I 4 * 4e-15 / dT².
         let rounding = 3e-4 * 1.6e-14 / (PERIOD * PERIOD);
         assert!(most < tolerance * gyroscopic + rounding, "{estimator:?}: {most} {}", tolerance * gyroscopic);
     }
 }
 
-/// What differs from a point is `w x I w` and the frame, of which neither acts about one principal axis.
+/// About one principal axis the rotation equals a point: `w x I w` is zero and the frame has no effect.
 #[test]
-fn about_a_principal_axis_it_is_the_layer_of_a_point() {
+fn rotation_about_a_principal_axis_equals_a_point() {
     let inertia = Axes::<3>::new(2e-4, 3e-4, 4e-4);
     let (viscous, coulomb) = (1e-4, 2e-3);
     let safety = SafetySettings {
@@ -165,18 +167,18 @@ fn about_a_principal_axis_it_is_the_layer_of_a_point() {
                 let measured = measures.then_some(&w);
                 let (turned, moved) =
                     (rotation.tick(&orientation, measured, &torque), point.tick(&at, measured, &torque));
-                // NaN stands for what is not observed; all are.
+                // NaN would mark a value that is not observed; here all are observed.
                 assert_eq!(turned, moved, "{kind:?} {axis} {n}");
                 trips += u32::from(moved.intervention.tripped.any());
             }
-            assert!((50..1450).contains(&trips), "else the test shows little: {trips}");
+            assert!((50..1450).contains(&trips), "trips must come and go, or the test shows little: {trips}");
         }
     }
 }
 
-/// A torque that stands still in the base frame does not grow because the body turns below it.
+/// A torque that is constant in the base frame does not grow as the body turns.
 #[test]
-fn a_held_torque_stands_in_the_base_frame() {
+fn held_torque_is_constant_in_the_base_frame() {
     let limiter = LimiterSettings { max_slew_n_per_s: 10.0, ramp_in_s: 0.0, ..LimiterSettings::default() };
     let mut settings = RotationSettings { limiter, ..watching([2e-4; 3], KINDS[0]) };
     settings.safety.controllers = Controllers::NONE;
@@ -192,9 +194,9 @@ fn a_held_torque_stands_in_the_base_frame() {
     }
 }
 
-/// A hand holds a handle that turns against a torque of the base frame: what it is seen to exert is that torque.
+/// A hand that turns a handle against a torque of the base frame is seen to exert that torque.
 #[test]
-fn a_hand_that_holds_a_turning_handle_is_seen() {
+fn hand_on_a_turning_handle_is_seen() {
     for estimator in [None, Some(KINDS[0]), Some(KINDS[3])] {
         let mut layer = RotationLayer::new(&watching([2e-4; 3], estimator.unwrap_or(KINDS[0]))).unwrap();
         let (torque, w) = (Axes::<3>::new(0.2, 0.1, -0.1), Axes::<3>::new(3.0, 4.0, 0.0));
@@ -202,7 +204,8 @@ fn a_hand_that_holds_a_turning_handle_is_seen() {
             let orientation = UnitQuaternion::from_scaled_axis(w * (f64::from(n) * PERIOD));
             let tick = layer.tick(&orientation, estimator.is_none().then_some(&w), &torque);
             if n > 700 {
-                // The torque of the middle of the last tick, of the last two, or as late as a kernel of 8 ms.
+                // The torque at the middle of the last tick, the mean of the last two, or with the lag of a kernel of
+                // 8 ms.
                 let ago = |ticks: f64| UnitQuaternion::from_scaled_axis(w * (ticks * PERIOD)) * torque;
                 let (expected, tolerance) = match estimator {
                     None => (ago(0.5), 1e-12),
@@ -217,7 +220,7 @@ fn a_hand_that_holds_a_turning_handle_is_seen() {
 }
 
 #[test]
-fn a_full_turn_and_a_half_are_no_event() {
+fn full_and_half_turns_have_no_effect() {
     let safety = SafetySettings {
         controllers: ControllerKind::ALL.into_iter().collect(),
         ..SafetySettings::default().at_lever(0.05)
@@ -228,7 +231,7 @@ fn a_full_turn_and_a_half_are_no_event() {
         let speed = 2.0 * PI;
         for n in 0..4000 {
             let t = f64::from(n) * PERIOD;
-            // From rest; an angle of -pi to pi, as a driver may give it.
+            // The rotation starts from rest; angles are within -pi and pi, as a driver may give them.
             let angle = if t < 1.0 { speed * t * t * t * (1.0 - t / 2.0) } else { speed * (t - 0.5) };
             let orientation = about(1, angle - TAU * (angle / TAU).round());
             let tick = layer.tick(&orientation, None, &Axes::zeros());
@@ -239,7 +242,7 @@ fn a_full_turn_and_a_half_are_no_event() {
 }
 
 #[test]
-fn bad_numbers_are_refused_in_the_same_tick_and_stay_stopped() {
+fn invalid_values_stop_the_layer_in_the_same_tick() {
     let good = about(0, 0.1);
     let quaternion = |w, i, j, k| UnitQuaternion::new_unchecked(Quaternion::new(w, i, j, k));
     let none = Axes::<3>::zeros();
@@ -286,9 +289,9 @@ fn bad_numbers_are_refused_in_the_same_tick_and_stay_stopped() {
 }
 
 #[test]
-fn a_late_loop_does_not_read_several_ticks_as_one() {
+fn late_loop_does_not_read_several_ticks_as_one() {
     let settings = watching([2e-4; 3], KINDS[3]);
-    // The guard would see the gap.
+    // Unbounded, since the guard would detect the gap.
     let mut carried = RotationLayer::new(&settings).unwrap().with_samples(SampleBounds::UNBOUNDED);
     let sample = |n: i32| about(2, 0.01 * f64::from(n));
     let none = Axes::zeros();
@@ -301,12 +304,12 @@ fn a_late_loop_does_not_read_several_ticks_as_one() {
         (1009..1030).map(|n| layer.tick(&sample(n), None, &none).grasp_force.norm()).fold(late, f64::max)
     };
     assert!(worst(&mut carried, 8) < 1e-9);
-    assert!(worst(&mut blind, 0) > 0.1, "else the test shows nothing");
+    assert!(worst(&mut blind, 0) > 0.1, "the missed ticks must matter, or the test shows nothing");
 }
 
-/// A stop is taken after 3 ticks, an outlier and a step are no velocity: as of a point, on SO(3).
+/// On SO(3) as for a point, a stop is accepted after 3 ticks, and an outlier or a step causes no velocity.
 #[test]
-fn samples_off_their_path_are_no_velocity() {
+fn samples_off_the_path_cause_no_velocity() {
     let tilt = UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.4, -0.3, 0.1));
     let wrong = UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.5, 0.2, -0.9));
     let stepped = UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.0, 0.05, 0.0));
@@ -327,7 +330,7 @@ fn samples_off_their_path_are_no_velocity() {
             assert_eq!(one.fault, None);
             assert!((one.device_force - other.device_force).norm() < 1e-9, "{kind} {n}");
             if !(100..104).contains(&n) {
-                // All of the motion is seen from the frame that has stepped.
+                // After the step, all of the motion is expressed in the stepped frame.
                 let frame = if kind == 2 && n >= 104 { stepped } else { UnitQuaternion::identity() };
                 let error = one.motion.velocity - frame * other.motion.velocity;
                 assert!(error.norm() < 1e-6, "{kind} {n}: {error}");
@@ -337,7 +340,7 @@ fn samples_off_their_path_are_no_velocity() {
 }
 
 #[test]
-fn a_reset_leaves_nothing_of_the_past() {
+fn reset_clears_the_past() {
     let mut settings = watching([1e-4, 2e-4, 3e-4], KINDS[3]);
     settings.safety.hsc_force_threshold_n = 1e-2;
     let next = |layer: &mut RotationLayer| {
@@ -350,13 +353,13 @@ fn a_reset_leaves_nothing_of_the_past() {
     };
     let mut fresh = RotationLayer::new(&settings).unwrap();
     let as_new = next(&mut fresh);
-    assert_ne!(next(&mut fresh), as_new, "the past shows");
+    assert_ne!(next(&mut fresh), as_new, "the past must matter");
     fresh.reset(&UnitQuaternion::identity()).unwrap();
     assert_eq!(next(&mut fresh), as_new);
 }
 
 #[test]
-fn refuses_what_is_no_device() {
+fn invalid_devices_are_refused() {
     for (inertia, b, c, name) in [
         ([1e-4, 0.0, 1e-4], 0.0, 0.0, "inertia_kg_m2"),
         ([1e-4, 1e-4, f64::NAN], 0.0, 0.0, "inertia_kg_m2"),
@@ -368,7 +371,7 @@ fn refuses_what_is_no_device() {
     let model = RotationModel::new(Axes::<3>::new(1.0, 2.0, 3.0), 0.5, 0.1).unwrap();
     let motion =
         Motion { velocity: Axes::<3>::new(3.0, 0.0, 4.0), acceleration: Axes::<3>::new(1.0, 1.0, 1.0) };
-    // I a + w x I w + b w + c w / |w| - tau, by hand: w x I w = (0, 4 * 3 - 3 * 12, 0).
+    // I a + w x I w + b w + c w / |w| - tau, computed by hand: w x I w = (0, 4 * 3 - 3 * 12, 0).
     let torque = model.grasp_torque(&motion, &Axes::<3>::new(1.0, 0.0, 0.0));
     assert!((torque - Axes::<3>::new(1.0 + 1.5 + 0.06 - 1.0, 2.0 - 24.0, 3.0 + 2.0 + 0.08)).norm() < 1e-14);
     assert_eq!(model.kinetic_energy_j(&motion.velocity), 0.5 * (9.0 + 48.0));
@@ -377,9 +380,10 @@ fn refuses_what_is_no_device() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
 
-    /// All of it turned by C: R by C R for any body, and the axes of an isotropic body too.
+    /// The result rotates with the base frame, R to C R, for any body; for an isotropic body also with the body
+    /// frame.
     #[test]
-    fn the_frame_does_not_matter(
+    fn frames_do_not_matter(
         by in prop::array::uniform3(-3.0..3.0_f64),
         phase in prop::array::uniform3(0.0..6.0_f64),
         relabels in any::<bool>(),
@@ -412,7 +416,7 @@ proptest! {
                 prop_assert!((by * one - two).norm() < tolerance, "{}: {} {}", n, by * one, two);
             }
             let observed = seen.intervention.observed;
-            // Where rounding may decide, the trip is no matter of the frame.
+            // Near a threshold, rounding decides the trip.
             let is_close = (observed[ControllerKind::Hsc] - 1.5).abs() < 1e-6
                 || (observed[ControllerKind::Wsc] + 0.03).abs() < 1e-9
                 || (seen.rendered_force.norm() - settings.safety.hsc_force_threshold_n).abs() < 1e-9;
@@ -426,9 +430,9 @@ proptest! {
         }
     }
 
-    /// A shift moves no estimate, whatever the estimator remembers.
+    /// A shift of the origin changes no estimate, for any past of the estimator.
     #[test]
-    fn a_shifted_origin_changes_no_estimate(
+    fn shifted_origin_changes_no_estimate(
         steps in prop::collection::vec(-300..300_i32, 60..200),
         at in 1..50_usize,
     ) {
@@ -437,7 +441,7 @@ proptest! {
             let mut moved = fixed.clone();
             let (mut x, mut origin) = (0.0, 0.0);
             for (n, step) in steps.iter().enumerate() {
-                // Binary fractions, of which a shift by 8 loses none.
+                // Binary fractions, so that a shift by 8 is exact.
                 x += f64::from(*step) / 65536.0;
                 if n == at {
                     origin = -REBASE;

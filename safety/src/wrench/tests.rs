@@ -1,4 +1,4 @@
-//! Force and torque on one hand: trips that are shared and trips that are not.
+//! Force and torque on one hand, with and without shared trips.
 
 use nalgebra::Quaternion;
 
@@ -11,7 +11,7 @@ use crate::{
 
 const PERIOD: f64 = 1e-3;
 
-/// VFC trips on a motion, so that each side can be made to trip by its own speed.
+/// VFC trips on velocity, so that the test can trip each side separately.
 fn settings(shares_trips: bool, controllers: Controllers) -> WrenchSettings {
     let safety = SafetySettings {
         controllers,
@@ -49,12 +49,12 @@ fn along_x(value: f64) -> Axes<3> {
     Axes::<3>::new(value, 0.0, 0.0)
 }
 
-/// A layer that takes any sample: here a device says at will that it moves.
+/// Create a layer without sample bounds, since the test sets velocities without matching positions.
 fn unguarded(settings: &WrenchSettings) -> WrenchLayer {
     WrenchLayer::new(settings).unwrap().with_samples(SampleBounds::UNBOUNDED, SampleBounds::UNBOUNDED)
 }
 
-/// At rest in its place, though it says that it moves: what matters is V.
+/// Return a pose at rest with these velocities; only V matters to VFC.
 fn moving(velocity: f64, angular_velocity: f64) -> PoseSample {
     PoseSample {
         position: Axes::zeros(),
@@ -68,7 +68,7 @@ const RESTS: (f64, f64) = (0.0, 0.0);
 const FORCE: f64 = 2.0;
 const TORQUE: f64 = 0.1;
 
-/// Runs these velocities and gives device force and torque, and who tripped.
+/// Run these velocities; return device force, device torque and trips of each tick.
 fn run(layer: &mut WrenchLayer, ticks: &[(f64, f64)]) -> Vec<(f64, f64, [Tripped; 2])> {
     let tick = |(v, w): &(f64, f64)| {
         let tick = layer.tick(&moving(*v, *w), &along_x(FORCE), &along_x(TORQUE));
@@ -79,9 +79,9 @@ fn run(layer: &mut WrenchLayer, ticks: &[(f64, f64)]) -> Vec<(f64, f64, [Tripped
 }
 
 #[test]
-fn a_trip_of_one_acts_on_both_and_fades_in_both() {
+fn shared_trip_acts_and_fades_on_both_sides() {
     let own = Tripped::of(ControllerKind::Vfc);
-    // 16 rad/s is above V_t / r = 12 rad/s; there the power of the torque is 1.6 W.
+    // 16 rad/s is above V_t / r = 12 rad/s; the power of the torque is then 1.6 W.
     for (unsafe_tick, whose) in [((1.0, 0.0), 0), ((0.0, 16.0), 1)] {
         let mut ticks = vec![RESTS; 60];
         ticks[10] = unsafe_tick;
@@ -99,7 +99,7 @@ fn a_trip_of_one_acts_on_both_and_fades_in_both() {
         for (n, (force, torque, tripped)) in both.iter().enumerate().skip(11) {
             let held = if n < 40 { Tripped::HELD } else { Tripped::NONE };
             assert_eq!(*tripped, [held; 2], "{n}");
-            assert!((force / FORCE - torque / TORQUE).abs() < 1e-12, "by one law: {n}");
+            assert!((force / FORCE - torque / TORQUE).abs() < 1e-12, "both follow one law: {n}");
             assert_eq!(*force == FORCE, n >= 40, "{n}");
         }
         let other = |one: &(f64, f64, [Tripped; 2])| if whose == 0 { one.1 / TORQUE } else { one.0 / FORCE };
@@ -108,9 +108,9 @@ fn a_trip_of_one_acts_on_both_and_fades_in_both() {
     }
 }
 
-/// Nothing of one side reaches the other where trips are not shared, or where there are none.
+/// Without shared trips, or without trips, neither side affects the other.
 #[test]
-fn each_is_the_layer_that_it_is_alone() {
+fn each_side_equals_its_own_layer() {
     let all: Controllers = ControllerKind::ALL.into_iter().collect();
     for (shares_trips, controllers) in [(false, all), (true, [ControllerKind::Pc].into())] {
         let settings = settings(shares_trips, controllers);
@@ -137,7 +137,7 @@ fn each_is_the_layer_that_it_is_alone() {
             let one = translation.tick_after(missed, &sample.position, None, &force, 0.7);
             let two = rotation.tick_after(missed, &sample.orientation, None, &torque, 0.7);
             missed = 0;
-            // As text, for NaN stands for what is not observed.
+            // Compared as text, since NaN marks values that are not observed.
             assert_eq!(format!("{:?}", tick.translation), format!("{one:?}"), "{n}");
             assert_eq!(format!("{:?}", tick.rotation), format!("{two:?}"), "{n}");
             acted[0] += u32::from(one.intervention.tripped.any());
@@ -147,15 +147,15 @@ fn each_is_the_layer_that_it_is_alone() {
     }
 }
 
-/// A hand that has been let alone with its torque gets it back: while it is cancelled HSC of the torque sees nobody hold.
+/// A hand gets its torque back after a shared trip, although HSC sees nobody hold while the torque is cancelled.
 #[test]
-fn a_hand_that_holds_ends_a_shared_intervention() {
+fn holding_hand_ends_a_shared_intervention() {
     let mut both = settings(true, [ControllerKind::Hsc].into());
     both.translation.safety.controllers = vfc();
     for safety in [&mut both.translation.safety, &mut both.rotation.safety] {
         (safety.hold_off_s, safety.release_ramp_s) = (0.1, 0.2);
     }
-    // Below it the damping of what fades is more than the torque that is back.
+    // Below this threshold, the damping of the fading intervention exceeds the torque that has returned.
     both.rotation.safety.hsc_force_threshold_n = 0.02;
     both.rotation.limiter.ramp_in_s = 0.5;
     let mut layer = unguarded(&both);
@@ -172,12 +172,12 @@ fn a_hand_that_holds_ends_a_shared_intervention() {
             angle += w * PERIOD / 10.0;
         }
     }
-    assert!(!held[999] && held[1000], "tripped by the other");
-    assert!(!held[2499] && (last - torque).norm() < 1e-9, "and back");
+    assert!(!held[999] && held[1000], "tripped by the other side");
+    assert!(!held[2499] && (last - torque).norm() < 1e-9, "the torque is back");
 }
 
 #[test]
-fn a_fault_of_one_stops_both() {
+fn fault_of_one_side_stops_both() {
     for shares_trips in [true, false] {
         let mut layer = unguarded(&settings(shares_trips, vfc()));
         run(&mut layer, &[RESTS; 10]);
@@ -209,7 +209,7 @@ fn a_fault_of_one_stops_both() {
     }
 }
 
-/// A missed tick counts in both as a tick does: they stay in step.
+/// A missed tick counts on both sides like a normal tick, so that they stay in step.
 #[test]
 fn missed_ticks_hold_off_in_both() {
     let mut layer = unguarded(&settings(true, vfc()));
@@ -225,12 +225,12 @@ fn missed_ticks_hold_off_in_both() {
         layer.reset(&Axes::zeros(), &moving(0.0, 0.0).orientation).unwrap();
         run(&mut layer, &[RESTS; 3]);
         layer.missed(&moving(v, w));
-        assert_eq!(run(&mut layer, &[RESTS])[0].2, [Tripped::HELD; 2], "tripped while it was late");
+        assert_eq!(run(&mut layer, &[RESTS])[0].2, [Tripped::HELD; 2], "tripped at a missed tick");
     }
 }
 
 #[test]
-fn what_acts_together_has_one_time() {
+fn shared_trips_require_equal_times() {
     let good = settings(true, vfc());
     let change = |change: fn(&mut WrenchSettings)| {
         let mut changed = good;

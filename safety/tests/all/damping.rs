@@ -1,4 +1,4 @@
-//! The largest damping that is accepted still brings a device to rest, on an encoder and with every estimator that smooths.
+//! The largest accepted damping still brings a device with an encoder to rest, with every smoothing estimator.
 #![allow(clippy::unwrap_used)] // a test may
 
 use haptether_safety::{
@@ -11,7 +11,7 @@ const PERIOD_S: f64 = 1e-3;
 const MASS: f64 = 0.157;
 const QUANTUM: f64 = 2.3e-5;
 
-/// Largest speed in m/s of a free device during the last half second of two, thrown at 0.6 m/s.
+/// Return the largest speed in m/s in the last half second of two, of a free device thrown at 0.6 m/s.
 fn speed_at_rest(estimator: EstimatorKind, safety: SafetySettings) -> f64 {
     let mut layer = SafetyLayer::<1>::new(&LayerSettings {
         device: DeviceModel::uniform(MASS, 0.0, 0.0).unwrap(),
@@ -35,8 +35,8 @@ fn speed_at_rest(estimator: EstimatorKind, safety: SafetySettings) -> f64 {
 }
 
 #[test]
-fn every_estimator_comes_to_rest_at_the_largest_damping() {
-    // Not backward difference: its grasp force is noise, so HSC flickers and the push comes back in between.
+fn every_smoothing_estimator_comes_to_rest_at_the_largest_damping() {
+    // Backward difference is excluded: its grasp force is noise, so HSC flickers and the push returns in between.
     let most = MASS / (5.0 * PERIOD_S);
     for estimator in [
         EstimatorKind::LowPass { cutoff_hz: 30.0 },
@@ -51,7 +51,7 @@ fn every_estimator_comes_to_rest_at_the_largest_damping() {
             ..SafetySettings::default()
         };
         let speed = speed_at_rest(estimator, safety);
-        // One count a tick is 0.023 m/s: below it an encoder cannot tell a creeping device from a resting one.
+        // One count per tick is 0.023 m/s; a slower device cannot be told from a resting one.
         assert!(speed < QUANTUM / PERIOD_S, "{estimator:?}: {speed} m/s");
     }
 }

@@ -1,4 +1,4 @@
-//! Several scenarios side by side: each lane gives, bit for bit, what its scenario gives alone.
+//! Several scenarios at once: each lane gives, bit for bit, the result of its scenario alone.
 
 #![allow(clippy::unwrap_used)] // the settings of these tests are valid
 
@@ -21,14 +21,14 @@ use simba::simd::{AutoF64x8, SimdBool as _, WideF64x4};
 
 const PERIOD_S: f64 = 1e-3;
 const QUANTUM_M: f64 = 2.3e-5;
-/// As many as the widest has; the others take the first ones.
+/// Number of lanes of the widest type; narrower types use the first ones.
 const LANES: usize = AutoF64x8::LANES;
 
-/// One scenario's x, V, `F_v`, `F_h`.
+/// x, V, `F_v` and `F_h` of one scenario.
 type Sample = [[f64; 3]; 4];
 type Tick = [Sample; LANES];
 
-/// What enters the pipeline at a tick.
+/// Input of the pipeline at a tick.
 #[derive(Clone, Copy)]
 struct Input<const N: usize, S: Real = f64> {
     position: Axes<N, S>,
@@ -56,7 +56,7 @@ fn inputs<const N: usize, L: Real>(tick: &Tick) -> Input<N, L> {
     Input { position, velocity, force, seen: Observation::exact(velocity, force, grasp) }
 }
 
-/// Plain zeros among the samples, for the selections that ask for them.
+/// Draw three values; exact zeros occur among them, to cover their selections.
 fn triple(bound: f64) -> impl Strategy<Value = [f64; 3]> {
     prop_oneof![1 => Just([0.0; 3]), 1 => Just([-0.0, 1e-3, 0.0]), 8 => prop::array::uniform3(-bound..bound)]
 }
@@ -76,7 +76,9 @@ fn ticks() -> impl Strategy<Value = Vec<Tick>> {
     })
 }
 
-/// m, b, c; mu, `V_t`, `F_t`, zeta, alpha, `F_t` of HSC; delta, eta, alpha of PC, hold-off, ramp; four bounds.
+/// Values that may differ between lanes: device, thresholds, energies and times, limits.
+///
+/// m, b, c; mu, `V_t`, `F_t`, zeta, alpha, `F_t` of HSC; delta, eta, alpha of PC, hold-off, ramp; four limits.
 type Numbers = ([f64; 3], [f64; 6], [f64; 5], [f64; 4]);
 
 fn numbers() -> impl Strategy<Value = [Numbers; LANES]> {
@@ -87,7 +89,7 @@ fn numbers() -> impl Strategy<Value = [Numbers; LANES]> {
     prop::array::uniform8((device, thresholds, energies, bounds))
 }
 
-/// What must be the same in all lanes.
+/// Values that must be equal in all lanes.
 type Shared = ([bool; 4], bool, usize);
 
 fn shared() -> impl Strategy<Value = Shared> {
@@ -123,16 +125,16 @@ fn safety((on, both, window): Shared, numbers: &Numbers) -> SafetySettings {
         grasp_threshold,
         grasp_floor_n,
         hsc_force_threshold_n: hsc_force,
-        // Some lanes without.
+        // 0 in some lanes.
         hsc_velocity_threshold: (velocity_threshold - 0.6).max(0.0),
         energy_threshold_j,
-        // Some lanes without.
+        // 0 in some lanes.
         wsc_force_threshold_n: (vfc_force_threshold_n - 1.0).max(0.0),
         energy_ratio,
         window,
         pc_max_damping,
         hold_off_s,
-        // Some without a ramp, for then Eq. 14 stands as printed.
+        // Some lanes have no ramp; Eq. 14 then holds as printed.
         release_ramp_s: (ramp - 0.01).max(0.0),
         probe_force_n: if window % 2 == 0 { 0.0 } else { 2.0 * energy_ratio + 1.0 },
         probe_threshold: 0.25,
@@ -145,7 +147,7 @@ fn limits(numbers: &Numbers) -> LimiterSettings {
     LimiterSettings { max_force_n, max_slew_n_per_s, max_power_w, ramp_in_s: (ramp_in_s - 0.01).max(0.0) }
 }
 
-/// An estimator of the `which`th kind; what may differ between lanes does.
+/// Return the estimator of index `which`; parameters that may differ between lanes do.
 fn kind(which: usize, numbers: &Numbers) -> EstimatorKind {
     let own = numbers.3[0];
     let noise_bound_m = QUANTUM_M * own;
@@ -176,7 +178,7 @@ fn layer<const N: usize>(which: usize, shared: Shared, numbers: &Numbers) -> Saf
     .with_samples(SampleBounds::UNBOUNDED)
 }
 
-/// Runs an expression over lanes and over each `f64` alone, and wants the same bits of both.
+/// Evaluate an expression over lanes and over each single `f64`, and compare the results bit for bit.
 macro_rules! agree {
     ($ones:expr, $gather:expr, $ticks:expr, |$it:ident, $at:ident| $numbers:expr) => {{
         let mut ones: Vec<_> = $ones;
@@ -197,7 +199,7 @@ macro_rules! agree {
     }};
 }
 
-/// Three numbers as one.
+/// Combine three numbers into a vector.
 fn three<S: Real>(a: S, b: S, c: S) -> nalgebra::Vector3<S> {
     nalgebra::Vector3::new(a, b, c)
 }
@@ -244,7 +246,7 @@ fn observers_agree<const N: usize, L: Real>(
     Ok(())
 }
 
-/// A mask as numbers, for it is not compared lane by lane itself.
+/// Convert a verdict to numbers, since masks cannot be compared lane by lane.
 fn numbers_of<const N: usize, S: Real>(verdict: Verdict<N, S>) -> nalgebra::Vector3<S> {
     three(verdict.observed, S::splat(1.0).select(verdict.is_unsafe, S::splat(0.0)), verdict.force[0])
 }
@@ -329,13 +331,13 @@ fn estimators_agree<const N: usize, L: Real>(
     Ok(())
 }
 
-/// An intervention to the bit; every NaN is one.
+/// Return an intervention bit for bit; all NaN are equal.
 fn bits<const N: usize>(of: &Intervention<N>) -> ([u64; N], [u64; 4], u8) {
     let plain = of.observed.0.map(|value| if value.is_nan() { f64::NAN } else { value });
     (of.safety_force.map(f64::to_bits).into(), plain.map(f64::to_bits), of.tripped.bits())
 }
 
-/// A tick to the bit.
+/// Return a tick bit for bit.
 fn tick_bits<const N: usize>(
     tick: &SafetyTick<N>,
 ) -> ([[u64; N]; 5], impl PartialEq + std::fmt::Debug + use<N>) {
@@ -374,7 +376,7 @@ fn limiter_agrees<const N: usize, L: Real>(
     let mut lanes = Limiter::<N, L>::gather(&ones.iter().collect::<Vec<_>>()).unwrap();
     for (n, tick) in ticks.iter().enumerate() {
         let mut tick = *tick;
-        // A lane that is not finite waits with its ramp, and disturbs no other.
+        // A lane with an invalid value pauses its ramp and disturbs no other lane.
         if n % 5 == 1 {
             tick[n % L::LANES][2][0] = f64::NAN;
         }
@@ -405,7 +407,7 @@ fn layer_agrees<const N: usize, L: Real>(
         one.reset(&input(sample).position).unwrap();
     }
     let authority = numbers.map(|of| of.1[1]);
-    // In one lane a number goes bad, which stops its layer and disturbs no other.
+    // An invalid value in one lane stops its layer and disturbs no other lane.
     let (bad_lane, bad_from) = (which % L::LANES, ticks.len() / 2);
     for (n, tick) in ticks.iter().enumerate() {
         let mut tick = *tick;
@@ -483,7 +485,7 @@ proptest! {
     }
 }
 
-/// Eight layers, of which the last has other settings.
+/// Return whether eight layers can be gathered, the last of them with changed settings.
 fn gathers(change: impl FnOnce(&mut LayerSettings<1>)) -> bool {
     let mut settings = LayerSettings {
         device: DeviceModel::phantom_desktop(),
@@ -502,7 +504,7 @@ fn gathers(change: impl FnOnce(&mut LayerSettings<1>)) -> bool {
 }
 
 #[test]
-fn only_what_takes_the_same_way_is_gathered() {
+fn only_layers_with_equal_structure_are_gathered() {
     assert!(gathers(|_| ()));
     assert!(gathers(|of| of.device = DeviceModel::uniform(0.2, 0.0, 0.0).unwrap()));
     assert!(gathers(|of| of.safety.hold_off_s = 0.1));

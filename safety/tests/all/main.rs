@@ -1,4 +1,4 @@
-//! The integration tests of the safety crate, one binary.
+//! Integration tests of the safety crate in one binary.
 
 mod damping;
 mod lanes;

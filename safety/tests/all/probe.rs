@@ -1,4 +1,5 @@
-//! After a trip the force comes back to a hand and to nothing else: trials over devices, models that are wrong, and hands.
+//! Trials of the return of the force after a trip, with several devices, wrong models and hands: it returns only to a
+//! hand.
 #![allow(clippy::unwrap_used)] // a test may
 
 use haptether_safety::{
@@ -10,9 +11,9 @@ use haptether_safety::{
 const PERIOD_S: f64 = 1e-3;
 const SUBSTEPS: u32 = 4;
 const RELEASED_AT: u32 = 400;
-/// What the resolved default of a scene is at this damping: a free device stays below 0.1 m/s.
+/// Default probe force of a scene at this damping; it keeps a free device below 0.1 m/s.
 const PROBE_N: f64 = 0.6;
-/// A device and the probe that it has by default.
+/// Device with its default probe.
 #[derive(Clone, Copy, Debug)]
 struct Device {
     mass_kg: f64,
@@ -20,7 +21,7 @@ struct Device {
     coulomb: f64,
     max_force_n: f64,
     probe_n: f64,
-    /// Of the encoders that are drawn, in powers of ten of m: what damps a light device must not lag.
+    /// Coarsest drawn encoder quantum as a power of ten in m; a light device must be damped with little lag.
     coarsest: f64,
 }
 const DESKTOP: Device = Device {
@@ -31,14 +32,14 @@ const DESKTOP: Device = Device {
     probe_n: PROBE_N,
     coarsest: -4.0,
 };
-/// Friction hides a probe, so that it is only listened to.
+/// Friction hides a probe on this device, so the layer only waits for a moving hand.
 const OMNI: Device =
     Device { mass_kg: 0.045, viscous: 0.0, coulomb: 0.26, max_force_n: 3.3, probe_n: 0.0, coarsest: -4.26 };
-/// The first throw is over by then.
+/// Time in ms after the trip at which the first throw is over.
 const CAUGHT_MS: u32 = 150;
 const DAMPING: f64 = 5.0;
 
-/// `SplitMix64`, in [low, high).
+/// `SplitMix64` generator; values are in [low, high).
 struct Draws(u64);
 
 impl Draws {
@@ -51,7 +52,7 @@ impl Draws {
     }
 }
 
-/// What the device meets after the release.
+/// Situation of the device after the release.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Class {
     Free,
@@ -61,15 +62,15 @@ enum Class {
     Firm,
     /// A firm hand whose target drifts.
     Moving,
-    /// 150 to 600 N/m under 2 to 5 N.
+    /// A hand of 150 to 600 N/m under 2 to 5 N.
     Bearing,
-    /// 60 to 150 N/m under 1 to 3 N.
+    /// A hand of 60 to 150 N/m under 1 to 3 N.
     Yielding,
     /// A spring of 5 to 45 N/m under 2 to 7.9 N.
     Spring,
-    /// A cable of 50 to 300 N/m that gets taut 0 to 30 mm away, against the push.
+    /// A cable of 50 to 300 N/m that becomes taut after 0 to 30 mm, against the push.
     Cable,
-    /// 0.05 to 0.3 N of gravity, either way, that nothing holds.
+    /// Uncompensated gravity of 0.05 to 0.3 N in either direction.
     Gravity,
 }
 
@@ -106,7 +107,7 @@ impl Class {
     }
 }
 
-/// A hand: an impedance towards its target, with a mass of its own.
+/// Hand as an impedance towards its target, with its own mass.
 struct Held {
     stiffness: f64,
     damping: f64,
@@ -115,24 +116,24 @@ struct Held {
 }
 
 struct Outcome {
-    /// From the release to the first trip after it, in s.
+    /// Time in s from the release to the first trip after it.
     tripped_after_s: Option<f64>,
-    /// Whether the force is back in the last 0.2 s.
+    /// True if the force is present in the last 0.2 s.
     has_it: bool,
     yields: bool,
-    /// From the first trip to the end of the intervention, if it ended, in s.
+    /// Time in s from the first trip to the end of the intervention, if it ended.
     back_after_s: Option<f64>,
     /// Largest speed in m/s from 150 ms after the first trip on.
     later_speed: f64,
-    /// From where the device was then, in m.
+    /// Largest distance in m from the position at that time.
     displacement: f64,
-    /// What gravity that is left over does to a free device in that time, in m.
+    /// Drift in m of a free device under the uncompensated gravity in the whole time.
     drift: f64,
     withheld: bool,
 }
 
-/// A push of `N` axes on a hand that lets go, or is surprised and comes back at once.
-#[allow(clippy::too_many_lines)] // one simulated trial, in the order of time
+/// Simulate a push along `N` axes on a hand that lets go for good, or is surprised and returns at once.
+#[allow(clippy::too_many_lines)] // one simulated trial in order of time
 fn trial<const N: usize>(
     device: Device,
     class: Class,
@@ -141,7 +142,7 @@ fn trial<const N: usize>(
     ticks: u32,
 ) -> Outcome {
     let mut draws = Draws(seed);
-    // Of more than three axes each has a mass of its own, as joints do.
+    // With more than three axes each has its own mass, as joints have.
     let share = |axis: usize| if N > 3 { 1.0 - 0.1 * axis as f64 } else { 1.0 };
     let model = DeviceModel::<N>::new(
         Axes::from_fn(|axis, _| device.mass_kg * share(axis)),
@@ -157,15 +158,15 @@ fn trial<const N: usize>(
     let mut gravity = Axes::<N>::from_fn(|_, _| draws.within(-0.05, 0.05)) / (N as f64).sqrt();
     let stop_m = draws.within(0.015, 0.04);
     let mut held = class.hand(&mut draws);
-    // What yields takes energy, and more than delta of it trips WSC again, whatever ends an intervention: F^2 / 2 K is half
-    // of it here.
+    // A yielding hand takes energy, and more than delta trips WSC again whichever way the intervention ends. The push
+    // is chosen so that F^2 / 2 K is half of delta.
     let push_n = match class {
         Class::Bearing => draws.within(2.0, 5.0),
         Class::Yielding => draws.within(1.0, 3.0),
         Class::Spring => push_n,
         _ => held.as_ref().map_or(push_n, |hand| push_n.min((0.03 * hand.stiffness).sqrt())),
     };
-    // And one that moves along the push takes power: 0.3 W of it trips WSC.
+    // A hand that moves along the push takes power; 0.3 W trips WSC.
     if let Some(hand) = &mut held {
         hand.drift = hand.drift.min(0.2 / push_n);
     }
@@ -203,7 +204,7 @@ fn trial<const N: usize>(
         let sample = x.map(|at| (at / quantum_m).round() * quantum_m);
         let step = layer.tick(&sample, None, &(along * push_n));
         let intervention = step.intervention;
-        // The force of PC is no intervention.
+        // The force of PC is not an intervention.
         let is_on = intervention.tripped.bits() & !Tripped::of(ControllerKind::Pc).bits() != 0;
         match tripped_at {
             None if tick >= RELEASED_AT && is_on => tripped_at = Some(tick),
@@ -222,7 +223,7 @@ fn trial<const N: usize>(
         if tick + 200 >= RELEASED_AT + ticks {
             has_it &= !is_on && step.device_force.dot(&along) > 0.9 * push_n;
         }
-        // The hand takes hold again as it feels the jerk of the trip, 50 ms later.
+        // The hand takes hold again 50 ms after it feels the jerk of the trip.
         let gone = tick >= RELEASED_AT && tripped_at.is_none_or(|at| tick < at + 50);
         let gone = gone && class != Class::Spring;
         let hand = held.as_ref().filter(|_| !gone);
@@ -272,7 +273,7 @@ fn trial<const N: usize>(
     }
 }
 
-/// Wilson's interval at 95 %.
+/// Return Wilson's interval at 95 %.
 ///
 /// Source: Wilson 1927, "Probable inference, the law of succession, and statistical inference".
 fn interval(hits: u32, trials: u32) -> (f64, f64) {
@@ -283,7 +284,7 @@ fn interval(hits: u32, trials: u32) -> (f64, f64) {
     ((middle - half).max(0.0), (middle + half).min(1.0))
 }
 
-/// How many trials of each class; `PROBE_TRIALS` asks for more.
+/// Return the number of trials per class; the environment variable `PROBE_TRIALS` overrides it.
 fn trials() -> u32 {
     std::env::var("PROBE_TRIALS").ok().and_then(|count| count.parse().ok()).unwrap_or(100)
 }
@@ -308,7 +309,7 @@ fn nobody_is_thrown_again<const N: usize>(device: Device, class: Class) {
 }
 
 #[test]
-fn without_a_hand_nothing_comes_back() {
+fn nothing_returns_without_a_hand() {
     for device in [DESKTOP, OMNI] {
         nobody_is_thrown_again::<1>(device, Class::Free);
         nobody_is_thrown_again::<3>(device, Class::Free);
@@ -319,7 +320,7 @@ fn without_a_hand_nothing_comes_back() {
 }
 
 #[test]
-fn a_hand_has_its_force_again() {
+fn hand_gets_its_force_back() {
     for (device, class, within_ms, share) in [
         (DESKTOP, Class::Light, 600, 0.98),
         (DESKTOP, Class::Light, 1700, 0.99),
@@ -346,7 +347,7 @@ fn a_hand_has_its_force_again() {
     }
 }
 
-/// Every union of those that cancel, and each with PC.
+/// Iterate over every union of the cancelling controllers, each also with PC.
 fn unions() -> impl Iterator<Item = Controllers> {
     ControllerKind::cancelling()
         .fold(vec![Controllers::NONE], |sets, kind| {
@@ -357,7 +358,7 @@ fn unions() -> impl Iterator<Item = Controllers> {
         .flat_map(|set| [set, set.with(ControllerKind::Pc, true)])
 }
 
-/// Of the trials that trip within 0.2 s of the release: how many, and how many have the force 2.5 s later.
+/// Return how many trials trip within 0.2 s of the release, and how many of these have the force 2.5 s later.
 fn returned(class: Class, controllers: Controllers, trials: u32) -> (u32, u32) {
     let (mut tripped, mut returned, mut fastest, mut yielding) = (0, 0, 0.0_f64, 0);
     for seed in 0..trials {
@@ -376,7 +377,7 @@ fn returned(class: Class, controllers: Controllers, trials: u32) -> (u32, u32) {
 }
 
 #[test]
-fn whoever_watches_a_hand_that_bears_the_push_has_its_force_again() {
+fn bearing_hand_gets_its_force_back_from_any_controllers() {
     for class in [Class::Bearing, Class::Yielding] {
         for controllers in unions() {
             let (of, has_it) = returned(class, controllers, trials() / 5);
@@ -388,16 +389,18 @@ fn whoever_watches_a_hand_that_bears_the_push_has_its_force_again() {
     }
 }
 
-/// A probe may feel them as a hand, for they act on the device, but gravity bears nothing more as the force comes back, and a
-/// spring of less than `mu / HALF_S` = 50 N/m yields too far. A stiffer one and a cable that is taut bear a push as a hand does.
+/// A probe may take a spring, a cable or gravity for a hand, since they act on the device.
+///
+/// Gravity bears no more as the force returns, and a spring below `mu / HALF_S` = 50 N/m yields too far. A stiffer
+/// spring and a taut cable bear a push as a hand does.
 #[test]
-fn what_acts_on_the_device_but_bears_no_push_gets_none() {
+fn objects_that_bear_no_push_get_no_force() {
     for (class, most) in
         [(Class::Free, 0.0), (Class::Gravity, 0.0), (Class::Cable, 0.15), (Class::Spring, 0.15)]
     {
         for controllers in unions() {
             let (of, has_it) = returned(class, controllers, trials() / 5);
-            // The interval ends at 0 but for rounding.
+            // Rounding may leave the lower end of the interval just above 0.
             assert!(
                 interval(has_it, of.max(1)).0 <= most + 1e-9,
                 "{class:?} {controllers:?}: {has_it} of {of}"

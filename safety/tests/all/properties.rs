@@ -1,4 +1,4 @@
-//! What must hold for every sequence of samples, whatever the controllers, the estimator and the number of axes.
+//! Properties that hold for every sequence of samples, set of controllers, estimator and number of axes.
 
 #![allow(clippy::unwrap_used)] // the settings of these tests are valid
 
@@ -19,7 +19,7 @@ const PERIOD_S: f64 = 1e-3;
 const MASS_KG: f64 = 0.157;
 const QUANTUM_M: f64 = 2.3e-5;
 
-/// The linear ones, and then those whose windows follow the motion.
+/// Linear estimators, then those whose windows follow the motion.
 const KINDS: [EstimatorKind; 9] = [
     EstimatorKind::BackwardDifference {},
     EstimatorKind::LowPass { cutoff_hz: 30.0 },
@@ -37,11 +37,11 @@ fn device<const N: usize>() -> DeviceModel<N> {
     DeviceModel::uniform(MASS_KG, -0.005, 0.038).unwrap()
 }
 
-/// Three numbers for V, `F_v`, `F_h` each (or whatever else comes in triples).
+/// Three values each for V, `F_v` and `F_h`, or for other triples.
 type Sample = [[f64; 3]; 3];
 
 fn triple(bound: f64) -> impl Strategy<Value = [f64; 3]> {
-    // Plain zeros among the samples, for the branches that ask for them.
+    // Exact zeros occur among the samples, to cover their branches.
     prop_oneof![1 => Just([0.0; 3]), 9 => prop::array::uniform3(-bound..bound)]
 }
 
@@ -50,7 +50,7 @@ fn samples(ticks: usize) -> impl Strategy<Value = Vec<Sample>> {
     prop::collection::vec(sample, 1..ticks)
 }
 
-/// Positions of a hand that wanders, and may jump.
+/// Draw positions of a hand that wanders and may jump.
 fn positions(ticks: usize) -> impl Strategy<Value = Vec<[f64; 3]>> {
     let step = prop_oneof![9 => triple(5e-4), 1 => triple(5e-3)];
     prop::collection::vec(step, 1..ticks).prop_map(|steps| {
@@ -63,7 +63,7 @@ fn positions(ticks: usize) -> impl Strategy<Value = Vec<[f64; 3]>> {
     })
 }
 
-/// All switches, and thresholds that random samples meet from both sides.
+/// Draw any set of controllers, with thresholds that random samples cross.
 fn controllers() -> impl Strategy<Value = SafetySettings> {
     let switches = prop::array::uniform4(any::<bool>());
     (switches, any::<bool>(), 0.0..0.02, 0.0..0.02).prop_map(|(on, both, hold, ramp)| SafetySettings {
@@ -77,7 +77,7 @@ fn controllers() -> impl Strategy<Value = SafetySettings> {
         window: 20,
         hold_off_s: hold,
         release_ramp_s: ramp,
-        // Some without.
+        // Each of the two is 0 in half of the cases.
         hsc_velocity_threshold: 10.0 * (hold - 0.01).max(0.0),
         wsc_force_threshold_n: 50.0 * (ramp - 0.01).max(0.0),
         ..SafetySettings::default()
@@ -88,7 +88,7 @@ fn limits() -> LimiterSettings {
     LimiterSettings { ramp_in_s: 0.0, ..LimiterSettings::default() }
 }
 
-/// A layer of any settings that takes any sample.
+/// Create a layer with any settings and without sample bounds.
 fn layer<const N: usize>(
     safety: SafetySettings,
     estimator: EstimatorKind,
@@ -98,12 +98,12 @@ fn layer<const N: usize>(
     SafetyLayer::new(&settings).unwrap().with_samples(SampleBounds::UNBOUNDED)
 }
 
-/// The first N of three.
+/// Return the first N of three values.
 fn axes<const N: usize>(of: &[f64; 3]) -> Axes<N> {
     Axes::from_column_slice(&of[..N])
 }
 
-/// All along one axis of three.
+/// Return a vector along one axis of three.
 fn along(axis: usize, value: f64) -> Axes<3> {
     Axes::from_fn(|i, _| if i == axis { value } else { 0.0 })
 }
@@ -117,12 +117,12 @@ fn turned(seen: &Observation<3>, by: &Rotation3<f64>) -> Observation<3> {
     Observation::exact(by * seen.velocity, by * seen.rendered_force, by * seen.grasp_force)
 }
 
-/// The whole state of an intervention, bit for bit; zeros of either sign are one.
+/// Return the complete observable state of an intervention bit for bit; 0 and -0 are equal.
 fn bits<const N: usize>(step: &Intervention<N>) -> ([u64; 4], u8) {
     (step.observed.0.map(|value| (value + 0.0).to_bits()), step.tripped.bits())
 }
 
-/// Whether an observed value is so near its threshold that rounding may decide.
+/// Return whether an observed value is so close to its threshold that rounding may decide.
 fn is_close<const N: usize>(
     seen: &Observation<N>,
     step: &Intervention<N>,
@@ -147,7 +147,7 @@ fn is_unsafe(tripped: Tripped) -> bool {
         .any(|who| tripped.contains(who))
 }
 
-/// The cap, the power bound, and faults that stay, over N axes.
+/// Check cap, power limit and latched faults over N axes.
 fn stays_within<const N: usize>(
     mut layer: SafetyLayer<N>,
     limits: LimiterSettings,
@@ -157,7 +157,7 @@ fn stays_within<const N: usize>(
     let mut fault = None;
     for (position, sample) in ticks {
         let velocity: Axes<N> = axes(&sample[0]);
-        // Far beyond the cap.
+        // A request far beyond the cap.
         let rendered = axes::<N>(&sample[1]) * 100.0;
         let tick = layer.tick(&axes(position), measures_velocity.then_some(&velocity), &rendered);
         let force = tick.device_force;
@@ -165,7 +165,7 @@ fn stays_within<const N: usize>(
         let power = force.dot(&tick.motion.velocity);
         prop_assert!(power <= limits.max_power_w * (1.0 + 1e-9), "{power}");
         prop_assert!(tick.owed_energy_j >= 0.0);
-        prop_assert!(fault.is_none() || fault == tick.fault, "a fault stays");
+        prop_assert!(fault.is_none() || fault == tick.fault, "a fault is latched");
         fault = tick.fault;
         prop_assert!(fault.is_none() || force == Axes::<N>::zeros());
     }
@@ -174,7 +174,7 @@ fn stays_within<const N: usize>(
 
 proptest! {
     #[test]
-    fn the_device_force_never_exceeds_its_bounds(
+    fn device_force_stays_within_its_limits(
         safety in controllers(),
         kind in prop::sample::select(KINDS.to_vec()),
         measures_velocity in any::<bool>(),
@@ -188,7 +188,7 @@ proptest! {
     }
 
     #[test]
-    fn what_a_controller_leaves_never_feeds_the_motion(settings in controllers(), samples in samples(150)) {
+    fn intervention_never_adds_energy_to_the_motion(settings in controllers(), samples in samples(150)) {
         let mut controller = SafetyController::<3>::new(&device(), PERIOD_S, &settings).unwrap();
         for sample in &samples {
             let seen = seen::<3>(sample);
@@ -208,7 +208,7 @@ proptest! {
         }
     }
 
-    /// Velocities and forces times s, thresholds accordingly: a power of two scales without rounding.
+    /// Velocities, forces and thresholds scale by a common factor; a power of two scales without rounding.
     #[test]
     fn scales(
         settings in controllers(),
@@ -251,7 +251,7 @@ proptest! {
             let (x, f_v) = (axes::<3>(position), axes::<3>(&sample[1]));
             let (one, other) = (plain.tick(&x, None, &f_v), scaled.tick(&(x * s), None, &(f_v * s)));
             if one.fault.is_some() || other.fault.is_some() {
-                return Ok(()); // what counts as absurd does not scale
+                return Ok(()); // the bounds of valid values do not scale
             }
             prop_assert_eq!(one.device_force * s, other.device_force);
             prop_assert_eq!(one.grasp_force * s, other.grasp_force);
@@ -291,13 +291,13 @@ proptest! {
             prop_assert!(near(energy_j, turned_j, 1e4));
             prop_assume!(!is_close(&seen, &one, &settings));
             let (one, other) = (controller.step(&seen).unwrap(), turned_controller.step(&turned).unwrap());
-            // PC divides an energy that is off by 1e-14 J or so by V dT.
+            // PC divides an energy with an error of about 1e-14 J by V dT.
             let tolerance = 1e-10 / (PERIOD_S * seen.velocity.norm()).max(1e-6);
             prop_assert!((by * one.safety_force - other.safety_force).norm() <= tolerance.max(1e-11));
         }
     }
 
-    /// A device with the same mass and friction along each axis has no axes; nor has a linear estimator.
+    /// A device with equal mass and friction on each axis has no preferred axes, nor has a linear estimator.
     #[test]
     fn estimates_and_grasp_force_rotate_with_the_frame(
         angles in prop::array::uniform3(-3.0..3.0_f64),
@@ -310,13 +310,13 @@ proptest! {
             for position in &positions {
                 let x = axes::<3>(position);
                 let (one, other) = (straight.step(&x), turned.step(&(by * x)));
-                // Positions of 0.3 m round to 1e-16 m, of which A shows up to 4 / dT².
+                // Positions of 0.3 m round to 1e-16 m, and A shows up to 4 / dT² of that.
                 prop_assert!((by * one.velocity - other.velocity).norm() < 1e-11);
                 prop_assert!((by * one.acceleration - other.acceleration).norm() < 1e-8);
                 // Any vector serves as force.
                 let (force, turned_force) = (straight.align(&(x * 100.0)), turned.align(&(by * x * 100.0)));
                 prop_assert!((by * force - turned_force).norm() < 1e-11);
-                // Coulomb friction turns with V, whose direction is rounding where it is zero.
+                // Coulomb friction turns with V; near V = 0 its direction is rounding.
                 if one.velocity.norm() > 1e-6 {
                     let held = device::<3>().grasp_force(&one, &force);
                     prop_assert!((by * held - device().grasp_force(&other, &turned_force)).norm() < 1e-6);
@@ -326,14 +326,15 @@ proptest! {
     }
 
     #[test]
-    fn what_has_rested_before_acts_as_if_new(
+    fn layer_after_rest_equals_a_new_one(
         settings in controllers(),
         kind in prop::sample::select(KINDS.to_vec()),
         rest in 1..80_usize,
         positions in positions(100),
         samples in samples(100),
     ) {
-        // WSO replaces its sum once per turn of its ring, so a shift changes its rounding: it has its own test.
+        // WSO replaces its sum once per pass over its ring, so a shift changes its rounding; it has its own test
+        // below.
         let settings = SafetySettings { controllers: settings.controllers.with(ControllerKind::Wsc, false), ..settings };
         let (mut new, mut rested) = (layer::<3>(settings, kind, limits()), layer::<3>(settings, kind, limits()));
         for _ in 0..rest {
@@ -352,7 +353,7 @@ proptest! {
     }
 
     #[test]
-    fn a_window_that_has_seen_zeros_observes_as_if_new(
+    fn window_after_zeros_equals_a_new_one(
         window in 1..60_usize,
         rest in 1..80_usize,
         samples in samples(150),
@@ -432,9 +433,9 @@ proptest! {
         }
     }
 
-    /// Hold-off, ramp and trip anew, told by the gain g of `F_c` = g (-`F_v` - mu V) alone.
+    /// Hold-off, ramp and repeated trips follow from the gain g of `F_c` = g (-`F_v` - mu V).
     #[test]
-    fn an_intervention_lasts_fades_and_is_restored_at_once(
+    fn intervention_lasts_fades_and_restarts_at_once(
         hold_ticks in 0..30_u32,
         ramp_ticks in 0..30_u32,
         is_unsafe in prop::collection::vec(prop::bool::weighted(0.06), 1..300),
@@ -457,7 +458,7 @@ proptest! {
             prop_assert_eq!(step.tripped.contains(Tripped::HELD), gain > 0.0 && !is_unsafe);
             if is_unsafe {
                 prop_assert_eq!(gain, 1.0, "restored at once");
-                // An intervention that has begun to fade begins anew.
+                // A trip during the fade restarts the intervention.
                 (begun, last_unsafe) = (if last < 1.0 { tick } else { begun }, tick);
             } else if last > 0.0 {
                 let ends = (begun + hold_ticks).max(last_unsafe + 1);
@@ -473,7 +474,7 @@ proptest! {
     }
 
     #[test]
-    fn a_bad_number_at_any_tick_ends_in_zero_force_and_a_name(
+    fn invalid_value_at_any_tick_gives_zero_force_and_its_fault(
         settings in controllers(),
         kind in prop::sample::select(KINDS.to_vec()),
         at in 0..40_usize,
@@ -513,7 +514,7 @@ proptest! {
     }
 
     #[test]
-    fn a_bad_observation_changes_no_controller(
+    fn invalid_observation_changes_no_controller(
         settings in controllers(),
         samples in samples(60),
         place in (0..3_usize, 0..3_usize),
@@ -531,7 +532,7 @@ proptest! {
     }
 
     #[test]
-    fn energy_is_owed_only_where_it_is_missing(
+    fn owed_energy_is_within_the_missing_energy(
         settings in controllers(),
         samples in samples(150),
     ) {
@@ -548,9 +549,10 @@ proptest! {
         }
     }
 
-    /// What is missing is paid by the force that leaves, or owed: by the bound on the damping and by the cap.
+    /// The commanded force dissipates the missing energy; the part that the damping bound and the cap prevent is
+    /// owed.
     #[test]
-    fn what_the_cap_withholds_is_owed(speed in 0.05..2.0_f64, cap in 0.5..300.0, way in prop::bool::ANY) {
+    fn energy_that_the_cap_prevents_is_owed(speed in 0.05..2.0_f64, cap in 0.5..300.0, way in prop::bool::ANY) {
         let safety = SafetySettings { controllers: [ControllerKind::Pc].into(), pc_max_damping: 0.19 * MASS_KG / PERIOD_S, ..SafetySettings::default() };
         let limiter = LimiterSettings { max_force_n: cap, max_slew_n_per_s: 1e9, ..limits() };
         let device = DeviceModel::<1>::uniform(MASS_KG, 0.0, 0.0).unwrap();

@@ -1,4 +1,4 @@
-//! Settings are read from the tables of a scene, under the names that a scene file has.
+//! Settings deserialize from the tables of a scene, with the key names of a scene file.
 #![cfg(feature = "serde")]
 #![allow(clippy::unwrap_used)] // a test may
 
@@ -11,7 +11,7 @@ use haptether_safety::{
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-/// `[safety]` as a scene has it: unknown keys are refused where the settings are flattened.
+/// `[safety]` of a scene; the flattening table refuses unknown keys.
 #[derive(Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Table {
@@ -48,7 +48,7 @@ fn table() -> Value {
 }
 
 #[test]
-fn a_table_becomes_settings() {
+fn table_becomes_settings() {
     let read: Table = serde_json::from_value(table()).unwrap();
     let settings = SafetySettings {
         controllers: [ControllerKind::Hsc, ControllerKind::Pc].into(),
@@ -65,7 +65,7 @@ fn a_table_becomes_settings() {
 }
 
 #[test]
-fn every_key_is_required_and_no_other_is_taken() {
+fn keys_are_required_and_unknown_keys_are_refused() {
     let whole = table();
     for key in whole.as_object().unwrap().keys() {
         let mut lacks = whole.clone();

@@ -1,4 +1,4 @@
-//! Who trips, how an intervention lasts and fades, and who gets the force back.
+//! Test of trips, of the course of an intervention, and of the return of the force.
 
 use proptest::prelude::*;
 
@@ -17,7 +17,7 @@ fn seen(velocity: f64, rendered: f64) -> Observation<1> {
     Observation::exact(Axes::<1>::new(velocity), Axes::<1>::new(rendered), Axes::<1>::zeros())
 }
 
-/// VFC, HSC and WSC, of which some watch.
+/// Settings in which the bits of `places` select VFC, HSC and WSC.
 fn watching(places: u8) -> SafetySettings {
     SafetySettings {
         controllers: (0..3)
@@ -29,10 +29,10 @@ fn watching(places: u8) -> SafetySettings {
     }
 }
 
-/// A device of forces F f, ways x l and so of the mass m f / l, in the same times: the same trips, and forces `F_c f`. By
-/// powers of two, so that it is exact.
+/// A scaled device trips at the same ticks, with forces `F_c f`. Its forces are F f, its distances x l, its mass m f
+/// / l, and its times the same. The factors are powers of two, so that the comparison is exact.
 #[test]
-fn a_device_that_is_scaled_trips_as_the_one_that_it_is_like() {
+fn scaled_device_trips_as_the_original() {
     let (force, way) = (0.5, 0.25);
     let settings = SafetySettings {
         controllers: ControllerKind::ALL.into(),
@@ -65,12 +65,12 @@ fn a_device_that_is_scaled_trips_as_the_one_that_it_is_like() {
         assert_eq!(like.safety_force, answer.safety_force * force, "{tick}");
         tripped |= answer.tripped.bits();
     }
-    assert_eq!(tripped & 0xF, 0xF, "each has tripped");
+    assert_eq!(tripped & 0xF, 0xF, "each controller has tripped");
 }
 
-/// The short way to no answer is the long one, and only of those that have nobody who watches.
+/// The shortcut for no controller gives the result of the full computation, and applies only without a controller.
 #[test]
-fn where_nobody_watches_nothing_is_answered() {
+fn no_response_without_controllers() {
     let settings = SafetySettings { probe_force_n: 0.5, release_tries: 3, ..SafetySettings::default() };
     let mut short = controller(&settings);
     let mut long = short.clone();
@@ -81,7 +81,11 @@ fn where_nobody_watches_nothing_is_answered() {
         let is_unsafe = verdicts.is_unsafe();
         let ease = long.feel(&seen, 1.0, is_unsafe);
         let expected = long.answer(&seen, 1.0, &verdicts, Judged { is_unsafe, ease });
-        assert_eq!(format!("{answer:?}"), format!("{expected:?}"), "NaN is NaN");
+        assert_eq!(
+            format!("{answer:?}"),
+            format!("{expected:?}"),
+            "compared as text, since NaN differs from NaN"
+        );
         assert_eq!(short, long);
     }
     for kind in ControllerKind::ALL {
@@ -91,14 +95,14 @@ fn where_nobody_watches_nothing_is_answered() {
 }
 
 #[test]
-fn whoever_trips_and_however_many_one_law_answers() {
+fn one_law_responds_to_any_set_of_trips() {
     for places in 0..8_u8 {
         let mut controller = controller(&watching(places));
         let mut last = Intervention::none();
         for tick in 0..50_u8 {
             last = controller.step(&seen(0.7 + f64::from(tick) * 0.01, 2.0)).unwrap();
         }
-        assert_eq!(last.tripped.bits(), places, "all that watch trip");
+        assert_eq!(last.tripped.bits(), places, "all active controllers trip");
         let velocity = 0.7 + 49.0 * 0.01;
         let expected = if places == 0 { 0.0 } else { -2.0 - 5.0 * velocity };
         assert!((last.safety_force[0] - expected).abs() < 1e-12, "{places}: {last:?}");
@@ -121,7 +125,7 @@ fn damping_needs_authority_and_cancelling_none() {
 }
 
 #[test]
-fn an_intervention_is_forgotten_by_a_reset() {
+fn reset_ends_an_intervention() {
     let settings = SafetySettings { hold_off_s: 0.1, release_ramp_s: 0.1, ..watching(1) };
     let mut controller = controller(&settings);
     controller.step(&seen(1.0, 2.0)).unwrap();
@@ -131,9 +135,9 @@ fn an_intervention_is_forgotten_by_a_reset() {
     assert_eq!(controller.step(&seen(0.0, 2.0)).unwrap().tripped, Tripped::NONE);
 }
 
-/// While the force comes back a hand is held against the share of it that it can have felt.
+/// While the force returns, the hand is compared with the share of the force that it can have felt.
 #[test]
-fn a_hand_that_holds_what_comes_back_ends_the_intervention() {
+fn hand_that_holds_the_returning_force_ends_the_intervention() {
     let settings = SafetySettings { release_ramp_s: 0.05, ..watching(2) };
     for (holds, stays) in [(true, false), (false, true)] {
         let mut controller = controller(&settings);
@@ -152,7 +156,7 @@ fn a_hand_that_holds_what_comes_back_ends_the_intervention() {
 
 /// PC acts in the share that an intervention leaves.
 #[test]
-fn passivity_control_has_what_an_intervention_leaves() {
+fn pc_acts_in_the_share_that_an_intervention_leaves() {
     let pc = SafetySettings { controllers: [ControllerKind::Pc].into(), ..SafetySettings::default() };
     let (mut alone, mut both) = (
         controller(&pc),
@@ -162,19 +166,19 @@ fn passivity_control_has_what_an_intervention_leaves() {
     for tick in 0..40 {
         let (one, two) = (alone.step(&push(tick)).unwrap(), both.step(&push(tick)).unwrap());
         if tick == 20 {
-            assert_eq!(two.tripped, Tripped::of(ControllerKind::Vfc), "not beside it");
+            assert_eq!(two.tripped, Tripped::of(ControllerKind::Vfc), "PC does not act during the trip");
             assert!((two.safety_force[0] - (-2.0 - 5.0)).abs() < 1e-12);
         } else if tick < 20 {
             assert_eq!((one.safety_force, one.tripped), (two.safety_force, two.tripped));
             assert_eq!(one.tripped == Tripped::of(ControllerKind::Pc), one.safety_force[0] != 0.0);
         }
     }
-    assert!(alone.step(&push(1)).unwrap().tripped.contains(Tripped::of(ControllerKind::Pc)), "it acts here");
+    assert!(alone.step(&push(1)).unwrap().tripped.contains(Tripped::of(ControllerKind::Pc)), "PC acts here");
     let half = alone.clone().step_with_authority(&push(1), 0.5).unwrap().safety_force[0];
     assert_eq!(half, alone.step(&push(1)).unwrap().safety_force[0] * 0.5);
 }
 
-/// As long as the hold-off, the first tick counted, then `g = 1 - s²` over the ramp, then nothing.
+/// An intervention lasts for the hold-off, including the first tick; then `g = 1 - s²` over the ramp, then 0.
 #[test]
 fn an_intervention_lasts_its_hold_off_and_fades_by_its_law() {
     for (hold_off, ramp) in [(1_u32, 3_u32), (4, 1), (5, 4), (3, 0)] {
@@ -186,7 +190,7 @@ fn an_intervention_lasts_its_hold_off_and_fades_by_its_law() {
         };
         let mut controller = controller(&settings);
         let force = |gain: f64, velocity: f64| gain * (-2.0 - 5.0 * velocity);
-        // Longer and longer unsafe: the hold-off counts from the first tick.
+        // Increasing durations of the unsafe state: the hold-off counts from the first tick.
         for unsafe_ticks in [1, hold_off.max(2) - 1, hold_off, hold_off + 2] {
             for tick in 0..unsafe_ticks {
                 let step = controller.step(&seen(1.0, 2.0)).unwrap();
@@ -206,9 +210,9 @@ fn an_intervention_lasts_its_hold_off_and_fades_by_its_law() {
     }
 }
 
-/// Beside an intervention that fades, the force of Eq. 12 counts in the share `1 - g`.
+/// During a fading intervention the force of Eq. 12 is scaled by `1 - g`.
 #[test]
-fn passivity_control_comes_back_as_an_intervention_fades() {
+fn pc_returns_as_an_intervention_fades() {
     let pc = SafetySettings { controllers: [ControllerKind::Pc].into(), ..SafetySettings::default() };
     let vfc = SafetySettings { hold_off_s: 5e-3, release_ramp_s: 0.02, ..watching(1) };
     let settings =
@@ -230,11 +234,11 @@ fn passivity_control_comes_back_as_an_intervention_fades() {
         assert_eq!(both.observed[ControllerKind::Pc], alone.observed[ControllerKind::Pc]);
         partly += u32::from(both.tripped[ControllerKind::Pc] && gain > 0.0);
     }
-    assert!(partly >= 19, "the ramp: {partly}");
+    assert!(partly >= 19, "ticks of the ramp on which PC acts: {partly}");
 }
 
 #[test]
-fn passivity_control_acts_on_any_axis() {
+fn pc_acts_on_any_axis() {
     let device = DeviceModel::uniform(0.157, 0.0, 0.0).unwrap();
     let settings = SafetySettings { controllers: [ControllerKind::Pc].into(), ..SafetySettings::default() };
     for velocity in [[0.5, 0.0], [0.0, -0.5], [0.5, 0.5], [0.0, 0.0]] {
@@ -250,7 +254,8 @@ fn passivity_control_acts_on_any_axis() {
     }
 }
 
-/// VFC trips at once, and a hand that drives the device at 0.2 m/s with 4 N against the push is there.
+/// Return a controller in which VFC has tripped, and an observation: a hand drives the device at 0.2 m/s with 4 N
+/// against the push.
 fn tripped_and_driven(settings: &SafetySettings) -> (SafetyController<1>, Observation<1>) {
     let mut controller = controller(settings);
     let answer = controller.step(&seen(1.0, 2.0)).unwrap();
@@ -263,26 +268,26 @@ fn probing() -> SafetySettings {
 }
 
 #[test]
-fn a_tick_that_was_missed_decides_nothing() {
+fn missed_tick_decides_nothing() {
     let fades = SafetySettings { release_ramp_s: 0.05, ..probing() };
     let (mut controller, driven) = tripped_and_driven(&fades);
     for _ in 0..5000 {
         controller.carry(&driven);
     }
-    // Nothing was decided: neither that a hand is there, for then the ramp would be over, nor that none is.
+    // The missed ticks decided neither that a hand is there, which would have ended the ramp, nor that none is.
     assert!(controller.step(&driven).unwrap().tripped.any());
     let mut ticks = 0;
     while controller.step(&driven).unwrap().tripped.any() {
         ticks += 1;
-        assert!(ticks < 150, "a hand that drives is felt");
+        assert!(ticks < 150, "a hand that drives the device is felt");
     }
     let (mut controller, driven) = tripped_and_driven(&SafetySettings { probe_force_n: 0.0, ..probing() });
     controller.carry(&driven);
-    assert!(controller.step(&driven).unwrap().tripped.any(), "nor without a probe");
+    assert!(controller.step(&driven).unwrap().tripped.any(), "no decision without a probe either");
 }
 
 #[test]
-fn a_hand_that_was_felt_elsewhere_is_there() {
+fn hand_felt_by_another_probe_is_adopted() {
     let (mut controller, _) = tripped_and_driven(&probing());
     let still = seen(0.0, 2.0);
     for _ in 0..20 {
@@ -292,7 +297,7 @@ fn a_hand_that_was_felt_elsewhere_is_there() {
     assert!(!controller.step(&still).unwrap().tripped.any());
 }
 
-/// `release_tries`: so often a probe acts, or a second is listened to, and then the force is withheld.
+/// The probe acts `release_tries` times, or the layer waits for a moving hand as often; then the force is withheld.
 #[test]
 fn after_all_tries_the_force_is_withheld() {
     for (force_n, tries) in [(0.0, 1), (0.0, 4), (0.6, 1), (0.6, 3)] {
@@ -301,7 +306,7 @@ fn after_all_tries_the_force_is_withheld() {
         let (mut came_back, mut probed, mut withheld) = (0, 0, false);
         let (mut was_on, mut was_probed) = (false, false);
         for tick in 0..8000 {
-            // Whenever the force is there it throws the device; else it rests.
+            // A returned force throws the device; without force it rests.
             let answer = controller.step(&seen(if was_on { 0.0 } else { 1.0 }, 2.0)).unwrap();
             let is_on = answer.tripped.any();
             let pushes = is_on && (answer.safety_force[0] + 2.0).abs() > 0.1 && was_on;
@@ -317,9 +322,9 @@ fn after_all_tries_the_force_is_withheld() {
     }
 }
 
-/// In all tries a probe is answered or not; where it is, the force comes back to nobody who bears it.
+/// A probe is answered in all tries or in none; an answered probe returns the force, which nobody bears.
 #[test]
-fn what_is_felt_and_bears_nothing_yields() {
+fn felt_hand_that_bears_nothing_yields() {
     for (answers, tries) in [(false, 1), (false, 3), (true, 1), (true, 3)] {
         let ramp = SafetySettings { release_ramp_s: 0.2, release_tries: tries, ..probing() };
         let mut controller = controller(&ramp);
@@ -330,7 +335,7 @@ fn what_is_felt_and_bears_nothing_yields() {
             let grasp_n = if answers && probed { 0.5 } else { 0.0 };
             let seen = seen(if tick == 0 { 1.0 } else { 0.0 }, 2.0);
             answer = controller.step(&Observation { grasp_force: Axes::<1>::new(grasp_n), ..seen }).unwrap();
-            assert!(answer.tripped.any(), "{answers} {tries} {tick}: nobody bears it");
+            assert!(answer.tripped.any(), "{answers} {tries} {tick}: nobody bears the force");
             assert!(answer.withheld || !answer.yields, "{tick}");
             if answer.withheld {
                 first = first.or(Some(answer.yields));
@@ -338,7 +343,7 @@ fn what_is_felt_and_bears_nothing_yields() {
             largest_n = largest_n.max(2.0 + answer.safety_force[0]);
         }
         assert_eq!((first, answer.yields), (Some(answers), answers), "{tries}");
-        // A / 1.25, or the half of the probe that pushes with it.
+        // The limit is A / 1.25, or A of the half of the probe along the push.
         assert!(largest_n <= 1e-9 + if answers { 0.6 / 1.25 } else { 0.6 }, "{answers}: {largest_n} N");
     }
 }
@@ -379,14 +384,14 @@ fn each_lane_has_its_own_answer() {
     }
 }
 
-/// How long it has been on, and how long it has faded, in ticks.
+/// Duration of an intervention and of its fade so far, in ticks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Course {
     on: f64,
     fading: f64,
 }
 
-/// Share of an intervention at a tick, by its states one after the other: begins anew, rests, stays, fades, is over.
+/// Gain of an intervention from its states in turn: trips, is off, stays, fades, is over.
 fn gain_by_states(
     now: Course,
     [hold_off, ramp]: [f64; 2],
@@ -395,7 +400,7 @@ fn gain_by_states(
 ) -> (f64, Course) {
     let over = Course { on: 0.0, fading: 0.0 };
     if is_unsafe {
-        // One that fades begins anew.
+        // A trip during the fade restarts the intervention.
         let on = if now.fading > 0.0 { 1.0 } else { now.on + 1.0 };
         return (1.0, Course { on, fading: 0.0 });
     }
@@ -414,7 +419,7 @@ fn gain_by_states(
 }
 
 proptest! {
-    /// Alone and in lanes, to the bit; in lanes each with a course of its own.
+    /// The gain equals that of the states bit for bit, with scalars and with lanes, each lane with its own course.
     #[test]
     fn an_intervention_follows_its_states(
         hold_off in 0..4_u32,
@@ -433,7 +438,7 @@ proptest! {
         let one = controller(&settings);
         let mut lanes = SafetyController::<1, AutoF64x4>::gather(&[&one; 4]).unwrap();
         let mut alone = [(); 4].map(|()| one.clone());
-        // Which ask for a share only where there is one.
+        // Controllers and lanes that are stepped through `answer` instead of `gain`.
         let (mut answering, mut lanes_answering) = (alone.clone(), lanes.clone());
         let seen_in_lanes = Observation::exact(
             Axes::<1, AutoF64x4>::new(AutoF64x4::splat(0.1)),
@@ -460,7 +465,7 @@ proptest! {
                 let verdicts = answering[lane].judge(&seen(0.1, 2.0));
                 let judged = Judged { is_unsafe, ease };
                 let answer = answering[lane].answer(&seen(0.1, 2.0), 1.0, &verdicts, judged);
-                // -F_v - mu V, and not -0.0.
+                // The force is -F_v - mu V, and 0.0 instead of -0.0.
                 let force = if gain > 0.0 { (-2.0 - 0.1 * 5.0) * gain } else { 0.0 };
                 prop_assert_eq!(answer.safety_force[0].to_bits(), force.to_bits());
                 prop_assert_eq!(together.safety_force[0].extract(lane).to_bits(), force.to_bits());
