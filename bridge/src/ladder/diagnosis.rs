@@ -22,7 +22,7 @@ pub struct PeerCause {
     pub text: FaultText,
 }
 
-/// Knowledge of one side about why the two are not coupled.
+/// Diagnosis by one side: why the two are not coupled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Diagnosis {
     /// Role of the side.
@@ -300,7 +300,7 @@ mod tests {
     /// Location, text and ordered steps of each cause, written by hand.
     #[test]
     #[allow(clippy::too_many_lines)] // a table
-    fn each_cause_says_where_what_and_what_to_do() {
+    fn each_cause_has_location_text_and_steps() {
         use LadderState::{Aligning, Fault, Hold};
         use Remedy::{Acknowledge, Press, Start, Turn, Wait};
         let bus = "Arm: OSError: the bus is down (arm.py:7)";
@@ -514,7 +514,7 @@ mod tests {
     }
 
     #[test]
-    fn more_words_or_a_link_that_is_back_are_the_same_case() {
+    fn more_text_or_recovered_link_is_the_same_case() {
         let held = Diagnosis { peer: peer(LadderState::Hold, 1, 2, "a"), ..HELD };
         for (other, is_same) in [
             (held, true),
@@ -570,7 +570,7 @@ mod tests {
 
     /// Every case has one line of text, and its last step is a press or the start of a master.
     #[test]
-    fn every_diagnosis_has_words_and_an_end() {
+    fn every_diagnosis_has_text_and_a_last_step() {
         let reasons = Reason::ALL.into_iter().map(Some).chain([None]);
         for reason in reasons {
             for state in LadderState::ALL {

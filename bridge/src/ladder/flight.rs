@@ -119,7 +119,7 @@ impl FlightRecorder {
     }
 
     /// Set the thresholds of a layer's observers, see [`thresholds`]; `layer` is an index into [`LAYERS`].
-    pub(crate) fn hold_against(&mut self, layer: usize, thresholds: PerController<f64>) {
+    pub(crate) fn set_thresholds(&mut self, layer: usize, thresholds: PerController<f64>) {
         self.interventions[layer].thresholds = thresholds;
     }
 
@@ -446,7 +446,7 @@ mod tests {
     use haptether_safety::Axes;
 
     #[test]
-    fn what_led_to_a_hold_stays_while_time_goes_on() {
+    fn ticks_before_a_hold_are_kept() {
         let mut recorder = FlightRecorder::new("slave");
         for tick in 0..1000_u64 {
             let state = if tick < 300 { LadderState::Engaged } else { LadderState::Hold };
@@ -477,7 +477,7 @@ mod tests {
     }
 
     #[test]
-    fn a_failure_has_a_time_until_the_side_goes_on() {
+    fn failure_has_a_time_until_the_fault_ends() {
         let (mut recorder, mut history) = (FlightRecorder::new("master"), History::default());
         recorder.take(at(10), &history, None);
         assert_eq!(recorder.failed_ns(), None);
@@ -521,7 +521,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cause_is_kept_with_its_newest_words_and_its_first_time() {
+    fn cause_keeps_first_time_and_newest_text() {
         let mut recorder = FlightRecorder::new("master");
         let mut take = |time_ns: u64, diagnosis: Option<Diagnosis>| {
             recorder.take(at(time_ns), &History::default(), diagnosis.as_ref());
@@ -540,11 +540,11 @@ mod tests {
         assert_eq!(take(60, Some(held(Reason::PeerRestarted))), [(10.0, 2), (60.0, 1)]);
         assert_eq!(take(70, Some(late)), [(10.0, 2), (60.0, 1), (70.0, 1)]);
         let silent = Diagnosis { silent: true, ..late };
-        assert_eq!(take(80, Some(silent)), [(10.0, 2), (60.0, 1), (70.0, 2)], "since it began");
+        assert_eq!(take(80, Some(silent)), [(10.0, 2), (60.0, 1), (70.0, 2)], "the first time is kept");
     }
 
     #[test]
-    fn of_many_causes_the_last_are_kept_in_order() {
+    fn last_causes_are_kept_in_order() {
         let mut recorder = FlightRecorder::new("slave");
         for time_ns in 0..20 {
             let reason = if time_ns % 2 == 0 { Reason::OwnDelay } else { Reason::PeerRestarted };
@@ -555,7 +555,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_hold_is_the_one_that_is_kept() {
+    fn newest_hold_is_kept() {
         let mut recorder = FlightRecorder::new("slave");
         let states = [(0, LadderState::Engaged), (100, LadderState::Hold), (150, LadderState::Stop)];
         let states = [&states[..], &[(200, LadderState::Engaged), (300, LadderState::Fault)]].concat();
@@ -573,9 +573,9 @@ mod tests {
     }
 
     #[test]
-    fn interventions_are_held_against_their_thresholds() {
+    fn interventions_show_their_thresholds() {
         let mut recorder = FlightRecorder::new("master");
-        recorder.hold_against(TRANSLATION, PerController([1.0, 1.5, -0.03, 0.0]));
+        recorder.set_thresholds(TRANSLATION, PerController([1.0, 1.5, -0.03, 0.0]));
         for (time_ns, tripped) in [(0, 0), (1_000_000_000, 2), (2_000_000_000, 0), (3_000_000_000, 2)] {
             let observed = Observed {
                 tripped: Tripped::from_bits(tripped),
@@ -597,11 +597,11 @@ mod tests {
     }
 
     #[test]
-    fn each_layer_has_interventions_and_thresholds_of_its_own() {
+    fn layers_have_separate_interventions_and_thresholds() {
         let mut recorder = FlightRecorder::new("master");
-        recorder.hold_against(TRANSLATION, PerController([1.0, 1.5, -0.03, 0.0]));
-        recorder.hold_against(ROTATION, PerController([1.0, 0.2, -0.01, 0.0]));
-        recorder.hold_against(TRIGGER, PerController([1.0, 0.7, -0.02, 0.0]));
+        recorder.set_thresholds(TRANSLATION, PerController([1.0, 1.5, -0.03, 0.0]));
+        recorder.set_thresholds(ROTATION, PerController([1.0, 0.2, -0.01, 0.0]));
+        recorder.set_thresholds(TRIGGER, PerController([1.0, 0.7, -0.02, 0.0]));
         // The trigger trips before the rotation; then both are tripped.
         for (time_ns, bits) in [(0, [0, 0, 2]), (1_000_000_000, [0, 2, 2]), (2_000_000_000, [0, 0, 0])] {
             let values = PerController([0.0, 3.0, 0.0, 0.0]);
@@ -638,7 +638,7 @@ mod intervention_tests {
     }
 
     #[test]
-    fn observers_are_held_against_what_their_controllers_have() {
+    fn observers_use_their_controllers_thresholds() {
         let settings =
             SafetySettings { grasp_threshold: 1.7, energy_threshold_j: -0.2, ..SafetySettings::default() };
         assert_eq!(thresholds(&settings).0, [1.0, 1.7, -0.2, 0.0]);
@@ -668,7 +668,7 @@ mod intervention_tests {
     }
 
     #[test]
-    fn the_newest_are_kept_and_all_are_counted() {
+    fn newest_interventions_are_kept_and_all_are_counted() {
         let mut kept = Interventions::NONE;
         for tick in 0..200_u64 {
             kept.take(tick, &seen(if tick % 2 == 0 { 2 } else { 0 }, 2.0, f64::NAN));

@@ -50,8 +50,8 @@ pub struct LadderInput {
     /// True if the clutch is closed: at the master its button, at the slave the clutch in the master's frame.
     /// The clutch of a disengaged master counts as open.
     pub clutch: bool,
-    /// True if an open clutch is a release only if the peer knew why one was necessary. HOLD and STOP always
-    /// require this. A slave also requires it in DISENGAGED, because its newest frame may be old.
+    /// True if an open clutch counts as a release only once the peer knows why one was necessary. HOLD and
+    /// STOP always require this. A slave also requires it in DISENGAGED, because its newest frame may be old.
     pub needs_answer: bool,
     /// True if a press begins at this tick: at the master the edge of the button, at the slave a master that
     /// aligns.
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn a_press_of_the_master_is_the_edge_of_its_button_and_known_by_a_later_echo() {
+    fn master_press_is_button_edge_confirmed_by_later_echo() {
         for (before, button, is_press) in
             [(false, false, false), (false, true, true), (true, true, false), (true, false, false)]
         {
@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn a_press_of_the_slave_is_a_master_that_aligns_now() {
+    fn slave_press_is_an_aligning_master() {
         use LadderState::{Aligning, Disengaged, Engaged};
         let align_ns = LadderSettings::default().align_ns;
         let hold_ns = LadderSettings::default().hold_after_ns;
@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn a_release_counts_where_the_peer_knew_of_what_made_it_necessary() {
+    fn release_counts_once_the_peer_knows_its_cause() {
         for role in [Role::Master, Role::Slave] {
             for (hears, echo, answers) in [
                 (true, Some(20), true),
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_frame_with_a_press_is_that_of_its_tick() {
+    fn press_is_in_the_frame_of_its_tick() {
         let mut inputs = LadderInputs::new(Role::Master);
         let mut ladder = ladder();
         let newest = frame(LadderState::Disengaged, false, Some(39), None);

@@ -75,8 +75,8 @@ impl Ladder {
     }
 
     /// Fast path of [`step_by_table`](Self::step_by_table) for the common tick. Returns true and does the
-    /// same as the table if no row of ENGAGED applies (a test in `table.rs` checks this); else changes
-    /// nothing.
+    /// same as the table if no row of ENGAGED applies (an assertion in `table.rs` lists the rows); else
+    /// changes nothing.
     ///
     /// Conditions: engaged with full force, clutch closed, peer coupled and hearing, its frames in time
     /// and of the usual age.
@@ -158,7 +158,7 @@ impl Ladder {
         let is_cut = self.turns && !may_engage;
         // A disengaged peer counts only while this side's clutch is closed.
         let facts = if input.clutch { said } else { said.without(Reason::PeerDisengaged) };
-        // A press waits until the peer can have answered it.
+        // A press tolerates a stopped peer until the peer can have answered.
         let facts = if aligning && !refuses { facts.without(Reason::PeerStopped) } else { facts }
             .with(Reason::PeerSilent, silent || !seen)
             .with(Reason::PeerDeaf, !heard && (!aligning || refuses))
@@ -180,8 +180,8 @@ impl Ladder {
         (facts, may_engage)
     }
 
-    /// Return whether the peer refuses a waiting press: it has said for two round trips, and at least
-    /// [`ANSWER_NS`], that it is in STOP or does not hear this side.
+    /// Return whether the peer refuses a waiting press. It refuses if it says that it is in STOP or does not
+    /// hear this side, for two round trips and at least [`ANSWER_NS`].
     ///
     /// Only arrivals count. Silence has its own timeout, and a peer that never heard this side may start
     /// after the press.
@@ -569,7 +569,7 @@ mod history_tests {
     use super::*;
 
     #[test]
-    fn a_stop_is_caused_by_what_led_to_its_hold() {
+    fn stop_has_the_cause_of_its_hold() {
         use LadderState::{Aligning, Disengaged, Engaged, Fault, Hold, Stop};
         let mut history = History::default();
         assert_eq!(history.cause(), None);
@@ -587,7 +587,7 @@ mod history_tests {
     }
 
     #[test]
-    fn the_last_ones_are_kept_in_order() {
+    fn last_transitions_are_kept_in_order() {
         let mut history = History::default();
         assert_eq!((history.last(), history.iter().count()), (None, 0));
         for time_ns in 0..100 {

@@ -5,7 +5,7 @@ use super::table::LadderState;
 /// Mode of control of the clutch.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Clutch {
-    /// Pressed at the start and held, also after a hold. Then only [`ClutchOperator::press_again`] couples
+    /// Pressed at the start and held throughout. After a hold, only [`ClutchOperator::press_again`] couples
     /// again.
     #[default]
     Once,
@@ -228,8 +228,8 @@ impl Button {
         self.level.is_some()
     }
 
-    /// Count the button as open until a release and a press: the start is too long ago to be a press, or a
-    /// command releases the clutch.
+    /// Count the button as open until a release and a press. Reasons: the start is too long ago to be a
+    /// press, or a command releases the clutch.
     pub(crate) fn must_be_released(&mut self) {
         (self.closed, self.unknown) = (false, true);
     }
@@ -249,7 +249,7 @@ mod tests {
     const MS: u64 = 1_000_000;
 
     #[test]
-    fn a_simulated_operator_presses_anew_for_whoever_comes_after_an_end_but_not_after_a_fault() {
+    fn simulated_operator_presses_again_after_an_end_but_not_after_a_fault() {
         use LadderState::{Disengaged, Fault};
         for faulted in [false, true] {
             let mut operator = ClutchOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
@@ -265,7 +265,7 @@ mod tests {
             let pressed: Vec<u64> =
                 (1001..3000).filter(|now| operator.at(now * MS, Disengaged, *now >= 2000)).collect();
             if faulted {
-                assert_eq!(pressed.len(), 1999, "a fault that was mended couples nothing");
+                assert_eq!(pressed.len(), 1999, "an acknowledged fault couples nothing");
             } else {
                 assert_eq!(pressed[0], 2500);
             }
@@ -303,7 +303,7 @@ mod tests {
     proptest! {
         /// The fast path of a held clutch decides like the full one.
         #[test]
-        fn a_clutch_that_is_held_is_decided_as_any_other(
+        fn held_clutch_fast_path_equals_full_decision(
             kind in 0_u8..3,
             ticks in prop::collection::vec((0_u8..14, any::<bool>(), 0_u8..40, 1_u64..300), 1..200),
         ) {
@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn who_presses_once_does_so_again_when_told() {
+    fn once_presses_again_when_requested() {
         let mut operator = ClutchOperator::new(Clutch::Once).unwrap();
         operator.begin(0);
         assert!((0..1000).all(|now| operator.at(now * MS, Hold, true)));
@@ -378,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn a_simulated_operator_tries_anew_where_a_press_was_not_answered() {
+    fn simulated_operator_retries_after_unanswered_press() {
         let mut operator = ClutchOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
         operator.begin(0);
         assert!(operator.at(0, LadderState::Disengaged, false), "the start is a press");
@@ -402,7 +402,7 @@ mod tests {
     }
 
     #[test]
-    fn a_start_of_long_ago_is_let_go_of_once() {
+    fn old_start_is_released_once() {
         for (clutch, was_pressed) in [
             (Clutch::Once, true),
             (Clutch::Auto { reaction_ns: 500 * MS }, false),
@@ -419,7 +419,7 @@ mod tests {
         let mut operator = ClutchOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
         operator.begin(0);
         assert!(operator.at(0, Aligning, false));
-        assert!(!operator.at(MS, Hold, true), "it lets go");
+        assert!(!operator.at(MS, Hold, true), "the clutch is released");
         assert!(!operator.at(2 * MS, LadderState::Fault, true));
         assert!((3..3000).all(|now| !operator.at(now * MS, LadderState::Disengaged, true)));
         operator.press_again();
@@ -428,7 +428,7 @@ mod tests {
     }
 
     #[test]
-    fn who_has_let_go_presses_only_when_requested() {
+    fn released_operator_presses_only_when_requested() {
         let mut operator = ClutchOperator::new(Clutch::Once).unwrap();
         operator.begin(0);
         operator.release_clutch();
@@ -463,7 +463,7 @@ mod button_tests {
     }
 
     #[test]
-    fn a_button_is_there_once_it_was_seen() {
+    fn button_exists_once_seen() {
         let mut button = Button::default();
         assert!(!button.is_there());
         assert_eq!(button.at(0, None), None);
@@ -475,7 +475,7 @@ mod button_tests {
     }
 
     #[test]
-    fn a_button_that_is_held_long_after_the_start_is_no_press() {
+    fn late_first_press_does_not_count() {
         let mut button = Button::default();
         button.must_be_released();
         assert!((0..50).all(|now| button.at(now * MS, Some(true)) == Some(false)));
@@ -484,7 +484,7 @@ mod button_tests {
     }
 
     #[test]
-    fn a_button_that_is_let_go_of_by_a_command_is_open_while_it_is_held() {
+    fn button_released_by_command_stays_open_while_held() {
         let mut button = Button::default();
         assert!((0..50).all(|now| button.at(now * MS, Some(now >= 30)) == Some(now >= 30)));
         button.must_be_released();
@@ -494,7 +494,7 @@ mod button_tests {
     }
 
     #[test]
-    fn what_a_contact_does_while_it_is_held_is_no_press() {
+    fn contact_bounce_is_not_a_press() {
         let (open, closed) = (Some(false), Some(true));
         for (name, samples, stall_ms, expected) in [
             ("no button", vec![(0, None)], None, vec![]),

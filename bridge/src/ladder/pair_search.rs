@@ -432,21 +432,24 @@ impl Pair {
         };
         if state.is_coupled() && !before.is_coupled() {
             let most = [ALIGN, SLAVE_PRESS][side];
-            hold(self.now - self.press.tick <= most, "coupled by no press, or an old one")?;
+            hold(self.now - self.press.tick <= most, "coupled without a recent press")?;
             hold(
                 counted,
-                "coupled by a press of before the last hold, fault, end or restart, or that was refused",
+                "coupled by a refused press, or one from before the last hold, fault, end or restart",
             )?;
         }
         let moves = state.is_coupled() || ladder.turns();
         if ladder.turns() {
-            hold(side == SLAVE && state == LadderState::Aligning, "turned elsewhere")?;
-            hold(self.now - self.press.tick <= SLAVE_PRESS, "turned by no press, or an old one")?;
-            hold(counted, "turned by a press of before the last hold, fault, end or restart")?;
+            hold(
+                side == SLAVE && state == LadderState::Aligning,
+                "turned outside ALIGNING, or at the master",
+            )?;
+            hold(self.now - self.press.tick <= SLAVE_PRESS, "turned without a recent press")?;
+            hold(counted, "turned by a press from before the last hold, fault, end or restart")?;
         }
         if self.aligns && side == MASTER && state.is_coupled() && !before.is_coupled() {
             let engaged = newest.is_some_and(|(frame, _)| frame.state.is_coupled());
-            hold(engaged, "coupled to an arm that is being turned")?;
+            hold(engaged, "coupled to an arm that still turns")?;
         }
         let aligning = self.now - ladder.aligning_ns / TICK_NS;
         hold(state != LadderState::Aligning || aligning < ALIGN, "aligns for too long")?;
@@ -455,13 +458,13 @@ impl Pair {
             hold(!moves || !missing, "coupled to a silent peer")?;
             let open = side == SLAVE && !frame.clutch;
             let apart = frame.state.is_held() || frame.state == LadderState::Disengaged || open;
-            hold(!moves || !apart, "coupled to a peer that is not")?;
+            hold(!moves || !apart, "coupled to an uncoupled peer")?;
             let gone = missing && self.now - arrived > 1 + SETTINGS.stop_after_ns.div_ceil(TICK_NS);
             // A press into a dead link shows for one tick.
             let goes_on = state == LadderState::Aligning && before == state;
             hold(!goes_on || !gone, "aligns with a silent peer")?;
         } else {
-            hold(!moves, "coupled to nobody")?;
+            hold(!moves, "coupled without a peer")?;
         }
         Ok(())
     }
@@ -478,7 +481,7 @@ impl Pair {
             let answers = number >= inputs.closed_sequence;
             age(number, ALIGN + 1) << 2 | u8::from(answers) << 1 | u8::from(pressed)
         };
-        // Sessions end in order; earlier ones differ only up to one before the present session.
+        // Sessions end in order, so all sessions before the previous one are equivalent.
         let session = |side: usize, session: u64| (self.sides[side].session - session).min(2) as u8;
         let frame = |key: &mut Vec<u8>, from: usize, frame: Option<&Sent>| {
             let Some(Sent { session: of, sequence, state, clutch, hears, echo, ended }) = frame else {
@@ -589,7 +592,7 @@ fn search(events: u8, most: usize, aligns: bool) -> [[u64; 7]; 2] {
 }
 
 #[test]
-fn no_state_of_two_ladders_couples_without_a_press_of_the_last_moment() {
+fn no_reachable_state_couples_without_a_recent_press() {
     let setting = |name: &str| std::env::var(name).ok().map(|text| text.parse::<usize>().unwrap());
     if let Some(events) = setting("HAPTETHER_SEARCH_EVENTS") {
         for aligns in [false, true] {

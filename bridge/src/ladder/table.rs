@@ -14,7 +14,7 @@ use Reason::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LadderState {
-    /// Not coupled: the master moves freely and the slave holds. Holds before the first press, while the
+    /// Not coupled: the master moves freely and the slave holds. State before the first press, while the
     /// clutch is open, and after an unanswered press.
     Disengaged,
     /// The clutch is pressed. The side waits until the other side is aligned too, for at most
@@ -225,13 +225,13 @@ const fn row(from: LadderState, reason: Reason, to: LadderState) -> Row {
 /// press into a dead link must not couple when the link returns.
 ///
 /// In DISENGAGED a press waits visibly as ALIGNING. It ends there, back to DISENGAGED, if the peer is silent
-/// for `stop_after`, restarts, faults, ends, or does not align within `align`. It also ends if a peer that
-/// has heard this side says for two round trips that it is in STOP or does not hear this side. A release and
+/// for `stop_after`, restarts, faults, ends, or does not align within `align`. It also ends if the peer
+/// refuses it: a peer that has heard this side reports STOP or deafness for two round trips. A release and
 /// another press start again.
 ///
-/// If the slave turns to the master before it engages, three more events end the press: a late loop, a peer
-/// not heard for the time that leads to HOLD elsewhere, and too large an angle. A moving arm must not depend
-/// on a press that nobody can take back.
+/// If the slave turns to the master before it engages, three more events end the press. These are a late
+/// loop, silence for the time that leads to HOLD elsewhere, and too large an angle. A moving arm must not
+/// depend on a press that can no longer be revoked.
 ///
 /// The end of a peer only reduces the force, so a false end gains nothing. A fault of an ending peer takes
 /// precedence over its end, and its end over the silence that follows.
@@ -428,7 +428,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fact_comes_and_goes_alone() {
+    fn facts_are_independent() {
         let all = Reason::ALL.iter().fold(Facts::default(), |facts, reason| facts.with(*reason, true));
         for reason in Reason::ALL {
             for facts in [Facts::default(), all] {
@@ -446,7 +446,7 @@ mod tests {
 
     /// Every state with every set of reasons: 7 times 16777216 cases.
     #[test]
-    fn every_state_under_all_that_can_be_the_case_at_once() {
+    fn every_state_with_every_set_of_reasons() {
         for state in LadderState::ALL {
             for facts in all_facts() {
                 let Some(row) = next(state, facts) else {
@@ -487,7 +487,7 @@ mod tests {
 
     /// Each reason by itself against a table written by hand: the state's rows and nothing else.
     #[test]
-    fn each_state_alone_with_each_reason() {
+    fn each_state_with_each_single_reason() {
         let coupled: &[(Reason, LadderState)] = &[
             (BadNumber, Fault),
             (OwnDelay, Hold),
@@ -551,7 +551,7 @@ mod tests {
     }
 
     #[test]
-    fn reasons_have_numbers_and_texts_of_their_own() {
+    fn reasons_have_unique_numbers_and_texts() {
         for (index, reason) in Reason::ALL.into_iter().enumerate() {
             assert_eq!(Reason::from_code(reason.code()), Some(reason));
             assert_eq!(usize::from(reason.code()), index + 1);

@@ -51,9 +51,9 @@ fn silence_leads_down_the_ladder_at_its_times() {
         };
         assert_eq!(ladder.state(), expected, "{silence}");
         assert!(ladder.gain() <= last);
-        assert!(expected != Stale || ladder.gain() == last, "nothing new is known");
+        assert!(expected != Stale || ladder.gain() == last, "the gain is constant in STALE");
         last = ladder.gain();
-        assert!(silence < 97 || last == 0.0, "the force is gone 100 ms after the last frame");
+        assert!(silence < 97 || last == 0.0, "the force is zero 100 ms after the last frame");
     }
     assert_eq!(ladder.holds(), 1);
     let reasons: Vec<_> = ladder.history().iter().map(|one| one.reason).collect();
@@ -70,7 +70,7 @@ fn silence_leads_down_the_ladder_at_its_times() {
 }
 
 #[test]
-fn a_long_way_is_no_silence() {
+fn long_delay_is_not_silence() {
     let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
     let late = LadderInput { age_ns: Some(500 * MS), expected_age_ns: 500 * MS, ..press() };
     ladder.step(0, &late);
@@ -84,7 +84,7 @@ fn a_long_way_is_no_silence() {
 }
 
 #[test]
-fn what_a_peer_says_holds_this_side() {
+fn peer_report_holds_this_side() {
     let report = PeerReport { state: Engaged, hears: true, answers: true, is_current: true };
     for (peer, reason) in [
         (PeerReport { hears: false, ..report }, Reason::PeerDeaf),
@@ -138,7 +138,7 @@ fn only_a_press_after_a_release_engages_again() {
         for (name, inputs, engages) in [
             ("the link is back", vec![sound(1)], false),
             ("the clutch is released", vec![open], false),
-            ("an edge without a release that was seen", vec![press()], false),
+            ("an edge without an observed release", vec![press()], false),
             ("released and pressed", vec![open, press()], true),
             (
                 "pressed while the link is dead",
@@ -178,7 +178,7 @@ fn only_a_press_after_a_release_engages_again() {
 }
 
 #[test]
-fn a_released_clutch_moves_the_master_alone_and_a_press_engages_it_again() {
+fn release_disengages_and_press_engages_again() {
     let mut ladder = engaged();
     let open = LadderInput { clutch: false, ..sound(1) };
     for now in 301..=400 {
@@ -204,7 +204,7 @@ const ALONE: LadderInput = LadderInput {
 };
 
 #[test]
-fn a_press_before_there_is_a_peer_waits_for_its_time() {
+fn press_without_peer_waits() {
     let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
     assert_eq!(ladder.step(0, &LadderInput { is_press: true, ..ALONE }), Aligning);
     for now in 1..1000 {
@@ -212,10 +212,10 @@ fn a_press_before_there_is_a_peer_waits_for_its_time() {
     }
     let idle = PeerReport { state: Disengaged, hears: true, answers: true, is_current: true };
     ladder.step(1000 * MS, &LadderInput { peer: Some(idle), ..sound(1) });
-    assert_eq!(ladder.state(), Aligning, "the peer has not seen the press");
+    assert_eq!(ladder.state(), Aligning, "the peer does not know of the press");
     let stale = PeerReport { state: Engaged, is_current: false, ..idle };
     ladder.step(1001 * MS, &LadderInput { peer: Some(stale), ..sound(1) });
-    assert_eq!(ladder.state(), Aligning, "what the peer says is of before the press");
+    assert_eq!(ladder.state(), Aligning, "the report is from before the press");
     assert_eq!(ladder.step(1002 * MS, &sound(1)), Engaged);
 }
 
@@ -243,7 +243,7 @@ fn refusing(peer: PeerReport) -> LadderInput {
 ///
 /// A peer that never heard this side in its run may still hear it.
 #[test]
-fn a_press_that_the_peer_refuses_ends_after_two_round_trips() {
+fn refused_press_ends_after_two_round_trips() {
     let stopped = PeerReport { state: Stop, hears: true, answers: true, is_current: false };
     for peer in [DEAF, stopped] {
         for (round_trip_ms, ends_ms) in
@@ -294,14 +294,14 @@ fn a_press_that_the_peer_refuses_ends_after_two_round_trips() {
 
 /// Each end of a waiting press: its time and reason. After it, only a release and a press couple.
 #[test]
-fn a_press_that_is_not_answered_ends_and_counts_no_more() {
+fn unanswered_press_ends_and_stops_counting() {
     type Input = fn(u64) -> LadderInput;
     let faulty = PeerReport { state: Fault, hears: true, answers: true, is_current: true };
     let cases: [(&str, Input, u64, Reason); 4] = [
-        ("nobody there", |_| ALONE, 5100, Reason::AlignTimedOut),
+        ("no peer", |_| ALONE, 5100, Reason::AlignTimedOut),
         ("a peer that does not align", |_| waiting(1), 5100, Reason::AlignTimedOut),
         ("a link that was cut", |now| waiting(now - 99), 301, Reason::SilentTooLong),
-        ("a peer that has ceased to hear", |_| refusing(DEAF), 151, Reason::PeerDeaf),
+        ("a peer that no longer hears", |_| refusing(DEAF), 151, Reason::PeerDeaf),
     ];
     let fell = |ladder: &Ladder, reason| {
         assert_eq!((ladder.state(), ladder.history().last().unwrap().reason), (Disengaged, reason));
@@ -336,7 +336,7 @@ fn a_press_that_is_not_answered_ends_and_counts_no_more() {
             assert_eq!(
                 ladder.step(now * MS, &sound(1)),
                 Disengaged,
-                "{name}: the link alone couples nothing"
+                "{name}: the link by itself couples nothing"
             );
         }
         // A slave sees a press for as long as the master aligns.
@@ -346,9 +346,10 @@ fn a_press_that_is_not_answered_ends_and_counts_no_more() {
     }
 }
 
-/// After a sleep in ALIGNING the press is over; frames that arrived meanwhile do not take precedence.
+/// A sleep beyond the timeout of ALIGNING ends the press; frames that arrived meanwhile do not take
+/// precedence.
 #[test]
-fn a_press_does_not_outlive_its_time_in_a_loop_that_slept() {
+fn press_times_out_in_a_loop_that_slept() {
     for (asleep_ms, expected) in [(4900, Engaged), (5000, Disengaged), (30_000, Disengaged)] {
         let mut ladder = aligning();
         let now_ns = (100 + asleep_ms) * MS;
@@ -359,7 +360,7 @@ fn a_press_does_not_outlive_its_time_in_a_loop_that_slept() {
 }
 
 #[test]
-fn a_fault_stays_until_it_is_acknowledged_and_the_clutch_pressed_anew() {
+fn fault_lasts_until_acknowledged_and_clutch_pressed_again() {
     let mut ladder = engaged();
     ladder.fault(301 * MS);
     assert_eq!((ladder.state(), ladder.gain()), (Fault, 0.0));
@@ -368,7 +369,7 @@ fn a_fault_stays_until_it_is_acknowledged_and_the_clutch_pressed_anew() {
         assert_eq!(ladder.step((302 + tick as u64) * MS, &input), Fault);
     }
     ladder.new_run(310 * MS, true);
-    assert_eq!(ladder.state(), Fault, "not by a new master either");
+    assert_eq!(ladder.state(), Fault, "a restarted master does not end a fault");
     ladder.acknowledge(311 * MS);
     // A slave sees a press for as long as the master aligns; a press from before the acknowledgement must not
     // count.
@@ -378,7 +379,7 @@ fn a_fault_stays_until_it_is_acknowledged_and_the_clutch_pressed_anew() {
 }
 
 #[test]
-fn a_master_that_was_started_anew_ends_the_stop_of_a_slave_and_a_slave_never_that_of_a_master() {
+fn restarted_master_ends_slave_stop_but_not_vice_versa() {
     for engages in [true, false] {
         let mut ladder = engaged();
         for silence in 1..=400 {
@@ -401,14 +402,14 @@ fn a_stall_holds_without_force() {
     let mut ladder = engaged();
     ladder.stalled(360 * MS);
     assert_eq!((ladder.step(360 * MS, &sound(1)), ladder.gain()), (Hold, 0.0));
-    assert!(!ladder.hears_peer(), "what had arrived before is old");
+    assert!(!ladder.hears_peer(), "frames from before the stall are old");
     ladder.step(362 * MS, &sound(1));
     assert!(ladder.hears_peer());
     assert_eq!(ladder.state(), Hold);
 }
 
 #[test]
-fn an_end_of_the_peer_is_no_hold_and_only_a_new_press_couples_after_it() {
+fn peer_end_is_not_a_hold_and_needs_a_new_press() {
     let end = LadderInput { ended: true, peer: None, ..sound(1) };
     let mut ladder = engaged();
     assert_eq!(ladder.step(301 * MS, &end), Disengaged);
@@ -471,7 +472,7 @@ proptest! {
 
     /// The fast path does the same as the table, before and after any other step.
     #[test]
-    fn a_tick_that_stays_engaged_is_one_by_the_table(
+    fn fast_path_equals_the_table(
         steps in prop::collection::vec((any_input(), 0_u8..22, 0_u64..12, 0_u8..80), 1..120),
         (expected_age_ns, was_blind) in (prop::sample::select(vec![MS, 300 * MS]), any::<bool>()),
     ) {
@@ -594,7 +595,7 @@ proptest! {
 /// Indicators for the operator: whether a press would count, number of necessary releases, whether a press
 /// was unanswered.
 #[test]
-fn what_is_shown_of_the_clutch_is_the_case() {
+fn clutch_indicators_are_correct() {
     let settings = LadderSettings { stale_after_ns: 4 * MS, ..LadderSettings::default() };
     let mut ladder = Ladder::new(settings).unwrap();
     assert_eq!(*ladder.settings(), settings);
@@ -623,7 +624,7 @@ fn what_is_shown_of_the_clutch_is_the_case() {
     assert_eq!((ladder.is_ready(), ladder.is_unanswered()), (true, true));
     now += 1;
     ladder.step(now * MS, &LadderInput { age_ns: Some(5_000 * MS), ..apart });
-    assert!(!ladder.is_ready(), "nobody is there");
+    assert!(!ladder.is_ready(), "the peer is silent");
     // Coupled, then held: another release is necessary.
     now += 1;
     ladder.step(now * MS, &LadderInput { is_press: true, ..sound(1) });
@@ -636,7 +637,7 @@ fn what_is_shown_of_the_clutch_is_the_case() {
 }
 
 #[test]
-fn a_peer_of_which_nothing_is_known_any_more_is_silent_since_it_was_sound() {
+fn vanished_peer_is_silent_since_last_sound() {
     let mut ladder = engaged();
     let unknown = LadderInput { age_ns: None, over_baseline_ns: None, peer: None, ..sound(0) };
     let states: Vec<_> = (301..=600).map(|now| ladder.step(now * MS, &unknown)).collect();
@@ -644,7 +645,7 @@ fn a_peer_of_which_nothing_is_known_any_more_is_silent_since_it_was_sound() {
 }
 
 #[test]
-fn a_press_at_the_tick_at_which_one_ends_is_none() {
+fn press_at_the_end_of_another_does_not_count() {
     let align_ns = LadderSettings::default().align_ns;
     let standing = PeerReport { state: Disengaged, hears: true, answers: true, is_current: false };
     let waiting = LadderInput { peer: Some(standing), ..sound(1) };
