@@ -135,8 +135,8 @@ impl<const N: usize> Arm<N> {
         }
     }
 
-    /// Return the fault of an invalid sample or of a failed device. Returns a substitute if the [`Guard`]
-    /// holds the sample as implausible: its prediction with the last wrench.
+    /// Check a sample. An invalid sample or a failed device is a fault. If the [`Guard`] holds the sample as
+    /// implausible, returns its substitute: the prediction with the last wrench.
     #[inline(always)] // once per tick, from few callers
     pub(crate) fn check(
         &mut self,

@@ -45,10 +45,10 @@ pub(super) struct TickEvents {
 /// Flight recorder of a side.
 #[derive(Clone, Debug)]
 enum Flight {
-    /// The recorder records.
-    Kept(Box<FlightRecorder>),
-    /// The recorder stays as it was, because nobody reads it; copies of the side share it.
-    LeftOut(Arc<FlightRecorder>),
+    /// Active recorder.
+    Active(Box<FlightRecorder>),
+    /// Recorder without updates, because nobody reads it; copies of the side share it.
+    Frozen(Arc<FlightRecorder>),
 }
 
 /// Part of an endpoint that exchanges frames with the peer.
@@ -115,7 +115,7 @@ impl Exchange {
             counted: (0, 0),
             period_ns,
             inputs: LadderInputs::new(role),
-            flight: Flight::Kept(Box::new(FlightRecorder::new(role.name()))),
+            flight: Flight::Active(Box::new(FlightRecorder::new(role.name()))),
             limited_ticks: 0,
             outliers: 0,
             events: TickEvents::default(),
@@ -281,7 +281,7 @@ impl Exchange {
         observed: impl FnOnce() -> [Observed; LAYERS.len()],
     ) {
         self.events = TickEvents::default();
-        if matches!(self.flight, Flight::Kept(_)) {
+        if matches!(self.flight, Flight::Active(_)) {
             self.keep_flight(now_ns, FlightValues::new(values), &observed());
         }
     }
@@ -299,7 +299,7 @@ impl Exchange {
             values,
         };
         let diagnosis = self.diagnosis(now_ns);
-        if let Flight::Kept(flight) = &mut self.flight {
+        if let Flight::Active(flight) = &mut self.flight {
             flight.observe(now_ns, observed);
             flight.take(entry, self.ladder.history(), diagnosis.as_ref());
         }
@@ -307,13 +307,13 @@ impl Exchange {
 
     /// Stop the flight recorder, in a virtual-time run that nobody records. The recorder affects no decision.
     pub(crate) fn leave_out_flight(&mut self) {
-        self.flight = Flight::LeftOut(Arc::new(*self.flight()));
+        self.flight = Flight::Frozen(Arc::new(*self.flight()));
     }
 
     /// Set the thresholds of a layer's observers, which the flight recorder shows beside the observed values.
-    pub(super) fn hold_against(&mut self, layer: usize, settings: &SafetySettings) {
-        if let Flight::Kept(flight) = &mut self.flight {
-            flight.hold_against(layer, thresholds(settings));
+    pub(super) fn set_thresholds(&mut self, layer: usize, settings: &SafetySettings) {
+        if let Flight::Active(flight) = &mut self.flight {
+            flight.set_thresholds(layer, thresholds(settings));
         }
     }
 
@@ -515,8 +515,8 @@ impl Exchange {
     /// Flight recorder with the last states and commands.
     pub fn flight(&self) -> &FlightRecorder {
         match &self.flight {
-            Flight::Kept(flight) => flight,
-            Flight::LeftOut(flight) => flight,
+            Flight::Active(flight) => flight,
+            Flight::Frozen(flight) => flight,
         }
     }
 }

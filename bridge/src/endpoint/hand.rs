@@ -230,7 +230,7 @@ mod tests {
         /// A lane is valid only if its scalar hand raises no fault and holds no sample; results are then
         /// bit-identical.
         #[test]
-        fn hands_in_lanes_are_as_alone(
+        fn lanes_equal_scalar_hands(
             ticks in prop::collection::vec(
                 prop::collection::vec((step(), step(), number(5.0)), WIDTH),
                 1..40,

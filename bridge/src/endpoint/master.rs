@@ -114,7 +114,7 @@ impl<const N: usize> MasterEndpoint<N> {
 
     /// Add a trigger with force feedback.
     pub fn with_trigger(mut self, settings: &TriggerSettings) -> Result<Self, EndpointError> {
-        self.exchange.hold_against(TRIGGER, &settings.safety);
+        self.exchange.set_thresholds(TRIGGER, &settings.safety);
         let fade_in_s = period_s(self.exchange.ladder.settings().fade_in_ns);
         self.trigger = Some(Box::new(TriggerFeedback::new(settings, self.period_s, fade_in_s)?));
         Ok(self)
@@ -176,9 +176,9 @@ impl<const N: usize> MasterEndpoint<N> {
         let hand = Self::with_layer(settings, rotation)?;
         let mut exchange =
             Exchange::new(Role::Master, N, settings.run_id, settings.period_ns, settings.ladder)?;
-        exchange.hold_against(TRANSLATION, &settings.safety);
+        exchange.set_thresholds(TRANSLATION, &settings.safety);
         if let Some(rotation) = rotation {
-            exchange.hold_against(ROTATION, &rotation.safety);
+            exchange.set_thresholds(ROTATION, &rotation.safety);
         }
         Ok(Self {
             hand,

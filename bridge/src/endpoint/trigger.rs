@@ -25,8 +25,8 @@ pub struct TriggerSettings {
 }
 
 /// Coupling from the jaws to the finger: `F_v = -g lambda F_jaws` along the closing direction `x = travel p`.
-/// F_v is 0 unless the jaws press on something and follow the trigger. g rises from 0 to 1 within the
-/// ladder's fade-in once they follow.
+/// F_v is 0 unless the jaws press on something and follow the trigger. Once they follow, g rises from 0 to 1
+/// within the ladder's fade-in.
 ///
 /// The trigger has its own [`SafetyLayer`]; its trips and those of the hand are independent. A finger that
 /// leaves its trigger opens the gripper, which must not remove the force that the hand leans on.
@@ -41,8 +41,8 @@ pub(super) struct TriggerFeedback {
     rise: f64,
     /// True if x was known at the last tick.
     is_known: bool,
-    /// True if x was unknown while the two sides were coupled. The force then stays zero, so that a gap
-    /// cannot clear a trip.
+    /// True if x was unknown while the two sides were coupled. The force then stays zero until the sides
+    /// part, so that a gap cannot clear a trip.
     is_lost: bool,
 }
 

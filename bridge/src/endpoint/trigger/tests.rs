@@ -62,7 +62,7 @@ fn force(tick: &SafetyTick<1>) -> f64 {
 }
 
 #[test]
-fn a_finger_that_holds_feels_the_jaws_by_the_scale() {
+fn held_trigger_feels_scaled_jaw_force() {
     for (jaws_n, stiffness) in [(40.0, 300.0), (80.0, 500.0), (0.0, 300.0), (1e4, 500.0)] {
         let mut trigger = feedback(&settings());
         let mut plant = held(stiffness, 0.024, None);
@@ -81,7 +81,7 @@ fn a_finger_that_holds_feels_the_jaws_by_the_scale() {
 }
 
 #[test]
-fn nothing_is_felt_but_of_jaws_that_press_and_follow_while_coupled() {
+fn only_pressing_and_following_jaws_are_felt() {
     let pressing = jaws(40.0);
     let unknown = GripperState::default();
     // The force then rises from zero. If the jaws follow throughout and press on something again, only the
@@ -90,12 +90,12 @@ fn nothing_is_felt_but_of_jaws_that_press_and_follow_while_coupled() {
     let free = GripperState { holds_object: false, ..pressing };
     let led_by_nobody = GripperState { follows: false, ..pressing };
     for (what, position, jaws, is_coupled, gain, next) in [
-        ("they press on nothing", Some(0.6), Some(free), true, 1.0, growth),
-        ("they do not follow", Some(0.6), Some(led_by_nobody), true, 1.0, rise),
-        ("they are not known", Some(0.6), Some(unknown), true, 1.0, rise),
-        ("no frame has come", Some(0.6), None, true, 1.0, rise),
-        ("the trigger is not known", None, Some(pressing), true, 1.0, 0.0),
-        ("the two sides are apart", Some(0.6), Some(pressing), false, 0.0, rise),
+        ("jaws press on nothing", Some(0.6), Some(free), true, 1.0, growth),
+        ("jaws do not follow", Some(0.6), Some(led_by_nobody), true, 1.0, rise),
+        ("jaws are unknown", Some(0.6), Some(unknown), true, 1.0, rise),
+        ("no frame", Some(0.6), None, true, 1.0, rise),
+        ("unknown trigger", None, Some(pressing), true, 1.0, 0.0),
+        ("the sides are apart", Some(0.6), Some(pressing), false, 0.0, rise),
     ] {
         let mut trigger = feedback(&settings());
         for _ in 0..2 * RISE {
@@ -109,7 +109,7 @@ fn nothing_is_felt_but_of_jaws_that_press_and_follow_while_coupled() {
 }
 
 #[test]
-fn it_rises_once_the_jaws_follow_and_fades_as_the_ladder_does() {
+fn force_rises_once_jaws_follow_and_fades_with_the_ladder() {
     let mut trigger = feedback(&settings());
     let still = GripperState { follows: false, ..jaws(40.0) };
     for _ in 0..50 {
@@ -130,7 +130,7 @@ fn it_rises_once_the_jaws_follow_and_fades_as_the_ladder_does() {
 }
 
 #[test]
-fn a_finger_that_lets_go_of_a_spring_is_thrown_no_faster_than_the_closed_form_says() {
+fn released_trigger_is_no_faster_than_the_closed_form() {
     // Soft jaws: their force grows with the trigger's displacement beyond the object, k = lambda K_jaws.
     let (held_m, k, x) = (0.012, 200.0, 0.009);
     let peak = |controllers: &[ControllerKind]| {
@@ -177,7 +177,7 @@ fn a_finger_that_lets_go_of_a_spring_is_thrown_no_faster_than_the_closed_form_sa
 }
 
 #[test]
-fn a_controller_that_still_acts_pushes_nobody_once_the_sides_are_apart() {
+fn controller_adds_no_force_after_the_sides_part() {
     let safety = SafetySettings {
         controllers: [ControllerKind::Vfc].into(),
         damping: 5.0,
@@ -193,7 +193,7 @@ fn a_controller_that_still_acts_pushes_nobody_once_the_sides_are_apart() {
     // Fast enough that the guard holds the first samples.
     for n in 0..14 {
         let tick = trigger.tick(opened(n), Some(jaws(40.0)), true, 1.0, 0);
-        assert!(n < 9 || force(&tick) > 1.0, "{n}: it is damped, {}", force(&tick));
+        assert!(n < 9 || force(&tick) > 1.0, "{n}: must be damped, {}", force(&tick));
     }
     for n in 14..30 {
         let tick = trigger.tick(opened(n), Some(jaws(40.0)), false, 0.0, 0);
@@ -203,7 +203,7 @@ fn a_controller_that_still_acts_pushes_nobody_once_the_sides_are_apart() {
 }
 
 #[test]
-fn ticks_that_were_missed_are_no_speed() {
+fn missed_ticks_do_not_raise_the_speed() {
     // At 0.3 m/s, with three of four ticks missing.
     let mut trigger = feedback(&settings());
     for n in 0..10 {
@@ -214,7 +214,7 @@ fn ticks_that_were_missed_are_no_speed() {
 }
 
 #[test]
-fn a_fault_is_no_force_until_it_is_mended() {
+fn fault_removes_the_force_until_reset() {
     let mut trigger = feedback(&settings());
     let run = |trigger: &mut TriggerFeedback, ticks| {
         (0..ticks).map(|_| trigger.tick(Some(0.6), Some(jaws(40.0)), true, 1.0, 0)).last().unwrap()
@@ -229,7 +229,7 @@ fn a_fault_is_no_force_until_it_is_mended() {
 }
 
 #[test]
-fn what_no_trigger_can_be_is_refused() {
+fn invalid_settings_are_refused() {
     for bad in [
         TriggerSettings { travel_m: 0.0, ..settings() },
         TriggerSettings { travel_m: f64::NAN, ..settings() },
@@ -274,7 +274,7 @@ proptest! {
 }
 
 #[test]
-fn a_trigger_that_was_not_known_is_felt_again_once_the_two_engage_anew() {
+fn unknown_trigger_is_felt_again_after_the_next_engagement() {
     let mut trigger = feedback(&settings());
     let run = |trigger: &mut TriggerFeedback, position, is_coupled, ticks| {
         let gain = f64::from(u8::from(is_coupled));
@@ -285,7 +285,7 @@ fn a_trigger_that_was_not_known_is_felt_again_once_the_two_engage_anew() {
     };
     assert!(run(&mut trigger, Some(0.6), true, 2 * RISE) < 0.0);
     assert_eq!(run(&mut trigger, None, true, 1), 0.0);
-    assert_eq!(run(&mut trigger, Some(0.6), true, 5 * RISE), 0.0, "a trip before it would be forgotten");
+    assert_eq!(run(&mut trigger, Some(0.6), true, 5 * RISE), 0.0, "a gap must not clear a trip");
     assert_eq!(run(&mut trigger, Some(0.6), false, 1), 0.0);
     assert!((run(&mut trigger, Some(0.6), true, 1) + SCALE * 40.0 / RISE as f64).abs() < 1e-12);
     // An unknown position while the sides are apart does not withhold the force.
