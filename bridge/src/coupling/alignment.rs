@@ -126,8 +126,8 @@ pub struct AlignmentStep {
 }
 
 impl Alignment {
-    /// Build an alignment: C as a unit quaternion, largest speed in rad/s (> 0), largest angle in rad (in (0,
-    /// pi]).
+    /// Build an alignment: C as a unit quaternion, largest speed in rad/s (> 0), largest angle in rad, in
+    /// `(0, pi]`.
     pub fn new(quat_wxyz: [f64; 4], max_speed: f64, max_angle: f64) -> Result<Self, CouplingError> {
         if !(max_angle > 0.0 && max_angle <= PI) {
             return Err(CouplingError::Angle { name: "alignment_angle", seen: max_angle });
@@ -241,7 +241,7 @@ mod tests {
     proptest! {
         /// Frame invariance, and its consequence in the coupling: an aligned pair stays aligned.
         #[test]
-        fn it_ends_where_the_coupling_goes_on(
+        fn coupling_continues_from_the_aligned_orientation(
             (frame, master, slave) in (orientation(), orientation(), orientation()),
             hand in vector(1.0),
         ) {
@@ -262,7 +262,7 @@ mod tests {
 
         /// A moving hand that is slower than the slave: the slave reaches it and then follows in each tick.
         #[test]
-        fn a_hand_that_moves_is_caught((start, axis) in (orientation(), direction())) {
+        fn moving_hand_is_reached((start, axis) in (orientation(), direction())) {
             let (alignment, mut command) = (unturned(PI), start);
             let hand = |tick: i32| {
                 about(axis.into_inner(), 0.2 * TICK_S * f64::from(tick)) * about(Vector3::x(), 0.3) * start
@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn too_far_is_refused_and_so_is_what_is_no_number() {
+    fn too_large_angles_and_nan_are_refused() {
         let (master, slave) = (UnitQuaternion::identity(), about(Vector3::y(), 0.6));
         unturned(0.61).step(&master, &slave, TICK_S).unwrap();
         let error = unturned(0.59).step(&master, &slave, TICK_S).unwrap_err().to_string();
@@ -298,7 +298,7 @@ mod tests {
 
     /// At an angle of pi both directions are equally short: the slave takes one and keeps it.
     #[test]
-    fn just_opposite_it_goes_one_way_round() {
+    fn opposite_orientation_turns_one_way() {
         let (master, mut command) = (about(Vector3::z(), PI), UnitQuaternion::identity());
         let mut axis = None;
         for tick in 1..=100 {
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn what_bounds_nothing_is_refused() {
+    fn invalid_bounds_are_refused() {
         for (speed, angle, text) in [
             (0.0, 1.0, "alignment_speed (w_max) = 0"),
             (f64::NAN, 1.0, "alignment_speed (w_max) = NaN"),

@@ -9,7 +9,8 @@ use serde::{Deserialize, Deserializer};
 
 use super::CouplingError;
 
-/// Bounds on the command of a slave. The network can never command more than this.
+/// Bounds on the command of a slave. A remote command beyond them is clamped and counted; it never causes a
+/// fault.
 ///
 /// In `[coupling]` of a scene they are `command_speed` and `command_reach`; null means unbounded.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
@@ -216,7 +217,7 @@ mod bounds_tests {
 
     proptest! {
         #[test]
-        fn what_is_commanded_is_within_both_bounds(
+        fn command_is_within_both_bounds(
             (wanted, last) in (prop::array::uniform3(-9.0..9.0f64), prop::array::uniform3(-0.5..0.5f64)),
             (speed, reach) in (0.1..5.0f64, 1.0..3.0f64),
         ) {
@@ -250,7 +251,7 @@ mod bounds_tests {
     }
 
     #[test]
-    fn bounds_that_are_none_are_refused() {
+    fn invalid_bounds_are_refused() {
         for (speed, turn) in [(0.0, 1.0), (f64::NAN, 1.0), (1.0, -1.0), (1.0, f64::NAN)] {
             assert!(RotationBounds { speed, turn }.check().is_err());
         }
@@ -267,7 +268,7 @@ mod decay_tests {
     use super::*;
 
     #[test]
-    fn it_begins_with_all_of_the_velocity_and_ends_at_rest() {
+    fn decay_begins_at_full_velocity_and_ends_at_rest() {
         const MS: u64 = 1_000_000;
         assert_eq!(decayed(0, 15 * MS), (0.0, 1.0));
         for late in [15 * MS, 16 * MS, u64::MAX] {

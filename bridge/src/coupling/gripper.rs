@@ -149,7 +149,7 @@ mod tests {
 
     /// A hand that releases the trigger while the sides are apart, then engages again, drops nothing.
     #[test]
-    fn a_grip_is_kept_until_the_trigger_comes_to_it() {
+    fn grip_is_kept_until_the_trigger_reaches_it() {
         for (first, then, follows) in
             [(0.0, 0.5, false), (0.0, 0.97, false), (0.0, 0.99, true), (1.0, 0.0, true), (0.985, 0.4, true)]
         {
@@ -164,7 +164,7 @@ mod tests {
 
     /// After a restart the last command is unknown: the jaws are stopped by their object.
     #[test]
-    fn a_grip_of_unknown_strength_is_picked_up_by_closing_only() {
+    fn unknown_grip_is_picked_up_only_by_closing() {
         let held = GripperSample { position: 0.6, holds_object: true, ..AT_REST };
         for (trigger, follows) in [(0.585, false), (0.599, false), (0.6, true), (0.615, true)] {
             let mut follower = GripperFollower::new(&SETTINGS);
@@ -172,11 +172,14 @@ mod tests {
         }
         let mut follower = GripperFollower::new(&SETTINGS);
         assert_eq!(follower.step(Some(0.5), &held, 1e-3), None);
-        assert!(position(follower.step(Some(0.7), &held, 1e-3)) > 0.6, "closing takes it along");
+        assert!(
+            position(follower.step(Some(0.7), &held, 1e-3)) > 0.6,
+            "a closing trigger picks up the gripper"
+        );
     }
 
     #[test]
-    fn a_trigger_that_passes_the_command_between_two_frames_takes_it_along() {
+    fn trigger_picks_up_the_command_when_it_passes_between_frames() {
         let mut follower = GripperFollower::new(&SETTINGS);
         let half = GripperSample { position: 0.5, ..AT_REST };
         assert_eq!(follower.step(Some(0.2), &half, 1e-3), None);

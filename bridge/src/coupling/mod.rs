@@ -33,7 +33,7 @@ pub use wrench::{Twist, Wrench};
 /// Invalid parameter of a coupling.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum CouplingError {
-    /// Scale or bound that is zero, negative or not a number.
+    /// Scale or bound that is not above 0, or not finite where it must be.
     #[error("{name} ({symbol}) = {seen}: must be finite and above 0")]
     Scale {
         /// Name of the parameter.
@@ -318,7 +318,7 @@ mod frame_tests {
     }
 
     #[test]
-    fn no_turn_is_none_however_it_is_given() {
+    fn identity_rotation_is_the_default_map() {
         let identity =
             FrameMap::new([[1.0, 0.0, -0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], [false; 3]).unwrap();
         let by_quaternion = FrameMap::<3>::rotated([1.0, 0.0, 0.0, 0.0], &[]).unwrap();
@@ -373,7 +373,7 @@ mod frame_tests {
     }
 
     #[test]
-    fn what_is_no_rotation_is_refused() {
+    fn invalid_rotations_are_refused() {
         for rows in [[[1.0, 0.0], [0.1, 1.0]], [[2.0, 0.0], [0.0, 0.5]], [[f64::NAN, 0.0], [0.0, 1.0]]] {
             assert!(matches!(FrameMap::new(rows, [false; 2]), Err(CouplingError::Orthonormal(_))));
         }
@@ -392,7 +392,7 @@ mod energy_tests {
 
     /// P = sin(2 pi t) W over ten periods: each sum is 10 times the integral of a half wave, 10 / pi J.
     #[test]
-    fn a_power_that_swings_fills_both_sums() {
+    fn alternating_power_fills_both_sums() {
         let (mut energy, ticks) = (PortEnergy::default(), 100_000);
         for tick in 0..ticks {
             // Midpoint rule: the relative error is below (pi dT)^2 / 6.
@@ -406,7 +406,7 @@ mod energy_tests {
     }
 
     #[test]
-    fn what_is_no_number_adds_nothing_and_the_sums_have_an_end() {
+    fn nan_adds_nothing_and_sums_saturate() {
         let mut energy = PortEnergy { in_j: 1.0, out_j: 2.0 };
         for power_w in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 0.0, -0.0] {
             energy.add(power_w, 1.0);

@@ -30,7 +30,7 @@ pub const MAX_NORM_ERROR: f64 = 1e-9;
 const ROUNDED: f64 = 1e-6;
 
 /// Orientation reported by a sensor. A rounded quaternion is normalised; any other non-unit quaternion is
-/// kept, and the receiver raises a fault.
+/// kept, and the check of the sample raises a fault.
 pub fn measured([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
     let quaternion = Quaternion::new(w, x, y, z);
     if (quaternion.norm() - 1.0).abs() <= ROUNDED {
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_orientation_is_refused() {
+    fn invalid_orientations_are_refused() {
         for (seen, text) in [
             ([1.0 + 1.1e-9, 0.0, 0.0, 0.0], "must be 1 to within 1e-9"),
             ([0.6, 0.8, 0.0, 1e-4], "[0.6, 0.8, 0.0, 0.0001] has a norm of 1.00000000"),

@@ -14,8 +14,8 @@ use crate::{command::OperatorCommand, lanes::packed};
 /// changes, they are set again at each tick, so that neither position nor velocity has a step.
 ///
 /// With a round trip T the hand feels the remote stiffness `lambda_f lambda_p K_e` with a delay. For a
-/// hand of impedance `K_h - m w² + j w B_h` this is stable for every T if `lambda_f lambda_p K_e < min_w |K_h
-/// - m w² + j w B_h|` (small gain).
+/// hand of impedance `K_h - m w² + j w B_h` this is stable for every T if
+/// `lambda_f lambda_p K_e < min_w |K_h - m w² + j w B_h|` (small gain).
 ///
 /// Source: Hannaford 1989; Lawrence 1993 ("position-force"); the condition by the small-gain theorem.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,7 +51,7 @@ impl<const N: usize, S: Real> PositionForce<N, S> {
     /// Change `lambda_p` over `ticks` ticks, 0 means at once. The slave continues from its present position.
     pub fn set_position_scale(&mut self, scale: f64, ticks: u32) -> Result<(), CouplingError> {
         self.change.set_motion(S::splat(check("position_scale", "lambda_p", scale)?), ticks);
-        self.anchor_anew(ticks);
+        self.drop_anchor(ticks);
         Ok(())
     }
 
@@ -65,11 +65,11 @@ impl<const N: usize, S: Real> PositionForce<N, S> {
     /// slave continues from its present position.
     pub fn set_map(&mut self, map: FrameMap<N>, ticks: u32) {
         self.change.set_map(map, ticks);
-        self.anchor_anew(ticks);
+        self.drop_anchor(ticks);
     }
 
     /// Drop the anchor after an immediate change, so that the slave continues from its present position.
-    fn anchor_anew(&mut self, ticks: u32) {
+    fn drop_anchor(&mut self, ticks: u32) {
         if ticks == 0 {
             self.anchor = None;
         }
@@ -196,10 +196,11 @@ mod tests {
         }
     }
 
-    /// Steps of command and force for a hand of constant velocity, written by hand: `lambda(k) = lambda_0 +
-    /// (lambda - lambda_0) k / n`. A second change starts at the present value. A map fades out and in.
+    /// Steps of command and force for a hand of constant velocity, written by hand:
+    /// `lambda(k) = lambda_0 + (lambda - lambda_0) k / n`. A second change starts at the present value. A map
+    /// fades out and in.
     #[test]
-    fn what_is_changed_fades_tick_by_tick() {
+    fn changes_fade_tick_by_tick() {
         let steps = |change: &dyn Fn(&mut PositionForce<1>, u32)| -> Vec<[f64; 2]> {
             let mut slave = PositionForce::<1>::new(1.0, 1.0).unwrap();
             let mut master = slave;
@@ -266,7 +267,7 @@ mod tests {
 
     /// After the sides part, the changes are complete, so the next engagement uses the commanded values.
     #[test]
-    fn what_is_being_changed_arrives_where_the_two_part() {
+    fn disengaging_completes_changes() {
         let mut coupling = PositionForce::<1>::new(1.0, 1.0).unwrap();
         coupling.commanded_position(&Axes::<1>::zeros(), &Axes::<1>::zeros());
         coupling.set_position_scale(2.0, 100).unwrap();
@@ -276,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn refuses_scales_that_couple_nothing() {
+    fn invalid_scales_are_refused() {
         for (p, f) in [(0.0, 1.0), (1.0, -1.0), (f64::NAN, 1.0), (1.0, f64::INFINITY)] {
             assert!(PositionForce::<1>::new(p, f).is_err());
         }

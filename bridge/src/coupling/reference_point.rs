@@ -139,7 +139,7 @@ mod tests {
         };
         let mut tool =
             SlaveReading::<3>::point([Axes::zeros(), Axes::zeros(), Axes::<3>::new(0.0, 5.0, 0.0)]);
-        assert_eq!(point.measured(&tool), tool, "without a rotation there is nothing to shift by");
+        assert_eq!(point.measured(&tool), tool, "a reading without a rotation is not shifted");
         tool.rotation = Some(rotation);
         let seen = point.measured(&tool);
         assert_eq!(seen.rotation.unwrap().torque, Vector3::zeros());
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn a_point_that_no_tool_has_is_refused() {
+    fn invalid_points_are_refused() {
         for bad in [[f64::NAN, 0.0, 0.0], [10.1, 0.0, 0.0], [0.0, f64::INFINITY, 0.0]] {
             let error = ReferencePoint::new(bad).unwrap_err().to_string();
             assert!(error.starts_with("reference_point = ") && error.contains("within 10 m"), "{error}");

@@ -64,28 +64,29 @@ impl RotationLock {
 /// phi it is `lambda`. Across phi it is a stretch by `sin(lambda |phi| / 2) / sin(|phi| / 2)` and a turn
 /// about phi by `(lambda - 1) |phi| / 2`.
 ///
-/// **Reach.** Only whole powers are continuous on all of SO(3): every phi of length 2 pi is the same D, but
+/// **Reach.** Only whole powers are continuous on all of SO(3). Every phi of length 2 pi is the same D, but
 /// their `lambda phi` are different rotations. So the stretch across a phi of nearly 2 pi is unbounded.
 /// Beyond [`ANCHOR_REACH_RAD`] the coupling therefore anchors both sides again where they are. The command
 /// has no jump there, but its velocity across phi has a step.
 ///
-/// The slave thus turns at most `max(lambda_r, sqrt 2)` times as fast as the master, up to pi `max(lambda_r,
-/// 1)` times. It returns to `R_s0` when the master returns to `R_m0`: by any way within the reach, and about
-/// one axis after any number of turns. After a way of several axes beyond the reach it does not.
+/// The slave thus turns at most `max(lambda_r, sqrt 2)` times as fast as the master, up to pi
+/// `max(lambda_r, 1)` times. It returns to `R_s0` when the master returns to `R_m0`: by any way within the
+/// reach, and about one axis after any number of turns. After a way of several axes beyond the reach it does
+/// not.
 ///
-/// **About one axis** e: `R_s = exp(lambda alpha e) R_s0`, where alpha is the turn about e in `D = exp(alpha
-/// e) S`, with S a swing about an axis across e. `alpha = 2 atan2(e·v, w)` of D's quaternion (w, v), again
-/// the value nearest to the last, for any number of turns. `alpha' = g·C w_m`, `g = (w² e + w v x e + (e·v)
-/// v) / (w² + (e·v)²)`, `|g| = 1 / cos(S / 2)`. At a swing of pi there is no turn about e. Beyond pi / 2,
-/// where `|g| = sqrt 2`, the coupling anchors both sides again.
+/// **About one axis** e: `R_s = exp(lambda alpha e) R_s0`, where alpha is the turn about e in
+/// `D = exp(alpha e) S`, with S a swing about an axis across e. `alpha = 2 atan2(e·v, w)` of D's quaternion
+/// (w, v), again the value nearest to the last, for any number of turns. `alpha' = g·C w_m`,
+/// `g = (w² e + w v x e + (e·v) v) / (w² + (e·v)²)`, `|g| = 1 / cos(S / 2)`. At a swing of pi there is no
+/// turn about e. Beyond pi / 2, where `|g| = sqrt 2`, the coupling anchors both sides again.
 ///
 /// **Lost frames.** The coupling assumes that the master turned evenly, on the shorter way, between two
-/// received orientations. If lost frames hide more than pi, the slave turns the other way. With `lambda_r =
-/// 1` it reaches the same orientation, else one that is off by `lambda_r 2 pi` until the next anchor. The
-/// bounds above also hold for the shorter way: no loss makes the command jump by more.
+/// received orientations. If lost frames hide more than pi, the slave turns the other way. With
+/// `lambda_r = 1` it reaches the same orientation, else one that is off by `lambda_r 2 pi` until the next
+/// anchor. The bounds above also hold for the shorter way: no loss makes the command jump by more.
 ///
 /// About a constant axis `tau_m·w_m = (lambda_tau / lambda_r) tau_s·w_s`. For other motions the torque is not
-/// the dual, because the hand is to feel a moment about its own axis.
+/// the dual, because the hand is to feel a moment about the axis of that moment.
 ///
 /// Source: Murray, Li and Sastry 1994, section 2.2.2 (exponential coordinates); Sola, Deray and Atchuthan, *A
 /// micro Lie theory for state estimation in robotics*, arXiv 1812.01537, Eq. 145-146 (left Jacobian and its
@@ -159,7 +160,7 @@ impl RotationCoupling {
     /// orientation.
     pub fn set_rotation_scale(&mut self, scale: f64, ticks: u32) -> Result<(), CouplingError> {
         self.change.set_motion(check("rotation_scale", "lambda_r", scale)?, ticks);
-        self.anchor_anew(ticks);
+        self.drop_anchor(ticks);
         Ok(())
     }
 
@@ -174,12 +175,12 @@ impl RotationCoupling {
     pub fn set_frame(&mut self, quat_wxyz: [f64; 4], ticks: u32) -> Result<(), CouplingError> {
         let [w, x, y, z] = normalised(quat_wxyz)?;
         self.change.set_map(Unit::new_unchecked(Quaternion::new(w, x, y, z)), ticks);
-        self.anchor_anew(ticks);
+        self.drop_anchor(ticks);
         Ok(())
     }
 
     /// Drop the anchor after an immediate change, so that the slave continues from its present orientation.
-    fn anchor_anew(&mut self, ticks: u32) {
+    fn drop_anchor(&mut self, ticks: u32) {
         if ticks == 0 {
             self.anchor = None;
         }

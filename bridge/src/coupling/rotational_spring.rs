@@ -1,4 +1,4 @@
-//! A spring between two orientations, the same about every axis.
+//! Isotropic spring between two orientations.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use std::f64::consts::PI;
@@ -8,8 +8,8 @@ use super::{CouplingError, position_force::check};
 /// Angle in rad up to which the spring is linear; beyond it the torque decreases, to zero at pi.
 pub const FULL_SPRING_RAD: f64 = 5.0 * PI / 6.0;
 
-/// Torque `tau = k phi` with `phi = log(R_s R_m')`, on the master towards the slave, in the base frame;
-/// `-tau` on the slave.
+/// Spring with the torque `tau = k phi`, `phi = log(R_s R_m')`, on the master towards the slave, in the base
+/// frame; `-tau` on the slave.
 ///
 /// It equals `R_m k log(R_m' R_s)`: the vector `log(R_m' R_s)` of the tool frame, expressed in the base
 /// frame. That vector has the same components in the master's and in the slave's tool frame. The torque is
@@ -18,8 +18,8 @@ pub const FULL_SPRING_RAD: f64 = 5.0 * PI / 6.0;
 ///
 /// At `|phi| = pi` the shorter way changes its side, and k phi would reverse from one tick to the next with
 /// its full `k pi`. A torque of uncertain direction must be zero. So beyond [`FULL_SPRING_RAD`] (a, 150
-/// degrees) `|tau| = k a (pi - |phi|) / (pi - a)`, which is zero at pi. Its potential is `U = k (a² + a
-/// (|phi| - a) (1 + (pi - |phi|) / (pi - a))) / 2`.
+/// degrees) `|tau| = k a (pi - |phi|) / (pi - a)`, which is zero at pi. Its potential is
+/// `U = k (a² + a (|phi| - a) (1 + (pi - |phi|) / (pi - a))) / 2`.
 ///
 /// Torque and potential are continuous everywhere; `|tau| <= k a`, `U <= k a pi / 2`. No spring on SO(3) can
 /// avoid such a point: a smooth potential on SO(3) has at least 4 points without torque.
@@ -157,7 +157,7 @@ mod tests {
             // 8 of it.
             assert!((spring().potential_j(&master, &slave) - energy).abs() < 6.0 * STIFFNESS * 1e-8 / 8.0);
         }
-        assert!(last < 1e-14, "nothing is left at pi");
+        assert!(last < 1e-14, "the torque is zero at pi");
     }
 
     /// Closed form of a body of inertia I on the spring: `phi(t) = phi_0 cos(sqrt(k / I) t)` about a fixed

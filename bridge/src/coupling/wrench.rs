@@ -61,7 +61,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_shift_keeps_the_power_and_comes_undone(
+        fn shift_keeps_the_power_and_is_reversible(
             (velocity, angular_velocity) in (vector(10.0), vector(10.0)),
             (force, torque, by) in (vector(10.0), vector(10.0), vector(2.0)),
         ) {
@@ -78,7 +78,7 @@ mod tests {
         /// Numerical derivative of a point on a screw: `x(t) = q + exp(w t) (x - q) + h w t`, of pitch h
         /// about a line through q (Murray, Li and Sastry 1994, section 2.3.3). Its twist about q is (h w, w).
         #[test]
-        fn a_point_of_a_screw_moves_as_its_shifted_twist_says(
+        fn point_of_a_screw_moves_with_its_shifted_twist(
             (axis, through, by) in (direction(), vector(1.0), vector(1.0)),
             (pitch, speed) in (-0.5..0.5f64, -3.0..3.0f64),
         ) {

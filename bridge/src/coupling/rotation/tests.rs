@@ -90,7 +90,7 @@ fn a_change_of_scale_frame_or_lock_moves_nothing_by_itself() {
 /// A hand that turns evenly, far from its anchor and across phi. Scales and frames that fade over n ticks
 /// move nothing by themselves; at a tick they change the velocity by at most their share.
 #[test]
-fn what_is_changed_of_a_rotation_fades_without_a_step() {
+fn changes_of_a_rotation_fade_without_a_step() {
     type Change = fn(&mut RotationCoupling, f64);
     const TICKS: u32 = 200;
     let rate = 1e-3;
@@ -232,7 +232,7 @@ proptest! {
 
     /// For lambda_r = 1 the command is `C R_m R_m0' C' R_s0`, by any way and for any number of turns.
     #[test]
-    fn unscaled_it_is_the_rotation_itself(
+    fn unscaled_command_is_the_rotation_itself(
         (frame, master, slave) in (orientation(), orientation(), orientation()),
         way in prop::collection::vec(vector(3.0), 1..20),
     ) {
@@ -497,7 +497,7 @@ fn the_stretch_has_its_bound() {
 
 /// Beyond the reach, a way of several axes leaves the slave elsewhere: the cost of the anchor's reach.
 #[test]
-fn beyond_reach_the_anchor_is_another() {
+fn beyond_reach_the_anchor_changes() {
     let at = [UnitQuaternion::identity(); 2];
     let (mut coupling, _) = led(scaled(0.5), at, Vector3::z(), 1.6 * PI);
     assert_ne!(coupling.anchor.unwrap().slave, at[1]);
@@ -511,7 +511,7 @@ fn beyond_reach_the_anchor_is_another() {
 }
 
 #[test]
-fn lost_frames_that_hide_more_than_half_a_turn_are_taken_the_shorter_way() {
+fn hidden_turns_beyond_pi_take_the_shorter_way() {
     let origin = UnitQuaternion::identity();
     for (hidden, taken) in [(0.9 * PI, 0.9 * PI), (1.1 * PI, -0.9 * PI), (2.3 * PI, 0.3 * PI)] {
         for begin in [0.0, 1.2, 4.0] {
@@ -529,7 +529,7 @@ fn lost_frames_that_hide_more_than_half_a_turn_are_taken_the_shorter_way() {
 /// A swing of pi has no turn about the axis: nothing jumps up to it and past it, and the turn continues from
 /// there.
 #[test]
-fn a_hand_that_turns_over_moves_the_free_axis_by_no_jump() {
+fn turned_over_hand_causes_no_jump_about_the_free_axis() {
     for off in [0.0, 1e-12, 1e-3] {
         let mut coupling = scaled(1.0);
         coupling.set_lock(RotationLock::only_about([0.0, 0.0, 1.0]).unwrap());
@@ -547,7 +547,7 @@ fn a_hand_that_turns_over_moves_the_free_axis_by_no_jump() {
 }
 
 #[test]
-fn what_is_locked_keeps_its_orientation_and_renders_nothing() {
+fn locked_rotation_keeps_its_orientation_and_renders_no_torque() {
     let mut coupling = scaled(0.5);
     coupling.set_lock(RotationLock::Locked);
     let (hand, slave) = (exp(Vector3::x()), exp(Vector3::y() * 2.0));
@@ -561,14 +561,14 @@ fn what_is_locked_keeps_its_orientation_and_renders_nothing() {
 }
 
 #[test]
-fn a_hand_that_is_no_number_is_not_followed() {
+fn nan_orientation_is_not_followed() {
     let none = Unit::new_unchecked(Quaternion::new(1.0, f64::NAN, 0.0, 0.0));
     let (hand, slave) = (exp(Vector3::x()), exp(Vector3::y() * 2.0));
     for lock in [RotationLock::Free, RotationLock::only_about([1.0, 0.0, 0.0]).unwrap()] {
         let mut coupling = scaled(0.5);
         coupling.set_lock(lock);
         assert_eq!(coupling.commanded_orientation(&none, &slave), slave);
-        assert_eq!(coupling.commanded_orientation(&hand, &hand), hand, "it has not engaged");
+        assert_eq!(coupling.commanded_orientation(&hand, &hand), hand, "not engaged yet");
         let command = coupling.commanded_orientation(&(exp(Vector3::x()) * hand), &slave);
         assert_eq!(coupling.commanded_orientation(&none, &slave), command);
         let back = coupling.commanded_orientation(&hand, &slave);
@@ -578,7 +578,7 @@ fn a_hand_that_is_no_number_is_not_followed() {
 
 /// Norms off by 1e-9, on either side, as `checked` accepts them.
 #[test]
-fn norms_that_are_off_leave_the_command_of_norm_1() {
+fn command_has_norm_1_for_inexact_inputs() {
     for off in [1.0 + 1e-9, 1.0 - 1e-9] {
         let bent = |of: UnitQuaternion<f64>| Unit::new_unchecked(of.into_inner() * off);
         for scale in [1.0, 0.5] {
@@ -593,7 +593,7 @@ fn norms_that_are_off_leave_the_command_of_norm_1() {
 }
 
 #[test]
-fn refuses_what_couples_nothing() {
+fn invalid_settings_are_refused() {
     for (r, tau, text) in [
         (0.0, 1.0, "rotation_scale (lambda_r) = 0"),
         (f64::NAN, 1.0, "rotation_scale (lambda_r) = NaN"),
