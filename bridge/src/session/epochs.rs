@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ends_of_the_numbers_hold() {
+    fn counter_limits_are_handled() {
         let mut window = ReplayWindow::new(64);
         assert_eq!(window.mark(u64::MAX - 1), Arrival::Newer);
         assert_eq!(window.mark(u64::MAX), Arrival::Newer);

@@ -157,8 +157,8 @@ impl Handshake {
     }
 }
 
-/// First timeout in ns for an answer, a wait for the operator. A longer round trip costs some retries but no
-/// time: every retry is the same message, and any answer to it is valid.
+/// First timeout in ns for an answer; the operator waits for it. A longer round trip costs some retries but
+/// no time: every retry is the same message, and any answer to it is valid.
 const RETRY_NS: u64 = 250 * MS;
 /// Largest timeout in ns; it doubles up to this. A missing slave is not flooded, and a slave that starts is
 /// found soon.
@@ -190,8 +190,8 @@ pub(super) struct Initiator {
     /// Newest requested epoch; every handshake has its own number.
     newest: Option<EpochId>,
     refused_until_ns: u64,
-    /// True if a slave that is live refused a new session because of a lease. The lease may be ours, and then
-    /// the slave renews its keys.
+    /// True if the live slave has refused a new session because of a lease. If that lease is ours, the slave
+    /// renews its keys.
     renews: bool,
     /// True if such a renewal has failed before: the lease belongs to another master.
     has_failed: bool,
@@ -219,8 +219,8 @@ impl Initiator {
     fn wanted(&self, standing: &Standing) -> Option<Wish> {
         let Some(live) = &standing.live else { return Some(Wish::Session) };
         if standing.silent_ns >= self.settings.silence_ns {
-            // The slave may have restarted without this session. If it still has it, it refuses the request,
-            // or is heard again.
+            // The slave may have restarted without this session. A slave that still has it refuses the
+            // request, or is heard again.
             return Some(if self.renews && live.confirmed { Wish::Keys } else { Wish::Session });
         }
         let is_due = standing.due || live.age_ns >= self.settings.rekey_ns;

@@ -25,7 +25,8 @@ pub enum KeyError {
     Weak(usize),
 }
 
-/// Shared key of 32 bytes on both sides. It stays at one place in memory and is wiped on drop.
+/// Pre-shared key: 32 bytes that both sides hold from the start. It stays at one place in memory and is wiped
+/// on drop.
 pub struct PreSharedKey(Box<Zeroizing<[u8; KEY_BYTES]>>);
 
 impl PreSharedKey {
@@ -245,7 +246,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn keys_that_nobody_drew_are_refused() {
+    fn weak_keys_are_refused() {
         let mut one_bit = [0; 32];
         one_bit[31] = 1;
         let pattern: Vec<u8> = [1, 2, 3, 4].repeat(8);
@@ -260,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mac_fits_its_message_and_key_alone() {
+    fn mac_matches_only_its_message_and_key() {
         let keys = [0, 1].map(|first| {
             let bytes: Vec<u8> = (first..first + 32).collect();
             PreSharedKey::new(&bytes).unwrap().mac()
@@ -268,7 +269,7 @@ mod tests {
         let mac = keys[0].sign(b"message");
         assert!(keys[0].fits(b"message", &mac));
         assert!(!keys[1].fits(b"message", &mac) && !keys[0].fits(b"massage", &mac));
-        assert!(!keys[0].fits(b"message", &mac[..16]), "no shorter one");
+        assert!(!keys[0].fits(b"message", &mac[..16]), "a shorter MAC is invalid");
     }
 
     fn bytes(hex: &str) -> Vec<u8> {

@@ -8,7 +8,7 @@
 //! [`SessionEnd`] is both on one thread. None of them owns a clock, a socket or randomness. The bytes on the
 //! wire and the reasons for them are in `docs/protocol.md`.
 //!
-//! Calls of a user:
+//! Calls:
 //!
 //! ```text
 //! each datagram:  session.open(now, bytes)?

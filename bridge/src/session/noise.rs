@@ -364,6 +364,6 @@ mod tests {
             assert_ne!(bytes, again);
         }
         entropy.fill(&mut again).unwrap();
-        assert_ne!(bytes, again, "never the same twice");
+        assert_ne!(bytes, again, "draws differ");
     }
 }

@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn what_makes_no_session_is_refused_by_name() {
+    fn invalid_settings_are_refused_by_name() {
         let good = SessionSettings::new(Role::Slave, 92, MS);
         for (bad, said) in [
             (SessionSettings { payload_length: 0, ..good }, "payload_length = 0"),

@@ -382,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn the_cheap_refusals_come_in_order() {
+    fn cheap_checks_come_in_order() {
         let good = |kind: Kind, length: usize| {
             let mut bytes = vec![0; length];
             bytes[..24].copy_from_slice(&Header { kind, epoch: 0, session: 1, counter: 0 }.to_bytes());
