@@ -114,7 +114,7 @@ fn a_gripper_is_three_numbers_and_three_flags() {
 }
 
 #[test]
-fn a_gripper_that_follows_is_the_slaves_alone() {
+fn only_a_slave_gripper_follows() {
     let follows = GripperState { position: Some(0.5), follows: true, ..GripperState::default() };
     let framed = Frame { role: Role::Master, gripper: Some(follows), ..frame() };
     let mut buffer = [0; MAX_FRAME];
@@ -204,7 +204,7 @@ fn a_pose_is_ten_numbers_and_buttons_are_a_word() {
 }
 
 #[test]
-fn the_checksum_is_the_common_one() {
+fn checksum_is_crc32() {
     assert_eq!(crc32fast::hash(b"123456789"), 0xCBF4_3926);
 }
 
@@ -297,10 +297,10 @@ proptest! {
         prop_assert_eq!(decoded.rotation.unwrap().angular_velocity, part(2));
     }
 
-    /// A frame passed without bytes equals the frame passed through bytes: for any content, valid or not, any
-    /// session, and also on its way back to its sender.
+    /// A frame passed without bytes equals the frame passed through bytes. This holds for any content, valid
+    /// or not, for any session, and for a frame that returns to its sender.
     #[test]
-    fn without_bytes_a_frame_is_what_it_is_through_bytes(
+    fn unencoded_frame_equals_decoded_frame(
         of_slave in any::<bool>(), comes_back in any::<bool>(), is_pose in any::<bool>(),
         numbers in prop::array::uniform5(prop_oneof![
             6 => -900.0..900.0f64, 1 => Just(-0.0), 1 => prop::num::f64::ANY,
@@ -364,7 +364,7 @@ proptest! {
     /// Random bodies with a valid header and checksum: every decoded value is in range, and the rest is
     /// rejected.
     #[test]
-    fn garbage_that_is_well_sealed_is_refused_or_in_range(
+    fn well_sealed_garbage_is_refused_or_in_range(
         body in prop::collection::vec(any::<u8>(), 124 - 8 - 4),
         values in prop::array::uniform5(prop::num::f64::ANY),
     ) {
