@@ -66,17 +66,13 @@ pub const MAGIC: [u8; 2] = *b"HT";
 pub const VERSION: u8 = 6;
 /// Bytes before the first axis.
 pub const HEADER: usize = 64;
-/// Bytes of the two energies.
 const ENERGIES: usize = 16;
 /// Numbers of the rotation of a pose: quaternion, angular velocity, torque.
 const ROTATION: usize = 10;
-/// Bytes of the state of a gripper.
 const GRIPPER: usize = 24;
-/// Bytes of the buttons.
 const BUTTONS: usize = 4;
 /// Bytes of reason, fault and fault text.
 const CAUSE: usize = 4 + PIECE;
-/// Bytes of the checksum.
 const CHECKSUM: usize = 4;
 /// Largest number of axes of a device or an arm.
 pub const MAX_AXES: usize = 7;
@@ -794,7 +790,6 @@ fn decoded_gripper(sequence: u64, flags: u16, numbers: [f64; 3]) -> Result<Gripp
     }
 }
 
-/// Decode quaternion, angular velocity and torque.
 fn decoded_rotation(
     sequence: u64,
     from: Role,

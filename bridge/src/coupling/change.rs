@@ -111,7 +111,6 @@ pub(super) fn rounded(number: f64) -> f64 {
     format!("{number:.5e}").parse().unwrap_or(number)
 }
 
-/// Text of the remedy for a rejected scale.
 pub(super) fn remedy(name: &str, seen: f64, [least, most]: [f64; 2]) -> String {
     if (least..=most).contains(&seen) {
         "release the clutch first, or state a larger coupling.change_factor in the scene".to_owned()

@@ -11,7 +11,6 @@ pub(crate) fn orientation() -> impl Strategy<Value = UnitQuaternion<f64>> {
         .prop_map(Unit::new_normalize)
 }
 
-/// Any direction.
 pub(super) fn direction() -> impl Strategy<Value = Unit<Vector3<f64>>> {
     vector(1.0).prop_filter("no direction", |vector| vector.norm() > 0.1).prop_map(Unit::new_normalize)
 }

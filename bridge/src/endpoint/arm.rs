@@ -23,14 +23,12 @@ pub(crate) struct MasterState<'a, const N: usize> {
     pub(crate) position: Axes<N>,
     /// V in m/s.
     pub(crate) velocity: Axes<N>,
-    /// Rotation of a pose.
     pub(crate) rotation: Option<&'a RotationState>,
 }
 
 /// Inputs of a tick beside the measurements of the arm.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArmInput<'a, const N: usize> {
-    /// State of the ladder.
     pub(crate) state: LadderState,
     /// True if the arm may turn to the master before the two engage.
     pub(crate) turns: bool,
@@ -40,14 +38,12 @@ pub(crate) struct ArmInput<'a, const N: usize> {
     pub(crate) newest: Option<MasterState<'a, N>>,
 }
 
-/// Result of one tick.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArmTick<const N: usize> {
     /// Velocity in m/s of the commanded position; zero unless engaged.
     pub(crate) command_velocity: Axes<N>,
     /// Angular velocity in rad/s of the commanded orientation; zero unless engaged or turning to the master.
     pub(crate) angular_velocity: Axes<3>,
-    /// Bounds that acted on the command.
     pub(crate) limited: Limited,
 }
 
@@ -112,7 +108,6 @@ impl<const N: usize> Arm<N> {
         Self { guard: Guard::new(bounds, rotation, period_s), ..self }
     }
 
-    /// Guard that checks the samples.
     pub(crate) fn guard(&self) -> &Guard<N> {
         &self.guard
     }
@@ -122,7 +117,6 @@ impl<const N: usize> Arm<N> {
         self.excess
     }
 
-    /// Translation part.
     pub(crate) fn translation(&self) -> &SlaveTranslation<N> {
         &self.translation
     }

@@ -42,7 +42,6 @@ pub(super) struct TickEvents {
     pub(super) device_failed: bool,
 }
 
-/// Flight recorder of a side.
 #[derive(Clone, Debug)]
 enum Flight {
     /// Active recorder.

@@ -109,7 +109,6 @@ impl<const N: usize> Hand<N> {
         Some(self)
     }
 
-    /// Step one tick.
     #[inline(always)] // its result is large and mostly empty
     pub(crate) fn tick(
         &mut self,

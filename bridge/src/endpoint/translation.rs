@@ -14,7 +14,6 @@ use crate::{
 /// Inputs of a tick beside the position of the arm.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TranslationInput<'a, const N: usize, S: Real = f64> {
-    /// State of the ladder.
     pub(crate) state: LadderState,
     /// Time in ns that the ladder has been in STALE.
     pub(crate) stale_ns: u64,
@@ -197,7 +196,6 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
         self.command = self.command.and(rest);
     }
 
-    /// Coupling of the position.
     pub(crate) fn coupling(&mut self) -> &mut PositionForce<N, S> {
         &mut self.coupling
     }

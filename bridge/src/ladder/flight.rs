@@ -80,7 +80,6 @@ pub struct FlightRecorder {
     /// Ticks up to the one at which the side last entered HOLD, STOP or FAULT.
     at_hold: Option<Ring>,
     history: History,
-    /// Interventions of each layer.
     interventions: [Interventions; LAYERS.len()],
     /// Diagnoses, and the time in ns at which each began.
     diagnoses: [Option<(u64, Diagnosis)>; KEPT_DIAGNOSES],
@@ -294,9 +293,7 @@ fn names(tripped: [Tripped; LAYERS.len()]) -> Vec<String> {
 
 /// Safety layers of a hand, each with its own observers and thresholds.
 pub const LAYERS: [&str; 3] = ["translation", "rotation", "trigger"];
-/// Index of the force layer.
 pub(crate) const TRANSLATION: usize = 0;
-/// Index of the torque layer.
 pub(crate) const ROTATION: usize = 1;
 /// Index of the layer of a trigger with force feedback.
 pub(crate) const TRIGGER: usize = 2;
@@ -384,7 +381,6 @@ impl Interventions {
         }
     }
 
-    /// Number of interventions so far.
     fn count(&self) -> usize {
         self.count
     }

@@ -192,7 +192,6 @@ impl Epochs {
         self.current.as_ref().map(|epoch| epoch.id).or(self.lapsed.as_ref().map(|(id, _)| *id))
     }
 
-    /// Drop all keys.
     pub(super) fn clear(&mut self) {
         self.current = None;
         self.previous = None;

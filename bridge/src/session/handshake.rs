@@ -299,7 +299,6 @@ impl Initiator {
         Ok(datagram)
     }
 
-    /// Take the slave's answer.
     pub(super) fn receive(
         &mut self,
         now_ns: u64,
@@ -520,7 +519,6 @@ impl Responder {
         is_granted.then_some(()).ok_or(Rejection::Busy)
     }
 
-    /// Issue a ticket to a refused master.
     fn issue(&mut self, entropy: &mut dyn Entropy) -> Result<Ticket, Rejection> {
         let mut ticket = NO_TICKET;
         entropy.fill(&mut ticket).map_err(|_| Rejection::Unable)?;

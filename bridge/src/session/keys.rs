@@ -187,7 +187,6 @@ impl Epoch {
     }
 }
 
-/// Bytes of the tag.
 pub(super) const TAG: usize = 16;
 
 /// Key of one direction of one epoch.

@@ -32,7 +32,6 @@ pub const fn sealed_length(payload: usize) -> usize {
     SESSION_HEADER + payload + TAG
 }
 
-/// Write the MAC of a handshake datagram.
 pub(super) fn write_mac(datagram: &mut [u8; HANDSHAKE_LENGTH], key: &MacKey) {
     let (message, mac) = datagram.split_at_mut(AUTHENTICATED);
     mac.copy_from_slice(&key.sign(message));
@@ -105,7 +104,6 @@ struct Bytes {
     counter: U64,
 }
 
-/// Decoded header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Header {
     pub(super) kind: Kind,

@@ -432,7 +432,6 @@ fn peer_end_is_not_a_hold_and_needs_a_new_press() {
     assert_eq!(ladder.history().last().map(|step| step.reason), Some(Reason::PeerFaulted));
 }
 
-/// Any input of a tick.
 fn any_input() -> impl Strategy<Value = LadderInput> {
     let weighted = prop::bool::weighted(0.8);
     let peer = (0_u8..7, any::<bool>(), weighted, weighted).prop_map(|(code, hears, answers, is_current)| {
