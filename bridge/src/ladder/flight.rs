@@ -77,7 +77,7 @@ pub struct FlightRecorder {
     side: &'static str,
     start_ns: Option<u64>,
     latest: Ring,
-    /// Ticks up to the one at which the side last entered HOLD, STOP or FAULT.
+    /// Ticks up to the last one at which the side went to HOLD, STOP or FAULT from any other state.
     at_hold: Option<Ring>,
     history: History,
     interventions: [Interventions; LAYERS.len()],

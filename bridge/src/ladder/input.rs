@@ -10,8 +10,8 @@ pub struct PeerReport {
     pub state: LadderState,
     /// True if the peer hears this run of this side.
     pub hears: bool,
-    /// True if the peer, when it sent the frame, knew why this side last needed a release: a hold, a fault or
-    /// an unanswered press. An earlier report cannot confirm a later press or release.
+    /// True if the peer, when it sent the frame, knew why this side last needed a release: a hold, a fault,
+    /// an ended peer or an unanswered press. An earlier report cannot confirm a later press or release.
     pub answers: bool,
     /// True if the report may align this side. At the master, the peer knew of the last press; at the slave,
     /// the report is at most `LadderSettings::align_ns` old.

@@ -100,7 +100,7 @@ pub enum Reason {
     PeerFaulted,
     /// The clutch was released.
     ClutchReleased,
-    /// The clutch was pressed, after a release during the present state.
+    /// The clutch was pressed, after an observed release if one was necessary.
     ClutchPressed,
     /// Both sides hear each other, and both know of the press.
     BothAligned,
