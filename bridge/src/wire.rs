@@ -1,7 +1,7 @@
-//! The frame that master and slave exchange, byte for byte.
+//! Frame that master and slave exchange, byte for byte.
 //!
-//! All numbers are little-endian. A frame of N axes has `HEADER + 24 N + 36` bytes, 80 more of kind `pose`, 24 more with
-//! a gripper and 4 more with buttons, the same for every frame of a session:
+//! All numbers are little-endian. A frame of N axes has `HEADER + 24 N + 36` bytes, plus 80 of kind `pose`,
+//! 24 with a gripper and 4 with buttons. All frames of a session have the same length:
 //!
 //! | offset | type | field |
 //! |---|---|---|
@@ -35,14 +35,15 @@
 //! | 84 + 24 N | `[u8; 12]` | that piece, UTF-8; zeros after the end of the text |
 //! | 96 + 24 N | `u32` | CRC-32 (IEEE) of all bytes before |
 //!
-//! A frame has one encoding: flags without a meaning are zero, and so are the fields of an echo that is not valid,
-//! those of a gripper that is not known, those of a text that there is not, and what lies after the end of a text; of q
-//! and -q the quaternion is the one of [`crate::coupling::canonical`], of norm 1 to 1e-9. Codes of reasons and faults
-//! steer nothing: one that this version does not know is passed on and shown as a number.
+//! A frame has exactly one encoding. Flags without a meaning are zero. The fields of an invalid echo, an
+//! unknown gripper and a missing text are zero, and so are the bytes after the end of a text. The quaternion
+//! is the one of q and -q that [`crate::coupling::canonical`] returns, of norm 1 to 1e-9.
 //!
-//! Which parts there are is agreed on beforehand, by the scene: [`FrameLayout`]. A frame of another layout is refused.
+//! Codes of reasons and faults control nothing: an unknown code is passed on and shown as a number.
 //!
-//! Positions are absolute, never increments: a lost frame costs what it says and nothing else.
+//! The scene fixes the parts of a frame in advance: [`FrameLayout`]. A frame of another layout is rejected.
+//!
+//! Positions are absolute, never increments: a lost frame loses only its own content.
 
 use std::borrow::Cow;
 
@@ -65,28 +66,24 @@ pub const MAGIC: [u8; 2] = *b"HT";
 pub const VERSION: u8 = 6;
 /// Bytes before the first axis.
 pub const HEADER: usize = 64;
-/// Bytes of the two energies.
 const ENERGIES: usize = 16;
 /// Numbers of the rotation of a pose: quaternion, angular velocity, torque.
 const ROTATION: usize = 10;
-/// Bytes of the state of a gripper.
 const GRIPPER: usize = 24;
-/// Bytes of the buttons.
 const BUTTONS: usize = 4;
-/// Bytes of what a sender says of its cause.
+/// Bytes of reason, fault and fault text.
 const CAUSE: usize = 4 + PIECE;
-/// Bytes of the checksum.
 const CHECKSUM: usize = 4;
-/// Max. number of axes of a device or an arm.
+/// Largest number of axes of a device or an arm.
 pub const MAX_AXES: usize = 7;
-/// Bytes of the longest frame: seven joints are longer than three axes with an orientation.
+/// Bytes of the longest frame: seven joints need more than three axes with an orientation.
 pub const MAX_FRAME: usize =
     FrameLayout { axes: MAX_AXES, kind: SideKind::Joints, has_gripper: true, has_buttons: true }.length();
 
 /// One value per axis of a side; zero beyond its axes.
 pub type Padded = Axes<MAX_AXES>;
 
-/// Pads the values of a side with zeros.
+/// Pad the values of a side with zeros.
 #[inline]
 pub fn padded<const N: usize>(values: &Axes<N>) -> Padded {
     let mut padded = Padded::zeros();
@@ -94,7 +91,7 @@ pub fn padded<const N: usize>(values: &Axes<N>) -> Padded {
     padded
 }
 
-/// The first `N` values.
+/// Return the first `N` values.
 #[inline]
 pub fn unpadded<const N: usize>(values: &Padded) -> Axes<N> {
     Axes::from_column_slice(&values.as_slice()[..N])
@@ -105,11 +102,11 @@ pub fn unpadded<const N: usize>(values: &Padded) -> Axes<N> {
 pub struct FrameLayout {
     /// Number of axes, 1 to [`MAX_AXES`].
     pub axes: usize,
-    /// What the coordinates are; a rotation stands in those of a pose.
+    /// Kind of coordinates; a pose includes a rotation.
     pub kind: SideKind,
-    /// Gripper and trigger.
+    /// True with a gripper and a trigger.
     pub has_gripper: bool,
-    /// The buttons of the master.
+    /// True with buttons at the master.
     pub has_buttons: bool,
 }
 
@@ -120,7 +117,7 @@ impl FrameLayout {
         Self { axes, kind: SideKind::Linear, has_gripper: false, has_buttons: false }
     }
 
-    /// Bytes of a frame.
+    /// Length of a frame in bytes.
     pub const fn length(self) -> usize {
         let rotation = if matches!(self.kind, SideKind::Pose) { 8 * ROTATION } else { 0 };
         let gripper = if self.has_gripper { GRIPPER } else { 0 };
@@ -128,7 +125,7 @@ impl FrameLayout {
         HEADER + 24 * self.axes + rotation + ENERGIES + gripper + buttons + CAUSE + CHECKSUM
     }
 
-    /// What both sides say of their frames in the handshake.
+    /// Form of the frames, which both sides exchange in the handshake.
     #[allow(clippy::cast_possible_truncation)] // at most 7 axes
     pub const fn form(self) -> FrameForm {
         let parts = (self.has_gripper as u16) << 6 | (self.has_buttons as u16) << 7;
@@ -136,10 +133,10 @@ impl FrameLayout {
     }
 }
 
-/// What a side says of its frames in the handshake: bits 0 to 2 their axes, 3 to 5 their kind, 6 whether they have a
-/// gripper, 7 buttons, 12 to 15 their version.
+/// Form of a side's frames in the handshake: bits 0 to 2 axes, 3 to 5 kind, 6 gripper, 7 buttons, 12 to 15
+/// version.
 ///
-/// Before version 5 it was their length in bytes, so that a side of such a version is known by the version 0.
+/// Before version 5 the number was the length in bytes; such a side therefore shows version 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameForm(pub u16);
 
@@ -167,7 +164,7 @@ impl std::fmt::Display for FrameForm {
     }
 }
 
-/// Who sent a frame.
+/// Role of a frame's sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// The side of the hand.
@@ -177,7 +174,7 @@ pub enum Role {
 }
 
 impl Role {
-    /// Its name: "master" or "slave".
+    /// Name: "master" or "slave".
     pub const fn name(self) -> &'static str {
         match self {
             Self::Master => "master",
@@ -185,7 +182,7 @@ impl Role {
         }
     }
 
-    /// The other one.
+    /// Role of the other side.
     #[must_use]
     pub const fn peer(self) -> Self {
         match self {
@@ -202,54 +199,55 @@ impl Role {
     }
 }
 
-/// The newest frame of the peer, returned to it.
+/// Echo of the peer's newest frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Echo {
-    /// Its run: an echo of another one was meant for somebody else.
+    /// Run id of that frame; an echo of another run does not concern the receiver.
     pub run_id: u64,
-    /// Its sequence.
+    /// Sequence of that frame.
     pub sequence: u64,
-    /// Its time of sending, on the peer's clock in ns.
+    /// Time of sending of that frame, on the peer's clock in ns.
     pub sent_ns: u64,
-    /// How long ago it arrived, in ns.
+    /// Time in ns since that frame arrived.
     pub held_ns: u64,
 }
 
-/// A frame, decoded. In the order of its use: a frame of few axes without gripper and rotation lies in few cache lines.
+/// Decoded frame. Fields are in order of use, so that a frame of few axes without gripper and rotation needs
+/// few cache lines.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C)]
 pub struct Frame {
-    /// Who sent it.
+    /// Role of the sender.
     pub role: Role,
-    /// What its coordinates are.
+    /// Kind of coordinates.
     pub kind: SideKind,
     /// State of the sender's ladder, [`crate::LadderState::code`].
     pub state: u8,
-    /// Whether the sender has heard the peer recently enough to stay engaged.
+    /// True if the sender has heard the peer recently enough to stay engaged.
     pub hears_peer: bool,
-    /// Whether the clutch is closed: the master's button; a slave has none.
+    /// True if the clutch is closed: the master's button; a slave has none.
     pub clutch: bool,
-    /// Whether this is one of the sender's last frames: it ends, in good order.
+    /// True if this is one of the sender's last frames before an orderly end.
     pub ending: bool,
-    /// Why the sender stands in its state, [`crate::Reason::code`]; 0 where it began.
+    /// Reason of the sender's state, [`crate::Reason::code`]; 0 in the initial state.
     pub reason: u8,
-    /// Its fault, [`haptether_safety::Fault::code`]; 0 without.
+    /// Fault of the sender, [`haptether_safety::Fault::code`]; 0 without one.
     pub fault: u8,
     /// Number of axes.
     pub axes: usize,
-    /// Drawn by the sender when it started.
+    /// Run id, drawn by the sender at its start.
     pub run_id: u64,
-    /// From 0, one more with each frame.
+    /// Sequence, from 0, one more with each frame.
     pub sequence: u64,
     /// Time of sending in ns, sender's monotonic clock.
     pub sent_ns: u64,
-    /// What the sender last received.
+    /// Echo of the sender's newest received frame.
     pub echo: Option<Echo>,
-    /// What this frame carries of the text on the sender's fault.
+    /// Piece of the text on the sender's fault.
     pub text: TextPiece,
-    /// Bit n: button n of the master is pressed; none in a session without buttons.
+    /// Buttons of the master: bit n is set while button n is pressed; none in a session without buttons.
     pub buttons: Option<u32>,
-    /// What went in and out of the link at the sender's port.
+    /// Energies into and out of the link at the sender's port.
     pub energy: PortEnergy,
     /// Gripper or trigger; none in a session without a gripper.
     pub gripper: Option<GripperState>,
@@ -259,20 +257,20 @@ pub struct Frame {
     pub velocity: Padded,
     /// Force in N.
     pub force: Padded,
-    /// Orientation, angular velocity and torque; none but of kind `pose`.
+    /// Orientation, angular velocity and torque; only of kind `pose`.
     pub rotation: Option<RotationState>,
 }
 
-/// Copies the values of the first axes. The others are zero in both.
+/// Copy the values of the first `axes` axes. The others are zero in both.
 #[inline(always)]
 fn copy_axes(to: &mut Padded, from: &Padded, axes: usize) {
     to.as_mut_slice()[..axes].copy_from_slice(&from.as_slice()[..axes]);
 }
 
-/// Why a datagram is no frame. It changes no state and is only counted.
+/// Rejection of a datagram that is not a valid frame. It changes no state and is only counted.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum WireError {
-    /// Of another length.
+    /// Wrong length.
     #[error("frame of {seen} bytes: must have {allowed}")]
     Length {
         /// Bytes received.
@@ -280,16 +278,16 @@ pub enum WireError {
         /// Bytes of a frame of this session.
         allowed: usize,
     },
-    /// Of something else.
+    /// Other protocol.
     #[error("magic {0:?}: must be {MAGIC:?}")]
     Magic([u8; 2]),
-    /// Of another version.
+    /// Other version.
     #[error("frame version {0}: must be {VERSION}")]
     Version(u8),
-    /// From the wrong side.
+    /// Wrong sender.
     #[error("sender role {0}: must be the peer's")]
     Role(u8),
-    /// With another number of axes.
+    /// Wrong number of axes.
     #[error("frame of {seen} axes: must have {allowed}")]
     Axes {
         /// Axes of the frame.
@@ -297,15 +295,15 @@ pub enum WireError {
         /// Axes of this endpoint.
         allowed: usize,
     },
-    /// Of another kind.
+    /// Wrong kind.
     #[error("frame of kind {seen}: must be {}, {}", .allowed.code(), .allowed.name())]
     Kind {
-        /// Of the frame: 1 linear, 2 joints, 3 pose.
+        /// Kind of the frame: 1 linear, 2 joints, 3 pose.
         seen: u8,
-        /// Of this endpoint.
+        /// Kind of this endpoint.
         allowed: SideKind,
     },
-    /// With flags that have no meaning, or with an echo that its flag denies.
+    /// Flags without a meaning, or an echo although its flag is not set.
     #[error(
         "flags {0:#06x}: must be a sum of 1, 2, 4, 8 and with a gripper 16, 32 and of a slave 64, and without 1 the fields of the echo zero"
     )]
@@ -313,60 +311,60 @@ pub enum WireError {
     /// Damaged in transit.
     #[error("checksum {seen:#010x}: must be {computed:#010x}")]
     Checksum {
-        /// As received.
+        /// Checksum in the frame.
         seen: u32,
-        /// Of the bytes received.
+        /// Checksum of the received bytes.
         computed: u32,
     },
-    /// A number is not finite or absurd.
+    /// Number that is not finite or out of range.
     #[error("frame {0}: {1}")]
     Value(u64, haptether_safety::Fault),
-    /// A quaternion that is no orientation, or not in the one encoding.
+    /// Quaternion that is not a unit quaternion, or not canonical.
     #[error(
         "frame {sequence}: orientation {quat_wxyz:?}: must have a norm of 1 to 1e-9, and its first part that is not 0 above 0"
     )]
     Orientation {
-        /// Of the frame.
+        /// Sequence of the frame.
         sequence: u64,
-        /// As received.
+        /// Received value.
         quat_wxyz: [f64; 4],
     },
-    /// Buttons of a slave.
+    /// Buttons in a frame of a slave.
     #[error("frame {sequence}: buttons {buttons:#x} of a slave: must be 0")]
     Buttons {
-        /// Of the frame.
+        /// Sequence of the frame.
         sequence: u64,
-        /// As received.
+        /// Received value.
         buttons: u32,
     },
-    /// Energies that cannot be.
+    /// Energies out of range.
     #[error("frame {sequence}: energies {energy:?}: must be between 0 and {MAX_ENERGY_J} J")]
     Energy {
-        /// Of the frame.
+        /// Sequence of the frame.
         sequence: u64,
-        /// As received.
+        /// Received value.
         energy: PortEnergy,
     },
-    /// A gripper that cannot be.
+    /// Gripper state out of range.
     #[error(
         "frame {sequence}: gripper {state:?}: must be at 0 to 1, within 100 1/s and 0 to 10000 N, or all unknown"
     )]
     Gripper {
-        /// Of the frame.
+        /// Sequence of the frame.
         sequence: u64,
-        /// As received.
+        /// Received value.
         state: GripperState,
     },
-    /// A piece of a text with more than one encoding.
+    /// Piece of a text that is not in its only encoding.
     #[error(
         "frame {sequence}: piece {index} of text {number}: must be 0 to 19 of 1 to 255 with zeros behind its end, or all zeros"
     )]
     Text {
-        /// Of the frame.
+        /// Sequence of the frame.
         sequence: u64,
-        /// Of the text.
+        /// Number of the text.
         number: u8,
-        /// Of the piece.
+        /// Index of the piece.
         index: u8,
     },
 }
@@ -390,7 +388,7 @@ struct Header {
 }
 
 impl Header {
-    /// Refuses what is no frame of this side's peer.
+    /// Return an error unless the header is of the peer and of this session's kind and axes.
     fn check(&self, from: Role, kind: SideKind, axes: usize) -> Result<(), WireError> {
         if self.magic != MAGIC {
             return Err(WireError::Magic(self.magic));
@@ -419,17 +417,17 @@ const GRIPPER_KNOWN: u16 = 16;
 const HOLDS_OBJECT: u16 = 32;
 const FOLLOWS: u16 = 64;
 
-/// Whether the sender of a frame says that it hears its peer; of bytes that were decoded.
+/// Return whether the sender of an encoded frame hears its peer; the frame must have been decoded before.
 pub(crate) fn hears_peer(frame: &[u8]) -> bool {
     frame.get(6).is_some_and(|flags| u16::from(*flags) & HEARS_PEER != 0)
 }
 
 const NO_NUMBERS: nalgebra::ArrayStorage<f64, MAX_AXES, 1> = nalgebra::ArrayStorage([[0.0; MAX_AXES]]);
-/// The echo of a frame without one.
+/// Echo of a frame without an echo.
 const NO_ECHO: Echo = Echo { run_id: 0, sequence: 0, sent_ns: 0, held_ns: 0 };
 
 impl Frame {
-    /// What stands in it.
+    /// Layout of this frame.
     pub const fn layout(&self) -> FrameLayout {
         let Self { axes, kind, gripper, buttons, .. } = self;
         FrameLayout {
@@ -451,7 +449,7 @@ impl Frame {
             | if gripper.follows { FOLLOWS } else { 0 }
     }
 
-    /// Quaternion, angular velocity and torque as they stand in a frame; of kind `pose` alone.
+    /// Quaternion, angular velocity and torque as encoded; only of kind `pose`.
     fn rotation_numbers(&self) -> Option<[f64; ROTATION]> {
         (self.kind == SideKind::Pose).then(|| {
             let RotationState { orientation, angular_velocity, torque } = self.rotation.unwrap_or_default();
@@ -463,12 +461,12 @@ impl Frame {
         })
     }
 
-    /// Position, velocity and force as they stand in a frame; of a side with gripper or trigger alone.
+    /// Position, velocity and force as encoded; only with gripper or trigger.
     fn gripper_numbers(&self) -> Option<[f64; 3]> {
         self.gripper.map(|state| [state.position.unwrap_or(0.0), state.velocity, state.force_n])
     }
 
-    /// Writes the frame and returns the bytes written.
+    /// Encode the frame and return the bytes written.
     pub fn encode<'a>(&self, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
         let echo = self.echo.unwrap_or(NO_ECHO);
         let (axes, length) = (self.axes, self.layout().length());
@@ -519,7 +517,7 @@ impl Frame {
         &buffer[..length]
     }
 
-    /// Reads a frame from the peer of role `from`; the cheap refusals first.
+    /// Decode a frame from the peer of role `from`; cheap checks come first.
     pub fn decode(bytes: &[u8], from: Role, layout: FrameLayout) -> Result<Self, WireError> {
         let FrameLayout { axes, kind, has_gripper, has_buttons } = layout;
         let length = || WireError::Length { seen: bytes.len(), allowed: layout.length() };
@@ -594,11 +592,11 @@ impl Frame {
         .admitted(flags, gripper, rotation)
     }
 
-    /// Becomes `other`, a frame of `count` axes, part by part: parts that most frames lack are long, and a reader of one part
-    /// does not wait for all.
+    /// Copy `other`, a frame of `count` axes, field by field. Rare fields are long and are copied only if
+    /// present; a reader of one field need not wait for all.
     #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     pub(crate) fn replace(&mut self, other: &Self, count: usize) {
-        // By reference: what is not assigned is not read.
+        // By reference: fields that are not assigned are not read.
         let Self {
             role,
             axes,
@@ -638,7 +636,7 @@ impl Frame {
         }
     }
 
-    /// A frame without content, to be filled.
+    /// Frame without content, to be filled.
     pub(crate) const EMPTY: Self = Self {
         role: Role::Master,
         kind: SideKind::Linear,
@@ -663,7 +661,7 @@ impl Frame {
         rotation: None,
     };
 
-    /// Takes the numbers of a port of `axes` axes.
+    /// Copy the numbers of a port of `axes` axes.
     #[inline(always)] // makes a frame: docs/decisions/060-ticks-in-a-row.md
     pub(crate) fn take_port(&mut self, port: &PortState, axes: usize) {
         copy_axes(&mut self.position, &port.position, axes);
@@ -672,21 +670,22 @@ impl Frame {
         self.energy = port.energy;
     }
 
-    /// Whether the frame is read as it was written: it has neither gripper nor rotation.
+    /// Return whether decoding would not change the frame: it has neither gripper nor rotation.
     #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     pub(crate) fn is_plain(&self) -> bool {
         self.gripper.is_none() && self.rotation.is_none() && self.kind != SideKind::Pose
     }
 
-    /// The checks of a [plain](Self::is_plain) frame of the right layout and role: without a gripper no flag is refused.
+    /// Check a [plain](Self::is_plain) frame of the right layout and role; without a gripper its flags are
+    /// always valid.
     #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     pub(crate) fn check_plain(&self, axes: usize) -> Result<(), WireError> {
         self.check_energy()?;
         self.check_body(axes)
     }
 
-    /// What [`decode`](Self::decode) makes of what [`encode`](Self::encode) makes of the frame, to the bit and with the
-    /// same refusals, without the bytes: of a network that looks at none.
+    /// Return the result of [`encode`](Self::encode) followed by [`decode`](Self::decode), bit-identical and
+    /// with the same errors, but without the bytes. For a network that does not read the bytes.
     pub fn received(&self, from: Role, layout: FrameLayout) -> Result<Cow<'_, Self>, WireError> {
         let own = self.layout();
         if own != layout && own.length() != layout.length() {
@@ -703,7 +702,7 @@ impl Frame {
             return Err(WireError::Kind { seen: own.kind.code(), allowed: layout.kind });
         }
         if own != layout {
-            // Of the same length with other parts: its bytes are read as what they are not.
+            // Same length but other parts: decode the bytes with the other layout.
             return Self::decode(self.encode(&mut [0; MAX_FRAME]), from, layout).map(Cow::Owned);
         }
         if self.is_plain() {
@@ -713,7 +712,7 @@ impl Frame {
         self.admitted(self.flags(), self.gripper_numbers(), self.rotation_numbers()).map(Cow::Owned)
     }
 
-    /// The frame with gripper and rotation as their numbers say, if all its numbers can be.
+    /// Return the frame with decoded gripper and rotation, if all its numbers are valid.
     fn admitted(
         mut self,
         flags: u16,
@@ -729,7 +728,7 @@ impl Frame {
         Ok(self)
     }
 
-    /// What is checked before gripper and rotation are read.
+    /// Check the fields that precede gripper and rotation.
     #[inline]
     fn check_head(&self, flags: u16, has_gripper: bool) -> Result<(), WireError> {
         let of_gripper = match (has_gripper, self.role) {
@@ -749,7 +748,7 @@ impl Frame {
         if energy.is_possible() { Ok(()) } else { Err(WireError::Energy { sequence, energy }) }
     }
 
-    /// What is checked after that.
+    /// Check the remaining fields.
     #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     fn check_body(&self, axes: usize) -> Result<(), WireError> {
         let (sequence, from) = (self.sequence, self.role);
@@ -775,9 +774,9 @@ impl Frame {
     }
 }
 
-/// A gripper or a trigger, or what stands for one that is not known.
+/// Decode a gripper or a trigger, known or unknown.
 fn decoded_gripper(sequence: u64, flags: u16, numbers: [f64; 3]) -> Result<GripperState, WireError> {
-    // Zero in no other way than one, so that there is one encoding.
+    // Only +0 counts as zero, so that there is one encoding.
     let is_unknown = numbers.iter().all(|value| value.to_bits() == 0);
     let is_known = flags & GRIPPER_KNOWN != 0;
     let [position, velocity, force_n] = numbers;
@@ -791,7 +790,6 @@ fn decoded_gripper(sequence: u64, flags: u16, numbers: [f64; 3]) -> Result<Gripp
     }
 }
 
-/// Quaternion, angular velocity and torque.
 fn decoded_rotation(
     sequence: u64,
     from: Role,
@@ -809,7 +807,7 @@ fn decoded_rotation(
     Ok(RotationState { orientation, angular_velocity, torque })
 }
 
-/// The next numbers, within the bound of their signal.
+/// Take the next numbers, and check them against the bound of their signal.
 fn checked_axes<const N: usize>(
     sequence: u64,
     signal: Signal,

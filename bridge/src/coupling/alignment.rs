@@ -1,4 +1,4 @@
-//! Turning the slave to the master before they engage.
+//! Alignment: the slave turns to the master before they engage.
 
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
@@ -7,65 +7,66 @@ use std::f64::consts::PI;
 
 use super::{CouplingError, RotationBounds, RotationLock, normalised, position_force::check};
 
-/// `[coupling.alignment]`: how the slave turns to the master before the two engage.
+/// `[coupling.alignment]`: the slave's turn to the master before the two engage.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AlignmentSettings {
     /// Largest angular speed in rad/s.
     pub speed: f64,
-    /// Angle in rad between the two beyond which it refuses, in (0, pi].
+    /// Angle in rad between the two, in (0, pi], beyond which the alignment refuses.
     pub max_angle: f64,
 }
 
-/// Time in s that a press takes besides the turn: to the slave, and back that it has engaged, over 500 ms each way, the
-/// slowest link that the time of ALIGNING is made for.
+/// Time in s that a press needs in addition to the turn: to the slave, and back with the engagement. It
+/// covers 500 ms each way, the slowest link for which the timeout of ALIGNING is made.
 pub const ROUND_TRIP_S: f64 = 1.0;
 
-/// Angle in rad within which the slave counts as aligned with a hand that trembles faster than the slave may turn, after
-/// [`SETTLED_S`] of it; one that it catches up with it meets exactly. Half a degree is felt by nobody.
+/// Angle in rad within which the slave counts as aligned after [`SETTLED_S`], for a hand that trembles faster
+/// than the slave may turn. A slower hand is reached exactly. Nobody feels half a degree.
 pub const ALIGNED_RAD: f64 = 0.01;
 
-/// Time in s for which it must be as near as that.
+/// Time in s for which the slave must stay within [`ALIGNED_RAD`].
 pub const SETTLED_S: f64 = 0.2;
 
-/// An alignment that this coupling cannot have.
+/// Alignment that does not fit its coupling.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum AlignmentError {
-    /// Engaged there, the two would part again.
+    /// With another scale the two would not stay aligned.
     #[error(
         "rotation_scale = {0}: must be 1 with an alignment, which would not last; leave one of the two out"
     )]
     Scale(f64),
-    /// What does not follow as a whole cannot be turned to the master.
+    /// A locked rotation cannot turn to the master.
     #[error(
         "locks_rotation and rotation_axis: must be left out with an alignment, which turns about any axis"
     )]
     Lock,
-    /// Faster than any command of a master may be.
+    /// Speed above the bound on any command of a master.
     #[error("alignment.speed = {seen} rad/s: must be at most command_angular_speed = {allowed} rad/s")]
     Fast {
-        /// What was given.
+        /// Given speed in rad/s.
         seen: f64,
-        /// The bound.
+        /// Bound in rad/s.
         allowed: f64,
     },
-    /// Not over before the press is.
+    /// The turn may last longer than the press.
     #[error(
         "alignment.max_angle / alignment.speed = {seen_s} s: must be at most {allowed_s} s, the {align_s} s for which a \
          press waits less a round trip of 1 s; raise the speed or lower the angle"
     )]
     Long {
-        /// Longest turn.
+        /// Longest turn in s.
         seen_s: f64,
-        /// What there is for it.
+        /// Time in s available for it.
         allowed_s: f64,
-        /// For how long a press waits.
+        /// Timeout of a press in s.
         align_s: f64,
     },
 }
 
 impl AlignmentSettings {
-    /// Refuses an alignment that does not go with the rest of the coupling, or takes longer than a press waits, `align_s`.
+    /// Return an error if the alignment conflicts with the rest of the coupling, or may last longer than a
+    /// press, `align_s`.
     pub fn check(
         &self,
         rotation_scale: f64,
@@ -89,22 +90,23 @@ impl AlignmentSettings {
         Err(wrong.into())
     }
 
-    /// Refuses a `lambda_r` under which the two would not stay aligned.
+    /// Return an error for a `lambda_r` with which the two would not stay aligned.
     pub(crate) fn check_scale(rotation_scale: f64) -> Result<(), CouplingError> {
         if rotation_scale == 1.0 { Ok(()) } else { Err(AlignmentError::Scale(rotation_scale).into()) }
     }
 }
 
-/// Turns the slave's orientation to the master's at a bounded rate, or refuses beyond an angle.
+/// Turn of the slave's orientation to the master's at a bounded rate, or refusal beyond an angle.
 ///
-/// `R_s -> C R_m C'`, taken as absolute, about the axis of `phi = log(C R_m C' R_s')`, by at most `w_max dt` each tick.
-/// A coupling of `lambda_r = 1` that engages there keeps `R_s = C R_m C'` from then on.
+/// `R_s -> C R_m C'`, an absolute orientation, about the axis of `phi = log(C R_m C' R_s')`, by at most
+/// `w_max dt` each tick. A coupling of `lambda_r = 1` that engages there keeps `R_s = C R_m C'` from then on.
 ///
-/// Where the two are just pi apart the axis is one of two, and of one sign for one pair of orientations; after the first
-/// tick they are nearer, and the way goes on about the same axis.
+/// At an angle of exactly pi both directions about the axis are equally short; the same pair of orientations
+/// always gives the same one. After the first tick the angle is smaller, and the turn continues about the
+/// same axis.
 ///
-/// Source: the dVRK aligns before it follows (`mtsTeleOperationPSM`, state `ALIGNING_MTM`), by turning its motorised
-/// master to the slave; here it is the slave, because most masters cannot turn.
+/// Source: the dVRK aligns before it follows (`mtsTeleOperationPSM`, state `ALIGNING_MTM`), by turning its
+/// motorised master to the slave; here it is the slave, because most masters cannot turn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alignment {
     frame: UnitQuaternion<f64>,
@@ -112,19 +114,20 @@ pub struct Alignment {
     max_angle: f64,
 }
 
-/// What one tick of an alignment commands.
+/// Command of one tick of an alignment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AlignmentStep {
-    /// Orientation to command.
+    /// Commanded orientation.
     pub orientation: UnitQuaternion<f64>,
     /// Its angular velocity in rad/s, in the base frame.
     pub angular_velocity: Vector3<f64>,
-    /// Angle in rad that is still to go after it; 0 where they are aligned.
+    /// Angle in rad that remains after this step; 0 if aligned.
     pub remaining_rad: f64,
 }
 
 impl Alignment {
-    /// With C as a unit quaternion, the largest speed in rad/s (> 0), and the largest angle in rad (in (0, pi]).
+    /// Build an alignment: C as a unit quaternion, largest speed in rad/s (> 0), largest angle in rad, in
+    /// `(0, pi]`.
     pub fn new(quat_wxyz: [f64; 4], max_speed: f64, max_angle: f64) -> Result<Self, CouplingError> {
         if !(max_angle > 0.0 && max_angle <= PI) {
             return Err(CouplingError::Angle { name: "alignment_angle", seen: max_angle });
@@ -137,25 +140,25 @@ impl Alignment {
         })
     }
 
-    /// Its largest speed in rad/s.
+    /// Largest speed in rad/s.
     pub(crate) fn max_speed(&self) -> f64 {
         self.max_speed
     }
 
-    /// Changes C, a unit quaternion of the rotation from the master's frame to the slave's.
+    /// Set C, the rotation from the master's frame to the slave's, as a unit quaternion.
     pub fn set_frame(&mut self, quat_wxyz: [f64; 4]) -> Result<(), CouplingError> {
         let [w, x, y, z] = normalised(quat_wxyz)?;
         self.frame = Unit::new_unchecked(Quaternion::new(w, x, y, z));
         Ok(())
     }
 
-    /// `C R_m C'`: where it leads.
+    /// `C R_m C'`: the final orientation.
     pub fn target(&self, master: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
         Unit::new_normalize((self.frame * master * self.frame.inverse()).into_inner())
     }
 
-    /// The next command, `dt_s` after `command`; refused, so that the slave stays, beyond the largest angle and
-    /// where an orientation is no number.
+    /// Return the next command, `dt_s` after `command`. An angle beyond the largest one, or a NaN in an
+    /// orientation, is an error, and the slave stays.
     ///
     /// `command` is the last commanded orientation, at first the measured one.
     pub fn step(
@@ -206,7 +209,8 @@ mod tests {
         UnitQuaternion::from_scaled_axis(axis * angle)
     }
 
-    /// Of the closed form: `|phi|` falls by `w_max dt` a tick, so it takes `ceil(|phi| / (w_max dt))` of them.
+    /// Closed form: `|phi|` falls by `w_max dt` each tick, so the turn takes `ceil(|phi| / (w_max dt))`
+    /// ticks.
     #[test]
     fn it_arrives_after_the_angle_over_the_rate() {
         let axis = Vector3::new(0.6, 0.0, -0.8);
@@ -235,9 +239,9 @@ mod tests {
     }
 
     proptest! {
-        /// Frame invariance, and what the coupling makes of it: aligned stays aligned.
+        /// Frame invariance, and its consequence in the coupling: an aligned pair stays aligned.
         #[test]
-        fn it_ends_where_the_coupling_goes_on(
+        fn coupling_continues_from_the_aligned_orientation(
             (frame, master, slave) in (orientation(), orientation(), orientation()),
             hand in vector(1.0),
         ) {
@@ -256,9 +260,9 @@ mod tests {
             prop_assert!(seen.angle_to(&(frame * turned * frame.inverse())) < 1e-14);
         }
 
-        /// A hand that moves, slower than the slave may: caught, and then followed in each tick.
+        /// A moving hand that is slower than the slave: the slave reaches it and then follows in each tick.
         #[test]
-        fn a_hand_that_moves_is_caught((start, axis) in (orientation(), direction())) {
+        fn moving_hand_is_reached((start, axis) in (orientation(), direction())) {
             let (alignment, mut command) = (unturned(PI), start);
             let hand = |tick: i32| {
                 about(axis.into_inner(), 0.2 * TICK_S * f64::from(tick)) * about(Vector3::x(), 0.3) * start
@@ -268,14 +272,14 @@ mod tests {
                 let before = command;
                 command = step.orientation;
                 prop_assert!(command.angle_to(&before) < SPEED * TICK_S * (1.0 + 1e-9));
-                // At worst the hand goes straight away: 0.3 rad at 0.5 - 0.2 rad/s are 1 s.
+                // In the worst case the hand moves straight away: 0.3 rad at 0.5 - 0.2 rad/s take 1 s.
                 prop_assert!(tick < 1001 || step.remaining_rad == 0.0);
             }
         }
     }
 
     #[test]
-    fn too_far_is_refused_and_so_is_what_is_no_number() {
+    fn too_large_angles_and_nan_are_refused() {
         let (master, slave) = (UnitQuaternion::identity(), about(Vector3::y(), 0.6));
         unturned(0.61).step(&master, &slave, TICK_S).unwrap();
         let error = unturned(0.59).step(&master, &slave, TICK_S).unwrap_err().to_string();
@@ -292,9 +296,9 @@ mod tests {
         }
     }
 
-    /// Just opposite, either way is the shorter: one is taken, and kept.
+    /// At an angle of pi both directions are equally short: the slave takes one and keeps it.
     #[test]
-    fn just_opposite_it_goes_one_way_round() {
+    fn opposite_orientation_turns_one_way() {
         let (master, mut command) = (about(Vector3::z(), PI), UnitQuaternion::identity());
         let mut axis = None;
         for tick in 1..=100 {
@@ -307,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn what_bounds_nothing_is_refused() {
+    fn invalid_bounds_are_refused() {
         for (speed, angle, text) in [
             (0.0, 1.0, "alignment_speed (w_max) = 0"),
             (f64::NAN, 1.0, "alignment_speed (w_max) = NaN"),

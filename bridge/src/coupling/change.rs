@@ -1,30 +1,31 @@
-//! What an operator changes of a coupling while it runs: how far it may go, and how it fades.
+//! Changes of a coupling by the operator during a run: their bounds and their fades.
 
 use haptether_safety::Real;
 
 use super::CouplingError;
 use crate::{command::OperatorCommand, wire::Role};
 
-/// Largest factor, up and down, by which a scale may be changed while the clutch is closed, unless the scene states another.
+/// Largest factor, up and down, of a scale change with a closed clutch, unless the scene states another.
 pub const CHANGE_FACTOR: f64 = 2.0;
 
-/// The same with an open clutch: what goes further is a slip of the hand, or another scene.
+/// Largest factor with an open clutch. A larger change is a mistake, or needs another scene.
 pub const OPEN_FACTOR: f64 = 100.0;
 
-/// Bounds of a scale while a side runs. They hang on the scene and not on the last change, so that no number of changes
-/// leads out of them.
+/// Bounds of a scale during a run. They depend on the scene and not on the last change, so repeated changes
+/// cannot exceed them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScaleRange {
     name: &'static str,
     symbol: &'static str,
-    /// Least and largest while the clutch is closed.
+    /// Smallest and largest value while the clutch is closed.
     closed: [f64; 2],
-    /// The same with an open clutch.
+    /// Smallest and largest value while the clutch is open.
     open: [f64; 2],
 }
 
 impl ScaleRange {
-    /// From `scene / factor` to `scene factor`, and as far as the scene itself changes it (`stated`).
+    /// Range from `scene / factor` to `scene factor`, widened by the values to which the scene itself changes
+    /// it (`stated`).
     fn new(
         [name, symbol]: [&'static str; 2],
         scene: f64,
@@ -39,31 +40,32 @@ impl ScaleRange {
         Self { name, symbol, closed: [least, most], open: [lower.min(least), upper.max(most)] }
     }
 
-    /// Of `lambda_p`: from `scene / factor` to `scene factor`, and as far as the scene itself changes it (`stated`).
+    /// Range of `lambda_p`: from `scene / factor` to `scene factor`, widened by the values in `stated`.
     pub fn position(scene: f64, factor: f64, stated: impl IntoIterator<Item = f64>) -> Self {
         Self::new(["position_scale", "lambda_p"], scene, factor, stated)
     }
 
-    /// The same of `lambda_f`.
+    /// Range of `lambda_f`, likewise.
     pub fn force(scene: f64, factor: f64, stated: impl IntoIterator<Item = f64>) -> Self {
         Self::new(["force_scale", "lambda_f"], scene, factor, stated)
     }
 
-    /// The same of `lambda_r`.
+    /// Range of `lambda_r`, likewise.
     pub fn rotation(scene: f64, factor: f64, stated: impl IntoIterator<Item = f64>) -> Self {
         Self::new(["rotation_scale", "lambda_r"], scene, factor, stated)
     }
 
-    /// The same of `lambda_tau`.
+    /// Range of `lambda_tau`, likewise.
     pub fn torque(scene: f64, factor: f64, stated: impl IntoIterator<Item = f64>) -> Self {
         Self::new(["torque_scale", "lambda_tau"], scene, factor, stated)
     }
 
-    /// Passes a scale within the bounds; `is_open`: the clutch is open, and no force is left.
+    /// Return `seen` if it is within the bounds. `is_open` is true if the clutch is open and no force is
+    /// left.
     ///
     /// # Errors
     ///
-    /// [`CouplingError::Change`], of what is no number, too.
+    /// [`CouplingError::Change`], also for NaN.
     pub fn check(&self, seen: f64, is_open: bool) -> Result<f64, CouplingError> {
         let Self { name, symbol, closed, open } = *self;
         let [least, most] = if is_open { open } else { closed };
@@ -75,17 +77,17 @@ impl ScaleRange {
     }
 }
 
-/// The bounds of the scales that a side has.
+/// Ranges of the scales of a side.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ScaleRanges {
-    /// Of `lambda_p` at a slave, of `lambda_f` at a master.
+    /// Range of `lambda_p` at a slave, of `lambda_f` at a master.
     pub translation: Option<ScaleRange>,
-    /// Of `lambda_r` and `lambda_tau`, of a side that turns.
+    /// Range of `lambda_r` at a slave, of `lambda_tau` at a master; none unless the side turns.
     pub rotation: Option<ScaleRange>,
 }
 
 impl ScaleRanges {
-    /// Passes a command of the operator at the side `role`; scales of the other side are not this one's matter.
+    /// Check an operator command at the side `role`. Scales of the other side pass.
     ///
     /// # Errors
     ///
@@ -104,12 +106,11 @@ impl ScaleRanges {
     }
 }
 
-/// To six digits, for messages: what a factor leaves of a decimal number is none.
+/// Round to six digits for messages, because a factor turns short decimal numbers into long ones.
 pub(super) fn rounded(number: f64) -> f64 {
     format!("{number:.5e}").parse().unwrap_or(number)
 }
 
-/// What to do about a scale that was refused.
 pub(super) fn remedy(name: &str, seen: f64, [least, most]: [f64; 2]) -> String {
     if (least..=most).contains(&seen) {
         "release the clutch first, or state a larger coupling.change_factor in the scene".to_owned()
@@ -118,7 +119,7 @@ pub(super) fn remedy(name: &str, seen: f64, [least, most]: [f64; 2]) -> String {
     }
 }
 
-/// A number on its way to another, one step a tick along a straight line.
+/// Linear ramp of a number to another, one step per tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Ramp<S> {
     now: S,
@@ -131,7 +132,7 @@ impl<S: Real> Ramp<S> {
         Self { now, to: now, ticks: 0 }
     }
 
-    /// Sets out from where it is, to arrive after so many ticks.
+    /// Start from the present value and arrive after `ticks` ticks.
     fn set(&mut self, to: S, ticks: u32) {
         (self.to, self.ticks) = (to, ticks);
         if ticks == 0 {
@@ -139,7 +140,7 @@ impl<S: Real> Ramp<S> {
         }
     }
 
-    /// One tick.
+    /// Step one tick.
     fn step(&mut self) {
         if self.ticks > 1 {
             self.now += (self.to - self.now) / S::splat(f64::from(self.ticks));
@@ -150,22 +151,22 @@ impl<S: Real> Ramp<S> {
     }
 }
 
-/// The two scales of a coupling and the map between its sides, M, which an operator changes.
+/// Two scales of a coupling and the map M between its sides, all changeable by an operator.
 ///
-/// A scale goes along a straight line from what it is to what it is changed to. A map is exchanged where nothing passes:
-/// both scales fade to zero, and from there rise with the new one. Time is ticks, so that a late loop makes up for nothing.
+/// A scale moves on a straight line from the present value to the new one. A map is exchanged at zero: both
+/// scales fade to zero, then rise with the new map. Time counts in ticks, so a late loop does not catch up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Changing<M, S = f64> {
-    /// As they are at this tick.
+    /// Values at this tick.
     pub(super) motion: S,
     pub(super) force: S,
     pub(super) map: M,
     ramps: [Ramp<S>; 2],
-    /// What of both scales passes.
+    /// Share of both scales in effect, 0 to 1.
     share: Ramp<f64>,
-    /// The map that takes the place of this one, and for how many ticks the share then rises.
+    /// Next map, and the ticks over which the share then rises.
     next: Option<(M, u32)>,
-    /// Whether anything is on its way.
+    /// True if a change is in progress.
     pub(super) moves: bool,
 }
 
@@ -175,19 +176,19 @@ impl<M: Copy + PartialEq, S: Real> Changing<M, S> {
         Self { motion, force, map, ramps, share: Ramp::at(1.0), next: None, moves: false }
     }
 
-    /// Changes the scale of the motion over so many ticks; 0: at once.
+    /// Change the scale of the motion over `ticks` ticks; 0 means at once.
     pub(super) fn set_motion(&mut self, scale: S, ticks: u32) {
         self.ramps[0].set(scale, ticks);
         self.arrive();
     }
 
-    /// Changes the scale of the force over so many ticks; 0: at once.
+    /// Change the scale of the force over `ticks` ticks; 0 means at once.
     pub(super) fn set_force(&mut self, scale: S, ticks: u32) {
         self.ramps[1].set(scale, ticks);
         self.arrive();
     }
 
-    /// Changes the map: the scales fade out and in over so many ticks each; 0: at once.
+    /// Change the map: the scales fade out and in over `ticks` ticks each; 0 means at once.
     pub(super) fn set_map(&mut self, map: M, ticks: u32) {
         if ticks == 0 {
             (self.map, self.next) = (map, None);
@@ -199,7 +200,7 @@ impl<M: Copy + PartialEq, S: Real> Changing<M, S> {
         self.arrive();
     }
 
-    /// One tick of what is on its way. Returns whether the map was exchanged.
+    /// Step one tick of all changes; return whether the map was exchanged.
     pub(super) fn step(&mut self) -> bool {
         self.ramps.iter_mut().for_each(Ramp::step);
         self.share.step();
@@ -212,7 +213,7 @@ impl<M: Copy + PartialEq, S: Real> Changing<M, S> {
         next.is_some()
     }
 
-    /// All that is on its way arrives: nothing is coupled any more.
+    /// Complete all changes at once, because nothing is coupled any more.
     pub(super) fn settle(&mut self) {
         let map = self.next.map_or(self.map, |(map, _)| map);
         *self = Self::new(self.ramps[0].to, self.ramps[1].to, map);

@@ -1,36 +1,37 @@
-//! The gripper follows the trigger of the master.
+//! Coupling of the gripper, which follows the master's trigger.
 
 use haptether_slave::{GripperCommand, GripperSample, GripperSettings};
 
-/// What a frame says of a gripper or of the trigger that leads one.
+/// State of a gripper, or of the trigger that leads one, in a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GripperState {
-    /// 0 open to 1 closed; none where it is not known, as of a device without a trigger.
+    /// Position, 0 open to 1 closed; none if unknown, as for a device without a trigger.
     pub position: Option<f64>,
-    /// In 1/s; positive closes.
+    /// Velocity in 1/s; positive closes.
     pub velocity: f64,
-    /// Between the jaws in N.
+    /// Force between the jaws in N.
     pub force_n: f64,
-    /// Whether something stops the jaws.
+    /// True if an object stops the jaws.
     pub holds_object: bool,
-    /// Whether the gripper follows the trigger: of the slave's only.
+    /// True if the gripper follows the trigger; only in the slave's frames.
     pub follows: bool,
 }
 
 impl GripperState {
-    /// Of a trigger, as it is read.
+    /// Build the state of a trigger from its reading.
     pub fn of_trigger(position: Option<f64>) -> Self {
         Self { position: position.filter(|x| (0.0..=1.0).contains(x)), ..Self::default() }
     }
 
-    /// Of a gripper that follows the trigger, or does not; a number that none can have makes all of it unknown.
+    /// Build the state of a gripper; `follows` is true if it follows the trigger. An invalid number makes the
+    /// whole state unknown.
     pub fn of_gripper(sample: &GripperSample, follows: bool) -> Self {
         let GripperSample { position, velocity, force_n, holds_object } = *sample;
         let state = Self { position: Some(position), velocity, force_n, holds_object, follows };
         if state.is_possible() { state } else { Self::default() }
     }
 
-    /// Whether a gripper can be so; what is not known has no other numbers.
+    /// Return whether the state is valid; an unknown position requires all other fields to be zero.
     pub fn is_possible(&self) -> bool {
         let Self { position, velocity, force_n, holds_object, follows } = *self;
         match position {
@@ -44,27 +45,29 @@ impl GripperState {
     }
 }
 
-/// How near the trigger must be to the last command to take the gripper along, as a share of the whole way.
+/// Distance between trigger and last command, as a fraction of the travel, within which the gripper starts to
+/// follow.
 const PICKS_UP_WITHIN: f64 = 0.02;
 
-/// The gripper's half of its coupling: `p_cmd = p_trigger`, at most as fast as the gripper.
+/// Gripper's half of its coupling: `p_cmd = p_trigger`, limited to the gripper's speed.
 ///
-/// When the two sides engage the trigger may be anywhere, and a gripper that jumped to it would let fall what it
-/// holds. So it stays as it is until the trigger reaches the last command or passes it. Nothing is commanded while the
-/// sides are not coupled: the gripper keeps its grip.
+/// When the two sides engage, the trigger may be anywhere, and a gripper that jumped to it would drop its
+/// object. So the gripper stays until the trigger reaches or passes the last command.
+///
+/// While the sides are not coupled there is no command, and the gripper keeps its grip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GripperFollower {
     speed: f64,
     force_n: f64,
-    /// The last command; where the jaws were before the first.
+    /// Last command; before the first command the measured position.
     position: Option<f64>,
-    /// The trigger at the last coupled tick.
+    /// Trigger at the last coupled tick.
     trigger: Option<f64>,
     follows: bool,
 }
 
 impl GripperFollower {
-    /// Of a gripper as `settings` have it.
+    /// Build the follower of a gripper with `settings`.
     pub fn new(settings: &GripperSettings) -> Self {
         Self {
             speed: settings.speed,
@@ -75,8 +78,8 @@ impl GripperFollower {
         }
     }
 
-    /// The command of a tick `elapsed_s` after the one before; none where the gripper is to stay as it is. `trigger`
-    /// is that of the master's newest frame while the two sides are coupled, else none.
+    /// Return the command of a tick `elapsed_s` after the last one; `None` if the gripper is to stay.
+    /// `trigger` is the value in the master's newest frame while the two sides are coupled, else `None`.
     pub fn step(
         &mut self,
         trigger: Option<f64>,
@@ -94,7 +97,7 @@ impl GripperFollower {
         let position = *self.position.get_or_insert(measured.position);
         if !self.follows {
             let has_passed = before.is_some_and(|before| (before - position) * (trigger - position) < 0.0);
-            // A little more open than where something stops the jaws would let it fall.
+            // A command slightly more open than the stopped jaws would drop the object.
             let opens = measured.holds_object && trigger < measured.position;
             self.follows = has_passed || ((trigger - position).abs() <= PICKS_UP_WITHIN && !opens);
             if !self.follows {
@@ -107,12 +110,13 @@ impl GripperFollower {
         Some(GripperCommand { position, speed: self.speed, force_n: self.force_n })
     }
 
-    /// Whether the trigger leads the gripper: the two sides are coupled, and it has been picked up.
+    /// Return whether the trigger leads the gripper: the two sides are coupled, and the trigger has picked it
+    /// up.
     pub fn follows(&self) -> bool {
         self.follows
     }
 
-    /// The last command, 0 open to 1 closed; none before the first.
+    /// Last command, 0 open to 1 closed; none before the first.
     pub fn position(&self) -> Option<f64> {
         self.position
     }
@@ -143,9 +147,9 @@ mod tests {
         }
     }
 
-    /// A hand that lets go of the trigger while nobody is coupled, and engages anew, drops nothing.
+    /// A hand that releases the trigger while the sides are apart, then engages again, drops nothing.
     #[test]
-    fn a_grip_is_kept_until_the_trigger_comes_to_it() {
+    fn grip_is_kept_until_the_trigger_reaches_it() {
         for (first, then, follows) in
             [(0.0, 0.5, false), (0.0, 0.97, false), (0.0, 0.99, true), (1.0, 0.0, true), (0.985, 0.4, true)]
         {
@@ -158,9 +162,9 @@ mod tests {
         }
     }
 
-    /// The last command is not known after a restart: the jaws stand on what they hold.
+    /// After a restart the last command is unknown: the jaws are stopped by their object.
     #[test]
-    fn a_grip_of_unknown_strength_is_picked_up_by_closing_only() {
+    fn unknown_grip_is_picked_up_only_by_closing() {
         let held = GripperSample { position: 0.6, holds_object: true, ..AT_REST };
         for (trigger, follows) in [(0.585, false), (0.599, false), (0.6, true), (0.615, true)] {
             let mut follower = GripperFollower::new(&SETTINGS);
@@ -168,11 +172,14 @@ mod tests {
         }
         let mut follower = GripperFollower::new(&SETTINGS);
         assert_eq!(follower.step(Some(0.5), &held, 1e-3), None);
-        assert!(position(follower.step(Some(0.7), &held, 1e-3)) > 0.6, "closing takes it along");
+        assert!(
+            position(follower.step(Some(0.7), &held, 1e-3)) > 0.6,
+            "a closing trigger picks up the gripper"
+        );
     }
 
     #[test]
-    fn a_trigger_that_passes_the_command_between_two_frames_takes_it_along() {
+    fn trigger_picks_up_the_command_when_it_passes_between_frames() {
         let mut follower = GripperFollower::new(&SETTINGS);
         let half = GripperSample { position: 0.5, ..AT_REST };
         assert_eq!(follower.step(Some(0.2), &half, 1e-3), None);
@@ -180,7 +187,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the trigger does and however often the link fails, the command never jumps.
+        /// The command never jumps, for any trigger and any loss of the link.
         #[test]
         fn the_command_never_jumps(
             triggers in prop::collection::vec(prop::option::of(0.0..=1.0f64), 1..200),

@@ -1,4 +1,4 @@
-//! Couplings: what each side requests of its device, given the newest of the other side.
+//! Couplings: the request of each side to its device, from the newest state of the other side.
 
 mod alignment;
 mod change;
@@ -30,85 +30,85 @@ pub use rotation::{ANCHOR_REACH_RAD, RotationCoupling, RotationLock};
 pub use rotational_spring::{FULL_SPRING_RAD, RotationalSpring};
 pub use wrench::{Twist, Wrench};
 
-/// A coupling that cannot be.
+/// Invalid parameter of a coupling.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum CouplingError {
-    /// A scale that couples nothing, or a bound that lets nothing pass.
+    /// Scale or bound that is not above 0, or not finite where it must be.
     #[error("{name} ({symbol}) = {seen}: must be finite and above 0")]
     Scale {
-        /// Which.
+        /// Name of the parameter.
         name: &'static str,
-        /// Its symbol.
+        /// Symbol of the parameter.
         symbol: &'static str,
-        /// What was given.
+        /// Given value.
         seen: f64,
     },
-    /// A scale that may not be had while a side runs.
+    /// Scale out of its range during the run.
     #[error(
         "{name} ({symbol}) = {seen:?}: must be between {} and {}, with an open clutch between {} and {}; {}",
         change::rounded(closed[0]), change::rounded(closed[1]), change::rounded(open[0]), change::rounded(open[1]),
         change::remedy(name, *seen, *open)
     )]
     Change {
-        /// Which.
+        /// Name of the scale.
         name: &'static str,
-        /// Its symbol.
+        /// Symbol of the scale.
         symbol: &'static str,
-        /// What was given.
+        /// Given value.
         seen: f64,
-        /// Least and largest while the clutch is closed.
+        /// Smallest and largest value while the clutch is closed.
         closed: [f64; 2],
-        /// The same with an open clutch.
+        /// Smallest and largest value while the clutch is open.
         open: [f64; 2],
     },
-    /// A scale that this side does not have.
+    /// Scale that this side does not have.
     #[error("{0}: only a side of kind \"pose\" has it")]
     NoScale(&'static str),
-    /// A matrix that is no rotation.
+    /// Matrix that is not a rotation.
     #[error("rotation: R' R differs from the identity by {0}, must be by at most 1e-9")]
     Orthonormal(f64),
-    /// A quaternion that is no rotation.
+    /// Quaternion that is not a unit quaternion.
     #[error("quat_wxyz has a norm of {0}: must be 1 to within 1e-6")]
     Quaternion(f64),
-    /// A quaternion for axes that do not span its space.
+    /// Quaternion whose rotation leaves the space of the axes.
     #[error("quat_wxyz: a rotation of {0} axes, must be of 3 axes, or of 2 about z")]
     Turn(usize),
-    /// A rotation of axes that are not those of one space.
+    /// Rotation of more than three axes.
     #[error("rotation of {0} axes: must be of at most 3")]
     Rotation(usize),
-    /// A measured or received quaternion that is no orientation.
+    /// Measured or received quaternion that is not a unit quaternion.
     #[error(
         "orientation: quat_wxyz = {seen:?} has a norm of {norm}: must be 1 to within 1e-9; normalise it where it is made"
     )]
     Orientation {
-        /// What was given.
+        /// Given value.
         seen: [f64; 4],
-        /// Its norm, no number where a part is none.
+        /// Norm of the value; NaN if a component is NaN.
         norm: f64,
     },
-    /// An axis that is no direction.
+    /// Axis that is not a unit vector.
     #[error("axis of rotation has a length of {0}: must be 1 to within 1e-6")]
     Axis(f64),
-    /// An angle beyond which no two orientations are.
+    /// Angle out of range: no two orientations are farther apart than pi.
     #[error("{name} = {seen} rad: must be above 0 and at most pi")]
     Angle {
-        /// Which.
+        /// Name of the angle.
         name: &'static str,
-        /// What was given.
+        /// Given value.
         seen: f64,
     },
-    /// Master and slave are turned too far from one another to be aligned.
+    /// Angle between master and slave beyond the largest angle of an alignment.
     #[error(
         "master and slave are turned {seen_rad} rad from one another, alignment is allowed up to {allowed_rad} rad: turn \
          the handle towards the slave's tool"
     )]
     Misaligned {
-        /// Angle between them.
+        /// Angle between them in rad.
         seen_rad: f64,
-        /// Largest that is allowed.
+        /// Largest allowed angle in rad.
         allowed_rad: f64,
     },
-    /// An alignment that this coupling cannot have.
+    /// Alignment that does not fit this coupling.
     #[error(transparent)]
     Alignment(#[from] AlignmentError),
 }
@@ -119,13 +119,13 @@ impl CouplingError {
     }
 }
 
-/// Rotation between master and slave, and the slave's axes that do not follow.
+/// Rotation between master and slave, and locked axes of the slave, which do not follow.
 ///
 /// `V_s = lambda_p L R V_m`, `F_v = lambda_f R' L F_e`, with R orthonormal and L diagonal of 0 and 1. Then
-/// `F_v · V_m = (lambda_f / lambda_p) F_e · V_s`: no power is made or lost beyond the scales.
+/// `F_v · V_m = (lambda_f / lambda_p) F_e · V_s`: the map conserves power up to the scales.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameMap<const N: usize> {
-    /// None where it is the identity.
+    /// R; none for the identity.
     rotation: Option<SMatrix<f64, N, N>>,
     locked: [bool; N],
 }
@@ -136,13 +136,13 @@ impl<const N: usize> Default for FrameMap<N> {
     }
 }
 
-/// How far the norm of a quaternion may be from 1: digits that were left out by hand.
+/// Tolerance of the norm of a quaternion written by hand, for omitted digits.
 const UNIT: f64 = 1e-6;
 
-/// How far R' R may be from the identity, in its largest element.
+/// Tolerance of the largest element of R' R minus the identity.
 const ORTHONORMAL: f64 = 1e-9;
 
-/// A quaternion that somebody wrote, of norm 1 to within [`UNIT`], with norm 1.
+/// Normalise a quaternion written by hand; its norm must be 1 to within [`UNIT`].
 fn normalised(quat_wxyz: [f64; 4]) -> Result<[f64; 4], CouplingError> {
     let norm = quat_wxyz.iter().map(|part| part * part).sum::<f64>().sqrt();
     if norm.is_nan() || (norm - 1.0).abs() > UNIT {
@@ -152,7 +152,8 @@ fn normalised(quat_wxyz: [f64; 4]) -> Result<[f64; 4], CouplingError> {
 }
 
 impl<const N: usize> FrameMap<N> {
-    /// With R as rows, orthonormal; for at most 3 axes, because more are no axes of one space.
+    /// Build the map from R, given as rows and orthonormal. More than 3 axes do not span one space and allow
+    /// no rotation.
     pub fn new(rotation: [[f64; N]; N], locked: [bool; N]) -> Result<Self, CouplingError> {
         let rotation = SMatrix::<f64, N, N>::from_fn(|row, column| rotation[row][column]);
         if N > 3 && rotation != Self::straight() {
@@ -172,9 +173,11 @@ impl<const N: usize> FrameMap<N> {
         Self { rotation: (rotation != Self::straight()).then_some(rotation), locked }
     }
 
-    /// With R of a unit quaternion, and the slave's axes that are locked, those beyond N left out.
+    /// Build the map from a unit quaternion and the locked axes of the slave; missing locks are false,
+    /// surplus locks are ignored.
     ///
-    /// With 2 axes the rotation is about z, which neither has; of 1, 6 or 7 axes there is none.
+    /// With 2 axes the rotation must be about z, which neither side has. With 1, 6 or 7 axes it must be the
+    /// identity.
     pub fn rotated(quat_wxyz: [f64; 4], locked: &[bool]) -> Result<Self, CouplingError> {
         let [w, x, y, z] = normalised(quat_wxyz)?;
         let lies_in_space = match N {
@@ -196,7 +199,7 @@ impl<const N: usize> FrameMap<N> {
         Ok(Self::of(rotation, std::array::from_fn(|axis| locked.get(axis).copied().unwrap_or(false))))
     }
 
-    /// Without a rotation.
+    /// Build the map without a rotation.
     pub fn locking(locked: [bool; N]) -> Self {
         Self { locked, ..Self::default() }
     }
@@ -205,7 +208,7 @@ impl<const N: usize> FrameMap<N> {
         SMatrix::identity()
     }
 
-    #[inline(always)] // once or twice a tick
+    #[inline(always)] // once or twice per tick
     fn lock<S: Real>(&self, mut vector: Axes<N, S>) -> Axes<N, S> {
         for (value, locked) in vector.iter_mut().zip(self.locked) {
             if locked {
@@ -215,7 +218,7 @@ impl<const N: usize> FrameMap<N> {
         vector
     }
 
-    /// `L R v`: a motion of the master as one of the slave.
+    /// `L R v`: map a motion of the master to the slave.
     #[inline]
     pub fn to_slave<S: Real>(&self, of_master: &Axes<N, S>) -> Axes<N, S> {
         self.lock(match &self.rotation {
@@ -224,7 +227,7 @@ impl<const N: usize> FrameMap<N> {
         })
     }
 
-    /// `R' L f`: a force on the slave as one on the master.
+    /// `R' L f`: map a force on the slave to the master.
     #[inline]
     pub fn to_master<S: Real>(&self, of_slave: &Axes<N, S>) -> Axes<N, S> {
         let unlocked = self.lock(*of_slave);
@@ -235,7 +238,7 @@ impl<const N: usize> FrameMap<N> {
     }
 }
 
-/// A matrix times a vector.
+/// Multiply a matrix by a vector.
 #[inline(always)] // as its callers
 fn turned<const N: usize, S: Real>(vector: &Axes<N, S>, element: impl Fn(usize, usize) -> f64) -> Axes<N, S> {
     Axes::from_fn(|row, _| {
@@ -244,27 +247,29 @@ fn turned<const N: usize, S: Real>(vector: &Axes<N, S>, element: impl Fn(usize, 
     })
 }
 
-/// Largest sum in J that a frame carries; a port of 1 kW takes eleven days to it.
+/// Largest sum in J that a frame carries; a port of 1 kW reaches it after eleven days.
 pub const MAX_ENERGY_J: f64 = 1e9;
 
 /// Cumulative energies at a port, for the couplings that balance them.
 ///
-/// `E_in += max(P, 0) dT`, `E_out += max(-P, 0) dT`, where P is the power from the plant into the link: `-F_v·V` at the
-/// master, `F_e·V` of the commanded velocity at the slave. Two sums that only rise survive loss: the newest frame has
-/// all that the lost ones had, where a difference of powers in each frame would not.
+/// `E_in += max(P, 0) dT`, `E_out += max(-P, 0) dT`. P is the power from the plant into the link: `-F_v·V` at
+/// the master, `F_e·V` with the commanded velocity at the slave.
 ///
-/// Source: Ryu, Artigas and Preusche, *A passive bilateral control scheme for a teleoperator with time-varying
-/// communication delay*, 2010, Eq. 5-8.
+/// Two sums that only rise survive loss: the newest frame contains everything that lost frames contained. A
+/// difference of powers in each frame would not.
+///
+/// Source: Ryu, Artigas and Preusche, *A passive bilateral control scheme for a teleoperator with
+/// time-varying communication delay*, 2010, Eq. 5-8.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PortEnergy {
-    /// From the plant into the link, in J.
+    /// Energy from the plant into the link, in J.
     pub in_j: f64,
-    /// From the link into the plant, in J.
+    /// Energy from the link into the plant, in J.
     pub out_j: f64,
 }
 
 impl PortEnergy {
-    /// Adds a power in W, from the plant into the link, over a time in s; one that is no number adds nothing.
+    /// Add a power in W, from the plant into the link, over a time in s. NaN and infinity add nothing.
     pub fn add(&mut self, power_w: f64, over_s: f64) {
         let energy_j = power_w * over_s;
         if !energy_j.is_finite() {
@@ -274,7 +279,7 @@ impl PortEnergy {
         *sum = (*sum + energy_j.abs()).min(MAX_ENERGY_J);
     }
 
-    /// Whether both sums can be.
+    /// Return whether both sums are within their range.
     pub fn is_possible(&self) -> bool {
         [self.in_j, self.out_j].iter().all(|sum| (0.0..=MAX_ENERGY_J).contains(sum))
     }
@@ -285,7 +290,7 @@ mod frame_tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Rodrigues' formula, for an axis along `k` and the angle `a`.
+    /// Rodrigues' formula for the axis `k` and the angle `a`.
     fn about(k: [f64; 3], a: f64) -> [[f64; 3]; 3] {
         let k = Axes::<3>::from(k).normalize();
         let cross = SMatrix::<f64, 3, 3>::new(0.0, -k[2], k[1], k[2], 0.0, -k[0], -k[1], k[0], 0.0);
@@ -313,7 +318,7 @@ mod frame_tests {
     }
 
     #[test]
-    fn no_turn_is_none_however_it_is_given() {
+    fn identity_rotation_is_the_default_map() {
         let identity =
             FrameMap::new([[1.0, 0.0, -0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], [false; 3]).unwrap();
         let by_quaternion = FrameMap::<3>::rotated([1.0, 0.0, 0.0, 0.0], &[]).unwrap();
@@ -368,7 +373,7 @@ mod frame_tests {
     }
 
     #[test]
-    fn what_is_no_rotation_is_refused() {
+    fn invalid_rotations_are_refused() {
         for rows in [[[1.0, 0.0], [0.1, 1.0]], [[2.0, 0.0], [0.0, 0.5]], [[f64::NAN, 0.0], [0.0, 1.0]]] {
             assert!(matches!(FrameMap::new(rows, [false; 2]), Err(CouplingError::Orthonormal(_))));
         }
@@ -385,12 +390,12 @@ mod frame_tests {
 mod energy_tests {
     use super::*;
 
-    /// P = sin(2 pi t) W over ten periods: each sum is 10 integral of a half wave, 10 / pi J.
+    /// P = sin(2 pi t) W over ten periods: each sum is 10 times the integral of a half wave, 10 / pi J.
     #[test]
-    fn a_power_that_swings_fills_both_sums() {
+    fn alternating_power_fills_both_sums() {
         let (mut energy, ticks) = (PortEnergy::default(), 100_000);
         for tick in 0..ticks {
-            // The middle of each step: its error is below (pi dT)^2 / 6 of the whole.
+            // Midpoint rule: the relative error is below (pi dT)^2 / 6.
             let time_s = (f64::from(tick) + 0.5) * 1e-4;
             energy.add((std::f64::consts::TAU * time_s).sin(), 1e-4);
         }
@@ -401,7 +406,7 @@ mod energy_tests {
     }
 
     #[test]
-    fn what_is_no_number_adds_nothing_and_the_sums_have_an_end() {
+    fn nan_adds_nothing_and_sums_saturate() {
         let mut energy = PortEnergy { in_j: 1.0, out_j: 2.0 };
         for power_w in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 0.0, -0.0] {
             energy.add(power_w, 1.0);

@@ -1,19 +1,18 @@
-//! Orientations as they are measured and sent: unit quaternions, w first, one encoding each.
+//! Orientations as measured and sent: unit quaternions, w first, with one encoding each.
 
 use haptether_safety::Axes;
 use nalgebra::{Quaternion, Unit, UnitQuaternion};
 
 use super::CouplingError;
 
-/// What a side measures of its rotation at one tick, and what stands on the wire of it: in its base frame, about the tool
-/// point.
+/// Rotation of a side at one tick, as measured and as sent: in its base frame, about the tool point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RotationState {
     /// R, `base_from_tool`.
     pub orientation: UnitQuaternion<f64>,
     /// w in rad/s.
     pub angular_velocity: Axes<3>,
-    /// Torque in N m: master, that of the device; slave, that of the environment on the tool.
+    /// Torque in N m: at the master of the device, at the slave of the environment on the tool.
     pub torque: Axes<3>,
 }
 
@@ -24,14 +23,14 @@ impl Default for RotationState {
     }
 }
 
-/// How far the norm of a measured or received quaternion may be from 1.
+/// Tolerance of the norm of a measured or received quaternion.
 pub const MAX_NORM_ERROR: f64 = 1e-9;
 
-/// How far the norm of a quaternion may be from 1 and still be one that was rounded, as to 32 bits.
+/// Tolerance of the norm of a rounded quaternion, such as one of 32-bit floats.
 const ROUNDED: f64 = 1e-6;
 
-/// The orientation that a sensor says, with norm 1 where it was only rounded; what is no unit quaternion stays none, and
-/// is a fault where it is met.
+/// Orientation reported by a sensor. A rounded quaternion is normalised; any other non-unit quaternion is
+/// kept, and the check of the sample raises a fault.
 pub fn measured([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
     let quaternion = Quaternion::new(w, x, y, z);
     if (quaternion.norm() - 1.0).abs() <= ROUNDED {
@@ -41,16 +40,16 @@ pub fn measured([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
     }
 }
 
-/// An orientation as it is written, w first.
+/// Components of an orientation, w first.
 pub fn quat_wxyz(orientation: &UnitQuaternion<f64>) -> [f64; 4] {
     let [x, y, z, w] = orientation.coords.into();
     [w, x, y, z]
 }
 
-/// `quat_wxyz` of an orientation in the one encoding that is sent.
+/// Canonical `quat_wxyz` of an orientation, the encoding that is sent.
 ///
-/// Of q and -q, which are the same orientation, it is the one whose first part that is not 0, in the order w, x, y, z,
-/// is positive: w > 0, or w = 0 and x > 0, and so on. Every zero is +0.
+/// q and -q are the same orientation. The canonical one has a positive first non-zero component in the order
+/// w, x, y, z. Every zero is +0.
 pub fn canonical(orientation: &UnitQuaternion<f64>) -> [f64; 4] {
     let quat_wxyz = quat_wxyz(orientation);
     let first = quat_wxyz.into_iter().find(|part| *part != 0.0).unwrap_or(1.0);
@@ -58,16 +57,16 @@ pub fn canonical(orientation: &UnitQuaternion<f64>) -> [f64; 4] {
     quat_wxyz.map(|part| if first < 0.0 { 0.0 - part } else { part + 0.0 })
 }
 
-/// Whether a quaternion is in the encoding of [`canonical`], bit for bit.
+/// Return whether a quaternion is in the encoding of [`canonical`], bit for bit.
 pub fn is_canonical(quat_wxyz: [f64; 4]) -> bool {
     let first = quat_wxyz.into_iter().find(|part| *part != 0.0).unwrap_or(-1.0);
     first > 0.0 && !quat_wxyz.into_iter().any(|part| part == 0.0 && part.is_sign_negative())
 }
 
-/// The orientation of `quat_wxyz`, of either sign; refused unless all parts are finite and the norm is 1 to within
-/// [`MAX_NORM_ERROR`].
+/// Orientation of `quat_wxyz`, with either sign. An error unless all components are finite and the norm is 1
+/// to within [`MAX_NORM_ERROR`].
 ///
-/// Its parts are kept bit for bit, so that what was received encodes to the same bytes.
+/// The components are kept bit for bit, so that a received orientation encodes to the same bytes.
 pub fn checked(quat_wxyz: [f64; 4]) -> Result<UnitQuaternion<f64>, CouplingError> {
     let norm = quat_wxyz.iter().map(|part| part * part).sum::<f64>().sqrt();
     if norm.is_nan() || (norm - 1.0).abs() > MAX_NORM_ERROR {
@@ -119,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_orientation_is_refused() {
+    fn invalid_orientations_are_refused() {
         for (seen, text) in [
             ([1.0 + 1.1e-9, 0.0, 0.0, 0.0], "must be 1 to within 1e-9"),
             ([0.6, 0.8, 0.0, 1e-4], "[0.6, 0.8, 0.0, 0.0001] has a norm of 1.00000000"),
@@ -135,7 +134,7 @@ mod tests {
         checked([-0.6, 0.0, 0.8, 0.0]).unwrap();
     }
 
-    /// What the coupling relies on: exp and log of the library are each other's inverse to rounding, at 0 and at pi too.
+    /// The coupling relies on this: exp and log of the library are inverse up to rounding, also at 0 and pi.
     #[test]
     fn exp_and_log_are_precise_at_zero_and_at_pi() {
         let axis = Vector3::new(0.36, -0.48, 0.8);

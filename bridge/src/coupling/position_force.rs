@@ -5,13 +5,17 @@ use haptether_safety::{Axes, Real};
 use super::{CouplingError, FrameMap, change::Changing};
 use crate::{command::OperatorCommand, lanes::packed};
 
-/// The slave follows the master's position; the master renders the force that the slave measures.
+/// Position-force coupling: the slave follows the master's position; the master renders the force that the
+/// slave measures.
 ///
 /// `x_s = x_s0 + lambda_p L R (x_m - x_m0)`, `F_v = lambda_f R' L F_e`, with R and L of [`FrameMap`].
 ///
-/// `x_m0` and `x_s0` are taken when the two engage, so the slave never jumps. While the scale or the map changes they are
-/// taken anew at each tick, so that neither position nor velocity has a step. Under a round trip T the hand feels the remote stiffness `lambda_f lambda_p K_e` late; with a hand of impedance `K_h - m w² + j w B_h` it is stable
-/// for every T if `lambda_f lambda_p K_e < min_w |K_h - m w² + j w B_h|` (small gain).
+/// The two sides set `x_m0` and `x_s0` when they engage, so the slave never jumps. While the scale or the map
+/// changes, they are set again at each tick, so that neither position nor velocity has a step.
+///
+/// With a round trip T the hand feels the remote stiffness `lambda_f lambda_p K_e` with a delay. For a
+/// hand of impedance `K_h - m w² + j w B_h` this is stable for every T if
+/// `lambda_f lambda_p K_e < min_w |K_h - m w² + j w B_h|` (small gain).
 ///
 /// Source: Hannaford 1989; Lawrence 1993 ("position-force"); the condition by the small-gain theorem.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,7 +30,7 @@ pub(super) fn check(name: &'static str, symbol: &'static str, seen: f64) -> Resu
 }
 
 impl<const N: usize> PositionForce<N> {
-    /// Scales `lambda_p` and `lambda_f` (> 0).
+    /// Build the coupling with scales `lambda_p` and `lambda_f` (> 0).
     pub fn new(position_scale: f64, force_scale: f64) -> Result<Self, CouplingError> {
         let motion = check("position_scale", "lambda_p", position_scale)?;
         let force = check("force_scale", "lambda_f", force_scale)?;
@@ -35,7 +39,7 @@ impl<const N: usize> PositionForce<N> {
 }
 
 impl<const N: usize, S: Real> PositionForce<N, S> {
-    /// Couplings side by side, none of which has engaged or is being changed, under the same map; else None.
+    /// Gather couplings into lanes. Returns `None` if one has engaged or is changing, or if the maps differ.
     pub(crate) fn gather(of: &[&PositionForce<N>]) -> Option<Self> {
         let map = of.first()?.change.map;
         let begins =
@@ -44,34 +48,34 @@ impl<const N: usize, S: Real> PositionForce<N, S> {
         of.iter().all(begins).then(|| Self { change: Changing::new(motion, force, map), anchor: None })
     }
 
-    /// Changes `lambda_p` over so many ticks, 0 at once; the slave goes on from where it is.
+    /// Change `lambda_p` over `ticks` ticks, 0 means at once. The slave continues from its present position.
     pub fn set_position_scale(&mut self, scale: f64, ticks: u32) -> Result<(), CouplingError> {
         self.change.set_motion(S::splat(check("position_scale", "lambda_p", scale)?), ticks);
-        self.anchor_anew(ticks);
+        self.drop_anchor(ticks);
         Ok(())
     }
 
-    /// Changes `lambda_f` over so many ticks, 0 at once.
+    /// Change `lambda_f` over `ticks` ticks, 0 means at once.
     pub fn set_force_scale(&mut self, scale: f64, ticks: u32) -> Result<(), CouplingError> {
         self.change.set_force(S::splat(check("force_scale", "lambda_f", scale)?), ticks);
         Ok(())
     }
 
-    /// Changes rotation and locks: both scales fade out and in over so many ticks each, 0 at once. The slave goes on from
-    /// where it is.
+    /// Change rotation and locks: both scales fade out and in over `ticks` ticks each, 0 means at once. The
+    /// slave continues from its present position.
     pub fn set_map(&mut self, map: FrameMap<N>, ticks: u32) {
         self.change.set_map(map, ticks);
-        self.anchor_anew(ticks);
+        self.drop_anchor(ticks);
     }
 
-    /// Where a change is at once, the slave goes on from where it is.
-    fn anchor_anew(&mut self, ticks: u32) {
+    /// Drop the anchor after an immediate change, so that the slave continues from its present position.
+    fn drop_anchor(&mut self, ticks: u32) {
         if ticks == 0 {
             self.anchor = None;
         }
     }
 
-    /// Carries out a command of the operator at the master over so many ticks; returns whether it was one of this half.
+    /// Carry out an operator command at the master over `ticks` ticks; return whether it concerns this half.
     pub(crate) fn command_at_master(
         &mut self,
         command: OperatorCommand,
@@ -87,7 +91,7 @@ impl<const N: usize, S: Real> PositionForce<N, S> {
         Ok(true)
     }
 
-    /// The same at the slave, which goes on from where it is.
+    /// Carry out an operator command at the slave, which continues from its present position.
     pub(crate) fn command_at_slave(
         &mut self,
         command: OperatorCommand,
@@ -103,7 +107,7 @@ impl<const N: usize, S: Real> PositionForce<N, S> {
         Ok(true)
     }
 
-    /// One tick of the master for what is being changed.
+    /// Step the changes by one tick of the master.
     #[inline]
     pub(crate) fn advance(&mut self) {
         if self.change.moves {
@@ -116,8 +120,8 @@ impl<const N: usize, S: Real> PositionForce<N, S> {
         self.change.map.to_master(environment_force) * self.change.force
     }
 
-    /// Slave half: the position to command, in m, from the newest `x_m` in m; the first call since
-    /// [`disengage`](Self::disengage) engages at `slave_position`. Each call is a tick of what is being changed.
+    /// Slave half: commanded position in m from the newest `x_m` in m. The first call after
+    /// [`disengage`](Self::disengage) engages at `slave_position`. Each call steps the changes by one tick.
     pub fn commanded_position(
         &mut self,
         master_position: &Axes<N, S>,
@@ -132,12 +136,12 @@ impl<const N: usize, S: Real> PositionForce<N, S> {
         wanted
     }
 
-    /// Slave half: the velocity of the commanded position, in m/s, from the newest V in m/s.
+    /// Slave half: velocity of the commanded position in m/s, from the newest V in m/s.
     pub fn commanded_velocity(&self, master_velocity: &Axes<N, S>) -> Axes<N, S> {
         self.change.map.to_slave(master_velocity) * self.change.motion
     }
 
-    /// The two are no longer coupled; what is being changed arrives.
+    /// End the coupling and complete all changes.
     pub fn disengage(&mut self) {
         self.anchor = None;
         if self.change.moves {
@@ -150,7 +154,7 @@ impl<const N: usize, S: Real> PositionForce<N, S> {
 mod tests {
     use super::*;
 
-    /// What changes a coupling at a tick.
+    /// Change of a coupling at a tick.
     type Changing<'a> = &'a dyn Fn(&mut PositionForce<1>, u32);
 
     #[test]
@@ -166,7 +170,7 @@ mod tests {
         assert_eq!(coupling.commanded_position(&Axes::<2>::new(9.0, 9.0), &elsewhere), elsewhere);
     }
 
-    /// At once, as where nothing is coupled, and over 4 ticks: the command never jumps, and its velocity has no step.
+    /// At once, as while uncoupled, and over 4 ticks: the command never jumps, and its velocity has no step.
     #[test]
     fn a_change_of_scale_or_axes_moves_nothing_by_itself() {
         for ticks in [0, 4] {
@@ -192,10 +196,11 @@ mod tests {
         }
     }
 
-    /// `lambda(k) = lambda_0 + (lambda - lambda_0) k / n`, a change on the way of another one begins where that is; of a map,
-    /// out and in: the steps of command and force of a hand that moves evenly, written down by hand.
+    /// Steps of command and force for a hand of constant velocity, written by hand:
+    /// `lambda(k) = lambda_0 + (lambda - lambda_0) k / n`. A second change starts at the present value. A map
+    /// fades out and in.
     #[test]
-    fn what_is_changed_fades_tick_by_tick() {
+    fn changes_fade_tick_by_tick() {
         let steps = |change: &dyn Fn(&mut PositionForce<1>, u32)| -> Vec<[f64; 2]> {
             let mut slave = PositionForce::<1>::new(1.0, 1.0).unwrap();
             let mut master = slave;
@@ -260,9 +265,9 @@ mod tests {
         }
     }
 
-    /// Nothing is coupled any more: when the two engage again, it is with what was commanded.
+    /// After the sides part, the changes are complete, so the next engagement uses the commanded values.
     #[test]
-    fn what_is_being_changed_arrives_where_the_two_part() {
+    fn disengaging_completes_changes() {
         let mut coupling = PositionForce::<1>::new(1.0, 1.0).unwrap();
         coupling.commanded_position(&Axes::<1>::zeros(), &Axes::<1>::zeros());
         coupling.set_position_scale(2.0, 100).unwrap();
@@ -272,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn refuses_scales_that_couple_nothing() {
+    fn invalid_scales_are_refused() {
         for (p, f) in [(0.0, 1.0), (1.0, -1.0), (f64::NAN, 1.0), (1.0, f64::INFINITY)] {
             assert!(PositionForce::<1>::new(p, f).is_err());
         }

@@ -1,4 +1,4 @@
-//! The point of a tool at which it is coupled, where that is not the tool point.
+//! Reference point of a coupled tool, if that is not the tool point.
 
 use haptether_safety::Axes;
 use nalgebra::{UnitQuaternion, Vector3};
@@ -6,17 +6,17 @@ use nalgebra::{UnitQuaternion, Vector3};
 use super::{Twist, Wrench};
 use crate::endpoint::{SlaveReading, SlaveTick};
 
-/// How far in m it may be from the tool point.
+/// Largest distance in m from the tool point.
 const MAX_M: f64 = 10.0;
 
-/// A point of the tool, r in m from the tool point in the tool's frame: position, velocity and torque are taken there,
-/// `p = x + R r`, and what is commanded of it is what is written to the arm, `x = p - R r`.
+/// Point of the tool, at r in m from the tool point in the tool's frame. Position, velocity and torque refer
+/// to it, `p = x + R r`; the arm gets the command of the tool point, `x = p - R r`.
 ///
 /// Source: Murray, Li and Sastry 1994, sections 2.4.2 and 2.5.1, adjoint of a translation, as [`Twist::shifted`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReferencePoint(Vector3<f64>);
 
-/// Why there is no such point.
+/// Reference point too far from the tool point, or not finite.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("reference_point = {0:?} m: must be within 10 m of the tool point")]
 pub struct ReferencePointError(pub [f64; 3]);
@@ -30,19 +30,19 @@ fn axes<const N: usize>(of: &Vector3<f64>) -> Axes<N> {
 }
 
 impl ReferencePoint {
-    /// The point `from_tool` in m, in the tool's frame.
+    /// Build the point at `from_tool` in m, in the tool's frame.
     pub fn new(from_tool: [f64; 3]) -> Result<Self, ReferencePointError> {
         let by = Vector3::from(from_tool);
         if by.norm() <= MAX_M { Ok(Self(by)) } else { Err(ReferencePointError(from_tool)) }
     }
 
-    /// What an arm measures, about the point. A point without a rotation stays as it is.
+    /// Shift an arm's measurement to the point. A reading without a rotation stays as it is.
     #[must_use]
     pub fn measured<const N: usize>(&self, reading: &SlaveReading<N>) -> SlaveReading<N> {
         let Some(mut rotation) = reading.rotation else { return *reading };
         let by = rotation.orientation * self.0;
         if !by.iter().all(|number| number.is_finite()) {
-            // The orientation is at fault, and not the position.
+            // The orientation is invalid, and the position must not become so.
             return *reading;
         }
         let angular_velocity = rotation.angular_velocity;
@@ -57,7 +57,7 @@ impl ReferencePoint {
         }
     }
 
-    /// Position and velocity of the tool point for what is commanded of this one.
+    /// Position and velocity of the tool point for a command of this point.
     #[must_use]
     pub fn commanded<const N: usize>(&self, tick: &SlaveTick<N>) -> Option<[Axes<N>; 2]> {
         let by = tick.orientation? * self.0;
@@ -66,13 +66,13 @@ impl ReferencePoint {
         Some([tick.command? - axes(&by), axes(&twist.velocity)])
     }
 
-    /// Where the point is in m, of a tool at `position`.
+    /// Position of the point in m, for a tool at `position`.
     #[must_use]
     pub fn of_tool<const N: usize>(&self, position: &Axes<N>, orientation: &UnitQuaternion<f64>) -> Axes<N> {
         position + axes(&(orientation * self.0))
     }
 
-    /// Speed in m/s of the point, and in rad/s, at most, of a tool with these.
+    /// Largest speed of the point in m/s, and angular speed in rad/s, for a tool with these speeds.
     pub(crate) fn speeds(&self, [speed, angular_speed]: [f64; 2]) -> [f64; 2] {
         [speed + self.0.norm() * angular_speed, angular_speed]
     }
@@ -90,11 +90,12 @@ mod tests {
     };
     use proptest::prelude::*;
 
-    /// Sums of products of numbers up to 10 with 10 and 2 over 9 terms, an ulp for each.
+    /// Sums of products of numbers up to 10 with 10 and 2 over 9 terms, with one ulp each.
     const ROUNDING: f64 = 1800.0 * 18.0 * f64::EPSILON;
 
     proptest! {
-        /// `f·v + tau·w` is that of the tool point for every twist, and what is commanded where the arm is, is where it is.
+        /// `f·v + tau·w` equals that of the tool point for every twist, and a command at the present position
+        /// keeps the arm there.
         #[test]
         fn a_shift_keeps_the_power_and_a_command_brings_the_tool_back(
             (position, velocity, force) in (drawn(10.0), drawn(10.0), drawn(10.0)),
@@ -138,7 +139,7 @@ mod tests {
         };
         let mut tool =
             SlaveReading::<3>::point([Axes::zeros(), Axes::zeros(), Axes::<3>::new(0.0, 5.0, 0.0)]);
-        assert_eq!(point.measured(&tool), tool, "without a rotation there is nothing to shift by");
+        assert_eq!(point.measured(&tool), tool, "a reading without a rotation is not shifted");
         tool.rotation = Some(rotation);
         let seen = point.measured(&tool);
         assert_eq!(seen.rotation.unwrap().torque, Vector3::zeros());
@@ -147,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn a_point_that_no_tool_has_is_refused() {
+    fn invalid_points_are_refused() {
         for bad in [[f64::NAN, 0.0, 0.0], [10.1, 0.0, 0.0], [0.0, f64::INFINITY, 0.0]] {
             let error = ReferencePoint::new(bad).unwrap_err().to_string();
             assert!(error.starts_with("reference_point = ") && error.contains("within 10 m"), "{error}");

@@ -5,29 +5,29 @@ use std::f64::consts::{PI, TAU};
 
 use super::{CouplingError, UNIT, canonical, change::Changing, normalised, position_force::check};
 
-/// Angle in rad from the anchor beyond which a scaled rotation goes on from a new anchor.
+/// Angle in rad from the anchor beyond which a scaled rotation sets a new anchor.
 pub const ANCHOR_REACH_RAD: f64 = 1.5 * PI;
 
-/// Largest turn in rad of the master that is taken in one piece.
+/// Largest turn in rad of the master that is followed in one piece.
 const MAX_PIECE_RAD: f64 = 0.5;
 
-/// `cos²` of half the swing beyond which a rotation about one axis goes on from a new anchor: a swing of pi / 2.
+/// `cos²` of half the swing beyond which a rotation about one axis sets a new anchor: a swing of pi / 2.
 const MIN_TWIST: f64 = 0.5;
 
-/// What of the rotation does not follow.
+/// Part of the rotation that does not follow.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum RotationLock {
-    /// All of it follows.
+    /// No part: the whole rotation follows.
     #[default]
     Free,
-    /// Only the turn about this axis of the slave's base frame follows.
+    /// All but the turn about this axis of the slave's base frame.
     OnlyAbout(Unit<Vector3<f64>>),
-    /// The slave keeps its orientation.
+    /// The whole rotation: the slave keeps its orientation.
     Locked,
 }
 
 impl RotationLock {
-    /// Free about `axis` alone, of length 1, in the slave's base frame.
+    /// Build the lock that is free only about `axis`, a unit vector in the slave's base frame.
     pub fn only_about(axis: [f64; 3]) -> Result<Self, CouplingError> {
         let axis = Vector3::from(axis);
         let length = axis.norm();
@@ -47,43 +47,51 @@ impl RotationLock {
     }
 }
 
-/// The slave turns as the master does; the master renders the torque that the slave measures.
+/// Position-force coupling of a rotation: the slave turns like the master; the master renders the torque that
+/// the slave measures.
 ///
-/// `R_s = D^lambda_r R_s0` with `D = C R_m R_m0' C'`, `tau_m = lambda_tau C' L tau_s`; angular velocities and torques in
-/// base frames, torques about the tool point. `R_m0` and `R_s0` are taken when the two engage, so the slave never jumps;
-/// they are taken anew when frame or lock change. Of a scale that changes, `R_s0` alone.
+/// `R_s = D^lambda_r R_s0` with `D = C R_m R_m0' C'`, `tau_m = lambda_tau C' L tau_s`; angular velocities and
+/// torques in base frames, torques about the tool point. The two sides set `R_m0` and `R_s0` when they
+/// engage, so the slave never jumps. A change of frame or lock sets both again; a change of the scale sets
+/// only `R_s0`.
 ///
-/// **Powers.** `D^lambda = exp(lambda phi)` with `exp(phi) = D`. Of the vectors phi that differ by whole turns it is the
-/// one nearest to the last: phi goes on past pi, and nothing jumps there. With `lambda_r = 1` phi is not needed, and
-/// `D^1 = D` for any number of turns. The velocity that belongs to it is `w_s = lambda J(lambda phi) J(phi)^-1 C w_m`,
-/// with J the left Jacobian of SO(3). Both Jacobians turn and stretch the plane across phi, so their product is closed:
-/// along phi `lambda`, across it a stretch by `sin(lambda |phi| / 2) / sin(|phi| / 2)` and a turn about phi by
-/// `(lambda - 1) |phi| / 2`.
+/// **Powers.** `D^lambda = exp(lambda phi)` with `exp(phi) = D`. The vectors phi differ by whole turns; the
+/// coupling takes the one nearest to the last. So phi continues past pi without a jump. For `lambda_r = 1`
+/// phi is not needed, and `D^1 = D` for any number of turns.
 ///
-/// **Where it ends.** Only whole powers are continuous on all of SO(3): every phi of length 2 pi is the same D, but not
-/// every `lambda phi` the same rotation, so across a phi of nearly 2 pi the stretch has no bound. Beyond
-/// [`ANCHOR_REACH_RAD`] the two are therefore anchored anew where they are: the command goes on without a jump, its
-/// velocity across phi has a step. So the slave turns at most `max(lambda_r, sqrt 2)` times as fast as the master,
-/// `max(lambda_r, 1)` times up to pi. It is back in `R_s0` when the master is back in `R_m0`, by any way within this
-/// reach, and about one axis after any number of turns; after a way of several axes that led beyond, it is not.
+/// The velocity of this command is `w_s = lambda J(lambda phi) J(phi)^-1 C w_m`, with J the left Jacobian of
+/// SO(3). Both Jacobians rotate and stretch the plane across phi, so their product has a closed form. Along
+/// phi it is `lambda`. Across phi it is a stretch by `sin(lambda |phi| / 2) / sin(|phi| / 2)` and a turn
+/// about phi by `(lambda - 1) |phi| / 2`.
 ///
-/// **About one axis** e: `R_s = exp(lambda alpha e) R_s0`, where alpha is the turn about e in `D = exp(alpha e) S`, with S
-/// a swing about an axis across e: `alpha = 2 atan2(e·v, w)` of D's quaternion (w, v), again the one nearest to the last,
-/// for any number of turns. `alpha' = g·C w_m`, `g = (w² e + w v x e + (e·v) v) / (w² + (e·v)²)`, `|g| = 1 / cos(S / 2)`.
-/// At a swing of pi there is no such turn; beyond pi / 2, where `|g| = sqrt 2`, the two are anchored anew.
+/// **Reach.** Only whole powers are continuous on all of SO(3). Every phi of length 2 pi is the same D, but
+/// their `lambda phi` are different rotations. So the stretch across a phi of nearly 2 pi is unbounded.
+/// Beyond [`ANCHOR_REACH_RAD`] the coupling therefore anchors both sides again where they are. The command
+/// has no jump there, but its velocity across phi has a step.
 ///
-/// **Lost frames.** Between two orientations of the master it is taken to have turned the shorter way, evenly. Where lost
-/// frames hide more than pi, the slave goes the other way round: with `lambda_r = 1` to the same orientation, else to one
-/// that is `lambda_r 2 pi` off until they are anchored anew. The bounds above hold for the shorter way too: no loss
-/// makes the command jump further than they allow.
+/// The slave thus turns at most `max(lambda_r, sqrt 2)` times as fast as the master, up to pi
+/// `max(lambda_r, 1)` times. It returns to `R_s0` when the master returns to `R_m0`: by any way within the
+/// reach, and about one axis after any number of turns. After a way of several axes beyond the reach it does
+/// not.
 ///
-/// About a constant axis `tau_m·w_m = (lambda_tau / lambda_r) tau_s·w_s`; of other motions the torque is not the dual,
-/// for a moment is to be felt about the axis that it has.
+/// **About one axis** e: `R_s = exp(lambda alpha e) R_s0`, where alpha is the turn about e in
+/// `D = exp(alpha e) S`, with S a swing about an axis across e. `alpha = 2 atan2(e·v, w)` of D's quaternion
+/// (w, v), again the value nearest to the last, for any number of turns. `alpha' = g·C w_m`,
+/// `g = (w² e + w v x e + (e·v) v) / (w² + (e·v)²)`, `|g| = 1 / cos(S / 2)`. At a swing of pi there is no
+/// turn about e. Beyond pi / 2, where `|g| = sqrt 2`, the coupling anchors both sides again.
 ///
-/// Source: Murray, Li and Sastry 1994, section 2.2.2 (exponential coordinates); Sola, Deray and Atchuthan, *A micro Lie
-/// theory for state estimation in robotics*, arXiv 1812.01537, Eq. 145-146 (left Jacobian and its inverse); Dobrowolski,
-/// *Swing-twist decomposition in Clifford algebra*, arXiv 1506.05481; the product of the Jacobians, g and the bounds are
-/// derived here and held to numeric derivatives.
+/// **Lost frames.** The coupling assumes that the master turned evenly, on the shorter way, between two
+/// received orientations. If lost frames hide more than pi, the slave turns the other way. With
+/// `lambda_r = 1` it reaches the same orientation, else one that is off by `lambda_r 2 pi` until the next
+/// anchor. The bounds above also hold for the shorter way: no loss makes the command jump by more.
+///
+/// About a constant axis `tau_m·w_m = (lambda_tau / lambda_r) tau_s·w_s`. For other motions the torque is not
+/// the dual, because the hand is to feel a moment about the axis of that moment.
+///
+/// Source: Murray, Li and Sastry 1994, section 2.2.2 (exponential coordinates); Sola, Deray and Atchuthan, *A
+/// micro Lie theory for state estimation in robotics*, arXiv 1812.01537, Eq. 145-146 (left Jacobian and its
+/// inverse); Dobrowolski, *Swing-twist decomposition in Clifford algebra*, arXiv 1506.05481. The product of
+/// the Jacobians, g and the bounds are derived here and tested against numerical derivatives.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RotationCoupling {
     /// `lambda_r`, `lambda_tau` and C.
@@ -92,16 +100,16 @@ pub struct RotationCoupling {
     anchor: Option<Anchor>,
 }
 
-/// Where both were when they engaged, and how far they have turned since; all of the master as the slave's frame has it.
+/// Orientations of both sides at the anchor, and the turn since then. The master's are in the slave's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Anchor {
     master: UnitQuaternion<f64>,
     slave: UnitQuaternion<f64>,
-    /// The master's orientation up to which it has followed.
+    /// Orientation of the master that was followed last.
     followed: UnitQuaternion<f64>,
     /// phi, or `alpha e`.
     turned: Vector3<f64>,
-    /// What was commanded for it.
+    /// Command for that turn.
     command: UnitQuaternion<f64>,
 }
 
@@ -110,29 +118,29 @@ impl Anchor {
         Self { master, slave, followed: master, turned: Vector3::new(0.0, 0.0, 0.0), command: slave }
     }
 
-    /// D, at a master's orientation.
+    /// Return D for an orientation of the master.
     fn turn(&self, master: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
         product(master, &self.master.inverse())
     }
 }
 
-/// Of norm 1, so that what is commanded can be sent.
+/// Product with norm 1, so that a command can be sent.
 fn product(left: &UnitQuaternion<f64>, right: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
     Unit::new_normalize((left * right).into_inner())
 }
 
-/// Of the angles that differ from `angle` by whole turns, the one nearest to `last`.
+/// Return `angle` plus the whole turns that bring it nearest to `last`.
 fn unwrapped(angle: f64, last: f64) -> f64 {
     angle + TAU * ((last - angle) / TAU).round()
 }
 
-/// Of the vectors phi with `exp(phi) = turn`, the one nearest to `last`.
+/// Return the vector phi with `exp(phi) = turn` that is nearest to `last`.
 fn logarithm(turn: &UnitQuaternion<f64>, last: &Vector3<f64>) -> Vector3<f64> {
     let [w, x, y, z] = canonical(turn);
     let vector = Vector3::new(x, y, z);
     let sine = vector.norm();
     if sine == 0.0 {
-        // Whole turns, about any axis.
+        // A whole number of turns, about any axis.
         return last.try_normalize(0.0).map_or(Vector3::zeros(), |axis| axis * unwrapped(0.0, last.norm()));
     }
     let axis = vector / sine;
@@ -140,7 +148,7 @@ fn logarithm(turn: &UnitQuaternion<f64>, last: &Vector3<f64>) -> Vector3<f64> {
 }
 
 impl RotationCoupling {
-    /// Scales `lambda_r` and `lambda_tau` (> 0).
+    /// Build the coupling with scales `lambda_r` and `lambda_tau` (> 0).
     pub fn new(rotation_scale: f64, torque_scale: f64) -> Result<Self, CouplingError> {
         let motion = check("rotation_scale", "lambda_r", rotation_scale)?;
         let force = check("torque_scale", "lambda_tau", torque_scale)?;
@@ -148,36 +156,37 @@ impl RotationCoupling {
         Ok(Self { change, lock: RotationLock::Free, anchor: None })
     }
 
-    /// Changes `lambda_r` over so many ticks, 0 at once; the slave goes on from where it is.
+    /// Change `lambda_r` over `ticks` ticks, 0 means at once. The slave continues from its present
+    /// orientation.
     pub fn set_rotation_scale(&mut self, scale: f64, ticks: u32) -> Result<(), CouplingError> {
         self.change.set_motion(check("rotation_scale", "lambda_r", scale)?, ticks);
-        self.anchor_anew(ticks);
+        self.drop_anchor(ticks);
         Ok(())
     }
 
-    /// Changes `lambda_tau` over so many ticks, 0 at once.
+    /// Change `lambda_tau` over `ticks` ticks, 0 means at once.
     pub fn set_torque_scale(&mut self, scale: f64, ticks: u32) -> Result<(), CouplingError> {
         self.change.set_force(check("torque_scale", "lambda_tau", scale)?, ticks);
         Ok(())
     }
 
-    /// Changes C, a unit quaternion of the rotation from the master's frame to the slave's: both scales fade out and in over
-    /// so many ticks each, 0 at once. The slave goes on from where it is.
+    /// Change C, the rotation from the master's frame to the slave's as a unit quaternion. Both scales fade
+    /// out and in over `ticks` ticks each, 0 means at once. The slave continues from its present orientation.
     pub fn set_frame(&mut self, quat_wxyz: [f64; 4], ticks: u32) -> Result<(), CouplingError> {
         let [w, x, y, z] = normalised(quat_wxyz)?;
         self.change.set_map(Unit::new_unchecked(Quaternion::new(w, x, y, z)), ticks);
-        self.anchor_anew(ticks);
+        self.drop_anchor(ticks);
         Ok(())
     }
 
-    /// Where a change is at once, the slave goes on from where it is.
-    fn anchor_anew(&mut self, ticks: u32) {
+    /// Drop the anchor after an immediate change, so that the slave continues from its present orientation.
+    fn drop_anchor(&mut self, ticks: u32) {
         if ticks == 0 {
             self.anchor = None;
         }
     }
 
-    /// One tick of the master for what is being changed.
+    /// Step the changes by one tick of the master.
     #[inline]
     pub(crate) fn advance(&mut self) {
         if self.change.moves {
@@ -185,7 +194,7 @@ impl RotationCoupling {
         }
     }
 
-    /// Changes what does not follow; the slave goes on from where it is.
+    /// Change the lock; the slave continues from its present orientation.
     pub fn set_lock(&mut self, lock: RotationLock) {
         self.lock = lock;
         self.anchor = None;
@@ -196,10 +205,10 @@ impl RotationCoupling {
         self.change.map.inverse_transform_vector(&self.lock.of(*slave_torque)) * self.change.force
     }
 
-    /// Slave half: the orientation to command, from the newest `R_m`; the first call since
+    /// Slave half: commanded orientation from the newest `R_m`. The first call after
     /// [`disengage`](Self::disengage) engages at `slave`.
     ///
-    /// An `R_m` that is no number is not followed. Each call is a tick of what is being changed.
+    /// An `R_m` with NaN or infinity is not followed. Each call steps the changes by one tick.
     pub fn commanded_orientation(
         &mut self,
         master: &UnitQuaternion<f64>,
@@ -240,22 +249,22 @@ impl RotationCoupling {
         anchor.command
     }
 
-    /// One tick of what is being changed, of a slave that was commanded by `anchor`: with another power of the same turn it
-    /// begins elsewhere, `R_s0 = exp(-lambda phi) R_s`, so that neither the command nor its velocity has a step.
+    /// Step the changes by one tick after a command of `anchor`. A new power of the same turn needs a new
+    /// origin, `R_s0 = exp(-lambda phi) R_s`, so that neither the command nor its velocity has a step.
     #[inline(never)]
     fn step(&mut self, mut anchor: Anchor) {
         if self.lock == RotationLock::Free && self.change.motion == 1.0 {
-            // Not followed until now: of the first power all are the same.
+            // phi was not tracked until now; at power 1 every choice of phi is equal.
             anchor.turned = logarithm(&anchor.turn(&anchor.followed), &Vector3::zeros());
         }
         let is_exchanged = self.change.step();
         let back = UnitQuaternion::from_scaled_axis(anchor.turned * -self.change.motion);
         anchor.slave = product(&back, &anchor.command);
-        // In another frame nothing is known of the way, and nothing passes at that tick.
+        // In a new frame the turn so far is unknown, and both scales are zero at that tick.
         self.anchor = (!is_exchanged).then_some(anchor);
     }
 
-    /// Follows the master a short way, from a new anchor where this one does not reach.
+    /// Follow the master a short way; set a new anchor if this one is out of reach.
     fn follow(&self, anchor: &mut Anchor, master: UnitQuaternion<f64>) {
         let turned = self.turned(anchor, &master).unwrap_or_else(|| {
             *anchor = Anchor::new(anchor.followed, anchor.command);
@@ -267,7 +276,7 @@ impl RotationCoupling {
         anchor.command = product(&scaled, &anchor.slave);
     }
 
-    /// phi or `alpha e` at a master's orientation, within reach of the anchor.
+    /// Return phi or `alpha e` for an orientation of the master; `None` beyond the reach of the anchor.
     fn turned(&self, anchor: &Anchor, master: &UnitQuaternion<f64>) -> Option<Vector3<f64>> {
         let turn = anchor.turn(master);
         if let RotationLock::OnlyAbout(axis) = self.lock {
@@ -279,9 +288,9 @@ impl RotationCoupling {
         (phi.norm() <= ANCHOR_REACH_RAD).then_some(phi)
     }
 
-    /// Slave half: the angular velocity in rad/s of the orientation that was commanded last, from the newest `w_m` in rad/s.
+    /// Slave half: angular velocity in rad/s of the last command, from the newest `w_m` in rad/s.
     ///
-    /// Before the two engage it is that with which they will: `lambda_r L C w_m`.
+    /// Before the two engage it is the value at engaging: `lambda_r L C w_m`.
     pub fn commanded_velocity(&self, master_velocity: &Vector3<f64>) -> Vector3<f64> {
         let velocity = self.change.map * master_velocity;
         let scale = self.change.motion;
@@ -313,13 +322,13 @@ impl RotationCoupling {
         }
     }
 
-    /// The slave is to go on from where it is: the next call of [`commanded_orientation`](Self::commanded_orientation)
-    /// takes both anew.
+    /// Drop the anchor: the next [`commanded_orientation`](Self::commanded_orientation) continues from the
+    /// given orientations.
     pub(crate) fn let_go(&mut self) {
         self.anchor = None;
     }
 
-    /// The two are no longer coupled; what is being changed arrives.
+    /// End the coupling and complete all changes.
     pub fn disengage(&mut self) {
         self.anchor = None;
         if self.change.moves {

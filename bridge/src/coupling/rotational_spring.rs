@@ -1,24 +1,28 @@
-//! A spring between two orientations, the same about every axis.
+//! Isotropic spring between two orientations.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use std::f64::consts::PI;
 
 use super::{CouplingError, position_force::check};
 
-/// Angle in rad up to which the spring is linear; beyond it gives way, to zero at pi.
+/// Angle in rad up to which the spring is linear; beyond it the torque decreases, to zero at pi.
 pub const FULL_SPRING_RAD: f64 = 5.0 * PI / 6.0;
 
-/// `tau = k phi` with `phi = log(R_s R_m')`, on the master towards the slave, in the base frame; `-tau` on the slave.
+/// Spring with the torque `tau = k phi`, `phi = log(R_s R_m')`, on the master towards the slave, in the base
+/// frame; `-tau` on the slave.
 ///
-/// It is `R_m k log(R_m' R_s)`: the vector that `log(R_m' R_s)` is in the frame of the tool, which has the same parts in
-/// master's and slave's tool frame, seen in the base frame. It is minus the gradient of the potential
-/// `U = k |phi|² / 2`: `dU/dt = tau·(w_s - w_m)`, so both torques together do `-dU/dt`.
+/// It equals `R_m k log(R_m' R_s)`: the vector `log(R_m' R_s)` of the tool frame, expressed in the base
+/// frame. That vector has the same components in the master's and in the slave's tool frame. The torque is
+/// minus the gradient of the potential `U = k |phi|² / 2`: `dU/dt = tau·(w_s - w_m)`, so the power of both
+/// torques is `-dU/dt`.
 ///
-/// At `|phi| = pi` the shorter way changes its side, and k phi would turn round from one tick to the next with all of
-/// its `k pi`. Where the direction is uncertain there must be no torque: beyond [`FULL_SPRING_RAD`] (a, 150 degrees)
-/// `|tau| = k a (pi - |phi|) / (pi - a)`, which is zero at pi, and `U = k (a² + a (|phi| - a) (1 + (pi - |phi|) / (pi - a))) / 2`
-/// is its potential. Torque and potential are continuous everywhere; `|tau| <= k a`, `U <= k a pi / 2`. No spring on
-/// SO(3) does without such a place: a smooth potential on it has at least 4 points without torque.
+/// At `|phi| = pi` the shorter way changes its side, and k phi would reverse from one tick to the next with
+/// its full `k pi`. A torque of uncertain direction must be zero. So beyond [`FULL_SPRING_RAD`] (a, 150
+/// degrees) `|tau| = k a (pi - |phi|) / (pi - a)`, which is zero at pi. Its potential is
+/// `U = k (a² + a (|phi| - a) (1 + (pi - |phi|) / (pi - a))) / 2`.
+///
+/// Torque and potential are continuous everywhere; `|tau| <= k a`, `U <= k a pi / 2`. No spring on SO(3) can
+/// avoid such a point: a smooth potential on SO(3) has at least 4 points without torque.
 ///
 /// Source: Caccavale, Natale, Siciliano and Villani, *Six-DOF impedance control based on angle/axis representations*,
 /// IEEE Transactions on Robotics and Automation 15 (2), 1999; Bullo and Murray, *Tracking for fully actuated mechanical
@@ -29,12 +33,12 @@ pub struct RotationalSpring {
 }
 
 impl RotationalSpring {
-    /// With k in N m/rad (> 0).
+    /// Build a spring of stiffness k in N m/rad (> 0).
     pub fn new(stiffness: f64) -> Result<Self, CouplingError> {
         Ok(Self { stiffness: check("rotational_stiffness", "k", stiffness)? })
     }
 
-    /// On the master, in N m in the base frame.
+    /// Torque on the master, in N m in the base frame.
     pub fn torque(&self, master: &UnitQuaternion<f64>, slave: &UnitQuaternion<f64>) -> Vector3<f64> {
         let phi = (slave * master.inverse()).scaled_axis();
         let angle = phi.norm();
@@ -45,7 +49,7 @@ impl RotationalSpring {
         phi * (self.stiffness * FULL_SPRING_RAD * left / angle)
     }
 
-    /// U in J.
+    /// Potential U in J.
     pub fn potential_j(&self, master: &UnitQuaternion<f64>, slave: &UnitQuaternion<f64>) -> f64 {
         let angle = master.rotation_to(slave).angle();
         let full = angle.min(FULL_SPRING_RAD);
@@ -71,7 +75,7 @@ mod tests {
     }
 
     proptest! {
-        /// Numeric gradient on SO(3): both orientations are turned about each axis of the base.
+        /// Numerical gradient on SO(3): turn both orientations about each axis of the base.
         #[test]
         fn the_torque_is_the_gradient_of_the_potential(
             (master, axis) in (orientation(), direction()),
@@ -91,8 +95,9 @@ mod tests {
                     spring().potential_j(&master, &turned(by, &slave)),
                     spring().potential_j(&master, &turned(-by, &slave)),
                 );
-                // Rounding: U up to 8 J in 2 ulp over 2 h, 2e-10; truncation: h^2 / 6 times the third derivative, which
-                // near pi is k a / ((pi - a) (pi - |phi|)) < 1e3 where |phi| < 3.13, 2e-8.
+                // Rounding: U up to 8 J, with 2 ulp over 2 h, 2e-10. Truncation: h^2 / 6 times the third
+                // derivative. Near pi that derivative is k a / ((pi - a) (pi - |phi|)) < 1e3 for |phi| <
+                // 3.13, so 2e-8.
                 prop_assert!((of_master + torque[base]).abs() < 3e-8, "{of_master} {}", torque[base]);
                 prop_assert!((of_slave - torque[base]).abs() < 3e-8);
             }
@@ -108,7 +113,7 @@ mod tests {
             prop_assert!((seen - base * torque).norm() < 1e-13 * STIFFNESS);
             let seen = spring().torque(&(master * tool), &(slave * tool));
             prop_assert!((seen - torque).norm() < 1e-13 * STIFFNESS);
-            // The frame that the equation says, and action equal to reaction.
+            // The frame in the equation, and action equal to reaction.
             let in_tool = (master.inverse() * slave).scaled_axis();
             if in_tool.norm() < FULL_SPRING_RAD {
                 prop_assert!((master * in_tool * STIFFNESS - torque).norm() < 1e-13);
@@ -121,7 +126,7 @@ mod tests {
             let [before, after] = [PI - 1e-7, PI + 1e-7]
                 .map(|angle| turned(off + axis.into_inner() * angle, &master));
             let [torque, beyond] = [before, after].map(|slave| spring().torque(&master, &slave));
-            // Slope of the part that gives way: k a / (pi - a) = 5 k, from at most 3e-7 rad off pi.
+            // Slope of the decreasing part: k a / (pi - a) = 5 k, from at most 3e-7 rad off pi.
             let largest = 5.0 * STIFFNESS * 3e-7;
             prop_assert!(torque.norm() < largest && beyond.norm() < largest);
             let potential = [before, after].map(|slave| spring().potential_j(&master, &slave));
@@ -148,13 +153,15 @@ mod tests {
                 energy += 0.5 * (along + last) * PI / f64::from(steps);
             }
             last = along;
-            // Trapezoids are exact but for the one with the corner: slope change 6 k, (1e-4)^2 / 8 of it at most.
+            // Trapezoids are exact except for the one with the corner: slope change 6 k, at most (1e-4)^2 /
+            // 8 of it.
             assert!((spring().potential_j(&master, &slave) - energy).abs() < 6.0 * STIFFNESS * 1e-8 / 8.0);
         }
-        assert!(last < 1e-14, "nothing is left at pi");
+        assert!(last < 1e-14, "the torque is zero at pi");
     }
 
-    /// The closed form of a body of inertia I on the spring: `phi(t) = phi_0 cos(sqrt(k / I) t)` about a fixed axis.
+    /// Closed form of a body of inertia I on the spring: `phi(t) = phi_0 cos(sqrt(k / I) t)` about a fixed
+    /// axis.
     #[test]
     fn a_body_on_the_spring_swings_as_its_closed_form() {
         let (inertia, step, ticks) = (0.02, 1e-4, 10_000_u32);
@@ -169,7 +176,7 @@ mod tests {
         }
         let rate = (STIFFNESS / inertia).sqrt();
         let expected = 2.0 * (rate * step * f64::from(ticks)).cos();
-        // The period of the leapfrog is short by (w h)^2 / 24: 4e-8 of 10 rad of phase, times 2 rad of amplitude.
+        // The leapfrog's period is short by (w h)^2 / 24: 4e-8 of 10 rad of phase, times 2 rad of amplitude.
         let seen = body.scaled_axis();
         assert!((seen - axis * expected).norm() < 1e-6, "{seen} must be {expected} along {axis}");
     }

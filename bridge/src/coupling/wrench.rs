@@ -2,26 +2,27 @@
 
 use nalgebra::Vector3;
 
-/// Velocity of a rigid body: of its reference point in m/s, and angular in rad/s, both in one frame.
+/// Twist of a rigid body: velocity of the reference point in m/s and angular velocity in rad/s, both in one
+/// frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Twist {
-    /// v, of the reference point.
+    /// Velocity v of the reference point.
     pub velocity: Vector3<f64>,
-    /// w, of the body.
+    /// Angular velocity w of the body.
     pub angular_velocity: Vector3<f64>,
 }
 
-/// Force in N and moment in N m about the reference point, both in one frame.
+/// Wrench: force in N and moment in N m about the reference point, both in one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wrench {
-    /// f.
+    /// Force f.
     pub force: Vector3<f64>,
-    /// tau, about the reference point.
+    /// Moment tau about the reference point.
     pub torque: Vector3<f64>,
 }
 
 impl Twist {
-    /// Of the point of the same body that lies `by` (m) from the reference point: `v' = v + w x r`, `w' = w`.
+    /// Twist of the point of the same body at `by` (m) from the reference point: `v' = v + w x r`, `w' = w`.
     ///
     /// Source: Murray, Li and Sastry, *A mathematical introduction to robotic manipulation*, 1994, section 2.4.2,
     /// adjoint of a translation.
@@ -32,7 +33,7 @@ impl Twist {
 }
 
 impl Wrench {
-    /// The same wrench about the point that lies `by` (m) from the reference point: `tau' = tau - r x f`, `f' = f`.
+    /// Same wrench about the point at `by` (m) from the reference point: `tau' = tau - r x f`, `f' = f`.
     ///
     /// The sign follows from the power: `f·(v + w x r) + tau'·w = f·v + tau·w` for every twist.
     ///
@@ -42,7 +43,7 @@ impl Wrench {
         Self { torque: self.torque - by.cross(&self.force), ..*self }
     }
 
-    /// `P = f·v + tau·w` in W, of a twist about the same point and in the same frame.
+    /// Power `P = f·v + tau·w` in W, with a twist about the same point and in the same frame.
     pub fn power(&self, twist: &Twist) -> f64 {
         self.force.dot(&twist.velocity) + self.torque.dot(&twist.angular_velocity)
     }
@@ -55,12 +56,12 @@ mod tests {
     use nalgebra::UnitQuaternion;
     use proptest::prelude::*;
 
-    /// Products of numbers up to 10 with 10 and 2, summed over 6 terms: 1200 at most, and an ulp for each of them.
+    /// Products of numbers up to 10 with 10 and 2, summed over 6 terms: at most 1200, with one ulp each.
     const ROUNDING: f64 = 1200.0 * 12.0 * f64::EPSILON;
 
     proptest! {
         #[test]
-        fn a_shift_keeps_the_power_and_comes_undone(
+        fn shift_keeps_the_power_and_is_reversible(
             (velocity, angular_velocity) in (vector(10.0), vector(10.0)),
             (force, torque, by) in (vector(10.0), vector(10.0), vector(2.0)),
         ) {
@@ -74,10 +75,10 @@ mod tests {
             prop_assert!(back.angular_velocity == angular_velocity);
         }
 
-        /// Numeric derivative of a point on a screw: `x(t) = q + exp(w t) (x - q) + h w t`, of pitch h about a line
-        /// through q (Murray, Li and Sastry 1994, section 2.3.3). Its twist about q is (h w, w).
+        /// Numerical derivative of a point on a screw: `x(t) = q + exp(w t) (x - q) + h w t`, of pitch h
+        /// about a line through q (Murray, Li and Sastry 1994, section 2.3.3). Its twist about q is (h w, w).
         #[test]
-        fn a_point_of_a_screw_moves_as_its_shifted_twist_says(
+        fn point_of_a_screw_moves_with_its_shifted_twist(
             (axis, through, by) in (direction(), vector(1.0), vector(1.0)),
             (pitch, speed) in (-0.5..0.5f64, -3.0..3.0f64),
         ) {
@@ -93,7 +94,7 @@ mod tests {
             prop_assert!((seen - twist.velocity).norm() < 1e-9);
         }
 
-        /// A pure force in a point has a moment about any other, of the arm from there: `tau = (q - p) x f`.
+        /// A pure force at a point has a moment about any other point: `tau = (q - p) x f`.
         #[test]
         fn a_force_at_the_end_of_a_long_tool_has_its_moment(
             (force, by, turn) in (vector(10.0), vector(2.0), orientation()),
@@ -101,7 +102,7 @@ mod tests {
             let at_end = Wrench { force, torque: Vector3::zeros() };
             let at_handle = at_end.shifted(&-by);
             prop_assert!((at_handle.torque - by.cross(&force)).norm() < ROUNDING);
-            // Seen in a turned frame it is the turned one.
+            // In a turned frame the moment is the turned one.
             let turned = Wrench { force: turn * force, torque: Vector3::zeros() }.shifted(&-(turn * by));
             prop_assert!((turned.torque - turn * at_handle.torque).norm() < ROUNDING);
         }

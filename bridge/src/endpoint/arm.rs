@@ -1,4 +1,5 @@
-//! What decides over the command to an arm: the same live, in virtual time, and in runs that share link and ladders.
+//! Decision over the command to an arm. Live runs, virtual time, and runs that share link and ladders all use
+//! it.
 
 use haptether_safety::{Axes, Excess, Fault, Guard, Sample, SampleBounds, Signal, Turned};
 use nalgebra::UnitQuaternion;
@@ -15,42 +16,38 @@ use crate::{
     wire::Padded,
 };
 
-/// What the newest frame says of the master.
+/// State of the master in the newest frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct MasterState<'a, const N: usize> {
     /// x in m.
     pub(crate) position: Axes<N>,
     /// V in m/s.
     pub(crate) velocity: Axes<N>,
-    /// Of a pose.
     pub(crate) rotation: Option<&'a RotationState>,
 }
 
-/// What decides over the command of a tick beside what the arm measures.
+/// Inputs of a tick beside the measurements of the arm.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArmInput<'a, const N: usize> {
-    /// Where the ladder stands.
     pub(crate) state: LadderState,
-    /// Whether the arm may turn to the master before the two engage.
+    /// True if the arm may turn to the master before the two engage.
     pub(crate) turns: bool,
-    /// For how long in ns the ladder has stood in STALE.
+    /// Time in ns that the ladder has been in STALE.
     pub(crate) stale_ns: u64,
-    /// None before the first frame.
+    /// State of the master; none before the first frame.
     pub(crate) newest: Option<MasterState<'a, N>>,
 }
 
-/// What one tick decided.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArmTick<const N: usize> {
     /// Velocity in m/s of the commanded position; zero unless engaged.
     pub(crate) command_velocity: Axes<N>,
-    /// Angular velocity in rad/s of the commanded orientation; zero unless engaged or turned to the master.
+    /// Angular velocity in rad/s of the commanded orientation; zero unless engaged or turning to the master.
     pub(crate) angular_velocity: Axes<3>,
-    /// Which bounds acted on the command.
     pub(crate) limited: Limited,
 }
 
-/// Takes force and torque out of what the next frame says.
+/// Set force and torque of the next frame to zero.
 fn without_wrench(outgoing: &mut PortState) {
     outgoing.force = Padded::zeros();
     if let Some(rotation) = &mut outgoing.rotation {
@@ -58,27 +55,27 @@ fn without_wrench(outgoing: &mut PortState) {
     }
 }
 
-/// Lever in m at which the rotation of a tool is held against its path: a tool of 0.1 m.
+/// Lever in m that converts sample bounds of position to those of rotation: a tool of 0.1 m.
 pub(crate) const TOOL_LEVER_M: f64 = 0.1;
 
-/// Coupling and bounds of an arm, with what they have to know of the last tick.
+/// Coupling and bounds of an arm, with their memory of the last tick.
 #[derive(Clone, Debug)]
 pub(crate) struct Arm<const N: usize> {
     translation: SlaveTranslation<N>,
-    /// Of an arm that turns.
+    /// Rotation; none for a point.
     rotation: Option<Box<SlaveRotation>>,
     fault: Option<Fault>,
-    /// The speed beyond the bound of the arm that led to it.
+    /// Speed beyond the arm's bound that caused the fault.
     excess: Option<Excess>,
     guard: Guard<N>,
     /// Force in N and moment in N m of the last sample that was not held.
     wrench: (Axes<N>, Axes<3>),
-    /// The longest time in s that one step of an alignment makes up for: two periods.
+    /// Longest time in s covered by one step of an alignment: two periods.
     max_step_s: f64,
 }
 
 impl<const N: usize> Arm<N> {
-    /// Of a point.
+    /// Build the arm of a point.
     pub(crate) fn new(settings: &SlaveSettings) -> Result<Self, EndpointError> {
         Ok(Self {
             translation: SlaveTranslation::new(settings)?,
@@ -95,7 +92,7 @@ impl<const N: usize> Arm<N> {
         })
     }
 
-    /// The same of a pose, with `rotation` and three axes, whose press waits for `align_s` at most.
+    /// Add `rotation` (three axes). A press waits for at most `align_s`.
     pub(super) fn turning(
         mut self,
         rotation: &SlaveRotationSettings,
@@ -105,28 +102,26 @@ impl<const N: usize> Arm<N> {
         Ok(self)
     }
 
-    /// The same before its first tick, whose samples are held against other bounds than [`SampleBounds::of_axes`] and those at a
-    /// lever of 0.1 m: of position and rotation.
+    /// Replace the sample bounds of position and rotation, before the first tick. The defaults are
+    /// [`SampleBounds::of_axes`] and the linear bounds at a lever of 0.1 m.
     pub(crate) fn with_samples(self, [bounds, rotation]: [SampleBounds; 2], period_s: f64) -> Self {
         Self { guard: Guard::new(bounds, rotation, period_s), ..self }
     }
 
-    /// What its samples are held against.
     pub(crate) fn guard(&self) -> &Guard<N> {
         &self.guard
     }
 
-    /// The speed beyond the bound of the arm that led to the fault.
+    /// Speed beyond the arm's bound that caused the fault.
     pub(super) fn excess(&self) -> Option<Excess> {
         self.excess
     }
 
-    /// What it decides of a point.
     pub(crate) fn translation(&self) -> &SlaveTranslation<N> {
         &self.translation
     }
 
-    /// The arm still brakes with `speed` in m/s and `angular_speed` in rad/s.
+    /// Reserve `speed` in m/s and `angular_speed` in rad/s of the bounds for the arm's own braking.
     pub(super) fn set_braking(&mut self, [speed, angular_speed]: [f64; 2]) {
         self.translation.set_braking(speed);
         if let Some(rotation) = &mut self.rotation {
@@ -134,9 +129,9 @@ impl<const N: usize> Arm<N> {
         }
     }
 
-    /// Refuses a sample that cannot be, or of a device that has failed; returns what stands for one that is held, as it has left
-    /// the path of the others ([`Guard`]): its prediction, under the last wrench.
-    #[inline(always)] // once a tick, from few places
+    /// Check a sample. An invalid sample or a failed device is a fault. If the [`Guard`] holds the sample as
+    /// implausible, returns its substitute: the prediction with the last wrench.
+    #[inline(always)] // once per tick, from few callers
     pub(crate) fn check(
         &mut self,
         now_ns: u64,
@@ -159,7 +154,7 @@ impl<const N: usize> Arm<N> {
         checked
     }
 
-    #[inline(always)] // once a tick, from few places
+    #[inline(always)] // once per tick, from few callers
     fn taken(&mut self, now_ns: u64, reading: &SlaveReading<N>) -> Result<Option<SlaveReading<N>>, Fault> {
         let ticks = self.translation.sampled(now_ns);
         let SlaveReading { position, velocity, environment_force, rotation } = reading;
@@ -169,7 +164,7 @@ impl<const N: usize> Arm<N> {
         });
         let sample = Sample { position: *position, velocity: Some(*velocity), rotation: turned };
         if let Err(excess) = self.guard.pass(&sample, ticks) {
-            // It begins anew from here, once it is acknowledged.
+            // The guard restarts its path at once; the fault lasts until it is acknowledged.
             self.guard.begin_anew(&sample);
             self.excess.get_or_insert(excess);
             return Err(excess.fault());
@@ -194,8 +189,11 @@ impl<const N: usize> Arm<N> {
         }))
     }
 
-    /// The next step towards the master's newest orientation, of an arm that is turned there before the two engage, and how
-    /// far it is with that; `before` is the input of the last tick with the newest frame. `checked`: the sample can be.
+    /// Return the alignment state and the next step towards the master's newest orientation, for an arm that
+    /// aligns before it engages.
+    ///
+    /// `before` gives state and turn flag of the last tick, and the newest frame. `checked` is true if the
+    /// sample is valid.
     #[inline(always)] // as check
     pub(super) fn align(
         &mut self,
@@ -218,7 +216,7 @@ impl<const N: usize> Arm<N> {
         })
     }
 
-    /// One tick of what the arm measures, which was checked.
+    /// Step one tick on a checked reading.
     #[inline(always)] // as check
     pub(crate) fn tick(
         &mut self,
@@ -235,7 +233,7 @@ impl<const N: usize> Arm<N> {
         let (mut command_velocity, mut angular_velocity) = (Axes::zeros(), Axes::zeros());
         let mut limited = Limited::default();
         if let (Some(rotation), Some(step), true) = (&mut self.rotation, step, turns || state.is_coupled()) {
-            // The two engage where it has just reached the master.
+            // The two sides engage at the orientation that this step reaches.
             rotation.command = Some(step.orientation);
         }
         let of_master = newest.as_ref().map(|master| [&master.position, &master.velocity]);
@@ -257,15 +255,17 @@ impl<const N: usize> Arm<N> {
         let mut turning = angular_velocity;
         if let (true, Some(step)) = (turns, step) {
             self.translation.stay_at(position);
-            // What it does to what it touches does not go over the link.
+            // The energy of this motion stays at the slave: the link does not carry it.
             (angular_velocity, turning) = (step.angular_velocity, Axes::zeros());
         }
         self.report(reading, power_w, &turning, elapsed_s, turns, outgoing);
         ArmTick { command_velocity, angular_velocity, limited }
     }
 
-    /// Leaves what the next frame says of the arm; the energy is that of the whole wrench, `f·v + tau·w`. While it turns to
-    /// the master (`turns`) there is no wrench: what fades on the hand from before must have nothing of that motion.
+    /// Fill the next frame's report of the arm. The energy is that of the whole wrench, `f·v + tau·w`.
+    ///
+    /// While the arm turns to the master (`turns`) the wrench is zero. A force that still fades on the hand
+    /// must not contain forces of that motion.
     #[inline(always)] // as check
     fn report(
         &self,
@@ -289,7 +289,7 @@ impl<const N: usize> Arm<N> {
         }
     }
 
-    /// The two are no longer coupled: when they engage again, it is from where both are then.
+    /// End the coupling: the next engagement starts from the positions at that time.
     pub(crate) fn disengage(&mut self) {
         self.translation.disengage();
         if let Some(rotation) = &mut self.rotation {
@@ -297,10 +297,10 @@ impl<const N: usize> Arm<N> {
         }
     }
 
-    /// The arm no longer follows and comes to rest at `rest` in m, and of a pose so turned: when the two engage again, it
-    /// goes on from there.
+    /// Record that the arm stops following and comes to rest at `rest` in m, and a pose at `orientation`. The
+    /// next engagement continues from there.
     pub(crate) fn rests(&mut self, rest: &Axes<N>, orientation: Option<&UnitQuaternion<f64>>) {
-        // Where it does not know where it is, nothing is commanded until the two engage anew.
+        // An unknown position clears the command until the next engagement.
         self.translation.rests(Signal::Position.check(rest).is_ok().then_some(*rest));
         if let Some(rotation) = &mut self.rotation {
             let known = orientation.filter(|orientation| check_orientation(orientation).is_ok());
@@ -308,8 +308,8 @@ impl<const N: usize> Arm<N> {
         }
     }
 
-    /// Carries out a command of the operator over so many ticks; returns whether it changed anything. The slave goes on from
-    /// where it is.
+    /// Carry out an operator command over `ticks` ticks; return whether it changed anything. The slave
+    /// continues from its present position.
     pub(crate) fn command(&mut self, command: OperatorCommand, ticks: u32) -> Result<bool, CouplingError> {
         match (command, &mut self.rotation) {
             (OperatorCommand::Acknowledge, _) => {
@@ -327,17 +327,17 @@ impl<const N: usize> Arm<N> {
         self.translation.coupling().command_at_slave(command, ticks)
     }
 
-    /// Why it stands in FAULT.
+    /// Fault behind the state FAULT.
     pub(super) fn fault(&self) -> Option<Fault> {
         self.fault
     }
 
-    /// The last commanded position in m; none before the first engagement.
+    /// Last commanded position in m; none before the first engagement.
     pub(crate) fn last_command(&self) -> Option<Axes<N>> {
         self.translation.last_command()
     }
 
-    /// The last commanded orientation; none of a point, and before the first engagement.
+    /// Last commanded orientation; none for a point, and before the first engagement.
     pub(super) fn last_orientation(&self) -> Option<UnitQuaternion<f64>> {
         self.rotation.as_ref().and_then(|rotation| rotation.command)
     }

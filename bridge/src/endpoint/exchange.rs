@@ -1,4 +1,4 @@
-//! What both endpoints have: a link, a ladder, and what goes out next.
+//! Exchange: the parts that both endpoints share, namely link, ladder and outgoing state.
 
 use std::sync::Arc;
 
@@ -17,85 +17,86 @@ use crate::{
     wire::{Frame, FrameLayout, MAX_FRAME, Role},
 };
 
-/// What a side has counted.
+/// Counters of a side.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SideCounts {
-    /// Of the link.
+    /// Counters of the link.
     pub link: LinkStatistics,
-    /// How often the ladder went to HOLD.
+    /// Number of transitions to HOLD.
     pub holds: u64,
-    /// Ticks at which a bound acted on the remote command; a master has none.
+    /// Ticks at which a bound limited the remote command; 0 at a master.
     pub limited: u64,
-    /// Samples that left the path of the others and were replaced.
+    /// Samples that the guard rejected as implausible and replaced by predictions.
     pub outliers: u64,
 }
 
-/// What has happened since the last tick, in any combination: set by whoever sees it, read by the endpoint's tick, and
-/// cleared by [`Exchange::end_tick`], so that each event counts at one tick only.
+/// Events since the last tick, in any combination. Their detectors set them, the endpoint's tick reads them,
+/// and [`Exchange::end_tick`] clears them, so each event counts at one tick only.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct TickEvents {
-    /// A run of the peer began, its first or another.
+    /// A run of the peer began: the first or a later one.
     pub(super) peer_began: bool,
     /// The loop was late by more than the ladder allows.
     stalled: bool,
-    /// The device has failed, or says so.
+    /// The device has failed or reports a failure.
     pub(super) device_failed: bool,
 }
 
-/// The flight recorder of a side.
 #[derive(Clone, Debug)]
 enum Flight {
-    /// It is kept.
-    Kept(Box<FlightRecorder>),
-    /// Nobody will read it, so that it stays as it was; a side that is copied does not copy it.
-    LeftOut(Arc<FlightRecorder>),
+    /// Active recorder.
+    Active(Box<FlightRecorder>),
+    /// Recorder without updates, because nobody reads it; copies of the side share it.
+    Frozen(Arc<FlightRecorder>),
 }
 
-/// The part of an endpoint that talks to the peer.
+/// Part of an endpoint that exchanges frames with the peer.
 #[derive(Clone, Debug)]
 pub struct Exchange {
     pub(super) ladder: Ladder,
     role: Role,
     pub(super) link: FrameLink,
-    /// What the next frame says of the plant.
+    /// State of the plant for the next frame.
     pub(super) outgoing: PortState,
-    /// Shortest time in ns between two frames of the peer, as it sends them, over [`COUNTED`] of them.
+    /// Shortest mean interval in ns between the peer's frames, by its sending times over [`COUNTED`] frames.
     interval_ns: Option<u64>,
-    /// The same over those that arrived until there were as many.
+    /// Mean interval in ns over the first frames, until [`COUNTED`] have arrived.
     first_interval_ns: Option<u64>,
-    /// Sequence and sending time of the frame that the next count begins with.
+    /// Sequence and sending time in ns of the frame at which the present count begins.
     counted: (u64, u64),
-    /// Its own, which stands for the peer's until that is known.
+    /// Period in ns of this side's loop; it stands for the peer's until that is known.
     pub(super) period_ns: u64,
     inputs: LadderInputs,
     flight: Flight,
-    /// Ticks at which a bound acted on the remote command.
+    /// Ticks at which a bound limited the remote command.
     pub(super) limited_ticks: u64,
-    /// Samples that left the path of the others and were replaced.
+    /// Samples that the guard rejected as implausible and replaced by predictions.
     pub(crate) outliers: u64,
     pub(super) events: TickEvents,
-    /// Code of this side's fault, 0 without, and the driver's text on it.
+    /// Code of this side's fault (0 without one), and the driver's text on it.
     fault: u8,
     spoken: SpokenText,
-    /// The driver's text on a failure that the next tick meets.
+    /// Driver's text on a failure that the next tick will record.
     failing: Option<FaultText>,
-    /// What the peer says of its fault.
+    /// Peer's text on its fault.
     heard: HeardText,
-    /// Why the peer last held.
+    /// Code of the reason for the peer's last hold.
     peer_held: u8,
-    /// This side ends: its frames say so.
+    /// True if this side ends; its frames say so.
     ending: bool,
-    /// The peer has ended, by its last frames or by releasing its session.
+    /// True if the peer has ended, by its last frames or by releasing its session.
     peer_ended: bool,
 }
 
-/// Longest period of a loop in ns: a peer cannot request more patience.
+/// Longest interval in ns between frames that is expected of a peer; it bounds the patience that a peer can
+/// request.
 const MAX_INTERVAL_NS: u64 = 20_000_000;
-/// Frames whose mean interval is taken: one loop that wakes late shortens the next interval by its lateness.
+/// Number of frames per mean interval. A single interval is too short after a loop that woke late.
 const COUNTED: u64 = 16;
 
 impl Exchange {
-    /// A part of role `role` that has not heard of its peer; `run_id` is drawn anew at every start.
+    /// Build the exchange of role `role` before any frame of the peer. Draw a new random `run_id` at every
+    /// start.
     pub fn new(
         role: Role,
         axes: usize,
@@ -113,7 +114,7 @@ impl Exchange {
             counted: (0, 0),
             period_ns,
             inputs: LadderInputs::new(role),
-            flight: Flight::Kept(Box::new(FlightRecorder::new(role.name()))),
+            flight: Flight::Active(Box::new(FlightRecorder::new(role.name()))),
             limited_ticks: 0,
             outliers: 0,
             events: TickEvents::default(),
@@ -127,42 +128,43 @@ impl Exchange {
         })
     }
 
-    /// This side has a gripper or a trigger, and its peer the other: every frame says of it what is known.
+    /// Add the state of gripper or trigger to every frame. This side has one of the two, and its peer has the
+    /// other.
     pub fn carry_gripper(&mut self) {
         self.link.set_layout(FrameLayout { has_gripper: true, ..self.link.layout() });
     }
 
-    /// The frames of both sides have the buttons of the master.
+    /// Add the master's buttons to the frames of both sides.
     pub fn carry_buttons(&mut self) {
         self.link.set_layout(FrameLayout { has_buttons: true, ..self.link.layout() });
     }
 
-    /// What the next frame says of the buttons: bit n, button n is pressed.
+    /// Set the buttons for the next frame: bit n is set while button n is pressed.
     pub(crate) fn report_buttons(&mut self, pressed: u32) {
         self.outgoing.buttons = Some(pressed);
     }
 
-    /// What the peer's newest frame says of the buttons of the master.
+    /// Buttons of the master in the peer's newest frame.
     pub fn peer_buttons(&self) -> Option<u32> {
         self.link.newest().and_then(|frame| frame.buttons)
     }
 
-    /// What the coordinates of this side and of its peer are; of a pose every frame has a rotation.
+    /// Set the kind of coordinates of both sides. Every frame of a pose has a rotation.
     pub(crate) fn set_kind(&mut self, kind: SideKind) {
         self.link.set_layout(FrameLayout { kind, ..self.link.layout() });
     }
 
-    /// What the next frame says of gripper or trigger.
+    /// Set the state of gripper or trigger for the next frame.
     pub(crate) fn report_gripper(&mut self, state: GripperState) {
         self.outgoing.gripper = Some(state);
     }
 
-    /// What the peer's newest frame says of gripper or trigger.
+    /// State of gripper or trigger in the peer's newest frame.
     pub fn peer_gripper(&self) -> Option<GripperState> {
         self.link.newest().and_then(|frame| frame.gripper)
     }
 
-    /// Takes a datagram; a refused one changes nothing but its counter.
+    /// Take a datagram. A rejected datagram changes nothing but its counter.
     pub fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<(), RejectReason> {
         let is_known = self.link.newest().is_some();
         let head = self.link.take_datagram(time, datagram)?;
@@ -170,7 +172,7 @@ impl Exchange {
         Ok(())
     }
 
-    /// The same of a frame whose bytes nobody has looked at, without them.
+    /// Take a frame that was never encoded.
     #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame, axes: usize) -> Result<(), RejectReason> {
         let is_known = self.link.newest().is_some();
@@ -179,7 +181,7 @@ impl Exchange {
         Ok(())
     }
 
-    /// The link has taken a frame; `is_known`: not its first.
+    /// Update the state after the link accepted a frame. `is_known` is false for the first frame of all.
     #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     fn accepted(&mut self, time: LinkTime, is_known: bool, head: &FrameHead) {
         let FrameHead { begins, sequence, sent_ns, state, reason, ending, text } = *head;
@@ -196,12 +198,12 @@ impl Exchange {
             self.counted = (sequence, sent_ns);
             self.events.peer_began = true;
             if is_known {
-                // Whoever starts a master means to engage, so a slave may follow a new one. A hand is never coupled
-                // again by what arrives from the network.
+                // A person who starts a master means to engage, so a slave may follow a new run. A master's
+                // ladder never engages because of a datagram.
                 self.ladder.new_run(time.tick_ns, self.role == Role::Slave);
             }
         } else if sequence > self.counted.0 {
-            // By the peer's own clock and count: neither jitter nor loss is in it.
+            // The peer's own clock and count contain neither jitter nor loss.
             let frames = sequence - self.counted.0;
             let interval_ns = || (sent_ns.saturating_sub(self.counted.1) / frames).min(MAX_INTERVAL_NS);
             if frames >= COUNTED {
@@ -214,13 +216,15 @@ impl Exchange {
         }
     }
 
-    /// Steps the ladder; `clutch` is the master's button. Returns the state and the silence of the peer in ns.
-    #[inline(always)] // once a tick of each side
+    /// Step the ladder; `clutch` is the master's button. Returns the state, and the time in ns since the peer
+    /// was last heard.
+    #[inline(always)] // once per tick of each side
     pub(crate) fn advance(&mut self, now_ns: u64, clutch: bool) -> (LadderState, Option<u64>) {
         let age_ns = self.link.age_ns(now_ns);
         let expected_age_ns = self.interval_ns.or(self.first_interval_ns).unwrap_or(self.period_ns);
         let newest = self.link.newest().map(|frame| self.peer_frame(now_ns, frame));
-        // On arrival an age is what the link is used to; until the next frame it grows by what silence may.
+        // The baseline is an age on arrival; until the next frame the age also grows by the expected
+        // interval.
         let over = self.link.path().over_baseline_ns(now_ns);
         let over_baseline_ns = over.map(|over| over.saturating_sub(expected_age_ns));
         let next_sequence = self.link.next_sequence();
@@ -246,12 +250,12 @@ impl Exchange {
         (state, age_ns)
     }
 
-    /// The newest frame of the peer, as far as a ladder goes.
+    /// Fields of the peer's newest frame that the ladder reads.
     fn peer_frame(&self, now_ns: u64, frame: &Frame) -> PeerFrame {
-        // An echo of another run says nothing of this one.
+        // An echo of another run does not concern this run.
         let echo = frame.echo.filter(|echo| echo.run_id == self.link.run_id());
         PeerFrame {
-            // A state that this version does not know is none to be coupled with.
+            // A state that this version does not know must not couple.
             state: LadderState::from_code(frame.state).unwrap_or(LadderState::Fault),
             clutch: frame.clutch,
             hears: self.link.is_heard(),
@@ -260,13 +264,14 @@ impl Exchange {
         }
     }
 
-    /// How this slave is turned as against its master; of one that aligns before it engages, before each
-    /// [`advance`](Self::advance).
+    /// Set how this slave is turned relative to its master, before each [`advance`](Self::advance). Only for
+    /// a slave that aligns before it engages.
     pub(super) fn set_alignment(&mut self, alignment: AlignmentState) {
         self.inputs.alignment = alignment;
     }
 
-    /// Ends a tick: keeps measured position, command and force, and what controllers saw, in the flight recorder.
+    /// End a tick: record measured position, command, force and the controllers' observations in the flight
+    /// recorder.
     #[inline]
     pub(crate) fn end_tick<const N: usize>(
         &mut self,
@@ -275,7 +280,7 @@ impl Exchange {
         observed: impl FnOnce() -> [Observed; LAYERS.len()],
     ) {
         self.events = TickEvents::default();
-        if matches!(self.flight, Flight::Kept(_)) {
+        if matches!(self.flight, Flight::Active(_)) {
             self.keep_flight(now_ns, FlightValues::new(values), &observed());
         }
     }
@@ -293,30 +298,31 @@ impl Exchange {
             values,
         };
         let diagnosis = self.diagnosis(now_ns);
-        if let Flight::Kept(flight) = &mut self.flight {
+        if let Flight::Active(flight) = &mut self.flight {
             flight.observe(now_ns, observed);
             flight.take(entry, self.ladder.history(), diagnosis.as_ref());
         }
     }
 
-    /// Keeps nothing in the flight recorder: of a run in virtual time that nobody records, for it decides nothing.
+    /// Stop the flight recorder, in a virtual-time run that nobody records. The recorder affects no decision.
     pub(crate) fn leave_out_flight(&mut self) {
-        self.flight = Flight::LeftOut(Arc::new(*self.flight()));
+        self.flight = Flight::Frozen(Arc::new(*self.flight()));
     }
 
-    /// What the observers of a layer are held against, which the flight recorder keeps beside what they see.
-    pub(super) fn hold_against(&mut self, layer: usize, settings: &SafetySettings) {
-        if let Flight::Kept(flight) = &mut self.flight {
-            flight.hold_against(layer, thresholds(settings));
+    /// Set the thresholds of a layer's observers, which the flight recorder shows beside the observed values.
+    pub(super) fn set_thresholds(&mut self, layer: usize, settings: &SafetySettings) {
+        if let Flight::Active(flight) = &mut self.flight {
+            flight.set_thresholds(layer, thresholds(settings));
         }
     }
 
-    /// Measures of the path to the peer only what decides: of a run in virtual time whose reports nobody reads.
+    /// Measure only those properties of the path that affect decisions, in a virtual-time run whose reports
+    /// nobody reads.
     pub(crate) fn leave_out_path_reports(&mut self) {
         self.link.path.leave_out_reports();
     }
 
-    /// Why the two sides are not coupled; none where nothing is wrong.
+    /// Return why the two sides are not coupled; `None` if nothing is wrong.
     fn diagnosis(&self, now_ns: u64) -> Option<Diagnosis> {
         let (state, newest) = (self.ladder.state(), self.link.newest());
         let is_refused = newest.is_some_and(|frame| self.is_refused_by(now_ns, frame));
@@ -339,12 +345,13 @@ impl Exchange {
             }),
             ended: self.peer_ended,
             silent: !self.ladder.hears_peer(),
-            // Its loop knows.
+            // Only the loop knows this; it sets the flag.
             ends: false,
         })
     }
 
-    /// Whether the slave that sent `frame` ended this master's last press because of the turn that it needs.
+    /// Return whether the slave that sent `frame` ended this master's last press because of the turn that the
+    /// arm needs.
     fn is_refused_by(&self, now_ns: u64, frame: &Frame) -> bool {
         let waits = self.ladder.state() == LadderState::Aligning || self.ladder.is_unanswered();
         waits
@@ -353,9 +360,9 @@ impl Exchange {
             && self.inputs.knows_press(&self.peer_frame(now_ns, frame))
     }
 
-    /// A number that cannot be was met, or the device has failed.
+    /// Go to FAULT after an invalid number or a device failure.
     pub(super) fn fault(&mut self, now_ns: u64, fault: Fault) {
-        // What it met first led here.
+        // The first fault is the cause.
         if self.fault == 0 {
             self.fault = fault.code();
         }
@@ -365,7 +372,7 @@ impl Exchange {
         self.ladder.fault(now_ns);
     }
 
-    /// The same of what a sample has led to, with the speed that was beyond the bound of the device.
+    /// Go to FAULT because of a sample, with its speed beyond the device's bound, if that is the cause.
     pub(super) fn fault_of(&mut self, now_ns: u64, fault: Fault, excess: Option<Excess>) {
         if self.fault == 0 {
             self.failing = self.failing.or(excess.map(|excess| FaultText::of(&excess)));
@@ -373,44 +380,47 @@ impl Exchange {
         self.fault(now_ns, fault);
     }
 
-    /// The device has failed, or says so, `text` of the driver: zero force or no motion from the next tick on, and
-    /// the peer hears of it.
+    /// Record that the device has failed, with the driver's `text`. From the next tick on the force is zero
+    /// or the arm stops, and the frames tell the peer.
     ///
-    /// It counts as a bad number in that tick's sample does, so that no command before the tick undoes it.
+    /// The failure counts in the next tick, like an invalid number in its sample, so no command before that
+    /// tick can undo it.
     pub fn device_failed(&mut self, text: Option<&FaultText>) {
         self.events.device_failed = true;
         self.failing = text.copied().or(self.failing);
     }
 
-    /// This side ends: from here on its frames say so, and request nothing.
+    /// End this side: its frames say so from now on and request nothing.
     pub fn end(&mut self) {
         self.ending = true;
     }
 
-    /// The peer has ended the session that its newest frame is of.
+    /// Record that the peer has ended the session of its newest frame.
     pub fn peer_ended(&mut self) {
         self.peer_ended = self.link.newest().is_some();
     }
 
-    /// Writes the frame of this tick.
+    /// Encode the frame of this tick.
     pub fn send<'a>(&mut self, time: LinkTime, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
         self.next_frame(time).encode(buffer)
     }
 
-    /// The frame of this tick, not written.
+    /// Build the frame of this tick without encoding it.
     pub fn next_frame(&mut self, time: LinkTime) -> Frame {
         let mut frame = Frame::EMPTY;
         self.fill_frame(time, self.link.layout().axes, &mut frame);
         frame
     }
 
-    /// Makes the frame of this tick, of `axes` axes, of an empty one or of one that this side has made before.
+    /// Fill `frame` with the frame of this tick. `frame` must be empty or an earlier frame of this side;
+    /// `axes` is its number of axes.
     #[inline(always)] // makes a frame: docs/decisions/060-ticks-in-a-row.md
     pub(crate) fn fill_frame(&mut self, time: LinkTime, axes: usize, frame: &mut Frame) {
-        // Who ends follows and leads no more, whatever its ladder says.
+        // A side that ends neither follows nor leads, in any state of its ladder.
         let state = match self.ladder.state() {
             state if self.ending && !state.is_held() => LadderState::Disengaged,
-            // A master engages by a slave that aligns: to one that is to be turned it says no more than before the press.
+            // A master engages as soon as its slave aligns; so a slave that still has to turn reports
+            // DISENGAGED.
             LadderState::Aligning if self.inputs.alignment != AlignmentState::Any => LadderState::Disengaged,
             state => state,
         };
@@ -426,86 +436,86 @@ impl Exchange {
         self.link.fill_frame(time, axes, status, &self.outgoing, frame);
     }
 
-    /// The loop was late by more than the ladder allows, until `now_ns`.
+    /// Record that the loop was late by more than the ladder allows, until `now_ns`.
     pub fn stalled(&mut self, now_ns: u64) {
         self.events.stalled = true;
         self.ladder.stalled(now_ns);
     }
 
-    /// Whether it was, since the last tick.
+    /// Return whether the loop has stalled since the last tick.
     pub(crate) fn has_stalled(&self) -> bool {
         self.events.stalled
     }
 
-    /// The safety layer withholds its force: a person must say that there is a hand.
+    /// Withhold the force after a trip of the safety layer: a person must confirm that a hand is there.
     pub(crate) fn withhold(&mut self, now_ns: u64, yields: bool) {
         self.ladder.withhold(now_ns, yields);
     }
 
-    /// Whether a run of the peer began since the last tick.
+    /// Return whether a run of the peer began since the last tick.
     pub(crate) fn has_peer_begun(&self) -> bool {
         self.events.peer_began
     }
 
-    /// The operator at this side says that its fault is mended.
+    /// Acknowledge this side's fault on behalf of the operator.
     pub(super) fn acknowledge(&mut self, now_ns: u64) {
         self.fault = 0;
         self.spoken.set(&FaultText::EMPTY);
         self.ladder.acknowledge(now_ns);
     }
 
-    /// Where the ladder stands.
+    /// State of the ladder.
     pub fn state(&self) -> LadderState {
         self.ladder.state()
     }
 
-    /// Over how many ticks what an operator changes fades, as an engagement does; 0, at once, where there is no force.
+    /// Ticks over which an operator's change fades in: those of an engagement, or 0 (at once) without force.
     pub(crate) fn fade_ticks(&self) -> u32 {
         if self.ladder.gain() > 0.0 { self.fade_in_ticks() } else { 0 }
     }
 
-    /// Ticks of an engagement's fade.
+    /// Ticks of the fade-in of an engagement.
     pub(crate) fn fade_in_ticks(&self) -> u32 {
         u32::try_from(self.ladder.settings().fade_in_ns.div_ceil(self.period_ns)).unwrap_or(u32::MAX)
     }
 
-    /// Whether the clutch is open, and nothing is left of a coupling.
+    /// Return whether the clutch is open and nothing of a coupling remains.
     pub fn is_open(&self) -> bool {
         !self.clutch() && self.ladder.gain() == 0.0 && !self.state().is_aligned()
     }
 
-    /// Whether the clutch was closed at the last tick.
+    /// Return whether the clutch was closed at the last tick.
     pub fn clutch(&self) -> bool {
         self.inputs.clutch()
     }
 
-    /// Where the peer stands and why, [`LadderState::code`], [`Reason::code`] and [`Fault::code`]; none before its
-    /// first frame.
+    /// State, reason and fault of the peer as [`LadderState::code`], [`Reason::code`] and [`Fault::code`];
+    /// none before its first frame.
     pub fn peer_codes(&self) -> Option<[u8; 3]> {
         self.link.newest().map(|frame| [frame.state, frame.reason, frame.fault])
     }
 
-    /// What was counted so far.
+    /// Counters so far.
     pub fn counts(&self) -> SideCounts {
         let (link, holds) = (self.link.statistics(), self.ladder.holds());
         SideCounts { link, holds, limited: self.limited_ticks, outliers: self.outliers }
     }
 
-    /// The end of the link.
+    /// This side's end of the link.
     pub fn link(&self) -> &FrameLink {
         &self.link
     }
 
-    /// The ladder.
+    /// Ladder of this side.
     pub fn ladder(&self) -> &Ladder {
         &self.ladder
     }
 
-    /// The last states and commands.
+    /// Flight recorder with the last states and commands.
     pub fn flight(&self) -> &FlightRecorder {
         match &self.flight {
-            Flight::Kept(flight) => flight,
-            Flight::LeftOut(flight) => flight,
+            Flight::Active(flight) => flight,
+            Flight::Frozen(flight) => flight,
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What decides over the force on a hand: the same live, in virtual time, and when a recording is replayed.
+//! Decision over the force on a hand. Live runs, virtual time and the replay of a recording all use it.
 
 use haptether_safety::{
     Advance, Axes, Excess, Fault, Guard, Real, SafetyLayer, SafetyTick, Sample, SampleBounds, Signal, Track,
@@ -8,20 +8,20 @@ use haptether_safety::{
 use super::layer::{Layer, MasterReading};
 use crate::lanes::padded;
 
-/// What a tick takes over from the one before.
+/// State that a tick takes over from the one before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Past {
-    /// All of it.
+    /// All state.
     #[default]
     Kept,
-    /// Nothing but a fault: the loop had stalled.
+    /// Only a fault: the loop had stalled.
     Stalled,
     /// Nothing: the operator has acknowledged a fault.
     Acknowledged,
 }
 
 impl Past {
-    /// As it stands in a recording.
+    /// Name in recordings.
     pub fn name(self) -> &'static str {
         match self {
             Self::Kept => "kept",
@@ -31,29 +31,29 @@ impl Past {
     }
 }
 
-/// What decides over the force of a tick beside what the device measures.
+/// Inputs of a tick beside the measurements of the device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HandInput<const N: usize> {
     /// `F_e` in N of the newest frame; zero before the first.
     pub received_force: Axes<N>,
-    /// The moment in N m of the newest frame.
+    /// Moment in N m of the newest frame; zero before the first.
     pub received_torque: Axes<3>,
-    /// `F_v` in N that the coupling requests of it.
+    /// `F_v` in N that the coupling requests, from `F_e`.
     pub requested_force: Axes<N>,
-    /// The torque in N m that it requests.
+    /// Torque in N m that the coupling requests, from the moment.
     pub requested_torque: Axes<3>,
-    /// The ladder's share of what is requested.
+    /// Gain of the ladder on the request, 0 to 1.
     pub gain: f64,
-    /// Ticks that were left out since the last.
+    /// Ticks left out since the last one.
     pub missed: u64,
-    /// What is taken over from the last.
+    /// State taken over from the last tick.
     pub past: Past,
-    /// A fault that only others can see: of the device, or of the trigger.
+    /// Fault that only other parts can detect: of the device or of the trigger.
     pub fault: Option<Fault>,
 }
 
 impl<const N: usize> HandInput<N> {
-    /// Nothing is requested, nothing has happened.
+    /// Input without request and without events.
     pub fn idle() -> Self {
         Self {
             received_force: Axes::zeros(),
@@ -68,11 +68,11 @@ impl<const N: usize> HandInput<N> {
     }
 }
 
-/// The safety layer of a hand.
+/// Safety layer of a hand.
 #[derive(Clone, Debug)]
 pub(crate) struct Hand<const N: usize> {
     layer: Layer<N>,
-    /// Whether it is before its first tick.
+    /// True if the first tick is still to come.
     is_new: bool,
 }
 
@@ -81,43 +81,42 @@ impl<const N: usize> Hand<N> {
         Self { layer, is_new: true }
     }
 
-    /// The same before its first tick, whose samples are held against other bounds, of position and rotation.
+    /// Replace the sample bounds of position and rotation, before the first tick.
     pub(crate) fn with_samples(self, bounds: [SampleBounds; 2]) -> Self {
         Self { layer: self.layer.with_samples(bounds), ..self }
     }
 
-    /// The sample that stands for the newest one: itself, or its prediction.
+    /// Sample in use at this tick: the newest one, or its prediction.
     #[inline]
     pub(crate) fn taken(&self) -> &Sample<N> {
         self.layer.taken()
     }
 
-    /// What samples are held against.
+    /// Guard that checks the samples.
     #[inline]
     pub(crate) fn guard(&self) -> &Guard<N> {
         self.layer.guard()
     }
 
-    /// The speed beyond the bound of the device that led to the fault.
+    /// Speed beyond the device's bound that caused the fault.
     pub(super) fn excess(&self) -> Option<Excess> {
         self.layer.excess()
     }
 
-    /// With a controller of the caller's own, of a hand that does not turn; None for one that does.
+    /// Add the caller's own controller. Returns `None` for a hand that turns.
     pub(super) fn with_research(mut self, controller: Box<dyn ResearchController>) -> Option<Self> {
         self.layer = self.layer.with_research(controller)?;
         Some(self)
     }
 
-    /// One tick.
-    #[inline(always)] // what it returns is large, and mostly none
+    #[inline(always)] // its result is large and mostly empty
     pub(crate) fn tick(
         &mut self,
         reading: &MasterReading<N>,
         input: &HandInput<N>,
     ) -> (SafetyTick<N>, Option<SafetyTick<3>>) {
-        // What lies before a gap says nothing of what follows it. Where the position still is none that can be, the layer keeps
-        // its fault, and meets it again below.
+        // The state before a gap does not apply after it. If the position is still invalid, the layer stays
+        // in fault, and the tick below reports it again.
         let missed = match input.past {
             Past::Kept => input.missed,
             Past::Acknowledged => {
@@ -130,7 +129,7 @@ impl<const N: usize> Hand<N> {
             }
         };
         if let Some(fault) = input.fault {
-            // After the reset above: nobody can have acknowledged what shows at this tick only.
+            // After the reset above, so that an acknowledgement does not clear a fault of this very tick.
             self.layer.fail(fault);
         }
         self.is_new = false;
@@ -140,18 +139,18 @@ impl<const N: usize> Hand<N> {
     }
 }
 
-/// The safety layers of hands of points, side by side, and the paths of their samples.
+/// Safety layers of several point hands in SIMD lanes, with the paths of their samples.
 #[derive(Clone, Debug)]
 pub(crate) struct HandLanes<const N: usize, S> {
     layer: SafetyLayer<N, S>,
     track: Track<N, S>,
-    /// The last velocity that was measured.
+    /// Last measured velocity in m/s.
     last: Option<Axes<N, S>>,
 }
 
 impl<const N: usize, S: Real> HandLanes<N, S> {
-    /// Of hands before their first tick; lanes that are left over repeat the last one. None where their layers differ in more
-    /// than numbers.
+    /// Gather hands before their first tick; surplus lanes repeat the last hand. Returns `None` if a hand has
+    /// begun, or if layers differ in more than numbers.
     pub(crate) fn gather(of: &[&Hand<N>]) -> Option<Self> {
         if of.iter().any(|one| !one.is_new) {
             return None;
@@ -161,10 +160,12 @@ impl<const N: usize, S: Real> HandLanes<N, S> {
         Some(Self { layer: SafetyLayer::gather(&layers?)?, track, last: None })
     }
 
-    /// One tick as that of [`Hand::tick`], of which none was missed before: of x in m and, where it is measured, V in m/s under
-    /// what is requested in N and the ladder's `gain`. And where all of its numbers can be and lie on their paths: elsewhere the hand
-    /// meets a fault, or holds the sample.
-    #[inline(always)] // once a tick, from one place
+    /// Step one tick without missed ticks, like [`Hand::tick`]: x in m, V in m/s if measured, the request in
+    /// N, and the ladder's `gain`.
+    ///
+    /// Also returns the mask of valid lanes: their numbers are valid and lie on the path of the samples. In
+    /// the other lanes the scalar hand raises a fault or holds the sample.
+    #[inline(always)] // once per tick, from one caller
     pub(crate) fn tick(
         &mut self,
         position: &Axes<N, S>,
@@ -218,16 +219,17 @@ mod tests {
         prop_oneof![40 => -1e-4..1e-4, 1 => -0.05..0.05, 1 => Just(f64::NAN), 1 => Just(2e3)]
     }
 
-    /// Mostly a number that can be, sometimes one of which something that follows from it cannot be.
+    /// Mostly a valid number, sometimes one that is invalid or leads to invalid results.
     fn number(size: f64) -> impl Strategy<Value = f64> {
         let odd = prop_oneof![Just(f64::NAN), Just(f64::INFINITY), Just(2e3), Just(-900.0), Just(2e4)];
         prop_oneof![60 => -size..size, 1 => odd]
     }
 
     proptest! {
-        /// A lane stays where its hand meets no fault and holds no sample, and decides what that does, to the bit.
+        /// A lane is valid only if its scalar hand raises no fault and holds no sample; results are then
+        /// bit-identical.
         #[test]
-        fn hands_in_lanes_are_as_alone(
+        fn lanes_equal_scalar_hands(
             ticks in prop::collection::vec(
                 prop::collection::vec((step(), step(), number(5.0)), WIDTH),
                 1..40,
@@ -241,7 +243,7 @@ mod tests {
             let mut running = [true; WIDTH];
             let mut at = [(0.0, 0.0); WIDTH];
             for tick in &ticks {
-                // Positions that go on from one another, and velocities.
+                // Positions accumulate from tick to tick, and so do velocities.
                 let tick = &tick.iter().zip(&mut at).map(|((dx, dv, force), (x, v))| {
                     (*x, *v) = (*x + dx, *v + 1e3 * dv);
                     (*x, *v, *force)
@@ -258,7 +260,7 @@ mod tests {
                     let input = HandInput { requested_force: Axes::<1>::new(force), gain, ..HandInput::idle() };
                     let (single, _) = alone[lane].tick(&reading, &input);
                     let stays = single.fault.is_none() && !alone[lane].guard().holds();
-                    // A lane may leave where its hand finds a way back to the path.
+                    // A lane may be invalid although the scalar hand returns to the path.
                     prop_assert!(stays || !passes.extract(lane), "lane {lane}: {:?}", single.fault);
                     running[lane] = passes.extract(lane);
                     if running[lane] {

@@ -1,4 +1,4 @@
-//! The safety layer of a hand that moves, or that moves and turns.
+//! Safety layer of a hand that moves, or that moves and turns.
 
 use haptether_master::RotationSample;
 use haptether_safety::{
@@ -9,53 +9,53 @@ use haptether_safety::{
 };
 use nalgebra::{Quaternion, Unit};
 
-/// How the rotation of a master's endpoint is built.
+/// Settings of the rotation of a master's endpoint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MasterRotationSettings {
     /// Dynamics of the device.
     pub device: RotationModel,
-    /// How w and its derivative are had from orientations.
+    /// Estimator of w and its derivative from orientations.
     pub estimator: EstimatorKind,
     /// Observers and controllers, in rad/s and N m.
     pub safety: SafetySettings,
-    /// Bounds on the device torque; as of the force, its ramp-in is not used.
+    /// Bounds on the device torque; the ramp-in is not used, as for the force.
     pub limiter: LimiterSettings,
     /// `lambda_tau`.
     pub torque_scale: f64,
-    /// Whether a trip of force or torque acts on both.
+    /// True if a trip of force or torque acts on both.
     pub shares_trips: bool,
 }
 
-/// What a device measures at one tick.
+/// Measurements of a device at one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MasterReading<const N: usize> {
     /// x in m.
     pub position: Axes<N>,
-    /// V in m/s, from a device that measures it.
+    /// V in m/s, if the device measures it.
     pub velocity: Option<Axes<N>>,
-    /// R and w, of a device that turns.
+    /// R and w, if the device turns.
     pub rotation: Option<RotationSample>,
-    /// The trigger that the finger holds, 0 open to 1 closed, where it leads the gripper and is known.
+    /// Position of the trigger, 0 open to 1 closed, if it leads the gripper and is known.
     pub trigger: Option<f64>,
 }
 
 impl<const N: usize> MasterReading<N> {
-    /// Of a point.
+    /// Build the reading of a point.
     pub fn point(position: Axes<N>, velocity: Option<Axes<N>>) -> Self {
         Self { position, velocity, rotation: None, trigger: None }
     }
 
-    /// The same of a device that stands as `quat_wxyz`, a unit quaternion that was recorded, and turns at `rate` in rad/s.
+    /// Add a recorded orientation `quat_wxyz`, a unit quaternion, and the angular velocity `rate` in rad/s.
     #[must_use]
     pub fn turned(self, quat_wxyz: [f64; 4], rate: Option<Axes<3>>) -> Self {
         let [w, x, y, z] = quat_wxyz;
-        // To normalise it once more would change its last bits.
+        // Normalising it again would change its last bits.
         let orientation = Unit::new_unchecked(Quaternion::new(w, x, y, z));
         Self { rotation: Some(RotationSample { orientation, angular_velocity: rate }), ..self }
     }
 
     fn pose(&self) -> PoseSample<N> {
-        // Where an endpoint of poses is told no orientation, it has none: a fault.
+        // A missing orientation becomes NaN, which is a fault in an endpoint of poses.
         let none = Unit::new_unchecked(Quaternion::from([f64::NAN; 4]));
         let rotation = self.rotation.unwrap_or(RotationSample { orientation: none, angular_velocity: None });
         PoseSample {
@@ -67,12 +67,12 @@ impl<const N: usize> MasterReading<N> {
     }
 }
 
-/// What stands between the remote side and a hand.
+/// Safety layer between the remote side and a hand.
 #[derive(Clone, Debug)]
 pub(super) enum Layer<const N: usize> {
-    /// Of one that moves.
+    /// Layer of a hand that moves.
     Force(Box<SafetyLayer<N>>),
-    /// Of one that turns as well.
+    /// Layer of a hand that moves and turns.
     Wrench(Box<WrenchLayer<N>>),
 }
 
@@ -91,7 +91,7 @@ impl<const N: usize> Layer<N> {
         Ok(Self::Wrench(Box::new(WrenchLayer::new(&WrenchSettings { translation, rotation, shares_trips })?)))
     }
 
-    /// The same before its first tick, whose samples are held against other bounds, of position and rotation.
+    /// Replace the sample bounds of position and rotation, before the first tick.
     pub(super) fn with_samples(self, [bounds, rotation]: [SampleBounds; 2]) -> Self {
         match self {
             Self::Force(layer) => Self::Force(Box::new(layer.with_samples(bounds))),
@@ -99,13 +99,13 @@ impl<const N: usize> Layer<N> {
         }
     }
 
-    /// The sample that stands for the newest one.
+    /// Sample in use at this tick: the newest one, or its prediction.
     #[inline]
     pub(super) fn taken(&self) -> &Sample<N> {
         self.guard().taken()
     }
 
-    /// What samples are held against.
+    /// Guard that checks the samples.
     #[inline]
     pub(super) fn guard(&self) -> &Guard<N> {
         match self {
@@ -114,7 +114,7 @@ impl<const N: usize> Layer<N> {
         }
     }
 
-    /// The speed beyond the bound of the device that led to the fault.
+    /// Speed beyond the device's bound that caused the fault.
     pub(super) fn excess(&self) -> Option<Excess> {
         match self {
             Self::Force(layer) => layer.excess(),
@@ -122,7 +122,7 @@ impl<const N: usize> Layer<N> {
         }
     }
 
-    /// That of a hand that does not turn.
+    /// Layer of a hand that does not turn; `None` for one that turns.
     pub(super) fn of_point(&self) -> Option<&SafetyLayer<N>> {
         match self {
             Self::Force(layer) => Some(layer),
@@ -130,7 +130,7 @@ impl<const N: usize> Layer<N> {
         }
     }
 
-    /// With a controller of the caller's own, of a hand that does not turn; None for one that does.
+    /// Add the caller's own controller. Returns `None` for a hand that turns.
     pub(super) fn with_research(self, controller: Box<dyn ResearchController>) -> Option<Self> {
         match self {
             Self::Force(layer) => Some(Self::Force(Box::new(layer.with_research(controller)))),
@@ -138,8 +138,9 @@ impl<const N: usize> Layer<N> {
         }
     }
 
-    /// One tick after `missed` that were left out: the force in N, the torque in N m that the remote side requests.
-    #[inline(always)] // what it returns is large, and mostly none
+    /// Step one tick after `missed` missed ticks; `force` in N and `torque` in N m are the remote side's
+    /// requests.
+    #[inline(always)] // its result is large and mostly empty
     pub(super) fn tick(
         &mut self,
         missed: u64,

@@ -1,4 +1,4 @@
-//! The master's endpoint: one tick of the side of the hand.
+//! Endpoint of the master: one tick of the side of the hand.
 
 use haptether_safety::{
     Axes, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyTick, SampleBounds, Turned,
@@ -24,69 +24,69 @@ use crate::{
     wire::{Role, unpadded},
 };
 
-/// How a master endpoint is built.
+/// Settings of a master endpoint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MasterSettings<const N: usize> {
     /// dT in ns.
     pub period_ns: u64,
-    /// Drawn anew at every start.
+    /// Random run id; a new one is drawn at every start.
     pub run_id: u64,
     /// Dynamics of the device.
     pub device: DeviceModel<N>,
-    /// How V and A are had from positions.
+    /// Estimator of V and A from positions.
     pub estimator: EstimatorKind,
     /// Observers and controllers.
     pub safety: SafetySettings,
-    /// Bounds on the device force; the ladder fades the force in, so the limiter's ramp-in is not used.
+    /// Bounds on the device force. The limiter's ramp-in is not used, because the ladder fades the force in.
     pub limiter: LimiterSettings,
-    /// `lambda_f`, of the position-force coupling.
+    /// `lambda_f` of the position-force coupling.
     pub force_scale: f64,
     /// Times of the ladder.
     pub ladder: LadderSettings,
 }
 
-/// What one tick of the master did.
+/// Result of one master tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MasterTick<const N: usize> {
-    /// What it went by beside the sample of the device.
+    /// Inputs of the hand beside the sample of the device.
     pub input: HandInput<N>,
-    /// All that the safety layer saw and decided; `device_force` in it goes to the device.
+    /// Observations and decisions of the safety layer; its `device_force` goes to the device.
     pub safety: SafetyTick<N>,
-    /// The same of the torque, of a hand that turns.
+    /// Same for the torque, if the hand turns.
     pub rotation: Option<SafetyTick<3>>,
-    /// The same of the finger, of a trigger with force feedback; positive closes.
+    /// Same for the finger, if the trigger has force feedback; positive closes.
     pub trigger: Option<SafetyTick<1>>,
-    /// Where the ladder stands.
+    /// State of the ladder.
     pub state: LadderState,
-    /// Silence of the peer in ns.
+    /// Time in ns since the peer was last heard.
     pub age_ns: Option<u64>,
 }
 
-/// The master's side as a state machine: `(sample, frames, time) -> (device force, frame)`.
+/// State machine of the master's side: `(sample, frames, time) -> (device force, frame)`.
 #[derive(Clone, Debug)]
 pub struct MasterEndpoint<const N: usize> {
     hand: Hand<N>,
     coupling: PositionForce<N>,
-    /// Of a hand that turns.
+    /// Coupling of the rotation; none if the hand does not turn.
     rotation: Option<RotationCoupling>,
-    /// Of a trigger that the finger feels.
+    /// Force feedback of the trigger; none without it.
     trigger: Option<Box<TriggerFeedback>>,
-    /// What talks to the peer.
+    /// Link and ladder towards the peer.
     pub exchange: Exchange,
-    /// Bounds of `lambda_f` and `lambda_tau` while it runs.
+    /// Bounds of `lambda_f` and `lambda_tau` during the run.
     ranges: ScaleRanges,
     period_s: f64,
-    /// The fault of the safety layer is mended, as the operator says.
+    /// True if the operator has acknowledged the fault since the last tick.
     acknowledged: bool,
 }
 
 impl<const N: usize> MasterEndpoint<N> {
-    /// An endpoint of a point that waits for its peer.
+    /// Build the endpoint of a point; it waits for its peer.
     pub fn new(settings: &MasterSettings<N>) -> Result<Self, EndpointError> {
         Self::with_rotation(settings, None)
     }
 
-    /// The same of a pose, with `rotation` and three axes; `lock` is as at the slave.
+    /// Build the endpoint of a pose (three axes, with `rotation`); `lock` is the slave's lock.
     pub fn of_pose(
         settings: &MasterSettings<N>,
         rotation: &MasterRotationSettings,
@@ -101,33 +101,33 @@ impl<const N: usize> MasterEndpoint<N> {
         Ok(endpoint)
     }
 
-    /// The same with other bounds of its scales while it runs; those of [`CHANGE_FACTOR`] else.
+    /// Replace the bounds of the scales during the run; the default bounds use [`CHANGE_FACTOR`].
     #[must_use]
     pub fn with_ranges(self, ranges: ScaleRanges) -> Self {
         Self { ranges, ..self }
     }
 
-    /// Bounds of its scales while it runs.
+    /// Bounds of the scales during the run.
     pub fn ranges(&self) -> &ScaleRanges {
         &self.ranges
     }
 
-    /// The same with a trigger that the finger feels.
+    /// Add a trigger with force feedback.
     pub fn with_trigger(mut self, settings: &TriggerSettings) -> Result<Self, EndpointError> {
-        self.exchange.hold_against(TRIGGER, &settings.safety);
+        self.exchange.set_thresholds(TRIGGER, &settings.safety);
         let fade_in_s = period_s(self.exchange.ladder.settings().fade_in_ns);
         self.trigger = Some(Box::new(TriggerFeedback::new(settings, self.period_s, fade_in_s)?));
         Ok(self)
     }
 
-    /// The same with a controller of the caller's own behind the others, in a simulated run and before its first tick;
-    /// None of a pose.
+    /// Add the caller's own controller after the others, in a simulated run and before its first tick.
+    /// Returns `None` for a pose.
     pub(crate) fn with_research(mut self, controller: Box<dyn ResearchController>) -> Option<Self> {
         self.hand = self.hand.with_research(controller)?;
         Some(self)
     }
 
-    /// What decides over the force of an endpoint of a point, by itself.
+    /// Build the hand of a point's endpoint by itself: the part that decides over the force.
     pub(crate) fn hand_of(settings: &MasterSettings<N>) -> Result<Hand<N>, EndpointError> {
         Self::with_layer(settings, None)
     }
@@ -147,8 +147,8 @@ impl<const N: usize> MasterEndpoint<N> {
         Ok(Hand::new(Layer::new(translation, rotation)?))
     }
 
-    /// The same before its first tick, whose samples are held against other bounds than [`SampleBounds::of_axes`] and those at
-    /// a lever of 0.05 m: of position and rotation.
+    /// Replace the sample bounds of position and rotation, before the first tick. The defaults are
+    /// [`SampleBounds::of_axes`] and the linear bounds at a lever of 0.05 m.
     #[must_use]
     pub fn with_samples(self, bounds: [SampleBounds; 2]) -> Self {
         Self { hand: self.hand.with_samples(bounds), ..self }
@@ -159,13 +159,12 @@ impl<const N: usize> MasterEndpoint<N> {
         self.period_s
     }
 
-    /// What decides over its force.
+    /// Hand of this endpoint: the part that decides over the force.
     pub(crate) fn hand(&self) -> &Hand<N> {
         &self.hand
     }
 
-    /// Lets another decide over its force from now on, in a simulated run: what it has seen so far must be what this one
-    /// has.
+    /// Replace the hand, in a simulated run. The new hand must have seen the same samples as the old one.
     pub(crate) fn set_hand(&mut self, hand: Hand<N>) {
         self.hand = hand;
     }
@@ -177,9 +176,9 @@ impl<const N: usize> MasterEndpoint<N> {
         let hand = Self::with_layer(settings, rotation)?;
         let mut exchange =
             Exchange::new(Role::Master, N, settings.run_id, settings.period_ns, settings.ladder)?;
-        exchange.hold_against(TRANSLATION, &settings.safety);
+        exchange.set_thresholds(TRANSLATION, &settings.safety);
         if let Some(rotation) = rotation {
-            exchange.hold_against(ROTATION, &rotation.safety);
+            exchange.set_thresholds(ROTATION, &rotation.safety);
         }
         Ok(Self {
             hand,
@@ -196,9 +195,9 @@ impl<const N: usize> MasterEndpoint<N> {
         })
     }
 
-    /// One tick of what the device measures; `missed` ticks were left out since the last. `clutch` is whether the clutch
-    /// is pressed.
-    #[inline(always)] // what it returns is large, and mostly none
+    /// Step one tick on the sample of the device. `missed` is the number of ticks left out since the last
+    /// one; `clutch` is true while the clutch is pressed.
+    #[inline(always)] // its result is large and mostly empty
     pub fn tick(
         &mut self,
         now_ns: u64,
@@ -230,7 +229,7 @@ impl<const N: usize> MasterEndpoint<N> {
             let jaws = self.exchange.peer_gripper();
             trigger.tick(reading.trigger, jaws, state.is_coupled(), gain, missed)
         });
-        // One person holds both: a fault of either stops both.
+        // One person holds hand and trigger, so a fault of either stops both.
         let fault = device_failed.then_some(Fault::Device).or(trigger.and_then(|tick| tick.fault));
         let input =
             HandInput { received_force, received_torque, gain, missed, past, fault, ..HandInput::idle() };
@@ -265,8 +264,9 @@ impl<const N: usize> MasterEndpoint<N> {
         MasterTick { input, safety, rotation, trigger, state: self.exchange.ladder.state(), age_ns }
     }
 
-    /// The same with what the coupling requests of what was received. Each call is a tick of what is being changed.
-    #[inline(always)] // what it is given and returns is large
+    /// Add the coupling's requested force and torque to `input`. Each call advances the coupling's fades by
+    /// one tick.
+    #[inline(always)] // argument and result are large
     pub(crate) fn requested(&mut self, input: &HandInput<N>) -> HandInput<N> {
         let requested_force = self.coupling.rendered_force(&input.received_force);
         self.coupling.advance();
@@ -278,7 +278,7 @@ impl<const N: usize> MasterEndpoint<N> {
         HandInput { requested_force, requested_torque, ..*input }
     }
 
-    /// A tick that was recorded, again: no peer, no ladder, no trigger.
+    /// Repeat a recorded tick, without peer, ladder or trigger.
     pub(crate) fn replay(
         &mut self,
         reading: &MasterReading<N>,
@@ -287,7 +287,7 @@ impl<const N: usize> MasterEndpoint<N> {
         self.hand.tick(reading, input)
     }
 
-    /// Leaves what the next frame says of the device; the energy is that of the whole wrench, `f·v + tau·w`.
+    /// Fill the next frame's report of the device. The energy is that of the whole wrench, `f·v + tau·w`.
     fn report(&mut self, safety: &SafetyTick<N>, rotation: Option<&SafetyTick<3>>, missed: u64) {
         let velocity = safety.motion.velocity;
         let turning = rotation.map_or(0.0, |tick| tick.rendered_force.dot(&tick.motion.velocity));
@@ -303,8 +303,8 @@ impl<const N: usize> MasterEndpoint<N> {
         outgoing.report(&taken.position, &velocity, &safety.device_force, rotation);
     }
 
-    /// Carries out a command of the operator; returns whether it changed anything. What it changes of the coupling fades in
-    /// within the ladder's fade-in, and stays within its bounds.
+    /// Carry out an operator command; return whether it changed anything. A change of the coupling fades in
+    /// within the ladder's fade-in and must be within the bounds.
     pub fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {
         if command == OperatorCommand::Acknowledge {
             self.acknowledged = self.exchange.state() == LadderState::Fault;
@@ -315,7 +315,7 @@ impl<const N: usize> MasterEndpoint<N> {
         self.change(command, self.exchange.fade_ticks())
     }
 
-    /// Changes the coupling over so many ticks; returns whether the command is one that does.
+    /// Change the coupling over `ticks` ticks; return whether the command changes the coupling.
     pub(crate) fn change(&mut self, command: OperatorCommand, ticks: u32) -> Result<bool, CouplingError> {
         match (command, &mut self.rotation) {
             (OperatorCommand::TorqueScale(scale), Some(rotation)) => {

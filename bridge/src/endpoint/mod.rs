@@ -1,4 +1,4 @@
-//! Endpoints: all that one side does at a tick, without socket, thread or clock.
+//! Endpoints: one side's work at a tick, without socket, thread or clock.
 
 mod arm;
 mod exchange;
@@ -26,22 +26,22 @@ pub(crate) fn period_s(period_ns: u64) -> f64 {
     period_ns as f64 * 1e-9
 }
 
-/// Settings that an endpoint cannot have.
+/// Invalid settings of an endpoint.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum EndpointError {
-    /// A parameter of the safety layer.
+    /// Parameter of the safety layer.
     #[error(transparent)]
     Safety(#[from] haptether_safety::ParameterError),
-    /// A scale of the coupling.
+    /// Scale of the coupling.
     #[error(transparent)]
     Coupling(#[from] crate::coupling::CouplingError),
-    /// The force feedback of a trigger.
+    /// Force feedback of a trigger.
     #[error(transparent)]
     Trigger(#[from] TriggerError),
-    /// A time of the ladder.
+    /// Time of the ladder.
     #[error(transparent)]
     Ladder(#[from] crate::ladder::LadderError),
-    /// A period outside 10 us to 20 ms.
+    /// Period outside 10 us to 20 ms.
     #[error("period = {0} ns: must be between 10000 and 20000000")]
     Period(u64),
 }

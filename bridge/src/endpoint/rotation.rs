@@ -1,4 +1,4 @@
-//! The rotation of a slave's endpoint: from the master's orientation to the one that the arm is to take.
+//! Rotation of a slave's endpoint: from the master's orientation to the commanded orientation.
 
 use haptether_safety::{Axes, Fault, Signal};
 use nalgebra::UnitQuaternion;
@@ -11,43 +11,44 @@ use crate::{
     ladder::AlignmentState,
 };
 
-/// How far in rad a command may stay behind the master: beyond pi the shorter way is the other one.
+/// Largest lag in rad of a command behind the master; beyond pi, the shorter way has the opposite direction.
 const MAX_LAG_RAD: f64 = std::f64::consts::FRAC_PI_2;
 
-/// Rounding of a step of an alignment, as a share of it: no bound acts on that.
+/// Relative rounding error of an alignment step, so that no bound acts on rounding.
 const ROUNDING: f64 = 1e-9;
 
-/// How the rotation of a slave's endpoint is built.
+/// Settings of the rotation of a slave's endpoint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlaveRotationSettings {
     /// `lambda_r`.
     pub rotation_scale: f64,
-    /// What of the rotation follows.
+    /// Part of the rotation that does not follow the master.
     pub lock: RotationLock,
-    /// What it takes of a remote command.
+    /// Bounds on a remote command.
     pub bounds: RotationBounds,
-    /// How it turns to the master before the two engage; without, they engage however they are turned.
+    /// Settings of the turn to the master before the two engage; without them, they engage in any
+    /// orientation.
     pub alignment: Option<AlignmentSettings>,
 }
 
-/// The rotation part of a slave's endpoint.
+/// Rotation part of a slave's endpoint.
 #[derive(Clone, Debug)]
 pub(super) struct SlaveRotation {
     pub(super) coupling: RotationCoupling,
     pub(super) alignment: Option<Alignment>,
-    /// For how long in s the arm that is being turned has been as good as aligned.
+    /// Time in s that the turning arm has been within [`ALIGNED_RAD`] of the master.
     near_s: f64,
     bounds: RotationBounds,
-    /// The same with what the arm's braking leaves of the speed.
+    /// Bounds with the speed that the arm's braking leaves.
     left: RotationBounds,
-    /// How the arm stood at its first tick.
+    /// Orientation of the arm at its first tick.
     home: Option<UnitQuaternion<f64>>,
-    /// The last command; none before the first engagement.
+    /// Last command; none before the first engagement.
     pub(super) command: Option<UnitQuaternion<f64>>,
 }
 
 impl SlaveRotation {
-    /// `align_s`: how long a press waits.
+    /// Build the rotation part; `align_s` is the timeout of a press in s.
     pub(super) fn new(settings: &SlaveRotationSettings, align_s: f64) -> Result<Self, CouplingError> {
         let SlaveRotationSettings { rotation_scale, lock, bounds, alignment } = settings;
         bounds.check()?;
@@ -71,12 +72,12 @@ impl SlaveRotation {
         })
     }
 
-    /// The arm still brakes with `angular_speed` in rad/s besides.
+    /// Reserve `angular_speed` in rad/s of the bound for the arm's own braking.
     pub(super) fn set_braking(&mut self, angular_speed: f64) {
         self.left.speed = (self.bounds.speed - angular_speed).max(0.0);
     }
 
-    /// Changes `lambda_r` over so many ticks; with an alignment it stays 1.
+    /// Change `lambda_r` over `ticks` ticks; with an alignment it must stay 1.
     pub(super) fn set_rotation_scale(&mut self, scale: f64, ticks: u32) -> Result<(), CouplingError> {
         if self.alignment.is_some() {
             AlignmentSettings::check_scale(scale)?;
@@ -84,7 +85,7 @@ impl SlaveRotation {
         self.coupling.set_rotation_scale(scale, ticks)
     }
 
-    /// Changes C, a unit quaternion, over so many ticks.
+    /// Change C, a unit quaternion, over `ticks` ticks.
     pub(super) fn set_frame(&mut self, quat_wxyz: [f64; 4], ticks: u32) -> Result<(), CouplingError> {
         if let Some(alignment) = &mut self.alignment {
             alignment.set_frame(quat_wxyz)?;
@@ -92,8 +93,9 @@ impl SlaveRotation {
         self.coupling.set_frame(quat_wxyz, ticks)
     }
 
-    /// How the command is turned as against the master's newest rotation, and its next step towards that within
-    /// `elapsed_s`; none where it is refused. `turns` is whether it was being turned at the last tick.
+    /// Return the alignment state and the next step of the command towards the master's newest rotation
+    /// within `elapsed_s`. The step is `None` if the turn is refused. `turns` is true if the arm was turning
+    /// at the last tick.
     pub(super) fn toward(
         &mut self,
         alignment: &Alignment,
@@ -106,7 +108,7 @@ impl SlaveRotation {
         let is_within = alignment.target(&master.orientation).angle_to(&home) <= self.bounds.turn;
         let step = alignment.step(&master.orientation, &from, elapsed_s).ok().filter(|_| is_within);
         let Some(mut step) = step else { return (AlignmentState::TooFar, None) };
-        // An arm that stands beyond the bound on its turn is led back no faster, either.
+        // The bound on the speed also applies to an arm that returns from beyond the bound on its turn.
         let speed = self.left.speed.min(alignment.max_speed() * (1.0 + ROUNDING));
         let turn = RotationBounds { speed, ..self.bounds };
         let mut limited = Limited::default();
@@ -123,7 +125,7 @@ impl SlaveRotation {
         (state, Some(step))
     }
 
-    /// Refuses what no arm can measure.
+    /// Return the fault of an invalid or missing measurement.
     pub(super) fn check(measured: Option<&RotationState>) -> Result<(), Fault> {
         let Some(RotationState { orientation, angular_velocity, torque }) = measured else {
             return Err(Fault::NotFinite(Signal::Orientation));
@@ -133,14 +135,15 @@ impl SlaveRotation {
         Signal::EnvironmentTorque.check(torque)
     }
 
-    /// Begins at the first tick where the arm is.
+    /// Store the orientation of the first tick as home.
     pub(super) fn begin(&mut self, measured: &RotationState) {
         self.home.get_or_insert(measured.orientation);
     }
 
-    /// Follows the master's newest rotation, `ahead_s` beyond it; `share` of its angular velocity is left.
+    /// Follow the master's newest rotation, extrapolated by `ahead_s`; `share` of its angular velocity
+    /// remains.
     ///
-    /// Returns the angular velocity in rad/s that goes with the command.
+    /// Returns the angular velocity in rad/s of the command.
     pub(super) fn follow(
         &mut self,
         master: &RotationState,
@@ -153,12 +156,12 @@ impl SlaveRotation {
         let from = self.command.unwrap_or(measured.orientation);
         let ahead = |velocity: Axes<3>| UnitQuaternion::from_scaled_axis(velocity * ahead_s);
         let mut velocity = self.velocity(master, limited);
-        // Where the two are taken to be coupled anew while frames are late, it has gone ahead already.
+        // If the coupling starts while frames are late, the command already contains the extrapolation.
         let followed = self.coupling.commanded_orientation(&master.orientation, &(ahead(-velocity) * from));
         velocity = self.velocity(master, limited);
         let mut wanted = ahead(velocity) * followed;
         if wanted.angle_to(&from) > MAX_LAG_RAD {
-            // Further on the shorter way would turn back: it goes on from where it is.
+            // Continuing on the shorter way would turn back; so the coupling restarts at the present command.
             limited.angular_speed = true;
             self.coupling.let_go();
             self.coupling.commanded_orientation(&master.orientation, &from);
@@ -170,14 +173,14 @@ impl SlaveRotation {
         if acted.any() {
             (limited.turn, limited.angular_speed) =
                 (limited.turn | acted.turn, limited.angular_speed | acted.angular_speed);
-            // What a bound holds back does not go on turning.
+            // The velocity of a limited command is that of the limited motion.
             let way = (command * from.inverse()).scaled_axis();
             velocity = if elapsed_s > 0.0 { way / elapsed_s } else { Axes::zeros() };
         }
         velocity * share
     }
 
-    /// With which the command turns, within the bound on its speed.
+    /// Angular velocity in rad/s of the command, within the bound on its speed.
     fn velocity(&self, master: &RotationState, limited: &mut Limited) -> Axes<3> {
         let velocity = self.coupling.commanded_velocity(&master.angular_velocity);
         limited.angular_speed |= velocity.norm() > self.left.speed;
@@ -185,7 +188,7 @@ impl SlaveRotation {
     }
 }
 
-/// Passes a unit quaternion, or names the fault.
+/// Return an error for a quaternion that is not finite or not a unit quaternion.
 pub(super) fn check_orientation(orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
     let norm = orientation.quaternion().norm();
     if (norm - 1.0).abs() <= Signal::Orientation.bound() {

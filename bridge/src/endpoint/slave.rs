@@ -1,4 +1,4 @@
-//! The slave's endpoint: one tick of the side of the robot.
+//! Endpoint of the slave: one tick of the side of the robot.
 
 use haptether_safety::{Axes, Fault, SampleBounds};
 use nalgebra::UnitQuaternion;
@@ -14,76 +14,76 @@ use crate::{
     wire::{Role, unpadded},
 };
 
-/// How a slave endpoint is built.
+/// Settings of a slave endpoint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlaveSettings {
     /// Period of the loop in ns.
     pub period_ns: u64,
-    /// Drawn anew at every start.
+    /// Random run id; a new one is drawn at every start.
     pub run_id: u64,
-    /// `lambda_p`, of the position-force coupling.
+    /// `lambda_p` of the position-force coupling.
     pub position_scale: f64,
-    /// What it takes of a remote command.
+    /// Bounds on a remote command.
     pub bounds: CommandBounds,
     /// Times of the ladder.
     pub ladder: LadderSettings,
 }
 
-/// What an arm measures at one tick.
+/// Measurements of an arm at one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlaveReading<const N: usize> {
-    /// Of the tool, in m.
+    /// Position of the tool in m.
     pub position: Axes<N>,
-    /// In m/s.
+    /// Velocity in m/s.
     pub velocity: Axes<N>,
     /// `F_e` in N.
     pub environment_force: Axes<N>,
-    /// Of an arm that turns; about the tool point, in its base frame.
+    /// Rotation of an arm that turns, about the tool point, in the arm's base frame.
     pub rotation: Option<RotationState>,
 }
 
 impl<const N: usize> SlaveReading<N> {
-    /// Of a point: position in m, velocity in m/s, `F_e` in N.
+    /// Build the reading of a point: position in m, velocity in m/s, `F_e` in N.
     pub fn point([position, velocity, environment_force]: [Axes<N>; 3]) -> Self {
         Self { position, velocity, environment_force, rotation: None }
     }
 }
 
-/// What one tick of the slave did.
+/// Result of one slave tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlaveTick<const N: usize> {
-    /// Position in m that the arm is to take; none before the first engagement.
+    /// Commanded position in m; none before the first engagement.
     pub command: Option<Axes<N>>,
-    /// Velocity in m/s of that position; zero unless engaged.
+    /// Velocity in m/s of the commanded position; zero unless engaged.
     pub command_velocity: Axes<N>,
-    /// Orientation that the tool is to take; none of a point, and before the first engagement.
+    /// Commanded orientation of the tool; none for a point, and before the first engagement.
     pub orientation: Option<UnitQuaternion<f64>>,
-    /// Angular velocity in rad/s of that orientation; zero unless engaged or turned to the master.
+    /// Angular velocity in rad/s of the commanded orientation; zero unless engaged or turning to the master.
     pub angular_velocity: Axes<3>,
-    /// Whether the arm is led: engaged, or before that turned to the master.
+    /// True if the arm follows commands: it is engaged, or turns to the master before that.
     pub is_led: bool,
-    /// Where the ladder stands.
+    /// State of the ladder.
     pub state: LadderState,
-    /// Silence of the peer in ns.
+    /// Time in ns since the peer was last heard.
     pub age_ns: Option<u64>,
-    /// Which bounds acted on the command.
+    /// Bounds that acted on the command.
     pub limited: Limited,
-    /// Why it stands in FAULT.
+    /// Fault behind the state FAULT.
     pub fault: Option<Fault>,
 }
 
-/// The slave's side as a state machine: `(sample, frames, time) -> (command, frame)`.
+/// State machine of the slave's side: `(sample, frames, time) -> (command, frame)`.
 #[derive(Clone, Debug)]
 pub struct SlaveEndpoint<const N: usize> {
     arm: Arm<N>,
-    /// Bounds of `lambda_p` and `lambda_r` while it runs.
+    /// Bounds of `lambda_p` and `lambda_r` during the run.
     ranges: ScaleRanges,
-    /// What talks to the peer.
+    /// Link and ladder towards the peer.
     pub exchange: Exchange,
 }
 
 impl<const N: usize> SlaveEndpoint<N> {
-    /// An endpoint that waits for its peer.
+    /// Build an endpoint that waits for its peer.
     pub fn new(settings: &SlaveSettings) -> Result<Self, EndpointError> {
         let arm = Arm::new(settings)?;
         let exchange = Exchange::new(Role::Slave, N, settings.run_id, settings.period_ns, settings.ladder)?;
@@ -94,7 +94,7 @@ impl<const N: usize> SlaveEndpoint<N> {
         Ok(Self { arm, ranges, exchange })
     }
 
-    /// The same of a pose, with `rotation` and three axes.
+    /// Build the endpoint of a pose (three axes, with `rotation`).
     pub fn of_pose(
         settings: &SlaveSettings,
         rotation: &SlaveRotationSettings,
@@ -106,38 +106,38 @@ impl<const N: usize> SlaveEndpoint<N> {
         Ok(Self { arm, ranges, exchange })
     }
 
-    /// The same with other bounds of its scales while it runs; those of [`CHANGE_FACTOR`] else.
+    /// Replace the bounds of the scales during the run; the default bounds use [`CHANGE_FACTOR`].
     #[must_use]
     pub fn with_ranges(self, ranges: ScaleRanges) -> Self {
         Self { ranges, ..self }
     }
 
-    /// Bounds of its scales while it runs.
+    /// Bounds of the scales during the run.
     pub fn ranges(&self) -> &ScaleRanges {
         &self.ranges
     }
 
-    /// The same before its first tick, whose samples are held against other bounds than [`SampleBounds::of_axes`] and those at a
-    /// lever of 0.1 m: of position and rotation.
+    /// Replace the sample bounds of position and rotation, before the first tick. The defaults are
+    /// [`SampleBounds::of_axes`] and the linear bounds at a lever of 0.1 m.
     #[must_use]
     pub fn with_samples(self, bounds: [SampleBounds; 2]) -> Self {
         let arm = self.arm.with_samples(bounds, period_s(self.exchange.period_ns));
         Self { arm, ..self }
     }
 
-    /// True while the newest sample is held: the arm is then led by predictions.
+    /// Return true while the newest sample is held; predictions then lead the arm.
     pub fn holds_sample(&self) -> bool {
         self.arm.guard().holds()
     }
 
-    /// The arm still brakes with `speed` in m/s and `angular_speed` in rad/s: the bounds on both leave that much less for
-    /// commands, until this is said anew.
+    /// Reserve speed in m/s and angular speed in rad/s for an arm that still brakes. Until the next call,
+    /// commands get only the remainder of each speed bound.
     pub fn set_braking(&mut self, [speed, angular_speed]: [f64; 2]) {
         self.arm.set_braking([speed, angular_speed]);
     }
 
-    /// One tick of what the arm measures.
-    #[inline(always)] // once a tick, from few places
+    /// Step one tick on the measurements of the arm.
+    #[inline(always)] // once per tick, from few callers
     pub fn tick(&mut self, now_ns: u64, reading: &SlaveReading<N>) -> SlaveTick<N> {
         let Self { arm, exchange, .. } = self;
         if exchange.events.peer_began {
@@ -185,14 +185,15 @@ impl<const N: usize> SlaveEndpoint<N> {
         }
     }
 
-    /// The arm no longer follows and comes to rest at `rest` in m, and of a pose so turned: when the two engage again, it
-    /// goes on from there.
+    /// Record that the arm stops following and comes to rest at `rest` in m, and a pose at `orientation`. The
+    /// next engagement continues from there.
     pub fn rests(&mut self, rest: &Axes<N>, orientation: Option<&UnitQuaternion<f64>>) {
         self.arm.rests(rest, orientation);
     }
 
-    /// Carries out a command of the operator; returns whether it changed anything. What it changes of the coupling fades in
-    /// within the ladder's fade-in, and stays within its bounds; the slave goes on from where it is.
+    /// Carry out an operator command; return whether it changed anything. A change of the coupling fades in
+    /// within the ladder's fade-in and must be within the bounds. The slave continues from its present
+    /// position.
     pub fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {
         if command == OperatorCommand::Acknowledge {
             self.exchange.acknowledge(now_ns);
@@ -201,12 +202,12 @@ impl<const N: usize> SlaveEndpoint<N> {
         self.arm.command(command, self.exchange.fade_ticks())
     }
 
-    /// The last commanded position in m; none before the first engagement.
+    /// Last commanded position in m; none before the first engagement.
     pub fn last_command(&self) -> Option<Axes<N>> {
         self.arm.last_command()
     }
 
-    /// The last commanded orientation; none of a point, and before the first engagement.
+    /// Last commanded orientation; none for a point, and before the first engagement.
     pub fn last_orientation(&self) -> Option<UnitQuaternion<f64>> {
         self.arm.last_orientation()
     }

@@ -1,5 +1,5 @@
-//! The translation of a slave's endpoint: from the master's position to the one that the arm is to take, of one arm or of
-//! several side by side.
+//! Translation of a slave's endpoint: from the master's position to the commanded position, for one arm or
+//! for several in SIMD lanes.
 
 use haptether_safety::{Axes, Real, Signal, Track, is_within, norm};
 use nalgebra::SimdBool as _;
@@ -11,48 +11,48 @@ use crate::{
     lanes::packed,
 };
 
-/// What decides over the command of a tick beside where the arm is.
+/// Inputs of a tick beside the position of the arm.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TranslationInput<'a, const N: usize, S: Real = f64> {
-    /// Where the ladder stands.
     pub(crate) state: LadderState,
-    /// For how long in ns the ladder has stood in STALE.
+    /// Time in ns that the ladder has been in STALE.
     pub(crate) stale_ns: u64,
-    /// x in m and V in m/s of the master, of the newest frame; none before the first.
+    /// x in m and V in m/s of the master in the newest frame; none before the first.
     pub(crate) newest: Option<[&'a Axes<N, S>; 2]>,
 }
 
-/// How the commanded position goes on.
+/// Motion of the commanded position.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Led<const N: usize, S: Real = f64> {
-    /// Its velocity in m/s.
+    /// Velocity of the command in m/s.
     pub(crate) velocity: Axes<N, S>,
-    /// Where the bounds on speed and reach acted.
+    /// Masks of the bounds on speed and reach that acted.
     pub(crate) limited: [S::SimdBool; 2],
-    /// By how many s of its velocity the command goes ahead of the newest frame, and the share of the velocity that is left.
+    /// Time in s by which the command is extrapolated beyond the newest frame, and remaining share of the
+    /// velocity.
     pub(crate) extrapolated: (f64, f64),
 }
 
-/// Coupling and bounds of the position of an arm, with what they have to know of the last tick.
+/// Coupling and bounds of the position of an arm, with their memory of the last tick.
 #[derive(Clone, Debug)]
 pub(crate) struct SlaveTranslation<const N: usize, S = f64> {
     coupling: PositionForce<N, S>,
-    /// Bounds on the command: speed in m/s, and distance in m from where the slave began.
+    /// Bounds on the command: speed in m/s, and distance in m from the first position.
     bounds: [S; 2],
-    /// Speed in m/s with which the arm still brakes besides.
+    /// Speed in m/s with which the arm still brakes.
     braking: f64,
-    /// Over how long in ns of STALE the commanded velocity decays.
+    /// Time in ns of STALE over which the commanded velocity decays.
     decay_ns: u64,
-    /// Where the slave stood at its first tick.
+    /// Position in m at the first valid tick.
     home: Option<Axes<N, S>>,
     command: Option<Axes<N, S>>,
-    /// When the last command was made, in ns.
+    /// Time in ns of the last command.
     commanded_ns: u64,
-    /// When in ns the last sample was.
+    /// Time in ns of the last sample.
     sampled_ns: Option<u64>,
-    /// The path of the samples and the last velocity, of lanes.
+    /// Path of the samples and last velocity; only in lanes.
     path: Option<(Track<N, S>, Option<Axes<N, S>>)>,
-    /// The period of its loop, in s.
+    /// Period of the loop in s.
     period_s: f64,
 }
 
@@ -74,15 +74,15 @@ impl<const N: usize> SlaveTranslation<N> {
         })
     }
 
-    /// The arm still brakes with `speed` in m/s.
+    /// Reserve `speed` in m/s of the bound for the arm's own braking.
     pub(super) fn set_braking(&mut self, speed: f64) {
         self.braking = speed;
     }
 }
 
 impl<const N: usize, S: Real> SlaveTranslation<N, S> {
-    /// Those of several arms side by side, before their first tick; None unless period, decay, braking and map
-    /// are the same.
+    /// Gather several arms before their first tick into lanes. Returns `None` unless period, decay, braking
+    /// and map are the same.
     pub(crate) fn gather(arms: &[&Arm<N>]) -> Option<Self> {
         let of = &arms.iter().map(|arm| arm.translation()).collect::<Vec<_>>()[..];
         let track = Track::gather(&arms.iter().map(|arm| arm.guard().track()).collect::<Vec<_>>())?;
@@ -116,15 +116,15 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
         now_ns.saturating_sub(self.commanded_ns) as f64 * 1e-9
     }
 
-    /// Ticks since the last sample, with one at least for two that follow closely.
-    #[inline(always)] // once a tick
+    /// Return the ticks since the last sample; 1 at least.
+    #[inline(always)] // once per tick
     pub(super) fn sampled(&mut self, now_ns: u64) -> f64 {
         let Some(last_ns) = self.sampled_ns.replace(now_ns) else { return 1.0 };
         (now_ns.saturating_sub(last_ns) as f64 * 1e-9).max(self.period_s) / self.period_s
     }
 
-    /// Where the numbers of a sample can be and lie on their path: what [`Arm::check`] would let through.
-    #[inline(always)] // once a tick
+    /// Return the mask of lanes whose sample is valid and on its path: [`Arm::check`] would accept it.
+    #[inline(always)] // once per tick
     pub(crate) fn passes(
         &mut self,
         now_ns: u64,
@@ -143,9 +143,11 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
         passes
     }
 
-    /// One tick of an arm at `position` in m; `checked`: the sample can be. None where it is not led: it holds the last
-    /// command, and when it engages again it does so from where both are then.
-    #[inline(always)] // once a tick, from few places
+    /// Step one tick of an arm at `position` in m; `checked` is true if the sample is valid.
+    ///
+    /// Returns `None` unless coupled: the arm then holds the last command, and the next engagement starts
+    /// from the positions at that time.
+    #[inline(always)] // once per tick, from few callers
     pub(crate) fn follow(
         &mut self,
         now_ns: u64,
@@ -155,18 +157,18 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
     ) -> Option<Led<N, S>> {
         let elapsed_s = self.elapsed_s(now_ns);
         self.commanded_ns = now_ns;
-        // From the first sample that can be: bounds hang on it.
+        // Home is the first valid sample, because the bounds refer to it.
         let home = if checked { *self.home.get_or_insert(*position) } else { *position };
         let TranslationInput { state, stale_ns, newest } = *input;
         let (LadderState::Engaged | LadderState::Stale, Some([master, velocity])) = (state, newest) else {
             self.coupling.disengage();
             return None;
         };
-        // From the last command, not from where contact has bent the arm to.
+        // The step starts at the last command; contact may have displaced the arm from it.
         let from = self.command.unwrap_or(*position);
         let (ahead_s, share) = decayed(stale_ns, self.decay_ns);
         let velocity = self.coupling.commanded_velocity(velocity);
-        // Where the two are taken to be coupled anew while frames are late, it has gone ahead already.
+        // If the coupling starts while frames are late, the command already contains the extrapolation.
         let ahead = velocity * S::splat(ahead_s);
         let wanted = self.coupling.commanded_position(master, &(from - ahead)) + ahead;
         let [speed, reach] = self.bounds;
@@ -183,29 +185,28 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
         Some(Led { velocity, limited: [hurries, leaves], extrapolated: (ahead_s, share) })
     }
 
-    /// The two are no longer coupled: when they engage again, it is from where both are then.
+    /// End the coupling: the next engagement starts from the positions at that time.
     pub(crate) fn disengage(&mut self) {
         self.coupling.disengage();
     }
 
-    /// The arm no longer follows and comes to rest at `rest` in m: when the two engage again, it goes on from there. None
-    /// where it does not know where it is: nothing is commanded until the two engage anew.
+    /// Record that the arm stops following and comes to rest at `rest` in m; the next engagement continues
+    /// from there. With `None` the position is unknown, and there is no command until the next engagement.
     pub(crate) fn rests(&mut self, rest: Option<Axes<N, S>>) {
         self.command = self.command.and(rest);
     }
 
-    /// What its coupling is.
     pub(crate) fn coupling(&mut self) -> &mut PositionForce<N, S> {
         &mut self.coupling
     }
 
-    /// The last commanded position in m; none before the first engagement.
+    /// Last commanded position in m; none before the first engagement.
     #[inline]
     pub(crate) fn last_command(&self) -> Option<Axes<N, S>> {
         self.command
     }
 
-    /// Commands `position` in m unless something was commanded before.
+    /// Command `position` in m if there is no command yet.
     pub(super) fn stay_at(&mut self, position: &Axes<N, S>) {
         self.command.get_or_insert(*position);
     }
@@ -223,7 +224,8 @@ mod tests {
         SlaveTranslation::new(&settings).unwrap()
     }
 
-    /// With T = 20 ms, `v / V = 1 - t / T` and `d / V = t - t² / (2 T)` of the velocity of twice the master's: closed form.
+    /// Closed form with T = 20 ms: `v / V = 1 - t / T` and `d / V = t - t² / (2 T)`, where V is twice the
+    /// master's velocity.
     #[test]
     fn a_late_velocity_decays_and_its_position_goes_ahead() {
         let (position, [x, v]) = (Axes::<1>::new(0.3), [0.1, 0.25].map(Axes::<1>::new));
@@ -241,7 +243,7 @@ mod tests {
             assert!((command - 0.3 - 0.5 * ahead_s).abs() < 1e-15, "{stale_ns}: {command}");
             assert_eq!(led.limited, [false; 2]);
         }
-        // What it may not do is cut, of the velocity as of the position.
+        // The speed bound limits the velocity, like the position.
         let mut slow = translation(0.2);
         let input = TranslationInput { state: LadderState::Engaged, stale_ns: 0, newest: Some([&x, &v]) };
         let led = slow.follow(1_000_000, &position, true, &input).unwrap();

@@ -1,4 +1,4 @@
-//! The force feedback of a trigger: a one-axis coupling of its own, from the jaws to the finger.
+//! Force feedback of a trigger: a separate one-axis coupling from the jaws to the finger.
 
 use haptether_safety::{
     Axes, DeviceModel, Excess, Fault, LayerSettings, LimiterSettings, ParameterError, SafetyLayer,
@@ -7,40 +7,42 @@ use haptether_safety::{
 
 use crate::coupling::{CouplingError, GripperState};
 
-/// How the force feedback of a trigger is built; forces and ways are those of the finger.
+/// Settings of the force feedback of a trigger; forces and displacements are those of the finger.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TriggerSettings {
-    /// From open to closed, in m.
+    /// Travel from open to closed in m.
     pub travel_m: f64,
     /// Dynamics of the trigger.
     pub device: DeviceModel<1>,
-    /// How V and A are had from positions.
+    /// Estimator of V and A from positions.
     pub estimator: EstimatorKind,
     /// Observers and controllers.
     pub safety: SafetySettings,
-    /// Bounds on the force; the ladder fades it in, so the limiter's ramp-in is not used.
+    /// Bounds on the force. The limiter's ramp-in is not used, because the ladder fades the force in.
     pub limiter: LimiterSettings,
-    /// Finger force per force between the jaws.
+    /// Ratio of the finger force to the force between the jaws.
     pub force_scale: f64,
 }
 
-/// From the jaws to the finger: `F_v = -g lambda F_jaws` along the closing way `x = travel p`, while something stops the
-/// jaws and they follow the trigger; else 0. g rises from 0 to 1 within the ladder's fade-in once they follow.
+/// Coupling from the jaws to the finger: `F_v = -g lambda F_jaws` along the closing direction `x = travel p`.
+/// F_v is 0 unless the jaws press on something and follow the trigger. Once they follow, g rises from 0 to 1
+/// within the ladder's fade-in.
 ///
-/// It has a [`SafetyLayer`] of its own. A trip of it is none of the hand, nor is one of the hand a trip of it: a finger
-/// that leaves its trigger is how a gripper is opened, and must not take away the force that the hand leans on.
+/// The trigger has its own [`SafetyLayer`]; its trips and those of the hand are independent. A finger that
+/// leaves its trigger opens the gripper, which must not remove the force that the hand leans on.
 #[derive(Clone, Debug)]
 pub(super) struct TriggerFeedback {
     layer: SafetyLayer<1>,
     travel_m: f64,
     force_scale: f64,
-    /// g.
+    /// Gain g.
     share: f64,
-    /// By how much g rises at a tick.
+    /// Rise of g per tick.
     rise: f64,
-    /// Whether x was known at the last tick.
+    /// True if x was known at the last tick.
     is_known: bool,
-    /// It was not known while the two sides were coupled: what a trip held back must not return by that.
+    /// True if x was unknown while the two sides were coupled. The force then stays zero until the sides
+    /// part, so that a gap cannot clear a trip.
     is_lost: bool,
 }
 
@@ -71,8 +73,8 @@ impl TriggerFeedback {
         })
     }
 
-    /// One tick at `position`, 0 open to 1 closed, where that is known; `jaws` as the peer's newest frame has them, and the
-    /// share `gain` of the ladder.
+    /// Step one tick at `position`, 0 open to 1 closed, if known. `jaws` is the state in the peer's newest
+    /// frame; `gain` is the ladder's gain.
     pub(super) fn tick(
         &mut self,
         position: Option<f64>,
@@ -83,18 +85,18 @@ impl TriggerFeedback {
     ) -> SafetyTick<1> {
         self.is_lost &= is_coupled;
         let Some(x) = position.map(|share| share * self.travel_m) else {
-            // Nothing is known of a finger there: no force, before the two sides engage anew.
+            // Without a known finger there is no force until the two sides engage again.
             (self.is_known, self.share, self.is_lost) = (false, 0.0, is_coupled);
             return SafetyTick::still();
         };
         let mut missed = missed;
         if !std::mem::replace(&mut self.is_known, true) {
-            // A position that cannot be is met below.
+            // `tick_after` below reports an invalid position.
             let _ = self.layer.restart(&Axes::<1>::new(x));
             missed = 0;
         }
         self.share = match jaws {
-            // Apart, the ladder fades what there is.
+            // After the sides part, the ladder fades the remaining force.
             _ if !is_coupled && gain > 0.0 => self.share,
             Some(GripperState { follows: true, .. }) if is_coupled && !self.is_lost => {
                 (self.share + self.rise).min(1.0)
@@ -102,50 +104,50 @@ impl TriggerFeedback {
             _ => 0.0,
         };
         let pressing_n = jaws.filter(|jaws| jaws.holds_object).map_or(0.0, |jaws| jaws.force_n);
-        // 0 - x: a force that there is not is 0, and not -0.
+        // `0.0 - x` avoids the negative zero.
         let requested_n = 0.0 - self.force_scale * pressing_n * self.share * gain;
         self.layer.tick_after(missed, &Axes::<1>::new(x), None, &Axes::<1>::new(requested_n), gain)
     }
 
-    /// The speed beyond the bound of the trigger that led to its fault.
+    /// Speed beyond the trigger's bound that caused its fault.
     pub(super) fn excess(&self) -> Option<Excess> {
         self.layer.excess()
     }
 
-    /// How many samples left their path and were replaced.
+    /// Number of implausible samples that predictions replaced.
     pub(super) fn outliers(&self) -> u64 {
         self.layer.guard().outliers()
     }
 
-    /// Forgets what lies before: a stall.
+    /// Restart after a stall: forget the state before it.
     pub(super) fn restart(&mut self) {
         (self.is_known, self.share) = (false, 0.0);
     }
 
-    /// The same, and a fault is mended.
+    /// Restart after an acknowledged fault, and clear the fault.
     pub(super) fn reset(&mut self) {
-        // The next position that is known restarts it there.
+        // The next known position restarts the layer there.
         let _ = self.layer.reset(&Axes::zeros());
         self.restart();
     }
 
-    /// No force from now on, until [`reset`](Self::reset).
+    /// Set the force to zero until [`reset`](Self::reset).
     pub(super) fn fail(&mut self, fault: Fault) -> SafetyTick<1> {
         self.layer.fail(fault);
         SafetyTick { fault: Some(fault), ..SafetyTick::still() }
     }
 }
 
-/// Longest way of a trigger in m.
+/// Largest travel of a trigger in m.
 const MAX_TRAVEL_M: f64 = 1.0;
 
-/// Settings that no trigger can have.
+/// Invalid settings of a trigger.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TriggerError {
-    /// A way that no finger goes.
+    /// Travel out of range.
     #[error("master.gripper.travel_m = {0}: must be above 0 and at most 1 m")]
     Travel(f64),
-    /// A scale that couples nothing.
+    /// Scale that is zero, negative or not finite.
     #[error(transparent)]
     Coupling(#[from] CouplingError),
     /// A parameter of its safety layer.

@@ -1,4 +1,5 @@
-//! Why two sides are not coupled, as one of them knows it: where it happened, what, and what to do in order.
+//! Diagnosis: why two sides are not coupled, as one of them knows it, with location, text and ordered
+//! remedies.
 
 use std::fmt::Write as _;
 
@@ -8,51 +9,51 @@ use serde::Serialize;
 use super::table::{LadderState, Reason};
 use crate::{fault_text::FaultText, wire::Role};
 
-/// What the peer last said of itself; codes are its own, and may be of a version that knows more.
+/// Last report of the peer about itself. Its codes may come from a newer version.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PeerCause {
-    /// Where it stands.
+    /// State of the peer.
     pub state: LadderState,
-    /// Why it last held, [`Reason::code`].
+    /// Reason of its last hold as [`Reason::code`].
     pub reason: u8,
-    /// Its fault, [`Fault::code`]; 0 without.
+    /// Its fault as [`Fault::code`]; 0 without one.
     pub fault: u8,
-    /// Its driver's text on that.
+    /// Its driver's text on the fault.
     pub text: FaultText,
 }
 
-/// What one side knows of why the two are not coupled.
+/// Diagnosis by one side: why the two are not coupled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Diagnosis {
-    /// Which side knows it.
+    /// Role of the side.
     pub role: Role,
-    /// Where it stands.
+    /// State of the side.
     pub state: LadderState,
-    /// Why it first held.
+    /// Reason of its first hold.
     pub reason: Option<Reason>,
-    /// Its fault, [`Fault::code`]; 0 without.
+    /// Its fault as [`Fault::code`]; 0 without one.
     pub fault: u8,
-    /// Its driver's text on that.
+    /// Its driver's text on the fault.
     pub text: FaultText,
-    /// What the peer said; none before its first frame.
+    /// Report of the peer; none before its first frame.
     pub peer: Option<PeerCause>,
-    /// Whether the peer has ended in good order.
+    /// True if the peer has ended in an orderly way.
     pub ended: bool,
-    /// Whether the peer is not heard now.
+    /// True if the peer is not heard at present.
     pub silent: bool,
-    /// Whether this side ends by its fault: there will be nothing to acknowledge it.
+    /// True if this side ends because of its fault, so that nothing is left to acknowledge.
     pub ends: bool,
 }
 
-/// Something to be done before the two couple again.
+/// Action required before the two couple again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Remedy {
-    /// Mend what has failed and acknowledge it.
+    /// Repair the cause of the fault and acknowledge it.
     Acknowledge,
-    /// Start what has ended.
+    /// Start the side that has ended.
     Start,
-    /// Wait until both sides hear one another.
+    /// Wait until both sides hear each other.
     Wait,
     /// Turn the device towards the arm.
     Turn,
@@ -60,41 +61,41 @@ pub enum Remedy {
     Press,
 }
 
-/// One step of what is to be done.
+/// Step of the remedy.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Step {
     /// "master", "slave" or "link".
     pub at: &'static str,
-    /// What kind of thing.
+    /// Kind of action.
     pub remedy: Remedy,
-    /// A sentence for the operator.
+    /// Sentence for the operator.
     pub text: String,
 }
 
-/// A diagnosis as the operator reads it.
+/// Diagnosis in the operator's words.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Explanation {
-    /// Where the side stood that knows it.
+    /// State of the side that diagnosed.
     pub state: LadderState,
-    /// Where it happened: "master", "slave" or "link".
+    /// Location of the cause: "master", "slave" or "link".
     pub at: &'static str,
-    /// What, with the driver's own text where there is one.
+    /// Cause, with the driver's own text if there is one.
     pub text: String,
-    /// What to do, in this order.
+    /// Steps to take, in this order.
     pub steps: Vec<Step>,
 }
 
 impl Explanation {
-    /// As JSON.
+    /// Write as JSON.
     pub fn to_json(&self) -> String {
-        // Plain names and texts: there is nothing that could fail.
+        // Plain names and texts: serialisation cannot fail.
         serde_json::to_string(self).unwrap_or_default()
     }
 }
 
 const LINK: &str = "link";
 
-/// The text of a fault: the driver's own, or what its code means.
+/// Text of a fault: the driver's own, or the meaning of its code.
 fn describe_fault(code: u8, text: &FaultText) -> String {
     match Fault::from_code(code) {
         _ if !text.is_empty() => text.as_str().to_owned(),
@@ -104,7 +105,7 @@ fn describe_fault(code: u8, text: &FaultText) -> String {
 }
 
 impl Diagnosis {
-    /// Whether another one is of the same case, with more text on it or of a link that is back.
+    /// Return whether `other` is the same case, apart from more text or a link that is back.
     pub fn is_same_case(&self, other: &Self) -> bool {
         let bare = |one: &Self| Self {
             silent: false,
@@ -115,7 +116,7 @@ impl Diagnosis {
         bare(self) == bare(other)
     }
 
-    /// Whether something else must be done before a press of the clutch can couple.
+    /// Return whether something else must be done before a press of the clutch can couple.
     pub fn is_before_press(&self) -> bool {
         let failed = |state| state == LadderState::Fault;
         failed(self.state)
@@ -124,7 +125,7 @@ impl Diagnosis {
             || self.silent && self.state.is_held()
     }
 
-    /// What happened where, as the operator reads it, and what to do.
+    /// Explain cause, location and remedy to the operator.
     pub fn explain(&self) -> Explanation {
         let (own, other) = (self.role.name(), self.role.peer().name());
         if self.state == LadderState::Fault {
@@ -168,7 +169,7 @@ impl Diagnosis {
         self.explanation(at, text, steps)
     }
 
-    /// Why the slave did not turn to the master, or not to the end: either side says so.
+    /// Reason for which the slave did not turn to the master, or stopped turning; either side may know it.
     fn turn_end(&self) -> Option<Reason> {
         let reason = match self.role {
             Role::Slave => self.reason,
@@ -197,7 +198,7 @@ impl Diagnosis {
         self.explanation(own, text, steps)
     }
 
-    /// What led to a hold or stop where no fault and no end did.
+    /// Location and text of a hold or stop that neither a fault nor an end explains.
     fn hold(&self, own: &'static str, other: &'static str) -> (&'static str, String) {
         match self.reason {
             Some(Reason::PeerHolds | Reason::PeerStopped | Reason::PeerFaulted) => self.peer_hold(own, other),
@@ -218,7 +219,7 @@ impl Diagnosis {
         }
     }
 
-    /// The peer is disengaged while this side is coupled.
+    /// Location and text for a peer that is disengaged while this side is coupled.
     fn peer_left(&self, own: &'static str, other: &'static str) -> (&'static str, String) {
         match self.peer.and_then(|peer| Reason::from_code(peer.reason)) {
             Some(Reason::PeerEnded) => (LINK, format!("the {other} took the {own} for ended")),
@@ -250,7 +251,8 @@ impl Diagnosis {
         }
     }
 
-    /// With the last step; a master that is started presses by that.
+    /// Build the explanation and add the last step. A started master needs no press, because its start is
+    /// one.
     fn explanation(&self, at: &'static str, text: String, mut steps: Vec<Step>) -> Explanation {
         let is_started = |step: &Step| step.remedy == Remedy::Start && step.at == Role::Master.name();
         if !steps.iter().any(is_started) {
@@ -285,7 +287,7 @@ mod tests {
         ends: false,
     };
 
-    #[allow(clippy::unnecessary_wraps)] // as the field has it
+    #[allow(clippy::unnecessary_wraps)] // matches the type of the field
     fn peer(state: LadderState, reason: u8, fault: u8, text: &str) -> Option<PeerCause> {
         Some(PeerCause { state, reason, fault, text: FaultText::new(text) })
     }
@@ -295,10 +297,10 @@ mod tests {
         (at, text, steps.iter().map(|step| (step.at, step.remedy)).collect())
     }
 
-    /// Where it happened, what, and what to do in order: written down by hand.
+    /// Location, text and ordered steps of each cause, written by hand.
     #[test]
     #[allow(clippy::too_many_lines)] // a table
-    fn each_cause_says_where_what_and_what_to_do() {
+    fn each_cause_has_location_text_and_steps() {
         use LadderState::{Aligning, Fault, Hold};
         use Remedy::{Acknowledge, Press, Start, Turn, Wait};
         let bus = "Arm: OSError: the bus is down (arm.py:7)";
@@ -487,7 +489,7 @@ mod tests {
                 vec![("link", Wait), ("master", Press)],
             ),
             (
-                // Of a press before: what led to the hold counts.
+                // The peer's reason is from an earlier press; the reason of the hold counts.
                 Diagnosis {
                     state: Hold,
                     reason: Some(Reason::OwnDelay),
@@ -512,7 +514,7 @@ mod tests {
     }
 
     #[test]
-    fn more_words_or_a_link_that_is_back_are_the_same_case() {
+    fn more_text_or_recovered_link_is_the_same_case() {
         let held = Diagnosis { peer: peer(LadderState::Hold, 1, 2, "a"), ..HELD };
         for (other, is_same) in [
             (held, true),
@@ -566,9 +568,9 @@ mod tests {
         assert_eq!(read["steps"][1]["text"], "release the clutch at the master and press it again");
     }
 
-    /// Whatever is the case: some words on one line, and a step, of which the last is a press or the start of a master.
+    /// Every case has one line of text, and its last step is a press or the start of a master.
     #[test]
-    fn every_diagnosis_has_words_and_an_end() {
+    fn every_diagnosis_has_text_and_a_last_step() {
         let reasons = Reason::ALL.into_iter().map(Some).chain([None]);
         for reason in reasons {
             for state in LadderState::ALL {

@@ -1,4 +1,4 @@
-//! The flight recorder: the last states, commands and interventions of a side, in a fixed room.
+//! Flight recorder: the last states, commands and interventions of a side, in fixed memory.
 
 use haptether_safety::controller::{ControllerKind, Intervention, PerController, SafetySettings, Tripped};
 use serde::Serialize;
@@ -10,35 +10,35 @@ use super::{
 };
 use crate::wire::MAX_AXES;
 
-/// How many ticks are kept.
+/// Capacity in ticks.
 const KEPT: usize = 50;
 
-/// How many diagnoses are kept.
+/// Capacity in diagnoses.
 const KEPT_DIAGNOSES: usize = 8;
 
-/// One tick of a side.
+/// Record of one tick of a side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FlightEntry {
-    /// When, in ns.
+    /// Time in ns.
     pub time_ns: u64,
-    /// Where the ladder stood.
+    /// State of the ladder.
     pub state: LadderState,
-    /// Where the peer stood, as far as known.
+    /// State of the peer, if known.
     pub peer: Option<LadderState>,
-    /// Silence of the peer in ns.
+    /// Time in ns since the peer was last heard.
     pub age_ns: Option<u64>,
-    /// Whether the clutch was closed.
+    /// True if the clutch was closed.
     pub clutch: bool,
-    /// Share of the force that may be rendered.
+    /// Gain of the ladder on the force, 0 to 1.
     pub gain: f64,
-    /// Who tripped in each layer, in the order of [`LAYERS`].
+    /// Controllers that tripped in each layer, in the order of [`LAYERS`].
     pub tripped: [Tripped; LAYERS.len()],
-    /// What was measured and commanded.
+    /// Measured and commanded values.
     pub values: FlightValues,
 }
 
-/// Measured position in m; at the master commanded `F_device` in N, at the slave commanded position in m; at the master
-/// `F_v` in N, at the slave `F_e` in N.
+/// Three rows of values per axis. Row 1: measured position in m. Row 2: `F_device` in N at the master,
+/// commanded position in m at the slave. Row 3: `F_v` at the master, `F_e` at the slave, in N.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FlightValues {
     axes: usize,
@@ -46,7 +46,7 @@ pub struct FlightValues {
 }
 
 impl FlightValues {
-    /// Position, command and force of each axis.
+    /// Store position, command and force of each axis.
     pub fn new<const N: usize>(of: [&haptether_safety::Axes<N>; 3]) -> Self {
         let mut rows = [[0.0; MAX_AXES]; 3];
         for (row, values) in rows.iter_mut().zip(of) {
@@ -71,21 +71,20 @@ impl FlightEntry {
     };
 }
 
-/// The last ticks of a side and those before its last hold or fault; nothing in it is allocated.
+/// Last ticks of a side, and those before its last hold or fault; allocates nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FlightRecorder {
     side: &'static str,
     start_ns: Option<u64>,
     latest: Ring,
-    /// Up to the tick at which the side was last coupled no more by a hold or a fault.
+    /// Ticks up to the last one at which the side went to HOLD, STOP or FAULT from any other state.
     at_hold: Option<Ring>,
     history: History,
-    /// Of each layer.
     interventions: [Interventions; LAYERS.len()],
-    /// Why the two were not coupled, and since when in ns.
+    /// Diagnoses, and the time in ns at which each began.
     diagnoses: [Option<(u64, Diagnosis)>; KEPT_DIAGNOSES],
     diagnosed: usize,
-    /// As of the last tick.
+    /// Diagnosis of the last tick.
     diagnosis: Option<Diagnosis>,
 }
 
@@ -102,7 +101,7 @@ impl Ring {
 }
 
 impl FlightRecorder {
-    /// An empty one of the side of that name.
+    /// Build an empty recorder of the side with this name.
     pub fn new(side: &'static str) -> Self {
         let entries = [FlightEntry::EMPTY; KEPT];
         Self {
@@ -118,30 +117,30 @@ impl FlightRecorder {
         }
     }
 
-    /// What the observers of a layer are held against, see [`thresholds`]; `layer` counts as [`LAYERS`] does.
-    pub(crate) fn hold_against(&mut self, layer: usize, thresholds: PerController<f64>) {
+    /// Set the thresholds of a layer's observers, see [`thresholds`]; `layer` is an index into [`LAYERS`].
+    pub(crate) fn set_thresholds(&mut self, layer: usize, thresholds: PerController<f64>) {
         self.interventions[layer].thresholds = thresholds;
     }
 
-    /// When the side went to FAULT, in ns; none unless that was its last step.
+    /// Time in ns at which the side went to FAULT; none unless that was the last transition.
     pub(crate) fn failed_ns(&self) -> Option<u64> {
         self.history.last().filter(|last| last.to == LadderState::Fault).map(|last| last.time_ns)
     }
 
-    /// Keeps what the controllers of each layer saw at a tick.
+    /// Record the controllers' observations in each layer at a tick.
     pub(crate) fn observe(&mut self, now_ns: u64, observed: &[Observed; LAYERS.len()]) {
         for (interventions, seen) in self.interventions.iter_mut().zip(observed) {
             interventions.take(now_ns, seen);
         }
     }
 
-    /// Keeps a tick, and what led to a hold or a fault when there is one.
+    /// Record a tick. A new hold or fault copies the last ticks to `at_hold`; a new diagnosis gets a slot.
     pub(crate) fn take(&mut self, entry: FlightEntry, history: &History, diagnosis: Option<&Diagnosis>) {
         self.start_ns.get_or_insert(entry.time_ns);
         if self.diagnosis.as_ref() != diagnosis {
             if let Some(&diagnosis) = diagnosis {
                 let mut since_ns = entry.time_ns;
-                // More text on the same, or the link that comes and goes: no place of its own.
+                // More text on the same case, or an intermittent link, reuses the slot.
                 if let Some(before) = self.diagnosis.filter(|before| before.is_same_case(&diagnosis)) {
                     self.diagnosed -= 1;
                     let slot = self.diagnoses[self.diagnosed % KEPT_DIAGNOSES];
@@ -163,12 +162,12 @@ impl FlightRecorder {
         }
     }
 
-    /// Why the two sides were not coupled at the last tick; none where nothing is wrong.
+    /// Return why the two sides were not coupled at the last tick; none if nothing is wrong.
     pub fn diagnosis(&self) -> Option<&Diagnosis> {
         self.diagnosis.as_ref()
     }
 
-    /// The explanation of each cause, the oldest first; one that does not change is not repeated.
+    /// Explanations of the stored diagnoses, oldest first, without consecutive repetitions.
     fn causes(&self, seconds: impl Fn(u64) -> f64) -> Vec<Cause> {
         let kept = self.diagnosed.saturating_sub(KEPT_DIAGNOSES)..self.diagnosed;
         let mut causes: Vec<Cause> = Vec::new();
@@ -181,7 +180,7 @@ impl FlightRecorder {
         causes
     }
 
-    /// The interventions that are kept of all layers, as they began.
+    /// Stored interventions of all layers, by time.
     fn rows(&self, seconds: impl Fn(u64) -> f64) -> Vec<Row> {
         let of_layers = self.interventions.iter().zip(LAYERS);
         let mut rows: Vec<_> = of_layers.flat_map(|(kept, layer)| kept.rows(layer, &seconds)).collect();
@@ -189,7 +188,8 @@ impl FlightRecorder {
         rows
     }
 
-    /// What is kept, as JSON: times in s since the first tick, transitions with their reasons, ticks with their values.
+    /// Write the record as JSON: times in s since the first tick, transitions with reasons, ticks with
+    /// values.
     pub fn to_json(&self) -> String {
         let start_ns = self.start_ns.unwrap_or(0);
         let seconds = |time_ns: u64| time_ns.saturating_sub(start_ns) as f64 / 1e9;
@@ -213,7 +213,7 @@ impl FlightRecorder {
             at_hold: self.at_hold.as_ref().map(ticks).unwrap_or_default(),
             latest: ticks(&self.latest),
         };
-        // Plain numbers and names: there is nothing that could fail.
+        // Plain numbers and names: serialisation cannot fail.
         serde_json::to_string(&log).unwrap_or_default()
     }
 }
@@ -223,7 +223,7 @@ struct Log {
     schema: u32,
     side: &'static str,
     transitions: Vec<Step>,
-    /// The last ones, and how many there were.
+    /// Last interventions, and the number of all interventions.
     interventions: Vec<Row>,
     interventions_seen: usize,
     causes: Vec<Cause>,
@@ -262,7 +262,7 @@ struct Tick {
 
 impl Tick {
     fn of(entry: &FlightEntry, time_s: f64) -> Self {
-        // JSON has no symbol for a number that is none, and a fault may well be about one.
+        // JSON cannot represent NaN and infinity, which a fault may well have as values.
         let [position, command, force] = entry.values.rows.map(|row| {
             row[..entry.values.axes].iter().map(|value| value.is_finite().then_some(*value)).collect()
         });
@@ -281,7 +281,8 @@ impl Tick {
     }
 }
 
-/// Who tripped: by its name alone in the layer of translation, else with that of the layer, as `rotation:hsc`.
+/// Names of the controllers that tripped; outside the translation layer with the layer as prefix, as
+/// `rotation:hsc`.
 fn names(tripped: [Tripped; LAYERS.len()]) -> Vec<String> {
     let of_layer = |(index, tripped): (usize, Tripped)| {
         let prefix = if index == TRANSLATION { String::new() } else { format!("{}:", LAYERS[index]) };
@@ -290,49 +291,47 @@ fn names(tripped: [Tripped; LAYERS.len()]) -> Vec<String> {
     tripped.into_iter().enumerate().flat_map(of_layer).collect()
 }
 
-/// The safety layers of a hand, each with observers and thresholds of its own.
+/// Safety layers of a hand, each with its own observers and thresholds.
 pub const LAYERS: [&str; 3] = ["translation", "rotation", "trigger"];
-/// Index of the layer of the force.
 pub(crate) const TRANSLATION: usize = 0;
-/// Index of the layer of the torque.
 pub(crate) const ROTATION: usize = 1;
-/// Index of the layer of a trigger that the finger feels.
+/// Index of the layer of a trigger with force feedback.
 pub(crate) const TRIGGER: usize = 2;
 
-/// What the safety controllers of a layer saw at a tick, and which of them tripped.
+/// Observations of a layer's safety controllers at a tick, and which of them tripped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observed {
-    /// Who tripped.
+    /// Controllers that tripped.
     pub tripped: Tripped,
     /// `S_vf`, `S_h`, `E_wso` and `E_so` in J; NaN where not observed.
     pub values: PerController<f64>,
 }
 
 impl Observed {
-    /// A side without controllers.
+    /// Observations of a side without controllers.
     pub const NOTHING: Self = Self { tripped: Tripped::NONE, values: PerController::repeat(f64::NAN) };
 
-    /// What is kept of an intervention.
+    /// Extract the stored part of an intervention.
     pub fn of<const N: usize>(seen: &Intervention<N>) -> Self {
         Self { tripped: seen.tripped, values: seen.observed }
     }
 }
 
-/// What the observers are held against: 1 of Eq. 1, zeta of Eq. 8, delta of Eq. 10, 0 of Eq. 12.
+/// Thresholds of the observers: 1 of Eq. 1, zeta of Eq. 8, delta of Eq. 10, 0 of Eq. 12.
 pub fn thresholds(settings: &SafetySettings) -> PerController<f64> {
     PerController::of(|kind| kind.threshold(settings))
 }
 
-/// How many interventions of each layer are kept.
+/// Capacity of each layer in interventions.
 const KEPT_INTERVENTIONS: usize = 16;
 
-/// Ticks that lie together, from the first at which a controller acted to the last.
+/// Consecutive ticks at which at least one controller acted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Span {
     begun_ns: u64,
     ended_ns: u64,
     tripped: Tripped,
-    /// Each observer at the tick at which its controller tripped first.
+    /// Value of each observer at the first tick at which its controller tripped.
     values: PerController<f64>,
 }
 
@@ -351,7 +350,7 @@ impl Span {
     }
 }
 
-/// The last interventions; nothing in it is allocated.
+/// Ring of the last interventions; allocates nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Interventions {
     thresholds: PerController<f64>,
@@ -382,12 +381,11 @@ impl Interventions {
         }
     }
 
-    /// How many there were.
     fn count(&self) -> usize {
         self.count
     }
 
-    /// Those that are kept, the oldest first, as they are written.
+    /// Rows of the stored interventions, oldest first.
     fn rows(&self, layer: &'static str, seconds: impl Fn(u64) -> f64) -> Vec<Row> {
         let first = self.count.saturating_sub(KEPT_INTERVENTIONS);
         (first..self.count)
@@ -412,7 +410,7 @@ impl Interventions {
     }
 }
 
-/// JSON has no symbol for a number that is none.
+/// Return `None` for NaN and infinity, which JSON cannot represent.
 fn finite(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
@@ -444,7 +442,7 @@ mod tests {
     use haptether_safety::Axes;
 
     #[test]
-    fn what_led_to_a_hold_stays_while_time_goes_on() {
+    fn ticks_before_a_hold_are_kept() {
         let mut recorder = FlightRecorder::new("slave");
         for tick in 0..1000_u64 {
             let state = if tick < 300 { LadderState::Engaged } else { LadderState::Hold };
@@ -475,7 +473,7 @@ mod tests {
     }
 
     #[test]
-    fn a_failure_has_a_time_until_the_side_goes_on() {
+    fn failure_has_a_time_until_the_fault_ends() {
         let (mut recorder, mut history) = (FlightRecorder::new("master"), History::default());
         recorder.take(at(10), &history, None);
         assert_eq!(recorder.failed_ns(), None);
@@ -509,7 +507,7 @@ mod tests {
         }
     }
 
-    /// When, and how many steps: a link that is silent has one more.
+    /// Time in ns and number of steps of each cause. A silent link adds a step.
     fn causes(recorder: &FlightRecorder) -> Vec<(f64, usize)> {
         let log = read(recorder);
         let of = |one: &serde_json::Value| {
@@ -519,7 +517,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cause_is_kept_with_its_newest_words_and_its_first_time() {
+    fn cause_keeps_first_time_and_newest_text() {
         let mut recorder = FlightRecorder::new("master");
         let mut take = |time_ns: u64, diagnosis: Option<Diagnosis>| {
             recorder.take(at(time_ns), &History::default(), diagnosis.as_ref());
@@ -530,19 +528,19 @@ mod tests {
         assert_eq!(take(0, None), []);
         assert_eq!(take(10, Some(late)), [(10.0, 1)]);
         assert_eq!(take(20, Some(late)), [(10.0, 1)]);
-        // Of the same case, with a link that went.
+        // Same case, but the link is down.
         assert_eq!(take(30, Some(Diagnosis { silent: true, ..late })), [(10.0, 2)]);
         assert_eq!(take(40, None), [(10.0, 2)]);
-        // Anew: a case of its own, whose text stands there already.
+        // A new case with the same text as the stored one.
         assert_eq!(take(50, Some(Diagnosis { silent: true, ..late })), [(10.0, 2)]);
         assert_eq!(take(60, Some(held(Reason::PeerRestarted))), [(10.0, 2), (60.0, 1)]);
         assert_eq!(take(70, Some(late)), [(10.0, 2), (60.0, 1), (70.0, 1)]);
         let silent = Diagnosis { silent: true, ..late };
-        assert_eq!(take(80, Some(silent)), [(10.0, 2), (60.0, 1), (70.0, 2)], "since it began");
+        assert_eq!(take(80, Some(silent)), [(10.0, 2), (60.0, 1), (70.0, 2)], "the first time is kept");
     }
 
     #[test]
-    fn of_many_causes_the_last_are_kept_in_order() {
+    fn last_causes_are_kept_in_order() {
         let mut recorder = FlightRecorder::new("slave");
         for time_ns in 0..20 {
             let reason = if time_ns % 2 == 0 { Reason::OwnDelay } else { Reason::PeerRestarted };
@@ -553,7 +551,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_hold_is_the_one_that_is_kept() {
+    fn newest_hold_is_kept() {
         let mut recorder = FlightRecorder::new("slave");
         let states = [(0, LadderState::Engaged), (100, LadderState::Hold), (150, LadderState::Stop)];
         let states = [&states[..], &[(200, LadderState::Engaged), (300, LadderState::Fault)]].concat();
@@ -571,9 +569,9 @@ mod tests {
     }
 
     #[test]
-    fn interventions_are_held_against_their_thresholds() {
+    fn interventions_show_their_thresholds() {
         let mut recorder = FlightRecorder::new("master");
-        recorder.hold_against(TRANSLATION, PerController([1.0, 1.5, -0.03, 0.0]));
+        recorder.set_thresholds(TRANSLATION, PerController([1.0, 1.5, -0.03, 0.0]));
         for (time_ns, tripped) in [(0, 0), (1_000_000_000, 2), (2_000_000_000, 0), (3_000_000_000, 2)] {
             let observed = Observed {
                 tripped: Tripped::from_bits(tripped),
@@ -595,12 +593,12 @@ mod tests {
     }
 
     #[test]
-    fn each_layer_has_interventions_and_thresholds_of_its_own() {
+    fn layers_have_separate_interventions_and_thresholds() {
         let mut recorder = FlightRecorder::new("master");
-        recorder.hold_against(TRANSLATION, PerController([1.0, 1.5, -0.03, 0.0]));
-        recorder.hold_against(ROTATION, PerController([1.0, 0.2, -0.01, 0.0]));
-        recorder.hold_against(TRIGGER, PerController([1.0, 0.7, -0.02, 0.0]));
-        // The trigger before the rotation, and both at once.
+        recorder.set_thresholds(TRANSLATION, PerController([1.0, 1.5, -0.03, 0.0]));
+        recorder.set_thresholds(ROTATION, PerController([1.0, 0.2, -0.01, 0.0]));
+        recorder.set_thresholds(TRIGGER, PerController([1.0, 0.7, -0.02, 0.0]));
+        // The trigger trips before the rotation; then both are tripped.
         for (time_ns, bits) in [(0, [0, 0, 2]), (1_000_000_000, [0, 2, 2]), (2_000_000_000, [0, 0, 0])] {
             let values = PerController([0.0, 3.0, 0.0, 0.0]);
             let tripped = bits.map(Tripped::from_bits);
@@ -636,7 +634,7 @@ mod intervention_tests {
     }
 
     #[test]
-    fn observers_are_held_against_what_their_controllers_have() {
+    fn observers_use_their_controllers_thresholds() {
         let settings =
             SafetySettings { grasp_threshold: 1.7, energy_threshold_j: -0.2, ..SafetySettings::default() };
         assert_eq!(thresholds(&settings).0, [1.0, 1.7, -0.2, 0.0]);
@@ -646,7 +644,7 @@ mod intervention_tests {
     fn an_intervention_keeps_what_each_controller_saw_when_it_tripped() {
         let mut kept = Interventions::NONE;
         kept.thresholds = PerController([1.0, 1.5, -0.03, 0.0]);
-        // WSC trips, HSC joins, both are held, then all is well.
+        // WSC trips, HSC joins, their damping is held, then all is normal.
         let ticks = [
             seen(0, 1.0, 0.1),
             seen(4, 1.2, -0.031),
@@ -666,7 +664,7 @@ mod intervention_tests {
     }
 
     #[test]
-    fn the_newest_are_kept_and_all_are_counted() {
+    fn newest_interventions_are_kept_and_all_are_counted() {
         let mut kept = Interventions::NONE;
         for tick in 0..200_u64 {
             kept.take(tick, &seen(if tick % 2 == 0 { 2 } else { 0 }, 2.0, f64::NAN));

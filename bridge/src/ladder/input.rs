@@ -1,107 +1,109 @@
-//! The input of a ladder at one tick: from the button, and from what the peer's newest frame says and echoes.
+//! Input of a ladder at one tick: from the button, and from the state and echo in the peer's newest frame.
 
 use super::{machine::Ladder, table::LadderState};
 use crate::wire::Role;
 
-/// What the newest frame of the peer says.
+/// Report in the newest frame of the peer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PeerReport {
-    /// Where the peer stands.
+    /// State of the peer.
     pub state: LadderState,
-    /// Whether it hears this very side.
+    /// True if the peer hears this run of this side.
     pub hears: bool,
-    /// Whether it knew, when it sent that frame, of what made this side's last release necessary: a hold, a fault or a
-    /// press that ended unanswered. What it said before says nothing of a press or release after that.
+    /// True if the peer, when it sent the frame, knew why this side last needed a release: a hold, a fault,
+    /// an ended peer or an unanswered press. An earlier report cannot confirm a later press or release.
     pub answers: bool,
-    /// Whether it may align this side: at the master the peer knew of the last press, at the slave it is at most
-    /// `LadderSettings::align_ns` old.
+    /// True if the report may align this side. At the master, the peer knew of the last press; at the slave,
+    /// the report is at most `LadderSettings::align_ns` old.
     pub is_current: bool,
 }
 
-/// How a slave is turned as against its master before the two engage.
+/// Orientation of a slave relative to its master before the two engage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum AlignmentState {
-    /// However it is: it engages there. So does every master.
+    /// Any orientation: the side engages as it is, like every master.
     #[default]
     Any,
-    /// Not yet as the master is: it is to be turned.
+    /// Not aligned yet: the arm has to turn.
     Remaining,
-    /// As the master is.
+    /// Aligned with the master.
     Reached,
-    /// Further from the master than it may be turned.
+    /// Farther from the master than the arm may turn.
     TooFar,
 }
 
-/// The input of a ladder at one tick.
-#[allow(clippy::struct_excessive_bools)] // what is the case at a tick
+/// Input of a ladder at one tick.
+#[allow(clippy::struct_excessive_bools)] // facts of a tick
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LadderInput {
-    /// Age in ns of the newest that is known of the peer; none before its first frame.
+    /// Age in ns of the newest frame of the peer; none before the first.
     pub age_ns: Option<u64>,
-    /// Age in ns that the link has when nothing is wrong: silence counts from there.
+    /// Age in ns to be expected of a good link; silence counts from it.
     pub expected_age_ns: u64,
-    /// By how much in ns the newest may be older than the link is used to; none until that is known.
+    /// Largest possible age in ns of the newest frame beyond the baseline of the link; none until the
+    /// baseline is known.
     pub over_baseline_ns: Option<u64>,
-    /// Round trip in ns as the newest echo measures it, on this side's clock; 0 until one does.
+    /// Round trip in ns on this side's clock, from the newest echo; 0 before the first echo.
     pub round_trip_ns: u64,
-    /// What the newest frame says.
+    /// Report in the newest frame.
     pub peer: Option<PeerReport>,
-    /// Whether the clutch is closed: at the master the button, at the slave what the master's frame says of it. A
-    /// disengaged master has none that is.
+    /// True if the clutch is closed: at the master its button, at the slave the clutch in the master's frame.
+    /// The clutch of a disengaged master counts as open.
     pub clutch: bool,
-    /// Whether an open clutch is a release only where the peer knew of what made one necessary. So it is in HOLD and
-    /// STOP; at the slave, whose newest frame may be old, in DISENGAGED, too.
+    /// True if an open clutch counts as a release only once the peer knows why one was necessary. HOLD and
+    /// STOP always require this. A slave also requires it in DISENGAGED, because its newest frame may be old.
     pub needs_answer: bool,
-    /// Whether it was pressed at this tick: at the master the edge of the button, at the slave a master that aligns.
+    /// True if a press begins at this tick: at the master the edge of the button, at the slave a master that
+    /// aligns.
     pub is_press: bool,
-    /// Whether the peer has ended in good order.
+    /// True if the peer has ended in an orderly way.
     pub ended: bool,
-    /// Of a slave that aligns before it engages.
+    /// Alignment of a slave that aligns before it engages.
     pub alignment: AlignmentState,
 }
 
-/// The newest frame of the peer, as far as a ladder goes.
+/// Fields of the peer's newest frame that the ladder reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PeerFrame {
-    /// State of its ladder.
+    /// State of the peer's ladder.
     pub state: LadderState,
-    /// Whether its clutch is closed.
+    /// True if the peer's clutch is closed.
     pub clutch: bool,
-    /// Whether it hears this very run.
+    /// True if the peer hears this run of this side.
     pub hears: bool,
-    /// Sequence of the frame of this very run that it echoes.
+    /// Sequence of the frame of this run that the peer echoes.
     pub echo: Option<u64>,
-    /// Time in ns since that frame was sent, by this side's clock: the peer's frame was sent after it.
+    /// Time in ns since that frame was sent, on this side's clock. The peer sent its own frame after it.
     pub echo_age_ns: Option<u64>,
 }
 
-/// The link as of a tick.
+/// Link as of a tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinkView {
-    /// As [`LadderInput::age_ns`].
+    /// See [`LadderInput::age_ns`].
     pub age_ns: Option<u64>,
-    /// As [`LadderInput::expected_age_ns`].
+    /// See [`LadderInput::expected_age_ns`].
     pub expected_age_ns: u64,
-    /// As [`LadderInput::over_baseline_ns`].
+    /// See [`LadderInput::over_baseline_ns`].
     pub over_baseline_ns: Option<u64>,
-    /// As [`LadderInput::round_trip_ns`].
+    /// See [`LadderInput::round_trip_ns`].
     pub round_trip_ns: u64,
-    /// The newest frame of the peer.
+    /// Newest frame of the peer.
     pub newest: Option<PeerFrame>,
     /// Sequence of the frame that this tick sends.
     pub next_sequence: u64,
-    /// As [`LadderInput::ended`].
+    /// See [`LadderInput::ended`].
     pub ended: bool,
 }
 
-/// Makes a ladder's inputs: keeps which frames of this side were the first after what made the last release
-/// necessary, and of the last press.
+/// Source of a ladder's inputs. It remembers this side's first frame after the last press, and the first
+/// after the last event that made a release necessary.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LadderInputs {
     role: Role,
-    /// As of this tick, of a slave that aligns before it engages.
+    /// Alignment at this tick, for a slave that aligns before it engages.
     pub(crate) alignment: AlignmentState,
-    /// As of the last tick.
+    /// Clutch as of the last tick.
     pub(super) clutch: bool,
     pub(super) closings: u64,
     pub(super) closed_sequence: u64,
@@ -109,7 +111,7 @@ pub struct LadderInputs {
 }
 
 impl LadderInputs {
-    /// Of a side that has sent nothing yet.
+    /// Build the inputs of a side that has not sent a frame yet.
     pub fn new(role: Role) -> Self {
         Self {
             role,
@@ -121,8 +123,8 @@ impl LadderInputs {
         }
     }
 
-    /// Steps the ladder; `button` is the master's.
-    #[inline(always)] // else what it makes goes through memory
+    /// Step the ladder; `button` is the master's button.
+    #[inline(always)] // otherwise its intermediate values go through memory
     pub fn step(&mut self, ladder: &mut Ladder, now_ns: u64, button: bool, link: &LinkView) -> LadderState {
         let input = self.read(ladder, button, link);
         let before = ladder.state();
@@ -133,8 +135,8 @@ impl LadderInputs {
         state
     }
 
-    /// The input at a tick.
-    #[inline(always)] // else what it makes goes through memory
+    /// Read the input of a tick.
+    #[inline(always)] // otherwise its result goes through memory
     fn read(&mut self, ladder: &Ladder, button: bool, link: &LinkView) -> LadderInput {
         if self.closings != ladder.closings() {
             (self.closings, self.closed_sequence) = (ladder.closings(), link.next_sequence);
@@ -144,19 +146,20 @@ impl LadderInputs {
         let (clutch, is_press, is_current) = match self.role {
             Role::Master => {
                 let is_press = button && !self.clutch;
-                // Nobody can know of a press at the tick of it.
+                // The peer cannot know of a press in the tick of the press.
                 let knows =
                     newest.and_then(|frame| frame.echo).is_some_and(|echo| echo >= self.pressed_sequence);
                 (button, is_press, knows && !is_press)
             }
             Role::Slave => {
-                // Whoever is disengaged with a closed clutch has let a press expire: it is none any more.
+                // A disengaged master with a closed clutch has let its press expire, so the clutch counts as
+                // open.
                 let closed =
                     newest.is_some_and(|frame| frame.clutch && frame.state != LadderState::Disengaged);
                 let max_ns = settings.hold_after_ns + link.expected_age_ns;
                 let heard = link.age_ns.is_some_and(|age| age <= max_ns);
                 let age_ns = newest.and_then(|frame| frame.echo_age_ns);
-                // Without an echo it aligns, so that the master hears of it, but does not engage.
+                // Without an echo the slave aligns, so that the master learns of it, but does not engage.
                 let is_press = newest.is_some_and(|frame| frame.state == LadderState::Aligning)
                     && age_ns.is_none_or(|age| age <= settings.align_ns);
                 (closed, closed && heard && is_press, age_ns.is_some_and(|age| age <= settings.align_ns))
@@ -186,12 +189,12 @@ impl LadderInputs {
         }
     }
 
-    /// The clutch as of the last tick.
+    /// Clutch as of the last tick.
     pub fn clutch(&self) -> bool {
         self.clutch
     }
 
-    /// Whether `frame` is of a peer that knew of the last press.
+    /// Return whether the sender of `frame` knew of the last press.
     pub(crate) fn knows_press(&self, frame: &PeerFrame) -> bool {
         frame.hears && frame.echo.is_some_and(|echo| echo >= self.pressed_sequence)
     }
@@ -224,7 +227,7 @@ mod tests {
         Ladder::new(LadderSettings::default()).unwrap()
     }
 
-    /// One that has held once: a release is necessary.
+    /// Ladder that has held once: a release is necessary.
     fn held() -> Ladder {
         let peer = PeerReport { state: LadderState::Engaged, hears: true, answers: true, is_current: true };
         let sound = LadderInput { age_ns: Some(0), peer: Some(peer), clutch: true, ..LadderInput::default() };
@@ -237,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn a_press_of_the_master_is_the_edge_of_its_button_and_known_by_a_later_echo() {
+    fn master_press_is_button_edge_confirmed_by_later_echo() {
         for (before, button, is_press) in
             [(false, false, false), (false, true, true), (true, true, false), (true, false, false)]
         {
@@ -259,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn a_press_of_the_slave_is_a_master_that_aligns_now() {
+    fn slave_press_is_an_aligning_master() {
         use LadderState::{Aligning, Disengaged, Engaged};
         let align_ns = LadderSettings::default().align_ns;
         let hold_ns = LadderSettings::default().hold_after_ns;
@@ -274,7 +277,7 @@ mod tests {
                         let newest = frame(state, clutch, Some(3), echo_age_ns);
                         let view = LinkView { age_ns, ..link(Some(newest), 9) };
                         let mut inputs = LadderInputs::new(Role::Slave);
-                        // The button is the master's.
+                        // The button belongs to the master.
                         let input = inputs.read(&ladder(), !clutch, &view);
                         let closed = clutch && state != Disengaged;
                         assert_eq!((input.clutch, inputs.clutch()), (closed, closed));
@@ -293,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn a_release_counts_where_the_peer_knew_of_what_made_it_necessary() {
+    fn release_counts_once_the_peer_knows_its_cause() {
         for role in [Role::Master, Role::Slave] {
             for (hears, echo, answers) in [
                 (true, Some(20), true),
@@ -317,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_frame_with_a_press_is_that_of_its_tick() {
+    fn press_is_in_the_frame_of_its_tick() {
         let mut inputs = LadderInputs::new(Role::Master);
         let mut ladder = ladder();
         let newest = frame(LadderState::Disengaged, false, Some(39), None);

@@ -1,4 +1,4 @@
-//! The ladder of one endpoint: what is the case at a tick, and where that leads; its times and its last transitions.
+//! Ladder of one endpoint: its facts at a tick, its step by the table, its times and its last transitions.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer};
@@ -9,40 +9,42 @@ use super::{
     table::{Facts, LadderState, Reason, next},
 };
 
-/// The ladder of one endpoint: a pure function of its inputs and their times.
-#[allow(clippy::struct_excessive_bools)] // what was the case at the last tick
+/// Ladder of one endpoint: a pure function of its inputs and their times.
+#[allow(clippy::struct_excessive_bools)] // facts of the last tick
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ladder {
     settings: LadderSettings,
     state: LadderState,
     gain: f64,
     last_ns: Option<u64>,
-    /// When the peer was last heard and sound.
+    /// Time in ns at which this side last heard the peer, and the peer was sound.
     last_sound_ns: Option<u64>,
     hears: bool,
     ready: bool,
-    /// How much older than expected the peer's newest is, in ns.
+    /// Age in ns of the peer's newest frame beyond the expected age.
     excess_ns: Option<u64>,
-    /// Until when this side itself was blind.
+    /// Time in ns up to which this side itself was blind.
     blind_until_ns: Option<u64>,
-    /// Whether the clutch was seen open since the last hold began, a press ended unanswered, or the last fault ended.
+    /// True if a press counts: the clutch was open since the last hold, unanswered press, ended peer or
+    /// fault.
     opened: bool,
-    /// When ALIGNING began, in ns.
+    /// Time in ns at which ALIGNING began.
     aligning_ns: u64,
-    /// Whether the peer has said, in its present run, that it hears this side.
+    /// True if the peer, in its present run, has said that it hears this side.
     was_heard: bool,
-    /// Arrival in ns of the first of the newest frames in ALIGNING that all say STOP or that the peer is deaf.
+    /// Arrival in ns of the first of the newest consecutive frames in ALIGNING that all say STOP or that the
+    /// peer is deaf.
     apart_since_ns: Option<u64>,
-    /// Whether the arm is to be turned to the master, as of the last tick.
+    /// True if the arm is to turn to the master, as of the last tick.
     turns: bool,
     holds: u64,
-    /// How often a release became necessary.
+    /// Number of times that a release of the clutch became necessary.
     closings: u64,
     history: History,
 }
 
 impl Ladder {
-    /// A ladder that is disengaged; whoever presses the clutch at the start need not release it before.
+    /// Build a disengaged ladder. A clutch that is pressed from the start need not be released first.
     pub fn new(settings: LadderSettings) -> Result<Self, LadderError> {
         settings.check()?;
         Ok(Self {
@@ -66,15 +68,18 @@ impl Ladder {
         })
     }
 
-    /// One tick at `now_ns`.
-    #[inline(always)] // else what it is given goes through memory
+    /// Step one tick at `now_ns`.
+    #[inline(always)] // otherwise its arguments go through memory
     pub fn step(&mut self, now_ns: u64, input: &LadderInput) -> LadderState {
         if self.stays_engaged(now_ns, input) { self.state } else { self.step_by_table(now_ns, *input) }
     }
 
-    /// At a tick like nearly all, does what [`step_by_table`](Self::step_by_table) does, and returns true; else changes
-    /// nothing: engaged with all of the force, the clutch closed, the peer coupled as well, heard in time, hearing, and
-    /// about as old as it used to be. No row of ENGAGED is the case then, which `table.rs` holds it to.
+    /// Fast path of [`step_by_table`](Self::step_by_table) for the common tick. Returns true and does the
+    /// same as the table if no row of ENGAGED applies (an assertion in `table.rs` lists the rows); else
+    /// changes nothing.
+    ///
+    /// Conditions: engaged with full force, clutch closed, peer coupled and hearing, its frames in time
+    /// and of the usual age.
     #[inline(always)] // as step
     fn stays_engaged(&mut self, now_ns: u64, input: &LadderInput) -> bool {
         let (Some(age_ns), Some(peer)) = (input.age_ns, input.peer) else { return false };
@@ -98,8 +103,8 @@ impl Ladder {
         stays
     }
 
-    /// One tick by what is the case, whatever that is.
-    #[inline(never)] // and the input by value: one that is referred to would be in memory at every tick
+    /// Step one tick by the table, for any facts.
+    #[inline(never)] // input by value: a reference would keep it in memory at every tick
     fn step_by_table(&mut self, now_ns: u64, input: LadderInput) -> LadderState {
         let (facts, may_engage) = self.facts(now_ns, &input);
         self.follow(now_ns, facts);
@@ -109,14 +114,14 @@ impl Ladder {
         self.state
     }
 
-    /// What is the case, and whether the peer says all that is needed to engage.
+    /// Return the facts of this tick, and whether the peer reports everything that engaging needs.
     fn facts(&mut self, now_ns: u64, input: &LadderInput) -> (Facts, bool) {
         let LadderSettings { stale_after_ns, hold_after_ns, stop_after_ns, align_ns, .. } = self.settings;
         self.excess_ns = input.age_ns.map(|age| age.saturating_sub(input.expected_age_ns));
         let (has_age, excess_ns) = (self.excess_ns.is_some(), self.excess_ns.unwrap_or(0));
         let silent = !has_age || excess_ns > hold_after_ns;
         let old = input.over_baseline_ns.is_some_and(|over| over > hold_after_ns);
-        // What had arrived while this side was blind is as old as that.
+        // Frames that arrived while this side was blind are too old to count.
         let seen = input
             .age_ns
             .is_some_and(|age| self.blind_until_ns.is_none_or(|until| now_ns.saturating_sub(age) > until));
@@ -137,7 +142,7 @@ impl Ladder {
         let refuses = self.refuses_press(now_ns, input, heard, said.has(Reason::PeerStopped));
         let silent_ns = match self.excess_ns {
             Some(excess) if sound || aligning => excess,
-            // A press at the start waits for the peer's first frame as long as any press does.
+            // At the start, a press waits for the peer's first frame as long as any other press waits.
             None if aligning => 0,
             _ => unsound_ns,
         };
@@ -148,16 +153,17 @@ impl Ladder {
         let pressed = input.is_press && self.opened && (self.ready || !held);
         let aligned = peer.is_some_and(|peer| peer.is_current && peer.state.is_aligned());
         let may_engage = both_hear && aligned;
-        // An arm that is being turned follows nobody who might have let go: it waits no longer than one that is coupled.
+        // While the arm turns, the master may already have let go; so a turning arm waits no longer than a
+        // coupled one.
         let is_cut = self.turns && !may_engage;
-        // That the peer is disengaged counts while the clutch of this side is closed.
+        // A disengaged peer counts only while this side's clutch is closed.
         let facts = if input.clutch { said } else { said.without(Reason::PeerDisengaged) };
-        // A press waits for as long as the peer's answer takes.
+        // A press tolerates a stopped peer until the peer can have answered.
         let facts = if aligning && !refuses { facts.without(Reason::PeerStopped) } else { facts }
             .with(Reason::PeerSilent, silent || !seen)
             .with(Reason::PeerDeaf, !heard && (!aligning || refuses))
             .with(Reason::PeerEnded, input.ended)
-            // What it is used to is that of an engagement.
+            // The baseline is that of an engagement, so this counts only while coupled.
             .with(Reason::NewsOld, self.state.is_coupled() && old)
             .with(Reason::ClutchReleased, !input.clutch)
             .with(Reason::ClutchPressed, pressed)
@@ -174,9 +180,11 @@ impl Ladder {
         (facts, may_engage)
     }
 
-    /// Whether the peer has said for two round trips, and at least [`ANSWER_NS`], that it stands in STOP or does not hear
-    /// this side, since a press that waits. Only arrivals count: silence has a time of its own, and a peer that never
-    /// heard this side may have been started after the press.
+    /// Return whether the peer refuses a waiting press. It refuses if it says that it is in STOP or does not
+    /// hear this side, for two round trips and at least [`ANSWER_NS`].
+    ///
+    /// Only arrivals count. Silence has its own timeout, and a peer that never heard this side may start
+    /// after the press.
     fn refuses_press(&mut self, now_ns: u64, input: &LadderInput, heard: bool, stopped: bool) -> bool {
         let is_apart = self.state == LadderState::Aligning
             && self.was_heard
@@ -191,7 +199,7 @@ impl Ladder {
         arrived_ns.saturating_sub(since_ns) >= input.round_trip_ns.saturating_mul(2).max(ANSWER_NS)
     }
 
-    /// Goes where the facts lead, as far as they do. Each leads one step only, so this ends.
+    /// Apply rows while the facts match one. Each fact is used once, so the loop ends.
     fn follow(&mut self, now_ns: u64, mut facts: Facts) {
         while let Some(row) = next(self.state, facts) {
             facts = facts.without(row.reason);
@@ -200,7 +208,7 @@ impl Ladder {
             }
             if row.to == LadderState::Aligning {
                 self.aligning_ns = now_ns;
-                // What was too long in the state before is not so in this one, and the peer cannot know of the press yet.
+                // The silence belongs to the state before, and the peer cannot know of the press yet.
                 facts = [Reason::SilentTooLong, Reason::PeerStopped, Reason::PeerDeaf]
                     .into_iter()
                     .fold(facts, Facts::without);
@@ -209,15 +217,15 @@ impl Ladder {
                 && row.to == LadderState::Disengaged
                 && row.reason != Reason::ClutchReleased;
             let is_held = matches!(row.to, LadderState::Hold | LadderState::Fault);
-            // Another peer must not be coupled with by a clutch that waits, pressed.
+            // Another peer must not be coupled by a clutch that is still pressed.
             let is_ended = row.reason == Reason::PeerEnded;
-            // Whoever says that a fault is mended must not be surprised by a clutch that waits, pressed.
+            // An operator who acknowledges a fault must not be surprised by a clutch that is still pressed.
             if is_held || is_unanswered || is_ended || row.from == LadderState::Fault {
                 self.opened = false;
                 self.closings += 1;
             }
             if is_held || is_unanswered || is_ended {
-                // A press at the very tick at which a hold begins is none that answers it.
+                // A press at the tick at which a hold begins does not answer that hold.
                 facts = facts.without(Reason::ClutchPressed);
             }
             self.history.push(Transition { time_ns: now_ns, from: row.from, to: row.to, reason: row.reason });
@@ -225,7 +233,7 @@ impl Ladder {
         }
     }
 
-    /// Lets the share of the force follow the state.
+    /// Move the gain of the force as the state requires.
     fn fade(&mut self, now_ns: u64) {
         let elapsed_ns = now_ns.saturating_sub(self.last_ns.unwrap_or(now_ns));
         self.last_ns = Some(now_ns);
@@ -233,11 +241,11 @@ impl Ladder {
         self.gain = match self.state {
             LadderState::Engaged if self.gain >= 1.0 => 1.0,
             LadderState::Engaged => {
-                // A loop that was late must not make up for the time in which it did not fade in.
+                // A late loop must not catch up on the fade-in that it missed.
                 let rising = elapsed.min(self.settings.hold_after_ns as f64 / 10.0);
                 (self.gain + rising / self.settings.fade_in_ns as f64).min(1.0)
             }
-            // Nothing new is known that would speak for more, or for less.
+            // Without new frames there is no reason to raise or lower the gain.
             LadderState::Stale => self.gain,
             LadderState::Stop | LadderState::Fault => 0.0,
             _ => (self.gain - elapsed / self.settings.fade_out_ns as f64).max(0.0),
@@ -248,8 +256,8 @@ impl Ladder {
         self.follow(now_ns, Facts::default().with(reason, true));
     }
 
-    /// The peer is another than before. A slave (`engages`) may follow a master that was started anew, because that
-    /// is a person's act; a hand is never coupled by what arrives from the network.
+    /// Record that a new run of the peer began. A slave (`engages`) may follow a restarted master, because a
+    /// person started it. A master's ladder never engages because of a datagram.
     pub fn new_run(&mut self, now_ns: u64, engages: bool) {
         self.was_heard = false;
         self.apply(now_ns, Reason::PeerRestarted);
@@ -259,44 +267,44 @@ impl Ladder {
         }
     }
 
-    /// A number that cannot be was met.
+    /// Go to FAULT with zero gain after an invalid number.
     pub fn fault(&mut self, now_ns: u64) {
         self.apply(now_ns, Reason::BadNumber);
         self.gain = 0.0;
     }
 
-    /// The force is withheld after a trip, for there is no sign of a hand, or of one that yields to it: a person must say that
-    /// there is one.
+    /// Withhold the force after a trip: no hand is felt, or the hand yields (`yields`). A person must confirm
+    /// that a hand is there.
     pub fn withhold(&mut self, now_ns: u64, yields: bool) {
         self.apply(now_ns, if yields { Reason::HandYields } else { Reason::HandGone });
     }
 
-    /// The operator at this side says that the fault is mended. The clutch must then be released and pressed.
+    /// Acknowledge the fault on behalf of the operator. The clutch must then be released and pressed.
     pub fn acknowledge(&mut self, now_ns: u64) {
         self.apply(now_ns, Reason::Acknowledged);
     }
 
-    /// This side itself was late by more than the ladder allows, until `now_ns`: what it knows is old. It holds
-    /// without force.
+    /// Hold without force: this side was late by more than the ladder allows, until `now_ns`, so its
+    /// knowledge is old.
     pub fn stalled(&mut self, now_ns: u64) {
         (self.gain, self.blind_until_ns) = (0.0, Some(now_ns));
-        // A press that moves nothing yet goes on waiting.
+        // A press that moves nothing yet keeps waiting.
         if self.state != LadderState::Aligning || self.turns {
             self.apply(now_ns, Reason::OwnDelay);
         }
     }
 
-    /// Whether the peer was heard recently enough, as of the last tick.
+    /// Return whether the peer was heard recently enough, as of the last tick.
     pub fn hears_peer(&self) -> bool {
         self.hears
     }
 
-    /// Whether a press of the clutch would count, were it open: what the operator is shown while it holds.
+    /// Return whether a press would count if the clutch were open; the operator sees this during a hold.
     pub fn is_ready(&self) -> bool {
         self.ready
     }
 
-    /// Where it stands.
+    /// State of the ladder.
     pub fn state(&self) -> LadderState {
         self.state
     }
@@ -306,22 +314,24 @@ impl Ladder {
         self.gain
     }
 
-    /// Whether the arm is to be turned to the master: in ALIGNING, while both hear one another and say the same.
+    /// Return whether the arm is to turn to the master: in ALIGNING, while both sides hear each other and the
+    /// peer is aligned.
     pub fn turns(&self) -> bool {
         self.turns
     }
 
-    /// How often it went to HOLD.
+    /// Number of transitions to HOLD.
     pub fn holds(&self) -> u64 {
         self.holds
     }
 
-    /// How often a release became necessary, by a hold, a fault or a press that ended unanswered.
+    /// Number of times that a release of the clutch became necessary: by a hold, a fault, an ended peer or an
+    /// unanswered press.
     pub fn closings(&self) -> u64 {
         self.closings
     }
 
-    /// Whether a press has ended without the two being coupled, and no other was made since.
+    /// Return whether the last press ended without a coupling, and no press followed it.
     pub fn is_unanswered(&self) -> bool {
         self.history.last().is_some_and(|last| {
             (last.from, last.to) == (LadderState::Aligning, LadderState::Disengaged)
@@ -329,7 +339,7 @@ impl Ladder {
         })
     }
 
-    /// For how long in ns it has stood in STALE by the age of the newest frame; 0 unless it does.
+    /// Time in ns in STALE, by the age of the newest frame; 0 in every other state.
     pub fn stale_ns(&self) -> u64 {
         match (self.state, self.excess_ns) {
             (LadderState::Stale, Some(excess)) => excess.saturating_sub(self.settings.stale_after_ns),
@@ -337,61 +347,62 @@ impl Ladder {
         }
     }
 
-    /// Its times.
+    /// Times of the ladder.
     pub fn settings(&self) -> &LadderSettings {
         &self.settings
     }
 
-    /// Its last transitions.
+    /// Last transitions.
     pub fn history(&self) -> &History {
         &self.history
     }
 }
 
-/// Times of the ladder. Ages count from what is expected of the link, so that a long delay is no silence.
+/// Times of the ladder. Ages count from the expected age of the link, so a long delay is not silence.
 ///
-/// In a scene they are in s.
+/// A scene gives them in s.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LadderSettings {
-    /// Time in ns over the expected age that leads to STALE.
+    /// Age in ns beyond the expected age that leads to STALE.
     #[serde(rename = "stale_after_s", deserialize_with = "whole_ns")]
     #[schemars(with = "f64")]
     pub stale_after_ns: u64,
-    /// Time in ns over the expected age that leads to HOLD; above `stale_after_ns` and at most 100 ms, so that with
-    /// `fade_out_ns` the force is gone 200 ms after the last frame.
+    /// Age in ns beyond the expected age that leads to HOLD; above `stale_after_ns` and at most 100 ms. With
+    /// `fade_out_ns`, the force is then zero 200 ms after the last frame.
     #[serde(rename = "hold_after_s", deserialize_with = "whole_ns")]
     #[schemars(with = "f64")]
     pub hold_after_ns: u64,
-    /// Time in ns over the expected age that leads to STOP; above `hold_after_ns`.
+    /// Age in ns beyond the expected age that leads to STOP; above `hold_after_ns`.
     #[serde(rename = "stop_after_s", deserialize_with = "whole_ns")]
     #[schemars(with = "f64")]
     pub stop_after_ns: u64,
-    /// Time in ns in STALE within which the velocity of the slave decays to zero: at most 20 ms, and over before HOLD.
+    /// Time in ns in STALE over which the slave's velocity decays to zero; at most 20 ms, and it ends before
+    /// HOLD.
     #[serde(rename = "extrapolate_s", deserialize_with = "whole_ns")]
     #[schemars(with = "f64")]
     pub extrapolate_ns: u64,
-    /// Time in ns in which the force fades from full to zero, 50 to 100 ms.
+    /// Time in ns over which the force fades from full to zero, 50 to 100 ms.
     #[serde(rename = "fade_out_s", deserialize_with = "whole_ns")]
     #[schemars(with = "f64")]
     pub fade_out_ns: u64,
-    /// Time in ns in which the force rises from zero to full, at least 200 ms.
+    /// Time in ns over which the force rises from zero to full, at least 200 ms.
     #[serde(rename = "fade_in_s", deserialize_with = "whole_ns")]
     #[schemars(with = "f64")]
     pub fade_in_ns: u64,
-    /// Time in ns for which a press waits in ALIGNING, and greatest age of a frame by which a slave aligns; 0.5 to 5 s.
+    /// Timeout in ns of a press in ALIGNING, and greatest age of a frame by which a slave aligns; 0.5 to 5 s.
     #[serde(skip, default = "default_align_ns")]
     pub align_ns: u64,
 }
 
 const MS: u64 = 1_000_000;
 
-/// Least time in ns for which a peer must have refused a press, however short the round trip: a few ticks of a slow loop,
-/// and a burst of losses.
+/// Shortest time in ns for which a peer must refuse a press, for any round trip. Covers a few ticks of a slow
+/// loop, and a burst of losses.
 const ANSWER_NS: u64 = 50 * MS;
 
-/// A time in s as whole ns.
-#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // saturates, and `check` holds it against its range
+/// Read a time in s as integer ns.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // saturates; `check` then tests the range
 fn whole_ns<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
     f64::deserialize(deserializer).map(|seconds| (seconds * 1e9).round() as u64)
 }
@@ -401,8 +412,8 @@ const fn default_align_ns() -> u64 {
 }
 
 impl Default for LadderSettings {
-    /// 20 ms is the command-loss time of libfranka and UR, 200 ms their ceiling and the shortest fade-in; a force that
-    /// falls within 75 ms is gone 100 ms after the last frame.
+    /// Defaults. 20 ms is the command-loss time of libfranka and UR; 200 ms is their ceiling and the shortest
+    /// fade-in. With a fade-out of 75 ms the force is zero 100 ms after the last frame.
     fn default() -> Self {
         Self {
             stale_after_ns: 5 * MS,
@@ -416,7 +427,7 @@ impl Default for LadderSettings {
     }
 }
 
-/// A time that a ladder cannot have.
+/// Ladder time that is out of range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("ladder {name} = {seen} ns: must be between {min} and {max}")]
 pub struct LadderError {
@@ -427,7 +438,7 @@ pub struct LadderError {
 }
 
 impl LadderSettings {
-    /// Refuses times that are out of order or range.
+    /// Return an error for times that are out of order or out of range.
     pub fn check(&self) -> Result<(), LadderError> {
         for (name, seen, min, max) in [
             ("stale_after", self.stale_after_ns, 1, 1_000 * MS),
@@ -451,28 +462,28 @@ impl LadderSettings {
     }
 }
 
-/// One step on the ladder.
+/// One transition of the ladder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Transition {
-    /// When, in ns.
+    /// Time in ns.
     pub time_ns: u64,
-    /// From where.
+    /// State before.
     pub from: LadderState,
-    /// To where.
+    /// State after.
     pub to: LadderState,
-    /// Why.
+    /// Reason of the transition.
     pub reason: Reason,
 }
 
-/// How many transitions are kept.
+/// Capacity of the history, in transitions.
 const KEPT: usize = 32;
 
-/// The last transitions.
+/// Ring of the last transitions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct History {
     ring: [Option<Transition>; KEPT],
     count: usize,
-    /// What [`cause`](Self::cause) returns, found once a transition: every frame says it.
+    /// Result of [`cause`](Self::cause), computed once per transition because every frame sends it.
     cause: Option<Reason>,
 }
 
@@ -483,24 +494,25 @@ impl Default for History {
 }
 
 impl History {
-    /// Keeps one more, in place of the oldest.
+    /// Store a transition; it overwrites the oldest one once the ring is full.
     pub(super) fn push(&mut self, transition: Transition) {
         self.ring[self.count % KEPT] = Some(transition);
         self.count += 1;
         self.cause = self.find_cause();
     }
 
-    /// How many there were.
+    /// Number of transitions so far.
     pub fn count(&self) -> usize {
         self.count
     }
 
-    /// The newest.
+    /// Newest transition.
     pub fn last(&self) -> Option<Transition> {
         self.ring[self.count.checked_sub(1)? % KEPT]
     }
 
-    /// Why it stands where it does: of a hold that became a stop, why it first held.
+    /// Reason of the present state. For HOLD and STOP it is the reason of the first step out of the states
+    /// that are not held.
     pub fn cause(&self) -> Option<Reason> {
         self.cause
     }
@@ -515,7 +527,7 @@ impl History {
         newest_first.into_iter().find(|step| !step.from.is_held()).or(Some(last)).map(|step| step.reason)
     }
 
-    /// Those that are kept, the oldest first.
+    /// Stored transitions, oldest first.
     pub fn iter(&self) -> impl Iterator<Item = Transition> + '_ {
         (self.count.saturating_sub(KEPT)..self.count).filter_map(|index| self.ring[index % KEPT])
     }
@@ -557,7 +569,7 @@ mod history_tests {
     use super::*;
 
     #[test]
-    fn a_stop_is_caused_by_what_led_to_its_hold() {
+    fn stop_has_the_cause_of_its_hold() {
         use LadderState::{Aligning, Disengaged, Engaged, Fault, Hold, Stop};
         let mut history = History::default();
         assert_eq!(history.cause(), None);
@@ -575,7 +587,7 @@ mod history_tests {
     }
 
     #[test]
-    fn the_last_ones_are_kept_in_order() {
+    fn last_transitions_are_kept_in_order() {
         let mut history = History::default();
         assert_eq!((history.last(), history.iter().count()), (None, 0));
         for time_ns in 0..100 {

@@ -1,8 +1,8 @@
-//! The degradation ladder: what a silent peer, an open clutch and a bad number lead to.
+//! Degradation ladder: reactions to a silent peer, an open clutch and an invalid number.
 //!
-//! [`table`] says what leads where, and `docs/ladder.md` shows it as a diagram that a test holds to the table.
-//! [`Ladder`] finds out what is the case at a tick and looks it up there. [`ClutchOperator`] works the clutch of
-//! runs without a button, [`FlightRecorder`] what is left when something went wrong.
+//! [`table`] lists the transitions; `docs/ladder.md` shows it as a diagram, which a test compares with the
+//! table. [`Ladder`] finds the facts of a tick and looks them up there. [`ClutchOperator`] works the
+//! clutch of runs without a button. [`FlightRecorder`] keeps the last ticks before a hold or fault.
 
 mod diagnosis;
 mod flight;

@@ -1,68 +1,69 @@
-//! What works the clutch: the button of a device, and without one the operator's commands and a simulated operator.
+//! Control of the clutch: a device's button, operator commands, or a simulated operator.
 
 use super::table::LadderState;
 
-/// How the clutch is worked.
+/// Mode of control of the clutch.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Clutch {
-    /// Pressed at the start and held. After a hold it stays as it is, so nothing couples again but by
-    /// [`ClutchOperator::press_again`].
+    /// Pressed at the start and held throughout. After a hold, only [`ClutchOperator::press_again`] couples
+    /// again.
     #[default]
     Once,
-    /// A simulated operator: presses at the start, lets go when it holds or the press was not answered, and presses
-    /// again once both sides have been ready for `reaction_ns`.
+    /// A simulated operator. It presses at the start and releases after a hold or an unanswered press. It
+    /// presses again once both sides have been ready for `reaction_ns`.
     Auto {
-        /// Time in ns.
+        /// Reaction time in ns.
         reaction_ns: u64,
     },
-    /// Pressed from the first to the second time of each pair, in ns since the start.
+    /// Pressed between the two times of each pair, in ns since the start.
     Schedule(Vec<(u64, u64)>),
 }
 
-/// Times of a clutch that cannot be.
+/// Invalid times of a clutch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ClutchError {
-    /// A release that is not after its press, or a press that is not after the release before.
+    /// A release not after its press, or a press not after the previous release.
     #[error("clutch {0}: presses and releases must follow one another in time")]
     Order(usize),
-    /// Nobody reacts within so short a time, or takes so long.
+    /// Reaction time out of range.
     #[error("clutch reaction = {0} ns: must be between 50000000 and 60000000000")]
     Reaction(u64),
 }
 
-/// For how long in ns [`ClutchOperator::press_again`] opens the clutch: enough frames for the other side to see it.
+/// Time in ns for which [`ClutchOperator::press_again`] opens the clutch: enough frames for the other side to
+/// see it.
 const OPEN_NS: u64 = 100_000_000;
 
-/// Within what time in ns of [`ClutchOperator::press_again`] it must be pressed; a loop that slept meanwhile presses
-/// no more.
+/// Timeout in ns of [`ClutchOperator::press_again`]: a loop that slept meanwhile drops the press.
 const LATEST_NS: u64 = 2 * OPEN_NS;
 
-/// For how long a press counts, in ns: handshake, first frames and one repeat of each over a link of 500 ms each way. A
-/// start is one only if the first tick comes within it.
+/// Time in ns for which a press counts: handshake, first frames and one retry of each at 500 ms one-way
+/// delay. The start counts as a press only if the first tick is within this time.
 pub const PRESS_NS: u64 = 5_000_000_000;
 
-/// Works the clutch of a side without a button, as [`Clutch`] and an operator's commands have it: a pure function of
-/// time and of what the ladder shows.
-#[allow(clippy::struct_excessive_bools)] // what it has done and seen
+/// Operator of the clutch of a side without a button, by [`Clutch`] and operator commands. It is a pure
+/// function of time and of the ladder's state.
+#[allow(clippy::struct_excessive_bools)] // actions and observations so far
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClutchOperator {
     clutch: Clutch,
     start_ns: u64,
     pressed: bool,
-    /// When it last pressed or let go, in ns.
+    /// Time in ns of the last press or release.
     since_ns: u64,
-    /// Since when both sides have been ready, in ns.
+    /// Time in ns since which both sides have been ready.
     ready_ns: Option<u64>,
-    /// Since it last pressed, the side has had a fault: whoever acknowledges it says when to press.
+    /// True if the side had a fault since the last press. The operator who acknowledges it decides when to
+    /// press.
     has_faulted: bool,
     requested: bool,
     has_begun: bool,
-    /// When a new press was commanded, in ns.
+    /// Time in ns at which a new press was commanded.
     requested_ns: Option<u64>,
 }
 
 impl ClutchOperator {
-    /// An operator who has not begun.
+    /// Build an operator that has not begun.
     pub fn new(clutch: Clutch) -> Result<Self, ClutchError> {
         match &clutch {
             Clutch::Auto { reaction_ns } if !(50_000_000..=60_000_000_000).contains(reaction_ns) => {
@@ -92,33 +93,35 @@ impl ClutchOperator {
         })
     }
 
-    /// Time begins at `now_ns`.
+    /// Start the time at `now_ns`.
     pub fn begin(&mut self, now_ns: u64) {
         (self.start_ns, self.since_ns) = (now_ns, now_ns);
     }
 
-    /// Lets go for a moment and presses again.
+    /// Release for a moment and press again.
     pub fn press_again(&mut self) {
         self.requested = true;
     }
 
-    /// A press that was requested counts no more: the loop was late, or the device has a button.
+    /// Drop a requested press: the loop was late, or the device has a button.
     pub fn reset(&mut self) {
         (self.requested, self.requested_ns) = (false, None);
     }
 
-    /// Has let go: the start was too long ago to be a press. Whether it would have been that of an operator.
+    /// Release the clutch: the start was too long ago to be a press. Returns whether that start would have
+    /// been an operator's press.
     pub fn release_clutch(&mut self) -> bool {
         std::mem::replace(&mut self.pressed, false) && matches!(self.clutch, Clutch::Once)
     }
 
-    /// Whether the clutch is pressed at `now_ns`, seeing where the ladder stands and whether a press would count.
+    /// Return whether the clutch is pressed at `now_ns`, given the state of the ladder and whether a press
+    /// would count.
     #[inline]
     pub fn at(&mut self, now_ns: u64, state: LadderState, ready: bool) -> bool {
         let is_asked = self.requested || self.requested_ns.is_some();
         let stays = self.pressed && self.has_begun && state.is_coupled() && !is_asked;
         if stays && !matches!(self.clutch, Clutch::Schedule(_)) {
-            // As at nearly all ticks: nobody has asked for anything else than to hold it.
+            // Common tick: keep holding.
             self.ready_ns = if ready { self.ready_ns.or(Some(now_ns)) } else { None };
             return true;
         }
@@ -147,7 +150,8 @@ impl ClutchOperator {
         self.ready_ns = if ready { self.ready_ns.or(Some(now_ns)) } else { None };
         let spent_ns = now_ns.saturating_sub(self.since_ns);
         if self.pressed {
-            // DISENGAGED at the tick after a press: it was not taken up, has ended unanswered, or the peer has ended.
+            // DISENGAGED a tick after the press means that the press was not accepted or not answered, or
+            // that the peer has ended.
             let in_vain = matches!(state, LadderState::Hold | LadderState::Stop)
                 || state == LadderState::Disengaged && spent_ns > 0 && !self.has_faulted;
             if self.requested_ns.is_some() || reaction_ns.is_some() && in_vain {
@@ -170,26 +174,26 @@ impl ClutchOperator {
     }
 }
 
-/// Longest bounce of a contact, in ns.
+/// Longest contact bounce in ns.
 const BOUNCE_NS: u64 = 20_000_000;
 
-/// The button of a device as the ladder sees it. A release counts at once. A press counts after 20 ms of release, and
-/// again within 20 ms of a press that counted: a contact that bounces while it is held must not press.
+/// Debounced button of a device. A release counts at once. A press counts after 20 ms of release, and again
+/// within 20 ms of a counted press. So a bounce during a long press is not a press.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Button {
-    /// As read last; none before the first sample with a button.
+    /// Last sample; none before the first sample with a button.
     pub(super) level: Option<bool>,
     pub(super) closed: bool,
-    /// It must be seen open before it can be pressed: what it did meanwhile is not known.
+    /// True if the button's level was unknown for a while; it must be seen open before a press counts.
     pub(super) unknown: bool,
-    /// When it was released, and when it was last pressed so that it counted, in ns.
+    /// Times in ns of the last release and of the last counted press.
     pub(super) released_ns: u64,
     pub(super) pressed_ns: Option<u64>,
 }
 
 impl Button {
-    /// Takes a sample at `now_ns`; whether it is pressed, or none of a device that has never shown a button. One that
-    /// is closed at the first sample is pressed by the start.
+    /// Take a sample at `now_ns`. Returns whether the button is pressed; none for a device that has never
+    /// shown a button. A button that is closed at the first sample counts as pressed.
     pub(crate) fn at(&mut self, now_ns: u64, sample: Option<bool>) -> Option<bool> {
         let before = self.level;
         let Some(level) = sample else {
@@ -214,23 +218,23 @@ impl Button {
         Some(self.closed)
     }
 
-    /// When it was last pressed so that it counted, in ns.
+    /// Time in ns of the last counted press.
     pub(crate) fn last_press_ns(&self) -> Option<u64> {
         self.pressed_ns
     }
 
-    /// Whether the device has ever shown it.
+    /// Return whether the device has ever shown a button.
     pub(crate) fn is_there(&self) -> bool {
         self.level.is_some()
     }
 
-    /// It counts as open, and must be seen open before it can be pressed: the start was too long ago to be a press, or the
-    /// operator lets go by a command.
+    /// Count the button as open until a release and a press. Reasons: the start is too long ago to be a
+    /// press, or a command releases the clutch.
     pub(crate) fn must_be_released(&mut self) {
         (self.closed, self.unknown) = (false, true);
     }
 
-    /// The loop was late: nobody knows when what it shows next was done.
+    /// Record that the loop was late: the time of the next change is unknown.
     pub(crate) fn stalled(&mut self) {
         self.unknown |= !self.closed;
     }
@@ -245,7 +249,7 @@ mod tests {
     const MS: u64 = 1_000_000;
 
     #[test]
-    fn a_simulated_operator_presses_anew_for_whoever_comes_after_an_end_but_not_after_a_fault() {
+    fn simulated_operator_presses_again_after_an_end_but_not_after_a_fault() {
         use LadderState::{Disengaged, Fault};
         for faulted in [false, true] {
             let mut operator = ClutchOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
@@ -257,11 +261,11 @@ mod tests {
             if faulted {
                 assert!(operator.at(1000 * MS, Fault, false));
             }
-            // The other side is there again after a second.
+            // The other side is back after one second.
             let pressed: Vec<u64> =
                 (1001..3000).filter(|now| operator.at(now * MS, Disengaged, *now >= 2000)).collect();
             if faulted {
-                assert_eq!(pressed.len(), 1999, "a fault that was mended couples nothing");
+                assert_eq!(pressed.len(), 1999, "an acknowledged fault couples nothing");
             } else {
                 assert_eq!(pressed[0], 2500);
             }
@@ -286,10 +290,10 @@ mod tests {
         operator.begin(0);
         assert!(operator.at(0, Aligning, false));
         assert!(operator.at(MS, Engaged, true));
-        // The link is dead until 1 s: a press before would be void.
+        // The link is dead until 1 s, so an earlier press would be void.
         let pressed: Vec<_> = (2..2000).filter(|now| operator.at(now * MS, Hold, *now >= 1000)).collect();
         assert_eq!(pressed.first(), Some(&1500));
-        // It is still held: the press did not count, and the next is another 0.5 s later.
+        // The press is held in HOLD, so it did not count; the next follows 0.5 s later.
         assert_eq!(pressed, [1500]);
         let pressed: Vec<_> = (2000..2500).filter(|now| operator.at(now * MS, Hold, true)).collect();
         assert_eq!(pressed.first(), Some(&2002));
@@ -297,9 +301,9 @@ mod tests {
     }
 
     proptest! {
-        /// What a tick at which nobody asks for anything does by itself is what is decided at any other.
+        /// The fast path of a held clutch decides like the full one.
         #[test]
-        fn a_clutch_that_is_held_is_decided_as_any_other(
+        fn held_clutch_fast_path_equals_full_decision(
             kind in 0_u8..3,
             ticks in prop::collection::vec((0_u8..14, any::<bool>(), 0_u8..40, 1_u64..300), 1..200),
         ) {
@@ -328,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn who_presses_once_does_so_again_when_told() {
+    fn once_presses_again_when_requested() {
         let mut operator = ClutchOperator::new(Clutch::Once).unwrap();
         operator.begin(0);
         assert!((0..1000).all(|now| operator.at(now * MS, Hold, true)));
@@ -337,7 +341,8 @@ mod tests {
         assert_eq!(open, 100);
     }
 
-    /// From 0 on, every ms from `requested` on but those of `asleep`: at which ms it presses.
+    /// Step every ms from 0 without the ms in `asleep`, with requests at `requested`; return the ms of the
+    /// presses.
     fn presses(requested: &[u64], asleep: std::ops::Range<u64>, resets: bool) -> Vec<u64> {
         let mut operator = ClutchOperator::new(Clutch::Once).unwrap();
         operator.begin(0);
@@ -361,10 +366,11 @@ mod tests {
     #[test]
     fn a_requested_press_is_made_after_the_release_or_dropped() {
         assert_eq!(presses(&[1000], 0..0, false), [1100]);
-        // Twice at once is one press; once more after it is another.
+        // Two requests at once are one press; a later request is another press.
         assert_eq!(presses(&[1000, 1001, 1050], 0..0, false), [1100]);
         assert_eq!(presses(&[1000, 1150], 0..0, false), [1100, 1250]);
-        // Asleep between release and press: the press is dropped, and the clutch stays open until the next.
+        // Asleep between release and press: the press is dropped, and the clutch stays open until the next
+        // request.
         assert!(presses(&[1000], 1050..31_000, false).is_empty());
         assert_eq!(presses(&[1000, 40_000], 1050..31_000, false), [40_000]);
         assert_eq!(presses(&[1000], 1050..1150, false), [1150]);
@@ -372,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn a_simulated_operator_tries_anew_where_a_press_was_not_answered() {
+    fn simulated_operator_retries_after_unanswered_press() {
         let mut operator = ClutchOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
         operator.begin(0);
         assert!(operator.at(0, LadderState::Disengaged, false), "the start is a press");
@@ -396,7 +402,7 @@ mod tests {
     }
 
     #[test]
-    fn a_start_of_long_ago_is_let_go_of_once() {
+    fn old_start_is_released_once() {
         for (clutch, was_pressed) in [
             (Clutch::Once, true),
             (Clutch::Auto { reaction_ns: 500 * MS }, false),
@@ -413,7 +419,7 @@ mod tests {
         let mut operator = ClutchOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
         operator.begin(0);
         assert!(operator.at(0, Aligning, false));
-        assert!(!operator.at(MS, Hold, true), "it lets go");
+        assert!(!operator.at(MS, Hold, true), "the clutch is released");
         assert!(!operator.at(2 * MS, LadderState::Fault, true));
         assert!((3..3000).all(|now| !operator.at(now * MS, LadderState::Disengaged, true)));
         operator.press_again();
@@ -422,7 +428,7 @@ mod tests {
     }
 
     #[test]
-    fn who_has_let_go_presses_only_when_requested() {
+    fn released_operator_presses_only_when_requested() {
         let mut operator = ClutchOperator::new(Clutch::Once).unwrap();
         operator.begin(0);
         operator.release_clutch();
@@ -438,7 +444,7 @@ mod button_tests {
 
     const MS: u64 = 1_000_000;
 
-    /// Levels from when on, in ms, and at which ticks the button counts as pressed.
+    /// Spans in ms in which the button counts as pressed, for levels that each begin at a time in ms.
     fn pressed(samples: &[(u64, Option<bool>)], stall_ms: Option<u64>, end_ms: u64) -> Vec<(u64, u64)> {
         let (mut button, mut spans) = (Button::default(), Vec::<(u64, u64)>::new());
         for now in 0..end_ms {
@@ -457,7 +463,7 @@ mod button_tests {
     }
 
     #[test]
-    fn a_button_is_there_once_it_was_seen() {
+    fn button_exists_once_seen() {
         let mut button = Button::default();
         assert!(!button.is_there());
         assert_eq!(button.at(0, None), None);
@@ -469,7 +475,7 @@ mod button_tests {
     }
 
     #[test]
-    fn a_button_that_is_held_long_after_the_start_is_no_press() {
+    fn late_first_press_does_not_count() {
         let mut button = Button::default();
         button.must_be_released();
         assert!((0..50).all(|now| button.at(now * MS, Some(true)) == Some(false)));
@@ -478,7 +484,7 @@ mod button_tests {
     }
 
     #[test]
-    fn a_button_that_is_let_go_of_by_a_command_is_open_while_it_is_held() {
+    fn button_released_by_command_stays_open_while_held() {
         let mut button = Button::default();
         assert!((0..50).all(|now| button.at(now * MS, Some(now >= 30)) == Some(now >= 30)));
         button.must_be_released();
@@ -488,7 +494,7 @@ mod button_tests {
     }
 
     #[test]
-    fn what_a_contact_does_while_it_is_held_is_no_press() {
+    fn contact_bounce_is_not_a_press() {
         let (open, closed) = (Some(false), Some(true));
         for (name, samples, stall_ms, expected) in [
             ("no button", vec![(0, None)], None, vec![]),

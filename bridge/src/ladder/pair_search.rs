@@ -1,14 +1,22 @@
-//! Every state that two ladders can reach over a bad link, and what must hold in each.
+//! Search of every state that two ladders can reach over a bad link, with the conditions that each state must
+//! meet.
 //!
-//! Two real [`Ladder`]s with their real [`LadderInputs`] and the master's [`Button`] step every 100 ms. Between two
-//! steps an operator presses or releases at will and acknowledges faults, and of each direction's frame the link
-//! delivers it, loses it, or delivers one that it has kept instead. Beyond that it has a number of events: it keeps a
-//! frame for as long as it likes, a side is started anew, ends in good order, falls asleep for as long as it likes, or
-//! has a fault, and somebody writes a false end of one side to the other. A side that has ended may be started anew.
-//! Of a slave that is turned to its master before it engages, each tick finds anew that it is to be turned, that it has
-//! arrived or that it is too far off. Nothing bounds the time: times count from now and up to where they make no difference, so that the states are
-//! finite. Without events all are visited, with one of them those that few moves lead to; `HAPTETHER_SEARCH_EVENTS` and
-//! `HAPTETHER_SEARCH_STATES` request more.
+//! Two real [`Ladder`]s with their real [`LadderInputs`] and the master's [`Button`] step every 100 ms.
+//! Between two steps an operator may press, release and acknowledge faults. In each direction the link
+//! delivers the frame, loses it, or delivers a frame that it stored earlier.
+//!
+//! In addition a run has a number of events:
+//!
+//! - The link stores a frame for any time.
+//! - A side restarts, ends in an orderly way, sleeps for any time, or has a fault.
+//! - An attacker sends one side a false end of the other.
+//!
+//! A side that has ended may be restarted without an event. If the slave turns to its master before it
+//! engages, each tick chooses one result: still to turn, aligned, or too far.
+//!
+//! Time is unbounded. The search measures ages from the present and saturates them where they make no
+//! difference, so the states are finite. Without events the search visits all states; with one event it
+//! visits those that few moves reach. `HAPTETHER_SEARCH_EVENTS` and `HAPTETHER_SEARCH_STATES` request more.
 #![allow(clippy::cast_possible_truncation)] // small numbers of ticks
 
 use std::collections::{HashSet, VecDeque};
@@ -20,8 +28,8 @@ use super::{
 use crate::wire::Role;
 
 const TICK_NS: u64 = 100_000_000;
-/// HOLD where two frames are missing, STOP where three are, and a press that waits for five ticks, the fewest in which a
-/// direction can be cut for two round trips and return: short times make few states.
+/// Short times keep the number of states small. Two missing frames lead to HOLD, three to STOP. A press waits
+/// for five ticks: the fewest in which a direction can be cut for two round trips and return.
 const SETTINGS: LadderSettings = LadderSettings {
     stale_after_ns: 5_000_000,
     hold_after_ns: 50_000_000,
@@ -32,12 +40,12 @@ const SETTINGS: LadderSettings = LadderSettings {
     align_ns: 5 * TICK_NS,
 };
 const ALIGN: u64 = SETTINGS.align_ns / TICK_NS;
-/// The measured round trip in ticks: the shortest in whose double an answer arrives.
+/// Measured round trip in ticks: the shortest for which an answer arrives within twice its value.
 const ROUND_TRIP: u64 = 1;
-/// By how old a press a slave may engage: the master says for `align` that it aligns, and says so in a frame that is at
-/// most as old again.
+/// Largest age in ticks of a press by which a slave may engage. The master reports ALIGNING for `align`, and
+/// its last such frame may be as old again.
 const SLAVE_PRESS: u64 = 2 * ALIGN + 1;
-/// Where an age makes no difference any more.
+/// Age in ticks from which on ages make no difference.
 const OLD: u64 = SLAVE_PRESS + 1;
 const MASTER: usize = 0;
 const SLAVE: usize = 1;
@@ -45,7 +53,7 @@ const SLAVE: usize = 1;
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Sent {
     session: u64,
-    /// The tick at which it was sent, too.
+    /// Also the tick at which it was sent.
     sequence: u64,
     state: LadderState,
     clutch: bool,
@@ -61,9 +69,9 @@ struct Side {
     session: u64,
     newest: Option<(Sent, u64)>,
     asleep: bool,
-    /// It has ended: at rest, and its frames say so.
+    /// True if the side has ended: it rests, and its frames say so.
     ended: bool,
-    /// What it last heard is an end of its peer.
+    /// True if its newest input was an end of its peer.
     peer_ended: bool,
 }
 
@@ -74,8 +82,8 @@ impl Side {
         Self { ladder, inputs, session, newest: None, asleep: false, ended: false, peer_ended: false }
     }
 
-    /// As [`crate::FrameLink`]: what is newer, and another session once this one is silent. Of the session's sake, none
-    /// that was before.
+    /// Accept frames like [`crate::FrameLink`]: newer ones, and a newer session once the present one is
+    /// silent. The session layer excludes older sessions.
     fn receive(&mut self, now: u64, frame: Sent, engages: bool) -> bool {
         let Some((newest, arrived)) = self.newest else {
             (self.newest, self.peer_ended) = (Some((frame, now)), frame.ended);
@@ -130,22 +138,23 @@ impl Side {
     }
 }
 
-/// The press that the operator did last, as this search itself remembers it.
+/// Last press of the operator, as the search itself remembers it.
 #[derive(Clone, Copy, Debug)]
 struct Press {
     tick: u64,
-    /// Whether the side has since neither held nor had a fault nor let it end, nor was the peer that it knew restarted.
+    /// Per side: false after a hold, a fault, an end, or a restart of the peer that it knew.
     counts: [bool; 2],
-    /// Whether it was since this master was started.
+    /// True if it happened in this run of the master.
     of_this_life: bool,
 }
 
-/// What a side was shown of its peer, as this search itself remembers it.
+/// Reports that a side received from its peer, as the search itself remembers them.
 #[derive(Clone, Copy, Debug, Default)]
 struct Shown {
-    /// In this life of both, the peer has said that it hears this side.
+    /// True if the peer has said, in the present runs of both, that it hears this side.
     was_heard: bool,
-    /// Since when each frame that has arrived while a press waits says that the peer stands in STOP or FAULT or is deaf.
+    /// Tick since which every frame that arrived during a waiting press says that the peer is in STOP or
+    /// FAULT, or deaf.
     apart: Option<u64>,
 }
 
@@ -155,34 +164,34 @@ struct Pair {
     sides: [Side; 2],
     level: bool,
     button: Button,
-    /// Of each side, what it has sent at the last tick.
+    /// Frame of each side from the last tick.
     fresh: [Option<Sent>; 2],
-    /// Of each side, what the link has kept.
+    /// Frame of each side that the link has stored.
     kept: [Option<Sent>; 2],
     events: u8,
     press: Press,
     shown: [Shown; 2],
-    /// Whether the slave is turned to the master before it engages.
+    /// True if the slave turns to the master before it engages.
     aligns: bool,
 }
 
-/// What the link does with the frames of a direction at a tick.
+/// Fate of a direction's frame at a tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fate {
     Delivered,
     Lost,
-    /// Lost, and what was kept is delivered.
+    /// Lost; the stored frame is delivered instead.
     KeptDelivered,
-    /// Kept, and not delivered now.
+    /// Stored, and not delivered now.
     Kept,
 }
 
 #[derive(Clone, Copy, Debug)]
 enum Move {
-    /// A tick: whether the operator moves the button, what becomes of the frames of each side, whether sleepers wake, how
-    /// the slave is turned.
+    /// Tick: whether the operator moves the button, fate of each side's frame, whether sleepers wake, and
+    /// alignment of the slave.
     Tick(bool, [Fate; 2], bool, AlignmentState),
-    /// Whether the clutch is pressed at the start of a master.
+    /// Restart of a side; for a master, whether the clutch is pressed at its start.
     Restart(usize, bool),
     Sleep(usize),
     Fault(usize),
@@ -243,7 +252,7 @@ impl Pair {
         };
         for forward in fates(MASTER) {
             for backward in fates(SLAVE) {
-                // Both at once cost two events.
+                // Storing both frames at once costs two events.
                 if forward == Fate::Kept && backward == Fate::Kept {
                     continue;
                 }
@@ -279,7 +288,7 @@ impl Pair {
         moves
     }
 
-    /// Does something to a side between two ticks, and notes where it made a release necessary.
+    /// Change a side between two ticks, and record whether that made a release necessary.
     fn at(&mut self, side: usize, does: impl FnOnce(&mut Side)) {
         let before = self.sides[side].ladder.closings();
         does(&mut self.sides[side]);
@@ -288,7 +297,7 @@ impl Pair {
 
     fn does(&mut self, what: Move) -> Result<(), String> {
         let now_ns = self.now * TICK_NS;
-        // What has ended is started anew in the course of things.
+        // Restarting an ended side costs no event.
         let is_free = match what {
             Move::Acknowledge(_) => true,
             Move::Restart(side, _) => self.sides[side].ended,
@@ -309,7 +318,7 @@ impl Pair {
                 self.sides[MASTER] = Side::new(Role::Master, session);
                 self.shown[MASTER] = Shown::default();
                 (self.button, self.level) = (Button::default(), pressed);
-                // Frames of the master that is gone may still be in flight: to the slave it lives until it is silent.
+                // Frames of the old master may still be in flight: for the slave it lives until it is silent.
                 (self.press.counts[MASTER], self.press.of_this_life) = (false, false);
                 if pressed {
                     self.presses();
@@ -318,9 +327,10 @@ impl Pair {
             Move::Restart(..) => {
                 let session = self.sides[SLAVE].session + 1;
                 self.shown[SLAVE] = Shown::default();
-                // Frames of the slave that is gone may still be in flight, as those of a master.
+                // Frames of the old slave may still be in flight, like those of a master.
                 self.sides[SLAVE] = Side::new(Role::Slave, session);
-                // What the old one had says nothing of the new one: a press that waits at the master may reach it.
+                // The old slave's history does not bind the new one: a press that waits at the master may
+                // reach it.
                 self.press.counts[SLAVE] = self.press.counts[MASTER];
             }
         }
@@ -351,11 +361,11 @@ impl Pair {
                 self.press.counts = [false; 2];
             }
             if to == SLAVE && begins && self.sides[SLAVE].ladder.state() != LadderState::Fault {
-                // It may follow whatever the new master's operator has pressed.
+                // It may follow any press of the new master's operator.
                 self.press.counts[SLAVE] = self.press.of_this_life;
             }
         }
-        // As in a loop: first what has arrived, then the button.
+        // As in a loop: arrivals first, then the button.
         if moves_button {
             self.level = !self.level;
             if self.level {
@@ -386,8 +396,8 @@ impl Pair {
         Ok(())
     }
 
-    /// Notes what the frame says that has just arrived, if it is the newest: a press that waits for two round trips while
-    /// each says that the peer does not take it counts no more.
+    /// Record the frame that has just arrived, if it is the newest. A press stops counting once frames have
+    /// refused it for two round trips.
     fn show(&mut self, to: usize, begins: bool) {
         let Side { ladder, newest, session, .. } = &self.sides[to];
         let Some((frame, arrived)) = newest else { return };
@@ -410,7 +420,7 @@ impl Pair {
         }
     }
 
-    /// What must hold of a side after its step.
+    /// Check the conditions of a side after its step.
     fn check(&self, side: usize, before: LadderState, counted: bool) -> Result<(), String> {
         let Side { ladder, newest, ended, .. } = &self.sides[side];
         if *ended {
@@ -422,21 +432,24 @@ impl Pair {
         };
         if state.is_coupled() && !before.is_coupled() {
             let most = [ALIGN, SLAVE_PRESS][side];
-            hold(self.now - self.press.tick <= most, "coupled by no press, or an old one")?;
+            hold(self.now - self.press.tick <= most, "coupled without a recent press")?;
             hold(
                 counted,
-                "coupled by a press of before the last hold, fault, end or restart, or that was refused",
+                "coupled by a refused press, or one from before the last hold, fault, end or restart",
             )?;
         }
         let moves = state.is_coupled() || ladder.turns();
         if ladder.turns() {
-            hold(side == SLAVE && state == LadderState::Aligning, "turned elsewhere")?;
-            hold(self.now - self.press.tick <= SLAVE_PRESS, "turned by no press, or an old one")?;
-            hold(counted, "turned by a press of before the last hold, fault, end or restart")?;
+            hold(
+                side == SLAVE && state == LadderState::Aligning,
+                "turned outside ALIGNING, or at the master",
+            )?;
+            hold(self.now - self.press.tick <= SLAVE_PRESS, "turned without a recent press")?;
+            hold(counted, "turned by a press from before the last hold, fault, end or restart")?;
         }
         if self.aligns && side == MASTER && state.is_coupled() && !before.is_coupled() {
             let engaged = newest.is_some_and(|(frame, _)| frame.state.is_coupled());
-            hold(engaged, "coupled to an arm that is being turned")?;
+            hold(engaged, "coupled to an arm that still turns")?;
         }
         let aligning = self.now - ladder.aligning_ns / TICK_NS;
         hold(state != LadderState::Aligning || aligning < ALIGN, "aligns for too long")?;
@@ -445,36 +458,36 @@ impl Pair {
             hold(!moves || !missing, "coupled to a silent peer")?;
             let open = side == SLAVE && !frame.clutch;
             let apart = frame.state.is_held() || frame.state == LadderState::Disengaged || open;
-            hold(!moves || !apart, "coupled to a peer that is not")?;
+            hold(!moves || !apart, "coupled to an uncoupled peer")?;
             let gone = missing && self.now - arrived > 1 + SETTINGS.stop_after_ns.div_ceil(TICK_NS);
-            // A press into a dead link shows for a tick.
+            // A press into a dead link shows for one tick.
             let goes_on = state == LadderState::Aligning && before == state;
             hold(!goes_on || !gone, "aligns with a silent peer")?;
         } else {
-            hold(!moves, "coupled to nobody")?;
+            hold(!moves, "coupled without a peer")?;
         }
         Ok(())
     }
 
-    /// All that its future depends on: states with the same key go on alike. A field that is new must be considered
-    /// here.
+    /// Key of all fields that the future depends on: states with equal keys behave alike. Consider every new
+    /// field here.
     fn key(&self) -> Vec<u8> {
         let mut key = Vec::with_capacity(64);
         let age = |tick: u64, most: u64| (self.now - tick).min(most) as u8;
-        // A sequence is compared with what made a release necessary, with the press that waits, and with the present.
+        // Sequences are compared with the necessary release, with the waiting press and with the present.
         let number = |side: usize, number: u64| {
             let Side { ladder, inputs, .. } = &self.sides[side];
             let pressed = ladder.state == LadderState::Aligning && number >= inputs.pressed_sequence;
             let answers = number >= inputs.closed_sequence;
             age(number, ALIGN + 1) << 2 | u8::from(answers) << 1 | u8::from(pressed)
         };
-        // Sessions end one by one; how many before the living one makes no difference beyond one.
+        // Sessions end in order, so all sessions before the previous one are equivalent.
         let session = |side: usize, session: u64| (self.sides[side].session - session).min(2) as u8;
         let frame = |key: &mut Vec<u8>, from: usize, frame: Option<&Sent>| {
             let Some(Sent { session: of, sequence, state, clutch, hears, echo, ended }) = frame else {
                 return key.push(0xFF);
             };
-            // None that is older than the newest of its session is taken.
+            // A frame older than the newest of its session is never accepted.
             let newer = self.sides[1 - from].newest.is_none_or(|(newest, _)| {
                 newest.session < *of || newest.session == *of && newest.sequence < *sequence
             });
@@ -493,7 +506,7 @@ impl Pair {
                 gain: _,
                 last_ns: _,
                 last_sound_ns,
-                // Of the last step, and in what it has sent.
+                // Belongs to the last step, and is in the frame that it sent.
                 hears: _,
                 ready: _,
                 excess_ns: _,
@@ -514,14 +527,14 @@ impl Pair {
             let shown = self.shown[side];
             let flags_of_peer = [*turns, *was_heard, shown.was_heard];
             key.push(flags_of_peer.iter().fold(state.code(), |bits, flag| bits << 1 | u8::from(*flag)));
-            // Of a press that waits only.
+            // Only during a waiting press.
             let apart = |since: Option<u64>| match since {
                 Some(since) if *state == LadderState::Aligning => age(since, 2 * ROUND_TRIP),
                 _ => 0xF,
             };
             key.push(apart(apart_since_ns.map(|since| since / TICK_NS)) << 4 | apart(shown.apart));
             key.push(flags.iter().fold(0, |bits, flag| bits << 1 | u8::from(*flag)));
-            // It leads from HOLD to STOP only, and begins anew where the two engage.
+            // It matters only for HOLD to STOP, and restarts on engaging.
             let sound = last_sound_ns.filter(|_| state.is_coupled() || *state == LadderState::Hold);
             key.push(sound.map_or(0xFF, |at| age(at / TICK_NS, 3)));
             key.push(if *state == LadderState::Aligning { age(aligning_ns / TICK_NS, ALIGN) } else { 0 });
@@ -530,7 +543,7 @@ impl Pair {
             frame(&mut key, side, self.fresh[side].as_ref());
             frame(&mut key, side, self.kept[side].as_ref());
         }
-        // Ticks are longer than a contact bounces: of its times the button goes by none.
+        // A tick is longer than a contact bounce, so the button's times do not matter.
         let Button { level, closed, unknown, released_ns: _, pressed_ns: _ } = self.button;
         let Press { tick, counts, of_this_life } = self.press;
         let old = self.now - tick >= OLD || counts == [false; 2] && !of_this_life;
@@ -546,7 +559,7 @@ impl Pair {
     }
 }
 
-/// Visits states in the order of how many moves lead to them, until there are none that are new or `most` were seen.
+/// Visit states in order of their number of moves, until no new state is left or `most` states were seen.
 fn search(events: u8, most: usize, aligns: bool) -> [[u64; 7]; 2] {
     let mut left: VecDeque<(Pair, u32)> =
         [false, true].map(|pressed| (Pair::start(pressed, events, aligns), 0)).into_iter().collect();
@@ -579,7 +592,7 @@ fn search(events: u8, most: usize, aligns: bool) -> [[u64; 7]; 2] {
 }
 
 #[test]
-fn no_state_of_two_ladders_couples_without_a_press_of_the_last_moment() {
+fn no_reachable_state_couples_without_a_recent_press() {
     let setting = |name: &str| std::env::var(name).ok().map(|text| text.parse::<usize>().unwrap());
     if let Some(events) = setting("HAPTETHER_SEARCH_EVENTS") {
         for aligns in [false, true] {
@@ -587,8 +600,8 @@ fn no_state_of_two_ladders_couples_without_a_press_of_the_last_moment() {
         }
         return;
     }
-    // With presses and losses alone, all states that there are.
-    // With restarts, stalls, faults and frames that are kept, those that few moves lead to.
+    // Presses and losses only: visit all states. With one restart, stall, fault or stored frame: visit the
+    // states that few moves reach.
     for aligns in [false, true] {
         let reached = search(0, usize::MAX, aligns);
         assert!(

@@ -1,26 +1,27 @@
-//! When a diagnosis is told to those who look, to recording and telemetry: live and in virtual time the same.
+//! Timing of diagnosis reports: to the caller, to recording and to telemetry, live and in virtual time alike.
 
 use super::Diagnosis;
 
-/// A diagnosis is reported once it has stood for this long in ns: the text of a peer arrives in pieces.
+/// Time in ns that a diagnosis must last before it is reported, because the text of a peer arrives in pieces.
 const SETTLED_NS: u64 = 50_000_000;
 
-/// Why the two sides are not coupled, and whether that was reported.
+/// Newest diagnosis, and whether it was reported.
 pub(crate) struct DiagnosisReport {
     newest: Option<Diagnosis>,
     since_ns: u64,
     is_reported: bool,
-    /// Whether recording and telemetry have it: they do not wait for those who look.
+    /// True if recording and telemetry have it: they do not wait for the reader of diagnoses.
     is_noted: bool,
 }
 
 impl DiagnosisReport {
-    /// Nothing stands since `start_ns`.
+    /// Start at `start_ns` without a diagnosis.
     pub(crate) fn new(start_ns: u64) -> Self {
         Self { newest: None, since_ns: start_ns, is_reported: true, is_noted: true }
     }
 
-    /// Takes the newest of a run in virtual time, and returns it once it has stood for long enough; at the end at once.
+    /// Take the newest diagnosis of a virtual-time run. Returns it once it has lasted long enough; at the end
+    /// at once.
     pub(crate) fn settled(
         &mut self,
         now_ns: u64,
@@ -32,7 +33,7 @@ impl DiagnosisReport {
         self.newest.filter(|_| is_due)
     }
 
-    /// Takes the newest; whether it is still to be reported.
+    /// Take the newest diagnosis; return whether it is still to be reported.
     pub(crate) fn is_unreported(&mut self, newest: Option<&Diagnosis>) -> bool {
         if self.newest.as_ref() != newest {
             (self.newest, self.is_reported, self.is_noted) = (newest.copied(), false, false);
@@ -40,9 +41,9 @@ impl DiagnosisReport {
         !self.is_reported
     }
 
-    /// Takes the newest; whether it has stood for long enough, and is still to be reported.
+    /// Take the newest diagnosis; return whether it has lasted long enough and is still to be reported.
     pub(crate) fn is_due(&mut self, now_ns: u64, newest: Option<&Diagnosis>) -> bool {
-        // More text on the same case, or a link that comes and goes, do not put off what was not reported yet.
+        // More text on the same case, or an intermittent link, must not delay a pending report.
         let is_same_case = |before: &Diagnosis| newest.is_some_and(|newest| before.is_same_case(newest));
         if self.newest.as_ref() != newest
             && (self.is_reported || !self.newest.as_ref().is_some_and(is_same_case))
@@ -52,8 +53,8 @@ impl DiagnosisReport {
         self.is_unreported(newest) && now_ns.saturating_sub(self.since_ns) >= SETTLED_NS
     }
 
-    /// Reports it: `take` says whether whoever looks has room for it, and is asked again at the next tick where not;
-    /// `note` has it once.
+    /// Report the diagnosis. `take` returns whether its reader had room; if not, the next tick calls it
+    /// again. `note` gets the diagnosis once.
     pub(crate) fn report(
         &mut self,
         take: impl FnOnce(Option<Diagnosis>) -> bool,

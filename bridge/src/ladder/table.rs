@@ -1,4 +1,4 @@
-//! States, and what leads from one to another: the table, and the diagram that is drawn from it.
+//! States and transitions of the ladder: the table, and the diagram drawn from it.
 
 use std::fmt::Write as _;
 
@@ -10,40 +10,41 @@ use Reason::{
     TurnRefused,
 };
 
-/// Where an endpoint stands, in increasing order of what has gone wrong.
+/// State of an endpoint, in increasing order of severity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LadderState {
-    /// Not coupled: the master moves freely and the slave holds. Before the first press, while the clutch is open, and
-    /// after a press that was not answered in time.
+    /// Not coupled: the master moves freely and the slave holds. State before the first press, while the
+    /// clutch is open, and after an unanswered press.
     Disengaged,
-    /// The clutch is pressed; waits until the other side says the same, but no longer than `LadderSettings::align_ns`.
-    /// An arm that aligns orientations is turned to the master meanwhile.
+    /// The clutch is pressed. The side waits until the other side is aligned too, for at most
+    /// `LadderSettings::align_ns`. An arm that aligns its orientation turns to the master meanwhile.
     Aligning,
     /// Coupled.
     Engaged,
-    /// Coupled, but the peer's frames are late: the slave goes on with a velocity that decays to zero.
+    /// Coupled, but the peer's frames are late: the slave continues with a velocity that decays to zero.
     Stale,
-    /// The peer is silent: the slave holds, the master's force fades to zero. Left by a new press of the clutch only.
+    /// The peer is silent: the slave holds, the master's force fades to zero. Ends with a new press of the
+    /// clutch only.
     Hold,
-    /// Silent for too long. Latched: left by a new press of the clutch, or at a slave by a master that was started
-    /// anew.
+    /// The peer is silent for too long. Latched: ends with a new press of the clutch, or at a slave with a
+    /// restarted master.
     Stop,
-    /// A number that cannot be. Latched: left by a local act at this side only.
+    /// An invalid number, or a failed device. Latched: ends with an acknowledgement at this side only.
     Fault,
 }
 
 impl LadderState {
-    /// All states in the order of their codes.
+    /// All states, in the order of their codes.
     pub const ALL: [Self; 7] =
         [Self::Disengaged, Self::Aligning, Self::Engaged, Self::Stale, Self::Hold, Self::Stop, Self::Fault];
 
-    /// The state's byte on the wire and in records.
+    /// Byte of the state on the wire and in records.
     pub const fn code(self) -> u8 {
         self as u8
     }
 
-    /// The state's name in tables.
+    /// Name of the state in tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Disengaged => "disengaged",
@@ -56,83 +57,84 @@ impl LadderState {
         }
     }
 
-    /// The state with that byte.
+    /// State with this code, if there is one.
     pub fn from_code(code: u8) -> Option<Self> {
         Self::ALL.get(usize::from(code)).copied()
     }
 
-    /// Whether the slave follows and the master renders.
+    /// Return whether the slave follows and the master renders.
     pub const fn is_coupled(self) -> bool {
         matches!(self, Self::Engaged | Self::Stale)
     }
 
-    /// Whether the clutch's press was taken up: coupled, or about to be.
+    /// Return whether the press of the clutch is in effect: the side is coupled or about to be.
     pub const fn is_aligned(self) -> bool {
         matches!(self, Self::Aligning | Self::Engaged | Self::Stale)
     }
 
-    /// Whether something is wrong, so that nothing but a deliberate act couples again.
+    /// Return whether something is wrong, so that only a deliberate act couples again.
     pub const fn is_held(self) -> bool {
         matches!(self, Self::Hold | Self::Stop | Self::Fault)
     }
 }
 
-/// Why a state was left.
+/// Reason of a transition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Reason {
-    /// A number that is not finite or absurd was met, or the device says that it has failed.
+    /// A number is not finite or out of range, or the device reports a failure.
     BadNumber = 1,
-    /// This side's own loop was late: what it knows is old.
+    /// This side's own loop was late, so its knowledge is old.
     OwnDelay,
     /// The peer began a new run.
     PeerRestarted,
-    /// Nothing new from the peer for longer than `hold_after`.
+    /// No new frame of the peer for longer than `hold_after`.
     PeerSilent,
     /// The peer does not hear this side.
     PeerDeaf,
-    /// The peer stands in HOLD.
+    /// The peer is in HOLD.
     PeerHolds,
-    /// The peer stands in STOP.
+    /// The peer is in STOP.
     PeerStopped,
-    /// The peer stands in FAULT.
+    /// The peer is in FAULT.
     PeerFaulted,
     /// The clutch was released.
     ClutchReleased,
-    /// The clutch was pressed, after a release that was seen since the state began.
+    /// The clutch was pressed, after an observed release if one was necessary.
     ClutchPressed,
-    /// Both hear one another, and both have seen the press.
+    /// Both sides hear each other, and both know of the press.
     BothAligned,
-    /// Nothing new from the peer for longer than `stale_after`.
+    /// No new frame of the peer for longer than `stale_after`.
     FramesLate,
-    /// The peer's frames are back.
+    /// The peer's frames are in time again.
     FramesBack,
     /// No sound peer for longer than `stop_after`.
     SilentTooLong,
-    /// A master was started anew, which is a person's act.
+    /// A person restarted the master.
     MasterStartedAnew,
     /// The operator at this side has acknowledged the fault.
     Acknowledged,
-    /// The newest of the peer may be older than the link is used to by more than `hold_after`.
+    /// The peer's newest state may be older than the baseline of the link by more than `hold_after`.
     NewsOld,
-    /// The peer has ended in good order.
+    /// The peer has ended in an orderly way.
     PeerEnded,
-    /// The two did not align within `align` of the press.
+    /// The two sides did not align within `align` after the press.
     AlignTimedOut,
     /// The peer is disengaged while this side is coupled and its clutch closed.
     PeerDisengaged,
-    /// The slave is turned further from the master than it may turn before it engages.
+    /// The slave's orientation differs from the master's by more than the alignment allows.
     TurnRefused,
-    /// While the slave turned to the master, the two ceased to hear one another, or the master to wait for it.
+    /// While the slave turned to the master, one side no longer heard the other, or the master stopped
+    /// waiting.
     TurnCut,
-    /// After a trip no hand has answered a probe or moved the device, in all tries.
+    /// After a trip, no hand answered a probe or moved the device in any try.
     HandGone,
-    /// After a trip a hand was felt, but did not bear the force that came back, in all tries.
+    /// After a trip, a hand was felt, but it yielded to the returning force in every try.
     HandYields,
 }
 
 impl Reason {
-    /// All reasons in the order of their codes.
+    /// All reasons, in the order of their codes.
     pub const ALL: [Self; 24] = [
         BadNumber,
         OwnDelay,
@@ -160,17 +162,17 @@ impl Reason {
         HandYields,
     ];
 
-    /// Its number in records, from 1; 0 stands for none.
+    /// Number of the reason in records, from 1; 0 stands for none.
     pub const fn code(self) -> u8 {
         self as u8
     }
 
-    /// The reason with that number.
+    /// Reason with this number, if there is one.
     pub fn from_code(code: u8) -> Option<Self> {
         Self::ALL.get(usize::from(code).checked_sub(1)?).copied()
     }
 
-    /// The text that the operator reads.
+    /// Text for the operator.
     pub const fn text(self) -> &'static str {
         match self {
             BadNumber => "a number that cannot be, or the device failed",
@@ -201,14 +203,14 @@ impl Reason {
     }
 }
 
-/// One row: in state `from`, `reason` leads to state `to`.
+/// Row of the table: in state `from`, `reason` leads to state `to`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Row {
-    /// Where it stands.
+    /// State before.
     pub from: LadderState,
-    /// What is the case.
+    /// Reason of the transition.
     pub reason: Reason,
-    /// Where that leads.
+    /// State after.
     pub to: LadderState,
 }
 
@@ -216,20 +218,23 @@ const fn row(from: LadderState, reason: Reason, to: LadderState) -> Row {
     Row { from, reason, to }
 }
 
-/// The ladder. Of a state's rows the first whose reason is the case counts: what is worse stands first.
+/// Transitions of the ladder. The first row of a state whose reason applies decides, so severe reasons come
+/// first.
 ///
-/// A press counts in HOLD and STOP only while both sides hear one another and the peer knows of the hold: a press
-/// into a dead link must not couple whenever the link is back. In DISENGAGED it waits, visibly, as ALIGNING, which
-/// ends with the press: a peer that is silent for `stop_after`, restarted, in FAULT, has ended, or has not aligned
-/// within `align` leads back to DISENGAGED, and a release and a press after that lead out again. So does a peer that has
-/// heard this side before and then says, for two round trips, that it stands in STOP or does not hear it.
+/// In HOLD and STOP a press counts only while both sides hear each other and the peer knows of the hold. A
+/// press into a dead link must not couple when the link returns.
 ///
-/// Where the slave is turned to the master before it engages, a late loop, a peer that is not heard for as long as
-/// leads to HOLD elsewhere, and an angle that is too large end its press as well: an arm that moves is not left to a
-/// press that nobody can take back.
+/// In DISENGAGED a press waits visibly as ALIGNING. It ends there, back to DISENGAGED, if the peer is silent
+/// for `stop_after`, restarts, faults, ends, or does not align within `align`. It also ends if the peer
+/// refuses it: a peer that has heard this side reports STOP or deafness for two round trips. A release and
+/// another press start again.
 ///
-/// An end of the peer leads to less force only, so that nobody gains by a false one. A fault of a peer that ends says
-/// more than its end, and its end more than the silence after it.
+/// If the slave turns to the master before it engages, three more events end the press. These are a late
+/// loop, silence for the time that leads to HOLD elsewhere, and too large an angle. A moving arm must not
+/// depend on a press that can no longer be revoked.
+///
+/// The end of a peer only reduces the force, so a false end gains nothing. A fault of an ending peer takes
+/// precedence over its end, and its end over the silence that follows.
 pub const TABLE: &[Row] = &[
     row(Disengaged, BadNumber, Fault),
     row(Disengaged, ClutchPressed, Aligning),
@@ -286,24 +291,24 @@ pub const TABLE: &[Row] = &[
     row(Fault, Acknowledged, Disengaged),
 ];
 
-/// Reasons that are the case at once.
+/// Set of reasons that apply at the same time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Facts(u32);
 
 impl Facts {
-    /// These and, if `holds`, that one.
+    /// Add `reason` if `holds` is true.
     #[must_use]
     pub const fn with(self, reason: Reason, holds: bool) -> Self {
         Self(self.0 | (holds as u32) << reason.code())
     }
 
-    /// These but that one.
+    /// Remove `reason`.
     #[must_use]
     pub const fn without(self, reason: Reason) -> Self {
         Self(self.0 & !(1 << reason.code()))
     }
 
-    /// What is the case by where the peer stands, as far as that is a reason.
+    /// Facts that follow from the state of the peer.
     pub(super) const fn of_peer(state: LadderState) -> Self {
         let nothing = Self(0);
         match state {
@@ -315,13 +320,13 @@ impl Facts {
         }
     }
 
-    /// Whether it is the case.
+    /// Return whether `reason` applies.
     pub const fn has(self, reason: Reason) -> bool {
         self.0 & 1 << reason.code() != 0
     }
 }
 
-/// Of each state, which reasons have a row: at most ticks none of them is the case.
+/// For each state, the set of reasons with a row. At most ticks none of them applies.
 const LEAVING: [Facts; LadderState::ALL.len()] = {
     let mut leaving = [Facts(0); LadderState::ALL.len()];
     let mut index = 0;
@@ -333,8 +338,8 @@ const LEAVING: [Facts; LadderState::ALL.len()] = {
     leaving
 };
 
-/// [`Ladder::stays_engaged`](super::Ladder) asks for the opposite of the first ones by itself, and no tick brings the last
-/// five, which acts and the peer's runs do: a row more of ENGAGED has to be asked for there.
+/// [`Ladder::stays_engaged`](super::Ladder) tests the opposite of the first ten reasons itself. No tick
+/// raises the last five: calls outside a tick raise them. A new row of ENGAGED must be tested there too.
 const _: () = {
     let reasons = [
         PeerFaulted,
@@ -362,7 +367,7 @@ const _: () = {
     assert!(LEAVING[Engaged as usize].0 == known.0);
 };
 
-/// Where `facts` lead from `state`, and which of them.
+/// First row of `state` whose reason is in `facts`.
 #[inline]
 pub fn next(state: LadderState, facts: Facts) -> Option<Row> {
     if LEAVING[state as usize].0 & facts.0 == 0 {
@@ -371,11 +376,11 @@ pub fn next(state: LadderState, facts: Facts) -> Option<Row> {
     TABLE.iter().find(|row| row.from == state && facts.has(row.reason)).copied()
 }
 
-/// The table as a diagram in the language of Mermaid.
+/// Draw the table as a Mermaid state diagram.
 pub fn diagram() -> String {
     let mut text = String::from("stateDiagram-v2\n    [*] --> DISENGAGED\n");
     let upper = |state: LadderState| state.name().to_uppercase();
-    // Rows with the same two ends share an arrow, in the order of the first of them.
+    // Rows with the same states share an arrow, at the position of the first of them.
     for (index, row) in TABLE.iter().enumerate() {
         let same = |other: &&Row| (other.from, other.to) == (row.from, row.to);
         if row.from == row.to || TABLE[..index].iter().any(|before| same(&before)) {
@@ -404,7 +409,7 @@ mod state_tests {
 mod tests {
     use super::*;
 
-    /// What ends a press that waits.
+    /// Reasons that end a waiting press.
     const ENDS: [Reason; 10] = [
         OwnDelay,
         PeerRestarted,
@@ -423,7 +428,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fact_comes_and_goes_alone() {
+    fn facts_are_independent() {
         let all = Reason::ALL.iter().fold(Facts::default(), |facts, reason| facts.with(*reason, true));
         for reason in Reason::ALL {
             for facts in [Facts::default(), all] {
@@ -439,13 +444,13 @@ mod tests {
         }
     }
 
-    /// Every state under every set of reasons: 7 times 16777216 cases.
+    /// Every state with every set of reasons: 7 times 16777216 cases.
     #[test]
-    fn every_state_under_all_that_can_be_the_case_at_once() {
+    fn every_state_with_every_set_of_reasons() {
         for state in LadderState::ALL {
             for facts in all_facts() {
                 let Some(row) = next(state, facts) else {
-                    // What must never be ignored.
+                    // Reasons that must never be ignored.
                     assert!(!facts.has(BadNumber) || state == Fault, "{state:?} {facts:?}");
                     let worse =
                         [OwnDelay, HandGone, HandYields, PeerSilent, PeerRestarted, NewsOld, PeerDisengaged];
@@ -457,13 +462,13 @@ mod tests {
                     assert_eq!(row.to, Fault);
                 }
                 match row.to {
-                    // Nobody is coupled but out of ALIGNING, and not by a press that is over, or out of STALE.
+                    // A side is coupled only out of ALIGNING, while its press is valid, or out of STALE.
                     Engaged => assert!(
                         (row.from, row.reason) == (Aligning, BothAligned)
                             && !ENDS.iter().any(|reason| facts.has(*reason))
                             || (row.from, row.reason) == (Stale, FramesBack)
                     ),
-                    // Nobody begins to align but by a press.
+                    // Only a press starts ALIGNING.
                     Aligning => assert_eq!(row.reason, ClutchPressed),
                     Stale => assert_eq!(row.from, Engaged),
                     Hold => assert!(row.from.is_coupled()),
@@ -480,9 +485,9 @@ mod tests {
         }
     }
 
-    /// One reason alone, written down by hand: the state's rows and nothing else.
+    /// Each reason by itself against a table written by hand: the state's rows and nothing else.
     #[test]
-    fn each_state_alone_with_each_reason() {
+    fn each_state_with_each_single_reason() {
         let coupled: &[(Reason, LadderState)] = &[
             (BadNumber, Fault),
             (OwnDelay, Hold),
@@ -546,7 +551,7 @@ mod tests {
     }
 
     #[test]
-    fn reasons_have_numbers_and_texts_of_their_own() {
+    fn reasons_have_unique_numbers_and_texts() {
         for (index, reason) in Reason::ALL.into_iter().enumerate() {
             assert_eq!(Reason::from_code(reason.code()), Some(reason));
             assert_eq!(usize::from(reason.code()), index + 1);
@@ -555,7 +560,7 @@ mod tests {
         assert_eq!((Reason::from_code(0), Reason::from_code(25)), (None, None));
     }
 
-    /// The diagram in the documentation is that of the table.
+    /// The diagram in the documentation equals that of the table.
     #[test]
     fn the_documentation_shows_this_table() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/ladder.md");

@@ -1,24 +1,25 @@
-//! How often what anybody may request is done: in all, for one host and for one address.
+//! Rate limits of requests that anybody may send: in total, per host and per address.
 
 use std::net::{IpAddr, SocketAddr};
 
-/// A budget that fills at a steady rate.
+/// Budget that refills at a steady rate.
 ///
 /// Source: ITU-T I.371, the generic cell rate algorithm, virtual scheduling.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Bucket {
-    /// When it is full again, in ns.
+    /// Time in ns at which the budget is full again.
     full_ns: u64,
 }
 
 impl Bucket {
-    /// Itself after one more at `now_ns`, if `burst` and one each `interval_ns` allow it.
+    /// Return the budget after one request at `now_ns`, if `burst` and one request per `interval_ns` allow
+    /// it.
     fn after(self, now_ns: u64, interval_ns: u64, burst: u64) -> Option<Self> {
         let full_ns = self.full_ns.max(now_ns).saturating_add(interval_ns);
         (full_ns - now_ns <= burst.saturating_mul(interval_ns)).then_some(Self { full_ns })
     }
 
-    /// Takes one, if there is one.
+    /// Take one request from the budget; return whether it was available.
     pub(crate) fn take(&mut self, now_ns: u64, interval_ns: u64, burst: u64) -> bool {
         let after = self.after(now_ns, interval_ns, burst);
         *self = after.unwrap_or(*self);
@@ -26,12 +27,14 @@ impl Bucket {
     }
 }
 
-/// At once, for all together, for one host, for one address.
+/// Largest burst in total, per host, and per address.
 const BURSTS: [u64; 3] = [8, 6, 4];
-/// Hosts, and addresses, that are kept apart; of more, that which has waited longest starts anew.
+/// Number of hosts, and of addresses, in the table. A new one replaces the one whose budget has been full the
+/// longest.
 const PLACES: usize = 32;
 
-/// A budget of which one host has half and one of its addresses a quarter, so that none takes it from the others.
+/// Budget shared by all senders: one host gets at most half, one address a quarter, so none takes it from the
+/// others.
 #[derive(Clone, Debug)]
 pub(crate) struct Shares {
     interval_ns: u64,
@@ -41,13 +44,13 @@ pub(crate) struct Shares {
 }
 
 impl Shares {
-    /// One each `interval_ns` in all.
+    /// Build a budget of one request per `interval_ns` in total.
     pub(crate) fn new(interval_ns: u64) -> Self {
         let none = Bucket::default();
         Self { interval_ns, all: none, hosts: [(None, none); PLACES], addresses: [(None, none); PLACES] }
     }
 
-    /// Takes one for `from`, if its share allows it; else nothing is taken from any.
+    /// Take one request for `from`; if any share does not allow it, take nothing and return false.
     pub(crate) fn take(&mut self, now_ns: u64, from: SocketAddr) -> bool {
         let host = host(from.ip());
         let [all, of_host, of_address] = BURSTS;
@@ -70,20 +73,20 @@ impl Shares {
 }
 
 impl Bucket {
-    /// Itself, or a full one for somebody else.
+    /// Return this budget if `is_same`, else a full one for a new sender.
     fn only_of(self, is_same: bool) -> Self {
         if is_same { self } else { Self::default() }
     }
 }
 
-/// Where somebody stands in the table, or the place that has waited longest.
+/// Index of `who` in the table, or of the entry whose budget has been full the longest.
 fn place<K: Copy + PartialEq>(table: &[(Option<K>, Bucket)], who: K) -> usize {
     let known = table.iter().position(|(key, _)| *key == Some(who));
     let longest = || table.iter().enumerate().min_by_key(|(_, (_, bucket))| bucket.full_ns).map(|(at, _)| at);
     known.or_else(longest).unwrap_or(0)
 }
 
-/// A host: of IPv6, the network of 64 bits that one host may draw its addresses from.
+/// Host of an address. For IPv6 it is the 64-bit network, because one host may choose any address in it.
 fn host(address: IpAddr) -> IpAddr {
     match address {
         IpAddr::V4(_) => address,
@@ -105,7 +108,7 @@ mod tests {
         text.parse().unwrap()
     }
 
-    /// How many of `from`, one each ms for `seconds`, round robin, are admitted.
+    /// Number of admitted requests from `from`, round robin, one per ms for `seconds`.
     fn taken(shares: &mut Shares, from: &[SocketAddr], seconds: u64) -> usize {
         let turns = from.iter().cycle();
         (0..seconds * 1000).zip(turns).filter(|(n, from)| shares.take(n * MS, **from)).count()
@@ -115,22 +118,22 @@ mod tests {
     fn an_address_has_a_quarter_a_host_half() {
         let (one, other) = (address("10.0.0.1:1"), address("10.0.0.1:2"));
         let far = address("10.0.0.2:1");
-        // At once and then one a second, two a second, four a second, for 10 s less the first moment.
+        // The burst, then one, two or four per second for 10 s, without the first moment.
         assert_eq!(taken(&mut Shares::new(250 * MS), &[one], 10), 4 + 9);
         let ports: Vec<_> = (1..30).map(|port| SocketAddr::new(one.ip(), port)).collect();
         assert!((24..=26).contains(&taken(&mut Shares::new(250 * MS), &ports, 10)));
         let hosts: Vec<_> = (1..30).map(|n| SocketAddr::from(([10, 0, 0, n], 1))).collect();
         assert!((46..=48).contains(&taken(&mut Shares::new(250 * MS), &hosts, 10)));
-        // Whoever floods from one address keeps nobody out: neither its host nor others.
+        // A flood from one address excludes nobody: neither its host nor other hosts.
         let mut shares = Shares::new(250 * MS);
         for n in 0..10_000 {
             shares.take(n * MS, one);
         }
-        // A moment before its next.
+        // Just before the next request of this address.
         let now_ns = 10 * SECOND - 1;
         assert!(!shares.take(now_ns, one));
         assert!(shares.take(now_ns, other) && shares.take(now_ns, far));
-        // Nor from all ports of one host: others have their half.
+        // A flood from all ports of one host leaves the other hosts their half.
         let mut shares = Shares::new(250 * MS);
         for port in 0..20_000_u16 {
             shares.take(u64::from(port) * MS / 2, SocketAddr::new(one.ip(), port));

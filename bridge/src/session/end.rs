@@ -1,4 +1,4 @@
-//! Both halves of one end on one thread: for virtual time, tests, and whoever ticks slowly enough.
+//! Both halves of one end on one thread: for virtual time, tests, and slow loops.
 
 use std::net::SocketAddr;
 
@@ -12,47 +12,47 @@ use super::{
     wire::{Rejection, Rejections},
 };
 
-/// The result of a datagram.
+/// Result of a datagram.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Received<'a> {
-    /// What the peer sealed.
+    /// A payload sealed by the peer.
     Payload {
-        /// The bytes.
+        /// Bytes of the payload.
         payload: &'a [u8],
-        /// Whether it is newer than all before it.
+        /// Position of its counter relative to earlier datagrams.
         arrival: Arrival,
     },
-    /// A handshake goes on with this datagram, to be sent.
+    /// Next datagram of the handshake, to be sent.
     Reply(HandshakeDatagram),
-    /// Nothing to do: see the events.
+    /// Nothing to do; the events may have news.
     Nothing,
 }
 
-/// Why there is no end.
+/// Failure to build an end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EndError {
-    /// Settings that do not make a session.
+    /// Invalid settings.
     #[error(transparent)]
     Settings(#[from] SettingsError),
     /// No randomness.
     #[error(transparent)]
     Handshake(#[from] HandshakeError),
-    /// No shared key.
+    /// Invalid shared key.
     #[error(transparent)]
     Key(#[from] KeyError),
 }
 
-/// A [`Session`] with its [`Handshake`].
+/// [`Session`] with its [`Handshake`].
 #[derive(Debug)]
 pub struct SessionEnd {
-    /// Seals and opens.
+    /// Session, which seals and opens.
     pub session: Session,
     handshake: Option<Handshake>,
     event: Option<HandshakeEvent>,
 }
 
 impl SessionEnd {
-    /// An end that shares `key` with its peer.
+    /// Build an end that shares `key` with its peer.
     pub fn secure(
         settings: SessionSettings,
         key: PreSharedKey,
@@ -62,12 +62,12 @@ impl SessionEnd {
         Ok(Self { session, handshake: Some(Handshake::new(settings, key, entropy)?), event: None })
     }
 
-    /// An end without security: see [`Session::insecure`].
+    /// Build an end without security: see [`Session::insecure`].
     pub fn insecure(settings: SessionSettings) -> Result<Self, EndError> {
         Ok(Self { session: Session::insecure(settings)?, handshake: None, event: None })
     }
 
-    /// Takes a datagram that arrived at `now_ns`; it is opened in place.
+    /// Take a datagram that arrived at `now_ns`; it is opened in place.
     pub fn receive<'a>(
         &mut self,
         now_ns: u64,
@@ -77,7 +77,7 @@ impl SessionEnd {
         self.receive_from(now_ns, SocketAddr::from(([0; 4], 0)), datagram, entropy)
     }
 
-    /// The same where several may send: each address has its share of the answers to handshakes.
+    /// Take a datagram from the address `from`. Each address has its share of the answers to handshakes.
     pub fn receive_from<'a>(
         &mut self,
         now_ns: u64,
@@ -101,7 +101,7 @@ impl SessionEnd {
         }
     }
 
-    /// Lets time pass; returns a datagram of the handshake to send, if one is due.
+    /// Advance the time; return a handshake datagram to send, if one is due.
     pub fn poll(
         &mut self,
         now_ns: u64,
@@ -115,12 +115,12 @@ impl SessionEnd {
         }
     }
 
-    /// Takes the newest event of the handshake.
+    /// Take the newest event of the handshake.
     pub fn poll_event(&mut self) -> Option<HandshakeEvent> {
         self.event.take()
     }
 
-    /// Datagrams not taken, by cause.
+    /// Rejected datagrams, by cause.
     pub fn rejections(&self) -> Rejections {
         let more = self.handshake.as_ref().map(Handshake::rejections).unwrap_or_default();
         self.session.rejections() + more

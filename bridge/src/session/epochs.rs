@@ -1,4 +1,4 @@
-//! The keys that a session holds at once (the newest, those before it, those that a handshake offered) and their replay
+//! Keys that a session holds at the same time (newest, previous, offered by a handshake), and their replay
 //! windows.
 
 use super::{
@@ -8,13 +8,14 @@ use super::{
 };
 use crate::wire::Role;
 
-/// Handshakes whose keys wait for their first sealed datagram. One would do between two honest sides; a recorded
-/// first message, sent again to a slave without a session, must not push out the master's own.
+/// Capacity in offered keys that wait for their first sealed datagram. Two honest sides need one. An attacker
+/// may replay a recorded first message to a slave without a session; that must not displace the master's own
+/// offer.
 const OFFERED: usize = 4;
-/// How long the keys of a new session wait for their first sealed datagram.
+/// Time in ns that the keys of a new session wait for their first sealed datagram.
 const OFFER_NS: u64 = 15_000_000_000;
 
-/// Whose keys open a datagram.
+/// Keys that open a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Slot {
     Current,
@@ -22,21 +23,22 @@ pub(super) enum Slot {
     Offered(usize),
 }
 
-/// What taking new keys into use means.
+/// Effect of taking new keys into use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum KeyChange {
     /// A session begins.
     Began,
-    /// A session goes on under new keys.
+    /// The session continues with new keys; the number is their epoch.
     Rekeyed(u32),
 }
 
 #[derive(Debug)]
 pub(super) struct Epochs {
     pub(super) current: Option<Epoch>,
-    /// With the time until which it opens what was in flight.
+    /// Keys before the newest, and the time in ns until which they open datagrams that were in flight.
     previous: Option<(Epoch, u64)>,
-    /// Of the session whose keys grew too old: they open nothing, but bind its next handshake to its two ends.
+    /// Id and chain of expired keys. They open nothing, but they bind the session's next handshake to its two
+    /// ends.
     pub(super) lapsed: Option<(EpochId, Chain)>,
     offered: [Option<Epoch>; OFFERED],
     next_offer: usize,
@@ -63,7 +65,7 @@ impl Epochs {
         self.current.iter().chain(offered).any(|epoch| epoch.id.session == session)
     }
 
-    /// Finds the keys of a datagram and judges its counter; changes nothing.
+    /// Find the keys of a datagram and judge its counter, without a change of state.
     pub(super) fn find(
         &self,
         now_ns: u64,
@@ -93,9 +95,10 @@ impl Epochs {
         };
         match arrival {
             Arrival::TooOld => Err(Rejection::TooOld),
-            // Judged by its tag, first: an authentic one says that the peer is at its sender's address.
+            // The tag is checked first: an authentic duplicate still shows that the peer is at the sender's
+            // address.
             Arrival::Duplicate => Ok((slot, arrival)),
-            // Whatever was sealed before the newest keys is older than what these have opened.
+            // Datagrams sealed with the previous keys are older than any sealed with the newest.
             _ if slot == Slot::Previous => Ok((slot, Arrival::Late)),
             arrival => Ok((slot, arrival)),
         }
@@ -109,7 +112,7 @@ impl Epochs {
         }
     }
 
-    /// Marks the counter of a datagram that has proved to be of the peer; offered keys are in use from here on.
+    /// Mark the counter of an authentic datagram. Offered keys come into use with their first one.
     pub(super) fn mark(
         &mut self,
         now_ns: u64,
@@ -132,7 +135,8 @@ impl Epochs {
         change
     }
 
-    /// Takes the keys of a handshake: the master into use, the slave until the master has used them.
+    /// Install the keys of a handshake. The master uses them at once; the slave once the master has used
+    /// them.
     pub(super) fn install(
         &mut self,
         now_ns: u64,
@@ -163,7 +167,7 @@ impl Epochs {
         if goes_on { KeyChange::Rekeyed(number) } else { KeyChange::Began }
     }
 
-    /// Drops what time has run out for; says whether the newest keys were among it.
+    /// Drop expired keys; return whether the newest keys were among them.
     pub(super) fn advance(&mut self, now_ns: u64, settings: &SessionSettings) -> bool {
         let max_ns = settings.open_ns();
         self.previous.take_if(|(epoch, until_ns)| now_ns >= *until_ns || epoch.age_ns(now_ns) >= max_ns);
@@ -183,12 +187,11 @@ impl Epochs {
         over
     }
 
-    /// The newest keys, or those that grew too old in a session whose ends may go on.
+    /// Id of the newest keys, or of the expired keys of a session whose ends may continue.
     pub(super) fn id(&self) -> Option<EpochId> {
         self.current.as_ref().map(|epoch| epoch.id).or(self.lapsed.as_ref().map(|(id, _)| *id))
     }
 
-    /// Forgets all keys.
     pub(super) fn clear(&mut self) {
         self.current = None;
         self.previous = None;
@@ -197,23 +200,23 @@ impl Epochs {
     }
 }
 
-/// Where a counter stands among those before it.
+/// Position of a counter relative to those before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Arrival {
-    /// Above all before it.
+    /// Above all earlier counters.
     Newer,
-    /// Below the newest, and not seen before.
+    /// Below the newest counter, and not seen before.
     Late,
     /// Seen before.
     Duplicate,
-    /// Too far below the newest to know whether it was seen before.
+    /// Too far below the newest counter to know whether it was seen before.
     TooOld,
 }
 
-/// A bitmap of the newest `reach` counters. It is not shifted, and its memory is reserved once.
+/// Bitmap of the newest `reach` counters. It is not shifted, and its memory is reserved once.
 ///
-/// Words form a ring; passing to a newer counter clears the words between. One word more than the reach needs, so
-/// that the oldest counters within reach never share their word with the newest.
+/// Words form a ring; a newer counter clears the words between. The ring has one word more than the reach
+/// needs, so that the oldest counters within reach never share a word with the newest.
 ///
 /// Source: RFC 6479; RFC 4303, section 3.4.3 (judged before the tag is checked, marked after).
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -224,21 +227,21 @@ pub struct ReplayWindow {
 }
 
 impl ReplayWindow {
-    /// A window over the newest `reach` counters, at least one.
+    /// Build a window over the newest `reach` counters; 1 at least.
     pub fn new(reach: u32) -> Self {
         let reach = reach.max(1);
         let words = (reach.div_ceil(64) as usize + 1).next_power_of_two();
         Self { words: vec![0; words].into_boxed_slice(), reach: u64::from(reach), newest: None }
     }
 
-    /// Word and bit of a counter.
+    /// Return word and bit of a counter.
     fn place(&self, counter: u64) -> (usize, u64) {
-        #[allow(clippy::cast_possible_truncation)] // masked to the length of a slice, a power of two
+        #[allow(clippy::cast_possible_truncation)] // masked to the slice length, a power of two
         let word = ((counter / 64) & (self.words.len() as u64 - 1)) as usize;
         (word, 1 << (counter % 64))
     }
 
-    /// Says where a counter stands, and changes nothing.
+    /// Judge a counter without a change of state.
     pub fn judge(&self, counter: u64) -> Arrival {
         match self.newest {
             Some(newest) if counter <= newest => {
@@ -252,12 +255,12 @@ impl ReplayWindow {
         }
     }
 
-    /// Marks a counter as seen and says where it stood before; one that is too old is not marked.
+    /// Mark a counter as seen and return its earlier position; a counter that is too old is not marked.
     #[inline]
     pub fn mark(&mut self, counter: u64) -> Arrival {
         let is_next = self.newest.is_some_and(|newest| newest.wrapping_add(1) == counter);
         if is_next && !counter.is_multiple_of(64) {
-            // Nearly all counters: the next, in a word that is cleared already.
+            // Common case: the next counter, in a word that is already cleared.
             let (word, bit) = self.place(counter);
             self.words[word] |= bit;
             self.newest = Some(counter);
@@ -285,13 +288,13 @@ impl ReplayWindow {
         arrival
     }
 
-    /// Forgets all counters.
+    /// Clear all counters.
     pub fn clear(&mut self) {
         self.words.fill(0);
         self.newest = None;
     }
 
-    /// The highest counter marked.
+    /// Highest marked counter.
     pub fn newest(&self) -> Option<u64> {
         self.newest
     }
@@ -303,7 +306,7 @@ mod tests {
     use proptest::prelude::*;
     use std::collections::BTreeSet;
 
-    /// The same by the definition, with a set of all that was there.
+    /// Reference: judge by the definition, with a set of all earlier counters.
     fn judged(seen: &BTreeSet<u64>, reach: u64, counter: u64) -> Arrival {
         match seen.last() {
             Some(newest) if counter <= *newest => {
@@ -320,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ends_of_the_numbers_hold() {
+    fn counter_limits_are_handled() {
         let mut window = ReplayWindow::new(64);
         assert_eq!(window.mark(u64::MAX - 1), Arrival::Newer);
         assert_eq!(window.mark(u64::MAX), Arrival::Newer);

@@ -1,7 +1,8 @@
-//! Handshakes, off the tick: they cost a millisecond and allocate.
+//! Handshakes, off the tick: they take a millisecond and allocate.
 //!
-//! [`Handshake`] holds the shared key and makes keys; [`super::Session`] holds the keys and seals. Between them go
-//! only values: a [`Standing`] and a datagram in, an [`Outcome`] out. So they may live on two threads.
+//! [`Handshake`] holds the shared key and makes keys; [`super::Session`] holds the keys and seals. Only
+//! values pass between them: a [`Standing`] and a datagram in, an [`Outcome`] out. So they may live on two
+//! threads.
 
 use std::net::SocketAddr;
 
@@ -18,42 +19,42 @@ use super::{
 };
 use crate::wire::{FrameForm, Role};
 
-/// A handshake message with its header.
+/// Handshake message with its header.
 pub type HandshakeDatagram = [u8; HANDSHAKE_LENGTH];
 
-/// The result of a handshake message.
+/// Result of a handshake message.
 #[derive(Debug, Default)]
 pub struct Outcome {
-    /// To send: back, or to the peer.
+    /// Datagram to send.
     pub reply: Option<HandshakeDatagram>,
-    /// Whether it goes to the address of the peer's frames, not to that of the request: who repeats the peer's message
-    /// from elsewhere does not draw the answer away.
+    /// True if the reply goes to the address of the peer's frames instead of the request's address. So a
+    /// replay of the peer's message from elsewhere does not divert the reply.
     pub to_peer: bool,
-    /// For [`super::Session::install`].
+    /// Keys for [`super::Session::install`].
     pub keys: Option<Epoch>,
-    /// For the screen and the log.
+    /// Event for the screen and the log.
     pub event: Option<HandshakeEvent>,
 }
 
-/// A handshake that does not end in keys, for the screen and the log.
+/// Handshake without resulting keys, for the screen and the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HandshakeEvent {
-    /// There will be no session. Reported at both sides when the payloads differ, at the master for any reason.
+    /// There will be no session. Both sides report differing payloads; the master reports any reason.
     Refused {
-        /// Why.
+        /// Reason of the refusal.
         decision: HandshakeDecision,
-        /// What stands in the peer's payloads.
+        /// Form of the peer's payloads.
         form: FrameForm,
     },
-    /// Reported at the slave: another master with the key was refused, because one holds the lease. It lives: it has
-    /// sent back what the first refusal had for it, which no recorded message does.
+    /// The slave refused another master with the key, because a master holds the lease. The other master is
+    /// live: it returned the ticket of its first refusal, which no recorded message can.
     SecondMaster {
-        /// What that master drew when it started.
+        /// Run id of that master, drawn at its start.
         run: u64,
     },
 }
 
-/// Puts a header before a handshake message and its MAC behind it.
+/// Build a datagram: header, handshake message, MAC.
 pub(super) fn message(kind: Kind, id: EpochId, said: &[u8; MESSAGE], mac: &MacKey) -> HandshakeDatagram {
     let mut datagram = [0; HANDSHAKE_LENGTH];
     let header = Header { kind, epoch: id.epoch, session: id.session, counter: 0 };
@@ -63,18 +64,18 @@ pub(super) fn message(kind: Kind, id: EpochId, said: &[u8; MESSAGE], mac: &MacKe
     datagram
 }
 
-/// Session and epoch in the header of a handshake datagram.
+/// Return session and epoch in the header of a handshake datagram.
 pub(crate) fn session_and_epoch(datagram: &HandshakeDatagram) -> (u64, u32) {
     let [_, _, _, _, e0, e1, e2, e3, s0, s1, s2, s3, s4, s5, s6, s7, ..] = *datagram;
     (u64::from_le_bytes([s0, s1, s2, s3, s4, s5, s6, s7]), u32::from_le_bytes([e0, e1, e2, e3]))
 }
 
-/// Whether a handshake datagram is the slave's.
+/// Return whether a handshake datagram is the slave's answer.
 pub(crate) fn message_is_answer(datagram: &HandshakeDatagram) -> bool {
     datagram[3] == Kind::Answer.byte()
 }
 
-/// The ephemeral key of a handshake datagram, and all of the message between header and MAC.
+/// Return the ephemeral key of a handshake datagram, and the whole message between header and MAC.
 pub(super) fn parts(datagram: &[u8]) -> (&[u8], &[u8]) {
     (
         &datagram[SESSION_HEADER..SESSION_HEADER + EPHEMERAL],
@@ -82,14 +83,14 @@ pub(super) fn parts(datagram: &[u8]) -> (&[u8], &[u8]) {
     )
 }
 
-#[allow(clippy::large_enum_variant)] // one for a whole run
+#[allow(clippy::large_enum_variant)] // one per run
 #[derive(Debug)]
 enum Side {
     Master(Initiator),
     Slave(Responder),
 }
 
-/// The handshakes of one side.
+/// Handshakes of one side.
 #[derive(Debug)]
 pub struct Handshake {
     role: Role,
@@ -98,7 +99,8 @@ pub struct Handshake {
 }
 
 impl Handshake {
-    /// The handshakes of the side of `settings`, with the shared key; `entropy` marks this run of it.
+    /// Build the handshakes of the side of `settings`, with the shared key; `entropy` draws the id of this
+    /// run.
     pub fn new(
         settings: SessionSettings,
         key: PreSharedKey,
@@ -112,8 +114,8 @@ impl Handshake {
         Ok(Self { role: settings.role, side, rejections: Rejections::default() })
     }
 
-    /// Takes a datagram that [`super::Session::open`] handed on, and that was sent from `from`. One that is refused
-    /// changes nothing but a count.
+    /// Take a datagram from [`super::Session::open`] that was sent from `from`. A rejected datagram changes
+    /// nothing but a counter.
     pub fn receive(
         &mut self,
         now_ns: u64,
@@ -134,9 +136,9 @@ impl Handshake {
         outcome.inspect_err(|rejection| self.rejections.count(*rejection))
     }
 
-    /// The message to send at `now_ns`, if any: the first of a handshake, or the same again. Never at the slave.
+    /// Return the message to send at `now_ns`, if any: a first message, or its retry. A slave never has one.
     ///
-    /// To be called each 10 ms or so.
+    /// Call this every 10 ms or so.
     pub fn poll(
         &mut self,
         now_ns: u64,
@@ -149,24 +151,25 @@ impl Handshake {
         }
     }
 
-    /// Handshake messages not taken, by cause.
+    /// Rejected handshake messages, by cause.
     pub fn rejections(&self) -> Rejections {
         self.rejections
     }
 }
 
-/// First wait for an answer. The operator waits for this; a link with a longer round trip costs some repeats and no
-/// time, because every repeat is the same message and any answer to it will do.
+/// First timeout in ns for an answer; the operator waits for it. A longer round trip costs some retries but
+/// no time: every retry is the same message, and any answer to it is valid.
 const RETRY_NS: u64 = 250 * MS;
-/// The wait doubles up to this, so that a slave that is not there is not flooded and one that starts is found soon.
+/// Largest timeout in ns; it doubles up to this. A missing slave is not flooded, and a slave that starts is
+/// found soon.
 const MAX_RETRY_NS: u64 = 2000 * MS;
-/// A handshake without an answer is given up, and one with new keys begun: seven sendings, and longer than any
-/// round trip that anybody teleoperates over.
+/// Time in ns after which a handshake without an answer is dropped and one with new keys begins. It covers
+/// seven sendings, and any round trip in teleoperation.
 const ATTEMPT_NS: u64 = 8000 * MS;
-/// Wait after the slave has refused: the operator at the slave has to do something first.
+/// Wait in ns after a refusal, because the operator at the slave has to act first.
 const REFUSED_NS: u64 = 1000 * MS;
 
-/// A handshake that waits for its answer.
+/// Handshake that waits for its answer.
 #[derive(Debug)]
 struct Pending {
     noise: Noise,
@@ -184,14 +187,15 @@ pub(super) struct Initiator {
     mac: MacKey,
     run: u64,
     pending: Option<Pending>,
-    /// The newest epoch requested: a number stands for one handshake, never for two.
+    /// Newest requested epoch; every handshake has its own number.
     newest: Option<EpochId>,
     refused_until_ns: u64,
-    /// The slave lives and has refused a new session, as one holds the lease: perhaps ours, whose next keys it gives.
+    /// True if the live slave has refused a new session because of a lease. If that lease is ours, the slave
+    /// renews its keys.
     renews: bool,
-    /// That has failed before: the lease is another's.
+    /// True if such a renewal has failed before: the lease belongs to another master.
     has_failed: bool,
-    /// Of the last refusal.
+    /// Ticket of the last refusal.
     ticket: Ticket,
 }
 
@@ -211,19 +215,20 @@ impl Initiator {
         }
     }
 
-    /// Which handshake the session needs now: a new session, or new keys within the living one.
+    /// Return the handshake that the session needs now: a new session, or new keys for the present one.
     fn wanted(&self, standing: &Standing) -> Option<Wish> {
         let Some(live) = &standing.live else { return Some(Wish::Session) };
         if standing.silent_ns >= self.settings.silence_ns {
-            // The slave may have started anew and know nothing of this session. If it does, it refuses, or is heard.
+            // The slave may have restarted without this session. A slave that still has it refuses the
+            // request, or is heard again.
             return Some(if self.renews && live.confirmed { Wish::Keys } else { Wish::Session });
         }
         let is_due = standing.due || live.age_ns >= self.settings.rekey_ns;
-        // Keys that the slave has not used yet are not those that it would bind the next handshake to.
+        // The slave binds the next handshake to keys that it has used; unconfirmed keys may not be those.
         (is_due && live.confirmed).then_some(Wish::Keys)
     }
 
-    /// The message to send at `now_ns`, if any.
+    /// Return the message to send at `now_ns`, if any.
     pub(super) fn poll(
         &mut self,
         now_ns: u64,
@@ -243,7 +248,7 @@ impl Initiator {
             is_other || now_ns.saturating_sub(pending.begun_ns) >= ATTEMPT_NS
         });
         if over.is_some_and(|over| over.id.epoch != 0) && self.renews {
-            // Without an answer: a new session, next.
+            // No answer: the next attempt is a new session.
             self.renews = false;
             self.has_failed = true;
             return Ok(None);
@@ -294,7 +299,6 @@ impl Initiator {
         Ok(datagram)
     }
 
-    /// Takes the slave's answer.
     pub(super) fn receive(
         &mut self,
         now_ns: u64,
@@ -333,24 +337,24 @@ enum Wish {
 
 const MS: u64 = 1_000_000;
 
-/// Answers, one each: to all who request a new session together, and again to the partner of the living one. Each costs
-/// the slave one multiplication on the curve.
+/// Time in ns per answer: one budget for all requests of new sessions, one for the partner of the present
+/// session. An answer costs the slave one multiplication on the curve.
 const ANSWER_NS: u64 = 250 * MS;
-/// Answers to the partner at once, to a message that was not there before and to a repeat.
+/// Largest bursts of answers to the partner: to new messages, and to retries.
 const RENEWALS: u64 = 8;
 const REPEATS: u64 = 4;
-/// How long a master repeats one first message, and a little.
+/// Time in ns for which a master retries one first message, with a margin.
 const REPEATED_NS: u64 = 10_000 * MS;
-/// Answers kept for repeats: those to new sessions within [`REPEATED_NS`], as often as they are given.
+/// Capacity in answers for retries: those that new sessions can get within [`REPEATED_NS`].
 const ANSWERS: usize = 48;
-/// Ephemeral keys kept against replay.
+/// Capacity in ephemeral keys remembered against replay.
 const SEEN: usize = 256;
-/// Handshakes of a session that may have failed before one is answered.
+/// Largest number of failed handshakes of a session between two answered ones.
 pub(super) const MAX_SKIPPED: u32 = 1024;
-/// Tickets of refusals that have not been returned.
+/// Capacity in tickets of refusals that have not been returned.
 const TICKETS: usize = 4;
 
-/// An answer that its question, repeated, gets again.
+/// Answer that is sent again if its first message is repeated.
 #[derive(Clone, Copy, Debug)]
 struct Answered {
     id: EpochId,
@@ -365,12 +369,13 @@ pub(super) struct Responder {
     key: PreSharedKey,
     mac: MacKey,
     run: u64,
-    /// To first messages of new sessions, the oldest overwritten first.
+    /// Answers to first messages of new sessions; the oldest is overwritten first.
     answered: Vec<Answered>,
     next_answer: usize,
-    /// To the newest first message of the living session's partner: no flood of others overwrites it.
+    /// Answer to the newest first message of the present session's partner; a flood of other messages cannot
+    /// overwrite it.
     renewed: Option<Answered>,
-    /// Ephemeral keys of first messages that were authentic, the oldest overwritten first.
+    /// Ephemeral keys of authentic first messages; the oldest is overwritten first.
     seen: Box<[[u8; EPHEMERAL]]>,
     next_seen: usize,
     answers: Shares,
@@ -398,7 +403,7 @@ impl Responder {
         }
     }
 
-    /// Takes a first message that was sent from `from`.
+    /// Take a first message that was sent from `from`.
     pub(super) fn receive(
         &mut self,
         now_ns: u64,
@@ -410,7 +415,7 @@ impl Responder {
     ) -> Result<Outcome, Rejection> {
         let id = EpochId { session: header.session, epoch: header.epoch };
         let is_renewal = standing.is_renewal(id)?;
-        // While the partner is heard, or was lately, its answer goes there.
+        // While the partner is heard, or was heard recently, the answer goes to the partner's address.
         let to_peer = is_renewal && standing.silent_ns < self.settings.silence_ns;
         let (ephemeral, said) = parts(datagram);
         if let Some(answered) = self.answered(datagram, is_renewal) {
@@ -421,7 +426,8 @@ impl Responder {
             self.spend(now_ns, from, is_renewal, REPEATS)?;
             return Ok(Outcome { reply, to_peer, ..Outcome::default() });
         }
-        // A master requests each epoch once, and for none below: what it gave up is recorded.
+        // A master requests epochs once and in increasing order; a lower one is a recording of an abandoned
+        // request.
         let is_given_up = self.renewed.is_some_and(|renewed| {
             is_renewal && renewed.id.session == id.session && id.epoch <= renewed.id.epoch
         });
@@ -439,13 +445,13 @@ impl Responder {
         })?;
         let payload = noise.read(said).map_err(|_| Rejection::Forged)?;
         let payload = HandshakePayload::from_bytes(payload).ok_or(Rejection::Forged)?;
-        // Authentic from here on, though perhaps recorded: what follows is bounded in rate and in memory.
+        // The message is authentic from here on, but may be recorded; so rate and memory are bounded below.
         self.spend(now_ns, from, is_renewal, RENEWALS)?;
         self.seen[self.next_seen].copy_from_slice(ephemeral);
         self.next_seen = (self.next_seen + 1) % SEEN;
         let decision = self.admit(is_renewal, &payload, standing);
         let mut word = HandshakePayload::new(self.run, self.settings.form, decision);
-        // The holder itself, which has lost touch, is no second master.
+        // A holder of the lease that lost its session is not a second master.
         let is_other = decision == HandshakeDecision::Leased && standing.holder != Some(payload.run);
         let mut lives = false;
         if is_other {
@@ -479,13 +485,13 @@ impl Responder {
         }
     }
 
-    /// The answer that a first message had before.
+    /// Find the earlier answer to the same first message.
     fn answered(&self, datagram: &HandshakeDatagram, is_renewal: bool) -> Option<&Answered> {
         let kept = if is_renewal { self.renewed.as_slice() } else { self.answered.as_slice() };
         kept.iter().find(|answered| answered.hello == *datagram)
     }
 
-    #[allow(clippy::large_types_passed_by_value)] // it is moved into its place
+    #[allow(clippy::large_types_passed_by_value)] // moved into its slot
     fn keep(&mut self, answered: Answered, is_renewal: bool) {
         if is_renewal {
             self.renewed = Some(answered);
@@ -497,7 +503,7 @@ impl Responder {
         }
     }
 
-    /// Takes one answer, a repeat too, from the budget of its sender.
+    /// Take one answer, also for a retry, from the budget of the sender.
     fn spend(
         &mut self,
         now_ns: u64,
@@ -513,7 +519,6 @@ impl Responder {
         is_granted.then_some(()).ok_or(Rejection::Busy)
     }
 
-    /// A ticket for who is refused.
     fn issue(&mut self, entropy: &mut dyn Entropy) -> Result<Ticket, Rejection> {
         let mut ticket = NO_TICKET;
         entropy.fill(&mut ticket).map_err(|_| Rejection::Unable)?;
@@ -522,7 +527,7 @@ impl Responder {
         Ok(ticket)
     }
 
-    /// Whether a ticket is one of ours, and was not used.
+    /// Return whether a ticket is one of ours and unused; it is then used.
     fn redeem(&mut self, ticket: Ticket) -> bool {
         ticket != NO_TICKET
             && self.tickets.iter_mut().any(|issued| issued.take_if(|issued| *issued == ticket).is_some())

@@ -1,4 +1,4 @@
-//! The pre-shared key, the keys of one epoch that come of it, and their cipher.
+//! Pre-shared key, keys of one epoch that derive from it, and their cipher.
 
 use ring::{
     aead::{Aad, CHACHA20_POLY1305, LessSafeKey, Nonce, UnboundKey},
@@ -8,28 +8,29 @@ use zeroize::Zeroizing;
 
 use crate::wire::Role;
 
-/// Different byte values in a key at least. Of 32 random bytes fewer are different once in 1e36 keys.
+/// Smallest number of distinct byte values in a key. Fewer among 32 random bytes occur once in 1e36 keys.
 const MIN_DISTINCT: usize = 8;
 const KEY_BYTES: usize = 32;
 
-/// Why bytes are no shared key.
+/// Invalid shared key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum KeyError {
-    /// Of another length.
+    /// Wrong length.
     #[error("key of {0} bytes: must have {KEY_BYTES}")]
     Length(usize),
-    /// Zeros, or hardly more: nobody drew it at random.
+    /// All zeros, or too few distinct bytes: not a random key.
     #[error(
         "weak key, {0} different byte values: must be {KEY_BYTES} random bytes, `haptether keygen` makes one"
     )]
     Weak(usize),
 }
 
-/// The 32 bytes that both sides hold from the start. They stay at one place in memory and are wiped on drop.
+/// Pre-shared key: 32 bytes that both sides hold from the start. It stays at one place in memory and is wiped
+/// on drop.
 pub struct PreSharedKey(Box<Zeroizing<[u8; KEY_BYTES]>>);
 
 impl PreSharedKey {
-    /// A key of 32 random bytes, of which this makes the one copy.
+    /// Build a key from 32 random bytes; this makes the only copy.
     pub fn new(bytes: &[u8]) -> Result<Self, KeyError> {
         if bytes.len() != KEY_BYTES {
             return Err(KeyError::Length(bytes.len()));
@@ -43,7 +44,7 @@ impl PreSharedKey {
         Ok(key)
     }
 
-    /// The same of bytes that are wiped, be they a key or not.
+    /// Build a key from bytes, and wipe the bytes whether or not the key is valid.
     pub fn of_vec(bytes: Vec<u8>) -> Result<Self, KeyError> {
         Self::new(&Zeroizing::new(bytes))
     }
@@ -56,16 +57,16 @@ impl PreSharedKey {
         &self.0
     }
 
-    /// The key that authenticates a handshake within a living session: `HMAC-SHA-256(key, chain)`.
+    /// Key that authenticates a handshake within a present session: `HMAC-SHA-256(key, chain)`.
     ///
-    /// Only the two ends of that session have the chain; another who holds the shared key has not.
+    /// Only the two ends of that session have the chain; another holder of the shared key does not.
     pub(super) fn within(&self, chain: &Chain) -> Self {
         let mut key = Self::zeros();
         digest(&self.0, &[chain.0.as_slice()], &mut key.0);
         key
     }
 
-    /// The key of the MAC over handshake messages: `HMAC-SHA-256(key, "haptether handshake mac")`.
+    /// Key of the MAC over handshake messages: `HMAC-SHA-256(key, "haptether handshake mac")`.
     pub(super) fn mac(&self) -> MacKey {
         let mut bytes = Zeroizing::new([0; KEY_BYTES]);
         digest(&self.0, &[b"haptether handshake mac"], &mut bytes);
@@ -79,9 +80,10 @@ impl std::fmt::Debug for PreSharedKey {
     }
 }
 
-/// Distinguishes handshake messages of a holder of the shared key from garbage, at the cost of one HMAC.
+/// MAC key that separates handshake messages of a holder of the shared key from garbage, at the cost of one
+/// HMAC.
 ///
-/// It opens nothing: `HMAC-SHA-256(mac key, message)` says only that its maker had the key.
+/// It encrypts nothing: `HMAC-SHA-256(mac key, message)` proves only that the sender had the key.
 ///
 /// Source: Donenfeld, *`WireGuard`: Next Generation Kernel Network Tunnel*, 2017, section 5.4.4 (`mac1`).
 pub(super) struct MacKey(hmac::Key);
@@ -107,12 +109,12 @@ impl std::fmt::Debug for MacKey {
 /// Bytes of the MAC over a handshake message.
 pub(super) const MAC: usize = 32;
 
-/// A secret of one epoch that the handshake of the next is bound to.
+/// Secret of one epoch to which the next handshake is bound.
 #[derive(PartialEq, Eq)]
 pub(super) struct Chain(Zeroizing<[u8; 32]>);
 
 impl Chain {
-    /// The same secret for the handshake's thread.
+    /// Copy the secret for the handshake's thread.
     pub(super) fn copied(&self) -> Self {
         Self(self.0.clone())
     }
@@ -132,30 +134,31 @@ fn digest(key: &[u8; 32], parts: &[&[u8]], into: &mut [u8; 32]) {
     into.copy_from_slice(context.sign().as_ref());
 }
 
-/// Which keys: those of a session's n-th handshake.
+/// Id of keys: session, and index of the handshake within it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct EpochId {
     pub(super) session: u64,
     pub(super) epoch: u32,
 }
 
-/// The keys of one epoch, as a handshake makes them; not to be cloned: a key and its counter exist once.
+/// Keys of one epoch, made by a handshake. Never clone them: a key and its counter must exist once.
 #[derive(Debug)]
 pub struct Epoch {
     pub(super) id: EpochId,
     pub(super) send: Key,
     pub(super) receive: Key,
     pub(super) chain: Chain,
-    /// When the keys were made here, in ns.
+    /// Time in ns at which this side made the keys.
     pub(super) born_ns: u64,
-    /// What the peer drew when it started.
+    /// Run id of the peer, drawn at its start.
     pub(super) peer_run: u64,
-    /// Datagrams sealed: the next counter.
+    /// Number of sealed datagrams, which is the next counter.
     pub(super) sealed: u64,
 }
 
 impl Epoch {
-    /// Keys from the two halves of the handshake's split: the first is the initiator's, the master's, to send with.
+    /// Build the keys from the two halves of the handshake's split. The first half is the sending key of the
+    /// initiator, the master.
     pub(super) fn new(
         id: EpochId,
         role: Role,
@@ -184,24 +187,23 @@ impl Epoch {
     }
 }
 
-/// Bytes of the tag.
 pub(super) const TAG: usize = 16;
 
-/// A key for one direction of one epoch.
+/// Key of one direction of one epoch.
 ///
-/// The nonce is four zero bytes and the counter, little-endian. A counter is never used twice for sealing: the
-/// session alone counts, and new keys begin with a new count.
+/// The nonce is four zero bytes and the counter, little-endian. Sealing never uses a counter twice: only the
+/// session counts, and new keys begin with a new count.
 ///
 /// Source: RFC 8439, section 2.8; Noise Protocol Framework rev. 34, section 12.3 (the nonce).
 ///
-/// Not to be cloned: two of one key would seal twice with one counter. Its bytes are wiped on drop.
+/// Never clone a key: two copies would seal twice with one counter. Its bytes are wiped on drop.
 pub(super) struct Key(LessSafeKey);
 
 impl Drop for Key {
     fn drop(&mut self) {
         if let Some(blank) = UnboundKey::new(&CHACHA20_POLY1305, &[0; 32]).ok().map(LessSafeKey::new) {
             self.0 = blank;
-            // The store would else be left out, as nobody reads it.
+            // Keeps the compiler from removing the store, which nothing reads.
             std::hint::black_box(&self.0);
         }
     }
@@ -220,18 +222,19 @@ fn nonce(counter: u64) -> Nonce {
 }
 
 impl Key {
-    /// A key of 32 bytes; none only if the cipher were to require another length.
+    /// Build a key from 32 bytes; `None` only if the cipher required another length.
     pub(super) fn new(bytes: &[u8; 32]) -> Option<Self> {
         UnboundKey::new(&CHACHA20_POLY1305, bytes).ok().map(|key| Self(LessSafeKey::new(key)))
     }
 
-    /// Encrypts `payload` in place and returns the tag over it and `header`; none if the payload is absurdly long.
+    /// Encrypt `payload` in place and return the tag over it and `header`; `None` if the payload is too long
+    /// for the cipher.
     pub(super) fn seal(&self, counter: u64, header: &[u8], payload: &mut [u8]) -> Option<[u8; TAG]> {
         let tag = self.0.seal_in_place_separate_tag(nonce(counter), Aad::from(header), payload).ok()?;
         tag.as_ref().try_into().ok()
     }
 
-    /// Decrypts `sealed`, payload and tag, in place; says whether the tag fits it and `header`.
+    /// Decrypt `sealed`, payload and tag, in place; return whether the tag matches it and `header`.
     pub(super) fn open(&self, counter: u64, header: &[u8], sealed: &mut [u8]) -> bool {
         self.0.open_in_place(nonce(counter), Aad::from(header), sealed).is_ok()
     }
@@ -242,7 +245,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn keys_that_nobody_drew_are_refused() {
+    fn weak_keys_are_refused() {
         let mut one_bit = [0; 32];
         one_bit[31] = 1;
         let pattern: Vec<u8> = [1, 2, 3, 4].repeat(8);
@@ -257,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mac_fits_its_message_and_key_alone() {
+    fn mac_matches_only_its_message_and_key() {
         let keys = [0, 1].map(|first| {
             let bytes: Vec<u8> = (first..first + 32).collect();
             PreSharedKey::new(&bytes).unwrap().mac()
@@ -265,7 +268,7 @@ mod tests {
         let mac = keys[0].sign(b"message");
         assert!(keys[0].fits(b"message", &mac));
         assert!(!keys[1].fits(b"message", &mac) && !keys[0].fits(b"massage", &mac));
-        assert!(!keys[0].fits(b"message", &mac[..16]), "no shorter one");
+        assert!(!keys[0].fits(b"message", &mac[..16]), "a shorter MAC is invalid");
     }
 
     fn bytes(hex: &str) -> Vec<u8> {
@@ -276,7 +279,7 @@ mod tests {
             .collect()
     }
 
-    /// The nonce of this vector begins with four zero bytes, as ours do.
+    /// The nonce of this vector begins with four zero bytes, like ours.
     ///
     /// Source: RFC 8439, appendix A.5.
     #[test]

@@ -1,14 +1,14 @@
-//! The secure session between the two sides: bytes in, payloads and events out.
+//! Secure session between the two sides: bytes in, payloads and events out.
 //!
-//! Two halves, so that no tick waits for a handshake:
+//! It has two halves, so that no tick waits for a handshake:
 //!
-//! - [`Session`] seals and opens datagrams within a tick, and allocates nothing in doing so;
-//! - [`Handshake`] makes keys, off the tick, and is driven by [`Handshake::poll`] and [`Handshake::receive`].
+//! - [`Session`] seals and opens datagrams within a tick, and allocates nothing in doing so.
+//! - [`Handshake`] makes keys, off the tick; [`Handshake::poll`] and [`Handshake::receive`] drive it.
 //!
-//! [`SessionEnd`] is both on one thread. None of them owns a clock, a socket or randomness. The bytes on the wire and the
-//! reasons for them are in `docs/protocol.md`.
+//! [`SessionEnd`] is both on one thread. None of them owns a clock, a socket or randomness. The bytes on the
+//! wire and the reasons for them are in `docs/protocol.md`.
 //!
-//! A caller writes:
+//! Calls:
 //!
 //! ```text
 //! each datagram:  session.open(now, bytes)?

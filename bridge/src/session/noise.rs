@@ -1,14 +1,16 @@
-//! The handshake's cryptography: `Noise_NNpsk0_25519_ChaChaPoly_SHA256`.
+//! Cryptography of the handshake: `Noise_NNpsk0_25519_ChaChaPoly_SHA256`.
 //!
 //! ```text
 //! -> psk, e
 //! <- e, ee
 //! ```
 //!
-//! Both sides hold one shared key and nothing else, so they have no static keys of their own. With the key mixed in
-//! before the first message (`psk0`, not `psk2`) the slave knows at once, before any curve arithmetic and before any
-//! answer, whether the first message comes of the key. The ephemeral keys give forward secrecy: who learns the shared
-//! key later opens no recorded session.
+//! Both sides hold one shared key and nothing else, so they have no static keys.
+//!
+//! The key is mixed in before the first message (`psk0`, not `psk2`). So the slave can check whether the
+//! first message derives from the key, before any curve arithmetic and before an answer.
+//!
+//! The ephemeral keys give forward secrecy: a later disclosure of the shared key opens no recorded session.
 //!
 //! Source: Perrin, *The Noise Protocol Framework*, rev. 34, 2018, sections 7.4 and 9.
 
@@ -31,16 +33,16 @@ use super::{
 use crate::wire::Role;
 
 const PATTERN: &str = "Noise_NNpsk0_25519_ChaChaPoly_SHA256";
-/// Bytes of a handshake message behind the header.
+/// Bytes of a handshake message after the header.
 pub(super) const MESSAGE: usize = EPHEMERAL + HANDSHAKE_PAYLOAD + TAG;
 
-/// Why a handshake does not go on.
+/// Failure of a handshake.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum HandshakeError {
     /// No randomness.
     #[error(transparent)]
     Entropy(#[from] NoEntropy),
-    /// The message, the key or the moment does not fit.
+    /// Message, key or state of the handshake does not match.
     #[error("handshake message that does not fit")]
     Noise,
 }
@@ -51,7 +53,7 @@ impl From<snow::Error> for HandshakeError {
     }
 }
 
-/// The primitives of `snow`, with 32 random bytes that were drawn before: those of the ephemeral key.
+/// Primitives of `snow`, with 32 random bytes drawn in advance for the ephemeral key.
 struct Drawn(Zeroizing<[u8; 32]>);
 
 impl CryptoResolver for Drawn {
@@ -72,7 +74,7 @@ impl CryptoResolver for Drawn {
     }
 }
 
-/// Gives its bytes once; a second wish would repeat a key.
+/// Returns its bytes once; a second request would repeat a key.
 struct Once(Option<Zeroizing<[u8; 32]>>);
 
 impl Random for Once {
@@ -96,13 +98,13 @@ pub(super) struct Noise {
 
 impl Drop for Noise {
     fn drop(&mut self) {
-        // Of a handshake that was given up before its first message, or whose message did not fit.
+        // Covers a handshake dropped before its first message, or after an invalid message.
         let _ = self.forget_key();
     }
 }
 
 impl Noise {
-    /// A handshake for the keys of `id`, which is bound into it.
+    /// Begin a handshake for the keys of `id`, which is bound into it.
     pub(super) fn new(
         role: Role,
         id: EpochId,
@@ -130,17 +132,17 @@ impl Noise {
             Role::Master => builder.build_initiator()?,
             Role::Slave => builder.build_responder()?,
         });
-        // Only now that it moves no more: `snow` wipes nothing, and each move would leave a copy of the key behind.
+        // Set only after the last move: `snow` wipes nothing, and each move would leave a copy of the key.
         state.set_psk(0, key.bytes())?;
         Ok(Self { state, id, role })
     }
 
-    /// The key is mixed in with the first message and not needed after it.
+    /// Wipe the key, which is mixed in with the first message and not needed after it.
     fn forget_key(&mut self) -> Result<(), HandshakeError> {
         Ok(self.state.set_psk(0, &[0; 32])?)
     }
 
-    /// Writes this side's message with `payload` encrypted.
+    /// Write this side's message with `payload` encrypted.
     pub(super) fn write(
         &mut self,
         payload: &[u8; HANDSHAKE_PAYLOAD],
@@ -151,7 +153,7 @@ impl Noise {
         Ok(message)
     }
 
-    /// Reads the peer's message; one that does not fit leaves the handshake as it was.
+    /// Read the peer's message; an invalid message leaves the handshake unchanged.
     pub(super) fn read(&mut self, message: &[u8]) -> Result<[u8; HANDSHAKE_PAYLOAD], HandshakeError> {
         let mut payload = [0; HANDSHAKE_PAYLOAD];
         if self.state.read_message(message, &mut payload)? == HANDSHAKE_PAYLOAD {
@@ -162,7 +164,7 @@ impl Noise {
         }
     }
 
-    /// The keys, once both messages have passed; the peer's run goes along.
+    /// Return the keys, with the peer's run id, once both messages have passed.
     pub(super) fn keys(mut self, now_ns: u64, peer_run: u64) -> Result<Epoch, HandshakeError> {
         if !self.state.is_handshake_finished() {
             return Err(HandshakeError::Noise);
@@ -174,29 +176,29 @@ impl Noise {
     }
 }
 
-/// No randomness was to be had.
+/// No randomness available.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the system gave no random bytes")]
 pub struct NoEntropy;
 
-/// A source of random bytes. Only handshakes draw from it, never a tick.
+/// Source of random bytes. Only handshakes draw from it, never a tick.
 pub trait Entropy {
-    /// Fills `bytes`, or leaves them unusable.
+    /// Fill `bytes`; after an error they are unusable.
     fn fill(&mut self, bytes: &mut [u8]) -> Result<(), NoEntropy>;
 
-    /// A random number, such as marks a run of a side.
+    /// Draw a random number, such as the id of a run.
     fn number(&mut self) -> Result<u64, NoEntropy> {
         let mut bytes = [0; 8];
         self.fill(&mut bytes).map(|()| u64::from_le_bytes(bytes))
     }
 }
 
-/// The operating system's generator, for all that is not a test.
+/// Generator of the operating system, for everything but tests.
 #[derive(Clone, Debug)]
 pub struct SystemEntropy(SystemRandom);
 
 impl SystemEntropy {
-    /// The generator of this system.
+    /// Build the generator of this system.
     pub fn new() -> Self {
         Self(SystemRandom::new())
     }
@@ -214,8 +216,7 @@ impl Entropy for SystemEntropy {
     }
 }
 
-/// A generator whose numbers a seed decides: for simulation, where the same seed must yield the same bytes, and for
-/// nothing else.
+/// Generator with a seed. Use it only for simulation, where the same seed must yield the same bytes.
 ///
 /// Block n is SHA-256 of side, seed and n.
 #[derive(Clone, Debug)]
@@ -226,7 +227,7 @@ pub struct SeededEntropy {
 }
 
 impl SeededEntropy {
-    /// The numbers of one side of a run.
+    /// Build the generator of one side of a run.
     pub fn new(seed: u64, role: crate::wire::Role) -> Self {
         Self { seed, side: role.byte(), drawn: 0 }
     }
@@ -264,10 +265,10 @@ mod tests {
         (0..hex.len()).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap()).collect()
     }
 
-    /// Both messages, the handshake's hash, and the first sealed message in each direction, sealed with our own key
-    /// objects.
+    /// Both messages, the hash of the handshake, and the first sealed messages of each direction, sealed with
+    /// our own key objects.
     ///
-    /// The payloads of this vector have 16 and 15 bytes: the second is written to the state itself.
+    /// The payloads of this vector have 16 and 15 bytes; the test passes the second directly to the state.
     ///
     /// Source: the test vectors of *cacophony* (Noise in Haskell), as shipped with `snow` in
     /// `tests/vectors/cacophony.txt`.
@@ -308,7 +309,7 @@ mod tests {
         assert_eq!(slave.state.get_handshake_hash(), hash);
         let (master, slave) = (master.keys(0, 1).unwrap(), slave.keys(0, 2).unwrap());
         assert_eq!(master.chain, slave.chain);
-        // Of each direction, its first message and its second.
+        // Direction, counter, payload and sealed message.
         for (from, to, counter, payload, sealed) in [
             (
                 &master,
@@ -363,6 +364,6 @@ mod tests {
             assert_ne!(bytes, again);
         }
         entropy.fill(&mut again).unwrap();
-        assert_ne!(bytes, again, "never the same twice");
+        assert_ne!(bytes, again, "draws differ");
     }
 }

@@ -1,4 +1,4 @@
-//! One end of a session, as a tick uses it: seal what is sent, open what arrives.
+//! One end of a session, as a tick uses it: seals outgoing payloads and opens arrivals.
 
 use std::collections::VecDeque;
 
@@ -11,28 +11,29 @@ use super::{
 };
 use crate::wire::Role;
 
-/// Whom the slave obeys. It outlives the keys: a master that fell silent keeps it until an operator says otherwise.
+/// Master that the slave obeys. The lease outlives the keys: a silent master keeps it until an operator frees
+/// it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Lease {
     session: u64,
     run: u64,
 }
 
-/// Where the newest keys stand on their way to the next.
-#[allow(clippy::struct_excessive_bools)] // steps, in any order
+/// Progress of the newest keys towards their renewal.
+#[allow(clippy::struct_excessive_bools)] // steps in any order
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Renewal {
-    /// The peer has used them.
+    /// The peer has used the keys.
     confirmed: bool,
-    /// This side requests others before their time.
+    /// This side requests new keys before their time.
     asked_here: bool,
-    /// The peer does.
+    /// The peer requests new keys before their time.
     asked_there: bool,
-    /// The operators know that they should have been replaced.
+    /// The operators have been warned about a missing renewal.
     warned: bool,
 }
 
-/// What a datagram is that was not refused.
+/// Accepted datagram, by type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Judged {
     Handshake { is_renewal: bool },
@@ -40,38 +41,39 @@ enum Judged {
     Release,
 }
 
-/// Events that wait for a reader; further ones are dropped.
+/// Capacity in events that wait for a reader; further events are dropped.
 const MAX_EVENTS: usize = 32;
 
 /// One end of a session. It owns no clock, no socket and no randomness; sealing and opening allocate nothing.
 ///
-/// It cannot be cloned: two of it would seal different payloads with the same key and counter.
+/// It cannot be cloned: two copies would seal different payloads with the same key and counter.
 #[derive(Debug)]
 pub struct Session {
     settings: SessionSettings,
-    /// Of handshake messages; none of an insecure session.
+    /// Key of the MAC over handshake messages; none in an insecure session.
     mac: Option<MacKey>,
     epochs: Epochs,
-    /// When the peer was last heard; the newest authentic datagram.
+    /// Time in ns of the newest authentic datagram of the peer.
     heard_ns: u64,
     renewal: Renewal,
-    /// Forgeries against the keys of this session.
+    /// Number of forgeries against the keys of this session.
     forged: u64,
-    /// The master that holds the lease, at the slave.
+    /// Lease of the master; only at the slave.
     lease: Option<Lease>,
     rejections: Rejections,
     events: VecDeque<SessionEvent>,
 }
 
 impl Session {
-    /// An end that waits for keys of a [`super::Handshake`].
+    /// Build an end that waits for keys of a [`super::Handshake`].
     pub fn secure(settings: SessionSettings, key: &PreSharedKey) -> Result<Self, SettingsError> {
         Self::new(settings, Some(key.mac()))
     }
 
-    /// An end that neither encrypts nor authenticates: payloads are the datagrams, and anybody may send them.
+    /// Build an end without encryption and authentication: payloads are the datagrams, and anybody may send
+    /// them.
     ///
-    /// [`Session::is_secure`] says so; records and the screen must show it.
+    /// [`Session::is_secure`] returns false; records and the screen must show it.
     pub fn insecure(settings: SessionSettings) -> Result<Self, SettingsError> {
         Self::new(settings, None)
     }
@@ -91,18 +93,18 @@ impl Session {
         })
     }
 
-    /// Whether what it opens is authenticated and what it seals encrypted.
+    /// Return whether the session authenticates and encrypts.
     pub fn is_secure(&self) -> bool {
         self.mac.is_some()
     }
 
-    /// Whether it can seal at `now_ns`.
+    /// Return whether the session can seal at `now_ns`.
     pub fn is_open(&self, now_ns: u64) -> bool {
         !self.is_secure()
             || self.epochs.current.as_ref().is_some_and(|epoch| self.check(now_ns, epoch).is_ok())
     }
 
-    /// The number of the living session.
+    /// Number of the present session.
     pub fn session(&self) -> Option<u64> {
         self.epochs.current.as_ref().map(|epoch| epoch.id.session)
     }
@@ -113,12 +115,12 @@ impl Session {
         if self.is_secure() { sealed_length(payload) } else { payload }
     }
 
-    /// Datagrams not taken, by cause.
+    /// Rejected datagrams, by cause.
     pub fn rejections(&self) -> Rejections {
         self.rejections
     }
 
-    /// Takes the oldest event that waits.
+    /// Take the oldest waiting event.
     pub fn poll_event(&mut self) -> Option<SessionEvent> {
         self.events.pop_front()
     }
@@ -137,7 +139,7 @@ impl Session {
         Ok(())
     }
 
-    /// Seals `payload` into `buffer` and returns the datagram to send.
+    /// Seal `payload` into `buffer` and return the datagram to send.
     pub fn seal<'a>(
         &mut self,
         now_ns: u64,
@@ -157,9 +159,9 @@ impl Session {
         self.finish(now_ns, kind, buffer)
     }
 
-    /// Writes the datagram that ends the session at the peer and frees the lease.
+    /// Write the datagram that ends the session at the peer and frees the lease.
     ///
-    /// Datagrams get lost: send several, each written anew, then [`Session::end`].
+    /// Datagrams get lost: call this several times and send each result, then call [`Session::end`].
     pub fn release<'a>(
         &mut self,
         now_ns: u64,
@@ -184,7 +186,7 @@ impl Session {
         let epoch = self.epochs.current.as_mut().ok_or(SealError::NoSession)?;
         let EpochId { session, epoch: number } = epoch.id;
         let counter = epoch.sealed;
-        // Counted before it is used: whatever follows, this counter is never sealed with again.
+        // Incremented before use, so that no error path can reuse the counter.
         epoch.sealed += 1;
         let header = Header { kind, epoch: number, session, counter }.to_bytes();
         buffer[..SESSION_HEADER].copy_from_slice(&header);
@@ -196,11 +198,11 @@ impl Session {
         Ok(&buffer[..length])
     }
 
-    /// Opens a datagram that arrived at `now_ns`, in place.
+    /// Open a datagram that arrived at `now_ns`, in place.
     ///
-    /// What is not taken changes nothing but counts. The order: length, version and kind; of a handshake whether it can
-    /// be of use, and its MAC; of others session and epoch, counter, and the tag. One that was there before is
-    /// [`Rejection::Repeated`] only if it is authentic.
+    /// A rejected datagram changes nothing but counters. The checks come in this order: length, version,
+    /// kind. For a handshake then its usefulness and its MAC; for others session and epoch, counter, and tag.
+    /// A duplicate is [`Rejection::Repeated`] only if it is authentic.
     pub fn open<'a>(&mut self, now_ns: u64, datagram: &'a mut [u8]) -> Result<Incoming<'a>, Rejection> {
         match self.judge(now_ns, datagram) {
             Ok(Judged::Handshake { is_renewal }) => Ok(Incoming::Handshake { datagram, is_renewal }),
@@ -261,7 +263,7 @@ impl Session {
         Ok(Judged::Payload(arrival))
     }
 
-    /// What goes on to the handshake: what has the shared key's MAC and can be of use. Garbage ends here.
+    /// Pass on a handshake message if it has a valid MAC and is useful. Garbage ends here.
     fn judge_handshake(&self, header: &Header, datagram: &[u8]) -> Result<bool, Rejection> {
         let id = EpochId { session: header.session, epoch: header.epoch };
         let is_renewal = header.kind == Kind::Hello && is_renewal(self.epochs.id(), id)?;
@@ -269,7 +271,9 @@ impl Session {
         fits.then_some(is_renewal).ok_or(Rejection::Forged)
     }
 
-    /// Source: RFC 9001, section 6.6: all forgeries against a session count, whatever its keys.
+    /// Count a forgery.
+    ///
+    /// Source: RFC 9001, section 6.6: all forgeries against a session count, over all its keys.
     fn count_forgery(&mut self) {
         self.forged += 1;
         if self.forged >= self.settings.max_forged {
@@ -303,7 +307,8 @@ impl Session {
         self.epochs.clear();
     }
 
-    /// Takes the keys that a handshake made. The master uses them from here on, the slave once the master has.
+    /// Install the keys of a handshake. The master uses them at once, the slave once the master has used
+    /// them.
     pub fn install(&mut self, now_ns: u64, epoch: Epoch) {
         if !self.is_secure() {
             return;
@@ -315,7 +320,7 @@ impl Session {
         self.keys_changed(change);
     }
 
-    /// Lets time pass; once a tick is enough.
+    /// Advance the time; once per tick is enough.
     pub fn advance(&mut self, now_ns: u64) {
         if self.epochs.advance(now_ns, &self.settings) {
             self.renewal = Renewal::default();
@@ -327,19 +332,19 @@ impl Session {
         }
     }
 
-    /// Requests new keys before their time; the master's handshake sees to it.
+    /// Request new keys before their time; the master's handshake makes them.
     pub fn rekey(&mut self) {
         self.renewal.asked_here = self.epochs.current.is_some();
     }
 
-    /// Ends the session here, as after [`Session::release`]; the peer notices by silence alone.
+    /// End the session on this side, as after [`Session::release`]; the peer notices only the silence.
     pub fn end(&mut self) {
         self.lease = None;
         self.epochs.clear();
         self.renewal = Renewal::default();
     }
 
-    /// The operator at the slave lets another master begin: ends the session of one that has fallen silent.
+    /// Let another master begin, on behalf of the operator at the slave: ends the session of a silent master.
     pub fn allow_takeover(&mut self, now_ns: u64) -> Result<(), StillHeard> {
         let (ago_ns, silence_ns) = (now_ns.saturating_sub(self.heard_ns), self.settings.silence_ns);
         if self.lease.is_none() {
@@ -353,12 +358,12 @@ impl Session {
         Ok(())
     }
 
-    /// Whether a master holds the lease, living or silent.
+    /// Return whether a master, heard or silent, holds the lease.
     pub fn is_leased(&self) -> bool {
         self.lease.is_some()
     }
 
-    /// What the handshake needs to know.
+    /// State of the session for the handshake.
     pub fn standing(&self, now_ns: u64) -> Standing {
         let live = match (&self.epochs.current, &self.epochs.lapsed) {
             (Some(epoch), _) => Some(Live {
@@ -381,104 +386,104 @@ impl Session {
     }
 }
 
-/// A datagram of the peer, opened.
+/// Opened datagram of the peer.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Incoming<'a> {
-    /// What the peer sealed; authentic and not seen before.
+    /// Payload sealed by the peer; authentic and not seen before.
     Payload {
-        /// The bytes.
+        /// Bytes of the payload.
         payload: &'a [u8],
-        /// [`Arrival::Newer`] or [`Arrival::Late`]; without security always the former.
+        /// [`Arrival::Newer`] or [`Arrival::Late`]; without security always `Newer`.
         arrival: Arrival,
     },
-    /// A message for the handshake, of who has the shared key; perhaps recorded.
+    /// Message for the handshake from a holder of the shared key; it may be recorded.
     Handshake {
-        /// All of it.
+        /// The whole datagram.
         datagram: &'a [u8],
-        /// Whether it is the first message for the next keys of the living session.
+        /// True if it is the first message for the next keys of the present session.
         is_renewal: bool,
     },
     /// The peer has ended the session.
     Release,
 }
 
-/// What happened to a session.
+/// Event of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SessionEvent {
-    /// A session began: whatever was known of the peer is of another.
+    /// A session began; earlier state of the peer belongs to another session.
     Began {
         /// Its number.
         session: u64,
     },
-    /// The session goes on under new keys.
+    /// The session continues with new keys.
     Rekeyed {
-        /// Their number, from 1.
+        /// Epoch of the keys, from 1.
         epoch: u32,
     },
     /// The peer ended the session; the lease is free.
     Released,
-    /// The newest keys should have been renewed and were not.
+    /// The renewal of the newest keys is overdue.
     Aging {
-        /// Until nothing more is sent under them, in ns.
+        /// Time in ns until they seal nothing more.
         left_ns: u64,
     },
-    /// The newest keys grew too old without others.
+    /// The newest keys expired without a renewal.
     Expired,
-    /// More forgeries than the keys bear.
+    /// The number of forgeries reached its limit.
     Forgeries,
     /// The operator at the slave ended the session of a silent master.
     TakenOver,
 }
 
-/// Why nothing was sealed.
+/// Failure to seal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SealError {
-    /// There are no keys (yet).
+    /// There are no keys yet.
     #[error("no session: the handshake has not ended")]
     NoSession,
-    /// The newest keys are too old, or have sealed too much.
+    /// The newest keys are too old, or have sealed too many datagrams.
     #[error("the keys are used up: {age_ns} ns old, {sealed} datagrams sealed")]
     UsedUp {
-        /// Their age.
+        /// Age of the keys in ns.
         age_ns: u64,
-        /// Datagrams that they sealed.
+        /// Number of datagrams that they have sealed.
         sealed: u64,
     },
-    /// All payloads have one length.
+    /// Payload of another length; all payloads have the same.
     #[error("payload of {seen} bytes: must have {allowed}")]
     Length {
-        /// As given.
+        /// Given length.
         seen: usize,
-        /// As set.
+        /// Required length.
         allowed: usize,
     },
 }
 
-/// Why a lease was not freed.
+/// Failure to free a lease: the master is still heard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the master was heard {ago_ns} ns ago: a lease can be taken over after {silence_ns} ns of silence")]
 pub struct StillHeard {
-    /// When the master was last heard.
+    /// Time in ns since the master was last heard.
     pub ago_ns: u64,
-    /// How long it must be silent.
+    /// Required silence in ns.
     pub silence_ns: u64,
 }
 
-/// What the handshake needs to know of the session; it may go to another thread.
+/// State of the session for the handshake; it may pass to another thread.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Standing {
     pub(super) live: Option<Live>,
-    /// Since the peer was heard, or since the master took its keys.
+    /// Time in ns since the peer was heard, or since the master installed its keys.
     pub(super) silent_ns: u64,
-    /// The run of the master that holds the lease.
+    /// Run id of the master that holds the lease.
     pub(super) holder: Option<u64>,
-    /// Whether either side requests new keys before their time.
+    /// True if either side requests new keys before their time.
     pub(super) due: bool,
 }
 
 impl Standing {
-    /// Whether a first message is for the next keys of the living session, not for a new one; refused if it is for
-    /// neither, or for keys that the peer has already.
+    /// Return whether a first message is for the next keys of the present session, and not for a new session.
+    /// An error if it is for neither, or for keys that the peer already has.
     pub(super) fn is_renewal(&self, id: EpochId) -> Result<bool, Rejection> {
         is_renewal(self.live.as_ref().map(|live| live.id), id)
     }
@@ -497,12 +502,12 @@ pub(super) fn is_renewal(living: Option<EpochId>, id: EpochId) -> Result<bool, R
     }
 }
 
-/// The newest keys, or, of a session that still has the lease, those that grew too old.
+/// Newest keys, or the expired keys of a session that still has the lease.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Live {
     pub(super) id: EpochId,
     pub(super) chain: Chain,
     pub(super) age_ns: u64,
-    /// Whether the peer has used them.
+    /// True if the peer has used the keys.
     pub(super) confirmed: bool,
 }

@@ -1,4 +1,4 @@
-//! The settings of a session, and what they must be.
+//! Settings of a session, with their limits.
 
 use super::wire::{HANDSHAKE_LENGTH, sealed_length};
 use crate::wire::{FrameForm, FrameLayout, MAX_FRAME, Role};
@@ -6,77 +6,80 @@ use crate::wire::{FrameForm, FrameLayout, MAX_FRAME, Role};
 const MS: u64 = 1_000_000;
 const SECOND: u64 = 1000 * MS;
 
-/// How a session goes. [`SessionSettings::new`] returns what all but tests use.
+/// Settings of a session. [`SessionSettings::new`] returns the defaults; only tests use others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SessionSettings {
-    /// The side that this is. The master begins every handshake, the slave grants the lease.
+    /// Role of this side. The master begins every handshake; the slave grants the lease.
     pub role: Role,
-    /// Bytes of every payload, in both directions.
+    /// Length in bytes of every payload, in both directions.
     pub payload_length: usize,
-    /// What stands in the payloads: a slave refuses a master that says otherwise.
+    /// Form of the payloads; a slave refuses a master with another form.
     pub form: FrameForm,
-    /// Time between two datagrams of the peer in ns.
+    /// Time in ns between two datagrams of the peer.
     pub peer_period_ns: u64,
-    /// How far behind the newest a datagram may be and still be distinguished from a replay, in ns of the peer's rate.
+    /// Largest lag behind the newest datagram, in ns at the peer's rate, at which a datagram is still told
+    /// from a replay.
     pub window_ns: u64,
-    /// Age of a key at which the master begins the next handshake.
+    /// Age in ns of a key at which the master begins the next handshake.
     pub rekey_ns: u64,
-    /// Age of a key at which nothing more is sent under it.
+    /// Age in ns of a key from which on it seals nothing.
     pub refuse_ns: u64,
-    /// How long the keys before the newest still open what was in flight; above the delay of the link.
+    /// Time in ns for which the previous keys still open datagrams in flight; above the delay of the link.
     pub overlap_ns: u64,
-    /// Silence of the peer after which the master begins anew, and a local act at the slave may free the lease.
+    /// Silence of the peer in ns after which the master begins a new session, and a local act at the slave
+    /// may free the lease.
     pub silence_ns: u64,
-    /// Datagrams that one key seals at most.
+    /// Largest number of datagrams that one key seals.
     pub max_sealed: u64,
-    /// Forgeries against one session, all its keys together, after which it ends.
+    /// Number of forgeries against one session, over all its keys, at which the session ends.
     pub max_forged: u64,
 }
 
-/// Settings that do not make a session.
+/// Invalid settings of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SettingsError {
-    /// No datagram of that length can be.
+    /// Invalid payload length.
     #[error("payload_length = {0}: must be between 1 and {MAX_FRAME}, and not as long as a handshake")]
     PayloadLength(usize),
-    /// The window cannot be reserved, or holds nothing.
+    /// Window that is empty or too large for memory.
     #[error(
         "window_ns = {window_ns} at peer_period_ns = {peer_period_ns}: must hold 1 to {MAX_WINDOW} datagrams"
     )]
     Window {
-        /// As given.
+        /// Given value.
         window_ns: u64,
-        /// As given.
+        /// Given value.
         peer_period_ns: u64,
     },
-    /// Times out of their order.
+    /// Times out of order.
     #[error(
         "overlap_ns = {overlap_ns}, rekey_ns = {rekey_ns}, refuse_ns = {refuse_ns}: must rise in this order"
     )]
     Order {
-        /// As given.
+        /// Given value.
         overlap_ns: u64,
-        /// As given.
+        /// Given value.
         rekey_ns: u64,
-        /// As given.
+        /// Given value.
         refuse_ns: u64,
     },
-    /// A limit or a time of zero.
+    /// Limit or time of zero.
     #[error("{0} = 0: must be above zero")]
     Zero(&'static str),
 }
 
-/// Bits of a window at most: 512 KiB.
+/// Largest window in bits: 512 KiB.
 const MAX_WINDOW: u64 = 1 << 22;
-/// Bits of a window at least.
+/// Smallest window in bits.
 const MIN_WINDOW: u64 = 1024;
 
 impl SessionSettings {
-    /// The default times, for payloads of `payload_length` bytes and a peer that sends one each `peer_period_ns`.
+    /// Default settings for payloads of `payload_length` bytes and a peer that sends one per
+    /// `peer_period_ns`.
     ///
-    /// 2 s of window; keys renewed after 120 s and dead after 180 s, as in `WireGuard` (section 6.1); 5 s of
-    /// overlap, above any delay that anybody teleoperates over; 2 s of silence; 2^32 datagrams under a key, 4.9 days
-    /// at 10 kHz, long after the age limit; 2^36 forgeries.
+    /// 2 s of window; keys renewed after 120 s and dead after 180 s, as in `WireGuard` (section 6.1). 5 s of
+    /// overlap, above any delay in teleoperation; 2 s of silence. 2^32 datagrams per key, 4.9 days at 10 kHz,
+    /// long after the age limit; 2^36 forgeries.
     ///
     /// Source: Donenfeld, *`WireGuard`: Next Generation Kernel Network Tunnel*, 2017; RFC 9001, section 6.6 (the
     /// integrity limit of ChaCha20-Poly1305).
@@ -84,7 +87,7 @@ impl SessionSettings {
         Self {
             role,
             payload_length,
-            #[allow(clippy::cast_possible_truncation)] // longer ones are refused
+            #[allow(clippy::cast_possible_truncation)] // longer ones are rejected
             form: FrameForm(payload_length as u16),
             peer_period_ns,
             window_ns: 2 * SECOND,
@@ -129,17 +132,19 @@ impl SessionSettings {
         Ok(())
     }
 
-    /// Age of a key at which the operator is warned that no others have been made: 60 s before it opens nothing more.
+    /// Age in ns of a key at which the operator is warned about a missing renewal: 60 s before it opens
+    /// nothing more.
     pub(super) const fn warn_ns(&self) -> u64 {
         self.rekey_ns + (self.refuse_ns - self.rekey_ns) / 12
     }
 
-    /// Age at which keys open nothing more: what was sealed last may still be in flight when sealing ends.
+    /// Age in ns from which on keys open nothing. It exceeds the sealing limit, because the last datagrams
+    /// may be in flight.
     pub(super) const fn open_ns(&self) -> u64 {
         self.refuse_ns.saturating_add(self.overlap_ns)
     }
 
-    /// Counters that the window reaches back.
+    /// Reach of the window in counters.
     pub(super) fn window(&self) -> u32 {
         let datagrams = self.window_ns.div_ceil(self.peer_period_ns.max(1));
         u32::try_from(datagrams.clamp(MIN_WINDOW, MAX_WINDOW)).unwrap_or(u32::MAX)
@@ -160,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn what_makes_no_session_is_refused_by_name() {
+    fn invalid_settings_are_refused_by_name() {
         let good = SessionSettings::new(Role::Slave, 92, MS);
         for (bad, said) in [
             (SessionSettings { payload_length: 0, ..good }, "payload_length = 0"),

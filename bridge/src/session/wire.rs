@@ -1,6 +1,6 @@
-//! The bytes of a secure session: header, handshake payload, and why a datagram is rejected.
+//! Bytes of a secure session: header, handshake payload, and causes of rejection.
 //!
-//! The tables of the bytes are in `docs/protocol.md`.
+//! `docs/protocol.md` has the byte tables.
 
 use zerocopy::{
     FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned,
@@ -20,9 +20,9 @@ pub const SESSION_HEADER: usize = 24;
 pub(super) const HANDSHAKE_PAYLOAD: usize = 16;
 /// Bytes of an ephemeral public key of X25519.
 pub(super) const EPHEMERAL: usize = 32;
-/// Bytes of either message of a handshake; the answer is never longer than the question.
+/// Bytes of either message of a handshake; the answer is never longer than the request.
 pub const HANDSHAKE_LENGTH: usize = AUTHENTICATED + MAC;
-/// Bytes of a handshake message that its MAC is over: all before it.
+/// Bytes of a handshake message that its MAC covers: all before the MAC.
 const AUTHENTICATED: usize = SESSION_HEADER + EPHEMERAL + HANDSHAKE_PAYLOAD + TAG;
 /// Bytes of the longest sealed datagram.
 pub const MAX_DATAGRAM: usize = sealed_length(MAX_FRAME);
@@ -32,35 +32,34 @@ pub const fn sealed_length(payload: usize) -> usize {
     SESSION_HEADER + payload + TAG
 }
 
-/// Writes the MAC of a handshake datagram.
 pub(super) fn write_mac(datagram: &mut [u8; HANDSHAKE_LENGTH], key: &MacKey) {
     let (message, mac) = datagram.split_at_mut(AUTHENTICATED);
     mac.copy_from_slice(&key.sign(message));
 }
 
-/// Whether the MAC of a handshake datagram is of who has the shared key.
+/// Return whether a handshake datagram has a MAC of a holder of the shared key.
 pub(super) fn mac_fits(datagram: &[u8], key: &MacKey) -> bool {
     datagram.len() == HANDSHAKE_LENGTH && key.fits(&datagram[..AUTHENTICATED], &datagram[AUTHENTICATED..])
 }
 
-/// Whether a datagram has length and kind of a handshake message.
+/// Return whether a datagram has the length and kind of a handshake message.
 pub(crate) fn is_handshake(datagram: &[u8]) -> bool {
     let kind = datagram.get(3).copied().and_then(Kind::from_byte);
     datagram.len() == HANDSHAKE_LENGTH && kind.is_some_and(Kind::is_handshake)
 }
 
-/// What a datagram is.
+/// Kind of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     /// First message of a handshake, from the master.
     Hello,
     /// Second message of a handshake, from the slave.
     Answer,
-    /// A sealed payload.
+    /// Sealed payload.
     Sealed,
-    /// A sealed payload whose sender requests new keys.
+    /// Sealed payload whose sender requests new keys.
     SealedAndDue,
-    /// Ends the session; sealed, with a payload of zeros.
+    /// End of the session; sealed, with a payload of zeros.
     Release,
 }
 
@@ -86,7 +85,7 @@ impl Kind {
         }
     }
 
-    /// Whether a side of role `to` is ever sent such a datagram.
+    /// Return whether a side of role `to` can receive this kind.
     const fn goes_to(self, to: Role) -> bool {
         match self {
             Self::Hello => matches!(to, Role::Slave),
@@ -111,7 +110,6 @@ struct Bytes {
     counter: U64,
 }
 
-/// The header, read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Header {
     pub(super) kind: Kind,
@@ -137,7 +135,8 @@ impl Header {
         bytes
     }
 
-    /// Reads the header of a datagram that arrived at a side of role `to`: length first, then version and kind.
+    /// Read the header of a datagram that arrived at a side of role `to`: length first, then version and
+    /// kind.
     pub(super) fn read(datagram: &[u8], to: Role, sealed: usize) -> Result<Self, Rejection> {
         if datagram.len() != sealed && datagram.len() != HANDSHAKE_LENGTH {
             return Err(Rejection::Length);
@@ -164,23 +163,23 @@ impl Header {
     }
 }
 
-/// The slave's verdict on a handshake.
+/// Decision of the slave on a handshake.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HandshakeDecision {
-    /// The keys hold.
+    /// The keys are valid.
     Accepted,
     /// Another master holds the lease.
     Leased,
-    /// The frames of the two sides differ: in kind, axes or parts, or in their version.
+    /// The frames of the two sides differ: in kind, axes, parts or version.
     PayloadForm,
 }
 
-/// The encrypted part of a handshake message.
+/// Encrypted part of a handshake message.
 ///
 /// | offset | type | field |
 /// |---|---|---|
-/// | 0 | `u64` | run: drawn by the sender when it started |
-/// | 8 | `u16` | what stands in its payloads, [`FrameForm`] |
+/// | 0 | `u64` | run: drawn by the sender at its start |
+/// | 8 | `u16` | form of its payloads, [`FrameForm`] |
 /// | 10 | `u8` | decision: 0 accepted, 1 leased, 2 payload form; 0 in a first message |
 /// | 11 | `[u8; 5]` | ticket: in a refusal drawn by the slave; in a first message that of the last refusal, or zero |
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -191,9 +190,9 @@ pub(super) struct HandshakePayload {
     pub(super) ticket: Ticket,
 }
 
-/// What only a living master sends back: a recorded message carries that of another refusal.
+/// Proof of liveness: a recorded message has the ticket of another refusal.
 pub(super) type Ticket = [u8; 5];
-/// No refusal before.
+/// Ticket before any refusal.
 pub(super) const NO_TICKET: Ticket = [0; 5];
 
 impl HandshakePayload {
@@ -235,51 +234,52 @@ impl HandshakePayload {
     }
 }
 
-/// Why a datagram is not taken, in the order in which it is looked at.
+/// Cause of a rejected datagram, in the order of the checks.
 ///
-/// It has changed no state but its counter, and for [`Rejection::Forged`] the count towards the limit on forgeries.
+/// A rejected datagram changes only its counter; [`Rejection::Forged`] also counts towards the limit on
+/// forgeries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Rejection {
-    /// Of another length.
+    /// Length that no datagram of this session has.
     #[error("datagram of a length that no datagram of this session has")]
     Length,
-    /// Of something else, or of another version.
+    /// Other protocol or version.
     #[error("datagram of another protocol or version")]
     Version,
-    /// Of a kind that this side is never sent.
+    /// Kind that this side never receives.
     #[error("datagram of a kind that this side is never sent")]
     Kind,
-    /// Of a session that does not live here.
+    /// Unknown session.
     #[error("datagram of a session that does not live here")]
     Session,
-    /// Of an epoch whose keys are not here: past, or not yet.
+    /// Epoch whose keys this side does not have: past, or future.
     #[error("datagram of an epoch whose keys are not here")]
     Epoch,
-    /// A counter beyond what one key may seal.
+    /// Counter beyond the limit of one key.
     #[error("counter beyond what one key may seal")]
     Counter,
-    /// Too old to know whether it was there before.
+    /// Counter too old for the replay window.
     #[error("counter too far behind the newest")]
     TooOld,
-    /// There before.
+    /// Counter seen before.
     #[error("counter seen before")]
     Repeated,
-    /// Its tag is not that of the shared key.
+    /// Tag that does not match: forged, damaged, or sealed with another key.
     #[error("tag that does not fit: forged, damaged, or sealed with another key")]
     Forged,
-    /// An answer that nobody waits for.
+    /// Answer without a waiting handshake.
     #[error("answer to a handshake that does not wait for one")]
     Unexpected,
-    /// The first message of a handshake that was there before.
+    /// First message of a handshake that was seen before.
     #[error("first message of a handshake seen before")]
     Replayed,
-    /// More handshakes than are worth answering.
+    /// Handshake beyond the rate limit.
     #[error("more handshakes than are answered in this time")]
     Busy,
     /// Keys of another master while one holds the lease.
     #[error("another master holds the lease")]
     Leased,
-    /// The handshake could not go on here: no randomness was to be had.
+    /// Handshake that this side could not continue: no randomness.
     #[error("handshake that could not go on here: no randomness")]
     Unable,
 }
@@ -304,7 +304,7 @@ impl Rejection {
     ];
 }
 
-/// How many datagrams were not taken, by cause.
+/// Number of rejected datagrams, by cause.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Rejections([u64; Rejection::ALL.len()]);
 
@@ -313,24 +313,24 @@ impl Rejections {
         self.0[cause as usize] += 1;
     }
 
-    /// With `more` for a cause.
+    /// Add `more` to the count of a cause.
     #[must_use]
     pub fn with(mut self, cause: Rejection, more: u64) -> Self {
         self.0[cause as usize] += more;
         self
     }
 
-    /// Datagrams not taken for this cause.
+    /// Datagrams rejected for this cause.
     pub fn of(&self, cause: Rejection) -> u64 {
         self.0[cause as usize]
     }
 
-    /// Datagrams not taken for any cause.
+    /// Datagrams rejected for any cause.
     pub fn total(&self) -> u64 {
         self.0.iter().sum()
     }
 
-    /// Each cause with its count.
+    /// Iterate over the causes with their counts.
     pub fn iter(&self) -> impl Iterator<Item = (Rejection, u64)> + '_ {
         Rejection::ALL.into_iter().zip(self.0)
     }
@@ -353,7 +353,7 @@ mod tests {
     use super::*;
     use crate::{SideKind, wire::FrameLayout};
 
-    /// The known answer, written down by hand from the table in `docs/protocol.md`.
+    /// Known answer, written by hand from the table in `docs/protocol.md`.
     #[test]
     fn bytes_are_those_of_the_table() {
         let header =
@@ -386,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn the_cheap_refusals_come_in_order() {
+    fn cheap_checks_come_in_order() {
         let good = |kind: Kind, length: usize| {
             let mut bytes = vec![0; length];
             bytes[..24].copy_from_slice(&Header { kind, epoch: 0, session: 1, counter: 0 }.to_bytes());

@@ -1,4 +1,4 @@
-//! The bytes of a frame, and what is refused.
+//! Bytes of a frame, and rejection of invalid ones.
 
 use super::*;
 use crate::coupling::drawn::orientation;
@@ -32,7 +32,7 @@ fn frame() -> Frame {
     }
 }
 
-/// The known answer, written down by hand from the table above.
+/// Known answer, written by hand from the table in `wire.rs`.
 #[test]
 fn bytes_are_those_of_the_table() {
     let mut buffer = [0; MAX_FRAME];
@@ -54,7 +54,7 @@ fn bytes_are_those_of_the_table() {
     assert_eq!(Frame::decode(bytes, Role::Slave, LAYOUT), Ok(frame()));
 }
 
-/// The gripper stands behind the energies, and lengthens every frame by 24 bytes.
+/// The gripper follows the energies and lengthens every frame by 24 bytes.
 #[test]
 fn a_gripper_is_three_numbers_and_three_flags() {
     let state = GripperState {
@@ -114,7 +114,7 @@ fn a_gripper_is_three_numbers_and_three_flags() {
 }
 
 #[test]
-fn a_gripper_that_follows_is_the_slaves_alone() {
+fn only_a_slave_gripper_follows() {
     let follows = GripperState { position: Some(0.5), follows: true, ..GripperState::default() };
     let framed = Frame { role: Role::Master, gripper: Some(follows), ..frame() };
     let mut buffer = [0; MAX_FRAME];
@@ -123,12 +123,12 @@ fn a_gripper_that_follows_is_the_slaves_alone() {
     assert_eq!(refused, Err(WireError::Flags(0x5F)));
 }
 
-/// The rotation stands before the energies, the buttons behind gripper and before the cause.
+/// The rotation precedes the energies. The buttons follow the gripper and precede the cause.
 #[test]
 fn a_pose_is_ten_numbers_and_buttons_are_a_word() {
     let [x, y] = [0.6, 0.8];
     let state = RotationState {
-        // -q of (0, 0.6, 0.8, 0): what is sent begins with a part above 0.
+        // -q of (0, 0.6, 0.8, 0): the sent quaternion has a positive first non-zero component.
         orientation: nalgebra::Unit::new_unchecked(nalgebra::Quaternion::new(0.0, -x, -y, 0.0)),
         angular_velocity: Axes::<3>::new(1.0, -2.0, 3.0),
         torque: Axes::<3>::new(0.5, 0.25, -0.125),
@@ -204,7 +204,7 @@ fn a_pose_is_ten_numbers_and_buttons_are_a_word() {
 }
 
 #[test]
-fn the_checksum_is_the_common_one() {
+fn checksum_is_crc32() {
     assert_eq!(crc32fast::hash(b"123456789"), 0xCBF4_3926);
 }
 
@@ -239,14 +239,14 @@ fn refusals_name_what_was_seen() {
         b[40..64].fill(0);
     });
     assert_eq!(silent, Ok(Frame { echo: None, ..frame() }));
-    // Codes that this version does not know are passed on: they steer nothing.
+    // Codes that this version does not know are passed on, because they control nothing.
     let unknown = resealed(&|b| (b[104], b[105]) = (255, 254));
     assert_eq!(unknown, Ok(Frame { reason: 255, fault: 254, ..frame() }));
     let text = |number, index| Err(WireError::Text { sequence: 5, number, index });
     assert_eq!(resealed(&|b| b[106] = 0), text(0, 1));
     assert_eq!(resealed(&|b| b[107] = 20), text(3, 20));
     assert_eq!(resealed(&|b| b[110] = 0), text(3, 1));
-    // The last piece has the end in it.
+    // The last piece contains the end.
     assert_eq!(resealed(&|b| (b[107], b[119]) = (19, b'!')), text(3, 19));
     assert_eq!(resealed(&|b| b[106..120].fill(0)), Ok(Frame { text: TextPiece::default(), ..frame() }));
     let mut bad = frame();
@@ -288,7 +288,7 @@ proptest! {
         };
         let mut buffer = [0; MAX_FRAME];
         let decoded = Frame::decode(frame.encode(&mut buffer), Role::Master, frame.layout()).unwrap();
-        // Of q and -q the canonical one comes back, with the same bits.
+        // The decoded quaternion is the canonical one of q and -q, with the same bits.
         let seen = decoded.rotation.unwrap().orientation;
         prop_assert_eq!(canonical(&seen), canonical(&orientation));
         let frame = Frame { rotation: decoded.rotation, ..frame };
@@ -297,10 +297,10 @@ proptest! {
         prop_assert_eq!(decoded.rotation.unwrap().angular_velocity, part(2));
     }
 
-    /// Whatever stands in a frame, also what cannot be, in whatever session, and on the way back to its sender: without
-    /// bytes it is what it is through bytes.
+    /// A frame passed without bytes equals the frame passed through bytes. This holds for any content, valid
+    /// or not, for any session, and for a frame that returns to its sender.
     #[test]
-    fn without_bytes_a_frame_is_what_it_is_through_bytes(
+    fn unencoded_frame_equals_decoded_frame(
         of_slave in any::<bool>(), comes_back in any::<bool>(), is_pose in any::<bool>(),
         numbers in prop::array::uniform5(prop_oneof![
             6 => -900.0..900.0f64, 1 => Just(-0.0), 1 => prop::num::f64::ANY,
@@ -337,9 +337,9 @@ proptest! {
         });
         let through = Frame::decode(frame.encode(&mut [0; MAX_FRAME]), from, layout);
         let without = frame.received(from, layout);
-        // As text, for numbers that are none differ from themselves.
+        // Compared as text, because NaN differs from itself.
         prop_assert_eq!(format!("{without:?}"), format!("{through:?}"));
-        // Nor does it matter over which frame another is written.
+        // The previous content of an overwritten frame does not matter.
         let plain = Frame { rotation: None, gripper: None, buttons: None, echo: None, ..frame };
         let full = Frame {
             rotation: Some(RotationState { orientation, angular_velocity: part(2), torque: part(1) }),
@@ -361,9 +361,10 @@ proptest! {
         prop_assert!(Frame::decode(&bytes, Role::Master, LAYOUT).is_err());
     }
 
-    /// Random bodies under a right header and checksum: what is decoded is in range, the rest is refused.
+    /// Random bodies with a valid header and checksum: every decoded value is in range, and the rest is
+    /// rejected.
     #[test]
-    fn garbage_that_is_well_sealed_is_refused_or_in_range(
+    fn well_sealed_garbage_is_refused_or_in_range(
         body in prop::collection::vec(any::<u8>(), 124 - 8 - 4),
         values in prop::array::uniform5(prop::num::f64::ANY),
     ) {

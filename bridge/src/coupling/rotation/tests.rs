@@ -17,7 +17,7 @@ fn wxyz(of: &UnitQuaternion<f64>) -> [f64; 4] {
     [w, x, y, z]
 }
 
-/// Engaged at two orientations, with the hand led about an axis to an angle, in steps of less than 0.1 rad.
+/// Engage at two orientations and lead the hand about an axis to an angle, in steps of less than 0.1 rad.
 fn led(
     mut coupling: RotationCoupling,
     [master, slave]: [UnitQuaternion<f64>; 2],
@@ -77,7 +77,7 @@ fn a_change_of_scale_frame_or_lock_moves_nothing_by_itself() {
         assert_eq!(seen, command);
         command = seen;
     }
-    // C turns y to z: of the hand's turn about y the slave's z takes twice as much.
+    // C turns y to z: a turn of the hand about y turns the slave about z by twice as much.
     let c = exp(Vector3::x() * (2.0 * 0.8_f64.atan2(0.6)));
     let alpha = 0.2;
     let by = c.inverse() * Vector3::z() * alpha;
@@ -87,10 +87,10 @@ fn a_change_of_scale_frame_or_lock_moves_nothing_by_itself() {
     assert!((torque - c.inverse() * Vector3::z() * 3.0).norm() < 1e-14);
 }
 
-/// A hand that turns evenly, far from its anchor and across the way to it: scales and frames that fade over n ticks move
-/// nothing by themselves, and change the velocity by no more than their share at a tick.
+/// A hand that turns evenly, far from its anchor and across phi. Scales and frames that fade over n ticks
+/// move nothing by themselves; at a tick they change the velocity by at most their share.
 #[test]
-fn what_is_changed_of_a_rotation_fades_without_a_step() {
+fn changes_of_a_rotation_fade_without_a_step() {
     type Change = fn(&mut RotationCoupling, f64);
     const TICKS: u32 = 200;
     let rate = 1e-3;
@@ -112,7 +112,7 @@ fn what_is_changed_of_a_rotation_fades_without_a_step() {
                 coupling.set_lock(lock);
                 let mut hand = exp(Vector3::new(0.5, -0.2, 0.9));
                 let mut command = coupling.commanded_orientation(&hand, &exp(Vector3::x()));
-                // Turned by 1.2 rad before.
+                // Turn by 1.2 rad first.
                 for _ in 0..1200 {
                     hand = exp(Vector3::z() * 1e-3) * hand;
                     command = coupling.commanded_orientation(&hand, &command);
@@ -122,7 +122,7 @@ fn what_is_changed_of_a_rotation_fades_without_a_step() {
                     if tick == TICKS / 2 {
                         change(&mut coupling, to);
                     }
-                    // The next one comes while the first is on its way.
+                    // A second change starts while the first is in progress.
                     if tick == TICKS && from != to {
                         change(&mut coupling, from.midpoint(to));
                     }
@@ -143,8 +143,8 @@ fn what_is_changed_of_a_rotation_fades_without_a_step() {
     }
 }
 
-/// The bodies of both sides turn about axes that C maps to one another, `lambda_r` times as fast: a screw, in
-/// which the slave's tool point moves on its helix as its shifted twist says.
+/// Both bodies turn about axes that C maps to one another, the slave `lambda_r` times as fast. This is a
+/// screw: the slave's tool point moves on a helix, as its shifted twist says.
 #[test]
 fn a_screw_of_the_hand_is_a_screw_of_the_slave() {
     for (scale, speed) in [(1.0, 2.0), (0.5, 6.0), (2.5, -1.0)] {
@@ -161,7 +161,7 @@ fn a_screw_of_the_hand_is_a_screw_of_the_slave() {
             let time = f64::from(tick) * 1e-3;
             let command = coupling.commanded_orientation(&(exp(axis * (speed * time)) * master), &slave);
             let velocity = coupling.commanded_velocity(&(axis * speed));
-            // 30 rad, with an ulp of it in the angle; each new anchor adds some of its own.
+            // 30 rad, with an ulp of it in the angle; each new anchor adds rounding.
             assert!(command.angle_to(&at(time)) < 1e-13, "{time} s");
             assert!((velocity - expected).norm() < 1e-12);
             let twist = crate::coupling::Twist { velocity: Vector3::zeros(), angular_velocity: velocity };
@@ -172,7 +172,7 @@ fn a_screw_of_the_hand_is_a_screw_of_the_slave() {
     }
 }
 
-/// The closed form of the product against the two Jacobians (Sola, Deray and Atchuthan, Eq. 145 and 146).
+/// Closed form of the product against the two Jacobians (Sola, Deray and Atchuthan, Eq. 145 and 146).
 #[test]
 fn the_velocity_is_the_product_of_the_jacobians() {
     let left = |phi: Vector3<f64>| {
@@ -196,7 +196,7 @@ fn the_velocity_is_the_product_of_the_jacobians() {
             let seen = coupling.commanded_velocity(&velocity);
             // 1 / sin(3.1) = 24 and (0.2)^-3 = 125 amplify the rounding of the matrices.
             assert!((seen - expected).norm() < 1e-12, "{scale} {angle}: {seen} {expected}");
-            // What holds about a constant axis alone: it must not be what comes out.
+            // The result must differ from the formula that holds only about a constant axis.
             assert!((seen - velocity * scale).norm() > 1e-4, "{scale} {angle}");
         }
     }
@@ -220,19 +220,19 @@ proptest! {
             let command = coupling.commanded_orientation(&hand, &slave);
             (command, coupling.anchor.map(|anchor| anchor.slave))
         };
-        // Where a new anchor is taken the derivative has two sides.
+        // At a new anchor the derivative has two sides.
         prop_assume!([step, -step].into_iter().all(|time| at(time).1 == coupling.anchor.map(|anchor| anchor.slave)));
         let slope = (at(step).0 * at(-step).0.inverse()).scaled_axis() / (2.0 * step);
         let seen = coupling.commanded_velocity(&velocity);
-        // Rounding: 8 eps / 2h, 1e-10. Truncation: h^2 / 6 of the third derivative, which for |w| < 1.8, lambda < 3 and
-        // a stretch below sqrt 2 stays below 1e3.
+        // Rounding: 8 eps / 2h, 1e-10. Truncation: h^2 / 6 times the third derivative. That derivative is
+        // below 1e3 for |w| < 1.8, lambda < 3 and a stretch below sqrt 2.
         prop_assert!((slope - seen).norm() < 2e-8, "{slope} {seen}");
         prop_assert!(command.angle_to(&at(0.0).0) < 1e-14);
     }
 
-    /// With lambda_r = 1 it is `C R_m R_m0' C' R_s0`, whatever the way and however many turns.
+    /// For lambda_r = 1 the command is `C R_m R_m0' C' R_s0`, by any way and for any number of turns.
     #[test]
-    fn unscaled_it_is_the_rotation_itself(
+    fn unscaled_command_is_the_rotation_itself(
         (frame, master, slave) in (orientation(), orientation(), orientation()),
         way in prop::collection::vec(vector(3.0), 1..20),
     ) {
@@ -250,8 +250,8 @@ proptest! {
         }
     }
 
-    /// Any walk of the hand, far beyond the reach of one anchor: the command never turns further in a tick than the
-    /// hand by the bound, on either side of pi, of [`ANCHOR_REACH_RAD`] and of 2 pi.
+    /// Any walk of the hand, far beyond the reach of one anchor. At each tick the command turns at most by
+    /// the bound times the hand's turn, on both sides of pi, [`ANCHOR_REACH_RAD`] and 2 pi.
     #[test]
     fn nothing_jumps_anywhere(
         (master, slave, drift) in (orientation(), orientation(), direction()),
@@ -270,13 +270,13 @@ proptest! {
             let turn = exp(by + drift.into_inner() * 0.03);
             hand = turn * hand;
             let next = coupling.commanded_orientation(&hand, &slave);
-            // A stretch along the way of one tick exceeds that of its ends by less than |w dt|^2, 5e-3.
+            // The stretch along the way of one tick exceeds that of its ends by less than |w dt|^2, 5e-3.
             prop_assert!(next.angle_to(&command) <= bound * turn.angle() * 1.005 + 1e-14);
             command = next;
         }
     }
 
-    /// Nor where the hand does, by frames that were lost.
+    /// The same for jumps of the hand after lost frames.
     #[test]
     fn a_jump_of_the_hand_is_followed_by_no_larger_one(
         (master, slave, hands) in (orientation(), orientation(), prop::collection::vec(orientation(), 1..30)),
@@ -316,7 +316,7 @@ proptest! {
             let next = coupling.commanded_orientation(&hand, &origin);
             let moved = if step == 0 { apart.angle() } else { 0.01 };
             prop_assert!(next.angle_to(&command) < SQRT_2 * moved * 1.005 + 1e-14);
-            // What would jump: the power of the principal logarithm.
+            // The power of the principal logarithm would jump.
             let naive = exp(hand.scaled_axis() * scale);
             largest = largest.max(naive.angle_to(&last));
             (command, last) = (next, naive);
@@ -324,7 +324,7 @@ proptest! {
         prop_assert!(largest > 0.1, "the line does not pass pi");
     }
 
-    /// Within reach the command is of where the hand is, not of its way.
+    /// Within reach the command depends on the hand's orientation, not on its way.
     #[test]
     fn the_way_does_not_matter_within_reach(
         (master, slave) in (orientation(), orientation()),
@@ -334,7 +334,7 @@ proptest! {
         let mut coupling = scaled(scale);
         coupling.set_lock(if about { RotationLock::OnlyAbout(axis) } else { RotationLock::Free });
         let (mut coupling, mut command) = led(coupling, [master, slave], axis.into_inner(), angle);
-        // A loop aside and back: 0.26 rad and less, which phi has stretched by at most 2, then home.
+        // A detour of at most 0.26 rad, which phi stretches by at most 2, then back to the start.
         let there = exp(axis.into_inner() * angle) * master;
         for share in [0.3, 0.6, 1.0, 0.7, 0.4, 0.0] {
             let hand = exp(detour * share) * exp(detour.yzx() * (share * (1.0 - share))) * there;
@@ -349,7 +349,7 @@ proptest! {
         prop_assert!(command.angle_to(&slave) < 1e-13);
     }
 
-    /// Clutch cycles: each begins where the last one left the slave, and the hand goes back on its own.
+    /// Clutch cycles: each begins where the last one left the slave, and the hand returns while uncoupled.
     #[test]
     fn clutch_cycles_return_to_the_anchor(
         (slave, frame, hands) in (orientation(), orientation(), prop::collection::vec((orientation(), vector(1.5)), 1..30)),
@@ -376,7 +376,7 @@ proptest! {
         prop_assert!(moved > 1e-3 || lock != RotationLock::Free || hands.iter().all(|(_, by)| by.norm() < 0.02));
     }
 
-    /// Frame invariance: bases of both sides and the frames of both tools, turned by any rotation.
+    /// Frame invariance: any rotation of both base frames and of both tool frames.
     #[test]
     fn turning_everything_changes_nothing(
         (master, slave, frame) in (orientation(), orientation(), orientation()),
@@ -409,7 +409,8 @@ proptest! {
         }
     }
 
-    /// `tau_m·w_m = (lambda_tau / lambda_r) tau_s·w_s` about a constant axis, which with a lock is that of the lock.
+    /// `tau_m·w_m = (lambda_tau / lambda_r) tau_s·w_s` about a constant axis; with a lock that is the lock's
+    /// axis.
     #[test]
     fn power_is_the_same_on_both_sides_up_to_the_scales(
         (frame, axis, torque) in (orientation(), direction(), vector(5.0)),
@@ -433,7 +434,7 @@ proptest! {
         prop_assert!(locks < 2 || (felt == 0.0 && done == 0.0));
     }
 
-    /// A swing before or after leaves the turn about the axis as it is.
+    /// A swing before or after the turn about the axis leaves that turn as it is.
     #[test]
     fn about_one_axis_the_slave_turns_as_far_as_the_hand(
         (master, slave, free) in (orientation(), orientation(), direction()),
@@ -457,7 +458,7 @@ proptest! {
     }
 }
 
-/// Past pi the turn goes on; two tenths of a turn from there the naive power would have come back from the other side.
+/// The turn continues past pi; 0.2 turns beyond, the naive power would have returned from the other side.
 #[test]
 fn a_turn_goes_on_past_pi() {
     let axis = Vector3::new(0.8, 0.0, 0.6);
@@ -474,8 +475,8 @@ fn a_turn_goes_on_past_pi() {
     }
 }
 
-/// At most by `max(lambda, 1)` up to pi, and by `max(lambda, sqrt 2)` within reach: the bound is reached, for 1/2 at
-/// pi (`sin(pi / 4) / 1`) and for 2/3 at the end (`sin(pi / 2) / sin(3 pi / 4)`).
+/// The stretch is at most `max(lambda, 1)` up to pi, and `max(lambda, sqrt 2)` within reach. It reaches the
+/// bound for 1/2 at pi (`sin(pi / 4) / 1`) and for 2/3 at the end (`sin(pi / 2) / sin(3 pi / 4)`).
 #[test]
 fn the_stretch_has_its_bound() {
     for (scale, angle, expected) in [
@@ -494,9 +495,9 @@ fn the_stretch_has_its_bound() {
     }
 }
 
-/// Beyond the reach a way of several axes leaves the slave elsewhere: what the anchor's reach costs.
+/// Beyond the reach, a way of several axes leaves the slave elsewhere: the cost of the anchor's reach.
 #[test]
-fn beyond_reach_the_anchor_is_another() {
+fn beyond_reach_the_anchor_changes() {
     let at = [UnitQuaternion::identity(); 2];
     let (mut coupling, _) = led(scaled(0.5), at, Vector3::z(), 1.6 * PI);
     assert_ne!(coupling.anchor.unwrap().slave, at[1]);
@@ -510,7 +511,7 @@ fn beyond_reach_the_anchor_is_another() {
 }
 
 #[test]
-fn lost_frames_that_hide_more_than_half_a_turn_are_taken_the_shorter_way() {
+fn hidden_turns_beyond_pi_take_the_shorter_way() {
     let origin = UnitQuaternion::identity();
     for (hidden, taken) in [(0.9 * PI, 0.9 * PI), (1.1 * PI, -0.9 * PI), (2.3 * PI, 0.3 * PI)] {
         for begin in [0.0, 1.2, 4.0] {
@@ -525,9 +526,10 @@ fn lost_frames_that_hide_more_than_half_a_turn_are_taken_the_shorter_way() {
     }
 }
 
-/// A swing of pi has no turn about the axis: up to it and past it nothing jumps, and the turn goes on from there.
+/// A swing of pi has no turn about the axis: nothing jumps up to it and past it, and the turn continues from
+/// there.
 #[test]
-fn a_hand_that_turns_over_moves_the_free_axis_by_no_jump() {
+fn turned_over_hand_causes_no_jump_about_the_free_axis() {
     for off in [0.0, 1e-12, 1e-3] {
         let mut coupling = scaled(1.0);
         coupling.set_lock(RotationLock::only_about([0.0, 0.0, 1.0]).unwrap());
@@ -539,13 +541,13 @@ fn a_hand_that_turns_over_moves_the_free_axis_by_no_jump() {
             assert!(next.angle_to(&command) < 0.01 * SQRT_2 + off * SQRT_2, "{off} {step}");
             command = next;
         }
-        // A hand that turns about x alone has turned nothing about z.
+        // A hand that turns about x only has turned nothing about z.
         assert!(command.angle() < 10.0 * off + 1e-12, "{off}: {}", command.angle());
     }
 }
 
 #[test]
-fn what_is_locked_keeps_its_orientation_and_renders_nothing() {
+fn locked_rotation_keeps_its_orientation_and_renders_no_torque() {
     let mut coupling = scaled(0.5);
     coupling.set_lock(RotationLock::Locked);
     let (hand, slave) = (exp(Vector3::x()), exp(Vector3::y() * 2.0));
@@ -559,14 +561,14 @@ fn what_is_locked_keeps_its_orientation_and_renders_nothing() {
 }
 
 #[test]
-fn a_hand_that_is_no_number_is_not_followed() {
+fn nan_orientation_is_not_followed() {
     let none = Unit::new_unchecked(Quaternion::new(1.0, f64::NAN, 0.0, 0.0));
     let (hand, slave) = (exp(Vector3::x()), exp(Vector3::y() * 2.0));
     for lock in [RotationLock::Free, RotationLock::only_about([1.0, 0.0, 0.0]).unwrap()] {
         let mut coupling = scaled(0.5);
         coupling.set_lock(lock);
         assert_eq!(coupling.commanded_orientation(&none, &slave), slave);
-        assert_eq!(coupling.commanded_orientation(&hand, &hand), hand, "it has not engaged");
+        assert_eq!(coupling.commanded_orientation(&hand, &hand), hand, "not engaged yet");
         let command = coupling.commanded_orientation(&(exp(Vector3::x()) * hand), &slave);
         assert_eq!(coupling.commanded_orientation(&none, &slave), command);
         let back = coupling.commanded_orientation(&hand, &slave);
@@ -574,9 +576,9 @@ fn a_hand_that_is_no_number_is_not_followed() {
     }
 }
 
-/// As `checked` lets them pass: off by 1e-9 in norm, on either side.
+/// Norms off by 1e-9, on either side, as `checked` accepts them.
 #[test]
-fn norms_that_are_off_leave_the_command_of_norm_1() {
+fn command_has_norm_1_for_inexact_inputs() {
     for off in [1.0 + 1e-9, 1.0 - 1e-9] {
         let bent = |of: UnitQuaternion<f64>| Unit::new_unchecked(of.into_inner() * off);
         for scale in [1.0, 0.5] {
@@ -591,7 +593,7 @@ fn norms_that_are_off_leave_the_command_of_norm_1() {
 }
 
 #[test]
-fn refuses_what_couples_nothing() {
+fn invalid_settings_are_refused() {
     for (r, tau, text) in [
         (0.0, 1.0, "rotation_scale (lambda_r) = 0"),
         (f64::NAN, 1.0, "rotation_scale (lambda_r) = NaN"),

@@ -1,4 +1,4 @@
-//! What the finger feels: closed forms, who may take it away, and its bounds.
+//! Force on the finger: closed forms, conditions under which it vanishes, and its bounds.
 
 use haptether_master::{DeviceParameters, Hand, Path, Release, ReleaseKind, SimulatedMaster};
 use haptether_safety::{
@@ -14,7 +14,7 @@ const DT: f64 = 1e-3;
 const TRAVEL_M: f64 = 0.03;
 const MASS_KG: f64 = 0.05;
 const SCALE: f64 = 0.05;
-/// Ticks in which the force rises.
+/// Ticks over which the force rises.
 const RISE: u64 = 200;
 
 fn settings() -> TriggerSettings {
@@ -37,12 +37,12 @@ fn feedback(settings: &TriggerSettings) -> TriggerFeedback {
     TriggerFeedback::new(settings, DT, RISE as f64 * DT).unwrap()
 }
 
-/// Jaws that press on something and follow the trigger.
+/// State of jaws that press on something and follow the trigger.
 fn jaws(force_n: f64) -> GripperState {
     GripperState { position: Some(0.6), velocity: 0.0, force_n, holds_object: true, follows: true }
 }
 
-/// A trigger that a finger of this stiffness holds at `at_m`, until it lets go.
+/// Trigger that a finger of this stiffness holds at `at_m`, until the finger lets go at `release_s`.
 fn held(stiffness: f64, at_m: f64, release_s: Option<f64>) -> SimulatedMaster<1> {
     let device = DeviceParameters {
         measures_velocity: false,
@@ -62,7 +62,7 @@ fn force(tick: &SafetyTick<1>) -> f64 {
 }
 
 #[test]
-fn a_finger_that_holds_feels_the_jaws_by_the_scale() {
+fn held_trigger_feels_scaled_jaw_force() {
     for (jaws_n, stiffness) in [(40.0, 300.0), (80.0, 500.0), (0.0, 300.0), (1e4, 500.0)] {
         let mut trigger = feedback(&settings());
         let mut plant = held(stiffness, 0.024, None);
@@ -71,8 +71,8 @@ fn a_finger_that_holds_feels_the_jaws_by_the_scale() {
             let tick = trigger.tick(Some(x / TRAVEL_M), Some(jaws(jaws_n)), true, 1.0, 0);
             plant.write(&tick.device_force);
         }
-        // m x'' = 0: the finger balances it, and yields by that over its stiffness. The slowest pole, sqrt(K / m), has had
-        // 1.8 s and more: exp(-77 * 1.8) is nothing beside rounding.
+        // In balance the finger yields by the force over its stiffness. The slowest pole, sqrt(K / m), has
+        // had at least 1.8 s, and exp(-77 * 1.8) is negligible beside rounding.
         let expected = (SCALE * jaws_n).min(settings().limiter.max_force_n);
         assert!((plant.motor_force()[0] + expected).abs() < 1e-12);
         assert!((plant.hand_force()[0] - expected).abs() < 1e-9);
@@ -81,21 +81,21 @@ fn a_finger_that_holds_feels_the_jaws_by_the_scale() {
 }
 
 #[test]
-fn nothing_is_felt_but_of_jaws_that_press_and_follow_while_coupled() {
+fn only_pressing_and_following_jaws_are_felt() {
     let pressing = jaws(40.0);
     let unknown = GripperState::default();
-    // What it was is no start for what follows: it rises anew. Of jaws that follow all the while and meet something again,
-    // it grows as fast as the limiter lets it.
+    // The force then rises from zero. If the jaws follow throughout and press on something again, only the
+    // limiter's slew bounds the growth.
     let (rise, growth) = (SCALE * 40.0 / RISE as f64, settings().limiter.max_slew_n_per_s * DT);
     let free = GripperState { holds_object: false, ..pressing };
     let led_by_nobody = GripperState { follows: false, ..pressing };
     for (what, position, jaws, is_coupled, gain, next) in [
-        ("they press on nothing", Some(0.6), Some(free), true, 1.0, growth),
-        ("they do not follow", Some(0.6), Some(led_by_nobody), true, 1.0, rise),
-        ("they are not known", Some(0.6), Some(unknown), true, 1.0, rise),
-        ("no frame has come", Some(0.6), None, true, 1.0, rise),
-        ("the trigger is not known", None, Some(pressing), true, 1.0, 0.0),
-        ("the two sides are apart", Some(0.6), Some(pressing), false, 0.0, rise),
+        ("jaws press on nothing", Some(0.6), Some(free), true, 1.0, growth),
+        ("jaws do not follow", Some(0.6), Some(led_by_nobody), true, 1.0, rise),
+        ("jaws are unknown", Some(0.6), Some(unknown), true, 1.0, rise),
+        ("no frame", Some(0.6), None, true, 1.0, rise),
+        ("unknown trigger", None, Some(pressing), true, 1.0, 0.0),
+        ("the sides are apart", Some(0.6), Some(pressing), false, 0.0, rise),
     ] {
         let mut trigger = feedback(&settings());
         for _ in 0..2 * RISE {
@@ -109,7 +109,7 @@ fn nothing_is_felt_but_of_jaws_that_press_and_follow_while_coupled() {
 }
 
 #[test]
-fn it_rises_once_the_jaws_follow_and_fades_as_the_ladder_does() {
+fn force_rises_once_jaws_follow_and_fades_with_the_ladder() {
     let mut trigger = feedback(&settings());
     let still = GripperState { follows: false, ..jaws(40.0) };
     for _ in 0..50 {
@@ -120,7 +120,7 @@ fn it_rises_once_the_jaws_follow_and_fades_as_the_ladder_does() {
         let felt = force(&trigger.tick(Some(0.6), Some(jaws(40.0)), true, 1.0, 0));
         assert!((felt + SCALE * 40.0 * share).abs() < 1e-12, "{n}: {felt}");
     }
-    // Apart, the gripper keeps its grip and follows no more; the ladder fades the force.
+    // After the sides part, the gripper keeps its grip and stops following; the ladder fades the force.
     for n in 1..=75 {
         let gain = 1.0 - f64::from(n) / 75.0;
         let felt = force(&trigger.tick(Some(0.6), Some(still), false, gain, 0));
@@ -130,8 +130,8 @@ fn it_rises_once_the_jaws_follow_and_fades_as_the_ladder_does() {
 }
 
 #[test]
-fn a_finger_that_lets_go_of_a_spring_is_thrown_no_faster_than_the_closed_form_says() {
-    // Soft jaws: their force grows with the way of the trigger beyond what they hold, k = lambda K_jaws.
+fn released_trigger_is_no_faster_than_the_closed_form() {
+    // Soft jaws: their force grows with the trigger's displacement beyond the object, k = lambda K_jaws.
     let (held_m, k, x) = (0.012, 200.0, 0.009);
     let peak = |controllers: &[ControllerKind]| {
         let scaled = SafetySettings { controllers: controllers.to_vec().into(), ..SafetySettings::default() }
@@ -144,7 +144,7 @@ fn a_finger_that_lets_go_of_a_spring_is_thrown_no_faster_than_the_closed_form_sa
         };
         let limiter = LimiterSettings { max_slew_n_per_s: 1e6, ..settings().limiter };
         let mut trigger = feedback(&TriggerSettings { safety, limiter, ..settings() });
-        // The finger pushes against it so that the trigger rests at `x` beyond.
+        // The finger pushes so that the trigger rests at `x` beyond the object.
         let mut plant = held(4000.0, held_m + x + k * x / 4000.0, Some(2.0));
         let mut fastest = 0.0_f64;
         for n in 0..2400 {
@@ -162,9 +162,11 @@ fn a_finger_that_lets_go_of_a_spring_is_thrown_no_faster_than_the_closed_form_sa
     let omega = (k / MASS_KG).sqrt();
     let expected = omega * x;
     let free = peak(&[]);
-    // A force that is held over a tick is late by dT / 2, as a damping of -k dT / 2: over a quarter of a period it lets the
-    // speed grow by the share omega dT pi / 8. The release falls on a tick, and the last tick of the push is held on beyond
-    // the spring's end, by less than k (v dT) dT / m = omega² dT² v.
+    // A force held over a tick is late by dT / 2, which acts as a damping of -k dT / 2. Over a quarter period
+    // the speed then grows by the share omega dT pi / 8.
+    //
+    // The release falls on a tick, and the last tick of the push is held beyond the spring's end. This adds
+    // less than k (v dT) dT / m = omega² dT² v.
     let share = omega * DT * std::f64::consts::PI / 8.0;
     let most = expected * ((2.0 * share).exp() + (omega * DT).powi(2));
     assert!((expected * (1.0 - share)..=most).contains(&free), "{free} m/s, closed form {expected}");
@@ -175,7 +177,7 @@ fn a_finger_that_lets_go_of_a_spring_is_thrown_no_faster_than_the_closed_form_sa
 }
 
 #[test]
-fn a_controller_that_still_acts_pushes_nobody_once_the_sides_are_apart() {
+fn controller_adds_no_force_after_the_sides_part() {
     let safety = SafetySettings {
         controllers: [ControllerKind::Vfc].into(),
         damping: 5.0,
@@ -186,12 +188,12 @@ fn a_controller_that_still_acts_pushes_nobody_once_the_sides_are_apart() {
     for _ in 0..2 * RISE {
         trigger.tick(Some(0.9), Some(jaws(40.0)), true, 1.0, 0);
     }
-    // It opens with 0.9 m/s, and goes on where they part.
+    // The trigger opens at 0.9 m/s and continues after the sides part.
     let opened = |n: u32| Some(0.9 - 0.03 * f64::from(n));
-    // So quickly that its first samples are held.
+    // Fast enough that the guard holds the first samples.
     for n in 0..14 {
         let tick = trigger.tick(opened(n), Some(jaws(40.0)), true, 1.0, 0);
-        assert!(n < 9 || force(&tick) > 1.0, "{n}: it is damped, {}", force(&tick));
+        assert!(n < 9 || force(&tick) > 1.0, "{n}: must be damped, {}", force(&tick));
     }
     for n in 14..30 {
         let tick = trigger.tick(opened(n), Some(jaws(40.0)), false, 0.0, 0);
@@ -201,8 +203,8 @@ fn a_controller_that_still_acts_pushes_nobody_once_the_sides_are_apart() {
 }
 
 #[test]
-fn ticks_that_were_missed_are_no_speed() {
-    // At 0.3 m/s, of which three ticks in four are left out.
+fn missed_ticks_do_not_raise_the_speed() {
+    // At 0.3 m/s, with three of four ticks missing.
     let mut trigger = feedback(&settings());
     for n in 0..10 {
         let tick = trigger.tick(Some(0.04 * f64::from(n)), None, true, 1.0, 3);
@@ -212,7 +214,7 @@ fn ticks_that_were_missed_are_no_speed() {
 }
 
 #[test]
-fn a_fault_is_no_force_until_it_is_mended() {
+fn fault_removes_the_force_until_reset() {
     let mut trigger = feedback(&settings());
     let run = |trigger: &mut TriggerFeedback, ticks| {
         (0..ticks).map(|_| trigger.tick(Some(0.6), Some(jaws(40.0)), true, 1.0, 0)).last().unwrap()
@@ -227,7 +229,7 @@ fn a_fault_is_no_force_until_it_is_mended() {
 }
 
 #[test]
-fn what_no_trigger_can_be_is_refused() {
+fn invalid_settings_are_refused() {
     for bad in [
         TriggerSettings { travel_m: 0.0, ..settings() },
         TriggerSettings { travel_m: f64::NAN, ..settings() },
@@ -241,7 +243,7 @@ fn what_no_trigger_can_be_is_refused() {
 }
 
 proptest! {
-    /// Whatever the jaws say and the finger does, and whoever watches.
+    /// For any jaws, any motion of the finger, with and without controllers.
     #[test]
     fn norm_growth_and_power_hold_at_every_tick(
         ticks in prop::collection::vec((0.0..=1.0f64, 0.0..=1e4f64, any::<(bool, bool, bool)>(), 0.0..=1.0f64), 1..200),
@@ -272,7 +274,7 @@ proptest! {
 }
 
 #[test]
-fn a_trigger_that_was_not_known_is_felt_again_once_the_two_engage_anew() {
+fn unknown_trigger_is_felt_again_after_the_next_engagement() {
     let mut trigger = feedback(&settings());
     let run = |trigger: &mut TriggerFeedback, position, is_coupled, ticks| {
         let gain = f64::from(u8::from(is_coupled));
@@ -283,10 +285,10 @@ fn a_trigger_that_was_not_known_is_felt_again_once_the_two_engage_anew() {
     };
     assert!(run(&mut trigger, Some(0.6), true, 2 * RISE) < 0.0);
     assert_eq!(run(&mut trigger, None, true, 1), 0.0);
-    assert_eq!(run(&mut trigger, Some(0.6), true, 5 * RISE), 0.0, "a trip before it would be forgotten");
+    assert_eq!(run(&mut trigger, Some(0.6), true, 5 * RISE), 0.0, "a gap must not clear a trip");
     assert_eq!(run(&mut trigger, Some(0.6), false, 1), 0.0);
     assert!((run(&mut trigger, Some(0.6), true, 1) + SCALE * 40.0 / RISE as f64).abs() < 1e-12);
-    // What is not known while the two are apart is no loss.
+    // An unknown position while the sides are apart does not withhold the force.
     assert_eq!(run(&mut trigger, None, false, 1), 0.0);
     assert!(run(&mut trigger, Some(0.6), true, 2 * RISE) < 0.0);
 }

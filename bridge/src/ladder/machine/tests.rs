@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 const MS: u64 = 1_000_000;
 
-/// A sound, engaged peer that was heard `age` ms ago over a link that is 1 ms old at best.
+/// Input with a sound, engaged peer that was heard `age` ms ago over a link with a smallest age of 1 ms.
 fn sound(age: u64) -> LadderInput {
     LadderInput {
         age_ns: Some(age * MS),
@@ -25,7 +25,7 @@ fn press() -> LadderInput {
     LadderInput { is_press: true, ..sound(1) }
 }
 
-/// Engaged and faded in at 300 ms.
+/// Ladder that is engaged, and fully faded in at 300 ms.
 fn engaged() -> Ladder {
     let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
     ladder.step(0, &press());
@@ -51,9 +51,9 @@ fn silence_leads_down_the_ladder_at_its_times() {
         };
         assert_eq!(ladder.state(), expected, "{silence}");
         assert!(ladder.gain() <= last);
-        assert!(expected != Stale || ladder.gain() == last, "nothing new is known");
+        assert!(expected != Stale || ladder.gain() == last, "the gain is constant in STALE");
         last = ladder.gain();
-        assert!(silence < 97 || last == 0.0, "the force is gone 100 ms after the last frame");
+        assert!(silence < 97 || last == 0.0, "the force is zero 100 ms after the last frame");
     }
     assert_eq!(ladder.holds(), 1);
     let reasons: Vec<_> = ladder.history().iter().map(|one| one.reason).collect();
@@ -70,7 +70,7 @@ fn silence_leads_down_the_ladder_at_its_times() {
 }
 
 #[test]
-fn a_long_way_is_no_silence() {
+fn long_delay_is_not_silence() {
     let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
     let late = LadderInput { age_ns: Some(500 * MS), expected_age_ns: 500 * MS, ..press() };
     ladder.step(0, &late);
@@ -84,7 +84,7 @@ fn a_long_way_is_no_silence() {
 }
 
 #[test]
-fn what_a_peer_says_holds_this_side() {
+fn peer_report_holds_this_side() {
     let report = PeerReport { state: Engaged, hears: true, answers: true, is_current: true };
     for (peer, reason) in [
         (PeerReport { hears: false, ..report }, Reason::PeerDeaf),
@@ -97,7 +97,7 @@ fn what_a_peer_says_holds_this_side() {
         let input = LadderInput { peer: Some(peer), ..sound(1) };
         ladder.step(301 * MS, &input);
         assert_eq!((ladder.state(), ladder.history().last().unwrap().reason), (Hold, reason));
-        // A peer that is not sound stops this side in the end; one that holds may hold for as long as it takes.
+        // A peer that is not sound stops this side in the end; a peer in HOLD may hold for any time.
         for now in 302..600 {
             ladder.step(now * MS, &input);
         }
@@ -109,8 +109,8 @@ fn what_a_peer_says_holds_this_side() {
     assert_eq!(ladder.state(), Hold);
 }
 
-/// Old frames hold without a silence, and neither stops nor keeps a press from engaging: what is usual is anchored
-/// then.
+/// Old frames hold without a silence. They neither stop the side nor prevent a press from engaging, because
+/// engaging sets the baseline to the present age.
 #[test]
 fn old_news_holds_until_a_press_at_the_new_age() {
     let old = |over| LadderInput { over_baseline_ns: Some(over), ..sound(1) };
@@ -128,7 +128,7 @@ fn old_news_holds_until_a_press_at_the_new_age() {
     assert_eq!(ladder.step(1003 * MS, &unknown), Engaged);
 }
 
-/// A held ladder: what engages it again, and what does not.
+/// Inputs that engage a held ladder again, and inputs that do not.
 #[test]
 fn only_a_press_after_a_release_engages_again() {
     let open = LadderInput { clutch: false, ..sound(1) };
@@ -138,7 +138,7 @@ fn only_a_press_after_a_release_engages_again() {
         for (name, inputs, engages) in [
             ("the link is back", vec![sound(1)], false),
             ("the clutch is released", vec![open], false),
-            ("an edge without a release that was seen", vec![press()], false),
+            ("an edge without an observed release", vec![press()], false),
             ("released and pressed", vec![open, press()], true),
             (
                 "pressed while the link is dead",
@@ -178,7 +178,7 @@ fn only_a_press_after_a_release_engages_again() {
 }
 
 #[test]
-fn a_released_clutch_moves_the_master_alone_and_a_press_engages_it_again() {
+fn release_disengages_and_press_engages_again() {
     let mut ladder = engaged();
     let open = LadderInput { clutch: false, ..sound(1) };
     for now in 301..=400 {
@@ -204,7 +204,7 @@ const ALONE: LadderInput = LadderInput {
 };
 
 #[test]
-fn a_press_before_there_is_a_peer_waits_for_its_time() {
+fn press_without_peer_waits() {
     let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
     assert_eq!(ladder.step(0, &LadderInput { is_press: true, ..ALONE }), Aligning);
     for now in 1..1000 {
@@ -212,14 +212,14 @@ fn a_press_before_there_is_a_peer_waits_for_its_time() {
     }
     let idle = PeerReport { state: Disengaged, hears: true, answers: true, is_current: true };
     ladder.step(1000 * MS, &LadderInput { peer: Some(idle), ..sound(1) });
-    assert_eq!(ladder.state(), Aligning, "the peer has not seen the press");
+    assert_eq!(ladder.state(), Aligning, "the peer does not know of the press");
     let stale = PeerReport { state: Engaged, is_current: false, ..idle };
     ladder.step(1001 * MS, &LadderInput { peer: Some(stale), ..sound(1) });
-    assert_eq!(ladder.state(), Aligning, "what the peer says is of before the press");
+    assert_eq!(ladder.state(), Aligning, "the report is from before the press");
     assert_eq!(ladder.step(1002 * MS, &sound(1)), Engaged);
 }
 
-/// ALIGNING, from 100 ms on, with a peer that has not seen the press.
+/// Ladder in ALIGNING from 100 ms on; the peer does not know of the press.
 fn aligning() -> Ladder {
     let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
     ladder.step(100 * MS, &LadderInput { is_press: true, ..waiting(1) });
@@ -238,10 +238,12 @@ fn refusing(peer: PeerReport) -> LadderInput {
     LadderInput { peer: Some(peer), ..sound(0) }
 }
 
-/// A press at 100 ms, and a peer that refuses it from the next tick on: it ends after two round trips, and at least 50 ms,
-/// of frames that arrive and all say so. A peer that never heard this side in its run may still be about to.
+/// The press is at 100 ms, and the peer refuses it from the next tick on. The press ends after refusing
+/// frames for two round trips, and at least 50 ms.
+///
+/// A peer that never heard this side in its run may still hear it.
 #[test]
-fn a_press_that_the_peer_refuses_ends_after_two_round_trips() {
+fn refused_press_ends_after_two_round_trips() {
     let stopped = PeerReport { state: Stop, hears: true, answers: true, is_current: false };
     for peer in [DEAF, stopped] {
         for (round_trip_ms, ends_ms) in
@@ -259,7 +261,7 @@ fn a_press_that_the_peer_refuses_ends_after_two_round_trips() {
             assert_eq!(ladder.step(ends_ms * MS, &input), Disengaged, "{peer:?} {round_trip_ms} ms");
             assert_eq!(ladder.closings(), 1, "a release is necessary");
         }
-        // One frame in between that does not say so, and frames that are not there.
+        // Frames that are missing, and one frame without a refusal.
         let mut ladder = aligning();
         for now in 101..5000 {
             let age = now % 40;
@@ -267,7 +269,7 @@ fn a_press_that_the_peer_refuses_ends_after_two_round_trips() {
                 if age == 0 { waiting(0) } else { LadderInput { age_ns: Some(age * MS), ..refusing(peer) } };
             assert_eq!(ladder.step(now * MS, &input), Aligning, "{peer:?} at {now} ms");
         }
-        // It stood so before the press: it cannot know of it.
+        // The peer refused before the press, so it cannot have known of it.
         let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
         ladder.step(0, &waiting(0));
         (1..1000).for_each(|now| _ = ladder.step(now * MS, &LadderInput { clutch: false, ..refusing(peer) }));
@@ -275,7 +277,7 @@ fn a_press_that_the_peer_refuses_ends_after_two_round_trips() {
         let states: Vec<_> = (1001..1100).map(|now| ladder.step(now * MS, &refusing(peer))).collect();
         assert_eq!(states.iter().filter(|state| **state == Aligning).count(), 50, "{peer:?}");
     }
-    // Another run of the peer has heard nothing yet; so has the first one.
+    // A new run of the peer has heard nothing yet, like the first run.
     for restarts in [false, true] {
         let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
         if restarts {
@@ -290,16 +292,16 @@ fn a_press_that_the_peer_refuses_ends_after_two_round_trips() {
     }
 }
 
-/// What a press that waits ends by, when, and that nothing but a release and a press after it couples.
+/// Each end of a waiting press: its time and reason. After it, only a release and a press couple.
 #[test]
-fn a_press_that_is_not_answered_ends_and_counts_no_more() {
+fn unanswered_press_ends_and_stops_counting() {
     type Input = fn(u64) -> LadderInput;
     let faulty = PeerReport { state: Fault, hears: true, answers: true, is_current: true };
     let cases: [(&str, Input, u64, Reason); 4] = [
-        ("nobody there", |_| ALONE, 5100, Reason::AlignTimedOut),
+        ("no peer", |_| ALONE, 5100, Reason::AlignTimedOut),
         ("a peer that does not align", |_| waiting(1), 5100, Reason::AlignTimedOut),
         ("a link that was cut", |now| waiting(now - 99), 301, Reason::SilentTooLong),
-        ("a peer that has ceased to hear", |_| refusing(DEAF), 151, Reason::PeerDeaf),
+        ("a peer that no longer hears", |_| refusing(DEAF), 151, Reason::PeerDeaf),
     ];
     let fell = |ladder: &Ladder, reason| {
         assert_eq!((ladder.state(), ladder.history().last().unwrap().reason), (Disengaged, reason));
@@ -318,7 +320,7 @@ fn a_press_that_is_not_answered_ends_and_counts_no_more() {
         let mut ladder = aligning();
         ladder.new_run(200 * MS, !master);
         fell(&ladder, Reason::PeerRestarted);
-        // A slave may follow a master that was started anew.
+        // A slave may follow a restarted master.
         let engages = ladder.clone().step(201 * MS, &press()) == Engaged;
         assert_eq!(engages, !master);
         if master {
@@ -334,19 +336,20 @@ fn a_press_that_is_not_answered_ends_and_counts_no_more() {
             assert_eq!(
                 ladder.step(now * MS, &sound(1)),
                 Disengaged,
-                "{name}: the link alone couples nothing"
+                "{name}: the link by itself couples nothing"
             );
         }
-        // As of a slave for as long as the master aligns.
+        // A slave sees a press for as long as the master aligns.
         assert_eq!(ladder.step((at_ms + 20_000) * MS, &press()), Disengaged, "{name}: without a release");
         ladder.step((at_ms + 20_001) * MS, &LadderInput { clutch: false, ..sound(1) });
         assert_eq!(ladder.step((at_ms + 20_002) * MS, &press()), Engaged, "{name}: a new press");
     }
 }
 
-/// A loop that slept in ALIGNING finds the press over, and what has arrived does not take precedence.
+/// A sleep beyond the timeout of ALIGNING ends the press; frames that arrived meanwhile do not take
+/// precedence.
 #[test]
-fn a_press_does_not_outlive_its_time_in_a_loop_that_slept() {
+fn press_times_out_in_a_loop_that_slept() {
     for (asleep_ms, expected) in [(4900, Engaged), (5000, Disengaged), (30_000, Disengaged)] {
         let mut ladder = aligning();
         let now_ns = (100 + asleep_ms) * MS;
@@ -357,7 +360,7 @@ fn a_press_does_not_outlive_its_time_in_a_loop_that_slept() {
 }
 
 #[test]
-fn a_fault_stays_until_it_is_acknowledged_and_the_clutch_pressed_anew() {
+fn fault_lasts_until_acknowledged_and_clutch_pressed_again() {
     let mut ladder = engaged();
     ladder.fault(301 * MS);
     assert_eq!((ladder.state(), ladder.gain()), (Fault, 0.0));
@@ -366,17 +369,17 @@ fn a_fault_stays_until_it_is_acknowledged_and_the_clutch_pressed_anew() {
         assert_eq!(ladder.step((302 + tick as u64) * MS, &input), Fault);
     }
     ladder.new_run(310 * MS, true);
-    assert_eq!(ladder.state(), Fault, "not by a new master either");
+    assert_eq!(ladder.state(), Fault, "a restarted master does not end a fault");
     ladder.acknowledge(311 * MS);
-    // A slave requests for as long as the master aligns: what was pressed before the fault had ended counts for
-    // nothing.
+    // A slave sees a press for as long as the master aligns; a press from before the acknowledgement must not
+    // count.
     assert_eq!(ladder.step(312 * MS, &press()), Disengaged);
     ladder.step(313 * MS, &open);
     assert_eq!(ladder.step(314 * MS, &press()), Engaged);
 }
 
 #[test]
-fn a_master_that_was_started_anew_ends_the_stop_of_a_slave_and_a_slave_never_that_of_a_master() {
+fn restarted_master_ends_slave_stop_but_not_vice_versa() {
     for engages in [true, false] {
         let mut ladder = engaged();
         for silence in 1..=400 {
@@ -388,7 +391,7 @@ fn a_master_that_was_started_anew_ends_the_stop_of_a_slave_and_a_slave_never_tha
         assert_eq!(ladder.state(), if engages { Engaged } else { Stop });
         assert!(ladder.gain() <= 2.0 / 200.0 + 1e-12);
     }
-    // A slave that was started anew while the master was engaged holds it.
+    // A slave that restarts while the master is engaged holds the master.
     let mut ladder = engaged();
     ladder.new_run(301 * MS, false);
     assert_eq!(ladder.step(302 * MS, &press()), Hold);
@@ -399,14 +402,14 @@ fn a_stall_holds_without_force() {
     let mut ladder = engaged();
     ladder.stalled(360 * MS);
     assert_eq!((ladder.step(360 * MS, &sound(1)), ladder.gain()), (Hold, 0.0));
-    assert!(!ladder.hears_peer(), "what had arrived before is old");
+    assert!(!ladder.hears_peer(), "frames from before the stall are old");
     ladder.step(362 * MS, &sound(1));
     assert!(ladder.hears_peer());
     assert_eq!(ladder.state(), Hold);
 }
 
 #[test]
-fn an_end_of_the_peer_is_no_hold_and_only_a_new_press_couples_after_it() {
+fn peer_end_is_not_a_hold_and_needs_a_new_press() {
     let end = LadderInput { ended: true, peer: None, ..sound(1) };
     let mut ladder = engaged();
     assert_eq!(ladder.step(301 * MS, &end), Disengaged);
@@ -417,19 +420,18 @@ fn an_end_of_the_peer_is_no_hold_and_only_a_new_press_couples_after_it() {
     let reasons: Vec<_> = ladder.history().iter().map(|step| step.reason).collect();
     assert_eq!(reasons[2..], [Reason::PeerEnded]);
     assert!(ladder.gain() == 0.0 && ladder.holds() == 0);
-    // The next peer is not coupled with by a clutch that waits, pressed, and not by the network.
+    // A clutch that is still pressed must not couple the next peer, and neither may the network.
     ladder.new_run(1000 * MS, false);
     assert_eq!(ladder.step(1001 * MS, &press()), Disengaged);
     ladder.step(1002 * MS, &LadderInput { clutch: false, ..sound(1) });
     assert_eq!(ladder.step(1003 * MS, &press()), Engaged);
-    // A hold stays one, and what has a fault says more than its end.
+    // A hold stays a hold; a fault takes precedence over the end.
     let failed = Some(PeerReport { state: Fault, hears: true, answers: true, is_current: true });
     assert_eq!(ladder.step(1004 * MS, &LadderInput { peer: failed, ..end }), Hold);
     assert_eq!(ladder.step(1005 * MS, &end), Hold);
     assert_eq!(ladder.history().last().map(|step| step.reason), Some(Reason::PeerFaulted));
 }
 
-/// Any input of a tick.
 fn any_input() -> impl Strategy<Value = LadderInput> {
     let weighted = prop::bool::weighted(0.8);
     let peer = (0_u8..7, any::<bool>(), weighted, weighted).prop_map(|(code, hears, answers, is_current)| {
@@ -467,9 +469,9 @@ fn any_input() -> impl Strategy<Value = LadderInput> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
-    /// What a tick that changes nothing does by itself is what the table does, whatever comes before and after.
+    /// The fast path does the same as the table, before and after any other step.
     #[test]
-    fn a_tick_that_stays_engaged_is_one_by_the_table(
+    fn fast_path_equals_the_table(
         steps in prop::collection::vec((any_input(), 0_u8..22, 0_u64..12, 0_u8..80), 1..120),
         (expected_age_ns, was_blind) in (prop::sample::select(vec![MS, 300 * MS]), any::<bool>()),
     ) {
@@ -477,7 +479,8 @@ proptest! {
         let mut now = 300 * MS;
         prop_assert!(ladder.clone().stays_engaged(now + MS, &sound(1)));
         if was_blind {
-            // A stall while the press waits: what is older than that counts as silence, also once it is engaged.
+            // A stall during a waiting press: frames older than the stall count as silence, also after
+            // engaging.
             ladder = Ladder::new(LadderSettings::default()).unwrap();
             let waiting = PeerReport { state: Disengaged, hears: true, answers: true, is_current: false };
             ladder.step(0, &LadderInput { peer: Some(waiting), ..press() });
@@ -499,7 +502,8 @@ proptest! {
                 5 => ladder.acknowledge(now),
                 _ => {}
             }
-            // Mostly sound, so that it often stays; otherwise sound but for one thing, or anything.
+            // Mostly sound, so that the ladder often stays engaged; otherwise sound but for one field, or
+            // arbitrary.
             let input = match which {
                 0 => any,
                 1 => LadderInput { age_ns: any.age_ns, ..sound(1) },
@@ -510,11 +514,11 @@ proptest! {
                 6 => LadderInput { is_press: true, needs_answer: any.clutch, ..sound(1) },
                 7 => LadderInput { over_baseline_ns: None, ..sound(6) },
                 8 => press(),
-                // About as old as leads to STALE.
+                // Around the age that leads to STALE.
                 9..12 => sound(u64::from(which) - 4),
                 12 => LadderInput { age_ns: Some(u64::MAX), ..sound(1) },
                 13 => LadderInput { over_baseline_ns: Some(u64::MAX), ..sound(1) },
-                // By a long way, and as old as that.
+                // Over a link with that age.
                 14 => LadderInput { age_ns: Some(expected_age_ns), ..sound(1) },
                 _ => sound(1),
             };
@@ -526,8 +530,7 @@ proptest! {
         }
     }
 
-    /// Whatever the inputs and their times: the force is a share that never jumps up, and nobody engages but by a
-    /// press.
+    /// For all inputs and times: the gain is in 0 to 1 and never jumps up, and only a press engages.
     #[test]
     fn invariants(
         steps in prop::collection::vec((any_input(), 0_u64..40, 0_u8..40), 1..200),
@@ -536,7 +539,7 @@ proptest! {
         let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
         let settings = *ladder.settings();
         let mut now = 0_u64;
-        // What this test itself remembers of the clutch.
+        // This test's own memory of the clutch.
         let (mut was_closed, mut opened, mut pressed) = (false, true, false);
         for (mut input, wait, act) in steps {
             let before = (ladder.state(), ladder.gain());
@@ -588,10 +591,10 @@ proptest! {
     }
 }
 
-/// What the operator is shown: whether a press would count, how often a release became necessary, whether a press was
-/// in vain.
+/// Indicators for the operator: whether a press would count, number of necessary releases, whether a press
+/// was unanswered.
 #[test]
-fn what_is_shown_of_the_clutch_is_the_case() {
+fn clutch_indicators_are_correct() {
     let settings = LadderSettings { stale_after_ns: 4 * MS, ..LadderSettings::default() };
     let mut ladder = Ladder::new(settings).unwrap();
     assert_eq!(*ladder.settings(), settings);
@@ -601,12 +604,12 @@ fn what_is_shown_of_the_clutch_is_the_case() {
     let apart = LadderInput { peer: Some(standing), ..open };
     assert_eq!(ladder.step(MS, &apart), Disengaged);
     assert!(ladder.is_ready(), "an open clutch and a sound peer");
-    // Pressed, and let go before the peer has answered: that is nobody's fault.
+    // Pressed and released before the peer answers: not an unanswered press.
     let waiting = LadderInput { clutch: true, ..apart };
     assert_eq!(ladder.step(2 * MS, &LadderInput { is_press: true, ..waiting }), Aligning);
     assert_eq!(ladder.step(3 * MS, &apart), Disengaged);
     assert_eq!((ladder.is_unanswered(), ladder.closings()), (false, 0));
-    // Pressed and held, until it is none any more.
+    // Pressed and held until the timeout.
     assert_eq!(ladder.step(4 * MS, &LadderInput { is_press: true, ..waiting }), Aligning);
     let mut now = 5;
     while ladder.step(now * MS, &waiting) == Aligning {
@@ -620,8 +623,8 @@ fn what_is_shown_of_the_clutch_is_the_case() {
     assert_eq!((ladder.is_ready(), ladder.is_unanswered()), (true, true));
     now += 1;
     ladder.step(now * MS, &LadderInput { age_ns: Some(5_000 * MS), ..apart });
-    assert!(!ladder.is_ready(), "nobody is there");
-    // Coupled, held: another release is necessary.
+    assert!(!ladder.is_ready(), "the peer is silent");
+    // Coupled, then held: another release is necessary.
     now += 1;
     ladder.step(now * MS, &LadderInput { is_press: true, ..sound(1) });
     now += 1;
@@ -633,7 +636,7 @@ fn what_is_shown_of_the_clutch_is_the_case() {
 }
 
 #[test]
-fn a_peer_of_which_nothing_is_known_any_more_is_silent_since_it_was_sound() {
+fn vanished_peer_is_silent_since_last_sound() {
     let mut ladder = engaged();
     let unknown = LadderInput { age_ns: None, over_baseline_ns: None, peer: None, ..sound(0) };
     let states: Vec<_> = (301..=600).map(|now| ladder.step(now * MS, &unknown)).collect();
@@ -641,7 +644,7 @@ fn a_peer_of_which_nothing_is_known_any_more_is_silent_since_it_was_sound() {
 }
 
 #[test]
-fn a_press_at_the_tick_at_which_one_ends_is_none() {
+fn press_at_the_end_of_another_does_not_count() {
     let align_ns = LadderSettings::default().align_ns;
     let standing = PeerReport { state: Disengaged, hears: true, answers: true, is_current: false };
     let waiting = LadderInput { peer: Some(standing), ..sound(1) };
