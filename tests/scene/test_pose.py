@@ -15,6 +15,7 @@ Array = npt.NDArray[np.float64]
 
 INERTIA_KG_M2, COULOMB_N_M, TORQUE_N_M = 4e-4, 2e-3, 0.1
 """Of torque_release."""
+WITHOUT = "safety.controllers=[]"
 GROWTH = (TORQUE_N_M - COULOMB_N_M) / INERTIA_KG_M2
 """In rad/s² of a handle that nobody holds."""
 
@@ -38,7 +39,7 @@ def kinds(run: Run) -> list[str]:
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.005, 0.02])
 def test_at_once_without_a_grip_the_handle_is_as_fast_as_the_closed_form(delay_s: float) -> None:
-    run = simulate("torque_release", overrides=[*both_ways(delay_s), "operator.rotation.release.decay_s=0.0"])
+    run = simulate("torque_release", overrides=[WITHOUT, *both_ways(delay_s), "operator.rotation.release.decay_s=0.0"])
     # The torque ends 0.1 s after the release, and is felt to end later by the way back; a tick either way.
     expected = GROWTH * (0.1 + delay_s)
     assert run.metrics.max_ejection_rate == pytest.approx(expected, abs=2.0 * GROWTH * 1e-3)
@@ -46,7 +47,7 @@ def test_at_once_without_a_grip_the_handle_is_as_fast_as_the_closed_form(delay_s
 
 def test_a_grip_that_opens_takes_what_its_own_equation_says() -> None:
     """I w' = tau - c - s (k phi + b w), s from 1 to 0 within 20 ms, from where friction held the handle."""
-    run = simulate("torque_release")
+    run = simulate("torque_release", overrides=[WITHOUT])
     release_s = next(event.time_s for event in run.events if event.kind == "engaged") + 1.2
     before = run.signals["hand_torque"][np.searchsorted(run.signals["time_s"], release_s) - 1, 2]
     phi, rate, step = -before / 3.0, 0.0, 1e-6
