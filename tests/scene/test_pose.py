@@ -61,8 +61,9 @@ def test_a_grip_that_opens_takes_what_its_own_equation_says() -> None:
     assert run.metrics.max_ejection_rate == pytest.approx(expected, abs=GROWTH * 1e-3)
 
 
-@pytest.mark.parametrize(("controller", "most"), [("vfc", 7.0), ("hsc", 2.5), ("wsc", 9.5), ("pc", 4.5)])
+@pytest.mark.parametrize(("controller", "most"), [("vfc", 9.5), ("hsc", 2.5), ("wsc", 6.3), ("pc", 4.5)])
 def test_with_each_controller_it_is_slower(controller: str, most: float) -> None:
+    """VFC and WSC trip at V_t and V_w over the lever: 0.45 and 0.29 m/s over 0.05 m are 9 and 5.8 rad/s."""
     run = simulate("torque_release", overrides=[f"safety.controllers=[{controller}]"])
     assert run.metrics.max_ejection_rate is not None
     assert 0.0 < run.metrics.max_ejection_rate < most
@@ -199,7 +200,7 @@ def test_a_frame_between_the_two_sides_turns_what_is_commanded_and_what_is_felt(
     half = sqrt_half = cos(pi / 4.0)
     quat = [half, *(sqrt_half * part for part in axis)]
     run = simulate(
-        "torque_release", overrides=[f"coupling.quat_wxyz={quat!r}", "operator.rotation.release.decay_s=0.0"]
+        "torque_release", overrides=[WITHOUT, f"coupling.quat_wxyz={quat!r}", "operator.rotation.release.decay_s=0.0"]
     )
     e, z = np.array(axis), np.array([0.0, 0.0, 1.0])
     # C' by -90 degrees (Rodrigues).
@@ -312,7 +313,7 @@ def test_the_shipped_alignment_beside_none_and_beyond_its_bound(change: str, eng
 
 def test_a_tool_that_is_coupled_at_its_tip_turns_about_it() -> None:
     tip = np.array([0.0, 0.1, 0.0])
-    run = simulate("torque_release", overrides=["coupling.reference_point=[0.0, 0.1, 0.0]"])
+    run = simulate("torque_release", overrides=[WITHOUT, "coupling.reference_point=[0.0, 0.1, 0.0]"])
     place, turned = run.signals["slave_position"], run.signals["slave_orientation"]
     known = np.isfinite(turned).all(axis=1)
     place, turned = place[known], turned[known]

@@ -197,7 +197,7 @@ def test_the_scene_of_a_recording_is_the_one_that_was_run(name: str) -> None:
         ("grasp_threshold", ()),
         ("grasp_threshold", ("hsc_velocity_threshold=0", "hsc_force_threshold_n=0.5")),
         ("hsc_force_threshold_n", ("hsc_velocity_threshold=0",)),
-        ("velocity_threshold", ()),
+        ("velocity_threshold", ("vfc_form=product",)),
         ("velocity_threshold", ("vfc_form=both", "vfc_force_threshold_n=0.3")),
     ],
 )
@@ -241,7 +241,7 @@ def test_hours_are_those_in_which_the_two_are_engaged_and_nobody_intervenes(held
     assert free.hours * 3600.0 == pytest.approx(engaged)
     assert free.blocks == 1
     assert free.round_trip_s == pytest.approx(0.1, abs=0.005)
-    task = Task("remote_push", 0.1)
+    task = Task("remote_push", 0.1, ["safety.preset=paper"])
     simulate(
         task.with_controllers(task.lasting(HandBounds()), "wsc", {}), record=(tmp_path / "m.mcap", tmp_path / "s.mcap")
     )
