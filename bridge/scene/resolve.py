@@ -82,7 +82,7 @@ PAPER_THRESHOLDS: Mapping[str, float | str] = MappingProxyType({
     "wsc_force_threshold_n": 0.0,
     "energy_ratio": 0.5,
     "window": 100,
-})
+})  # fmt: skip
 """Of the preset "paper": its section 4."""
 MEASURED_THRESHOLDS: Mapping[str, float | str] = MappingProxyType({
     "velocity_threshold": 0.45,
@@ -92,7 +92,7 @@ MEASURED_THRESHOLDS: Mapping[str, float | str] = MappingProxyType({
     "hsc_velocity_threshold": 0.05,
     "energy_ratio": 0.05,
     "window": 10,
-})
+})  # fmt: skip
 """Of the preset "measured", but for those of WSC that follow from the device: docs/thresholds.md."""
 MEASURED_WSC_SPEED = 0.29
 """V_w in m/s: speed of a free device from which WSC of the preset "measured" trips, `sqrt(2 eta |delta| / m)`."""

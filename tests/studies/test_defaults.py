@@ -32,8 +32,9 @@ def bare(*overrides: str) -> Scene:
 
 
 def test_the_preset_of_the_paper_is_that_of_the_safety_crate() -> None:
-    crate = SafetySettings(["wsc"])
-    assert thresholds(bare("safety.preset=paper")) == {name: getattr(crate, name) for name in THRESHOLDS}
+    paper = thresholds(bare("safety.preset=paper"))
+    assert SafetySettings(["wsc"], **paper) == SafetySettings(["wsc"])  # type: ignore[arg-type]
+    assert SafetySettings(["wsc"], **{**paper, "window": 99}) != SafetySettings(["wsc"])  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

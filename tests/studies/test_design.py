@@ -316,6 +316,7 @@ def test_every_shipped_scene_can_be_checked_and_what_its_remedies_change_mends_i
         # F_w without stops is what takes the bound away.
         ("paper_wall", ("safety.wsc_force_threshold_n=0.1",), "ejection", "safety.wsc_force_threshold_n=0"),
         ("paper_wall", ("safety.controllers=[hsc]",), "ejection", "wsc"),
+        ("remote_push", ("safety.preset=paper",), "ejection", "safety.preset=measured"),
         ("paper_wall", ("environment.rendering=continuous",), "ejection", "environment.rendering=sampled"),
         ("paper_wall", ("master.viscous=-0.05", "master.coulomb=0", "safety.damping=0"), "ejection", "damping=5"),
         ("remote_push", ("safety.limiter.max_force_n=40",), "ejection", "safety.limiter.max_force_n=7.9"),
@@ -376,7 +377,9 @@ def test_a_changed_scale_is_lowered_with_the_first() -> None:
 
 def test_a_handle_that_is_said_to_ring_does_and_with_the_remedy_does_not() -> None:
     """A hand moves a valve's tool by 1 cm, which the valve does not let: the force swings on, or dies away."""
-    scene = load_scene("valve", ["coupling.force_scale=1", "operator.legs=[{duration_s=1.0,end=[0.0,0.0,0.01]}]", "run.duration_s=2.5"])
+    scene = load_scene(
+        "valve", ["coupling.force_scale=1", "operator.legs=[{duration_s=1.0,end=[0.0,0.0,0.01]}]", "run.duration_s=2.5"]
+    )
     finding = of(check_scene(scene).findings, "delay margin")
     assert finding is not None
     assert finding.state == "bad"
