@@ -201,20 +201,16 @@ def _row(
     loop = [pair.boundary.expected_count(pair.closed_loop_h, chosen.confidence) for pair in pairs]
     closed = sum(low <= pair.closed_loop <= high for pair, (low, high) in zip(pairs, loop, strict=True))
     return {
-        "task": task,
-        "field": field,
-        "pairs": len(pairs),
+        "task": task, "field": field, "pairs": len(pairs),
         "order": float(np.mean([pair.boundary.order for pair in pairs])) if pairs else math.nan,
         "grouping": float(np.mean([pair.boundary.grouping for pair in pairs])) if pairs else math.nan,
-        "held_out": held_out,
-        "held_out_interval": binomial_interval(held_out, len(pairs)) if pairs else (0.0, 1.0),
+        "held_out": held_out, "held_out_interval": binomial_interval(held_out, len(pairs)) if pairs else (0.0, 1.0),
         "above": sum(rate > chosen.false_trips_per_h for rate in rates),
-        "all": within,
-        "closed_loop": closed,
+        "all": within, "closed_loop": closed,
         "closed_loop_trips": sum(pair.closed_loop for pair in pairs),
         "held_out_trips": sum(pair.held_out for pair in pairs),
         "predicted_trips": sum(pair.boundary.per_hour * pair.held_out_h for pair in pairs),
-    }
+    }  # fmt: skip
 
 
 def _plain(pair: Pair) -> dict[str, Any]:

@@ -246,7 +246,7 @@ def test_a_hand_that_is_there_keeps_its_force_however_often_it_trips() -> None:
             "legs": [{"duration_s": 0.1, "end": side} for _ in range(4) for side in [0.1] * 10 + [0.0] * 10],
         },
         "environment": {"pushers": [{"force_n": 1.0}]},
-        "safety": {"controllers": ["wsc"]},
+        "safety": {"controllers": ["wsc"], "preset": "paper"},
         "record": {},
     }  # fmt: skip
     run = simulate(msgspec.convert(tables, Scene))

@@ -189,7 +189,8 @@ def test_the_box_is_stroked_smoothly() -> None:
     assert abs(velocity[(time_s > 1.1) & (time_s < 3.0)]).max() < 0.06
     slip = run.signals["environment_force"][1800]
     assert np.hypot(slip[1], slip[2]) == pytest.approx(0.1 * slip[0], rel=1e-6)
-    assert time_of(run, "free") > time_of(run, "trip") > time_of(run, "release")
+    # WSC holds the device so early that the arm stays in contact.
+    assert time_of(run, "trip") > time_of(run, "release")
 
 
 def test_a_run_that_diverges_says_why() -> None:

@@ -335,7 +335,7 @@ def another(table: str, key: str, value: object) -> Callable[[Recording], list[A
         (of_joints, "of kind joints, must be linear or pose"),
         (another_rate, r"differ in \[run\] period_s: 0.001 and 0.002: must be of one device at one rate"),
         (another("master", "mass_kg", [0.2]), r"differ in \[master\] mass_kg: \[0.157\] and \[0.2\]"),
-        (another("safety", "window", 50), r"differ in \[safety\] window: 100 and 50: .*; --set safety.window="),
+        (another("safety", "window", 50), r"differ in \[safety\] window: 10 and 50: .*; --set safety.window="),
     ],
 )
 def test_what_is_no_normal_operation_is_refused(
