@@ -44,7 +44,13 @@ EXAMPLE = """example:
   .venv/bin/python benches/tuned_thresholds.py --task remote_push sliding_mass --plot out
 """
 FIELDS = ("energy_threshold_j", "grasp_threshold", "velocity_threshold")
-SETTINGS = ("safety.window=10", "safety.wsc_force_threshold_n=0.1")
+SETTINGS = (
+    "safety.preset=paper",
+    "safety.hsc_velocity_threshold=0.05",
+    "safety.hsc_force_threshold_n=1.0",
+    "safety.window=10",
+    "safety.wsc_force_threshold_n=0.1",
+)
 """WSC with the window and the gate of docs/thresholds.md; the other fields are the scene's."""
 
 

@@ -53,10 +53,7 @@ def thrown_at(controller: Controller, delay_s: float) -> float:
         slave=SlaveTable(),
         environment=EnvironmentTable(objects=(wall,), pushers=(push,)),
         link=LinksTable(forward=link, backward=link),
-        safety=SafetyTable(
-            controllers=() if controller == "none" else (controller,),
-            hsc_force_threshold_n=1.0,
-        ),
+        safety=SafetyTable(controllers=() if controller == "none" else (controller,)),
         record=RecordTable(),
     )
     signals = simulate(scene).signals

@@ -61,9 +61,6 @@ THRESHOLD_TASKS = (
     "valve",
 )
 """Bundled scenes in which a hand works."""
-SOFTENED = {"valve": ("coupling.force_scale=0.25",)}
-"""Bundled scenes that are felt stiffer than hands are: with a delay the loop rings whoever watches."""
-
 ROUND_TRIPS_S = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5)
 """Round trips in s by default."""
 HANDS = 8
@@ -266,7 +263,7 @@ class Task:
         if isinstance(name, Scene):
             scene, name = override_scene(name, overrides), name.title or "scene"
         else:
-            scene = load_scene(name, (*SOFTENED.get(str(name), ()), *overrides))
+            scene = load_scene(name, overrides)
         if scene.operator is None:
             message = f"{name}: nobody holds its device"
             raise ValueError(message)
@@ -284,7 +281,7 @@ class Task:
 
     def replaced(self) -> tuple[str, ...]:
         """What of the scene itself the task does not have."""
-        remarks = [f"{self.name} has {change}, or it would ring." for change in SOFTENED.get(str(self.name), ())]
+        remarks: list[str] = []
         links, ours = self.base.link or LinksTable(), {"delay_s", "jitter_s", "distribution", "jitter_correlation_s"}
         dropped = {
             name: None

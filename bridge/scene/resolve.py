@@ -1,9 +1,10 @@
 """A scene as the numbers that the Rust side takes: presets and defaults filled in, one value per axis."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from math import cos, hypot, inf, sin, sqrt
 from pathlib import Path as FilePath
+from types import MappingProxyType
 from typing import Any, Literal, TypeAlias, TypeVar
 
 from msgspec import Struct, inspect
@@ -61,6 +62,7 @@ PYTHON_ONLY: dict[type[Struct], frozenset[str]] = {
     GripperTable: frozenset({"device", "options"}),
     SeriesTable: frozenset({"file"}),
     LimiterTable: frozenset({"enabled"}),
+    SafetyTable: frozenset({"preset"}),
 }
 """Fields that have done their part once a scene is resolved."""
 
@@ -70,8 +72,32 @@ DEFAULT_MAX_FORCE_N = 7.9
 DEFAULT_DAMPING = 5.0
 """mu of the paper, in N s/m."""
 DEFAULT_PC_DAMPING = 10.0
-DEFAULT_HSC_SPEED = 0.05
-"""V_s in m/s, of HSC: docs/thresholds.md has what it does. None is known for joints."""
+PAPER_THRESHOLDS: Mapping[str, float | str] = MappingProxyType({
+    "velocity_threshold": 0.6,
+    "vfc_force_threshold_n": 1.0,
+    "vfc_form": "product",
+    "hsc_force_threshold_n": 0.1,
+    "hsc_velocity_threshold": 0.0,
+    "energy_threshold_j": -0.03,
+    "wsc_force_threshold_n": 0.0,
+    "energy_ratio": 0.5,
+    "window": 100,
+})  # fmt: skip
+"""Of the preset "paper": its section 4."""
+MEASURED_THRESHOLDS: Mapping[str, float | str] = MappingProxyType({
+    "velocity_threshold": 0.45,
+    "vfc_force_threshold_n": 0.3,
+    "vfc_form": "both",
+    "hsc_force_threshold_n": 0.3,
+    "hsc_velocity_threshold": 0.05,
+    "energy_ratio": 0.05,
+    "window": 10,
+})  # fmt: skip
+"""Of the preset "measured", but for those of WSC that follow from the device: docs/thresholds.md."""
+MEASURED_WSC_SPEED = 0.29
+"""V_w in m/s: speed of a free device from which WSC of the preset "measured" trips, `sqrt(2 eta |delta| / m)`."""
+MEASURED_WSC_FORCE_N = 0.005
+"""F_w in N of the preset "measured", where stops end a travel."""
 PROBED_SPEED = 0.12
 """The default probe over mu in m/s, of joints in rad/s: damped by 1.25 mu, it reaches at most 0.096."""
 RELEASE_TRIES = 5
@@ -319,16 +345,26 @@ def _safety(scene: Scene, master: Spec) -> SafetyTable:
         raise wrong(("safety", "probe_force_n"), table.probe_force_n, allowed)
     table = _filled(table, damping=min(DEFAULT_DAMPING, limit), pc_max_damping=min(DEFAULT_PC_DAMPING, limit))
     return replace(
-        _filled(
-            _released(table, max(master["coulomb"]), cap_n),
-            hsc_velocity_threshold=0.0 if side_kind(scene.master) == "joints" else DEFAULT_HSC_SPEED,
-        ),
+        _filled(_released(table, max(master["coulomb"]), cap_n), **_thresholds(scene, master)),
         estimator=_estimator(table.estimator, master["encoder_quantum"] or DEFAULT_QUANTUM_M),
         limiter=_filled(table.limiter, max_force_n=max_force_n),
         ladder=None if scene.slave is None else _ladder(table.ladder or LadderTable(), table.limiter),
         rotation=table.rotation or RotationSafetyTable() if side_kind(scene.master) == "pose" else None,
         gripper=table.gripper or TriggerSafetyTable() if scene.master.gripper else None,
     )
+
+
+def _thresholds(scene: Scene, master: Spec) -> dict[str, float | str]:
+    """Those of the preset. None were measured of joints."""
+    table, kind = scene.safety, side_kind(scene.master)
+    if (table.preset or ("paper" if kind == "joints" else "measured")) == "paper":
+        return dict(PAPER_THRESHOLDS)
+    eta = table.energy_ratio or float(MEASURED_THRESHOLDS["energy_ratio"])
+    return {
+        **MEASURED_THRESHOLDS,
+        "energy_threshold_j": -min(master["mass_kg"]) * MEASURED_WSC_SPEED**2 / (2.0 * eta),
+        "wsc_force_threshold_n": 0.0 if master["stops"] is None else MEASURED_WSC_FORCE_N,
+    }
 
 
 def _released(table: SafetyTable, coulomb: float, max_force_n: float) -> SafetyTable:

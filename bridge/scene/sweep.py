@@ -50,7 +50,7 @@ _ALONE = re.compile(
     r"run\.seed|operator\.(stiffness|damping|grip_strength_n|legs\.\d+\..*|release\..*|regrasp\..*|tremor\..*)"
     r"|environment\.objects\.\d+\.(contact\.(stiffness|damping)|body\..*)|environment\.pushers\.\d+\.(at_s|force_n.*)"
     r"|coupling\.(position_scale|force_scale|command_.*|changes\.\d+\..*_scale)|slave\.(bandwidth_hz|max_.*|force_sensor\..*)"
-    r"|safety\.(velocity_.*|vfc_.*|grasp_.*|hsc_.*|wsc_.*|energy_.*|window|hold_off_s|release_ramp_s)"
+    r"|safety\.(velocity_.*|vfc_.*|grasp_.*|hsc_.*|wsc_.*|energy_threshold_j|window|hold_off_s|release_ramp_s)"
 )
 METRICS = ("outcome", *_core.METRICS, "diverged", "ticks", "reason")
 """Columns of what is measured, in their order; a scene of poses has those of rotation."""

@@ -7,7 +7,7 @@ from typing import Any, Literal, Protocol
 from msgspec.structs import replace
 
 from haptether.bridge import Scene, SceneError, override_scene
-from haptether.bridge.scene.resolve import DEFAULT_DAMPING, max_damping
+from haptether.bridge.scene.resolve import DEFAULT_DAMPING, max_damping, side_kind
 from haptether.safety import ejection_bound
 from haptether.studies.design.contact import scene_numbers
 from haptether.studies.design.delay import ContactLoop, largest_delay_s
@@ -36,7 +36,7 @@ ADVICE = {
     "ejection of the trigger": "a controller that watches",
     "vfc": "a lower safety.velocity_threshold or safety.vfc_force_threshold_n",
     "hsc": "an F_t (safety.hsc_force_threshold_n) between what the hand needs and what the limiter lets pass",
-    "wsc": "slower strokes; a larger |safety.energy_threshold_j| raises the bound on the speed after a release",
+    "wsc": "slower strokes; or the device's master.stops: F_w lets free motion pass, and a bound remains",
     "grip": "a firmer grip, or a lower safety.limiter.max_force_n",
     "losses": "a better link",
     "link": "less delay, jitter and loss; a delay_s is in seconds: 0.05 is 50 ms",
@@ -275,6 +275,7 @@ def _slower(scene: Scene, spec: dict[str, Any], limit: float | None) -> Iterator
         changes.append("safety.wsc_force_threshold_n=0")
     if changes:
         yield tuple(changes)
+    yield from _measured(scene, changes)
     if "vfc" not in watching:
         yield (*(one for one in changes if not one.startswith("safety.controllers=")), _controllers([*watching, "vfc"]))
     if kind not in {"dual-kalman", "adaptive-window"} and not is_exact:
@@ -296,6 +297,12 @@ def _slower(scene: Scene, spec: dict[str, Any], limit: float | None) -> Iterator
         half = rounded_up(LEAST_SHARE_OF_CAP * safety["limiter"]["max_force_n"])
         uncapped = tuple(one for one in bases[0] if not one.startswith("safety.limiter.max_force_n="))
         yield from _held_to(scene, (*uncapped, f"safety.limiter.max_force_n={half:g}"), limit, "energy_threshold_j")
+
+
+def _measured(scene: Scene, changes: list[str]) -> Iterator[Changes]:
+    """The thresholds of the other preset, which has none of joints."""
+    if scene.safety.preset == "paper" and side_kind(scene.master) != "joints":
+        yield (*changes, "safety.preset=measured")
 
 
 def _within_assumptions(spec: dict[str, Any]) -> list[str]:

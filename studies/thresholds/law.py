@@ -32,43 +32,43 @@ SPEEDS = (0.1, 0.2, 0.3, 0.45, 0.6)
 THRESHOLD_LAWS: tuple[ThresholdLaw, ...] = (
     ThresholdLaw(
         name="WSC, w 100", controller="wsc", source="paper", threshold="energy_threshold_j", unit="J",
-        values=ENERGIES_J, default=-0.03,
+        values=ENERGIES_J, fixed={"preset": "paper"}, default=-0.03,
     ),
     ThresholdLaw(
         name="WSC, w 25", controller="wsc", source="ours", threshold="energy_threshold_j", unit="J",
-        values=ENERGIES_J, fixed={"window": 25},
+        values=ENERGIES_J, fixed={"preset": "paper", "window": 25},
     ),
     ThresholdLaw(
         name="WSC, w 25, F_w 0.1", controller="wsc", source="ours", threshold="energy_threshold_j", unit="J",
-        values=ENERGIES_J, fixed={"window": 25, "wsc_force_threshold_n": 0.1},
+        values=ENERGIES_J, fixed={"preset": "paper", "window": 25, "wsc_force_threshold_n": 0.1},
     ),
     ThresholdLaw(
         name="WSC, w 10, F_w 0.1", controller="wsc", source="ours", threshold="energy_threshold_j", unit="J",
-        values=ENERGIES_J, fixed={"window": 10, "wsc_force_threshold_n": 0.1},
+        values=ENERGIES_J, fixed={"preset": "paper", "window": 10, "wsc_force_threshold_n": 0.1},
     ),
     ThresholdLaw(
         name="HSC over F_t", controller="hsc", source="paper", threshold="hsc_force_threshold_n", unit="N",
-        values=FORCES_N, fixed={"hsc_velocity_threshold": 0.0}, default=0.1,
+        values=FORCES_N, fixed={"preset": "paper"}, default=0.1,
     ),
     ThresholdLaw(
         name="HSC over zeta", controller="hsc", source="paper", threshold="grasp_threshold", unit="1",
-        values=GRASPS, fixed={"hsc_force_threshold_n": 1.0, "hsc_velocity_threshold": 0.0}, default=1.5,
+        values=GRASPS, fixed={"preset": "paper", "hsc_force_threshold_n": 1.0}, default=1.5,
     ),
     ThresholdLaw(
         name="HSC, V_s 0.05", controller="hsc", source="ours", threshold="hsc_force_threshold_n", unit="N",
-        values=FORCES_N, fixed={"hsc_velocity_threshold": 0.05}, default=0.1,
+        values=FORCES_N, fixed={"preset": "paper", "hsc_velocity_threshold": 0.05}, default=0.3,
     ),
     ThresholdLaw(
         name="VFC, as printed", controller="vfc", source="paper", threshold="velocity_threshold", unit="m/s",
-        values=SPEEDS, default=0.6,
+        values=SPEEDS, fixed={"preset": "paper"}, default=0.6,
     ),
     ThresholdLaw(
         name="VFC, both", controller="vfc", source="paper", threshold="velocity_threshold", unit="m/s",
-        values=SPEEDS, fixed={"vfc_form": "both"}, default=0.6,
+        values=SPEEDS, fixed={"preset": "paper", "vfc_form": "both"}, default=0.6,
     ),
     ThresholdLaw(
         name="VFC, both, F_t 0.3", controller="vfc", source="ours", threshold="velocity_threshold", unit="m/s",
-        values=SPEEDS, fixed={"vfc_form": "both", "vfc_force_threshold_n": 0.3},
+        values=SPEEDS, fixed={"preset": "paper", "vfc_form": "both", "vfc_force_threshold_n": 0.3},
     ),
 )  # fmt: skip
 """What is compared by default."""

@@ -33,7 +33,7 @@ LAWS_OWN = (
         f"safety.{name}"
         for name in (
             "hold_off_s", "release_ramp_s", "probe_force_n", "release_tries", "hsc_velocity_threshold",
-            "wsc_force_threshold_n", "window", "vfc_form", "vfc_force_threshold_n",
+            "wsc_force_threshold_n", "energy_ratio", "window", "vfc_form", "vfc_force_threshold_n", "preset",
         )
     ),
     *(f"safety.{law.threshold}" for law in THRESHOLD_LAWS),

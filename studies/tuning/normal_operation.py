@@ -24,6 +24,7 @@ from haptether.bridge import (
     scene_json,
 )
 from haptether.bridge.recording.settings import check_settings
+from haptether.bridge.scene.resolve import spec_of
 
 Array = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -215,31 +216,31 @@ class _Recorded:
 
         Source: safety/src/controller; the conditions are those of the tick.
         """
-        tuned, safety = TUNED_FIELDS[field], self.scene.safety
+        tuned, safety = TUNED_FIELDS[field], spec_of(self.scene)["safety"]
         velocity, force = self.replayed["velocity"], self.replayed["rendered_force"]
         power, pushed, speed = (velocity * force).sum(axis=1), _norm(force), _norm(velocity)
         if tuned.controller == "wsc":
-            gate = safety.wsc_force_threshold_n
+            gate = safety["wsc_force_threshold_n"]
             passes = (power > gate * speed) | (gate == 0.0)
             score = -self.replayed["windowed_energy_j"]
         elif tuned.controller == "hsc":
             grasp = self.replayed["grasp"]
             # S_h = |F_v| / (|F_h| + alpha) with F_v as late as F_h (Eq. 5).
-            aligned = grasp * (_norm(self.replayed["grasp_force"]) + safety.grasp_floor_n)
+            aligned = grasp * (_norm(self.replayed["grasp_force"]) + safety["grasp_floor_n"])
             least = np.minimum(pushed, aligned)
-            slowest = safety.hsc_velocity_threshold or 0.0
+            slowest = safety["hsc_velocity_threshold"]
             passes = (power > slowest * pushed) | (slowest == 0.0)
             if field == "grasp_threshold":
-                passes &= least > safety.hsc_force_threshold_n
+                passes &= least > safety["hsc_force_threshold_n"]
                 score = grasp
             else:
-                passes &= grasp > safety.grasp_threshold
+                passes &= grasp > safety["grasp_threshold"]
                 score = least
-        elif safety.vfc_form == "product":
+        elif safety["vfc_form"] == "product":
             passes = np.ones(len(power), dtype=bool)
-            score = power / safety.vfc_force_threshold_n
+            score = power / safety["vfc_force_threshold_n"]
         else:
-            passes = pushed > safety.vfc_force_threshold_n
+            passes = pushed > safety["vfc_force_threshold_n"]
             score = np.divide(power, pushed, out=np.zeros_like(power), where=pushed > 0.0)
         score = np.where(passes & self.counted & np.isfinite(score), score, -np.inf)
         return np.where(self.onsets[tuned.controller], np.inf, score)

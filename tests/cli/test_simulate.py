@@ -479,7 +479,7 @@ def test_the_bound_on_ejection_is_said_where_a_controller_watches(
     controllers: str, said: str | None, speed: float | None, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     written = tmp_path / "run.json"
-    settings = (*f"safety.controllers={controllers}".split(), "safety.estimator={kind=kalman}")
+    settings = (*f"safety.controllers={controllers}".split(), "safety.preset=paper", "safety.estimator={kind=kalman}")
     arguments = ["simulate", "remote_push", *(each for setting in settings for each in ("--set", setting))]
     assert main([*arguments, "--json", str(written)]) == 0
     printed = capsys.readouterr().out

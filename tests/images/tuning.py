@@ -9,8 +9,15 @@ from haptether.bridge import override_scene, simulate
 from haptether.studies.task import HandBounds, Task
 
 HANDS = 40
-SETTINGS = ("safety.window=10", "safety.wsc_force_threshold_n=0.1", "safety.vfc_form=both",
-            "safety.vfc_force_threshold_n=0.3")  # fmt: skip
+SETTINGS = (
+    "safety.preset=paper",
+    "safety.hsc_velocity_threshold=0.05",
+    "safety.hsc_force_threshold_n=1.0",
+    "safety.window=10",
+    "safety.wsc_force_threshold_n=0.1",
+    "safety.vfc_form=both",
+    "safety.vfc_force_threshold_n=0.3",
+)
 """Of docs/thresholds.md."""
 
 

@@ -531,7 +531,7 @@ def test_a_quick_estimate_of_v_lowers_the_bound_at_the_same_grasp_force() -> Non
     ticks = min(len(one.acceleration), len(two.acceleration))
     np.testing.assert_array_equal(one.acceleration[:ticks], two.acceleration[:ticks])
     np.testing.assert_array_equal(one.acceleration_noise[:ticks], two.acceleration_noise[:ticks])
-    scene = load_scene("remote_push")
+    scene = load_scene("remote_push", ["safety.preset=paper"])
     calm, quick = (
         ejection_bound(override_scene(scene, [f"safety.estimator={{kind={kind}}}"])).speed
         for kind in ("kalman", "dual-kalman")
@@ -680,7 +680,7 @@ def test_where_there_is_no_bound_the_reason_is_said(overrides: tuple[str, ...], 
 
 
 def test_the_least_bound_of_those_that_watch_counts() -> None:
-    scene = load_scene("remote_push", ("safety.controllers=[vfc,hsc,wsc,pc]",))
+    scene = load_scene("remote_push", ("safety.controllers=[vfc,hsc,wsc,pc]", "safety.preset=paper"))
     bound = ejection_bound(scene)
     assert [of.controller for of in bound.of] == ["hsc", "wsc", "wsc and vfc"]
     speeds = [of.speed for of in bound.of if of.speed is not None]
@@ -798,7 +798,7 @@ def test_three_axes_stay_below_the_bound() -> None:
             "run.duration_s=1.2", "operator.legs=[]", "operator.start=0", "operator.grip_strength_n=50",
             "operator.stiffness=3000", "operator.damping=40", "operator.release={at_s=0.7,decay_s=0.0}",
             f"environment.pushers={_toml([push, *more])}", "safety.controllers=[wsc]", "safety.hold_off_s=0",
-            "record={every=1}",
+            "safety.preset=paper", "record={every=1}",
         ),
     )  # fmt: skip
     bound = ejection_bound(scene).speed

@@ -246,7 +246,7 @@ def test_a_hand_that_is_there_keeps_its_force_however_often_it_trips() -> None:
             "legs": [{"duration_s": 0.1, "end": side} for _ in range(4) for side in [0.1] * 10 + [0.0] * 10],
         },
         "environment": {"pushers": [{"force_n": 1.0}]},
-        "safety": {"controllers": ["wsc"]},
+        "safety": {"controllers": ["wsc"], "preset": "paper"},
         "record": {},
     }  # fmt: skip
     run = simulate(msgspec.convert(tables, Scene))
@@ -260,8 +260,8 @@ def test_a_torque_that_friction_hides_comes_back_to_nobody_for_ever(*, shares: b
     run = simulate(
         "torque_release",
         overrides=[
-            "safety.rotation.controllers=[wsc]", "master.rotation.coulomb=4e-3", "run.duration_s=9",
-            "operator.clutch=once", "environment.torques.0.duration_s=10", "record={}",
+            "safety.controllers=[]", "safety.rotation.controllers=[wsc]", "master.rotation.coulomb=4e-3",
+            "run.duration_s=9", "operator.clutch=once", "environment.torques.0.duration_s=10", "record={}",
             f"safety.rotation.shares_trips={str(shares).lower()}",
         ],
     )  # fmt: skip
@@ -286,7 +286,12 @@ def test_a_torque_that_friction_hides_comes_back_to_nobody_for_ever(*, shares: b
 def test_a_probe_of_a_torque_turns_a_free_handle_as_slowly_whatever_its_damping(
     master: dict[str, float], rotation: dict[str, float], least: float, most: float
 ) -> None:
-    overrides = ["safety.rotation.controllers=[wsc]", "safety.rotation.shares_trips=false", "record={}"]
+    overrides = [
+        "safety.controllers=[]",
+        "safety.rotation.controllers=[wsc]",
+        "safety.rotation.shares_trips=false",
+        "record={}",
+    ]
     overrides += ["run.duration_s=3", "environment.torques.0.duration_s=8", "master.rotation.coulomb=0"]
     overrides += [f"master.rotation.{name}={value}" for name, value in master.items()]
     overrides += [f"safety.rotation.{name}={value}" for name, value in rotation.items()]

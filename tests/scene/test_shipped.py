@@ -36,28 +36,29 @@ SHOWN: list[Shown] = [
     ("paper_wall", [WITHOUT], (1.323, 1.324), (7.75, 7.85), None, 0),
     ("active_force", [], (0.1842, 0.1843), (0.99, 1.01), (0.078, 0.080), 0),
     ("active_force", [WITHOUT], (2.18, 2.20), (0.99, 1.01), None, 0),
-    # README: thrown at 2.8 m/s; WSC's first catch is of its threshold in free space, 0.44 m/s, less what damping takes.
-    ("remote_push", [], (0.38, 0.42), (6.0, 6.4), (0.04, 0.06), 0),
+    # README: thrown at 2.8 m/s; WSC trips at V_w = 0.29 m/s, and the estimate of V is late by some ms.
+    ("remote_push", [], (0.29, 0.33), (6.0, 6.4), (0.04, 0.06), 0),
     ("remote_push", ["safety.controllers=[hsc]"], (0.18, 0.25), (6.0, 6.4), (0.03, 0.055), 0),
     ("remote_push", [WITHOUT], (2.7, 2.9), (6.0, 6.4), None, 0),
     ("moving_wall", [], (0.08, 0.10), (2.2, 2.5), (0.045, 0.06), 0),
-    ("moving_wall", ["safety.controllers=[wsc]"], (0.28, 0.30), (2.2, 2.5), None, 0),
+    ("moving_wall", ["safety.controllers=[wsc]"], (0.28, 0.30), (2.2, 2.5), (0.06, 0.09), 0),
     # 0.1 m in 0.35 s along a minimum-jerk path: 1.875 L / T = 0.536 m/s at most.
     ("free_motion", [], (0.52, 0.56), (0.0, 0.0), None, 0),
     ("playback", [], (0.07, 0.10), (3.1, 3.3), None, 0),
     ("sliding_mass", [], (0.01, 0.2), (1.0, 1.2), None, 0),
     ("sliding_mass", ["environment.objects.0.contact.stiffness=400"], (0.01, 0.3), (1.0, 2.0), None, 0),
     # 20 mm of target behind the resting depth of 150 and 300 N/m in series: 25 mm * 100 N/m = 2.5 N.
-    ("three_axis_box", [], (0.35, 0.48), (2.4, 2.6), (0.06, 0.09), 0),
+    ("three_axis_box", [], (0.29, 0.33), (2.4, 2.6), (0.06, 0.09), 0),
     # The same of 25 mm into the table and 20 mm into the wall: 2.5 N and 2.0 N, 3.2 N together.
-    ("ur_peg", [], (0.35, 0.48), (3.1, 3.3), (0.05, 0.08), 0),
+    ("ur_peg", [], (0.29, 0.33), (3.1, 3.3), (0.05, 0.08), 0),
     # Nobody lets go: the hand moves at up to 1.875 L / T, 0.1016 and 0.1875 m/s.
     ("driving_network", [], (0.09, 0.11), (2.5, 2.9), None, 0),
     ("attack_replay", [], (0.17, 0.2), (2.1, 2.4), None, 0),
     # 0.03 m in 1 s: at most 1.875 L / T = 0.05625 m/s.
     ("gripper", [], (0.0560, 0.0565), (0.0, 0.0), None, 0),
     # What turns in these is held in test_pose.py. The middle of the handle stays where it is.
-    ("torque_release", [], (0.0, 0.0), (0.0, 0.0), None, 0),
+    ("torque_release", [WITHOUT], (0.0, 0.0), (0.0, 0.0), None, 0),
+    ("torque_release", [], (0.025, 0.035), (0.5, 0.6), (0.025, 0.045), 0),
     ("torque_release", ["safety.controllers=[hsc]"], (0.025, 0.035), (0.5, 0.6), (0.005, 0.02), 0),
     # 0.1 m in 2.2 s and 0.06 m in 0.8 s: 1.875 L / T = 0.085 and 0.141 m/s, less what the hand trails.
     ("ur_pick", [], (0.130, 0.141), (0.0, 0.0), None, 0),
@@ -188,7 +189,8 @@ def test_the_box_is_stroked_smoothly() -> None:
     assert abs(velocity[(time_s > 1.1) & (time_s < 3.0)]).max() < 0.06
     slip = run.signals["environment_force"][1800]
     assert np.hypot(slip[1], slip[2]) == pytest.approx(0.1 * slip[0], rel=1e-6)
-    assert time_of(run, "free") > time_of(run, "trip") > time_of(run, "release")
+    # WSC holds the device so early that the arm stays in contact.
+    assert time_of(run, "trip") > time_of(run, "release")
 
 
 def test_a_run_that_diverges_says_why() -> None:

@@ -69,6 +69,7 @@ def test_a_number_for_every_axis_is_spread() -> None:
     assert of_mass.pop("safety.damping") == [5.0, 4.0]
     assert of_mass.pop("safety.pc_max_damping") == [10.0, 4.0]
     assert of_mass.pop("safety.probe_force_n") == pytest.approx([0.6, 0.48])
+    assert of_mass.pop("safety.energy_threshold_j") == pytest.approx([-0.1 * 0.29**2 / 0.1, -0.02 * 0.29**2 / 0.1])
     assert of_mass == {f"master.mass_kg.{axis}": [0.1, 0.02] for axis in range(3)}
 
 

@@ -184,6 +184,9 @@ def test_roots_of_the_sampled_loop_are_inside_below_it_and_outside_above(
 # ------------------------------------------------------------------------------------------------------- findings
 
 
+VFC_OF_PAPER = ("safety.preset=paper", "safety.controllers=[vfc]")
+
+
 def states(scene: str, overrides: tuple[str, ...] = (), **options: Any) -> dict[str, str]:  # noqa: ANN401
     return {
         one.name: one.state for one in check_scene(load_scene(scene, overrides), remedies=False, **options).findings
@@ -203,7 +206,8 @@ def states(scene: str, overrides: tuple[str, ...] = (), **options: Any) -> dict[
         ("felt_trigger", (), "delay margin", "not judged"),
         ("ur_pick", (), "delay margin", "not judged"),
         ("torque_release", (), "delay margin", "note"),
-        ("valve", (), "delay margin", "bad"),
+        ("valve", (), "delay margin", "not judged"),
+        ("valve", ("coupling.force_scale=1",), "delay margin", "bad"),
         ("free_motion", (), "delay margin", None),
         ("paper_wall", (), "wall", "good"),
         ("paper_wall", ("environment.objects.0.contact.stiffness=9000",), "wall", "warning"),
@@ -211,35 +215,37 @@ def states(scene: str, overrides: tuple[str, ...] = (), **options: Any) -> dict[
         ("paper_wall", ("environment.objects.0.contact.stiffness=11000",), "passive wall", "note"),
         ("remote_push", ("safety.controllers=[]",), "ejection", "bad"),
         ("paper_wall", ("safety.controllers=[hsc]",), "ejection", "bad"),
-        ("remote_push", (), "ejection", "bad"),
+        ("remote_push", (), "ejection", "good"),
+        ("remote_push", ("safety.preset=paper",), "ejection", "bad"),
         ("paper_wall", ("master.viscous=-0.05", "master.coulomb=0"), "ejection", "good"),
         ("paper_wall", ("master.viscous=-0.05", "master.coulomb=0", "safety.damping=0"), "ejection", "bad"),
         ("remote_push", ("safety.energy_threshold_j=-30",), "ejection", "bad"),
         ("remote_push", ("safety.limiter={enabled=false}",), "ejection", "bad"),
         ("free_motion", ("safety.controllers=[]",), "ejection", "note"),
         ("remote_push", ("environment={}", "safety.controllers=[]"), "ejection", "note"),
-        ("remote_push", ("environment={}", "slave.device=ur"), "ejection", "bad"),
-        ("remote_push", ("environment={}", "slave.force_sensor.bias_n=0.1"), "ejection", "bad"),
+        ("remote_push", ("environment={}", "slave.device=ur"), "ejection", "good"),
+        ("remote_push", ("environment={}", "slave.force_sensor.bias_n=0.1"), "ejection", "good"),
         ("remote_push", ("coupling.locked_axes=[0]",), "ejection", "note"),
-        ("torque_release", (), "ejection", None),
-        ("torque_release", (), "ejection of the handle", "bad"),
+        ("torque_release", ("safety.controllers=[]",), "ejection", None),
+        ("torque_release", ("safety.controllers=[]",), "ejection of the handle", "bad"),
         ("torque_release", ("coupling.locks_rotation=true",), "ejection of the handle", None),
         ("torque_release", ("safety.rotation.controllers=[hsc]",), "ejection of the handle", "not judged"),
-        ("felt_trigger", (), "ejection of the trigger", "bad"),
+        ("felt_trigger", ("safety.controllers=[]",), "ejection of the trigger", "bad"),
         ("felt_trigger", ("safety.gripper.controllers=[vfc]",), "ejection of the trigger", "not judged"),
         ("remote_push", ("safety.limiter.max_force_n=40", "master.max_force_n=40"), "ejection", "bad"),
         ("remote_push", ("master.measures_velocity=true",), "ejection", "good"),
         ("remote_push", ("safety.controllers=[vfc]",), "vfc", "good"),
-        ("remote_push", ("safety.controllers=[vfc]", "safety.vfc_force_threshold_n=7"), "vfc", "warning"),
-        ("remote_push", ("safety.controllers=[vfc]", "safety.vfc_form=both"), "vfc", "warning"),
-        ("remote_push", ("safety.controllers=[vfc]", "safety.vfc_form=both", "safety.vfc_force_threshold_n=8"), "vfc",
+        ("remote_push", (*VFC_OF_PAPER, "safety.vfc_force_threshold_n=7"), "vfc", "warning"),
+        ("remote_push", (*VFC_OF_PAPER, "safety.vfc_form=both"), "vfc", "warning"),
+        ("remote_push", (*VFC_OF_PAPER, "safety.vfc_form=both", "safety.vfc_force_threshold_n=8"), "vfc",
          "bad"),
         ("remote_push", ("safety.controllers=[hsc]",), "hsc", "good"),
         ("remote_push", ("safety.controllers=[hsc]", "safety.hsc_force_threshold_n=8"), "hsc", "bad"),
         ("remote_push", ("safety.controllers=[hsc]", "safety.hsc_velocity_threshold=0",
                          "safety.hsc_force_threshold_n=0.1"), "hsc", "warning"),
-        ("remote_push", (), "wsc", "good"),
-        ("remote_push", ("operator.legs.0.duration_s=0.2",), "wsc", "warning"),
+        ("remote_push", ("safety.preset=paper",), "wsc", "good"),
+        ("remote_push", (), "wsc", None),
+        ("remote_push", ("safety.preset=paper", "operator.legs.0.duration_s=0.2"), "wsc", "warning"),
         ("remote_push", ("operator.grip_strength_n=5",), "grip", "warning"),
         ("remote_push", (), "grip", None),
         ("driving_network", (), "losses", "warning"),
@@ -310,15 +316,16 @@ def test_every_shipped_scene_can_be_checked_and_what_its_remedies_change_mends_i
         # F_w without stops is what takes the bound away.
         ("paper_wall", ("safety.wsc_force_threshold_n=0.1",), "ejection", "safety.wsc_force_threshold_n=0"),
         ("paper_wall", ("safety.controllers=[hsc]",), "ejection", "wsc"),
+        ("remote_push", ("safety.preset=paper",), "ejection", "safety.preset=measured"),
         ("paper_wall", ("environment.rendering=continuous",), "ejection", "environment.rendering=sampled"),
         ("paper_wall", ("master.viscous=-0.05", "master.coulomb=0", "safety.damping=0"), "ejection", "damping=5"),
         ("remote_push", ("safety.limiter.max_force_n=40",), "ejection", "safety.limiter.max_force_n=7.9"),
-        ("remote_push", ("safety.energy_threshold_j=-30",), "ejection", "safety.energy_threshold_j=-0.00"),
+        ("remote_push", ("safety.energy_threshold_j=-30",), "ejection", "safety.energy_threshold_j=-0.1"),
         # A threshold that mends WSC would take the bound of the device away, which has no stops.
-        ("remote_push", ("operator.legs.0.duration_s=0.2",), "wsc", None),
-        ("free_motion", (), "wsc", "safety.wsc_force_threshold_n=0.1"),
+        ("remote_push", ("safety.preset=paper", "operator.legs.0.duration_s=0.2"), "wsc", None),
+        ("free_motion", ("safety.preset=paper",), "wsc", "safety.wsc_force_threshold_n=0.1"),
         ("paper_wall", ("environment.objects.0.contact.stiffness=11000",), "wall", "stiffness=80"),
-        ("remote_push", ("safety.controllers=[vfc]", "safety.vfc_force_threshold_n=7"), "vfc", "threshold_n=6.5"),
+        ("remote_push", (*VFC_OF_PAPER, "safety.vfc_force_threshold_n=7"), "vfc", "threshold_n=6.5"),
         ("remote_push", ("safety.controllers=[hsc]", "safety.hsc_force_threshold_n=8"), "hsc", "threshold_n=1"),
         ("remote_push", ("operator.grip_strength_n=5",), "grip", "safety.limiter.max_force_n=5"),
         ("driving_network", (), "losses", "safety.ladder.hold_after_s=0.05"),
@@ -370,7 +377,9 @@ def test_a_changed_scale_is_lowered_with_the_first() -> None:
 
 def test_a_handle_that_is_said_to_ring_does_and_with_the_remedy_does_not() -> None:
     """A hand moves a valve's tool by 1 cm, which the valve does not let: the force swings on, or dies away."""
-    scene = load_scene("valve", ["operator.legs=[{duration_s=1.0,end=[0.0,0.0,0.01]}]", "run.duration_s=2.5"])
+    scene = load_scene(
+        "valve", ["coupling.force_scale=1", "operator.legs=[{duration_s=1.0,end=[0.0,0.0,0.01]}]", "run.duration_s=2.5"]
+    )
     finding = of(check_scene(scene).findings, "delay margin")
     assert finding is not None
     assert finding.state == "bad"

@@ -189,15 +189,6 @@ def test_what_a_task_sets_is_refused_however_it_is_written(override: str, leaf: 
     refuse_fixed(["safety={window=10}", "operator.legs.0.end=0.1", "coupling.force_scale=0.5"], FIXED, "is set")
 
 
-def test_only_the_bundled_scene_is_softened_and_that_is_reported(tmp_path: Path) -> None:
-    save_scene(load_scene("valve"), tmp_path / "valve.toml")
-    own, bundled = Task(str(tmp_path / "valve.toml"), 0.0), Task("valve", 0.0)
-    assert own.base == load_scene("valve")
-    assert own.replaced() == ()
-    assert bundled.base.coupling != own.base.coupling
-    assert bundled.replaced() == ("valve has coupling.force_scale=0.25, or it would ring.",)
-
-
 def test_what_a_scene_has_beside_its_delay_is_named_where_a_network_replaces_it() -> None:
     steady = EVALUATED_NETWORKS[0]
     driving = Task("driving_network", 0.1, network=steady)

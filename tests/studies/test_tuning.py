@@ -197,7 +197,7 @@ def test_the_scene_of_a_recording_is_the_one_that_was_run(name: str) -> None:
         ("grasp_threshold", ()),
         ("grasp_threshold", ("hsc_velocity_threshold=0", "hsc_force_threshold_n=0.5")),
         ("hsc_force_threshold_n", ("hsc_velocity_threshold=0",)),
-        ("velocity_threshold", ()),
+        ("velocity_threshold", ("vfc_form=product",)),
         ("velocity_threshold", ("vfc_form=both", "vfc_force_threshold_n=0.3")),
     ],
 )
@@ -241,7 +241,7 @@ def test_hours_are_those_in_which_the_two_are_engaged_and_nobody_intervenes(held
     assert free.hours * 3600.0 == pytest.approx(engaged)
     assert free.blocks == 1
     assert free.round_trip_s == pytest.approx(0.1, abs=0.005)
-    task = Task("remote_push", 0.1)
+    task = Task("remote_push", 0.1, ["safety.preset=paper"])
     simulate(
         task.with_controllers(task.lasting(HandBounds()), "wsc", {}), record=(tmp_path / "m.mcap", tmp_path / "s.mcap")
     )
@@ -335,7 +335,7 @@ def another(table: str, key: str, value: object) -> Callable[[Recording], list[A
         (of_joints, "of kind joints, must be linear or pose"),
         (another_rate, r"differ in \[run\] period_s: 0.001 and 0.002: must be of one device at one rate"),
         (another("master", "mass_kg", [0.2]), r"differ in \[master\] mass_kg: \[0.157\] and \[0.2\]"),
-        (another("safety", "window", 50), r"differ in \[safety\] window: 100 and 50: .*; --set safety.window="),
+        (another("safety", "window", 50), r"differ in \[safety\] window: 10 and 50: .*; --set safety.window="),
     ],
 )
 def test_what_is_no_normal_operation_is_refused(

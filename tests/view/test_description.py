@@ -178,8 +178,9 @@ def test_the_status_says_what_the_signals_do() -> None:
     assert during.acting == ("wsc",)
     (gauge,) = during.gauges
     energy_j = float(run.signals["windowed_energy_j"][2745])
-    assert (gauge.value, gauge.threshold) == (energy_j, scene.safety.energy_threshold_j)
-    assert gauge.share == pytest.approx(energy_j / scene.safety.energy_threshold_j)
+    threshold_j = scene.ejection_settings().energy_threshold_j
+    assert (gauge.value, gauge.threshold) == (energy_j, threshold_j)
+    assert gauge.share == pytest.approx(energy_j / threshold_j)
     assert gauge.tripped == (gauge.share > 1.0)
     assert before.device_force == pytest.approx(abs(float(run.signals["device_force"][2000])))
 

@@ -16,6 +16,7 @@ from haptether.bridge import (
     Signals,
     ladder_state_name,
 )
+from haptether.bridge.scene.resolve import spec_of
 from haptether.view.scene3d.extent import is_joints
 from haptether.view.scene3d.parts import Course
 
@@ -184,9 +185,11 @@ def _controllers(signals: Signals, scene: Scene | None) -> tuple[str, ...]:
 
 
 def _thresholds(scene: Scene | None) -> dict[str, float]:
-    """Beyond which each controller intervenes; defaults are the paper's."""
-    grasp, energy_j = (1.5, -0.03) if scene is None else (scene.safety.grasp_threshold, scene.safety.energy_threshold_j)
-    return {"vfc": 1.0, "hsc": grasp, "wsc": energy_j, "pc": 0.0}
+    """Beyond which each controller intervenes; without a scene the paper's."""
+    if scene is None:
+        return {"vfc": 1.0, "hsc": 1.5, "wsc": -0.03, "pc": 0.0}
+    safety = spec_of(scene)["safety"]
+    return {"vfc": 1.0, "hsc": safety["grasp_threshold"], "wsc": safety["energy_threshold_j"], "pc": 0.0}
 
 
 def spans(time_s: npt.NDArray[np.float64], on: npt.NDArray[np.bool_]) -> list[tuple[float, float]]:

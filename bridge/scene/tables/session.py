@@ -355,11 +355,13 @@ class ResearchTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[safety]`: who watches the hand. Thresholds are the paper's by default; V_s, estimator and release law are ours.
+    """`[safety]`: who watches the hand. A threshold that is left out is that of the preset.
 
-    Source: paper section 4 (thresholds).
+    Source: paper section 4 (preset "paper"); docs/thresholds.md (preset "measured").
     """
 
+    preset: Literal["measured", "paper"] | None = None
+    """Whose thresholds: "measured" under delay, or those of the paper; by default "measured", of joints "paper"."""
     controllers: tuple[ControllerName, ...] = ()
     """Any of "vfc" (Eq. 2), "hsc" (Eq. 14), "wsc" (Eq. 13), "pc" (Eq. 12); by default nobody."""
     signals: Literal["estimated", "true"] = "estimated"
@@ -368,31 +370,37 @@ class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """How V and A are had from the position."""
     damping: NonNegative | None = None
     """mu in N s/m, at most m / (5 dT); by default 5, or that bound if it is less."""
-    velocity_threshold: Positive = 0.6
-    """V_t in m/s, of VFC."""
-    vfc_force_threshold_n: Positive = 1.0
-    """F_t in N, of VFC."""
-    vfc_form: Literal["product", "both"] = "product"
-    """Eq. 1 as printed, or both thresholds at the same time."""
+    velocity_threshold: Positive | None = None
+    """V_t in m/s, of VFC; measured 0.45, of the paper 0.6."""
+    vfc_force_threshold_n: Positive | None = None
+    """F_t in N, of VFC; measured 0.3, of the paper 1."""
+    vfc_form: Literal["product", "both"] | None = None
+    """"product", Eq. 1 as printed and the paper's, or "both" thresholds at the same time, the measured one."""
     grasp_threshold: Annotated[float, Meta(gt=1.0, le=LARGEST)] = 1.5
     """zeta, above 1, of HSC."""
     grasp_floor_n: Positive = 1e-3
     """alpha in N, of HSC."""
-    hsc_force_threshold_n: NonNegative = 0.1
-    """F_t in N, of HSC."""
+    hsc_force_threshold_n: NonNegative | None = None
+    """F_t in N, of HSC; measured 0.3, of the paper 0.1."""
     hsc_velocity_threshold: NonNegative | None = None
     """V_s in m/s, of HSC: a push trips only while the device moves along it faster than that; 0 is as printed.
 
-    By default 0.05, of joints 0.
+    Measured 0.05, of the paper 0.
     """
-    energy_threshold_j: Annotated[float, Meta(ge=-LARGEST, lt=0.0)] = -0.03
-    """delta in J, below 0, of WSC."""
-    wsc_force_threshold_n: NonNegative = 0.0
-    """F_w in N, of WSC: a motion trips only while the push along it exceeds that; 0 is as printed."""
-    energy_ratio: Ratio = 0.5
-    """eta, above 0 and at most 1."""
-    window: Annotated[int, Meta(ge=1, le=3_600_000)] = 100
-    """w in ticks, of WSC."""
+    energy_threshold_j: Annotated[float, Meta(ge=-LARGEST, lt=0.0)] | None = None
+    """delta in J, below 0, of WSC; of the paper -0.03.
+
+    Measured: that of V_w = 0.29 m/s, `-m V_w² / (2 eta)`, m the lightest axis.
+    """
+    wsc_force_threshold_n: NonNegative | None = None
+    """F_w in N, of WSC: a motion trips only while the push along it exceeds that; 0 is as printed, and the paper's.
+
+    Measured 0.005 with `master.stops`; without, 0: a push that WSC does not see would have no end.
+    """
+    energy_ratio: Ratio | None = None
+    """eta, above 0 and at most 1; measured 0.05, of the paper 0.5."""
+    window: Annotated[int, Meta(ge=1, le=3_600_000)] | None = None
+    """w in ticks, of WSC; measured 10, of the paper 100."""
     pc_max_damping: NonNegative | None = None
     """Bound in N s/m on the damping of PC, at most m / (5 dT); by default 10, or that bound if it is less."""
     hold_off_s: Hold = 0.1

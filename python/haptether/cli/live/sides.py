@@ -286,8 +286,6 @@ GRIP_STRENGTH_N = 12.0
 RELEASE_DURATION_S = 0.05
 STOPS_M = (-0.08, 0.08)
 """Mechanical stops of a PHANTOM Desktop, whose workspace is 0.16 m wide."""
-HSC_FORCE_THRESHOLD_N = 1.0
-"""F_t of HSC in N on an encoder of 0.023 mm: below it, quantisation decides what S_h is."""
 PUSH_RISE_S = 0.5
 RANGES: dict[str, Callable[[float], bool]] = {
     "finite": lambda _: True,
@@ -369,8 +367,5 @@ def baseline_scene(
             pushers=() if push_at_s is None else (push,),
         ),
         coupling=CouplingTable(force_scale=force_scale),
-        safety=SafetyTable(
-            controllers=() if controller == "none" else (controller,),
-            hsc_force_threshold_n=HSC_FORCE_THRESHOLD_N,
-        ),
+        safety=SafetyTable(controllers=() if controller == "none" else (controller,)),
     )
