@@ -25,7 +25,7 @@ pub struct TriggerSettings {
 }
 
 /// Coupling from the jaws to the finger: `F_v = -g lambda F_jaws` along the closing direction `x = travel p`.
-/// F_v is 0 unless the jaws press on something and follow the trigger. Once they follow, g rises from 0 to 1
+/// `F_v` is 0 unless the jaws press on something and follow the trigger. Once they follow, g rises from 0 to 1
 /// within the ladder's fade-in.
 ///
 /// The trigger has its own [`SafetyLayer`]; its trips and those of the hand are independent. A finger that
