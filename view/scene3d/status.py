@@ -185,8 +185,8 @@ def _controllers(signals: Signals, scene: Scene | None) -> tuple[str, ...]:
 
 
 def _thresholds(scene: Scene | None) -> dict[str, float]:
-    """Beyond which each controller intervenes; without a scene the paper's."""
-    if scene is None:
+    """Beyond which each controller intervenes; without a scene, or of one that is only drawn, the paper's."""
+    if scene is None or (scene.master.device is None and scene.master.mass_kg is None):
         return {"vfc": 1.0, "hsc": 1.5, "wsc": -0.03, "pc": 0.0}
     safety = spec_of(scene)["safety"]
     return {"vfc": 1.0, "hsc": safety["grasp_threshold"], "wsc": safety["energy_threshold_j"], "pc": 0.0}
