@@ -77,6 +77,8 @@ class PushResult(msgspec.Struct, frozen=True, kw_only=True):
     skipped_ticks: int
     holds: int
     """How often the slave was silent for more than 20 ms."""
+    outliers: int
+    """Samples that left their path and were replaced."""
     dropped_records: int
     """Ticks that are missing from these figures, because only the last of a run are kept."""
     unsent: int
@@ -129,6 +131,7 @@ def measure_push(controller: str, trace: MasterTrace, report: LoopReport, releas
         ticks=report.ticks,
         skipped_ticks=report.skipped,
         holds=report.holds,
+        outliers=report.outliers,
         dropped_records=report.dropped_records,
         unsent=report.unsent,
         force_at_release_n=(float(force[after][0]) if release_s is not None and after.any() else None),

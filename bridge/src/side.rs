@@ -290,7 +290,10 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for MasterSide<P, N,
         }
         let reading = MasterReading { position, velocity, rotation: self.plant.rotation(), trigger: finger };
         let tick = self.endpoint.tick(time.clock_ns, time.missed, &reading, clutch);
-        self.endpoint.exchange.outliers += self.leading.outliers();
+        if tick.trigger.is_none() {
+            // A trigger with force feedback counts its own.
+            self.endpoint.exchange.outliers += self.leading.outliers();
+        }
         let truth = self.plant.truth();
         let torques = [tick.input.received_torque, tick.input.requested_torque];
         let turn =

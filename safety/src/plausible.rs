@@ -93,13 +93,16 @@ struct PerTick {
 }
 
 impl PerTick {
-    /// Test a velocity in m/s: its speed is within the bound, and it follows from the velocity `gap` ticks before.
+    /// Test a velocity in m/s: its speed is within the bound, and it differs from the one before by at most `share` of dV.
     #[inline(always)]
-    fn is_steady<const N: usize, S: Real>(&self, from: &Axes<N, S>, to: &Axes<N, S>, gap: S) -> S::SimdBool {
-        let [period_s, speed, change, quantum] =
-            [self.period_s, self.speed, self.change, self.quantum].map(S::splat);
-        let room = change * gap + quantum + quantum;
-        is_short(&((to - from) * period_s), room, self.per_axis)
+    fn is_steady<const N: usize, S: Real>(
+        &self,
+        from: &Axes<N, S>,
+        to: &Axes<N, S>,
+        share: S,
+    ) -> S::SimdBool {
+        let [period_s, speed, change] = [self.period_s, self.speed, self.change].map(S::splat);
+        is_short(&((to - from) * period_s), change * share, self.per_axis)
             & is_short(&(to * period_s), speed, self.per_axis)
     }
 }
@@ -116,14 +119,38 @@ fn is_short<const N: usize, S: Real>(vector: &Axes<N, S>, limit: S, per_axis: bo
 /// Largest number of ticks between two samples of a device that samples more slowly than the loop.
 const MAX_EVERY: f64 = 4.0;
 
+/// Fewest accepted samples between two steps of a device in one direction.
+const MIN_BETWEEN_STEPS: u32 = 100;
+
+/// Return whether a device with this number of ticks between changing samples is slower than the loop, and still followed.
+fn is_of_slow_device(interval: f64) -> bool {
+    interval > 1.0 && interval <= MAX_EVERY
+}
+
+/// Find the last change among samples: ticks since the change before it, its tick, and the values before and after it.
+///
+/// `last` is the last sample before them, at tick 0, and has been the same for `same_for` ticks.
+fn last_change<T: Copy + PartialEq>(
+    last: T,
+    same_for: f64,
+    samples: impl Iterator<Item = (f64, T)>,
+) -> (f64, f64, [T; 2]) {
+    let (mut before, mut now) = ((-same_for, last), (-same_for, last));
+    for (at, value) in samples {
+        if value != now.1 {
+            (before, now) = (now, (at, value));
+        }
+    }
+    (now.0 - before.0, now.0, [before.1, now.1])
+}
+
 /// Path of a point: `x(k) = x_a + v k`, k ticks after the anchor `x_a`.
 ///
 /// The anchor is the last sample. A device that samples more slowly than the loop repeats its samples; the anchor is
 /// then the first of equal samples.
 ///
-/// A sample is on the path where `|x - x_a - v k| <= dV dT g + 2 q`, g ticks after the sample before. The bound
-/// allows a change of velocity by dV. It also allows rounding to the quantum q, of this sample and of the two that
-/// define the path.
+/// A sample is on the path where `|x - x_a - v k| <= dV dT + q (k + 1)`. The bound allows a change of velocity by dV, and rounding
+/// to the quantum q of this sample and of the two that define v.
 ///
 /// Source: derived here.
 #[derive(Clone, Copy, Debug)]
@@ -157,9 +184,11 @@ impl<const N: usize, S: Real> Track<N, S> {
         of.iter().all(|one| one.bounds == bounds && one.anchor.is_none()).then(|| Self::of(bounds))
     }
 
-    /// Return the mask of samples on the path, `ticks` after its last sample and `gap` after the sample before.
+    /// Return the mask of samples on the path, `ticks` after its last sample and within `share` of dV.
+    ///
+    /// A late tick widens nothing but the rounding: a wrong sample after it is as wrong as at any other tick.
     #[inline(always)]
-    fn contains(&self, position: &Axes<N, S>, ticks: S, gap: S) -> S::SimdBool {
+    fn contains(&self, position: &Axes<N, S>, ticks: S, share: S) -> S::SimdBool {
         let Some(anchor) = &self.anchor else { return !nowhere::<S>() };
         let PerTick { speed, change, quantum, per_axis, .. } = self.bounds;
         let [speed, change, quantum] = [speed, change, quantum].map(S::splat);
@@ -167,7 +196,7 @@ impl<const N: usize, S: Real> Track<N, S> {
         let moved = position - anchor;
         let is_slow = is_short(&moved, speed * k + quantum + quantum, per_axis);
         let Some(rate) = &self.rate else { return is_slow };
-        is_slow & is_short(&(moved - rate * k), change * gap + quantum + quantum, per_axis)
+        is_slow & is_short(&(moved - rate * k), change * share + quantum * (k + S::one()), per_axis)
     }
 
     /// Accept a sample, `ticks` after the last one.
@@ -185,15 +214,17 @@ impl<const N: usize, S: Real> Track<N, S> {
         self.rate = Some(selected(repeats, rate, &(moved / k)));
         // A repeat keeps the position of the anchor.
         self.since = k.select(repeats, S::zero());
-        self.every = self.every.select(is_same, same_for.lesser(S::splat(MAX_EVERY)));
+        // Steps of a quantum or two are a slow motion, and a longer time without a change is a rest.
+        let [quantum, max_every] = [self.bounds.quantum, MAX_EVERY].map(S::splat);
+        let keeps = is_short(&moved, quantum + quantum, self.bounds.per_axis) | same_for.simd_gt(max_every);
+        self.every = self.every.select(keeps, same_for);
         self.same_for = same_for.select(is_same, S::zero());
     }
 
-    /// Test a measured velocity in m/s: its speed is within the bound, and it follows from the velocity `ticks`
-    /// before.
+    /// Test a measured velocity in m/s: its speed is within the bound, and it differs from the one before by at most dV.
     #[inline(always)]
-    pub fn is_steady(&self, from: &Axes<N, S>, to: &Axes<N, S>, ticks: S) -> S::SimdBool {
-        self.bounds.is_steady(from, to, ticks)
+    pub fn is_steady(&self, from: &Axes<N, S>, to: &Axes<N, S>) -> S::SimdBool {
+        self.bounds.is_steady(from, to, S::one())
     }
 
     /// Accept a sample, `ticks` after the one before, and return the mask of lanes where it was on the path.
@@ -201,7 +232,7 @@ impl<const N: usize, S: Real> Track<N, S> {
     /// In the other lanes the path is no longer usable.
     #[inline(always)]
     pub fn step(&mut self, position: &Axes<N, S>, ticks: S) -> S::SimdBool {
-        let on_path = self.contains(position, ticks, ticks);
+        let on_path = self.contains(position, ticks, S::one());
         self.accept(position, ticks);
         on_path
     }
@@ -257,21 +288,23 @@ impl TurnTrack {
         Some(if k == 1.0 { rate } else { rate.powf(k) } * anchor)
     }
 
-    fn contains(&self, orientation: &UnitQuaternion<f64>, ticks: f64, gap: f64) -> bool {
+    fn contains(&self, orientation: &UnitQuaternion<f64>, ticks: f64, share: f64) -> bool {
         let (Some(anchor), Some(expected)) = (self.anchor, self.at(ticks)) else { return true };
         let PerTick { speed, change, quantum, .. } = self.bounds;
         let k = self.since + ticks;
         is_small(&anchor.rotation_to(orientation), speed * k + 2.0 * quantum)
             && (self.rate.is_none()
-                || is_small(&expected.rotation_to(orientation), change * gap + 2.0 * quantum))
+                || is_small(&expected.rotation_to(orientation), change * share + quantum * (k + 1.0)))
     }
 
     fn accept(&mut self, orientation: &UnitQuaternion<f64>, ticks: f64) {
         let Some(anchor) = self.anchor.replace(*orientation) else { return };
         let (k, same_for) = (self.since + ticks, self.same_for + ticks);
         let is_same = *orientation == anchor;
-        (self.same_for, self.every) =
-            if is_same { (same_for, self.every) } else { (0.0, same_for.min(MAX_EVERY)) };
+        self.same_for = if is_same { same_for } else { 0.0 };
+        if same_for <= MAX_EVERY && !is_small(&anchor.rotation_to(orientation), 2.0 * self.bounds.quantum) {
+            self.every = same_for;
+        }
         if self.rate.is_some() && is_same && k < self.every {
             self.since = k;
             return;
@@ -440,6 +473,9 @@ pub struct Guard<const N: usize> {
     held: [Knot<N>; MAX_HELD],
     count: usize,
     between: Option<Between<N>>,
+    /// The last step, and accepted samples since.
+    shift: Sample<N>,
+    since_shift: u32,
     outliers: u64,
 }
 
@@ -459,6 +495,8 @@ impl<const N: usize> Guard<N> {
             held: [Knot { at: 0.0, sample: nothing }; MAX_HELD],
             count: 0,
             between: None,
+            shift: nothing,
+            since_shift: MIN_BETWEEN_STEPS,
             outliers: 0,
         }
     }
@@ -495,7 +533,7 @@ impl<const N: usize> Guard<N> {
     ///
     /// [`taken`](Self::taken) then returns the sample or its prediction.
     pub fn pass(&mut self, sample: &Sample<N>, ticks: f64) -> Result<(), Excess> {
-        if self.count == 0 && self.contains(sample, ticks, ticks) {
+        if self.count == 0 && self.contains(sample, ticks, 1.0) {
             self.accept(sample, ticks);
             return Ok(());
         }
@@ -524,8 +562,8 @@ impl<const N: usize> Guard<N> {
         // After a wrong sample the next may be wrong too, so the limit is tighter. It follows a device that
         // accelerates by dV / 10 per tick, 50 m/s^2 at 1 kHz; this leaves the path by dV dT k (k + 1) / 20 in k
         // ticks.
-        let closely = if wrong == 0 { gap } else { gap * (0.05 * at * (at + 1.0)).min(1.0) };
-        if self.contains(sample, at, closely) {
+        let share = if wrong == 0 { 1.0 } else { (0.05 * at * (at + 1.0)).min(1.0) };
+        if self.contains(sample, at, share) {
             self.outliers += wrong as u64;
             self.settle(&[], Knot { at, sample: *sample }, None);
             self.accept(sample, at);
@@ -550,7 +588,7 @@ impl<const N: usize> Guard<N> {
         let (track, turn, ticks) = &self.before;
         let repeats = self.last == *sample && self.track.since + gap < self.track.every;
         // A path of one sample has no direction, and a repeat equals the last sample.
-        track.rate.is_some() && !repeats && self.is_on(track, turn, sample, ticks + gap, gap)
+        track.rate.is_some() && !repeats && self.is_on(track, turn, sample, ticks + gap, 1.0)
     }
 
     fn hold(&mut self, knot: Knot<N>) -> Judged<N> {
@@ -574,13 +612,13 @@ impl<const N: usize> Guard<N> {
     }
 
     #[inline(always)]
-    fn contains(&self, sample: &Sample<N>, ticks: f64, gap: f64) -> bool {
-        self.is_on(&self.track, &self.turn, sample, ticks, gap)
+    fn contains(&self, sample: &Sample<N>, ticks: f64, share: f64) -> bool {
+        self.is_on(&self.track, &self.turn, sample, ticks, share)
     }
 
     #[inline(always)]
-    fn is_on(&self, track: &Track<N>, turn: &TurnTrack, sample: &Sample<N>, ticks: f64, gap: f64) -> bool {
-        if !track.contains(&sample.position, ticks, gap) {
+    fn is_on(&self, track: &Track<N>, turn: &TurnTrack, sample: &Sample<N>, ticks: f64, share: f64) -> bool {
+        if !track.contains(&sample.position, ticks, share) {
             return false;
         }
         if track.anchor.is_none() {
@@ -588,12 +626,12 @@ impl<const N: usize> Guard<N> {
         }
         let last = &self.last;
         let follows = |[from, to]: [&Option<Axes<N>>; 2]| match (from, to) {
-            (Some(from), Some(to)) => self.track.bounds.is_steady(from, to, gap),
+            (Some(from), Some(to)) => self.track.bounds.is_steady(from, to, share),
             _ => true,
         };
         follows([&last.velocity, &sample.velocity])
             && match (&last.rotation, &sample.rotation) {
-                (Some(from), Some(to)) => contains_turn(turn, from, to, ticks, gap),
+                (Some(from), Some(to)) => contains_turn(turn, from, to, ticks, share),
                 _ => true,
             }
     }
@@ -607,6 +645,7 @@ impl<const N: usize> Guard<N> {
             self.turn.accept(&turned.orientation, ticks);
         }
         (self.last, self.count) = (*sample, 0);
+        self.since_shift = self.since_shift.saturating_add(1);
     }
 
     /// Decide when more samples are off the path than may be outliers.
@@ -681,9 +720,19 @@ impl<const N: usize> Guard<N> {
         let [held @ .., newest] = knots else { return Judged::Settled };
         let shift = self.step_of(knots);
         self.settle(held, *newest, shift);
-        if shift.is_none() {
-            self.track = Track::new(self.bounds[0], self.period_s);
-            self.turn = TurnTrack::new(self.bounds[1], self.period_s);
+        let (track, turn, last) = (self.track, self.turn, self.last);
+        if let Some(shift) = shift {
+            self.track.anchor = Some(newest.sample.position);
+            self.track.since = 0.0;
+            self.turn.anchor = newest.sample.rotation.map(|turned| turned.orientation);
+            self.turn.since = 0.0;
+            (self.last, self.count) = (newest.sample, 0);
+            // The path without its last sample is that before the step.
+            self.before.0.rate = None;
+            (self.shift, self.since_shift) = (shift, 0);
+        } else {
+            self.track = Track { every: track.every, ..Track::new(self.bounds[0], self.period_s) };
+            self.turn = TurnTrack { every: turn.every, ..TurnTrack::new(self.bounds[1], self.period_s) };
             // Two samples define a path; the third defines the path without its last sample.
             let path = &knots[knots.len().saturating_sub(3)..];
             let mut at = path[0].at - 1.0;
@@ -691,12 +740,29 @@ impl<const N: usize> Guard<N> {
                 self.accept(&knot.sample, knot.at - at);
                 at = knot.at;
             }
-        } else {
-            self.track.anchor = Some(newest.sample.position);
-            self.track.since = 0.0;
-            self.turn.anchor = newest.sample.rotation.map(|turned| turned.orientation);
-            self.turn.since = 0.0;
-            (self.last, self.count) = (newest.sample, 0);
+        }
+        let places = knots.iter().map(|knot| (knot.at, knot.sample.position));
+        let (interval, since, [from, to]) = last_change(last.position, track.same_for, places);
+        self.track.same_for = newest.at - since;
+        if shift.is_none() && is_of_slow_device(interval) {
+            let moved = to - from;
+            let track = &mut self.track;
+            if !is_short(&moved, 2.0 * track.bounds.quantum, track.bounds.per_axis) {
+                (track.anchor, track.rate, track.every) = (Some(to), Some(moved / interval), interval);
+                track.since = newest.at - since;
+            }
+        }
+        if let Some(Turned { orientation, .. }) = last.rotation {
+            let places = knots.iter().filter_map(|knot| Some((knot.at, knot.sample.rotation?.orientation)));
+            let (interval, since, [from, to]) = last_change(orientation, turn.same_for, places);
+            self.turn.same_for = newest.at - since;
+            let moved = to * from.inverse();
+            let turn = &mut self.turn;
+            if shift.is_none() && is_of_slow_device(interval) && !is_small(&moved, 2.0 * turn.bounds.quantum)
+            {
+                (turn.anchor, turn.rate, turn.every) = (Some(to), Some(moved.powf(1.0 / interval)), interval);
+                turn.since = newest.at - since;
+            }
         }
         Judged::Settled
     }
@@ -713,7 +779,20 @@ impl<const N: usize> Guard<N> {
         let shift = Sample { position, velocity: None, rotation };
         let is_same =
             |knot: &Knot<N>| self.are_near(&self.path_at(knot.at).shifted(&shift), &knot.sample, newest.at);
-        knots.iter().all(is_same).then_some(shift)
+        knots.iter().all(is_same).then_some(shift).filter(|shift| self.may_step(shift))
+    }
+
+    /// Return whether a shift is a step: the first for a while, or the way back of the last one. A slow device that
+    /// moves shifts again and again; its motion must be read.
+    fn may_step(&self, shift: &Sample<N>) -> bool {
+        let limit = |of: PerTick| of.change + 2.0 * of.quantum;
+        let (point, turn) = (self.track.bounds, self.turn.bounds);
+        let is_back = is_short(&(shift.position + self.shift.position), limit(point), point.per_axis)
+            && shift
+                .rotation
+                .zip(self.shift.rotation)
+                .is_none_or(|(now, before)| is_small(&(now.orientation * before.orientation), limit(turn)));
+        is_back || self.since_shift >= MIN_BETWEEN_STEPS
     }
 
     fn settle(&mut self, held: &[Knot<N>], newest: Knot<N>, shift: Option<Sample<N>>) {
@@ -739,19 +818,20 @@ impl<const N: usize> Guard<N> {
     /// Return a speed beyond the bound, between two samples or as the device measures it.
     fn excess(&self, from: &Knot<N>, to: &Knot<N>) -> Option<Excess> {
         let [bounds, of_turn] = &self.bounds;
-        let elapsed_s = (to.at - from.at) * self.period_s;
+        // A device that samples every r ticks shows the motion of r ticks in one.
+        let elapsed_s = |every: f64| (to.at - from.at + every - 1.0) * self.period_s;
         let moved = to.sample.position - from.sample.position;
         let size = |vector: &Axes<N>| if bounds.per_axis { vector.amax() } else { vector.norm() };
         let turned = from.sample.rotation.zip(to.sample.rotation);
         let rate = turned.and_then(|(_, to)| to.angular_velocity);
         [
-            (Signal::Position, Some(size(&moved)), bounds, elapsed_s),
+            (Signal::Position, Some(size(&moved)), bounds, elapsed_s(self.track.every)),
             (Signal::Velocity, to.sample.velocity.map(|velocity| size(&velocity)), bounds, 1.0),
             (
                 Signal::Orientation,
                 turned.map(|(from, to)| from.orientation.angle_to(&to.orientation)),
                 of_turn,
-                elapsed_s,
+                elapsed_s(self.turn.every),
             ),
             (Signal::AngularVelocity, rate.map(|w| w.norm()), of_turn, 1.0),
         ]
@@ -767,10 +847,10 @@ impl<const N: usize> Guard<N> {
 }
 
 #[inline(never)]
-fn contains_turn(turn: &TurnTrack, from: &Turned, to: &Turned, ticks: f64, gap: f64) -> bool {
+fn contains_turn(turn: &TurnTrack, from: &Turned, to: &Turned, ticks: f64, share: f64) -> bool {
     let is_steady = match (&from.angular_velocity, &to.angular_velocity) {
-        (Some(from), Some(to)) => turn.bounds.is_steady(from, to, gap),
+        (Some(from), Some(to)) => turn.bounds.is_steady(from, to, share),
         _ => true,
     };
-    is_steady && turn.contains(&to.orientation, ticks, gap)
+    is_steady && turn.contains(&to.orientation, ticks, share)
 }

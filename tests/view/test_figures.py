@@ -229,7 +229,7 @@ def demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Figure:
             controller=controller, security="secure", engaged_s=0.1, release_s=2.6, peak_hand_speed=1.0,
             peak_force_n=1.0, time_to_trip_s=None, trips_before_release=0, intervention_s=0.0, sent=1, lost=0, late=0,
             refused=0, round_trip_s=0.1, overshoot_p50_s=0.0, overshoot_p99_s=0.0, ticks=1, skipped_ticks=0, holds=0,
-            dropped_records=0, unsent=0, force_at_release_n=1.0, final_state="engaged", fault=None,
+            outliers=0, dropped_records=0, unsent=0, force_at_release_n=1.0, final_state="engaged", fault=None,
         ))  # fmt: skip
     for columns in (1, 2):
         draw_demo(DemoScene(), results, tmp_path, tmp_path / f"{columns}.png", columns)

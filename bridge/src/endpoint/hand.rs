@@ -179,7 +179,7 @@ impl<const N: usize, S: Real> HandLanes<N, S> {
         if let Some(velocity) = velocity {
             passes = passes & is_within(velocity, Signal::Velocity.bound());
             if let Some(last) = self.last.replace(*velocity) {
-                passes = passes & self.track.is_steady(&last, velocity, S::one());
+                passes = passes & self.track.is_steady(&last, velocity);
             }
         }
         passes = passes & self.track.step(position, S::one());

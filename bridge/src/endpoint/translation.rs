@@ -136,7 +136,7 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
         let ticks = S::splat(self.sampled(now_ns));
         if let Some((track, last)) = &mut self.path {
             if let Some(last) = last.replace(*velocity) {
-                passes = passes & track.is_steady(&last, velocity, ticks);
+                passes = passes & track.is_steady(&last, velocity);
             }
             passes = passes & track.step(position, ticks);
         }

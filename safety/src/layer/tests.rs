@@ -483,3 +483,38 @@ fn research_controller_may_cancel_without_authority() {
         assert!((force - device_force).abs() < 1e-12, "{cancels} {push} {authority}: {force}");
     }
 }
+
+/// V of a device that samples every few ticks is read: a guarded layer is at most two samples and a hold late.
+#[test]
+fn motion_of_a_slow_device_is_read() {
+    let safety = SafetySettings { controllers: [ControllerKind::Vfc].into(), ..SafetySettings::default() };
+    let settings = settings(safety);
+    for every in 1..=8_usize {
+        for acceleration in [20.0, 50.0, 105.0] {
+            let quantum = 2.3e-5;
+            let bounds = SampleBounds { quantum, ..SampleBounds::LINEAR };
+            let mut guarded = SafetyLayer::new(&settings).unwrap().with_samples(bounds);
+            let mut blind = SafetyLayer::new(&settings).unwrap().with_samples(SampleBounds::UNBOUNDED);
+            let mut first = [None, None];
+            for n in 0..400_usize {
+                let t = (n - n % every).saturating_sub(200) as f64 * PERIOD;
+                let x = Axes::<1>::new((0.5 * acceleration * t * t / quantum).round() * quantum);
+                for (layer, first) in [&mut guarded, &mut blind].into_iter().zip(&mut first) {
+                    let tick = layer.tick(&x, None, &Axes::<1>::new(1.0));
+                    if n < 240 {
+                        // A sensor that is slower than a quarter of the loop may look like a step.
+                        assert!(layer.excess().is_none() || every > 4, "{every} {acceleration} {n}");
+                        if tick.motion.velocity[0] > 0.5 || layer.excess().is_some() {
+                            first.get_or_insert(n);
+                        }
+                    }
+                }
+            }
+            let [guarded, blind] = first.map(|tick| tick.unwrap_or(400));
+            assert!(
+                guarded <= blind + 3 + 2 * every,
+                "every {every}, {acceleration} m/s^2: {guarded}, {blind}"
+            );
+        }
+    }
+}

@@ -269,3 +269,23 @@ fn message_states_value_and_limit() {
         "position stepped at 500.000 m/s: must be at most 20 m/s, its speed_bound; check sensor and cable"
     );
 }
+
+/// Wrong samples for longer than an outlier lasts, and back: no velocity is read into them.
+#[test]
+fn a_step_and_its_way_back_are_no_velocity() {
+    for wrong in 4..=8 {
+        for size in [2e-3, -0.015] {
+            let mut guard = guard(QUANTUM);
+            let x = |n: usize| if (300..300 + wrong).contains(&n) { size } else { 0.0 };
+            for n in 0..400 {
+                assert_eq!(guard.pass(&at(x(n)), 1.0), Ok(()), "{wrong} {n}");
+                if let Some(between) = guard.between() {
+                    let knots: Vec<f64> =
+                        (0..=between.ticks).map(|tick| between.at(tick).position[0]).collect();
+                    let most = knots.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max);
+                    assert!(most < 1e-3, "{wrong} x {size}: {knots:?}");
+                }
+            }
+        }
+    }
+}

@@ -254,5 +254,6 @@ ROWS: "dict[str, Callable[[PushResult], str]]" = {
     "loop wakes late, p50 [ms]": lambda of: f"{of.overshoot_p50_s * 1e3:.3f}",
     "loop wakes late, p99 [ms]": lambda of: f"{of.overshoot_p99_s * 1e3:.3f}",
     "holds (slave silent > 20 ms)": lambda of: str(of.holds),
+    "samples replaced (outliers)": lambda of: str(of.outliers),
     "state at the end": lambda of: of.final_state,
 }
