@@ -93,6 +93,7 @@ class Inverse3:
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
         self.options: Inverse3Options = inverse3_options(options)
+        self.axes = len(self.options.axes)
         self._frame = self.options.frame
         self._name = f"inverse3 {self.options.host}"
         grips = self.options.grip != "none" and len(self.options.axes) == 3

@@ -42,7 +42,7 @@ class VendorDevice(ABC, Generic[Session]):
 
     def __init__(self, name: str, axes: int, *, turns: bool) -> None:
         self.name = name
-        self._axes = axes
+        self.axes = axes
         self._turns = turns
         self._session: Session | None = None
         self._lost: Session | None = None
@@ -255,6 +255,6 @@ class VendorDevice(ABC, Generic[Session]):
         fault = self._fault or "not open: acknowledge to open it"
         if self._sample is None:
             unturned = (1.0, 0.0, 0.0, 0.0) if self._turns else None
-            return MasterSample(REST[: self._axes], None, None, fault, None, unturned)
-        velocity = None if self._sample.velocity is None else REST[: self._axes]
+            return MasterSample(REST[: self.axes], None, None, fault, None, unturned)
+        velocity = None if self._sample.velocity is None else REST[: self.axes]
         return self._sample._replace(velocity=velocity, fault=fault, buttons=None)

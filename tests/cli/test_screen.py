@@ -74,7 +74,8 @@ def push(controller: str, *, fault: str | None = None) -> PushResult:
         peak_force_n=12345.678, time_to_trip_s=12.345, trips_before_release=123456, intervention_s=12345.678,
         sent=123_456_789, lost=123_456_789, late=123_456_789, refused=123_456_789, round_trip_s=12.3456,
         overshoot_p50_s=0.123456, overshoot_p99_s=12.345678, ticks=123_456_789, skipped_ticks=1, holds=123_456,
-        outliers=123_456_789, dropped_records=0, unsent=0, force_at_release_n=-12345.678, final_state="disengaged", fault=fault,
+        outliers=123_456_789, dropped_records=0, unsent=0, force_at_release_n=-12345.678, final_state="disengaged",
+        fault=fault,
     )  # fmt: skip
 
 

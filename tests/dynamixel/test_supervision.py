@@ -22,7 +22,7 @@ from haptether.dynamixel.description import load_arm
 
 pytestmark = pytest.mark.live
 
-WATCHDOG, STARTUP, RETURN_LEVEL, SECONDARY_ID = 98, 60, 68, 12
+WATCHDOG, STARTUP, SECONDARY_ID = 98, 60, 12
 ONE = (ServoSettings(servo_id=1, model="XM430-W350"),)
 
 
@@ -94,7 +94,6 @@ def test_torque_that_cannot_be_looked_at_is_a_fault(two: EmulatedBus, monkeypatc
     ("address", "value", "said"),
     [
         (STARTUP, 1, "startup configuration 1: it must not start with torque: clear bit 0 of address 60"),
-        (RETURN_LEVEL, 1, "status return level 1: it must answer all: set address 68 to 2"),
         (SECONDARY_ID, 2, "obeys id 2, too: it would do what is meant for that one"),
     ],
 )

@@ -135,8 +135,8 @@ def replayed_session(limits: Limits) -> Row:
         again_at_s = time.monotonic()
         # Slowly: a busy system drops of a burst what does not fit into the socket's buffer.
         answers = send_all(slave.address, relay.recorded, every=5)
-        slave.end()
         since_s = time.monotonic() - again_at_s
+        slave.end()
         fresh = stage.slave("fresh")
         fresh_answers = send_all(fresh.address, relay.recorded, every=5)
         fresh.end()

@@ -60,7 +60,8 @@ def by_hand() -> Iterator[None]:
 @pytest.mark.parametrize("scene", ["paper_wall", "remote_push", "three_axis_box"])
 def test_the_law_of_vfc_acts_as_vfc_does(scene: str) -> None:
     """Three axes sum their products in another order: then only the first bits agree."""
-    recorded = ["record.every=1", "safety.velocity_threshold=0.2", "safety.vfc_force_threshold_n=0.5"]
+    thresholds = ["safety.velocity_threshold=0.2", "safety.vfc_force_threshold_n=0.5", "safety.vfc_form=product"]
+    recorded = ["record.every=1", *thresholds]
     options = ["safety.research.options={velocity_threshold=0.2, force_threshold_n=0.5}"]
     shipped = simulate(scene, overrides=[*PRINTED, *recorded, "safety.controllers=[vfc]"])
     written = simulate(scene, overrides=[*OURS, *recorded, *options])

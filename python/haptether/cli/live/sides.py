@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from haptether.cli.live.master import Controller, Master
     from haptether.cli.live.slave import Slave
     from haptether.cli.shared.stop import Stopped
+    from haptether.master import MasterDevice
     from haptether.slave import SlaveDevice
 
 READY_S = 60.0
@@ -124,6 +125,7 @@ def start_master(
             # A driver may take its time to be loaded: the start counts from here.
             arguments["started_s"] = time.monotonic()
         device = load_master(scene.master.driver, scene.master.options)
+        _check_axes(scene, device, "master")
         scene = _bounded(scene, "master", device)
     spec = scene_json(scene)
     said = [*unusual_numbers(scene), *announcement(scene), *design_lines(scene, command.scene, command.set)]
@@ -198,14 +200,23 @@ def started_s() -> float | None:
     return max(0.0, min(LOADED_S, time.monotonic() - age_s))
 
 
+def _check_axes(scene: "Scene", device: "MasterDevice | SlaveDevice", side: Literal["master", "slave"]) -> None:
+    """Refuses a device that has another number of axes than the scene."""
+    axes = getattr(device, "axes", None)
+    if axes is not None and axes != scene.master.axes:
+        kind = "device" if side == "master" else "arm"
+        message = (
+            f"{side}.options: the {kind} has {axes} axes, the scene {scene.master.axes}: must be as many;"
+            f" set axes = {axes} in [master], or `axes` in [{side}.options]"
+        )
+        raise ValueError(message)
+
+
 def _within(scene: "Scene", device: "SlaveDevice") -> "Scene":
     """The scene, whose commands are no faster than the arm may follow: else it would go on after it was let go."""
     from haptether.bridge import CouplingTable, override_scene
 
-    axes = getattr(device, "axes", None)
-    if axes is not None and axes != scene.master.axes:
-        message = f"slave.options: the arm has {axes} axes, the scene {scene.master.axes}: must be as many"
-        raise ValueError(message)
+    _check_axes(scene, device, "slave")
     coupling = scene.coupling or CouplingTable()
     slower = []
     for key, bound in (("command_speed", "max_speed"), ("command_angular_speed", "max_angular_speed")):
