@@ -10,7 +10,7 @@ from typing import Any, Final, TypeAlias
 from haptether.extras import missing
 from haptether.slave.ur.options import UrOptions
 from haptether.slave.ur.services import CONNECT_S as DASHBOARD_S
-from haptether.slave.ur.services import PROGRAM_END_S, REPLY_S, end_control_script, end_program
+from haptether.slave.ur.services import PROGRAM_END_S, REPLY_S, STILL_PLAYS, end_control_script, end_program
 from haptether.slave.ur.state import RAW_WRENCH, VARIABLES, RuntimeState, UrState, read_state
 from haptether.slave.ur.worker import Call, CallTimeoutError, ControlProcess, Idle, TimedWorker
 
@@ -223,8 +223,8 @@ class RtdeConnection:
         if last_stop is not None:
             # The script may play on, or start later without a watchdog.
             try:
-                self.worker.run("end of the program", lambda: last_stop(host), LAST_STOP_S)
-                failed.clear()
+                ended = self.worker.run("end of the program", lambda: last_stop(host), LAST_STOP_S)
+                failed = [STILL_PLAYS] if ended is False else []
             except Exception as error:  # of the network
                 failed.append(str(error))
         if receive is not None and receive.isConnected():
