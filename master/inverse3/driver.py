@@ -40,6 +40,10 @@ LOST_S: Final = 0.05
 MAX_LATE: Final = 10
 LATE_S: Final = 1.0
 """So many replies may be late within that time, in s: a tenth of it with the default of the option."""
+SLEW_N_PER_S: Final = 1000.0
+"""How fast the norm of the force grows again after a zero of the driver's own: the default of the safety limiter."""
+TICK_S: Final = 0.001
+"""A longer pause between two forces counts as this."""
 ZERO_S: Final = 0.1
 """How long each reply may take before the end."""
 CLOSE_S: Final = 1.0
@@ -77,8 +81,8 @@ class Inverse3:
     """A Haply Inverse3, with a VerseGrip as pose; see `MasterDevice` and docs/haptic_devices.md.
 
     A tick is one message: `write` sends the force, the next `read` takes the reply to it, whose state is a period old.
-    `read` waits for a late reply, after a zero force is sent. A lost reply ends the connection, so that no reply is
-    taken for a later one.
+    `read` waits for a late reply, after a zero force is sent. The norm of the force then grows from zero by at most
+    `SLEW_N_PER_S` until it has caught up. A lost reply ends the connection, so that no reply is taken for a later one.
 
     Args:
         options: Those of `Inverse3Options`.
@@ -115,6 +119,10 @@ class Inverse3:
         self._braked = False
         self._sent: list[float] = [0.0, 0.0, 0.0]
         """Norms of the forces that were sent last, in N."""
+        self._bound_n: float | None = 0.0
+        """Bound of the norm while the force grows again after a zero of the driver's own, in N; else none."""
+        self._bound_s = 0.0
+        """When that bound was set."""
         self._added = 0
         self._forced: str | None = None
         """The device of a lost connection: nobody knows whether the zero arrived that was sent last."""
@@ -164,7 +172,7 @@ class Inverse3:
                 self._braked = self._braked if braked is None else braked
                 self._take_fault(event_fault(happened, session.device_id, session.grip_id))
             if self._owed == 0:
-                self._send(session, REST)
+                self._rest(session)
             device, orientation, buttons = self._reply(session)
         except ChannelError as error:
             self._lose(str(error))
@@ -189,11 +197,14 @@ class Inverse3:
         session = self._session
         if session is None:
             return
-        wanted = clipped(self._frame.to_device(force), self.options.max_force_n) if self._fresh else REST
-        self._fresh = False
+        is_fresh, self._fresh = self._fresh, False
         try:
             self._drop_unasked(session)
-            self._send(session, wanted)
+            if is_fresh:
+                wanted = clipped(self._frame.to_device(force), self.options.max_force_n)
+                self._send(session, self._slewed(wanted))
+            else:
+                self._rest(session)
         except ChannelError as error:
             self._lose(str(error))
 
@@ -296,6 +307,23 @@ class Inverse3:
         session.channel.send(session.force(force))
         self._sent = [*self._sent[1:], math.hypot(*force)]
 
+    def _rest(self, session: Session) -> None:
+        """Sends a zero force, whatever is wanted; the force then grows from zero."""
+        self._bound_n, self._bound_s = 0.0, time.monotonic()
+        self._send(session, REST)
+
+    def _slewed(self, force: Sequence[float]) -> Sequence[float]:
+        """The force, shortened until it has caught up after a zero of the driver's own."""
+        if self._bound_n is None:
+            return force
+        now_s = time.monotonic()
+        self._bound_n += SLEW_N_PER_S * min(now_s - self._bound_s, TICK_S)
+        self._bound_s = now_s
+        if math.hypot(*force) > self._bound_n:
+            return clipped(force, self._bound_n)
+        self._bound_n = None
+        return force
+
     def _reply(self, session: Session) -> tuple[InverseDevice, tuple[float, float, float, float] | None, int | None]:
         """The newest reply, once all that are owed have come; orientation and buttons of the grip."""
         received = b""
@@ -348,7 +376,7 @@ class Inverse3:
             )
             raise ChannelError(message)
         self._late_s.append(now_s)
-        self._send(session, REST)
+        self._rest(session)
 
     def _drop_unasked(self, session: Session) -> None:
         """A frame that nobody asked for would make each reply after it the one of the tick before."""

@@ -10,7 +10,7 @@ from typing import Any, Final, TypeAlias
 from haptether.extras import missing
 from haptether.slave.ur.options import UrOptions
 from haptether.slave.ur.services import CONNECT_S as DASHBOARD_S
-from haptether.slave.ur.services import REPLY_S, end_control_script, end_program
+from haptether.slave.ur.services import PROGRAM_END_S, REPLY_S, STILL_PLAYS, end_control_script, end_program
 from haptether.slave.ur.state import RAW_WRENCH, VARIABLES, RuntimeState, UrState, read_state
 from haptether.slave.ur.worker import Call, CallTimeoutError, ControlProcess, Idle, TimedWorker
 
@@ -31,8 +31,8 @@ STREAM_S: Final = 0.1
 UPLOAD_S: Final = 8.0
 END_S: Final = 0.8
 """For `stopScript`, and for the disconnection."""
-LAST_STOP_S: Final = 2.5
-"""For the program to be ended without the library, at the end."""
+LAST_STOP_S: Final = PROGRAM_END_S + 0.5
+"""For the program to be ended without the library, at the end: longer than its own limits together."""
 POLL_S: Final = 0.005
 
 
@@ -202,7 +202,10 @@ class RtdeConnection:
             self.control, self.worker = None, TimedWorker("ur-control")
 
     def close(self) -> list[str]:
-        """Ends the script and both connections, within a few seconds; what of that failed."""
+        """Ends the script and both connections; what of that failed.
+
+        Within `LAST_STOP_S` and 2 s where the controller does not answer; within a second as a rule.
+        """
         failed: list[str] = []
         self._closed = True
         control, receive, host = self.control, self.receive, self._options.host
@@ -220,8 +223,8 @@ class RtdeConnection:
         if last_stop is not None:
             # The script may play on, or start later without a watchdog.
             try:
-                self.worker.run("end of the program", lambda: last_stop(host), LAST_STOP_S)
-                failed.clear()
+                ended = self.worker.run("end of the program", lambda: last_stop(host), LAST_STOP_S)
+                failed = [STILL_PLAYS] if ended is False else []
             except Exception as error:  # of the network
                 failed.append(str(error))
         if receive is not None and receive.isConnected():

@@ -212,7 +212,7 @@ class UrSlave:
         self._recovery = self._aside.start("recovery", recovered, 60.0)
 
     def close(self) -> None:
-        """Ends the control script and disconnects, within 5 s."""
+        """Ends the control script and disconnects: within 5 s where the controller answers, else 20 s."""
         self._closed = True
         if not self._opened:
             return

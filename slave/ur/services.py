@@ -50,6 +50,10 @@ STOP_SCRIPT: Final = 255
 SCRIPT_NAMES: Final = ("runtime_state", "output_int_register_0")
 SETTLED: Final = 10
 """Packages after a command that may be older than its effect."""
+SCRIPT_END_S: Final = 2.0
+"""For a control script to be ended over RTDE."""
+PROGRAM_END_S: Final = SCRIPT_END_S + CONNECT_S + 2.0 * REPLY_S + SCRIPT_END_S
+"""For `end_program`: RTDE, the dashboard server with its greeting and one answer, RTDE again; 30 ms as a rule."""
 ANSWERED_S: Final = 0.4
 """For the control script to answer, and to end; more than the longest period of the watchdog."""
 RELEASED_S: Final = 0.5
@@ -60,6 +64,7 @@ PACKAGES: Final = 5
 """How many are waited for: whether time goes on there."""
 UNLOCKED: Final = "Protective stop releasing"
 STOPPED: Final = "Stopped"
+STILL_PLAYS: Final = "a program still plays: stop it on the pendant"
 
 
 class ProbeError(RuntimeError):
@@ -125,7 +130,7 @@ def probe(host: str, limit_s: float = 5.0) -> Probe:
         return _query(wire)
 
 
-def end_control_script(host: str, limit_s: float = 2.0) -> bool:
+def end_control_script(host: str, limit_s: float = SCRIPT_END_S) -> bool:
     """Ends a control script of ur_rtde that no client leads; returns whether no program plays afterwards.
 
     The command stays in its register: a script that starts later ends in its first control cycle. ur_rtde clears the
@@ -354,15 +359,23 @@ def stop_program(host: str) -> None:
 def end_program(host: str) -> None:
     """Ends the program that plays, and a control script that still starts: the second means to stop an arm.
 
+    RTDE first; the dashboard server where a program plays on. Then RTDE again, which ends a script that starts later.
+
     Raises:
-        DashboardError: One of the two did not succeed.
+        DashboardError: RTDE or a dashboard server that was needed did not succeed, or a program still plays.
     """
     failed: list[str] = []
-    for step in (stop_program, end_control_script):
-        try:
-            step(host)
-        except (DashboardError, ProbeError) as error:
-            failed.append(str(error))
+    try:
+        if end_control_script(host):
+            return
+    except ProbeError as error:
+        failed.append(str(error))
+    try:
+        stop_program(host)
+        if not failed and not end_control_script(host):
+            failed.append(STILL_PLAYS)
+    except (DashboardError, ProbeError) as error:
+        failed.append(str(error))
     if failed:
         raise DashboardError("; ".join(failed))
 

@@ -12,7 +12,14 @@ from typing import Final
 
 from haptether.slave.ur.connection import Order, RtdeConnection
 from haptether.slave.ur.options import UrOptions
-from haptether.slave.ur.services import CONNECT_S, REPLY_S, DashboardError, end_program, is_in_remote_control
+from haptether.slave.ur.services import (
+    CONNECT_S,
+    PROGRAM_END_S,
+    REPLY_S,
+    DashboardError,
+    end_program,
+    is_in_remote_control,
+)
 from haptether.slave.ur.state import RuntimeState, UrState
 from haptether.slave.ur.worker import Call, Idle, TimedWorker
 
@@ -26,8 +33,8 @@ STILL_S: Final = 0.05
 """For which joints must rest: at a reversal they do for a package."""
 SILENCE_S: Final = 0.02
 """After which an arm is stopped that would go on by itself and is not commanded."""
-PROGRAM_STOP_S: Final = CONNECT_S + 2.0 * REPLY_S + 3.0
-"""For the dashboard server to end the program, and for the control script to end; 30 ms as a rule."""
+PROGRAM_STOP_S: Final = PROGRAM_END_S + 0.5
+"""For the program to be ended without the library; longer than its own limits together."""
 LEAVE_S: Final = 1.0
 """How long the end of the driver waits for each stop that is under way."""
 

@@ -354,6 +354,46 @@ def test_a_late_reply_costs_the_force_of_its_tick_and_nothing_else(service: Emul
         assert any(service.status()["sent"])
 
 
+def sent_n(service: EmulatedInverse) -> float:
+    """Norm of the newest force that the service was sent, in N."""
+    return float(np.linalg.norm(service.status()["sent"]))
+
+
+@pytest.mark.parametrize("wanted", [(4.0, 0.0, 0.0), (0.0, -2.4, 1.8)])
+@anew_after_stalls
+def test_after_a_zero_of_the_drivers_own_the_force_grows_from_zero(
+    service: EmulatedInverse, wanted: tuple[float, ...]
+) -> None:
+    def late(driver: Inverse3) -> None:
+        before = driver.late_replies
+        service.do("stall 20")
+        step(driver, wanted)
+        assert driver.read().fault is None
+        assert driver.late_replies > before
+
+    def unwritten(driver: Inverse3) -> None:
+        driver.read()
+        driver.read()
+
+    def unread(driver: Inverse3) -> None:
+        driver.write(wanted)
+        driver.write(wanted)
+        driver.read()
+
+    full = float(np.linalg.norm(wanted))
+    with opened(service, reply_timeout_s=0.010) as driver:
+        for interrupt in (late, unwritten, unread):
+            step(driver, wanted, 20)
+            interrupt(driver)
+            # A first force may follow the zero already.
+            norms = [0.0, sent_n(service)]
+            while norms[-1] < full - 1e-6:
+                driver.write(wanted)
+                assert driver.read().fault is None
+                norms.append(sent_n(service))
+            assert max(np.diff(norms)) <= 1.0 + 1e-6, norms
+
+
 @anew_after_stalls
 def test_replies_that_are_late_too_often_end_the_force(
     service: EmulatedInverse, capfd: pytest.CaptureFixture[str]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from tests.ur.fake_rtde import PERIOD_S, START_POSE, STOPPED, Arm, install
+from tests.ur.fake_rtde import PERIOD_S, PLAYING, START_POSE, STOPPED, Arm, install
 
 from haptether.slave import SlaveSample, UrSlave
 from haptether.slave.ur.checks import UNLOCK_AFTER_S, UrRefusedError
@@ -208,6 +208,20 @@ def test_a_program_that_plays_at_the_end_is_stopped_once(arm: Arm) -> None:
     driven.driver.close()
     assert "stopScript" in arm.names
     assert (arm.ends, arm.dashboard.count("stop")) == (0, 0)
+
+
+@pytest.mark.parametrize(("plays", "said"), [(True, "a program still plays: stop it on the pendant"), (False, None)])
+def test_a_program_that_plays_on_after_the_end_is_reported(
+    arm: Arm, capsys: pytest.CaptureFixture[str], plays: bool, said: str | None
+) -> None:
+    driven = Driven(arm)
+    driven.driver._soft_stop.cut()
+    driven.until(lambda _: arm.runtime_state == STOPPED)
+    if plays:
+        arm.runtime_state = PLAYING
+    driven.driver.close()
+    ends = [line for line in capsys.readouterr().err.splitlines() if "at the end" in line]
+    assert ends == ([] if said is None else [f"ur fake: at the end: {said}"])
 
 
 def test_the_checklist_says_all_lines(arm: Arm, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,18 +1,21 @@
 """Reaching a controller: whoever accepts a connection and says nothing must not hold the driver."""
 
 import contextlib
+import inspect
 import socket
 import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 import pytest
 from tests.ur.emulated import free_host
 
 from haptether.slave.ur import services
+from haptether.slave.ur.connection import LAST_STOP_S
 from haptether.slave.ur.services import DashboardError, ProbeError, probe, resolved
+from haptether.slave.ur.stop import PROGRAM_STOP_S
 
 HOST = free_host()
 LIMIT_S = 0.3
@@ -130,6 +133,64 @@ def test_what_the_dashboard_says(serve: Serve) -> None:
     services.stop_program(HOST)
     with pytest.raises(DashboardError, match="unlock protective stop: Cannot unlock protective stop until 5s"):
         services.unlock_protective_stop(HOST)
+
+
+class End(NamedTuple):
+    """What RTDE says each time, what the dashboard does, which are asked, and the error."""
+
+    rtde: tuple[bool | str, ...]
+    dashboard: str
+    asked: str
+    error: str | None
+
+
+PLAYS = "a program still plays: stop it on the pendant"
+ENDS = [
+    End((True,), "gone", "R", None),
+    End((False, True), "", "RDR", None),
+    End((False, False), "", "RDR", PLAYS),
+    End((False, "mute"), "", "RDR", "mute"),
+    End((False,), "gone", "RD", "gone"),
+    End(("mute",), "", "RD", "mute"),
+    End(("mute",), "gone", "RD", "mute; gone"),
+]
+
+
+@pytest.mark.parametrize("row", ENDS)
+def test_a_program_is_ended_over_rtde_first(monkeypatch: pytest.MonkeyPatch, row: End) -> None:
+    asked: list[str] = []
+    answers = iter(row.rtde)
+
+    def over_rtde(_host: str) -> bool:
+        asked.append("R")
+        answer = next(answers)
+        if isinstance(answer, str):
+            raise ProbeError(answer)
+        return answer
+
+    def over_dashboard(_host: str) -> None:
+        asked.append("D")
+        if row.dashboard:
+            raise DashboardError(row.dashboard)
+
+    monkeypatch.setattr(services, "end_control_script", over_rtde)
+    monkeypatch.setattr(services, "stop_program", over_dashboard)
+    if row.error is None:
+        services.end_program(HOST)
+    else:
+        with pytest.raises(DashboardError) as raised:
+            services.end_program(HOST)
+        assert str(raised.value) == row.error
+    assert "".join(asked) == row.asked
+
+
+@pytest.mark.parametrize("limit_s", [LAST_STOP_S, PROGRAM_STOP_S])
+def test_the_end_of_a_program_is_waited_for_as_long_as_its_steps_may_take(limit_s: float) -> None:
+    rtde_s = inspect.signature(services.end_control_script).parameters["limit_s"].default
+    dashboard = inspect.signature(services.query_dashboard).parameters
+    # Its greeting and one answer.
+    dashboard_s = dashboard["connect_s"].default + 2 * dashboard["reply_s"].default
+    assert limit_s > 2 * rtde_s + dashboard_s
 
 
 @pytest.mark.parametrize(("delay_s", "reply_s", "answers"), [(0.3, 0.5, True), (0.3, 0.1, False)])
