@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from tests.images.makers import MAKERS, ROOT
+from tests.images.numbers import keep
 
 
 def main() -> None:
@@ -18,6 +19,8 @@ def main() -> None:
     for name in given.pictures or MAKERS:
         print(name, flush=True)
         MAKERS[name]((given.out / name).resolve())
+    if given.out.resolve() == ROOT / "docs" / "images":
+        keep([given.out / name for name in given.pictures or MAKERS])
 
 
 if __name__ == "__main__":

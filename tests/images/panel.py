@@ -1,6 +1,7 @@
 """The terminal panel of a hand that is pushed, as a picture."""
 
 import io
+import re
 import subprocess
 import sys
 import time
@@ -29,7 +30,9 @@ def photograph_panel(path: Path) -> None:
         )  # fmt: skip
         try:
             assert slave.stdout is not None
-            address = slave.stdout.readline().split()[-1]
+            listens = re.search(r"listens on ([\d.]+:\d+)", slave.stdout.readline())
+            assert listens is not None
+            address = listens[1]
             master = subprocess.Popen(
                 [*haptether, "master", "--scene", "remote_push", "--peer", address, "--key", str(key),
                  "--telemetry", str(socket), "--duration-s", "8"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,

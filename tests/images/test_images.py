@@ -1,5 +1,6 @@
 """Each picture of the documents is there, is shown, and can be made anew."""
 
+import json
 import re
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from tests.images.makers import MAKERS, ROOT
+from tests.images.numbers import COMMANDS, KEPT, SLOW, output, sha256
 
 IMAGES = ROOT / "docs" / "images"
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
@@ -30,3 +32,22 @@ def test_a_picture_is_one(path: Path) -> None:
         picture.load()
         assert min(picture.size) >= 300
         assert np.ptp(np.asarray(picture.convert("L"))) > 100
+
+
+NUMBERS = json.loads(KEPT.read_text())
+OF_COMMANDS = sorted({command for commands in COMMANDS.values() for command in commands})
+WITHOUT_NUMBERS = {"flame_remote_push.png", "work_precision.png"}
+
+
+def test_pictures_are_those_that_were_made_with_the_numbers() -> None:
+    assert {path.name: sha256(path) for path in IMAGES.iterdir()} == NUMBERS["pictures"], "run `make images`"
+    assert set(COMMANDS) == set(MAKERS) - WITHOUT_NUMBERS
+    assert sorted(NUMBERS["commands"]) == OF_COMMANDS
+
+
+@pytest.mark.parametrize(
+    "command",
+    [pytest.param(command, marks=[pytest.mark.thorough] if command in SLOW else []) for command in OF_COMMANDS],
+)
+def test_numbers_behind_a_picture_are_those_of_the_product(command: str) -> None:
+    assert output(command) == NUMBERS["commands"][command], "picture and product differ: run `make images`"

@@ -10,7 +10,9 @@ from haptether.studies.task import HandBounds, Task
 
 HANDS = 40
 SETTINGS = (
-    "safety.preset=paper",
+    "safety.energy_ratio=0.5",
+    "safety.energy_threshold_j=-0.03",
+    "safety.velocity_threshold=0.6",
     "safety.hsc_velocity_threshold=0.05",
     "safety.hsc_force_threshold_n=1.0",
     "safety.window=10",
@@ -37,12 +39,23 @@ def record_hands(folder: Path, hands: int = HANDS, seed: int = 1) -> list[Path]:
 
 def photograph_tuning(path: Path) -> None:
     """Draws what `haptether tune` draws of them."""
+    tune("--plot", str(path))
+
+
+def record_numbers() -> list[str]:
+    """Lines that `haptether tune` prints of them."""
+    return tune()
+
+
+def tune(*options: str) -> list[str]:
+    """Runs the command on fresh recordings; returns what it prints, without the folder of the recordings."""
     with TemporaryDirectory() as folder:
         files = map(str, record_hands(Path(folder)))
         changes = [word for setting in SETTINGS for word in ("--set", setting)]
-        command = [sys.executable, "-m", "haptether", "tune", *files, *changes, "--plot", str(path)]
+        command = [sys.executable, "-m", "haptether", "tune", *files, *changes, *options]
         # Status 1 says that the recordings are too short for a threshold, 0 that they are not.
-        subprocess.run(command, check=True, timeout=900.0)
+        ran = subprocess.run(command, check=True, timeout=900.0, stdout=subprocess.PIPE, text=True)
+        return ran.stdout.replace(f"{folder}/", "").splitlines()
 
 
 if __name__ == "__main__":
