@@ -123,7 +123,7 @@ class _Refused(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag=
     text: str
 
 
-_Sent = (
+_Message = (
     TelemetryHello
     | TelemetrySample
     | TelemetryChange
@@ -131,18 +131,9 @@ _Sent = (
     | TelemetryCleared
     | TelemetryLost
     | TelemetryEnd
-    | _Refused
 )
-TelemetryMessage = (
-    TelemetryHello
-    | TelemetrySample
-    | TelemetryChange
-    | TelemetryCause
-    | TelemetryCleared
-    | TelemetryLost
-    | TelemetryEnd
-    | TelemetryInvalid
-)
+_Sent = _Message | _Refused
+TelemetryMessage = _Message | TelemetryInvalid
 _CHANGED: dict[str, type] = {"bits": int, "name": str, "flag": bool}
 """Kinds of signals whose changes are sent, and the type of their values."""
 _OWNERS = frozenset({0, os.geteuid()})

@@ -41,10 +41,10 @@ def check_settings(scene: bytes, name: str) -> None:
 
     Args:
         scene: As a recording keeps it.
-        name: Of its file.
+        name: Name of its file.
 
     Raises:
-        ValueError: None, or one that lacks a part.
+        ValueError: The scene is missing, or lacks a part.
     """
     if not scene:
         message = f"{name}: does not say with which scene it was run: there are no settings to run it with"

@@ -83,7 +83,7 @@ PAPER_THRESHOLDS: Mapping[str, float | str] = MappingProxyType({
     "energy_ratio": 0.5,
     "window": 100,
 })  # fmt: skip
-"""Of the preset "paper": its section 4."""
+"""Thresholds of the preset "paper", from its section 4."""
 MEASURED_THRESHOLDS: Mapping[str, float | str] = MappingProxyType({
     "velocity_threshold": 0.45,
     "vfc_force_threshold_n": 0.3,
@@ -93,7 +93,7 @@ MEASURED_THRESHOLDS: Mapping[str, float | str] = MappingProxyType({
     "energy_ratio": 0.05,
     "window": 10,
 })  # fmt: skip
-"""Of the preset "measured", but for those of WSC that follow from the device: docs/thresholds.md."""
+"""Thresholds of the preset "measured" (docs/thresholds.md). Those of WSC follow from the device."""
 MEASURED_WSC_SPEED = 0.29
 """V_w in m/s: speed of a free device from which WSC of the preset "measured" trips, `sqrt(2 eta |delta| / m)`."""
 MEASURED_WSC_FORCE_N = 0.005

@@ -102,7 +102,7 @@ impl LeadingTrigger {
         Self { guard: Guard::new(bounds, SampleBounds::UNBOUNDED, period_s) }
     }
 
-    /// What stands for a position, `ticks` after the one before.
+    /// Return the position or, while it is held, its prediction; `ticks` after the one before.
     pub(crate) fn taken(&mut self, position: f64, ticks: f64) -> f64 {
         let sample = Sample::point(&Axes::<1>::new(position), None);
         // Without a bound on the speed nothing is refused.

@@ -185,7 +185,7 @@ mod tests {
 
     use super::*;
 
-    /// Anybody may lock a folder that they may open; in one that only this user may open another run of theirs does.
+    /// Every user may lock a folder that they may open. In a private folder only another run of this user does.
     #[test]
     fn a_lock_in_a_shared_folder_holds_no_socket_up() {
         let base = std::env::temp_dir().join(format!("haptether-lock-{}", std::process::id()));

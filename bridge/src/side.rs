@@ -159,18 +159,7 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
     /// The same side with records of a hand that turns.
     #[must_use]
     pub fn turning(self) -> MasterSide<P, N, MasterRotation> {
-        let Self { plant, endpoint, operator, button, trigger, leading, felt, buttons, .. } = self;
-        MasterSide {
-            plant,
-            endpoint,
-            operator,
-            button,
-            trigger,
-            leading,
-            felt,
-            buttons,
-            records: PhantomData,
-        }
+        self.recording()
     }
 
     /// The same side with a trigger that leads the slave's gripper.
@@ -205,6 +194,11 @@ impl<P: MasterPlant<N>, const N: usize, R> MasterSide<P, N, R> {
     /// The same side with records of what the finger at the trigger feels.
     #[must_use]
     pub fn feeling(self) -> MasterSide<P, N, Feeling<R>> {
+        self.recording()
+    }
+
+    /// Change the kind of the records alone.
+    fn recording<Q>(self) -> MasterSide<P, N, Q> {
         let Self { plant, endpoint, operator, button, trigger, leading, felt, buttons, .. } = self;
         MasterSide {
             plant,
@@ -280,7 +274,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for MasterSide<P, N,
         if let Some(trigger) = &mut self.trigger {
             let at = trigger.position(time.now_ns);
             let mut state = GripperState::of_trigger(pressed.1.or(at));
-            // Where a button leads the gripper, the finger at the trigger does not.
+            // A button that leads the gripper overrides the finger at the trigger.
             finger = state.position.filter(|_| pressed.1.is_none());
             if let Some(at) = finger {
                 state.position = Some(self.leading.taken(at, (time.missed + 1) as f64));

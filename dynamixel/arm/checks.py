@@ -25,7 +25,7 @@ TORQUE_BY_GOAL: Final = 1 << 3
 TORQUE_AT_START: Final = 1 << 0
 """Of the startup configuration, which only newer firmware has."""
 UNKNOWN_ADDRESS: Final = "access error"
-"""What the bus says of a servo that does not know an address."""
+"""Error of a servo that does not know an address."""
 ANSWERS_ALL: Final = 2
 """Status return level."""
 BESIDE_RAD: Final = 0.1
@@ -40,7 +40,7 @@ class ArmRefusedError(RefusedError):
 
 
 def check_port(port: str, checklist: Checklist, system: Path = SYSTEM) -> float:
-    """Whether the port is there, may be used, and passes answers on at once; returns its latency timer in s.
+    """Check that the port exists, is accessible and forwards answers at once; return its latency timer in s.
 
     Args:
         port: Its path.

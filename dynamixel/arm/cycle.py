@@ -6,7 +6,7 @@ from haptether.dynamixel.arm.settings import ArmSettings
 from haptether.dynamixel.models import OperatingMode
 
 BITS: Final = 10
-"""Of a byte on the line: start, eight, stop."""
+"""Bits of a byte on the line: start, eight, stop."""
 REQUEST: Final = 14
 """Bytes of a sync read or a sync write without what is for each servo."""
 ANSWER: Final = 11
@@ -28,7 +28,7 @@ def cycle_s(settings: ArmSettings, *, fast: bool, return_delay_s: float = 0.0) -
 
     Args:
         settings: Rate and servos, that of a gripper among them.
-        fast: Whether the servos answer with one status packet in common.
+        fast: If true, the servos answer with one common status packet.
         return_delay_s: How long each servo waits before it answers, in s.
 
     Source: ROBOTIS e-Manual, Protocol 2.0, "Sync Read", "Fast Sync Read", "Sync Write".

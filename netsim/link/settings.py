@@ -179,7 +179,7 @@ class DelayTrace(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     delay_s: tuple[Delay | None, ...] | None = None
     """Delay in s of a packet sent then; in a file, an empty one was lost."""
     half_round_trips: bool = False
-    """Whether the delays are half of round trips: of IRTT without one-way delays. It changes no delay."""
+    """True if the delays are half of round trips, as from IRTT without one-way delays. It changes no delay."""
     interpolate: bool = True
     """Whether delays between two records are interpolated; else the last one holds."""
     repeat: bool = True

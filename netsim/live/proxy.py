@@ -65,7 +65,7 @@ class Proxy:
 
     @property
     def forward(self) -> str:
-        """Where it forwards to: of a name with several addresses the first that can be sent to."""
+        """Address to which it forwards: the first of a name to which it can send."""
         return self._proxy.forward
 
     @property

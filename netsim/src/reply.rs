@@ -25,7 +25,7 @@ const REPORT: usize = 40;
 pub struct Asker {
     /// The sender, to which answers go.
     pub from: SocketAddr,
-    /// Where answers come from; none where the system chooses.
+    /// Source address of answers; None if the system chooses.
     pub asked: Option<IpAddr>,
 }
 
@@ -36,12 +36,12 @@ impl From<SocketAddr> for Asker {
     }
 }
 
-/// Whether a socket at `local` has every address of the machine.
+/// Return whether a socket at `local` has every address of the machine.
 fn has_several(local: SocketAddr) -> bool {
     local.ip().to_canonical().is_unspecified()
 }
 
-/// Room for what a socket at `local` reports with each datagram, exactly; none for one that reports nothing.
+/// Exact size of the control data that a socket at `local` receives with each datagram; None if it receives none.
 pub(crate) fn report_room(local: SocketAddr) -> Option<Vec<u8>> {
     has_several(local).then(|| match local {
         SocketAddr::V4(_) => nix::cmsg_space!(in_pktinfo),
@@ -77,7 +77,7 @@ pub(crate) fn asker<S>(message: &RecvMsg<'_, '_, S>, seen: Option<&SockaddrStora
     Some(Asker { from, asked })
 }
 
-/// What one call of `sendmmsg` takes, reserved once.
+/// Buffers of one call of `sendmmsg`, reserved once.
 pub(crate) struct Outgoing {
     plain: MultiHeaders<SockaddrStorage>,
     v4: MultiHeaders<SockaddrStorage>,
@@ -150,7 +150,7 @@ impl ReplySocket {
     ///
     /// # Errors
     ///
-    /// What the system says.
+    /// Errors of the system.
     pub fn bind(local: SocketAddr) -> io::Result<Self> {
         let socket = UdpSocket::bind(local)?;
         report_asked(&socket)?;
@@ -166,7 +166,7 @@ impl ReplySocket {
     ///
     /// # Errors
     ///
-    /// What the system says, as [`UdpSocket::recv_from`].
+    /// Errors of [`UdpSocket::recv_from`].
     pub fn receive(&self, buffer: &mut [u8]) -> io::Result<(usize, Asker)> {
         let mut report = Report([0; REPORT]);
         let mut parts = [IoSliceMut::new(buffer)];
@@ -184,7 +184,7 @@ impl ReplySocket {
     ///
     /// # Errors
     ///
-    /// What the system says, as [`UdpSocket::send_to`].
+    /// Errors of [`UdpSocket::send_to`].
     pub fn send(&mut self, datagram: &[u8], to: Asker) -> io::Result<()> {
         use std::os::fd::AsFd;
 

@@ -902,12 +902,12 @@ def fault_message(code: int) -> str | None:
 
 @final
 class SampleBounds:
-    """What the samples of a device are held against.
+    """Bounds on the samples of a device.
 
-    A sample is on the path where `|x - x_a - v k| <= velocity_change dT + 2 quantum`, k ticks after the last one.
+    A sample is on the path where `|x - x_a - v k| <= velocity_change dT + quantum (k + 1)`, k ticks after the last one.
 
     Args:
-        joints: Whether each axis is a joint, in rad, that is held against the bounds by itself.
+        joints: If true, each axis is a joint in rad and must meet the bounds separately.
         speed: Speed bound of the device in m/s (rad/s), above 0; by default 20 m/s, of joints 60 rad/s.
         velocity_change: Largest change of velocity in m/s (rad/s) from a sample to the next, above 0; by default
             0.5 m/s, which is 0.5 mm off the path at 1 kHz, of joints 5 rad/s.
@@ -952,7 +952,7 @@ class SafetyLayer:
         settings: Controllers and thresholds.
         estimator: How V and A are had from positions; the default is the Kalman filter.
         limiter: Bounds on the device force, always on.
-        samples: What samples are held against; by default that of joints from four axes on, else that of a point.
+        samples: Bounds on samples; by default those of joints from four axes on, else of a point.
         period_s: dT in s, above 0.
 
     Raises:
@@ -1505,7 +1505,7 @@ class Proxy:
 
     @property
     def forward(self) -> str:
-        """Where it forwards to: of a name with several addresses the first that can be sent to."""
+        """Address to which it forwards: the first of a name to which it can send."""
 
     @property
     def finished(self) -> bool:
@@ -1568,7 +1568,7 @@ class Recording:
     def __len__(self) -> int: ...
     @property
     def peer(self) -> str:
-        """Where the probes went: of a name with several addresses the one at which an echo answered."""
+        """Address of the echo that answered, of a name with several."""
 
     @property
     def time_s(self) -> _Array:

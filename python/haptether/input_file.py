@@ -34,7 +34,7 @@ def refuse_special(path: str | os.PathLike[str]) -> None:
 
 
 def read_bytes(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> bytes:
-    """The content of a plain file, or of one that a link leads to, without a byte order mark.
+    """Read a plain file or the target of a link, without a byte order mark.
 
     Raises:
         OSError: It is not there, or cannot be read.

@@ -1,401 +1,25 @@
 //! Plausibility check of samples: a wrong sample moves neither force nor arm, and an impossible motion is a fault.
 
-use std::fmt;
-
-use nalgebra::UnitQuaternion;
-
-use crate::{
-    Axes, Fault, ParameterError, Real, Signal,
-    lanes::{is_within, nowhere, selected},
-};
-
+mod bounds;
+mod sample;
 #[cfg(test)]
 mod tests;
+mod track;
+mod turn;
 
-/// Bounds on the samples of a device.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SampleBounds {
-    /// Speed bound of the device in m/s (rad/s).
-    pub speed: f64,
-    /// Largest change of velocity in m/s (rad/s) between successive samples of one path. At 1 kHz, 0.5 m/s is 0.5 mm
-    /// off the path.
-    pub velocity_change: f64,
-    /// Resolution of the position in m (rad).
-    pub quantum: f64,
-    /// If true, each axis must meet the bounds separately, as for joints; else the norm must.
-    pub per_axis: bool,
-}
+pub use bounds::{Excess, SampleBounds};
+pub use sample::{Sample, Turned};
+pub use track::Track;
 
-impl SampleBounds {
-    /// Bounds of a point: 20 m/s, and 0.5 mm off its path at 1 kHz.
-    ///
-    /// A hand throws at 10 m/s at most. A motor of 8.5 N on 75 g reaches 9.3 m/s over its workspace.
-    pub const LINEAR: Self = Self { speed: 20.0, velocity_change: 0.5, quantum: 0.0, per_axis: false };
-
-    /// Bounds of joints: 60 rad/s, and the path of a point at a lever of 0.1 m, a short link.
-    pub const JOINTS: Self = Self {
-        speed: 60.0,
-        velocity_change: Self::LINEAR.velocity_change / 0.1,
-        quantum: 0.0,
-        per_axis: true,
-    };
-
-    /// No bounds: every sample is valid.
-    pub const UNBOUNDED: Self =
-        Self { speed: f64::INFINITY, velocity_change: f64::INFINITY, quantum: 0.0, per_axis: false };
-
-    /// Default bounds for a number of axes: joints from four axes on, else a point.
-    pub const fn of_axes(axes: usize) -> Self {
-        if axes <= 3 { Self::LINEAR } else { Self::JOINTS }
-    }
-
-    /// Check that speed and velocity change are above 0, and the quantum finite and 0 or more. NaN is refused.
-    pub fn checked(self) -> Result<Self, ParameterError> {
-        let refused = |name, symbol, seen: f64, accepted: bool, allowed| {
-            if accepted { Ok(()) } else { Err(ParameterError { name, symbol, seen, allowed }) }
-        };
-        let Self { speed, velocity_change, quantum, .. } = self;
-        refused("speed_bound", "V_max", speed, speed > 0.0, "above 0")?;
-        refused("velocity_change", "dV", velocity_change, velocity_change > 0.0, "above 0")?;
-        refused("quantum", "q", quantum, quantum >= 0.0 && quantum.is_finite(), "finite and 0 or more")?;
-        Ok(self)
-    }
-
-    /// Bounds of the rotation of a handle that the hand holds at lever r in m.
-    ///
-    /// A point on its rim deviates from the path as a point device may. The speed bound is that of
-    /// [`JOINTS`](Self::JOINTS).
-    #[must_use]
-    pub fn at_lever(self, lever_m: f64) -> Self {
-        Self {
-            speed: Self::JOINTS.speed,
-            velocity_change: self.velocity_change / lever_m,
-            quantum: self.quantum / lever_m,
-            per_axis: false,
-        }
-    }
-
-    /// Convert the bounds to units per tick of `period_s`.
-    fn per_tick(self, period_s: f64) -> PerTick {
-        let Self { speed, velocity_change, quantum, per_axis } = self;
-        PerTick { period_s, speed: speed * period_s, change: velocity_change * period_s, quantum, per_axis }
-    }
-}
-
-/// [`SampleBounds`] in m (rad) per tick.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct PerTick {
-    period_s: f64,
-    speed: f64,
-    change: f64,
-    quantum: f64,
-    per_axis: bool,
-}
-
-impl PerTick {
-    /// Test a velocity in m/s: its speed is within the bound, and it differs from the one before by at most `share` of dV.
-    #[inline(always)]
-    fn is_steady<const N: usize, S: Real>(
-        &self,
-        from: &Axes<N, S>,
-        to: &Axes<N, S>,
-        share: S,
-    ) -> S::SimdBool {
-        let [period_s, speed, change] = [self.period_s, self.speed, self.change].map(S::splat);
-        is_short(&((to - from) * period_s), change * share, self.per_axis)
-            & is_short(&(to * period_s), speed, self.per_axis)
-    }
-}
-
-/// Mask of vectors no longer than a limit.
-#[inline(always)]
-fn is_short<const N: usize, S: Real>(vector: &Axes<N, S>, limit: S, per_axis: bool) -> S::SimdBool {
-    if N == 1 || per_axis {
-        return vector.iter().fold(!nowhere::<S>(), |all, x| all & x.magnitude().simd_le(limit));
-    }
-    vector.dot(vector).simd_le(limit * limit)
-}
-
-/// Largest number of ticks between two samples of a device that samples more slowly than the loop.
-const MAX_EVERY: f64 = 4.0;
+use self::{
+    bounds::{PerTick, is_short},
+    track::Change,
+    turn::{TurnTrack, is_small},
+};
+use crate::{Axes, Signal};
 
 /// Fewest accepted samples between two steps of a device in one direction.
 const MIN_BETWEEN_STEPS: u32 = 100;
-
-/// Return whether a device with this number of ticks between changing samples is slower than the loop, and still followed.
-fn is_of_slow_device(interval: f64) -> bool {
-    interval > 1.0 && interval <= MAX_EVERY
-}
-
-/// Find the last change among samples: ticks since the change before it, its tick, and the values before and after it.
-///
-/// `last` is the last sample before them, at tick 0, and has been the same for `same_for` ticks.
-fn last_change<T: Copy + PartialEq>(
-    last: T,
-    same_for: f64,
-    samples: impl Iterator<Item = (f64, T)>,
-) -> (f64, f64, [T; 2]) {
-    let (mut before, mut now) = ((-same_for, last), (-same_for, last));
-    for (at, value) in samples {
-        if value != now.1 {
-            (before, now) = (now, (at, value));
-        }
-    }
-    (now.0 - before.0, now.0, [before.1, now.1])
-}
-
-/// Path of a point: `x(k) = x_a + v k`, k ticks after the anchor `x_a`.
-///
-/// The anchor is the last sample. A device that samples more slowly than the loop repeats its samples; the anchor is
-/// then the first of equal samples.
-///
-/// A sample is on the path where `|x - x_a - v k| <= dV dT + q (k + 1)`. The bound allows a change of velocity by dV, and rounding
-/// to the quantum q of this sample and of the two that define v.
-///
-/// Source: derived here.
-#[derive(Clone, Copy, Debug)]
-pub struct Track<const N: usize, S = f64> {
-    bounds: PerTick,
-    anchor: Option<Axes<N, S>>,
-    /// v in m per tick; None before the second sample.
-    rate: Option<Axes<N, S>>,
-    /// Ticks from the anchor to the last sample.
-    since: S,
-    /// Ticks from the last sample that differed from its predecessor to the last sample.
-    same_for: S,
-    /// Ticks between the last two samples that differed.
-    every: S,
-}
-
-impl<const N: usize, S: Real> Track<N, S> {
-    /// Create the path of a device sampled every `period_s`, before its first sample.
-    pub fn new(bounds: SampleBounds, period_s: f64) -> Self {
-        Self::of(bounds.per_tick(period_s))
-    }
-
-    fn of(bounds: PerTick) -> Self {
-        let [since, same_for, every] = [S::zero(), S::zero(), S::one()];
-        Self { bounds, anchor: None, rate: None, since, same_for, every }
-    }
-
-    /// Gather one path per lane. Returns None if bounds differ or a path has begun.
-    pub fn gather(of: &[&Track<N>]) -> Option<Self> {
-        let bounds = of.first()?.bounds;
-        of.iter().all(|one| one.bounds == bounds && one.anchor.is_none()).then(|| Self::of(bounds))
-    }
-
-    /// Return the mask of samples on the path, `ticks` after its last sample and within `share` of dV.
-    ///
-    /// A late tick widens nothing but the rounding: a wrong sample after it is as wrong as at any other tick.
-    #[inline(always)]
-    fn contains(&self, position: &Axes<N, S>, ticks: S, share: S) -> S::SimdBool {
-        let Some(anchor) = &self.anchor else { return !nowhere::<S>() };
-        let PerTick { speed, change, quantum, per_axis, .. } = self.bounds;
-        let [speed, change, quantum] = [speed, change, quantum].map(S::splat);
-        let k = self.since + ticks;
-        let moved = position - anchor;
-        let is_slow = is_short(&moved, speed * k + quantum + quantum, per_axis);
-        let Some(rate) = &self.rate else { return is_slow };
-        is_slow & is_short(&(moved - rate * k), change * share + quantum * (k + S::one()), per_axis)
-    }
-
-    /// Accept a sample, `ticks` after the last one.
-    #[inline(always)]
-    fn accept(&mut self, position: &Axes<N, S>, ticks: S) {
-        let Some(anchor) = self.anchor.replace(*position) else { return };
-        let (k, same_for) = (self.since + ticks, self.same_for + ticks);
-        let moved = position - anchor;
-        let is_same = is_within(&moved, 0.0);
-        let mut repeats = nowhere::<S>();
-        if self.rate.is_some() {
-            repeats = is_same & k.simd_lt(self.every);
-        }
-        let rate = self.rate.unwrap_or(Axes::zeros());
-        self.rate = Some(selected(repeats, rate, &(moved / k)));
-        // A repeat keeps the position of the anchor.
-        self.since = k.select(repeats, S::zero());
-        // Steps of a quantum or two are a slow motion, and a longer time without a change is a rest.
-        let [quantum, max_every] = [self.bounds.quantum, MAX_EVERY].map(S::splat);
-        let keeps = is_short(&moved, quantum + quantum, self.bounds.per_axis) | same_for.simd_gt(max_every);
-        self.every = self.every.select(keeps, same_for);
-        self.same_for = same_for.select(is_same, S::zero());
-    }
-
-    /// Test a measured velocity in m/s: its speed is within the bound, and it differs from the one before by at most dV.
-    #[inline(always)]
-    pub fn is_steady(&self, from: &Axes<N, S>, to: &Axes<N, S>) -> S::SimdBool {
-        self.bounds.is_steady(from, to, S::one())
-    }
-
-    /// Accept a sample, `ticks` after the one before, and return the mask of lanes where it was on the path.
-    ///
-    /// In the other lanes the path is no longer usable.
-    #[inline(always)]
-    pub fn step(&mut self, position: &Axes<N, S>, ticks: S) -> S::SimdBool {
-        let on_path = self.contains(position, ticks, S::one());
-        self.accept(position, ticks);
-        on_path
-    }
-}
-
-impl<const N: usize> Track<N> {
-    /// Predict the position `ticks` after the last sample; None before the first.
-    fn at(&self, ticks: f64) -> Option<Axes<N>> {
-        let rate = self.rate.unwrap_or(Axes::zeros());
-        self.anchor.map(|anchor| anchor + rate * (self.since + ticks))
-    }
-}
-
-/// Orientation and, if the device measures it, angular velocity in rad/s, both in the base frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Turned {
-    /// R, `base_from_body`.
-    pub orientation: UnitQuaternion<f64>,
-    /// w in rad/s.
-    pub angular_velocity: Option<Axes<3>>,
-}
-
-/// Path of a rotation on SO(3), `R(k) = exp(w k) R_a`; as [`Track`], with angles for lengths.
-///
-/// The test compares the sine of half the angle with half of the limit. Below 0.5 rad they agree to 1 %.
-#[derive(Clone, Copy, Debug)]
-struct TurnTrack {
-    bounds: PerTick,
-    anchor: Option<UnitQuaternion<f64>>,
-    /// `exp(w)`, w in rad per tick.
-    rate: Option<UnitQuaternion<f64>>,
-    since: f64,
-    same_for: f64,
-    every: f64,
-}
-
-/// Return whether the angle of a rotation is at most `angle` in rad.
-#[inline]
-fn is_small(turn: &UnitQuaternion<f64>, angle: f64) -> bool {
-    turn.imag().norm_squared() <= 0.25 * angle * angle
-}
-
-impl TurnTrack {
-    fn new(bounds: SampleBounds, period_s: f64) -> Self {
-        let bounds = bounds.per_tick(period_s);
-        Self { bounds, anchor: None, rate: None, since: 0.0, same_for: 0.0, every: 1.0 }
-    }
-
-    fn at(&self, ticks: f64) -> Option<UnitQuaternion<f64>> {
-        let anchor = self.anchor?;
-        let Some(rate) = self.rate else { return Some(anchor) };
-        let k = self.since + ticks;
-        Some(if k == 1.0 { rate } else { rate.powf(k) } * anchor)
-    }
-
-    fn contains(&self, orientation: &UnitQuaternion<f64>, ticks: f64, share: f64) -> bool {
-        let (Some(anchor), Some(expected)) = (self.anchor, self.at(ticks)) else { return true };
-        let PerTick { speed, change, quantum, .. } = self.bounds;
-        let k = self.since + ticks;
-        is_small(&anchor.rotation_to(orientation), speed * k + 2.0 * quantum)
-            && (self.rate.is_none()
-                || is_small(&expected.rotation_to(orientation), change * share + quantum * (k + 1.0)))
-    }
-
-    fn accept(&mut self, orientation: &UnitQuaternion<f64>, ticks: f64) {
-        let Some(anchor) = self.anchor.replace(*orientation) else { return };
-        let (k, same_for) = (self.since + ticks, self.same_for + ticks);
-        let is_same = *orientation == anchor;
-        self.same_for = if is_same { same_for } else { 0.0 };
-        if same_for <= MAX_EVERY && !is_small(&anchor.rotation_to(orientation), 2.0 * self.bounds.quantum) {
-            self.every = same_for;
-        }
-        if self.rate.is_some() && is_same && k < self.every {
-            self.since = k;
-            return;
-        }
-        let turn = orientation * anchor.inverse();
-        self.rate = Some(if k == 1.0 { turn } else { turn.powf(1.0 / k) });
-        self.since = 0.0;
-    }
-}
-
-/// Measurements of a device at one tick.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sample<const N: usize> {
-    /// x in m (rad).
-    pub position: Axes<N>,
-    /// V in m/s (rad/s), if the device measures it; given at every sample or at none.
-    pub velocity: Option<Axes<N>>,
-    /// Rotation of a device that turns.
-    pub rotation: Option<Turned>,
-}
-
-impl<const N: usize> Sample<N> {
-    /// Create the sample of a point.
-    #[inline]
-    pub fn point(position: &Axes<N>, velocity: Option<&Axes<N>>) -> Self {
-        Self { position: *position, velocity: velocity.copied(), rotation: None }
-    }
-
-    /// Return the sample of a device whose origin moves by `by`; the rotation is in the base frame.
-    fn shifted(&self, by: &Self) -> Self {
-        let turned = self
-            .rotation
-            .zip(by.rotation)
-            .map(|(turned, by)| Turned { orientation: by.orientation * turned.orientation, ..turned });
-        Self { position: self.position + by.position, rotation: turned.or(self.rotation), ..*self }
-    }
-
-    /// Interpolate from this sample to a later one: along a straight line, and at constant rate about one axis.
-    #[must_use]
-    pub fn towards(&self, later: &Self, share: f64) -> Self {
-        let turned = |from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>| {
-            let turn = UnitQuaternion::from_scaled_axis((to * from.inverse()).scaled_axis() * share);
-            UnitQuaternion::new_normalize((turn * from).into_inner())
-        };
-        Self {
-            position: self.position + (later.position - self.position) * share,
-            velocity: between(self.velocity, later.velocity, share),
-            rotation: self.rotation.zip(later.rotation).map(|(from, to)| Turned {
-                orientation: turned(&from.orientation, &to.orientation),
-                angular_velocity: between(from.angular_velocity, to.angular_velocity, share),
-            }),
-        }
-    }
-}
-
-fn between<const N: usize>(from: Option<Axes<N>>, to: Option<Axes<N>>, share: f64) -> Option<Axes<N>> {
-    from.zip(to).map(|(from, to)| from + (to - from) * share)
-}
-
-/// Speed beyond the bound of the device.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Excess {
-    /// Signal that exceeds the bound.
-    pub signal: Signal,
-    /// Seen speed in m/s (rad/s).
-    pub seen: f64,
-    /// Bound in m/s (rad/s).
-    pub bound: f64,
-    /// True if both are in rad/s.
-    pub is_angular: bool,
-}
-
-impl Excess {
-    /// Return the fault.
-    pub fn fault(&self) -> Fault {
-        Fault::TooFast(self.signal)
-    }
-}
-
-impl fmt::Display for Excess {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { signal, seen, bound, is_angular } = self;
-        let what = if signal.is_velocity() { "is" } else { "stepped at" };
-        let unit = if *is_angular { "rad/s" } else { "m/s" };
-        write!(
-            f,
-            "{} {what} {seen:.3} {unit}: must be at most {bound} {unit}, its speed_bound; check sensor and cable",
-            signal.name()
-        )
-    }
-}
 
 /// Largest number of successive samples off the path that count as outliers.
 const MAX_OUTLIERS: usize = 3;
@@ -631,7 +255,7 @@ impl<const N: usize> Guard<N> {
         };
         follows([&last.velocity, &sample.velocity])
             && match (&last.rotation, &sample.rotation) {
-                (Some(from), Some(to)) => contains_turn(turn, from, to, ticks, share),
+                (Some(from), Some(to)) => turn.contains_turned(from, to, ticks, share),
                 _ => true,
             }
     }
@@ -720,19 +344,17 @@ impl<const N: usize> Guard<N> {
         let [held @ .., newest] = knots else { return Judged::Settled };
         let shift = self.step_of(knots);
         self.settle(held, *newest, shift);
-        let (track, turn, last) = (self.track, self.turn, self.last);
+        let (same_for, last) = ([self.track.same_for, self.turn.same_for], self.last);
         if let Some(shift) = shift {
-            self.track.anchor = Some(newest.sample.position);
-            self.track.since = 0.0;
-            self.turn.anchor = newest.sample.rotation.map(|turned| turned.orientation);
-            self.turn.since = 0.0;
+            self.track.step_to(&newest.sample.position);
+            self.turn.step_to(newest.sample.rotation.map(|turned| turned.orientation));
             (self.last, self.count) = (newest.sample, 0);
             // The path without its last sample is that before the step.
             self.before.0.rate = None;
             (self.shift, self.since_shift) = (shift, 0);
         } else {
-            self.track = Track { every: track.every, ..Track::new(self.bounds[0], self.period_s) };
-            self.turn = TurnTrack { every: turn.every, ..TurnTrack::new(self.bounds[1], self.period_s) };
+            self.track.restart();
+            self.turn.restart();
             // Two samples define a path; the third defines the path without its last sample.
             let path = &knots[knots.len().saturating_sub(3)..];
             let mut at = path[0].at - 1.0;
@@ -741,28 +363,13 @@ impl<const N: usize> Guard<N> {
                 at = knot.at;
             }
         }
-        let places = knots.iter().map(|knot| (knot.at, knot.sample.position));
-        let (interval, since, [from, to]) = last_change(last.position, track.same_for, places);
-        self.track.same_for = newest.at - since;
-        if shift.is_none() && is_of_slow_device(interval) {
-            let moved = to - from;
-            let track = &mut self.track;
-            if !is_short(&moved, 2.0 * track.bounds.quantum, track.bounds.per_axis) {
-                (track.anchor, track.rate, track.every) = (Some(to), Some(moved / interval), interval);
-                track.since = newest.at - since;
-            }
-        }
+        let positions = knots.iter().map(|knot| (knot.at, knot.sample.position));
+        let change = Change::find(last.position, same_for[0], positions);
+        self.track.resume(&change, newest.at, shift.is_some());
         if let Some(Turned { orientation, .. }) = last.rotation {
-            let places = knots.iter().filter_map(|knot| Some((knot.at, knot.sample.rotation?.orientation)));
-            let (interval, since, [from, to]) = last_change(orientation, turn.same_for, places);
-            self.turn.same_for = newest.at - since;
-            let moved = to * from.inverse();
-            let turn = &mut self.turn;
-            if shift.is_none() && is_of_slow_device(interval) && !is_small(&moved, 2.0 * turn.bounds.quantum)
-            {
-                (turn.anchor, turn.rate, turn.every) = (Some(to), Some(moved.powf(1.0 / interval)), interval);
-                turn.since = newest.at - since;
-            }
+            let turns = knots.iter().filter_map(|knot| Some((knot.at, knot.sample.rotation?.orientation)));
+            let change = Change::find(orientation, same_for[1], turns);
+            self.turn.resume(&change, newest.at, shift.is_some());
         }
         Judged::Settled
     }
@@ -844,13 +451,4 @@ impl<const N: usize> Guard<N> {
             is_beyond.then_some(Excess { signal, seen, bound: bounds.speed, is_angular })
         })
     }
-}
-
-#[inline(never)]
-fn contains_turn(turn: &TurnTrack, from: &Turned, to: &Turned, ticks: f64, share: f64) -> bool {
-    let is_steady = match (&from.angular_velocity, &to.angular_velocity) {
-        (Some(from), Some(to)) => turn.bounds.is_steady(from, to, share),
-        _ => true,
-    };
-    is_steady && turn.contains(&to.orientation, ticks, share)
 }

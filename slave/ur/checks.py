@@ -97,10 +97,10 @@ def check_before(options: UrOptions, checklist: Checklist) -> Probe:
 
 
 def check_version(seen: Probe, checklist: Checklist) -> None:
-    """Whether the driver supports the software of the controller.
+    """Check that the driver supports the software of the controller.
 
     Raises:
-        UrRefusedError: It does not; what would be asked next may not exist there.
+        UrRefusedError: It does not; the services of the next checks may not exist.
     """
     version = seen.version[:2]
     oldest = OLDEST.get(version[0])
@@ -112,7 +112,7 @@ def check_version(seen: Probe, checklist: Checklist) -> None:
 
 
 def check_services(seen: Probe, host: str, checklist: Checklist) -> None:
-    """Whether the controller takes scripts, and its dashboard server answers."""
+    """Check that the controller takes scripts and its dashboard server answers."""
     try:
         check_script_port(host)
         checklist.ok("scripts", f"port {SCRIPT_PORT}")
@@ -134,7 +134,7 @@ def check_services(seen: Probe, host: str, checklist: Checklist) -> None:
 
 
 def check_program(seen: Probe, host: str, checklist: Checklist) -> None:
-    """Whether no program plays; a control script that no client leads is ended, unless something was refused."""
+    """Check that no program plays. A control script without a client is ended, unless something was refused."""
     what, plays = mode_text(RuntimeState, seen.runtime_state), seen.runtime_state == RuntimeState.PLAYING
     remedy = "somebody else's program plays: stop it on the pendant"
     if plays and not checklist.refused:

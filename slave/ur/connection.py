@@ -75,7 +75,7 @@ class RtdeConnection:
         self.receive: Any = None
         self._closed = False
         self._uploads = False
-        """Whether a control script was sent, or may have been."""
+        """True if a control script was sent, or may have been."""
 
     @property
     def rate_hz(self) -> float:

@@ -72,7 +72,7 @@ class UrSlave:
         return self.options.max_speed
 
     speed_bound = 10.0
-    """Of the tool, in m/s: one joint at 3.7 rad/s and a reach of 1.8 m gives 6.4 m/s; several joints add up."""
+    """Speed bound of the tool in m/s. One joint at 3.7 rad/s and a reach of 1.8 m gives 6.4 m/s; joints add up."""
 
     @property
     def max_angular_speed(self) -> float:

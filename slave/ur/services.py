@@ -23,7 +23,7 @@ from haptether.slave.ur.worker import TimedWorker
 RTDE_PORT: Final = 30004
 DASHBOARD_PORT: Final = 29999
 SCRIPT_PORT: Final = 30003
-"""Of the Real-Time Client interface, to which ur_rtde sends its control script."""
+"""Port of the Real-Time Client interface, to which ur_rtde sends its control script."""
 RESOLVE_S: Final = 3.0
 CONNECT_S: Final = 2.0
 """For a connection to the dashboard server or the script port: that of ur_rtde to its dashboard server."""
@@ -145,7 +145,7 @@ def end_control_script(host: str, limit_s: float = SCRIPT_END_S) -> bool:
 
 
 def check_script_port(host: str) -> None:
-    """Whether the controller accepts a connection for scripts.
+    """Check that the controller accepts a connection for scripts.
 
     Raises:
         ProbeError: It does not.
@@ -184,7 +184,7 @@ class _Wire:
             raise OSError("is refused")
 
     def version(self) -> tuple[int, int, int, int]:
-        """Of the controller: major, minor, bugfix, build."""
+        """Version of the controller: major, minor, bugfix, build."""
         major, minor, bugfix, build = struct.unpack(">4I", self.request("version", CONTROLLER_VERSION))
         return major, minor, bugfix, build
 

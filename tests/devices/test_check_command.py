@@ -39,7 +39,7 @@ def test_a_driver_that_is_right_is_status_0_and_one_that_is_not_is_status_1_with
     bad = run(environment, "check-device", "broken", "--duration-s", "1")
     assert bad.returncode == 1
     assert "KeyError: 'encoder'" in bad.stdout
-    # The source is for whoever mends the driver.
+    # The source helps the author of the driver.
     assert "drivers.py" not in bad.stdout + bad.stderr
     assert "Traceback" not in bad.stderr
     assert "1 to mend" in bad.stdout

@@ -224,7 +224,7 @@ def test_a_servo_that_answers_little_is_told_to_answer_all(emulated: EmulatedBus
     assert [line for line in lines if "return level" in line] == [
         f"dynamixel {emulated.port}: ok       servo 2: status return level was {level}, and is 2 now"
     ]
-    # None was taken for one that has torque.
+    # No joint was taken for one with torque.
     assert not any("HOLD THE ARM" in line for line in lines)
 
 

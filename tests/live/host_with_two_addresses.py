@@ -1,4 +1,4 @@
-"""What `test_two_addresses.py` runs on each of two machines: `serve` on the one, `ask` on the other."""
+"""Programs of `test_two_addresses.py` for two machines: `serve` on one, `ask` on the other."""
 
 import json
 import secrets

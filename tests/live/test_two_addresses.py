@@ -1,4 +1,4 @@
-"""A machine with several addresses, bound to all: answers come from the one that was asked."""
+"""A machine bound to several addresses answers from the address that was asked."""
 
 import json
 import os

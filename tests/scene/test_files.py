@@ -235,7 +235,7 @@ def played(name: str) -> str:
 def test_a_recording_is_read_beside_its_scene(tmp_path: Path) -> None:
     (tmp_path / "hand.csv").write_text("# a comment\ntime_s, x\n0, 0.1\n0.5,0.2\n", encoding="utf-8")
     np.savez(tmp_path / "hand.npz", time_s=[0.0, 0.5], values=[0.1, 0.2])
-    # Of another clock, or before 0: a recording begins at its first record.
+    # Times of another clock, or before 0: a recording begins at its first record.
     (tmp_path / "late.csv").write_text('"time_s","x"\n1700000000,"0.1"\n1700000000.5,0.2\n', encoding="utf-8")
     np.savez(tmp_path / "early.npz", time_s=[-2.0, -1.5], values=[0.1, 0.2])
     for name in ("hand.csv", "hand.npz", "late.csv", "early.npz"):

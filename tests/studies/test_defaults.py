@@ -78,7 +78,7 @@ def test_a_sweep_has_the_thresholds_that_follow_from_each_row(path: str) -> None
 
 @pytest.mark.parametrize("name", scene_names())
 def test_no_shipped_scene_is_bad_by_design(name: str) -> None:
-    """What a link does is judged in the table of docs/choosing.md: it takes a run of a minute each."""
+    """Only the design is judged here. The links take a run of a minute each: docs/choosing.md has their table."""
     scene = load_scene(name)
     assert not [finding.text for finding in check_at_once(scene) if finding.state == "bad"]
     assert (scene.safety.preset == "paper") == (name in PAPER_SCENES)

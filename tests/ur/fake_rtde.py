@@ -51,9 +51,9 @@ class Arm:
     remote: bool = True
     scripts_refused: bool = False
     orphaned: bool = False
-    """Whether the program that plays is a control script that no client leads."""
+    """True if the playing program is a control script without a client."""
     ends: int = 0
-    """How often a control script was ended without the library, be it one that is still to start."""
+    """Number of control scripts ended without the library, started or not."""
     watchdog_bites: bool = True
     released: threading.Event = field(default_factory=threading.Event)
     kicked_s: float = 0.0

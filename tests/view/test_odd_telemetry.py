@@ -69,7 +69,7 @@ ODD: dict[str, tuple[Any, str]] = {
 
 @contextlib.contextmanager
 def sending(path: Path, *lines: object, hello: object = HELLO) -> Iterator[None]:
-    """A socket that sends these lines to whoever comes, and then nothing until the end."""
+    """Socket that sends these lines to each client, then nothing."""
     ended = threading.Event()
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(path))

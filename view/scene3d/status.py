@@ -185,7 +185,7 @@ def _controllers(signals: Signals, scene: Scene | None) -> tuple[str, ...]:
 
 
 def _thresholds(scene: Scene | None) -> dict[str, float]:
-    """Beyond which each controller intervenes; without a scene, or of one that is only drawn, the paper's."""
+    """Thresholds of the controllers; those of the paper without a scene or for a scene that is only drawn."""
     if scene is None or (scene.master.device is None and scene.master.mass_kg is None):
         return {"vfc": 1.0, "hsc": 1.5, "wsc": -0.03, "pc": 0.0}
     safety = spec_of(scene)["safety"]

@@ -12,7 +12,7 @@ Verdict = Literal["pass", "mend", "note", "unseen"]
 
 
 def raised(error: DeviceError) -> str:
-    """What a method of a driver raised, without the place in its source."""
+    """Text of an exception of a driver, without its place in the source."""
     if isinstance(error.__cause__, RefusedError):
         return f"refused: {error.__cause__}"
     return f"raised an exception: {error.brief}"

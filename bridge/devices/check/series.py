@@ -54,7 +54,7 @@ FACTORS = {
 
 
 def bounds_of(kind: Kind, speed_bound: float | None = None) -> Bounds:
-    """Those of a kind of coordinates, of a driver with a speed bound of its own where it has one."""
+    """Bounds of a kind of coordinates; a driver may have its own speed bound."""
     of = JOINTS if kind == "joints" else LINEAR
     return of if speed_bound is None else replace(of, fastest=speed_bound)
 
@@ -146,7 +146,7 @@ def check_positions(time_s: Array, position: Array, kind: Kind, speed_bound: flo
         time_s: Of the samples, shape `(n,)`.
         position: In m (rad), shape `(n, axes)`.
         kind: Of the coordinates.
-        speed_bound: Of the driver in m/s (rad/s), where it has one; else that of the kind, as in the safety layer.
+        speed_bound: Speed bound of the driver in m/s (rad/s); by default that of the kind, as in the safety layer.
     """
     of = bounds_of(kind, speed_bound)
     if len(time_s) < 2:

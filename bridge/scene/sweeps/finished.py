@@ -27,9 +27,9 @@ def is_of_another(path: Path, design: Design, request: Mapping[str, Any], first_
 
     Args:
         path: The file.
-        design: Of this sweep.
-        request: Of this sweep, as JSON has it.
-        first_row: What this sweep measures of its first row.
+        design: Design of this sweep.
+        request: Request of this sweep, as in JSON.
+        first_row: Computes the metrics of the first row of this sweep.
     """
     if not path.is_file():
         return False

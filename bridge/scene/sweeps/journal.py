@@ -101,7 +101,7 @@ class Journal:
             try:
                 if kept and first < kept[-1][1]:
                     message = "overlaps the one before"
-                    raise ValueError(message)  # as of one that cannot be read
+                    raise ValueError(message)  # handled like an unreadable journal
                 with self._opened(first, end) as archive:
                     lengths = {name: len(archive[name]) for name in archive.files}
                 rows = {length for name, length in lengths.items() if not name.endswith(".texts")}

@@ -116,7 +116,7 @@ def sweep_to_file(
         threads: How many threads; by default as many as there are processors.
         lanes: Whether rows may be advanced side by side in one thread; the numbers are the same.
         resume: Whether to go on with rows that are kept already.
-        replace: Whether the file of another sweep gives way.
+        replace: If true, the file of another sweep is replaced.
         collect: Whether to return all rows, too.
         engine: Where rows are computed, which does not change the file: by threads of this process, or by the workers
             of a Dask cluster.

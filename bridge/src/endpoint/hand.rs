@@ -214,12 +214,12 @@ mod tests {
         Hand::new(Layer::new(settings, None).unwrap())
     }
 
-    /// Mostly a small step, sometimes one that leaves the path.
+    /// Draw steps, a few of them off the path.
     fn step() -> impl Strategy<Value = f64> {
         prop_oneof![40 => -1e-4..1e-4, 1 => -0.05..0.05, 1 => Just(f64::NAN), 1 => Just(2e3)]
     }
 
-    /// Mostly a valid number, sometimes one that is invalid or leads to invalid results.
+    /// Draw numbers, a few of them invalid or with invalid results.
     fn number(size: f64) -> impl Strategy<Value = f64> {
         let odd = prop_oneof![Just(f64::NAN), Just(f64::INFINITY), Just(2e3), Just(-900.0), Just(2e4)];
         prop_oneof![60 => -size..size, 1 => odd]

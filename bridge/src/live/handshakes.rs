@@ -269,7 +269,7 @@ pub enum SecurityEvent {
     Refused(CouplingError),
     /// The thread that makes keys has ended by itself.
     KeysEnd,
-    /// Where a peer whose name has several addresses has answered.
+    /// Address at which a peer with several addresses answered.
     Found(SocketAddr),
     /// Datagrams that are not of the peer.
     Strangers(StrangerReport),

@@ -53,9 +53,9 @@ pub struct PeerSocket {
     routes: Vec<(usize, Route)>,
     /// The address that is sent to next.
     current: usize,
-    /// Whether the peer has answered there, or has one address.
+    /// True once the peer has answered, or if it has one address.
     is_found: bool,
-    /// Whether somebody is to be told where it answered.
+    /// Address at which the peer answered, until it is reported.
     found: Option<SocketAddr>,
     strangers: Strangers,
     /// Frames that the system refused to send: nobody listens there, or its buffer was full.
@@ -76,7 +76,7 @@ impl PeerSocket {
     ///
     /// # Errors
     ///
-    /// What the system says of the last, if there is none to which a socket can be bound.
+    /// Error of the last address, if no socket can be bound to any.
     pub fn bind_each(ends: &[(SocketAddr, SocketAddr)]) -> io::Result<Self> {
         let mut sockets: Vec<(SocketAddr, ReplySocket)> = Vec::new();
         let (mut routes, mut refused) = (Vec::new(), io::ErrorKind::AddrNotAvailable.into());
@@ -115,12 +115,12 @@ impl PeerSocket {
         self.sockets[self.routes[self.current].0].socket().local_addr()
     }
 
-    /// Where a peer with several addresses has answered; once.
+    /// Take the address at which a peer with several addresses answered; returns it once.
     pub(super) fn take_found(&mut self) -> Option<SocketAddr> {
         self.found.take()
     }
 
-    /// What there is to say of datagrams that were not of the peer.
+    /// Take the next report on datagrams that are not from the peer.
     pub(super) fn take_strangers(&mut self) -> Option<StrangerReport> {
         self.strangers.poll()
     }
@@ -293,7 +293,7 @@ impl Route {
         Self { learns: true, peer: None, second: None, owed: 0, is_answered: false }
     }
 
-    /// Whether frames of the peer come from there.
+    /// Return whether frames of the peer arrive from this address.
     fn lives_at(&self, now_ns: u64, from: SocketAddr) -> bool {
         self.peer.is_some_and(|peer| peer.asker.from == from && !peer.is_silent(now_ns))
     }
@@ -510,7 +510,7 @@ mod tests {
         }
     }
 
-    /// Of a name with several addresses the one that answers is kept, whichever it is; nobody else is.
+    /// The socket keeps the address that answers, of a name with several, and ignores all others.
     #[test]
     fn each_address_of_a_peer_is_tried_until_one_answers() {
         let any: SocketAddr = "127.0.0.1:0".parse().unwrap();

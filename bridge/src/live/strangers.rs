@@ -34,7 +34,7 @@ pub(super) struct Header {
     is_handshake: bool,
 }
 
-/// The header of a datagram; none of one that is too short for any.
+/// Header of a datagram; None if the datagram is too short.
 pub(super) fn header_of(datagram: &[u8]) -> Option<Header> {
     let &[first, second, version, ..] = datagram else { return None };
     Some(Header { magic: [first, second], version, is_handshake: is_handshake(datagram) })
@@ -60,10 +60,10 @@ pub(super) fn stranger(
     }
 }
 
-/// What the operator is told of datagrams of one kind.
+/// Report to the operator on datagrams of one kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StrangerReport {
-    /// What tells them from the peer's.
+    /// Difference from datagrams of the peer.
     pub kind: Stranger,
     /// How many there were.
     pub count: u64,
@@ -142,7 +142,7 @@ mod tests {
         for (header, is_secure, rejection, expected) in [
             (of(&session, HANDSHAKE_LENGTH), true, forged, Some(Stranger::Key)),
             (of(&session, HANDSHAKE_LENGTH), true, Some(Rejection::Replayed), None),
-            // Of the living session, damaged on its way.
+            // Damaged datagrams of the current session.
             (of(&session, 200), true, forged, None),
             (of(&[&SESSION_MAGIC[..], &[SESSION_VERSION, 3]].concat(), HANDSHAKE_LENGTH), true, forged, None),
             (of(&newer(&session), 77), true, Some(Rejection::Length), Some(Stranger::Version)),

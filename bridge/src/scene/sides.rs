@@ -53,7 +53,7 @@ fn master_settings<const N: usize>(
     })
 }
 
-/// What samples of a side of this kind are held against, of a device of this speed bound and quantum in m (rad).
+/// Sample bounds of a side of this kind, with the speed bound of its device and a quantum in m (rad).
 fn point_samples(kind: SideKind, speed_bound: Option<f64>, quantum: f64) -> SampleBounds {
     let of_kind = match kind {
         SideKind::Joints => SampleBounds::JOINTS,
@@ -62,7 +62,7 @@ fn point_samples(kind: SideKind, speed_bound: Option<f64>, quantum: f64) -> Samp
     SampleBounds { speed: speed_bound.unwrap_or(of_kind.speed), quantum, ..of_kind }
 }
 
-/// What the samples of the device are held against, of position and rotation.
+/// Sample bounds of the device, of position and rotation.
 fn master_samples<const N: usize>(scene: &SceneSpec<N>) -> [SampleBounds; 2] {
     let master = &scene.master;
     let point = point_samples(master.kind, master.speed_bound, master.device.encoder_quantum);
@@ -76,7 +76,7 @@ fn master_samples<const N: usize>(scene: &SceneSpec<N>) -> [SampleBounds; 2] {
     [point, rotation]
 }
 
-/// What the samples of the arm are held against, of position and rotation.
+/// Sample bounds of the arm, of position and rotation.
 fn slave_samples<const N: usize>(scene: &SceneSpec<N>) -> [SampleBounds; 2] {
     let speed_bound = scene.slave.as_ref().and_then(|slave| slave.speed_bound);
     [point_samples(scene.master.kind, speed_bound, 0.0), SampleBounds::LINEAR.at_lever(TOOL_LEVER_M)]

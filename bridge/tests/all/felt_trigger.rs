@@ -252,6 +252,20 @@ fn a_trigger_that_is_not_known_is_no_force_and_no_fault() {
     }
 }
 
+/// A wrong sample of a trigger counts once, with force feedback and without.
+#[test]
+fn a_wrong_sample_of_a_trigger_counts_once() {
+    let mut pair = Pair::new(Trigger::Driven(Some(0.3)), 0.3);
+    pair.steps(100);
+    for wrong in 1..=4 {
+        pair.lead(Some(0.9));
+        pair.step();
+        pair.lead(Some(0.3));
+        let (record, _) = pair.steps(20);
+        assert_eq!((record.outliers, record.fault), (wrong, 0));
+    }
+}
+
 #[test]
 fn a_fault_of_the_hand_stops_the_trigger_until_it_is_mended() {
     let mut pair = Pair::new(Trigger::Driven(Some(0.0)), 0.0);

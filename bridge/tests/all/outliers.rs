@@ -19,7 +19,7 @@ const RELEASED: usize = 2600;
 /// From one wrong sample to the next.
 const EVERY: usize = 97;
 
-/// What is wrong with a sample: of the position in m (rad), of a measured velocity in m/s (rad/s).
+/// Errors of a sample: of the position in m (rad), of a measured velocity in m/s (rad/s).
 type Wrong<'a> = &'a (dyn Fn(usize) -> [f64; 2] + Send + Sync);
 
 struct Spoiled<'a, P> {
@@ -327,7 +327,7 @@ fn what_a_device_can_do_is_no_fault() {
         assert_eq!(seen.faults, [0; 2], "{size}: {}", seen.text);
         let force = largest(&seen.force_n[..1804], &clean.force_n[..1804]);
         assert!(force <= 0.5, "{size}: {force}");
-        // What comes later is the arm's doing, which follows the step.
+        // Later the arm follows the step, which changes the force.
         let most = seen.force_n[..2600].windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max);
         assert!(most < 0.6, "{size}: {most}");
     }

@@ -50,7 +50,7 @@ pub(crate) fn peer_addresses(key: &str, text: &str) -> PyResult<Vec<SocketAddr>>
     }
 }
 
-/// What `open` makes of the first address at which it succeeds; else why it did not at the last.
+/// Return the result of `open` for the first address at which it succeeds, or its error at the last.
 pub(crate) fn first_of<T>(
     addresses: &[SocketAddr],
     mut open: impl FnMut(SocketAddr) -> PyResult<T>,

@@ -1,4 +1,4 @@
-//! What samples are held against.
+//! Bounds on samples.
 
 use haptether_safety::SampleBounds;
 use pyo3::prelude::*;

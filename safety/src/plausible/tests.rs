@@ -1,5 +1,6 @@
 //! Outliers, changes of velocity and steps of points, joints and rotations.
 
+use nalgebra::UnitQuaternion;
 use proptest::prelude::*;
 
 use super::*;
@@ -287,5 +288,82 @@ fn a_step_and_its_way_back_are_no_velocity() {
                 }
             }
         }
+    }
+}
+
+/// A wrong sample after ticks that were left out is held, as at any other tick.
+#[test]
+fn wrong_sample_after_a_late_tick_is_held() {
+    for gap in 1..=12 {
+        for size in [0.9e-3, 3e-3, -0.1] {
+            let mut guard = guard(QUANTUM);
+            for _ in 0..100 {
+                guard.pass(&at(0.0), 1.0).unwrap();
+            }
+            guard.pass(&at(size), f64::from(gap)).unwrap();
+            assert!(guard.holds() && guard.taken().position[0].abs() < 1e-12, "{gap} {size}");
+            guard.pass(&at(0.0), 1.0).unwrap();
+            assert_eq!((guard.holds(), guard.outliers()), (false, 1), "{gap} {size}");
+        }
+    }
+}
+
+/// A coarse encoder in slow motion moves by single quanta; outliers are then replaced, too.
+#[test]
+fn coarse_joint_in_slow_motion_bears_outliers() {
+    let quantum = std::f64::consts::TAU / 4096.0;
+    for (amplitude, rate) in [(0.1, 3.0), (0.1, 1.0), (0.6, 3.0)] {
+        for size in [0.05, 0.5] {
+            for run in 1..=3 {
+                let bounds = SampleBounds { quantum, speed: 30.0, ..SampleBounds::JOINTS };
+                let mut guard = Guard::<1>::new(bounds, SampleBounds::UNBOUNDED, PERIOD);
+                let measured = |n: usize| {
+                    let sign = if n % 2 == 0 { 1.0 } else { -1.0 };
+                    let wrong = n > 100 && n % 97 < run;
+                    let x = amplitude * (rate * n as f64 * PERIOD).sin();
+                    rounded(x + if wrong { sign * size } else { 0.0 }, quantum)
+                };
+                let (_, ended) = taken(&mut guard, (0..4000).map(measured));
+                let case = format!("{amplitude} rad at {rate} rad/s, {run} of {size} rad");
+                assert_eq!(ended, None, "{case}");
+                let count = (101..4000).filter(|n| n % 97 < run).count() as u64;
+                assert_eq!(guard.outliers(), count, "{case}");
+            }
+        }
+    }
+}
+
+/// A stop of a device that samples every few ticks is no fault up to its speed bound.
+#[test]
+fn stop_of_a_slower_sensor_is_no_fault() {
+    for every in 2..=4 {
+        for v in [2.0, 5.0, 9.0] {
+            for stop in 100..104 {
+                let bounds = SampleBounds { quantum: QUANTUM, speed: 10.0, ..SampleBounds::LINEAR };
+                let mut guard = Guard::<1>::new(bounds, SampleBounds::UNBOUNDED, PERIOD);
+                // Constant acceleration to v within 0.05 s.
+                let x = |n: usize| {
+                    let t = (n - n % every).min(stop) as f64 * PERIOD;
+                    rounded(v * if t < 0.05 { t * t / 0.1 } else { t - 0.025 }, QUANTUM)
+                };
+                let (_, ended) = taken(&mut guard, (0..200).map(x));
+                assert_eq!(ended, None, "every {every}, {v} m/s, {stop}");
+            }
+        }
+    }
+}
+
+/// The quantum of the position gives a measured velocity no room.
+#[test]
+fn measured_velocity_is_held_beyond_its_bound() {
+    let bounds = SampleBounds { quantum: 1.5e-3, ..SampleBounds::JOINTS };
+    for (change, is_held) in [(4.9, false), (5.1, true), (-5.1, true), (7.9, true)] {
+        let mut guard = Guard::<1>::new(bounds, SampleBounds::UNBOUNDED, PERIOD);
+        let sample = |velocity: f64| Sample::point(&Axes::<1>::new(0.0), Some(&Axes::<1>::new(velocity)));
+        for _ in 0..10 {
+            guard.pass(&sample(0.0), 1.0).unwrap();
+        }
+        guard.pass(&sample(change), 1.0).unwrap();
+        assert_eq!(guard.holds(), is_held, "{change} rad/s");
     }
 }

@@ -120,7 +120,7 @@ def io(host: str) -> Result:
 
 @scenario
 def slider(host: str) -> Result:
-    """Where the next client sees the speed slider."""
+    """Position of the speed slider for the next client."""
     return {"seen": rtde_receive.RTDEReceiveInterface(host).getTargetSpeedFraction()}
 
 

@@ -123,7 +123,7 @@ def test_a_slow_script_is_waited_for_as_long_as_the_library_does_and_never_left(
     pytest.importorskip("rtde_control")
     host = free_host()
     with emulator(host=host) as emulated:
-        # What an earlier run left.
+        # State left by an earlier run.
         sent(emulated, CONTROL_SCRIPT)
         emulated.wait_for("runtime_state", "PLAYING")
         emulated.do(f"start-up {row.start_up_s}")

@@ -136,7 +136,7 @@ def test_what_the_dashboard_says(serve: Serve) -> None:
 
 
 class End(NamedTuple):
-    """What RTDE says each time, what the dashboard does, which are asked, and the error."""
+    """Answers of RTDE, behaviour of the dashboard, the services asked, and the error."""
 
     rtde: tuple[bool | str, ...]
     dashboard: str

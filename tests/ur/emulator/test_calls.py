@@ -106,7 +106,7 @@ def test_inputs_and_outputs(arm: Emulated) -> None:
     assert result["slider"] == 0.5
     # 0.25 of 10 V; as a current, 0.5 of 4 to 20 mA.
     assert result["analog"] == pytest.approx([2.5, 0.012])
-    # What one client has set, others may change: the pendant, a reset, the next client.
+    # The pendant, a reset and the next client may change the slider that one client has set.
     arm.do("slider 1")
     assert client("slider", arm.host)["seen"] == 1.0
     assert client("io", arm.host)["slider"] == 0.5

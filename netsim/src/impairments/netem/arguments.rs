@@ -110,7 +110,7 @@ impl Arguments {
         let mut ecn = None;
         while let Some(word) = words.next() {
             if is_shown && word.text == "seed" {
-                // Of the kernel's generator, which a link does not have.
+                // Settings of the kernel's generator; a link has none.
                 words.next();
                 continue;
             }

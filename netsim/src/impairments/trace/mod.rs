@@ -3,7 +3,7 @@
 //! A packet meets what was recorded at the time at which it is sent. It is lost if the record that holds then, the last
 //! at or before it, was lost. Its delay is that of this record or, with `interpolate`, on the line to the next record
 //! if that one was delivered. The link begins at the first record, whatever its time is; after the last the last one holds.
-//! With `repeat` the recording begins anew after its last time plus the last spacing; a single record holds for ever.
+//! With `repeat` the recording restarts after its last time plus the last spacing. A single record holds for ever.
 //!
 //! Loss comes before the bottleneck and delay takes the place of `delay_s` behind it, so a recording may be combined
 //! with a rate.
@@ -58,7 +58,7 @@ struct Playback {
 }
 
 impl Playback {
-    /// Of a recording with these times, from 0 on.
+    /// Create the playback of a recording with these times, which start at 0.
     fn new(time_ns: &[u64], repeats: bool) -> Self {
         let &[.., before, last] = time_ns else {
             return Self { period_ns: None };

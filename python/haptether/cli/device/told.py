@@ -52,11 +52,11 @@ class Told:
         return getattr(self._stream, name)
 
     def shortened(self, found: "Iterable[Finding]", messages: Iterable[str]) -> "list[Finding]":
-        """The findings, each message only where it appears first; one that was printed before appears in none.
+        """Return the findings with each message only at its first place, and without messages printed before.
 
         Args:
             found: In the order of the table.
-            messages: Of the driver's errors and faults.
+            messages: Messages of the driver's errors and faults.
         """
         longest = sorted({message for message in messages if len(message) >= MIN_MESSAGE}, key=len, reverse=True)
         seen, shown = _squeezed(self.text), []

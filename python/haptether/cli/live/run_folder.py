@@ -22,8 +22,8 @@ STALE_S = 60.0
 def run_folder() -> Path | None:
     """`$XDG_RUNTIME_DIR/haptether`, or a folder of this user among temporary files; none where none can be private.
 
-    Whoever may write there could take a socket's place, so it must be this user's, and nobody else's to enter. Where
-    `$TMPDIR` is too long for the path of a socket, it is in /tmp.
+    Another user with write access could replace a socket, so only this user may own and enter it. If `$TMPDIR` is too
+    long for the path of a socket, the folder is in /tmp.
     """
     base = os.environ.get("XDG_RUNTIME_DIR")
     own = f"haptether-{os.getuid()}"
