@@ -318,7 +318,7 @@ fn coarse_joint_in_slow_motion_bears_outliers() {
                 let bounds = SampleBounds { quantum, speed: 30.0, ..SampleBounds::JOINTS };
                 let mut guard = Guard::<1>::new(bounds, SampleBounds::UNBOUNDED, PERIOD);
                 let measured = |n: usize| {
-                    let sign = if n % 2 == 0 { 1.0 } else { -1.0 };
+                    let sign = if n.is_multiple_of(2) { 1.0 } else { -1.0 };
                     let wrong = n > 100 && n % 97 < run;
                     let x = amplitude * (rate * n as f64 * PERIOD).sin();
                     rounded(x + if wrong { sign * size } else { 0.0 }, quantum)
