@@ -11,7 +11,7 @@ use crate::{
     estimator::{AnyEstimator, Estimator, EstimatorKind, MeasuredVelocity, Motion},
     lanes::{option, pack, part, shared},
     limiter::{Acted, Limiter, LimiterSettings, SaturatedForce},
-    plausible::{Between, Excess, Guard, Judged, MAX_HELD, Sample, SampleBounds},
+    plausible::{Between, Excess, Guard, Judged, MAX_HELD, Parts, Sample, SampleBounds},
 };
 
 #[cfg(test)]
@@ -70,14 +70,28 @@ pub struct SafetyLayer<const N: usize, S = f64> {
 #[derive(Clone, Debug)]
 struct Entry<const N: usize> {
     guard: Guard<N>,
-    /// The last tick and its authority.
-    last: SafetyTick<N>,
-    authority: f64,
+    last: LastTick<N>,
     held: [HeldTick<N>; MAX_HELD + 1],
     count: usize,
     /// Index in `held` of the tick that is being caught up with.
     recalled: Option<usize>,
     excess: Option<Excess>,
+}
+
+/// Values of the last tick that a held tick repeats.
+#[derive(Clone, Copy, Debug)]
+struct LastTick<const N: usize> {
+    motion: Motion<N>,
+    grasp_force: Axes<N>,
+    intervention: Intervention<N>,
+    authority: f64,
+}
+
+impl<const N: usize> LastTick<N> {
+    fn still() -> Self {
+        let SafetyTick { motion, grasp_force, intervention, .. } = SafetyTick::still();
+        Self { motion, grasp_force, intervention, authority: 0.0 }
+    }
 }
 
 /// Forces of a tick whose sample is held.
@@ -97,8 +111,8 @@ impl<const N: usize> Entry<N> {
     fn new(guard: Guard<N>) -> Self {
         let zeros = Axes::zeros();
         let nothing = HeldTick { at: 0.0, rendered_force: zeros, device_force: zeros, asked: zeros };
-        let (last, held) = (SafetyTick::still(), [nothing; MAX_HELD + 1]);
-        Self { guard, last, authority: 0.0, held, count: 0, recalled: None, excess: None }
+        let (last, held) = (LastTick::still(), [nothing; MAX_HELD + 1]);
+        Self { guard, last, held, count: 0, recalled: None, excess: None }
     }
 
     fn hold(&mut self, tick: HeldTick<N>) {
@@ -109,7 +123,7 @@ impl<const N: usize> Entry<N> {
     /// Restore the state before the first tick.
     fn clear(&mut self, at: &Sample<N>) {
         self.guard.begin_anew(at);
-        (self.last, self.count, self.recalled, self.excess) = (SafetyTick::still(), 0, None, None);
+        (self.last, self.count, self.recalled, self.excess) = (LastTick::still(), 0, None, None);
     }
 }
 
@@ -208,7 +222,7 @@ impl<const N: usize> SafetyLayer<N> {
         authority: f64,
     ) -> SafetyTick<N> {
         let entered = self.check(position, velocity, requested_force).and_then(|()| {
-            let judged = self.judge(missed, &Sample::point(position, velocity))?;
+            let judged = self.judge(missed, Parts { position, velocity, rotation: None })?;
             match judged {
                 Judged::Held(at) => return Ok(Err(at)),
                 Judged::Settled => self.catch_up(),
@@ -244,8 +258,8 @@ impl<const N: usize> SafetyLayer<N> {
 
     /// Judge a sample against its path; return a fault if the device cannot move so fast.
     #[inline(always)]
-    pub(crate) fn judge(&mut self, missed: u64, sample: &Sample<N>) -> Result<Judged<N>, Fault> {
-        let judged = self.entry.guard.judge(sample, (missed + 1) as f64);
+    pub(crate) fn judge(&mut self, missed: u64, parts: Parts<'_, N>) -> Result<Judged<N>, Fault> {
+        let judged = self.entry.guard.judge(parts, (missed + 1) as f64);
         if let Judged::Stepped(excess) = &judged {
             self.entry.excess = Some(*excess);
             return Err(excess.fault());
@@ -256,8 +270,10 @@ impl<const N: usize> SafetyLayer<N> {
     /// Store the tick of one scenario for the next.
     #[inline(always)]
     pub(crate) fn keep(&mut self, advance: &Advance<N>, authority: f64) -> SafetyTick<N> {
-        (self.entry.last, self.entry.authority) = (advance.lane(0), authority);
-        self.entry.last
+        let tick = advance.lane(0);
+        let SafetyTick { motion, grasp_force, intervention, .. } = tick;
+        self.entry.last = LastTick { motion, grasp_force, intervention, authority };
+        tick
     }
 
     /// Compute a tick whose sample is held, without estimation, observation or decision.
@@ -265,28 +281,30 @@ impl<const N: usize> SafetyLayer<N> {
     /// V stays, `F_v` continues, and the damping of the intervention fades with the authority.
     #[inline(never)]
     pub(crate) fn hold(&mut self, at: f64, requested_force: &Axes<N>, authority: f64) -> SafetyTick<N> {
-        let Entry { last, authority: before, .. } = self.entry;
+        let LastTick { motion, grasp_force, intervention, authority: before } = self.entry.last;
         let rendering = self.rendering.limit(requested_force, &Axes::zeros());
         let rendered_force = rendering.force;
         self.hold_forces(at, rendered_force);
         // F_c = damping - g F_v.
         let g = 1.0 - self.controller.let_through();
-        let damping = last.intervention.safety_force + last.rendered_force * g;
+        let damping = intervention.safety_force + self.last_rendered * g;
         let share = if authority < before { authority / before } else { 1.0 };
         let safety_force = damping * share - rendered_force * g;
-        let limited = self.limiter.limit(&(rendered_force + safety_force), &last.motion.velocity);
+        let limited = self.limiter.limit(&(rendered_force + safety_force), &motion.velocity);
         self.device_force = limited.force;
         self.ask(&rendered_force);
-        self.entry.authority = authority.min(before);
-        self.entry.last = SafetyTick {
+        let intervention = Intervention { safety_force, ..intervention };
+        self.entry.last = LastTick { motion, grasp_force, intervention, authority: authority.min(before) };
+        SafetyTick {
+            motion,
             rendered_force,
+            grasp_force,
             device_force: limited.force,
-            intervention: Intervention { safety_force, ..last.intervention },
+            intervention,
             acted: rendering.acted(0).and(limited.acted(0)),
             owed_energy_j: 0.0,
-            ..last
-        };
-        self.entry.last
+            fault: None,
+        }
     }
 
     /// Advance over the ticks since the last accepted sample.
@@ -443,7 +461,7 @@ impl<const N: usize> SafetyLayer<N> {
         (self.device_force, self.asked) = (Axes::zeros(), Axes::zeros());
         self.rendering.reset();
         self.limiter.reset();
-        (self.entry.last, self.entry.count) = (SafetyTick::still(), 0);
+        (self.entry.last, self.entry.count) = (LastTick::still(), 0);
         SafetyTick { fault: Some(fault), ..SafetyTick::still() }
     }
 

@@ -8,12 +8,13 @@ mod track;
 mod turn;
 
 pub use bounds::{Excess, SampleBounds};
+pub(crate) use sample::Parts;
 pub use sample::{Sample, Turned};
 pub use track::Track;
 
 use self::{
     bounds::{PerTick, is_short},
-    track::Change,
+    track::{Change, Path},
     turn::{TurnTrack, is_small},
 };
 use crate::{Axes, Signal};
@@ -89,7 +90,7 @@ pub struct Guard<const N: usize> {
     track: Track<N>,
     turn: TurnTrack,
     /// Path before the last sample was accepted, and the ticks from its end to that sample.
-    before: (Track<N>, TurnTrack, f64),
+    before: (Path<N>, TurnTrack, f64),
     /// Last sample of the path; before the first, the sample at which the path was reset.
     last: Sample<N>,
     /// Prediction that replaces a held sample.
@@ -113,7 +114,7 @@ impl<const N: usize> Guard<N> {
             period_s,
             track,
             turn,
-            before: (track, turn, 1.0),
+            before: (track.path, turn, 1.0),
             last: nothing,
             predicted: nothing,
             held: [Knot { at: 0.0, sample: nothing }; MAX_HELD],
@@ -157,8 +158,8 @@ impl<const N: usize> Guard<N> {
     ///
     /// [`taken`](Self::taken) then returns the sample or its prediction.
     pub fn pass(&mut self, sample: &Sample<N>, ticks: f64) -> Result<(), Excess> {
-        if self.count == 0 && self.contains(sample, ticks, 1.0) {
-            self.accept(sample, ticks);
+        if self.count == 0 && self.contains(sample.parts(), ticks, 1.0) {
+            self.accept(sample.parts(), ticks);
             return Ok(());
         }
         match self.judge_general(sample, ticks) {
@@ -169,12 +170,12 @@ impl<const N: usize> Guard<N> {
 
     /// Judge as [`pass`](Self::pass), for a caller that catches up with [`between`](Self::between).
     #[inline(always)]
-    pub(crate) fn judge(&mut self, sample: &Sample<N>, ticks: f64) -> Judged<N> {
-        if self.count == 0 && ticks == 1.0 && self.contains(sample, 1.0, 1.0) {
-            self.accept(sample, 1.0);
+    pub(crate) fn judge(&mut self, parts: Parts<'_, N>, ticks: f64) -> Judged<N> {
+        if self.count == 0 && ticks == 1.0 && self.contains(parts, 1.0, 1.0) {
+            self.accept(parts, 1.0);
             return Judged::Passed;
         }
-        self.judge_general(sample, ticks)
+        self.judge_general(&parts.sample(), ticks)
     }
 
     #[inline(never)]
@@ -187,18 +188,18 @@ impl<const N: usize> Guard<N> {
         // accelerates by dV / 10 per tick, 50 m/s^2 at 1 kHz; this leaves the path by dV dT k (k + 1) / 20 in k
         // ticks.
         let share = if wrong == 0 { 1.0 } else { (0.05 * at * (at + 1.0)).min(1.0) };
-        if self.contains(sample, at, share) {
+        if self.contains(sample.parts(), at, share) {
             self.outliers += wrong as u64;
             self.settle(&[], Knot { at, sample: *sample }, None);
-            self.accept(sample, at);
+            self.accept(sample.parts(), at);
             return Judged::Settled;
         }
         if self.count == 0 && self.returns(sample, gap) {
             // The last sample was off the path, by less than the limit.
-            let (track, turn, ticks) = self.before;
-            (self.track, self.turn) = (track, turn);
+            let (path, turn, ticks) = self.before;
+            (self.track.path, self.turn) = (path, turn);
             self.settle(&[], Knot { at, sample: *sample }, None);
-            self.accept(sample, ticks + gap);
+            self.accept(sample.parts(), ticks + gap);
             return Judged::Settled;
         }
         if self.count < MAX_OUTLIERS {
@@ -209,10 +210,10 @@ impl<const N: usize> Guard<N> {
 
     /// Return whether a sample is on the path without its last sample.
     fn returns(&self, sample: &Sample<N>, gap: f64) -> bool {
-        let (track, turn, ticks) = &self.before;
-        let repeats = self.last == *sample && self.track.since + gap < self.track.every;
+        let (path, turn, ticks) = &self.before;
+        let repeats = self.last == *sample && self.track.path.since + gap < self.track.path.every;
         // A path of one sample has no direction, and a repeat equals the last sample.
-        track.rate.is_some() && !repeats && self.is_on(track, turn, sample, ticks + gap, 1.0)
+        path.rate.is_some() && !repeats && self.is_on(path, turn, sample.parts(), ticks + gap, 1.0)
     }
 
     fn hold(&mut self, knot: Knot<N>) -> Judged<N> {
@@ -236,39 +237,43 @@ impl<const N: usize> Guard<N> {
     }
 
     #[inline(always)]
-    fn contains(&self, sample: &Sample<N>, ticks: f64, share: f64) -> bool {
-        self.is_on(&self.track, &self.turn, sample, ticks, share)
+    fn contains(&self, parts: Parts<'_, N>, ticks: f64, share: f64) -> bool {
+        self.is_on(&self.track.path, &self.turn, parts, ticks, share)
     }
 
     #[inline(always)]
-    fn is_on(&self, track: &Track<N>, turn: &TurnTrack, sample: &Sample<N>, ticks: f64, share: f64) -> bool {
-        if !track.contains(&sample.position, ticks, share) {
+    fn is_on(&self, path: &Path<N>, turn: &TurnTrack, parts: Parts<'_, N>, ticks: f64, share: f64) -> bool {
+        let Parts { position, velocity, rotation } = parts;
+        let bounds = &self.track.bounds;
+        if !path.contains(bounds, position, ticks, share) {
             return false;
         }
-        if track.anchor.is_none() {
+        if path.anchor.is_none() {
             return true;
         }
         let last = &self.last;
-        let follows = |[from, to]: [&Option<Axes<N>>; 2]| match (from, to) {
-            (Some(from), Some(to)) => self.track.bounds.is_steady(from, to, share),
+        let is_steady = match (&last.velocity, velocity) {
+            (Some(from), Some(to)) => bounds.is_steady(from, to, share),
             _ => true,
         };
-        follows([&last.velocity, &sample.velocity])
-            && match (&last.rotation, &sample.rotation) {
+        is_steady
+            && match (&last.rotation, rotation) {
                 (Some(from), Some(to)) => turn.contains_turned(from, to, ticks, share),
                 _ => true,
             }
     }
 
     #[inline(always)]
-    fn accept(&mut self, sample: &Sample<N>, ticks: f64) {
-        (self.before.0, self.before.2) = (self.track, ticks);
-        self.track.accept(&sample.position, ticks);
-        if let Some(turned) = &sample.rotation {
+    fn accept(&mut self, parts: Parts<'_, N>, ticks: f64) {
+        let Parts { position, velocity, rotation } = parts;
+        (self.before.0, self.before.2) = (self.track.path, ticks);
+        self.track.accept(position, ticks);
+        if let Some(turned) = rotation {
             self.before.1 = self.turn;
             self.turn.accept(&turned.orientation, ticks);
+            self.last.rotation = Some(*turned);
         }
-        (self.last, self.count) = (*sample, 0);
+        (self.last.position, self.last.velocity, self.count) = (*position, velocity.copied(), 0);
         self.since_shift = self.since_shift.saturating_add(1);
     }
 
@@ -344,7 +349,7 @@ impl<const N: usize> Guard<N> {
         let [held @ .., newest] = knots else { return Judged::Settled };
         let shift = self.step_of(knots);
         self.settle(held, *newest, shift);
-        let (same_for, last) = ([self.track.same_for, self.turn.same_for], self.last);
+        let (same_for, last) = ([self.track.path.same_for, self.turn.same_for], self.last);
         if let Some(shift) = shift {
             self.track.step_to(&newest.sample.position);
             self.turn.step_to(newest.sample.rotation.map(|turned| turned.orientation));
@@ -359,7 +364,7 @@ impl<const N: usize> Guard<N> {
             let path = &knots[knots.len().saturating_sub(3)..];
             let mut at = path[0].at - 1.0;
             for knot in path {
-                self.accept(&knot.sample, knot.at - at);
+                self.accept(knot.sample.parts(), knot.at - at);
                 at = knot.at;
             }
         }
@@ -403,7 +408,7 @@ impl<const N: usize> Guard<N> {
     }
 
     fn settle(&mut self, held: &[Knot<N>], newest: Knot<N>, shift: Option<Sample<N>>) {
-        if self.track.anchor.is_none() {
+        if self.track.path.anchor.is_none() {
             return;
         }
         let last = shift.map_or(self.last, |shift| self.last.shifted(&shift));
@@ -432,7 +437,7 @@ impl<const N: usize> Guard<N> {
         let turned = from.sample.rotation.zip(to.sample.rotation);
         let rate = turned.and_then(|(_, to)| to.angular_velocity);
         [
-            (Signal::Position, Some(size(&moved)), bounds, elapsed_s(self.track.every)),
+            (Signal::Position, Some(size(&moved)), bounds, elapsed_s(self.track.path.every)),
             (Signal::Velocity, to.sample.velocity.map(|velocity| size(&velocity)), bounds, 1.0),
             (
                 Signal::Orientation,

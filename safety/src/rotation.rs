@@ -173,7 +173,7 @@ impl RotationLayer {
         authority: f64,
     ) -> SafetyTick<3> {
         let entered = self.check(orientation, angular_velocity, requested_torque).and_then(|()| {
-            match self.layer.judge(missed, &sample_of(orientation, angular_velocity))? {
+            match self.layer.judge(missed, sample_of(orientation, angular_velocity).parts())? {
                 Judged::Held(at) => return Ok(Err(at)),
                 Judged::Settled => self.catch_up(),
                 _ => {}

@@ -121,7 +121,7 @@ impl<const N: usize> WrenchLayer<N> {
             .translation
             .check(position, velocity.as_ref(), force)
             .and_then(|()| self.rotation.check(orientation, angular_velocity.as_ref(), torque))
-            .and_then(|()| self.translation.judge(missed, &sample.into()));
+            .and_then(|()| self.translation.judge(missed, Sample::from(sample).parts()));
         match checked {
             Err(fault) => return self.stop(fault),
             Ok(plausible::Judged::Held(at)) => {

@@ -24,7 +24,29 @@ pub struct Sample<const N: usize> {
     pub rotation: Option<Turned>,
 }
 
+/// Borrowed parts of a [`Sample`], which the check of every tick reads where they are.
+#[derive(Clone, Copy)]
+pub(crate) struct Parts<'a, const N: usize> {
+    pub(crate) position: &'a Axes<N>,
+    pub(crate) velocity: Option<&'a Axes<N>>,
+    pub(crate) rotation: Option<&'a Turned>,
+}
+
+impl<const N: usize> Parts<'_, N> {
+    pub(super) fn sample(&self) -> Sample<N> {
+        let Self { position, velocity, rotation } = *self;
+        Sample { position: *position, velocity: velocity.copied(), rotation: rotation.copied() }
+    }
+}
+
 impl<const N: usize> Sample<N> {
+    /// Borrow the parts.
+    #[inline(always)]
+    pub(crate) fn parts(&self) -> Parts<'_, N> {
+        let Self { position, velocity, rotation } = self;
+        Parts { position, velocity: velocity.as_ref(), rotation: rotation.as_ref() }
+    }
+
     /// Create the sample of a point.
     #[inline]
     pub fn point(position: &Axes<N>, velocity: Option<&Axes<N>>) -> Self {

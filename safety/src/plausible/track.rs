@@ -1,5 +1,7 @@
 //! Path of a point, from its last samples.
 
+use nalgebra::SimdBool as _;
+
 use super::bounds::{PerTick, SampleBounds, is_short};
 use crate::{
     Axes, Real,
@@ -51,6 +53,12 @@ impl<T: Copy + PartialEq> Change<T> {
 #[derive(Clone, Copy, Debug)]
 pub struct Track<const N: usize, S = f64> {
     pub(super) bounds: PerTick,
+    pub(super) path: Path<N, S>,
+}
+
+/// State of a [`Track`].
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Path<const N: usize, S = f64> {
     pub(super) anchor: Option<Axes<N, S>>,
     /// v in m per tick; None before the second sample.
     pub(super) rate: Option<Axes<N, S>>,
@@ -70,13 +78,13 @@ impl<const N: usize, S: Real> Track<N, S> {
 
     fn of(bounds: PerTick) -> Self {
         let [since, same_for, every] = [S::zero(), S::zero(), S::one()];
-        Self { bounds, anchor: None, rate: None, since, same_for, every }
+        Self { bounds, path: Path { anchor: None, rate: None, since, same_for, every } }
     }
 
     /// Gather one path per lane. Returns None if bounds differ or a path has begun.
     pub fn gather(of: &[&Track<N>]) -> Option<Self> {
         let bounds = of.first()?.bounds;
-        of.iter().all(|one| one.bounds == bounds && one.anchor.is_none()).then(|| Self::of(bounds))
+        of.iter().all(|one| one.bounds == bounds && one.path.anchor.is_none()).then(|| Self::of(bounds))
     }
 
     /// Return the mask of samples on the path, `ticks` after its last sample and within `share` of dV.
@@ -84,36 +92,32 @@ impl<const N: usize, S: Real> Track<N, S> {
     /// A late tick widens nothing but the rounding: a wrong sample after it is as wrong as at any other tick.
     #[inline(always)]
     pub(super) fn contains(&self, position: &Axes<N, S>, ticks: S, share: S) -> S::SimdBool {
-        let Some(anchor) = &self.anchor else { return !nowhere::<S>() };
-        let PerTick { speed, change, quantum, per_axis, .. } = self.bounds;
-        let [speed, change, quantum] = [speed, change, quantum].map(S::splat);
-        let k = self.since + ticks;
-        let moved = position - anchor;
-        let is_slow = is_short(&moved, speed * k + quantum + quantum, per_axis);
-        let Some(rate) = &self.rate else { return is_slow };
-        is_slow & is_short(&(moved - rate * k), change * share + quantum * (k + S::one()), per_axis)
+        self.path.contains(&self.bounds, position, ticks, share)
     }
 
     /// Accept a sample, `ticks` after the last one.
     #[inline(always)]
     pub(super) fn accept(&mut self, position: &Axes<N, S>, ticks: S) {
-        let Some(anchor) = self.anchor.replace(*position) else { return };
-        let (k, same_for) = (self.since + ticks, self.same_for + ticks);
+        let Self { bounds, path } = self;
+        let Some(anchor) = path.anchor.replace(*position) else { return };
+        let (k, same_for) = (path.since + ticks, path.same_for + ticks);
         let moved = position - anchor;
         let is_same = is_within(&moved, 0.0);
         let mut repeats = nowhere::<S>();
-        if self.rate.is_some() {
-            repeats = is_same & k.simd_lt(self.every);
+        if path.rate.is_some() {
+            repeats = is_same & k.simd_lt(path.every);
         }
-        let rate = self.rate.unwrap_or(Axes::zeros());
-        self.rate = Some(selected(repeats, rate, &(moved / k)));
+        let rate = path.rate.unwrap_or(Axes::zeros());
+        // Most samples follow after one tick; a division is slow.
+        let now = if k.simd_eq(S::one()).all() { moved } else { moved / k };
+        path.rate = Some(selected(repeats, rate, &now));
         // A repeat keeps the position of the anchor.
-        self.since = k.select(repeats, S::zero());
+        path.since = k.select(repeats, S::zero());
         // Steps of a quantum or two are a slow motion, and a longer time without a change is a rest.
-        let [quantum, max_every] = [self.bounds.quantum, MAX_EVERY].map(S::splat);
-        let keeps = is_short(&moved, quantum + quantum, self.bounds.per_axis) | same_for.simd_gt(max_every);
-        self.every = self.every.select(keeps, same_for);
-        self.same_for = same_for.select(is_same, S::zero());
+        let [quantum, max_every] = [bounds.quantum, MAX_EVERY].map(S::splat);
+        let keeps = is_short(&moved, quantum + quantum, bounds.per_axis) | same_for.simd_gt(max_every);
+        path.every = path.every.select(keeps, same_for);
+        path.same_for = same_for.select(is_same, S::zero());
     }
 
     /// Test a measured velocity in m/s: its speed is within the bound, and it differs from the one before by at most dV.
@@ -133,31 +137,56 @@ impl<const N: usize, S: Real> Track<N, S> {
     }
 }
 
+impl<const N: usize, S: Real> Path<N, S> {
+    /// Return the mask of samples on the path, as [`Track::contains`].
+    #[inline(always)]
+    pub(super) fn contains(
+        &self,
+        bounds: &PerTick,
+        position: &Axes<N, S>,
+        ticks: S,
+        share: S,
+    ) -> S::SimdBool {
+        let Some(anchor) = &self.anchor else { return !nowhere::<S>() };
+        let [speed, change, quantum] = [bounds.speed, bounds.change, bounds.quantum].map(S::splat);
+        let k = self.since + ticks;
+        let moved = position - anchor;
+        let is_slow = is_short(&moved, speed * k + quantum + quantum, bounds.per_axis);
+        let Some(rate) = &self.rate else { return is_slow };
+        let limit = change * share + quantum * (k + S::one());
+        is_slow & is_short(&(moved - rate * k), limit, bounds.per_axis)
+    }
+}
+
 impl<const N: usize> Track<N> {
     /// Predict the position `ticks` after the last sample; None before the first.
     pub(super) fn at(&self, ticks: f64) -> Option<Axes<N>> {
-        let rate = self.rate.unwrap_or(Axes::zeros());
-        self.anchor.map(|anchor| anchor + rate * (self.since + ticks))
+        let Path { anchor, rate, since, .. } = self.path;
+        let rate = rate.unwrap_or(Axes::zeros());
+        anchor.map(|anchor| anchor + rate * (since + ticks))
     }
 
     /// Forget the path, but not how often the device samples.
     pub(super) fn restart(&mut self) {
-        *self = Self { every: self.every, ..Self::of(self.bounds) };
+        let every = self.path.every;
+        *self = Self::of(self.bounds);
+        self.path.every = every;
     }
 
     /// Continue from a place beside the path with the same velocity.
     pub(super) fn step_to(&mut self, position: &Axes<N>) {
-        (self.anchor, self.since) = (Some(*position), 0.0);
+        (self.path.anchor, self.path.since) = (Some(*position), 0.0);
     }
 
     /// Continue after a change of the path; a slow device continues from its last two different samples.
     pub(super) fn resume(&mut self, change: &Change<Axes<N>>, newest_at: f64, is_step: bool) {
-        self.same_for = newest_at - change.at;
+        let Self { bounds, path } = self;
+        path.same_for = newest_at - change.at;
         let moved = change.to - change.from;
-        let is_still = is_short(&moved, 2.0 * self.bounds.quantum, self.bounds.per_axis);
+        let is_still = is_short(&moved, 2.0 * bounds.quantum, bounds.per_axis);
         if !is_step && change.is_of_slow_device() && !is_still {
-            (self.anchor, self.rate) = (Some(change.to), Some(moved / change.interval));
-            (self.since, self.every) = (newest_at - change.at, change.interval);
+            (path.anchor, path.rate) = (Some(change.to), Some(moved / change.interval));
+            (path.since, path.every) = (newest_at - change.at, change.interval);
         }
     }
 }
