@@ -75,11 +75,12 @@ quick: $(EXTENSION) ## after a change of Python, in about a minute: ruff, mypy, 
 	$(BIN)/python -m pytest --quiet --exitfirst --numprocesses 2 -m 'not live and not alone and not slow'
 
 .PHONY: lint
-lint: $(EXTENSION) ## formatting, clippy, ruff, mypy, the extension's stub, the licences
+lint: $(EXTENSION) ## formatting, clippy, ruff, sentences, mypy, the extension's stub, the licences
 	cargo fmt --all --check
 	cargo clippy --locked --workspace --profile quick --all-targets -- -D warnings
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python tools/words.py
 	$(BIN)/mypy $(PYTHON_CODE)
 	$(BIN)/python -m mypy.stubtest haptether._core
 	$(BIN)/python -m pytest --quiet tests/packaging/test_licences.py
