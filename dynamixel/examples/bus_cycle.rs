@@ -1,12 +1,14 @@
-//! A cycle of a servo bus on a pseudo-terminal: a read of current, velocity and position of all servos, and a write of
-//! their goal currents, by this crate and by `dynamixel2`.
+//! Cycle time of a servo bus on a pseudo-terminal: a read of current, velocity and position of all servos,
+//! and a write of their goal currents, by this crate and by `dynamixel2`.
 //!
-//! `bus_cycle answer SERVOS BAUD` names its pseudo-terminal and answers there until its standard input ends; with a
-//! `BAUD` above 0 what it says comes when that many bit/s have carried it, request and writes before it included, and 0
-//! answers at once. `bus_cycle run CLIENT PATH SERVOS CYCLES RATE` prints one line of JSON: what each cycle took in ns,
-//! and how many were not over when the next began. `CLIENT` is `fast` or `sync` of this crate, or `dynamixel2`, which
-//! has no fast read; a `RATE` of 0 Hz begins each cycle when the one before is over.
-#![allow(clippy::unwrap_used)] // a bench: whatever fails ends it
+//! `bus_cycle answer SERVOS BAUD` prints its pseudo-terminal and answers there until its standard input ends.
+//! With a `BAUD` above 0 answers arrive when that many bit/s have carried them, including requests and writes
+//! before them; with 0 at once.
+//!
+//! `bus_cycle run CLIENT PATH SERVOS CYCLES RATE` prints one line of JSON: the duration of each cycle in ns,
+//! and the number of overruns. `CLIENT` is `fast` or `sync` of this crate, or `dynamixel2`, which has no fast
+//! read. A `RATE` of 0 Hz starts each cycle when the previous one ends.
+#![allow(clippy::unwrap_used)] // a bench: any failure ends it
 
 use std::{
     env,
@@ -31,7 +33,7 @@ use thread_priority::{
 
 const PRESENT_CURRENT: u16 = 126;
 const GOAL_CURRENT: u16 = 102;
-/// Of current, velocity and position.
+/// Size of current, velocity and position in bytes.
 const MEASURED: usize = 10;
 const HEADER: [u8; 4] = [0xFF, 0xFF, 0xFD, 0x00];
 const SYNC_READ: u8 = 0x82;
@@ -43,12 +45,11 @@ const CLIENT_BAUD: u32 = 4_000_000;
 const TIMEOUT_NS: u64 = 500_000_000;
 const WARM_UP: usize = 50;
 
-/// What a servo says of itself: no byte of it needs stuffing.
+/// Measured values of a servo, without bytes that need stuffing.
 fn measured(id: u8) -> [u8; MEASURED] {
     [id, 0, 1, 0, 0, 0, id, 8, 0, 0]
 }
 
-/// A packet from its id on, whole.
 fn packet(id: u8, content: &[u8]) -> Vec<u8> {
     let length = u16::try_from(content.len() + 2).unwrap().to_le_bytes();
     let mut bytes = [&HEADER[..], &[id], &length, content].concat();
@@ -56,11 +57,11 @@ fn packet(id: u8, content: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// The answers of all servos to a read of each, and to a fast one.
+/// Answers of all servos to a sync read and to a fast sync read.
 fn answers(servos: u8) -> (Vec<u8>, Vec<u8>) {
     let one = |id| packet(id, &[&[STATUS, 0][..], &measured(id)].concat());
     let each = (1..=servos).flat_map(one).collect();
-    // Each part ends with the checksum of all that came before.
+    // Each part ends with the checksum of everything before it.
     let length = u16::try_from(1 + usize::from(servos) * (MEASURED + 4)).unwrap().to_le_bytes();
     let mut fast = [&HEADER[..], &[BROADCAST], &length, &[STATUS]].concat();
     for id in 1..=servos {
@@ -73,7 +74,6 @@ fn answers(servos: u8) -> (Vec<u8>, Vec<u8>) {
     (each, fast)
 }
 
-/// A pseudo-terminal without echo and lines.
 fn terminal() -> (OwnedFd, String) {
     let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
     grantpt(&ours).unwrap();
@@ -85,7 +85,7 @@ fn terminal() -> (OwnedFd, String) {
     (ours, path)
 }
 
-/// Answers reads of all servos for as long as the process lives.
+/// Answers reads of all servos while the process lives.
 fn answer(line: &OwnedFd, servos: u8, baud: u64) {
     let (each, fast) = answers(servos);
     let wire = |bytes: usize| {
@@ -96,7 +96,7 @@ fn answer(line: &OwnedFd, servos: u8, baud: u64) {
     let mut pending: Vec<u8> = Vec::new();
     let mut buffer = [0; 1024];
     loop {
-        // It reads an error while no client has the other end.
+        // Reading fails while no client has the other end open.
         let Ok(count) = read(line, &mut buffer) else {
             pending.clear();
             thread::sleep(Duration::from_millis(1));
@@ -118,7 +118,7 @@ fn answer(line: &OwnedFd, servos: u8, baud: u64) {
             if reply.is_empty() {
                 continue;
             }
-            // The system wakes tens of microseconds late, as much as a servo's answer takes.
+            // The system wakes tens of microseconds late, as long as a servo's answer takes: spin instead.
             while Instant::now() < free {
                 std::hint::spin_loop();
             }
@@ -131,7 +131,6 @@ fn answer(line: &OwnedFd, servos: u8, baud: u64) {
     }
 }
 
-/// One client's cycle.
 fn client(name: &str, path: &str, servos: u8) -> Box<dyn FnMut()> {
     let ids: Vec<u8> = (1..=servos).collect();
     if name == "dynamixel2" {
@@ -169,7 +168,7 @@ fn client(name: &str, path: &str, servos: u8) -> Box<dyn FnMut()> {
 }
 
 fn run(name: &str, path: &str, servos: u8, cycles: usize, rate: u32) {
-    // As a live loop asks for; without the right to it goes on without.
+    // As in a live loop; continues if it is refused.
     let fifo = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
     let priority = ThreadPriority::Crossplatform(50.try_into().unwrap());
     let real_time = set_thread_priority_and_policy(thread_native_id(), priority, fifo).is_ok();
@@ -186,7 +185,7 @@ fn run(name: &str, path: &str, servos: u8, cycles: usize, rate: u32) {
             begin += period;
             let now = Instant::now();
             if now > begin {
-                // What is late does not make the next one late as well.
+                // A late cycle does not delay the next one.
                 overruns += 1;
                 begin = now;
             } else {

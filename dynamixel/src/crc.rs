@@ -1,4 +1,4 @@
-//! The checksum of every packet: CRC-16, polynomial x^16 + x^15 + x^2 + 1, most significant bit first, initial value 0,
+//! Packet checksum: CRC-16, polynomial x^16 + x^15 + x^2 + 1, most significant bit first, initial value 0,
 //! not reflected, not inverted.
 //!
 //! Source: ROBOTIS e-Manual, "CRC".
@@ -22,12 +22,12 @@ const TABLE: [u16; 256] = {
     table
 };
 
-/// A checksum that goes on: a fast reply has one after each servo, over everything before it.
+/// Running checksum: a fast reply has one after each servo, over everything before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Crc16(u16);
 
 impl Crc16 {
-    /// Goes on with more bytes.
+    /// Adds bytes.
     pub fn update(&mut self, bytes: &[u8]) {
         for &byte in bytes {
             let index = (self.0 >> 8) ^ u16::from(byte);
@@ -35,13 +35,13 @@ impl Crc16 {
         }
     }
 
-    /// The checksum of all bytes so far.
+    /// Checksum of all bytes so far.
     pub fn value(self) -> u16 {
         self.0
     }
 }
 
-/// The checksum of some bytes.
+/// Checksum of some bytes.
 pub fn crc16(bytes: &[u8]) -> u16 {
     let mut crc = Crc16::default();
     crc.update(bytes);

@@ -1,31 +1,31 @@
-//! What a servo says of the instruction that it answers, and of itself.
+//! Error byte of a servo: refusal of an instruction, and hardware errors.
 
 use core::fmt;
 
-/// Bit of the error byte: the servo has a hardware error, which address 70 names.
+/// Bit of the error byte: the servo has a hardware error; address 70 holds the details.
 const ALERT: u8 = 0x80;
 
-/// The error byte of a status packet.
+/// Error byte of a status packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct StatusError(u8);
 
 impl StatusError {
-    /// The error byte as it was received.
+    /// Wraps the error byte as received.
     pub fn new(byte: u8) -> Self {
         Self(byte)
     }
 
-    /// The byte itself.
+    /// Returns the byte.
     pub fn byte(self) -> u8 {
         self.0
     }
 
-    /// Whether the servo has a hardware error (overload, overheating, voltage, encoder, electrical shock).
+    /// Tests for a hardware error (overload, overheating, voltage, encoder, electrical shock).
     pub fn alert(self) -> bool {
         self.0 & ALERT != 0
     }
 
-    /// Why the instruction was refused, where it was.
+    /// Reason for a refusal; `None` if the instruction was accepted.
     pub fn refusal(self) -> Option<Refusal> {
         Some(match self.0 & !ALERT {
             0 => return None,
@@ -52,26 +52,26 @@ impl fmt::Display for StatusError {
     }
 }
 
-/// Why a servo refused an instruction.
+/// Reason for the refusal of an instruction.
 ///
 /// Source: ROBOTIS e-Manual, Protocol 2.0, "Error".
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refusal {
-    /// 1: it could not process the packet.
+    /// 1: the packet could not be processed.
     ResultFail,
-    /// 2: it does not know the instruction, or an action came without a registered write.
+    /// 2: unknown instruction, or an action without a registered write.
     Instruction,
     /// 3: the checksum of the instruction was wrong.
     Crc,
-    /// 4: a value is out of the range of its address; also a goal while the bus watchdog has fired.
+    /// 4: a value is outside the range of its address; also a goal after the bus watchdog has fired.
     DataRange,
     /// 5: fewer bytes than the address has.
     DataLength,
-    /// 6: a value is beyond the limit that the table itself sets.
+    /// 6: a value exceeds a limit in the control table.
     DataLimit,
-    /// 7: a read-only or undefined address, or an address of the EEPROM while torque is on.
+    /// 7: a read-only or undefined address, or an EEPROM address while torque is on.
     Access,
-    /// A number that Protocol 2.0 does not name.
+    /// Number not defined by Protocol 2.0.
     Unknown(u8),
 }
 

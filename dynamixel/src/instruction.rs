@@ -1,171 +1,171 @@
-//! What is asked of servos, as bytes.
+//! Encoding of instructions to servos.
 //!
-//! `FF FF FD 00 | id | length u16 | instruction | parameters | CRC u16`, little-endian. The length counts everything
-//! after it. From the instruction on, each `FF FF FD` is followed by one more `FD`, so that no header stands inside;
-//! length and checksum are those of the stuffed bytes.
+//! `FF FF FD 00 | id | length u16 | instruction | parameters | CRC u16`, little-endian. The length counts
+//! everything after it. From the instruction on, each `FF FF FD` is followed by another `FD`, so that no
+//! header occurs inside. Length and checksum apply to the stuffed bytes.
 //!
 //! Source: ROBOTIS e-Manual, Protocol 2.0, "Instruction Packet", "Byte Stuffing".
 
 use crate::crc::crc16;
 
-/// The id that every servo listens to.
+/// Id of all servos.
 pub const BROADCAST: u8 = 0xFE;
-/// Max. id of a servo.
+/// Maximum id of a servo.
 pub const MAX_ID: u8 = 252;
-/// Max. bytes of a packet in either direction.
+/// Maximum packet size in bytes, in either direction.
 pub const MAX_PACKET: usize = 1024;
 
 pub(crate) const HEADER: [u8; 4] = [0xFF, 0xFF, 0xFD, 0x00];
-/// What a header begins with, and stuffing breaks up.
+/// Start of a header, broken up by stuffing.
 const MARK: [u8; 3] = [0xFF, 0xFF, 0xFD];
 const STUFFING: u8 = 0xFD;
-/// Where the instruction stands.
+/// Offset of the instruction.
 pub(crate) const INSTRUCTION: usize = 7;
 
-/// One read of a bulk read: its servos need not have the same address and length.
+/// One read of a bulk read: address and length may differ per servo.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BulkItem {
-    /// The servo.
+    /// Servo.
     pub id: u8,
     /// First address.
     pub address: u16,
-    /// Bytes.
+    /// Number of bytes.
     pub length: u16,
 }
 
-/// What is asked of servos.
+/// Instruction to servos.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Instruction<'a> {
-    /// Is it there: model and firmware. [`BROADCAST`] asks all.
+    /// Requests model and firmware; [`BROADCAST`] asks all servos.
     Ping {
-        /// The servo, or all.
+        /// Servo, or all.
         id: u8,
     },
-    /// Bytes of the control table.
+    /// Reads bytes of the control table.
     Read {
-        /// The servo.
+        /// Servo.
         id: u8,
         /// First address.
         address: u16,
-        /// Bytes.
+        /// Number of bytes.
         length: u16,
     },
-    /// Sets bytes of the control table. [`BROADCAST`] sets those of all, and none answers.
+    /// Writes bytes of the control table. [`BROADCAST`] writes to all servos, and none answers.
     Write {
-        /// The servo, or all.
+        /// Servo, or all.
         id: u8,
         /// First address.
         address: u16,
-        /// The bytes, at least one.
+        /// Bytes, at least one.
         data: &'a [u8],
     },
-    /// Keeps a write until the action.
+    /// Registers a write until the action.
     RegWrite {
-        /// The servo, or all.
+        /// Servo, or all.
         id: u8,
         /// First address.
         address: u16,
-        /// The bytes, at least one.
+        /// Bytes, at least one.
         data: &'a [u8],
     },
-    /// Does the write that was kept.
+    /// Executes the registered write.
     Action {
-        /// The servo, or all.
+        /// Servo, or all.
         id: u8,
     },
-    /// Starts the servo anew: torque is off, what is no EEPROM is at its defaults, a latched hardware error is gone.
+    /// Restarts the servo: torque off, all but the EEPROM at its defaults, a latched hardware error cleared.
     Reboot {
-        /// The servo, or all.
+        /// Servo, or all.
         id: u8,
     },
-    /// The same bytes of several servos, each of which answers.
+    /// Reads the same addresses of several servos; each answers.
     SyncRead {
         /// First address.
         address: u16,
-        /// Bytes of each.
+        /// Bytes per servo.
         length: u16,
-        /// The servos, in the order of their answers, none twice.
+        /// Servos in the order of their answers, without repetition.
         ids: &'a [u8],
     },
-    /// The same bytes of several servos, which answer with one packet.
+    /// Reads the same addresses of several servos, which answer with one packet.
     FastSyncRead {
         /// First address.
         address: u16,
-        /// Bytes of each.
+        /// Bytes per servo.
         length: u16,
-        /// The servos, in the order of their parts, none twice.
+        /// Servos in the order of their parts, without repetition.
         ids: &'a [u8],
     },
-    /// Sets the same bytes of several servos. None answers: what is refused is not seen.
+    /// Writes the same addresses of several servos. None answers, so refusals are not reported.
     SyncWrite {
         /// First address.
         address: u16,
-        /// Bytes of each.
+        /// Bytes per servo.
         length: u16,
-        /// The servos, none twice.
+        /// Servos, without repetition.
         ids: &'a [u8],
-        /// `length` bytes of each, in the order of the ids.
+        /// `length` bytes per servo, in the order of the ids.
         data: &'a [u8],
     },
-    /// Bytes of several servos, each of which answers.
+    /// Reads different addresses of several servos; each answers.
     BulkRead {
-        /// The reads, no servo twice.
+        /// Reads, each of another servo.
         items: &'a [BulkItem],
     },
 }
 
-/// An instruction that no packet can carry.
+/// Instruction that cannot be encoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum RequestError {
-    /// No servo has this id.
+    /// No servo can have this id.
     #[error("id {seen}: must be 0 to 252")]
     Id {
         /// The id.
         seen: u8,
     },
-    /// A servo would answer twice.
+    /// A servo is named twice.
     #[error("id {seen} is named twice: each servo must be named once")]
     Repeated {
         /// The id.
         seen: u8,
     },
-    /// No servo at all.
+    /// No servo is named.
     #[error("no servo is named: must be at least one")]
     NoServo,
-    /// More servos than [`crate::MAX_SERVOS`] in one read.
+    /// More than [`crate::MAX_SERVOS`] servos in one read.
     #[error("{seen} servos in one read: must be at most {}", crate::MAX_SERVOS)]
     TooMany {
-        /// Servos that were named.
+        /// Number of servos.
         seen: usize,
     },
-    /// Nothing to read or to write.
+    /// Zero bytes to read or write.
     #[error("length 0: must be at least one byte")]
     Empty,
-    /// The addresses end at 65535.
+    /// The range exceeds address 65535.
     #[error("{length} bytes from address {address}: must end at 65535")]
     Addresses {
         /// First address.
         address: u16,
-        /// Bytes.
+        /// Number of bytes.
         length: usize,
     },
-    /// Bytes of a sync write that do not fit its servos.
+    /// The data of a sync write does not match its servos.
     #[error("{seen} bytes for the servos of a sync write: must be {allowed}, the same number for each")]
     Share {
-        /// Bytes that there are.
+        /// Bytes given.
         seen: usize,
-        /// Servos times bytes of each.
+        /// Number of servos times bytes per servo.
         allowed: usize,
     },
-    /// The packet, or its answer, would be longer than [`MAX_PACKET`].
+    /// The packet, or its answer, would exceed [`MAX_PACKET`].
     #[error("a packet of {seen} bytes or more: must be at most {MAX_PACKET}")]
     TooLong {
-        /// Bytes at which it was given up.
+        /// Size in bytes at which encoding stopped.
         seen: usize,
     },
 }
 
-/// The bytes of one instruction, in memory of its own.
+/// Encoded instruction, in its own memory.
 #[derive(Debug, Clone)]
 pub struct Packet {
     bytes: [u8; MAX_PACKET],
@@ -179,12 +179,12 @@ impl Default for Packet {
 }
 
 impl Packet {
-    /// The bytes to send; none before the first [`Self::encode`] and after one that failed.
+    /// Bytes to send; empty before the first [`Self::encode`] and after a failed one.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes[..self.length]
     }
 
-    /// Becomes the packet of an instruction.
+    /// Encodes an instruction.
     pub fn encode(&mut self, instruction: &Instruction<'_>) -> Result<(), RequestError> {
         self.length = 0;
         let result = self.try_encode(instruction);
@@ -258,11 +258,11 @@ impl Packet {
     fn span(&mut self, address: u16, length: usize) -> Result<(), RequestError> {
         check_span(address, length)?;
         self.put(&address.to_le_bytes())?;
-        // At most what a u16 holds, for `check_span` has seen it.
+        // `check_span` has checked that it fits in a u16.
         self.put(&u16::try_from(length).unwrap_or(u16::MAX).to_le_bytes())
     }
 
-    /// Adds bytes, stuffed; room for the checksum remains.
+    /// Adds stuffed bytes; leaves room for the checksum.
     fn put(&mut self, bytes: &[u8]) -> Result<(), RequestError> {
         for &byte in bytes {
             if self.length + 4 > MAX_PACKET {
@@ -289,7 +289,7 @@ impl Packet {
     }
 }
 
-/// Takes the stuffing out of bytes, in place; how many are left, or none if an unstuffed header stands among them.
+/// Removes stuffing in place. Returns the remaining length, or `None` if there is an unstuffed header.
 pub(crate) fn without_stuffing(bytes: &mut [u8]) -> Option<usize> {
     let mut kept = 0;
     let mut expected = false;
@@ -306,7 +306,7 @@ pub(crate) fn without_stuffing(bytes: &mut [u8]) -> Option<usize> {
         kept += 1;
         expected = bytes[..kept].ends_with(&MARK);
     }
-    // A mark at the very end is stuffed as any other.
+    // A mark at the very end is stuffed as well.
     (!expected).then_some(kept)
 }
 

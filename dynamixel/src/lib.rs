@@ -1,8 +1,8 @@
-//! The bus of Dynamixel servos: Protocol 2.0, as pure state machines.
+//! Bus of Dynamixel servos: Protocol 2.0 as pure state machines.
 //!
-//! [`Packet`] encodes an [`Instruction`], [`StatusParser`] turns bytes into checked answers, and [`SyncRead`] is one read
-//! of several servos, which gives the values of all of them or none. They own no port and no clock, and allocate nothing;
-//! [`Bus`] has both and drives them, [`SharedBus`] for several threads.
+//! [`Packet`] encodes an [`Instruction`], and [`StatusParser`] turns bytes into checked answers. [`SyncRead`]
+//! is one read of several servos, which returns the values of all or of none. They own no port and no clock,
+//! and allocate nothing. [`Bus`] owns both and drives them; [`SharedBus`] serves several threads.
 //!
 //! Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0.
 

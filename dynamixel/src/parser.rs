@@ -1,4 +1,4 @@
-//! Answers of servos out of bytes that come in any pieces.
+//! Parser for answers of servos, from bytes in pieces of any size.
 
 use core::mem::take;
 
@@ -8,25 +8,25 @@ use crate::{
     instruction::{BROADCAST, HEADER, INSTRUCTION, MAX_ID, MAX_PACKET, without_stuffing},
 };
 
-/// What stands where an instruction has its code.
+/// Instruction code of a status packet.
 const STATUS: u8 = 0x55;
-/// Min. length field: code, error, checksum.
+/// Minimum of the length field: code, error, checksum.
 const MIN_LENGTH: usize = 4;
-/// Bytes up to and with the length field.
+/// Bytes up to and including the length field.
 const PREFIX: usize = 7;
 
-/// What one servo answered.
+/// Answer of one servo.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Status<'a> {
-    /// The servo.
+    /// Servo.
     pub id: u8,
-    /// What it says of the instruction and of itself.
+    /// Error byte.
     pub error: StatusError,
-    /// The bytes that were asked for, without stuffing.
+    /// Requested bytes, without stuffing.
     pub parameters: &'a [u8],
 }
 
-/// The one packet of several servos that answers a fast read; it has no stuffing.
+/// Packet of several servos that answers a fast read; it has no stuffing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FastReply<'a> {
     /// From the header to the last checksum.
@@ -34,7 +34,7 @@ pub struct FastReply<'a> {
 }
 
 impl<'a> FastReply<'a> {
-    /// The part of each servo, if it is exactly the answer to a read of `length` bytes of `ids`.
+    /// Parts of the servos, if this is the answer to a read of `length` bytes of `ids`.
     ///
     /// The checksum after each part covers everything before it, from the header on; each is checked.
     ///
@@ -72,72 +72,72 @@ impl<'a> FastReply<'a> {
     }
 }
 
-/// A checked packet.
+/// Checked packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Received<'a> {
-    /// Of one servo.
+    /// From one servo.
     Status(Status<'a>),
-    /// Of several.
+    /// From several servos.
     Fast(FastReply<'a>),
 }
 
-/// Bytes that look like a packet and are none, or not the one that was asked for.
+/// Invalid packet, or not the one requested.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum FrameError {
-    /// The checksum is another: bytes were lost or changed.
+    /// Wrong checksum: bytes were lost or changed.
     #[error("CRC 0x{seen:04X} of a packet of id {id}: must be 0x{computed:04X}")]
     Crc {
-        /// The id that it names.
+        /// Id in the packet.
         id: u8,
-        /// The checksum that it has.
+        /// Checksum in the packet.
         seen: u16,
-        /// That of its bytes.
+        /// Checksum of its bytes.
         computed: u16,
     },
-    /// Stuffing is missing, though the checksum is right.
+    /// Missing stuffing in spite of a correct checksum.
     #[error("a header inside the packet of id {id}: must be stuffed, FF FF FD FD")]
     Stuffing {
-        /// The id that it names.
+        /// Id in the packet.
         id: u8,
     },
-    /// A fast reply of another length than was asked for.
+    /// Fast reply of another length than requested.
     #[error("{seen} bytes of a fast reply: must be {allowed}")]
     FastLength {
         /// Bytes after the status code.
         seen: usize,
-        /// Four more than the data of each servo.
+        /// Number of servos times (data + 4).
         allowed: usize,
     },
-    /// The checksum after the part of one servo is another.
+    /// Wrong checksum after the part of one servo.
     #[error("CRC 0x{seen:04X} after the part of id {id} of a fast reply: must be 0x{computed:04X}")]
     FastCrc {
-        /// The servo.
+        /// Servo.
         id: u8,
-        /// The checksum that it has.
+        /// Checksum in the packet.
         seen: u16,
-        /// That of its bytes.
+        /// Checksum of its bytes.
         computed: u16,
     },
-    /// A fast reply in which another servo answers.
+    /// Part of another servo in a fast reply.
     #[error("id {seen} in a fast reply: must be id {allowed} here")]
     FastId {
-        /// The id that it names.
+        /// Id in the packet.
         seen: u8,
-        /// The one whose turn it is.
+        /// Id expected at this position.
         allowed: u8,
     },
 }
 
-/// Turns bytes into answers.
+/// Parser from bytes to answers.
 ///
-/// Of what is no packet it drops one byte and looks again, so that a packet after garbage is found. It waits for as many
-/// bytes as a length field claims: whoever waits must stop at a deadline, and [`Self::reset`] it before the next
-/// instruction.
+/// If bytes cannot begin a packet, it drops one byte and retries, so that it finds a packet after garbage. It
+/// waits for as many bytes as a length field claims. The caller must therefore use a deadline, and call
+/// [`Self::reset`] before the next instruction.
 #[derive(Debug, Clone)]
 pub struct StatusParser {
     bytes: [u8; MAX_PACKET],
     filled: usize,
-    /// Bytes of the packet that was handed out last, and are dropped when more is asked for.
+    /// Size of the packet returned last, which the next call drops.
     handed_out: usize,
     dropped: u64,
 }
@@ -149,19 +149,19 @@ impl Default for StatusParser {
 }
 
 impl StatusParser {
-    /// Forgets what has come so far.
+    /// Discards all bytes so far.
     pub fn reset(&mut self) {
         self.filled = 0;
         self.handed_out = 0;
     }
 
-    /// Bytes so far that belonged to no packet.
+    /// Number of bytes so far that belonged to no packet.
     pub fn dropped(&self) -> u64 {
         self.dropped
     }
 
-    /// The next packet or refused packet out of what is kept and `input`, from whose front it takes what it needs; none
-    /// once that is used up.
+    /// Next packet, or its error, from kept bytes and `input`; consumes the front of `input`. `None` once
+    /// `input` is empty.
     pub fn next(&mut self, input: &mut &[u8]) -> Option<Result<Received<'_>, FrameError>> {
         let packet = take(&mut self.handed_out);
         self.shift(packet);
@@ -191,7 +191,7 @@ impl StatusParser {
             return Some(Ok(Received::Fast(FastReply { frame: &self.bytes[..end] })));
         }
         Some(match without_stuffing(&mut self.bytes[INSTRUCTION..end - 2]) {
-            // The code itself and the error byte cannot be stuffed away: the code is no part of a mark.
+            // Code and error byte always remain: the code cannot be part of a mark.
             Some(length) if length >= 2 => Ok(Received::Status(Status {
                 id,
                 error: StatusError::new(self.bytes[INSTRUCTION + 1]),
@@ -201,7 +201,7 @@ impl StatusParser {
         })
     }
 
-    /// Bytes that a packet which begins as this one does has, as far as that is known.
+    /// Expected size of the current packet, as far as known.
     fn wanted(&self) -> usize {
         if self.filled < PREFIX { PREFIX + 1 } else { PREFIX + self.length_field() }
     }
@@ -210,7 +210,7 @@ impl StatusParser {
         usize::from(u16::from_le_bytes([self.bytes[5], self.bytes[6]]))
     }
 
-    /// Drops bytes until those that are left can be the beginning of a packet.
+    /// Drops bytes until the rest can begin a packet.
     fn align(&mut self) {
         while self.filled > 0 && !self.may_begin() {
             self.drop_first();
@@ -226,7 +226,7 @@ impl StatusParser {
             && begun.get(INSTRUCTION).is_none_or(|&code| code == STATUS)
     }
 
-    /// Drops the first byte, and with it all up to the next that a header begins with.
+    /// Drops the first byte, and all up to the next possible header start.
     fn drop_first(&mut self) {
         let next = self.bytes[1..self.filled].iter().position(|&byte| byte == HEADER[0]);
         let count = next.map_or(self.filled, |index| index + 1);

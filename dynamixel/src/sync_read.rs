@@ -1,4 +1,4 @@
-//! One read of the same addresses of several servos: all of their values, or none.
+//! Read of the same addresses of several servos: all values, or none.
 
 use crate::{
     error::StatusError,
@@ -6,67 +6,67 @@ use crate::{
     parser::{FrameError, Received, Status, StatusParser},
 };
 
-/// Max. number of servos of one read.
+/// Maximum number of servos in one read.
 pub const MAX_SERVOS: usize = 32;
-/// Bytes of a fast reply, or of a status packet, beside the data.
+/// Size of a fast reply or a status packet beyond its data, in bytes.
 const OVERHEAD: usize = 12;
 
-/// What one servo answered.
+/// Answer of one servo.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reply<'a> {
-    /// The servo.
+    /// Servo.
     pub id: u8,
-    /// Whether it reports a hardware error: its values are valid nevertheless.
+    /// Hardware error reported; the values are valid nevertheless.
     pub alert: bool,
-    /// The bytes.
+    /// Bytes read.
     pub data: &'a [u8],
 }
 
-/// How far a read is.
+/// Progress of a read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Progress {
     /// Bytes are missing.
     Waiting,
-    /// All have answered.
+    /// All servos have answered.
     Complete,
 }
 
-/// Why a read gives no values. It stays failed until [`SyncRead::begin`].
+/// Why a read has no values. It stays failed until [`SyncRead::begin`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum SyncReadError {
-    /// A packet came that is none.
+    /// An invalid packet arrived.
     #[error("{0}")]
     Frame(#[from] FrameError),
     /// Another servo answered.
     #[error("id {seen} answered: must be id {allowed} now")]
     Order {
-        /// The id that answered.
+        /// Id that answered.
         seen: u8,
-        /// The one whose turn it is.
+        /// Id expected at this position.
         allowed: u8,
     },
-    /// The other kind of packet came.
+    /// The other kind of packet arrived.
     #[error("a {} answered: must be a {}", kind(*.fast), kind(!*.fast))]
     Kind {
-        /// Whether a fast reply came.
+        /// True if a fast reply arrived.
         fast: bool,
     },
-    /// Other than the number of bytes that was asked for.
+    /// The number of bytes differs from the request.
     #[error("{seen} bytes of id {id}: must be {allowed}")]
     Length {
-        /// The servo.
+        /// Servo.
         id: u8,
-        /// Bytes that came.
+        /// Bytes received.
         seen: usize,
-        /// Bytes that were asked for.
+        /// Bytes requested.
         allowed: usize,
     },
-    /// The servo refused to be read.
+    /// The servo refused the read.
     #[error("id {id}: {error}")]
     Refused {
-        /// The servo.
+        /// Servo.
         id: u8,
-        /// What it said.
+        /// Error byte.
         error: StatusError,
     },
 }
@@ -75,11 +75,12 @@ fn kind(fast: bool) -> &'static str {
     if fast { "packet of several servos" } else { "packet of one servo" }
 }
 
-/// A read of the same addresses of several servos.
+/// Read of the same addresses of several servos.
 ///
-/// [`Self::begin`] gives the bytes to send and forgets all values; [`Self::receive`] takes what arrives. Values are
-/// there once all servos have answered, and only until the next [`Self::begin`]: one that is silent, or one byte that
-/// is wrong, and there is no value of any. Whoever waits stops at a deadline and asks [`Self::unanswered`] who is missing.
+/// [`Self::begin`] returns the bytes to send and discards all values; [`Self::receive`] takes arriving bytes.
+/// Values are available once all servos have answered, until the next [`Self::begin`]. One silent servo or
+/// one wrong byte leaves no value of any servo. The caller must use a deadline; [`Self::unanswered`] lists
+/// the missing servos.
 #[derive(Debug, Clone)]
 pub struct SyncRead {
     request: Packet,
@@ -95,7 +96,7 @@ pub struct SyncRead {
 }
 
 impl SyncRead {
-    /// A read of `length` bytes from an address on, `fast` with one packet as the answer of all.
+    /// Read of `length` bytes from an address on; with `fast`, all servos answer in one packet.
     pub fn new(fast: bool, address: u16, length: u16, ids: &[u8]) -> Result<Self, RequestError> {
         let mut request = Packet::default();
         request.encode(&if fast {
@@ -126,7 +127,7 @@ impl SyncRead {
         })
     }
 
-    /// Forgets what came, and gives the bytes to send.
+    /// Discards previous answers, and returns the bytes to send.
     pub fn begin(&mut self) -> &[u8] {
         self.parser.reset();
         self.answered = 0;
@@ -135,7 +136,7 @@ impl SyncRead {
         self.request.bytes()
     }
 
-    /// Takes bytes that have arrived; what follows the last answer is left out of account.
+    /// Takes received bytes; bytes after the last answer are ignored.
     pub fn receive(&mut self, mut bytes: &[u8]) -> Result<Progress, SyncReadError> {
         if let Some(error) = self.failed {
             return Err(error);
@@ -177,13 +178,13 @@ impl SyncRead {
         Ok(Progress::Complete)
     }
 
-    /// Bytes of all answers together, at most.
+    /// Maximum size of all answers together, in bytes.
     pub(crate) fn answer_size(&self) -> usize {
-        // Stuffing adds a byte to three.
+        // Stuffing adds at most one byte per three.
         self.count * (2 * self.length + OVERHEAD)
     }
 
-    /// What the servos answered, in their order, once all have.
+    /// Answers in the order of the servos; `None` until all have answered.
     pub fn replies(&self) -> Option<impl Iterator<Item = Reply<'_>>> {
         if self.answered < self.count {
             return None;
@@ -195,7 +196,7 @@ impl SyncRead {
         }))
     }
 
-    /// The servos whose answer is missing. After a fast read all are, for their packet has not come whole.
+    /// Servos without an answer. After an incomplete fast read these are all servos.
     pub fn unanswered(&self) -> &[u8] {
         &self.ids[self.answered..self.count]
     }

@@ -1,5 +1,5 @@
-//! A parser that is fed a million garbled bytes: no memory, no panic, and what comes after is understood.
-#![allow(clippy::unwrap_used, unsafe_code)] // a test may; an allocator cannot be had without
+//! A million garbled bytes: the parser does not allocate or panic, and recovers.
+#![allow(clippy::unwrap_used, unsafe_code)] // permitted in a test; an allocator needs unsafe code
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},
@@ -11,7 +11,7 @@ use haptether_dynamixel::{Received, StatusParser};
 const BYTES: usize = 1_000_000;
 
 thread_local! {
-    /// Of this thread alone: the harness allocates in another.
+    /// Per thread: the harness allocates in another.
     static ALLOCATED: Cell<usize> = const { Cell::new(0) };
 }
 
@@ -57,9 +57,9 @@ fn a_million_garbled_bytes_take_no_memory() {
             *byte = next(&mut state).to_le_bytes()[3];
         }
         match next(&mut state) % 4 {
-            // A header with a length that need not be true.
+            // Header with a possibly wrong length.
             0 if length > 8 => piece[..5].copy_from_slice(&answer[..5]),
-            // A packet with a bit that is wrong.
+            // Packet with one wrong bit.
             1 if length > 14 => {
                 piece[..14].copy_from_slice(&answer);
                 piece[usize::try_from(next(&mut state) % 14).unwrap()] ^= 1 << (next(&mut state) % 8);
@@ -81,9 +81,9 @@ fn a_million_garbled_bytes_take_no_memory() {
     assert!(packets > 100 && refused > 1000 && parser.dropped() > 100_000, "{packets} {refused}");
     parser.reset();
     let mut input = &answer[..];
-    let Some(Ok(Received::Status(status))) = parser.next(&mut input) else { panic!("it is not understood") };
+    let Some(Ok(Received::Status(status))) = parser.next(&mut input) else { panic!("it was not parsed") };
     assert_eq!((status.id, status.parameters), (1, &answer[9..12]));
-    // The counter counts.
+    // Check of the counter.
     drop(vec![0_u8; 100]);
     assert!(ALLOCATED.with(Cell::get) >= before + 100);
 }

@@ -1,5 +1,5 @@
-//! Encoding, parsing and reads of several servos allocate nothing: counted by an allocator of our own.
-#![allow(clippy::unwrap_used, unsafe_code)] // a test may; an allocator cannot be had without
+//! Encoding, parsing and reads of several servos do not allocate, as counted by a test allocator.
+#![allow(clippy::unwrap_used, unsafe_code)] // permitted in a test; an allocator needs unsafe code
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},
@@ -19,7 +19,7 @@ const ANSWER: [u8; 32] = [
 ];
 
 thread_local! {
-    /// Of this thread alone: the harness allocates in another.
+    /// Per thread: the harness allocates in another.
     static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
 }
 
@@ -32,7 +32,7 @@ struct Counting;
 // SAFETY: every call goes unchanged to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        // A thread that is ending has no counter any more.
+        // A thread at its end has no counter.
         let _ = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
         // SAFETY: the caller's contract is passed on.
         unsafe { System.alloc(layout) }
@@ -67,13 +67,13 @@ fn a_cycle_allocates_nothing() {
             .unwrap();
     }
     assert_eq!(allocations(), before);
-    // The counter counts.
+    // Check of the counter.
     drop(Box::new(read));
     assert!(allocations() > before);
 }
 
 #[test]
-fn a_cycle_of_a_bus_that_threads_share_allocates_nothing() {
+fn a_cycle_of_a_shared_bus_allocates_nothing() {
     let path = env::temp_dir().join(format!("haptether-{}-cycle", process::id()));
     let listener = UnixListener::bind(&path).unwrap();
     let peer = thread::spawn(move || {
@@ -84,7 +84,7 @@ fn a_cycle_of_a_bus_that_threads_share_allocates_nothing() {
             if count == 0 {
                 return;
             }
-            // A fast sync read of three servos.
+            // Fast sync read of three servos.
             if buffer[..count].windows(4).any(|bytes| bytes == [0x0A, 0x00, 0x8A, 132]) {
                 stream.write_all(&ANSWER).unwrap();
             }

@@ -1,9 +1,9 @@
-//! A load for a UDP proxy, and the sink behind it: one thread that sends and receives in both directions and never sleeps,
-//! so that what it measures is the proxy.
+//! Load for a UDP proxy, and the sink behind it. One thread sends and receives in both directions and never
+//! sleeps, so that it measures the proxy.
 //!
-//! `load LISTEN PEER RATE SECONDS DELAY`: sends RATE datagrams a second to the proxy at LISTEN, and as many back from
-//! PEER, where the proxy forwards to. One line of JSON: what was sent, what arrived, how long it took, and how many took
-//! less than DELAY seconds.
+//! `load LISTEN PEER RATE SECONDS DELAY`: sends RATE datagrams per second to the proxy at LISTEN, and as many
+//! back from PEER, to which the proxy forwards. Prints one line of JSON per run: datagrams sent and received,
+//! travel times, and the number that took less than DELAY seconds.
 
 use std::array;
 use std::error::Error;
@@ -16,19 +16,19 @@ use nix::errno::Errno;
 use nix::sys::socket::{MsgFlags, MultiHeaders, SockaddrStorage, recvmmsg, sendmmsg};
 use rustix::net::sockopt;
 
-/// A common payload of a haptic packet.
+/// Common payload of a haptic packet in bytes.
 const SIZE: usize = 64;
 const BATCH: usize = 64;
 const BUFFER_BYTES: usize = 8 << 20;
-/// Above so many a second, datagrams leave in small groups.
+/// Rate per second above which datagrams leave in small groups.
 const MAX_SINGLE: f64 = 5000.0;
 const GROUP_PERIOD: Duration = Duration::from_micros(100);
-/// How long the last datagrams may take.
+/// Time that the last datagrams may take.
 const DRAIN: Duration = Duration::from_millis(1500);
 
 struct Side {
     socket: UdpSocket,
-    /// Where it sends to; the same for all.
+    /// Destination, the same for all datagrams.
     to: SocketAddr,
     send: MultiHeaders<SockaddrStorage>,
     receive: MultiHeaders<SockaddrStorage>,
@@ -55,7 +55,7 @@ impl Side {
         })
     }
 
-    /// Sends up to `wanted` datagrams with the time in them.
+    /// Sends up to `wanted` datagrams that contain the time.
     fn send(&mut self, wanted: u64, origin: Instant) {
         let count = usize::try_from(wanted).unwrap_or(BATCH).min(BATCH);
         if count == 0 {
@@ -72,7 +72,6 @@ impl Side {
         self.refused += (count - taken.map_or(0, Iterator::count)) as u64;
     }
 
-    /// Takes what has come.
     fn receive(&mut self, origin: Instant) -> Result<(), Errno> {
         let mut cells = self.incoming.chunks_exact_mut(SIZE);
         let mut slices: [_; BATCH] = array::from_fn(|_| [IoSliceMut::new(cells.next().unwrap_or_default())]);
@@ -100,13 +99,13 @@ fn now_ns(origin: Instant) -> u64 {
     nanoseconds(origin.elapsed())
 }
 
-/// One datagram there, so that the peer learns where answers go to.
+/// Sends until one datagram arrives, so that the peer learns the address for answers.
 fn meet(client: &UdpSocket, peer: &UdpSocket, proxy: SocketAddr) -> Result<SocketAddr, Box<dyn Error>> {
     peer.set_read_timeout(Some(Duration::from_millis(500)))?;
     for _ in 0..20 {
         client.send_to(&[0; SIZE], proxy)?;
         if let Ok((_, answers_to)) = peer.recv_from(&mut [0; SIZE]) {
-            // What else was sent in vain is not to be counted.
+            // Surplus datagrams of the attempts must not be counted.
             std::thread::sleep(Duration::from_millis(100));
             peer.set_nonblocking(true)?;
             while peer.recv_from(&mut [0; SIZE]).is_ok() {}

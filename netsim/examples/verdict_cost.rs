@@ -1,13 +1,14 @@
-//! What one packet of a run in virtual time costs in the network: its verdict, and its way through the queue.
+//! Cost of one packet in a virtual-time network: its verdict and its passage through the queue.
 //!
-//! `verdict_cost [LINK [PACKETS]]`: prints ns per packet of each link, or of the one named. Both directions take turns at
-//! 1 kHz, as in a run of two sides. The time of a shared processor is noise; instructions are not:
+//! `verdict_cost [LINK [PACKETS]]`: prints ns per packet of each link, or of the named one. Both directions
+//! alternate at 1 kHz, as in a run of two sides. Times on a shared processor are noisy; instruction counts
+//! are not:
 //!
 //! ```text
 //! valgrind --tool=callgrind --callgrind-out-file=/dev/null target/release/examples/verdict_cost rough 100000
 //! ```
 //!
-//! less the same with half as many packets, by the packets between them.
+//! Subtract the count for half as many packets, and divide by the difference in packets.
 
 use std::error::Error;
 use std::hint::black_box;
@@ -20,7 +21,7 @@ const SIZE: usize = 92;
 const PACKETS: u64 = 1_000_000;
 const ROUNDS: usize = 7;
 
-/// The sum of the times of arrival, so that no change of a verdict passes unseen.
+/// Sum over the arrival times, so that any change of a verdict shows.
 fn run(settings: &LinkSettings, packets: u64) -> Result<u64, Box<dyn Error>> {
     let mut directions = [Direction::Forward, Direction::Backward].map(|direction| {
         Ok::<_, Box<dyn Error>>((Link::new(direction, 1, settings)?, InFlight::<usize>::growing(1 << 22)))

@@ -1,10 +1,10 @@
-//! Addresses as people write them: `HOST:PORT`, where a name may have several and an IPv6 address a zone.
+//! Addresses as text: `HOST:PORT`, where a name may have several addresses and an IPv6 address a zone.
 
 use std::net::{IpAddr, Ipv6Addr, SocketAddr, SocketAddrV6, ToSocketAddrs};
 
 use nix::net::if_::if_nametoindex;
 
-/// The number of a zone, which is that of a network interface or its name.
+/// Index of a zone, given as a number or as a network interface name.
 ///
 /// Source: RFC 4007, section 11.
 fn zone_index(zone: &str) -> Result<u32, String> {
@@ -14,7 +14,7 @@ fn zone_index(zone: &str) -> Result<u32, String> {
     if_nametoindex(zone).map_err(|_| format!("this machine has no network interface {zone:?}"))
 }
 
-/// An IP address, and the zone behind its `%`; 0 without one.
+/// IP address and the zone after its `%`; zone 0 if absent.
 pub(crate) fn ip_and_zone(text: &str) -> Result<(IpAddr, u32), String> {
     let refuse = || "invalid IP address".to_owned();
     match text.split_once('%') {
@@ -26,7 +26,7 @@ pub(crate) fn ip_and_zone(text: &str) -> Result<(IpAddr, u32), String> {
     }
 }
 
-/// A socket's address with a zone, such as `[fe80::1%eth0]:9000`; none where the text has no zone.
+/// Socket address with a zone, such as `[fe80::1%eth0]:9000`; `None` if the text has no zone.
 fn with_zone(text: &str) -> Option<Result<SocketAddr, String>> {
     let (host, port) = text.strip_prefix('[')?.rsplit_once("]:")?;
     if !host.contains('%') {
@@ -36,18 +36,19 @@ fn with_zone(text: &str) -> Option<Result<SocketAddr, String>> {
     Some(ip_and_zone(host).and_then(|(ip, zone)| {
         let port = port?;
         Ok(match ip {
-            // The kernel reports a zone for link-local addresses alone: with one, others compare as unequal.
+            // The kernel reports a zone only for link-local addresses: another address with a zone would
+            // compare unequal.
             IpAddr::V6(ip) if ip.is_unicast_link_local() => SocketAddrV6::new(ip, port, 0, zone).into(),
             ip => (ip, port).into(),
         })
     }))
 }
 
-/// All addresses that `text` names, in the order of the system's resolver.
+/// All addresses of `text`, in the order of the system's resolver.
 ///
 /// # Errors
 ///
-/// No such host, or another form than `HOST:PORT`.
+/// Unknown host, or a form other than `HOST:PORT`.
 pub fn addresses(text: &str) -> Result<Vec<SocketAddr>, String> {
     let found = match with_zone(text) {
         Some(address) => vec![address?],
@@ -62,7 +63,7 @@ pub fn addresses(text: &str) -> Result<Vec<SocketAddr>, String> {
     if distinct.is_empty() { Err("no such address".into()) } else { Ok(distinct) }
 }
 
-/// Why nobody can be sent to at an address and answer from it; none where somebody can.
+/// Reason why an address cannot be a peer's; `None` if it can.
 pub fn unsuited_peer(address: SocketAddr) -> Option<&'static str> {
     let ip = address.ip().to_canonical();
     let is_broadcast = matches!(ip, IpAddr::V4(ip) if ip.is_broadcast());
@@ -93,7 +94,7 @@ mod tests {
             let expected = SocketAddrV6::new("fe80::1".parse().unwrap(), 9, 0, zone);
             assert_eq!(of(text), Ok(expected.into()), "{text}");
         }
-        // The kernel reports none of these with a zone.
+        // The kernel reports a zone for none of these.
         assert_eq!(of("[::1%lo]:9"), Ok("[::1]:9".parse().unwrap()));
         for text in
             ["[fe80::1%nowhere]:9", "[fe80::1%lo]:x", "[127.0.0.1%lo]:9", "[fe80::1%]:9", "fe80::1%lo"]

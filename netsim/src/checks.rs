@@ -1,63 +1,60 @@
-//! Checks of settings: ranges, and what a link refuses.
+//! Range checks of settings, and their errors.
 
-/// Longest delay a link accepts, in s; Mars is within it, a slip of units is not.
+/// Maximum delay of a link in s; Mars is within it, a unit mistake is not.
 pub const MAX_DELAY_S: f64 = 3600.0;
 
-/// Latest time and longest span that a setting names, in s: 30 years, far from the end of 64 bits of ns.
+/// Maximum time and duration in a setting, in s: 30 years, far below 64 bits of ns.
 pub(crate) const MAX_TIME_S: f64 = 1e9;
 
-/// Largest payload that a setting names, in bytes; no UDP datagram has more.
+/// Maximum payload in a setting, in bytes: that of a UDP datagram.
 pub(crate) const MAX_PAYLOAD: usize = 65_535;
 
-/// Settings that describe no link.
+/// Invalid link settings.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum LinkSettingsError {
-    /// A number is not finite or not in its range.
+    /// A number is not finite or out of range.
     #[error("{key} = {seen}: must be a finite number from {minimum} to {maximum}")]
     OutOfRange {
-        /// Name of the setting, with its place in a list or table, as in `outages.0.times.period_s`.
+        /// Name of the setting, with its position in a list or table, as in `outages.0.times.period_s`.
         key: String,
-        /// Its value.
+        /// Value given.
         seen: f64,
-        /// The smallest value allowed.
+        /// Minimum allowed.
         minimum: f64,
-        /// The largest value allowed.
+        /// Maximum allowed.
         maximum: f64,
     },
-    /// Settings that do not go together, or text that cannot be read.
+    /// Contradictory settings, or unparsable text.
     #[error("{key}: {problem}")]
     Contradiction {
         /// Name of the setting.
         key: String,
-        /// What is wrong, and what would be right.
+        /// Problem and remedy.
         problem: String,
     },
 }
 
 impl LinkSettingsError {
-    /// Settings that do not go together.
     pub(crate) fn contradiction(key: impl Into<String>, problem: impl Into<String>) -> Self {
         Self::Contradiction { key: key.into(), problem: problem.into() }
     }
 }
 
-/// Refuses a number that is not finite or not in its range.
 pub(crate) fn within(key: &str, seen: f64, minimum: f64, maximum: f64) -> Result<(), LinkSettingsError> {
-    // NaN lies in no range, so one test covers it, infinity and the sign.
+    // NaN lies in no range, so this test also covers NaN and infinity.
     if (minimum..=maximum).contains(&seen) {
         return Ok(());
     }
     Err(LinkSettingsError::OutOfRange { key: key.into(), seen, minimum, maximum })
 }
 
-/// Refuses what is no probability.
 pub(crate) fn probability(key: &str, seen: f64) -> Result<(), LinkSettingsError> {
     within(key, seen, 0.0, 1.0)
 }
 
-/// Rounds a validated duration to ns. Multiplication and rounding are exact in IEEE 754, hence alike
-/// everywhere.
+/// Rounds a validated duration to ns. IEEE 754 multiplication and rounding give the same result on every
+/// platform.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,

@@ -1,35 +1,34 @@
-//! The clock of an endpoint, which need not agree with true time: offset, drift and a step.
+//! Clock of an endpoint with offset, drift and a step against true time.
 
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::checks::{LinkSettingsError, within};
 
-/// Largest offset and step in s: 127 years, as between a clock that was never set and one that was.
+/// Maximum offset and step in s: 127 years, as between a set and an unset clock.
 const MAX_OFFSET_S: f64 = 4e9;
-/// Latest time of a step in s.
 const MAX_STEP_TIME_S: f64 = 1e9;
-/// Largest drift in parts per million; quartz has 100 at worst.
+/// Maximum drift in parts per million; quartz has 100 at worst.
 const MAX_DRIFT_PPM: f64 = 10_000.0;
-/// Parts of the drift as an integer: 1e-6 ppm, which is 0.3 ms in ten years.
+/// Integer units of drift per 1: 1e-6 ppm, which is 0.3 ms in ten years.
 const PARTS: i128 = 1_000_000_000_000;
 const PARTS_PER_PPM: f64 = 1e6;
 
-/// What is wrong with the clock of an endpoint. The default is a clock that is right.
+/// Error of an endpoint's clock. The default clock is exact.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ClockSettings {
-    /// What it reads at true time 0, in s.
+    /// Reading at true time 0, in s.
     pub offset_s: f64,
-    /// By how much it runs fast, in parts per million; below 0 slow.
+    /// Drift in parts per million; positive is fast.
     pub drift_ppm: f64,
-    /// By how much it is set forward, in s; below 0 back.
+    /// Step in s; positive is forward.
     pub step_s: f64,
-    /// When it is set, in s of true time.
+    /// Time of the step, in s of true time.
     pub step_at_s: f64,
 }
 
-/// The clock of an endpoint as a function of true time, in integers:
+/// Clock of an endpoint as a function of true time, in integers:
 /// `reading(t) = offset + floor(t (1 + drift)) + (step, if t >= step_at)`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "ClockSettings")]
@@ -56,7 +55,7 @@ impl EndpointClock {
         })
     }
 
-    /// What the clock reads at a true time; at the ends of 64 bits it stays there.
+    /// Reading at a true time; saturates at 64 bits.
     pub fn reading_ns(&self, true_ns: u64) -> i64 {
         let true_ns = i128::from(true_ns);
         let drifted = (true_ns * self.rate()).div_euclid(PARTS);
@@ -65,10 +64,10 @@ impl EndpointClock {
         i64::try_from(reading).unwrap_or(if reading < 0 { i64::MIN } else { i64::MAX })
     }
 
-    /// The first true time at which the clock reads at least so much.
+    /// First true time at which the clock reads at least `reading_ns`.
     ///
-    /// For what the clock reads at t it is t itself, or 1 ns before it if the clock is slow and reads the same then.
-    /// A clock that is set back reads some times twice, of which this is the first.
+    /// For the reading at t, the result is t, or t - 1 ns if a slow clock reads the same at both. A clock
+    /// that is set back reads some times twice; the result is the first.
     pub fn true_ns(&self, reading_ns: i64) -> u64 {
         let unstepped = i128::from(reading_ns) - i128::from(self.offset_ns);
         let before = self.first_to_reach(unstepped);
@@ -78,10 +77,10 @@ impl EndpointClock {
         self.first_to_reach(unstepped - i128::from(self.step_ns)).max(self.step_at_ns)
     }
 
-    /// The first time whose drifted value is at least so much.
+    /// First time whose drifted value is at least `drifted_ns`.
     fn first_to_reach(&self, drifted_ns: i128) -> u64 {
         let rate = self.rate();
-        // Rounded up: the quotient of a positive sum, one part short of the next, by a positive rate.
+        // Ceiling division of a non-negative sum by a positive rate.
         let first = (drifted_ns.max(0) * PARTS + rate - 1) / rate;
         u64::try_from(first).unwrap_or(u64::MAX)
     }
@@ -99,7 +98,7 @@ impl TryFrom<ClockSettings> for EndpointClock {
     }
 }
 
-/// Of a number that was checked to be far below 2^63.
+/// Requires a number checked to be far below 2^63.
 #[expect(clippy::cast_possible_truncation, reason = "checked, and rounded first")]
 fn rounded(number: f64) -> i64 {
     number.round() as i64
@@ -123,7 +122,7 @@ mod tests {
             (clock(-2.5, 0.0, 0.0, 0.0), second, -1_500_000_000),
             (clock(0.0, 20.0, 0.0, 0.0), 10 * second, 10_000_200_000),
             (clock(0.0, -20.0, 0.0, 0.0), 10 * second, 9_999_800_000),
-            // Half a part in 1e12 too few of a ns is none.
+            // floor(1 - 1e-12) ns = 0.
             (clock(0.0, -1e-6, 0.0, 0.0), 1, 0),
             (clock(0.0, 0.0, -1.0, 3.0), 3 * second - 1, 2_999_999_999),
             (clock(0.0, 0.0, -1.0, 3.0), 3 * second, 2_000_000_000),

@@ -1,4 +1,4 @@
-//! How the bytes of a packet change in transit: which bits flip, where it is cut.
+//! Changes of a packet's bytes in transit: flipped bits, truncation, altered numbers.
 
 use arrayvec::ArrayVec;
 use schemars::JsonSchema;
@@ -6,50 +6,46 @@ use serde::{Deserialize, Serialize};
 
 use crate::random::Stream;
 
-/// A change of bytes, settled by (seed, packet index) before the bytes are at hand.
+/// Change of a packet's bytes, determined by (seed, packet index) before the bytes are known.
 ///
-/// Applied in the order of its parts: forged bytes, sequence, flipped bits, cut; then somebody alters what is left.
+/// Applied in this order: forged bytes, sequence, flipped bits, truncation, altered numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Damage {
-    /// Bytes from here on are replaced by random ones of the stream.
+    /// Replaces bytes from this offset on by random bytes of the stream.
     pub(crate) forged: Option<(u32, Stream)>,
-    /// First byte of a little-endian u64 and what is added to it.
+    /// Offset of a little-endian u64 and the amount to add.
     pub(crate) lead: Option<(u32, u64)>,
-    /// Bits that the network flips.
+    /// Bits flipped by the network.
     pub(crate) corrupted: Flips,
-    /// Bits that somebody flips.
+    /// Bits flipped by an attacker.
     pub(crate) attacked: Flips,
-    /// Bytes that are kept.
+    /// Number of bytes kept.
     pub(crate) keep: u32,
-    /// Numbers that somebody changes.
+    /// Numbers changed by an attacker.
     pub(crate) altered: Alteration,
-    /// Index of the packet.
     pub(crate) index: u64,
 }
 
-/// Bits that are flipped, all different, within a range of bytes.
+/// Distinct bits to flip within a range of bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Flips {
-    /// How many.
     pub(crate) bits: u32,
     /// First byte of the range.
     pub(crate) start: u32,
     /// First byte after the range.
     pub(crate) end: u32,
-    /// Key of the positions.
+    /// Stream of the bit positions.
     pub(crate) stream: Stream,
 }
 
-/// Most bits that are flipped in a packet at once.
 pub(crate) const MAX_FLIPS: u32 = 1024;
 
-/// A number of bytes as [`Damage`] keeps it: no packet has as many as are cut off here.
+/// Byte count as stored in [`Damage`]; saturates, which no packet size reaches.
 pub(crate) fn bytes(count: usize) -> u32 {
     u32::try_from(count).unwrap_or(u32::MAX)
 }
 
 impl Damage {
-    /// None.
     pub(crate) const NONE: Self = Self {
         forged: None,
         lead: None,
@@ -60,12 +56,11 @@ impl Damage {
         index: 0,
     };
 
-    /// Keeps at most so many bytes.
     pub(crate) fn cut_to(&mut self, kept: usize) {
         self.keep = self.keep.min(bytes(kept));
     }
 
-    /// Whether the bytes stay as they are.
+    /// Tests if the bytes stay unchanged.
     #[inline]
     pub fn is_none(&self) -> bool {
         self.forged.is_none()
@@ -75,17 +70,17 @@ impl Damage {
             && self.altered.is_none()
     }
 
-    /// Whether bits of the packet are flipped.
+    /// Tests if bits are flipped.
     pub fn corrupts(&self) -> bool {
         self.corrupted.bits > 0 || self.attacked.bits > 0
     }
 
-    /// Whether the packet is cut short to `Some` bytes.
+    /// Length after truncation; `None` if the packet is not truncated.
     pub fn truncates_to(&self) -> Option<usize> {
         (self.keep != u32::MAX).then_some(self.keep as usize)
     }
 
-    /// Changes the bytes; the result is how many are left.
+    /// Changes the bytes; returns the remaining length.
     pub fn apply(&self, payload: &mut [u8]) -> usize {
         if let Some((from, stream)) = self.forged {
             forge(payload, from as usize, stream.nth(FORGED), self.index);
@@ -101,15 +96,15 @@ impl Damage {
     }
 }
 
-/// Streams of forged bytes and of positions, beside the one that decides whether.
+/// Substreams of forged bytes and of bit positions; substream 0 decides on the event.
 const FORGED: u8 = 1;
 const FLIPPED: u8 = 2;
 
 impl Flips {
-    /// None, in all bytes.
+    /// No flips, over all bytes.
     pub(crate) const NONE: Self = Self { bits: 0, start: 0, end: u32::MAX, stream: Stream::UNUSED };
 
-    /// Flips bits at different places: by Floyd's choice of a subset, so that no bit is flipped back.
+    /// Flips distinct bits, chosen by Floyd's subset sampling, so that no bit is flipped back.
     ///
     /// Source: J. Bentley, R. Floyd, "A sample of brilliance", Comm. ACM 30(9), 1987.
     fn apply(&self, payload: &mut [u8], index: u64) {
@@ -131,7 +126,6 @@ impl Flips {
     }
 }
 
-/// Replaces the bytes from `from` on by random ones.
 fn forge(payload: &mut [u8], from: usize, stream: Stream, index: u64) {
     let forged = payload.get_mut(from..).unwrap_or_default();
     for (position, bytes) in forged.chunks_mut(8).enumerate() {
@@ -140,7 +134,7 @@ fn forge(payload: &mut [u8], from: usize, stream: Stream, index: u64) {
     }
 }
 
-/// Adds to a little-endian u64, if the packet is long enough to have one there.
+/// Adds to a little-endian u64; skipped if the packet is too short.
 fn add(payload: &mut [u8], offset: usize, lead: u64) {
     let Some(field) = payload.get_mut(offset..).and_then(|rest| rest.first_chunk_mut::<8>()) else {
         return;
@@ -148,61 +142,57 @@ fn add(payload: &mut [u8], offset: usize, lead: u64) {
     *field = u64::from_le_bytes(*field).wrapping_add(lead).to_le_bytes();
 }
 
-/// A change of one little-endian number.
+/// Change of one little-endian number.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(tag = "type", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Edit {
-    /// Of a binary64.
+    /// Changes a binary64.
     F64 {
-        /// Its first byte.
+        /// Offset of its first byte.
         offset: usize,
-        /// What is done.
+        /// Operation.
         operation: Operation,
-        /// With which number, from -1e12 to 1e12; others, NaN among them, are set as the bits of a u64.
+        /// Operand, from -1e12 to 1e12; set other values, including NaN, as the bits of a u64.
         value: f64,
     },
-    /// Of a u64, modulo 2^64.
+    /// Changes a u64, modulo 2^64.
     U64 {
-        /// Its first byte.
+        /// Offset of its first byte.
         offset: usize,
-        /// What is done.
+        /// Operation.
         operation: Operation,
-        /// With which number.
+        /// Operand.
         value: u64,
     },
 }
 
-/// What is done to a number.
+/// Operation on a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Operation {
-    /// It is replaced.
+    /// Replaces the number.
     Set,
-    /// Something is added.
+    /// Adds the operand.
     Add,
-    /// It is multiplied.
+    /// Multiplies by the operand.
     Multiply,
 }
 
-/// What somebody who knows the format puts right at the end of a packet.
+/// Checksum that an attacker who knows the format repairs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Checksum {
-    /// CRC-32 (IEEE 802.3) of all bytes but the last four, little-endian in those.
+    /// CRC-32 (IEEE 802.3) of all but the last four bytes, little-endian in the last four.
     Crc32,
 }
 
-/// Most numbers that one attack changes.
 pub(crate) const MAX_EDITS: usize = 4;
 
-/// Bytes of a number.
 pub(crate) const NUMBER_BYTES: usize = 8;
 
-/// Bytes of a checksum.
 const CHECKSUM_BYTES: usize = 4;
 
-/// Numbers in a packet that are changed by somebody who knows its format: edits, one after the other, and a checksum
-/// that is put right after them.
+/// Edits by an attacker who knows the format, applied in order, followed by a repaired checksum.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Alteration {
     pub(crate) edits: [Option<Edit>; MAX_EDITS],
@@ -210,22 +200,19 @@ pub(crate) struct Alteration {
 }
 
 impl Alteration {
-    /// None.
     pub(crate) const NONE: Self = Self { edits: [None; MAX_EDITS], checksum: None };
 
-    /// Whether the bytes stay as they are.
     #[inline]
     pub(crate) fn is_none(&self) -> bool {
         self.checksum.is_none() && self.edits.iter().all(Option::is_none)
     }
 
-    /// Bytes that a packet must have for all of it; from a shorter one it takes nothing.
+    /// Minimum packet size in bytes; a shorter packet stays unchanged.
     pub(crate) fn least_bytes(&self) -> usize {
         let ends = self.edits.iter().flatten().map(|edit| offset(edit).saturating_add(NUMBER_BYTES));
         ends.chain(self.checksum.map(|_| CHECKSUM_BYTES)).max().unwrap_or(0)
     }
 
-    /// Changes the bytes, if they are enough.
     pub(crate) fn apply(&self, payload: &mut [u8]) {
         if payload.len() < self.least_bytes() {
             return;
@@ -244,14 +231,12 @@ impl Alteration {
     }
 }
 
-/// First byte of the number.
 pub(crate) fn offset(edit: &Edit) -> usize {
     match *edit {
         Edit::F64 { offset, .. } | Edit::U64 { offset, .. } => offset,
     }
 }
 
-/// The number as it is afterwards.
 fn changed(edit: &Edit, field: [u8; NUMBER_BYTES]) -> [u8; NUMBER_BYTES] {
     match *edit {
         Edit::F64 { operation, value, .. } => {
@@ -261,7 +246,7 @@ fn changed(edit: &Edit, field: [u8; NUMBER_BYTES]) -> [u8; NUMBER_BYTES] {
                 Operation::Add => seen + value,
                 Operation::Multiply => seen * value,
             };
-            // Which of its bits a NaN keeps through an operation is left to the processor.
+            // The bits of a NaN result depend on the processor, so they are replaced.
             if result.is_nan() { f64::NAN } else { result }.to_le_bytes()
         }
         Edit::U64 { operation, value, .. } => {
@@ -289,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sequence_is_changed_only_where_there_is_one() {
+    fn sequence_is_changed_only_if_the_packet_holds_it() {
         let added = |size: usize, offset| {
             let mut payload = vec![0xFF; size];
             Damage { lead: Some((offset, 3)), ..Damage::NONE }.apply(&mut payload);
@@ -363,7 +348,7 @@ mod tests {
             Damage { forged: Some((bytes(from), stream)), index, ..Damage::NONE }.apply(&mut payload);
             let kept = from.min(size);
             prop_assert!(payload[..kept].iter().all(|&byte| byte == 0xA5));
-            // Of 16 random bytes not all are as before: 2^-128.
+            // 16 random bytes equal the old ones with probability 2^-128.
             prop_assert!(size - kept < 16 || payload[kept..].iter().any(|&byte| byte != 0xA5));
         }
     }
@@ -385,7 +370,7 @@ mod alteration_tests {
         payload
     }
 
-    /// CRC-32 of IEEE 802.3 bit by bit, as its definition has it: reflected, all ones before and after.
+    /// Bitwise CRC-32 of IEEE 802.3 by definition: reflected, initial value and final XOR all ones.
     fn crc32(bytes: &[u8]) -> u32 {
         !bytes.iter().fold(!0, |remainder: u32, byte| {
             (0..8).fold(remainder ^ u32::from(*byte), |remainder, _| {
@@ -396,7 +381,7 @@ mod alteration_tests {
 
     #[test]
     fn the_checksum_is_the_common_one() {
-        // The check value of the catalogue of parametrised CRC algorithms, CRC-32/ISO-HDLC.
+        // Check value of CRC-32/ISO-HDLC in the catalogue of parametrised CRC algorithms.
         assert_eq!(crc32(b"123456789"), 0xCBF4_3926);
         let sealed = altered(&[], Some(Checksum::Crc32), b"123456789....");
         assert_eq!(sealed, b"123456789\x26\x39\xF4\xCB");
@@ -414,7 +399,7 @@ mod alteration_tests {
             (f64_at(Multiply, -1.0), 0.03_f64.to_bits(), (-0.03_f64).to_bits()),
             (f64_at(Multiply, 1e12), 1e300_f64.to_bits(), f64::INFINITY.to_bits()),
             (f64_at(Multiply, 0.0), f64::INFINITY.to_bits(), quiet),
-            // A NaN with other bits comes out as the one that all platforms agree on.
+            // A NaN with other bits becomes the canonical NaN.
             (f64_at(Add, 1.0), quiet | 1 << 63 | 5, quiet),
             (u64_at(Set, quiet), 7, quiet),
             (u64_at(Add, 1000), 41, 1041),
@@ -438,18 +423,18 @@ mod alteration_tests {
     }
 
     #[test]
-    fn from_what_is_too_short_nothing_is_taken() {
+    fn short_packet_stays_unchanged() {
         let edits = [0, 9].map(|offset| Edit::U64 { offset, operation: Operation::Set, value: 1 });
         assert_eq!(altered(&edits, Some(Checksum::Crc32), &[9; 16]), [9; 16]);
         assert_ne!(altered(&edits, Some(Checksum::Crc32), &[9; 17]), [9; 17]);
         assert_eq!(altered(&[], Some(Checksum::Crc32), &[9; 3]), [9; 3]);
-        // Of nothing: 0.
+        // CRC-32 of the empty string is 0.
         assert_eq!(altered(&[], Some(Checksum::Crc32), &[9; 4]), [0; 4]);
     }
 
     proptest! {
         #[test]
-        fn whatever_is_altered_is_sealed_and_of_the_same_length(
+        fn altered_packet_has_valid_checksum_and_same_length(
             payload in prop::collection::vec(any::<u8>(), 0..300),
             edits in prop::collection::vec((0..400_usize, any::<u64>(), any::<bool>()), 0..4),
         ) {

@@ -1,30 +1,30 @@
-//! Packets in flight, in the order in which they arrive.
+//! Packets in flight, ordered by arrival.
 
 use std::cmp::Ordering;
 use std::collections::{BinaryHeap, VecDeque};
 
 use crate::verdict::DropCause;
 
-/// Packets in flight that a queue holds by default: a minute at 1 kHz.
+/// Default capacity in packets: a minute at 1 kHz.
 pub const DEFAULT_CAPACITY: usize = 65_536;
 
-/// Packets that a queue which grows holds before it does.
+/// Capacity that a growing queue reserves at first, in packets.
 const FIRST_CAPACITY: usize = 256;
 
-/// A bounded queue ordered by (due time, order of entry), so that packets due together leave in order of entry.
+/// Bounded queue ordered by (due time, order of entry): packets due together leave in order of entry.
 ///
-/// Most packets are due after all before them and wait in a line; those that overtake wait in a heap. Unless it is one
-/// that grows, memory is reserved once; pushing and popping allocate nothing. Payloads move within the heap, so a large
-/// one should be a handle.
+/// Most packets are due after all earlier ones and wait in a line; overtaking packets wait in a heap. Except
+/// in a growing queue, memory is reserved once; pushing and popping allocate nothing. Payloads move within
+/// the heap, so a large payload should be a handle.
 #[derive(Clone, Debug)]
 pub struct InFlight<T> {
-    /// In the order of their due times and of entry, both.
+    /// Ordered by due time and by entry alike.
     in_turn: VecDeque<Entry<T>>,
-    /// Due before one that came earlier.
+    /// Due before an earlier packet.
     overtaking: BinaryHeap<Entry<T>>,
-    /// When the next packet arrives; `u64::MAX` if there is none.
+    /// Due time of the next packet; `u64::MAX` if empty.
     next_ns: u64,
-    /// When the last of those in turn arrives; 0 if there is none.
+    /// Due time of the last packet in `in_turn`; 0 if none.
     last_in_turn_ns: u64,
     capacity: usize,
     next_order: u64,
@@ -32,12 +32,12 @@ pub struct InFlight<T> {
 }
 
 impl<T> InFlight<T> {
-    /// An empty queue for at most `capacity` packets.
+    /// Creates an empty queue for at most `capacity` packets.
     pub fn with_capacity(capacity: usize) -> Self {
         Self::reserving(capacity, capacity)
     }
 
-    /// An empty queue for at most `capacity` packets, which takes memory only as they come.
+    /// Creates an empty queue for at most `capacity` packets that allocates as they come.
     pub fn growing(capacity: usize) -> Self {
         Self::reserving(capacity, capacity.min(FIRST_CAPACITY))
     }
@@ -54,8 +54,8 @@ impl<T> InFlight<T> {
         }
     }
 
-    /// Takes a packet that arrives at `due_ns`, or drops it with [`DropCause::InFlight`].
-    #[inline(always)] // into the loop over packets
+    /// Adds a packet due at `due_ns`, or drops it with [`DropCause::InFlight`].
+    #[inline(always)] // in the per-packet loop
     pub fn push(&mut self, due_ns: u64, payload: T) -> Result<(), DropCause> {
         if self.len() >= self.capacity {
             self.overflowed += 1;
@@ -73,7 +73,6 @@ impl<T> InFlight<T> {
         Ok(())
     }
 
-    /// Whether the next packet to arrive is one that overtakes.
     fn first_overtakes(&self) -> bool {
         match (self.in_turn.front(), self.overtaking.peek()) {
             (Some(in_turn), Some(overtaking)) => overtaking > in_turn,
@@ -81,13 +80,13 @@ impl<T> InFlight<T> {
         }
     }
 
-    /// When the next packet arrives.
+    /// Due time of the next packet.
     #[inline]
     pub fn next_due(&self) -> Option<u64> {
         (!self.is_empty()).then_some(self.next_ns)
     }
 
-    /// The next packet that has arrived by `now_ns`, with its due time.
+    /// Removes the next packet due by `now_ns`, with its due time.
     #[inline]
     pub fn pop_due(&mut self, now_ns: u64) -> Option<(u64, T)> {
         if now_ns < self.next_ns {
@@ -96,8 +95,7 @@ impl<T> InFlight<T> {
         self.pop()
     }
 
-    /// The next packet, with its due time.
-    #[inline(always)] // once a packet
+    #[inline(always)] // per packet
     fn pop(&mut self) -> Option<(u64, T)> {
         if !self.overtaking.is_empty() {
             return self.pop_of_both();
@@ -107,8 +105,7 @@ impl<T> InFlight<T> {
         Some((next.due_ns, next.payload))
     }
 
-    /// The same where some overtake.
-    #[inline(never)] // of most links none do
+    #[inline(never)] // rare: packets overtake on few links
     fn pop_of_both(&mut self) -> Option<(u64, T)> {
         let overtakes = self.first_overtakes();
         let next = if overtakes { self.overtaking.pop() } else { self.in_turn.pop_front() }?;
@@ -117,7 +114,7 @@ impl<T> InFlight<T> {
         Some((next.due_ns, next.payload))
     }
 
-    /// When the first of those in turn arrives; where none is left, their line begins anew.
+    /// Due time of the first packet in line. An empty line is reset.
     #[inline]
     fn first_in_turn_ns(&mut self) -> u64 {
         if let Some(first) = self.in_turn.front() {
@@ -132,7 +129,7 @@ impl<T> InFlight<T> {
         self.in_turn.len() + self.overtaking.len()
     }
 
-    /// Whether nothing is in flight.
+    /// Tests if the queue is empty.
     pub fn is_empty(&self) -> bool {
         self.in_turn.is_empty() && self.overtaking.is_empty()
     }
@@ -183,7 +180,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Few distinct times, so that most packets share theirs with others.
+        /// Few distinct times, so that most packets share a due time.
         #[test]
         fn packets_leave_by_due_time_and_then_as_they_came(dues in prop::collection::vec(0_u64..20, 0..200)) {
             let mut queue = InFlight::default();
@@ -206,9 +203,9 @@ mod tests {
     }
 
     proptest! {
-        /// Pushed and popped in any order, with times that overtake and the last there is, against a sorted list.
+        /// Compares random pushes and pops with a sorted list, including overtaking and maximal times.
         #[test]
-        fn the_next_is_known_at_any_time(
+        fn queue_matches_a_sorted_list(
             acts in prop::collection::vec(
                 (any::<bool>(), prop_oneof![0_u64..12, Just(u64::MAX)], prop_oneof![0_u64..12, Just(u64::MAX)]), 0..200
             ),
@@ -251,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn what_grows_holds_as_much_as_it_may() {
+    fn growing_queue_reaches_its_capacity() {
         let most = DEFAULT_CAPACITY + 10;
         let mut queue = InFlight::growing(most);
         for position in 0..most {

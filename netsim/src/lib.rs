@@ -1,13 +1,14 @@
-//! Network impairment for teleoperation: what a bad network does to each packet, decided once for two
-//! drivers.
+//! Network impairment for teleoperation: one model of delay, loss and damage for two drivers.
 //!
-//! A [`Link`] is one direction of the network: rules applied in a fixed order, each of which maps a [`Packet`] to a
-//! [`Verdict`]: deliver at a time, or drop with a cause. It reads no clock and owns no socket; a verdict depends on
-//! settings, seed and the packets up to it alone, and is the same on every platform, as no function of the platform's
-//! mathematical library is used. Randomness is counter-based, keyed by (seed, direction and impairment, packet index or
-//! time): switching one impairment on shifts no other. Delivered packets wait in an [`InFlight`] queue,
-//! which the virtual-time runner empties at simulated times and the [`Proxy`] at real ones, between two
-//! processes that know nothing of it.
+//! A [`Link`] is one direction of the network. It applies rules in a fixed order; each maps a [`Packet`] to a
+//! [`Verdict`]: deliver at a time, or drop with a cause. A link reads no clock and owns no socket.
+//!
+//! A verdict depends only on settings, seed and the packets so far. It is the same on every platform, because
+//! no function of the platform's mathematical library is used. Randomness is counter-based, keyed by (seed,
+//! direction and impairment, packet index or time): enabling one impairment shifts no draw of another.
+//!
+//! Delivered packets wait in an [`InFlight`] queue. The virtual-time runner empties it at simulated times.
+//! The [`Proxy`] empties it at real times, between two processes that are unaware of it.
 
 mod address;
 mod checks;

@@ -1,4 +1,4 @@
-//! One direction of the network: settings, and the rules they stand for in a fixed order.
+//! One direction of the network: settings and the rules built from them, in a fixed order.
 
 use crate::checks::LinkSettingsError;
 use crate::damage::Damage;
@@ -8,7 +8,7 @@ use crate::rule::{ArrivalRule, Extras, Rule};
 use crate::packet::{Direction, Packet};
 use crate::verdict::{Judgement, Verdict};
 
-/// What a link has decided so far.
+/// Counters of a link's verdicts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct LinkCounters {
@@ -18,26 +18,26 @@ pub struct LinkCounters {
     pub dropped: u64,
     /// Packets to be delivered.
     pub delivered: u64,
-    /// What arrives beside the packets.
+    /// Additional packets.
     pub extras: u64,
-    /// Delivered packets that are due before one judged earlier, so each overtakes at least one. RFC 4737
-    /// counts the other side, the packets that are overtaken, which is known only on arrival.
+    /// Delivered packets due before an earlier one: each overtakes at least one packet. RFC 4737 counts the
+    /// overtaken packets instead, which are known only on arrival.
     pub overtaking: u64,
 }
 
-/// The rules that settings describe, built and checked, for a link to take up.
+/// Checked rules built from settings, ready for a link to adopt.
 #[derive(Clone, Debug)]
 pub struct Rules {
     direction: Direction,
     path: Vec<Box<dyn Rule>>,
-    /// After what keeps the order.
+    /// Applied after order is enforced.
     reorder: Option<Box<dyn Rule>>,
     on_arrival: Vec<Box<dyn ArrivalRule>>,
     keeps_order: bool,
 }
 
 impl Rules {
-    /// Builds the rules that the settings describe: an impairment that is absent costs nothing.
+    /// Builds the rules of the settings; an absent impairment costs nothing.
     pub fn build(
         direction: Direction,
         seed: u64,
@@ -62,7 +62,6 @@ impl Rules {
         })
     }
 
-    /// The same with one more rule on arrival.
     #[cfg(test)]
     pub(crate) fn with_arrival_rule(mut self, rule: impl ArrivalRule + 'static) -> Self {
         self.on_arrival.push(Box::new(rule));
@@ -72,24 +71,24 @@ impl Rules {
 
 /// One direction of the network.
 ///
-/// The verdict on a packet depends on settings, seed and the packets up to it alone; packets are judged in the order
-/// of their indices, with sending times that do not decrease.
+/// A verdict depends only on settings, seed and the packets so far. Packets are judged in index order, with
+/// sending times that do not decrease.
 #[derive(Clone, Debug)]
 pub struct Link {
     seed: u64,
     rules: Rules,
     counters: LinkCounters,
     latest_due_ns: u64,
-    /// The latest arrival without what reordering and the rules on arrival add. Where the order is kept, as through a
-    /// queue that is served in turn, no packet arrives earlier.
+    /// Latest arrival, before reordering and the rules on arrival. If order is kept, no later packet arrives
+    /// earlier.
     latest_in_turn_ns: u64,
-    /// How the bytes of the latest packet change, and what arrives beside it, where there are rules on arrival.
+    /// Damage and extras of the latest packet, if there are rules on arrival.
     damage: Damage,
     extras: Extras,
 }
 
 impl Link {
-    /// A link with the rules that the settings describe.
+    /// Builds a link from settings.
     pub fn new(direction: Direction, seed: u64, settings: &LinkSettings) -> Result<Self, LinkSettingsError> {
         Ok(Self {
             seed,
@@ -102,24 +101,24 @@ impl Link {
         })
     }
 
-    /// Takes other settings for the packets from now on, as [`swap`](Self::swap) does.
+    /// Applies new settings to later packets; see [`swap`](Self::swap).
     pub fn change(&mut self, settings: &LinkSettings) -> Result<(), LinkSettingsError> {
         let mut rules = Rules::build(self.rules.direction, self.seed, settings)?;
         self.swap(&mut rules);
         Ok(())
     }
 
-    /// Takes other rules for the packets from now on, and returns those of before, so that nothing is freed here.
+    /// Applies new rules to later packets. Returns the old rules in `rules`, so that nothing is freed here.
     ///
-    /// Counters go on, and so do the draws, where the seed is the same; what a rule remembers of earlier packets, such
-    /// as a queue, begins anew. Where the new rules keep the order, no packet overtakes one from before, except what
-    /// `netem` delayed, which keeps no order.
+    /// Counters continue. Draws continue for the same seed, but the state of a rule, such as a queue,
+    /// restarts. If the new rules keep order, no packet overtakes an earlier one; packets delayed by `netem`,
+    /// which keeps no order, are an exception.
     pub fn swap(&mut self, rules: &mut Rules) {
         debug_assert_eq!(rules.direction, self.rules.direction, "rules of the other direction");
         std::mem::swap(&mut self.rules, rules);
     }
 
-    /// Decides what becomes of a packet of this link's direction.
+    /// Decides on a packet of this link's direction.
     #[inline]
     pub fn judge(&mut self, packet: &Packet) -> Judgement<'_> {
         debug_assert_eq!(packet.direction, self.rules.direction, "packet on the wrong link");
@@ -131,12 +130,14 @@ impl Link {
         Judgement { verdict, damage: &Damage::NONE, extras: &[] }
     }
 
-    /// Decides on packets in turn, on each as [`judge`](Self::judge) does, into `verdicts`; of a link that does not
-    /// [change](Self::changes_packets) them. Rule by rule, so that the code of each is fetched once for all.
+    /// Decides on packets in order, as [`judge`](Self::judge) does, and writes the result to `verdicts`.
+    ///
+    /// Requires a link that does not [change packets](Self::changes_packets). Works rule by rule, so that the
+    /// code of each is fetched once per batch.
     ///
     /// # Panics
     ///
-    /// Where the link changes packets: what arrives beside them has no place in a list of verdicts.
+    /// If the link changes packets: a list of verdicts has no place for extras.
     pub fn judge_all(&mut self, packets: &[Packet], verdicts: &mut Vec<Verdict>) {
         assert!(!self.changes_packets(), "a link that changes packets judges them one by one");
         debug_assert!(
@@ -159,7 +160,7 @@ impl Link {
         }
     }
 
-    /// What becomes of a packet up to its arrival.
+    /// Decides on a packet up to its arrival.
     fn travel(&mut self, packet: &Packet) -> Verdict {
         let mut at_ns = packet.sent_ns;
         for rule in &mut self.rules.path {
@@ -175,14 +176,13 @@ impl Link {
         }
     }
 
-    /// When it arrives behind those before, where the order is kept.
+    /// Arrival no earlier than that of previous packets, if order is kept.
     #[inline]
     fn in_order(&mut self, at_ns: u64) -> u64 {
         self.latest_in_turn_ns = self.latest_in_turn_ns.max(at_ns);
         if self.rules.keeps_order { self.latest_in_turn_ns } else { at_ns }
     }
 
-    /// What becomes of it on arrival.
     fn arrive(&mut self, packet: &Packet, mut verdict: Verdict) -> Judgement<'_> {
         self.damage = Damage::NONE;
         self.extras.clear();
@@ -208,31 +208,31 @@ impl Link {
         }
     }
 
-    /// The direction this link carries.
+    /// Direction of the link.
     pub fn direction(&self) -> Direction {
         self.rules.direction
     }
 
-    /// Before which nothing arrives of packets that are judged from now on, in ns since the link began, whenever they are
-    /// sent; 0 where the order is not kept, or where more than the packets arrives.
+    /// Lower bound on the arrival of all later packets, in ns since the link began. 0 if order is not kept or
+    /// extra packets may arrive.
     pub fn earliest_later_ns(&self) -> u64 {
         let Rules { reorder, on_arrival, keeps_order, .. } = &self.rules;
         if *keeps_order && reorder.is_none() && on_arrival.is_empty() { self.latest_in_turn_ns } else { 0 }
     }
 
-    /// Whether a packet may arrive changed, or beside others that were not sent.
+    /// Tests if packets may arrive changed, or with extra packets.
     pub fn changes_packets(&self) -> bool {
         !self.rules.on_arrival.is_empty()
     }
 
-    /// What was decided so far.
+    /// Counters so far.
     pub fn counters(&self) -> LinkCounters {
         self.counters
     }
 }
 
 impl LinkSettings {
-    /// Checks every number and what goes together, by building the rules.
+    /// Checks all values and combinations by building the rules.
     pub fn validate(&self) -> Result<(), LinkSettingsError> {
         Rules::build(Direction::Forward, 0, self).map(drop)
     }
@@ -243,7 +243,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_error_names_the_key_what_was_seen_and_what_is_allowed() {
+    fn error_names_key_value_and_range() {
         let perfect = LinkSettings::default();
         let cases = [
             (

@@ -1,40 +1,41 @@
-//! A process in time that is on and off alternately, for exponentially distributed times.
+//! Process that alternates between on and off for exponentially distributed times.
 //!
-//! With mean times `U` on and `D` off it is the Markov process of two states. That one has an equal description
-//! without memory: at the times of a Poisson process of mean gap `U D / (U + D)` the state is drawn anew, off with
-//! probability `D / (U + D)` whatever it was (uniformization). So the state at a time is the last one drawn before
-//! it, a pure function of (seed, time); and since a Poisson process restarts at any time, it is drawn by blocks of
-//! time, of which a silence of any length skips as many as it likes.
+//! With mean times `U` on and `D` off it is the two-state Markov process. An equivalent description has no
+//! memory: at the times of a Poisson process of mean gap `U D / (U + D)` the state is redrawn. It is off with
+//! probability `D / (U + D)`, independent of the previous state (uniformization).
 //!
-//! Source: A. Jensen, "Markoff chains as an aid in the study of Markoff processes", Skand. Aktuarietidskr. 36, 1953.
+//! The state at a time is therefore the last one drawn before it, a pure function of (seed, time). A Poisson
+//! process restarts at any time, so it is drawn by blocks of time; a long silence skips blocks at no cost.
+//!
+//! Source: A. Jensen, "Markoff chains as an aid in the study of Markoff processes", Skand. Aktuarietidskr.
+//! 36, 1953.
 
 use crate::checks::nanoseconds;
 use crate::random::{Chance, Stream, unit};
 
-/// Least mean time between two draws of the state in s: a time is counted in whole ns.
+/// Minimum mean time between state draws in s: times are whole ns.
 pub(crate) const MIN_GAP_S: f64 = 5e-7;
-/// Longest mean time on or off in s.
 pub(crate) const MAX_MEAN_S: f64 = 1e6;
 
-/// Mean number of draws in a block. Few blocks have none, so that one seldom looks back by more than one.
+/// Mean number of draws per block. Few blocks have none, so looking back more than one block is rare.
 const DRAWS_PER_BLOCK: f64 = 8.0;
-/// Blocks looked back at most; all of them without a draw has a probability of `exp(-512)`.
+/// Maximum number of blocks to look back; the probability that none of them has a draw is `exp(-512)`.
 const MAX_BLOCKS_BACK: u64 = 64;
 
-/// Whether it is on at a given time.
+/// On/off state as a function of time.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OnOff {
     mean_gap_ns: f64,
     block_ns: u64,
     off: Chance,
     stream: Stream,
-    /// The stretch looked at last, since the next time mostly lies in it or a little later.
+    /// Latest stretch queried: the next query usually falls in it or slightly later.
     stretch: Stretch,
-    /// From a time looked at until it is on again.
+    /// Time queried, and time at which the process is on again.
     off_time: (u64, u64),
 }
 
-/// A time between two draws, or between a draw and an end of its block.
+/// Time between two draws, or between a draw and an end of its block.
 #[derive(Clone, Copy, Debug)]
 struct Stretch {
     from_ns: u64,
@@ -42,12 +43,12 @@ struct Stretch {
     off: bool,
     block: u64,
     block_end_ns: u64,
-    /// How many draws of the block precede its end.
+    /// Number of draws in the block before the end of the stretch.
     draws: usize,
 }
 
 impl OnOff {
-    /// By the mean time between two draws of the state, `U D / (U + D)`, and the share of the time that is off.
+    /// From the mean time between state draws, `U D / (U + D)`, and the fraction of time off.
     pub(crate) fn new(mean_gap_s: f64, off_share: f64, stream: Stream) -> Self {
         let mut process = Self {
             mean_gap_ns: mean_gap_s * 1e9,
@@ -61,13 +62,11 @@ impl OnOff {
         process
     }
 
-    /// By the mean times on and off.
     pub(crate) fn by_means(mean_on_s: f64, mean_off_s: f64, stream: Stream) -> Self {
         let sum_s = mean_on_s + mean_off_s;
         Self::new(mean_on_s * (mean_off_s / sum_s), mean_off_s / sum_s, stream)
     }
 
-    /// Whether it is off at a time.
     pub(crate) fn is_off(&mut self, at_ns: u64) -> bool {
         let mut stretch = self.stretch;
         if at_ns < stretch.from_ns || at_ns >= stretch.block_end_ns {
@@ -80,7 +79,8 @@ impl OnOff {
         stretch.off
     }
 
-    /// When it is on again, if it is off at a time. The work grows as the quotient of the mean times off and on.
+    /// Time at which the process is on again; `None` if it is on. The work grows with mean off time / mean on
+    /// time.
     pub(crate) fn off_until(&mut self, at_ns: u64) -> Option<u64> {
         if !self.is_off(at_ns) {
             return None;
@@ -104,10 +104,10 @@ impl OnOff {
         if stretch.off { u64::MAX } else { stretch.from_ns }
     }
 
-    /// The first stretch of a block.
+    /// First stretch of a block.
     fn block(&self, block: u64) -> Stretch {
         let back = (1..=block.min(MAX_BLOCKS_BACK)).find_map(|back| self.last_drawn(block - back));
-        // Nothing precedes the first block.
+        // No block precedes block 0, so its state is drawn.
         let off = back.unwrap_or_else(|| self.off.takes(self.stream.bits(block)));
         self.first_of(block, off)
     }
@@ -118,7 +118,7 @@ impl OnOff {
         self.ended(Stretch { from_ns, until_ns: from_ns, off, block, block_end_ns, draws: 0 })
     }
 
-    /// The state at the end of a block, if it was drawn within it.
+    /// State at the end of a block; `None` if the block has no draw.
     fn last_drawn(&self, block: u64) -> Option<bool> {
         let mut stretch = self.first_of(block, false);
         let mut last = None;
@@ -129,13 +129,12 @@ impl OnOff {
         last
     }
 
-    /// The stretch after one that ends within its block.
     fn following(&self, before: &Stretch) -> Stretch {
         let off = self.off.takes(self.stream.at(before.block, 2 * before.draws + 1));
         self.ended(Stretch { from_ns: before.until_ns, off, draws: before.draws + 1, ..*before })
     }
 
-    /// A stretch with its end: the next time of the Poisson process, or the end of the block.
+    /// Sets the end of a stretch: next time of the Poisson process, or end of the block.
     fn ended(&self, stretch: Stretch) -> Stretch {
         let drawn = unit(self.stream.at(stretch.block, 2 * stretch.draws));
         let gap_ns = nanoseconds(-libm::log(drawn) * self.mean_gap_ns * 1e-9);
@@ -155,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn the_state_is_a_function_of_time_whatever_was_asked_before() {
+    fn state_depends_on_time_not_on_earlier_queries() {
         let mut forward = process(0.003, 0.002);
         let states: Vec<_> = (0..50_000).map(|step| forward.is_off(step * 100_000)).collect();
         let mut jumping = process(0.003, 0.002);
@@ -167,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_off_until_the_time_it_says_and_on_then() {
+    fn process_is_off_until_the_reported_time() {
         let mut process = process(0.003, 0.02);
         let mut ends = 0;
         for step in 0..20_000 {
@@ -183,12 +182,12 @@ mod tests {
         assert!(ends > 10_000, "{ends}");
     }
 
-    /// What is left of an exponential time is exponential with the same mean, whenever one looks.
+    /// The remainder of an exponential time is exponential with the same mean, from any query time.
     #[test]
     fn times_off_are_exponential() {
         const MEAN_OFF_NS: f64 = 2e6;
         let mut process = process(0.003, MEAN_OFF_NS * 1e-9);
-        // Looked at so far apart that nothing is remembered.
+        // Queries far enough apart that no state is reused.
         let times = (0..100_000).map(|step| step * 50_000_000);
         let mut left: Vec<_> = times.filter_map(|at_ns| Some(process.off_until(at_ns)? - at_ns)).collect();
         let n = left.len() as f64;

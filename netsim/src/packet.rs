@@ -20,15 +20,15 @@ impl fmt::Display for Direction {
     }
 }
 
-/// What a rule may know of a packet: never its content.
+/// Packet as a rule sees it: without its content.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Packet {
     /// Direction of travel.
     pub direction: Direction,
-    /// When it entered the network, in ns since the link began.
+    /// Time of sending in ns since the link began.
     pub sent_ns: u64,
     /// Payload in bytes, without UDP and IP headers.
     pub size: usize,
-    /// Position in its direction, counted from 0 in sending order; the key of all its random draws.
+    /// Index in its direction, from 0 in sending order; the key of all its random draws.
     pub index: u64,
 }

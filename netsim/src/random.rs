@@ -1,8 +1,7 @@
 //! Counter-based random numbers: a draw is a pure function of (seed, stream, index).
 //!
-//! A sequential generator ties every draw to the number of draws before it, so one more impairment, or one
-//! packet more, changes all that follows. Here nothing precedes a draw, and there is no state to carry or to
-//! share.
+//! In a sequential generator each draw depends on the number of draws before it, so one more impairment or
+//! packet changes all later draws. Here no state is carried or shared.
 //!
 //! Source: J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random numbers: as easy as 1, 2, 3",
 //! SC 2011, Philox4x32-10.
@@ -14,9 +13,9 @@ const MULTIPLIER: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];
 const WEYL: [u32; 2] = [0x9E37_79B9, 0xBB67_AE85];
 const ROUNDS: usize = 10;
 
-/// The draws of one impairment in one direction.
+/// Random draws of one impairment in one direction.
 ///
-/// Its number is made of (position in a list of such impairments, impairment, direction).
+/// The id combines (position in a list of such impairments, impairment, direction).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Stream {
     seed: u64,
@@ -24,7 +23,6 @@ pub(crate) struct Stream {
 }
 
 impl Stream {
-    /// Of no impairment: number 0.
     pub(crate) const UNUSED: Self = Self { seed: 0, id: 0 };
 
     pub(crate) fn new(seed: u64, direction: Direction, impairment: u16) -> Self {
@@ -35,8 +33,9 @@ impl Stream {
         Self { seed, id: (u64::from(impairment) << 1) | side }
     }
 
-    /// The `position`-th stream beside this one, 0 being itself: of the second outage, say, or for another use of
-    /// the same impairment. Once more on the result is as deep as it goes.
+    /// Stream number `position` derived from this one; 0 is the stream itself. Used for the entries of a
+    /// list, such as several outages, or for another use of the same impairment. At most two levels: call it
+    /// once more on the result.
     pub(crate) const fn nth(self, position: u8) -> Self {
         let outer = (self.id >> 16) & 0xFF;
         Self { seed: self.seed, id: (self.id & 0xFFFF) | ((position as u64) << 16) | (outer << 24) }
@@ -47,8 +46,8 @@ impl Stream {
         self.pair(index)[0]
     }
 
-    /// The [`bits`](Self::bits) of the packets from `first` on, a multiple of their number; by vectors of four where the processor
-    /// has them.
+    /// [`bits`](Self::bits) of [`LANES`] packets from `first`, a multiple of [`LANES`]. Uses vectors of four
+    /// where the processor has them.
     #[inline(never)]
     fn side_by_side(self, first: u64) -> [u64; LANES] {
         let draws = SideBySide { stream: self, first };
@@ -59,33 +58,32 @@ impl Stream {
         pulp::WithSimd::with_simd(draws, pulp::Scalar)
     }
 
-    /// Twice 64 uniform bits for packet or bin `index`; the first are those of [`bits`](Self::bits).
+    /// Two words of 64 uniform bits for packet or bin `index`; the first equals [`bits`](Self::bits).
     pub(crate) fn pair(&self, index: u64) -> [u64; 2] {
         let [a, b, c, d] = draw(self.seed, self.id, index);
         [join(a, b), join(c, d)]
     }
 
-    /// 64 uniform bits for position `position` of packet `index`, where one draw is not enough.
+    /// 64 uniform bits for draw `position` of packet `index`, if one draw is not enough.
     pub(crate) fn at(&self, index: u64, position: usize) -> u64 {
-        // The positions lie in the upper half of the stream's number, which nothing else uses.
+        // The position occupies the upper half of the id, which is otherwise unused.
         Self { seed: self.seed, id: self.id | (1 << 63) | ((position as u64) << 32) }.bits(index)
     }
 
-    /// A uniform number strictly between 0 and 1 for packet or bin `index`: the middles of 2^53 equal parts.
+    /// Uniform number strictly between 0 and 1 for packet or bin `index`: midpoints of 2^53 equal parts.
     pub(crate) fn unit(&self, index: u64) -> f64 {
         unit(self.bits(index))
     }
 
-    /// A uniform integer in `0..=last` for position `position` of packet `index`.
+    /// Uniform integer in `0..=last` for draw `position` of packet `index`.
     pub(crate) fn up_to_at(&self, last: u64, index: u64, position: usize) -> u64 {
         scale(self.at(index, position), last)
     }
 }
 
-/// Draws that are made at once.
 const LANES: usize = 16;
 
-/// [`LANES`] draws from one on, as code that is built for each kind of processor.
+/// [`LANES`] consecutive draws, compiled for each kind of processor.
 struct SideBySide {
     stream: Stream,
     first: u64,
@@ -107,16 +105,16 @@ impl pulp::WithSimd for SideBySide {
     }
 }
 
-/// A uniform number strictly between 0 and 1: the middle of one of 2^53 equal parts.
+/// Uniform number strictly between 0 and 1: midpoint of one of 2^53 equal parts.
 pub(crate) fn unit(bits: u64) -> f64 {
     const PART: f64 = 1.0 / 9_007_199_254_740_992.0;
-    // From 2^52 parts on a half rounds to even: the last draw would be 1, and is the greatest number below it.
+    // From 2^52 parts on, 0.5 rounds to even and the last draw would be 1; `min` keeps it below.
     (((bits >> 11) as f64 + 0.5) * PART).min(1.0 - PART)
 }
 
-/// A uniform integer in `0..=last`.
+/// Uniform integer in `0..=last`.
 ///
-/// Multiply-shift without rejection, so that a packet costs exactly one draw; the probability of a value
+/// Multiply-shift without rejection, so that a packet costs exactly one draw. The probability of each value
 /// is off by less than 2^-64.
 ///
 /// Source: D. Lemire, "Fast random integer generation in an interval", ACM TOMACS 29(1), 2019.
@@ -125,10 +123,10 @@ fn scale(bits: u64, last: u64) -> u64 {
     (product >> 64) as u64
 }
 
-/// An event of probability p: it occurs if r < p 2^64, r uniform on `0..2^64`.
+/// Event of probability p: it occurs if r < p 2^64, r uniform on `0..2^64`.
 ///
-/// Both sides are integers: p 2^64 is exact in binary floating point up to its last fractional bit, and the
-/// comparison is the same everywhere.
+/// Both sides are integers: p 2^64 is exact in binary floating point up to its last fractional bit. The
+/// comparison is therefore the same on every platform.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Chance {
     /// p 2^64; wider than a draw, so that p = 1 always occurs.
@@ -136,7 +134,7 @@ pub(crate) struct Chance {
 }
 
 impl Chance {
-    /// For a probability that was checked to be in `[0, 1]`.
+    /// Requires a probability checked to be in `[0, 1]`.
     pub(crate) fn new(probability: f64) -> Self {
         const TWO_POW_64: f64 = 18_446_744_073_709_551_616.0;
         #[expect(
@@ -148,13 +146,12 @@ impl Chance {
         Self { threshold }
     }
 
-    /// Whether the event occurs on a draw.
     pub(crate) fn takes(&self, bits: u64) -> bool {
         u128::from(bits) < self.threshold
     }
 }
 
-/// An event that occurs to each packet with a probability, whatever happened to the others.
+/// Event that occurs to each packet independently.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Event {
     chance: Chance,
@@ -162,18 +159,17 @@ pub(crate) struct Event {
 }
 
 impl Event {
-    /// Of a probability that was checked to be in `[0, 1]`.
+    /// Requires a probability checked to be in `[0, 1]`.
     pub(crate) fn new(probability: f64, stream: Stream) -> Self {
         Self { chance: Chance::new(probability), stream }
     }
 
-    /// Whether it occurs to a packet.
     pub(crate) fn occurs(&self, index: u64) -> bool {
         self.chance.takes(self.stream.bits(index))
     }
 
-    /// Changes what it occurs to: a packet, and independently each that arrives beside it. Each change is handed a
-    /// stream of its own.
+    /// Applies `change` to a packet, and independently to each extra, if the event occurs. Each `change` gets
+    /// its own stream.
     pub(crate) fn strike<'a, T: 'a>(
         &self,
         index: u64,
@@ -190,7 +186,6 @@ impl Event {
     }
 }
 
-/// 128 random bits for draw `index` of `stream`.
 pub(crate) fn draw(seed: u64, stream: u64, index: u64) -> [u32; 4] {
     let ([k0, k1], [i0, i1], [s0, s1]) = (split(seed), split(index), split(stream));
     philox4x32([i0, i1, s0, s1], [k0, k1])
@@ -200,8 +195,9 @@ fn philox4x32(counter: [u32; 4], key: [u32; 2]) -> [u32; 4] {
     rounds(counter.map(u64::from), key).map(low)
 }
 
-/// All rounds on words of 32 bits, each the lower half of a word of 64 whose upper half means nothing, before and after:
-/// so the processor's wide multiplications take them as they are, and a loop over draws is one over its vectors.
+/// All rounds on 32-bit words, each in the lower half of a 64-bit word; the upper half is ignored on input
+/// and output. The processor's wide multiplications take such words directly, so a loop over draws
+/// vectorizes.
 #[inline(always)]
 fn rounds([mut c0, mut c1, mut c2, mut c3]: [u64; 4], [mut k0, mut k1]: [u32; 2]) -> [u64; 4] {
     for _ in 0..ROUNDS {
@@ -219,23 +215,22 @@ fn rounds([mut c0, mut c1, mut c2, mut c3]: [u64; 4], [mut k0, mut k1]: [u32; 2]
     [c0, c1, c2, c3]
 }
 
-/// The draws of packets that mostly come one after the other, [`LANES`] at a time, which takes little longer than one:
-/// each is that of [`Stream::bits`].
+/// Draws for mostly consecutive packets, [`LANES`] at a time at little more than the cost of one. Each draw
+/// equals [`Stream::bits`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct InTurn {
     stream: Stream,
-    /// Which draws are at hand: index / [`LANES`].
+    /// Index of the cached batch: packet index / [`LANES`].
     block: Option<u64>,
     bits: [u64; LANES],
 }
 
 impl InTurn {
     pub(crate) fn new(stream: Stream) -> Self {
-        // What the processor has is found out here, and not at the first packet.
+        // Detects the processor's features now, not at the first packet.
         Self { stream, block: Some(0), bits: stream.side_by_side(0) }
     }
 
-    /// 64 uniform bits for packet `index`.
     #[inline]
     pub(crate) fn bits(&mut self, index: u64) -> u64 {
         const WIDTH: u64 = LANES as u64;
@@ -294,7 +289,7 @@ mod tests {
     fn draws_in_turn_are_those_of_single_packets() {
         let stream = Stream::new(0x0123_4567_89ab_cdef, Direction::Backward, Impairment::Loss as u16).nth(2);
         let mut in_turn = InTurn::new(stream);
-        // One after the other, with gaps, back, across 2^32, and up to the last.
+        // Consecutive, with gaps, backwards, across 2^32, and up to the last index.
         let near = [u64::from(u32::MAX) - 3, u64::MAX - 7].into_iter().flat_map(|from| from..=from + 7);
         for index in (0..40).chain([61, 62, 200, 7, 6, 203]).chain(near) {
             assert_eq!(in_turn.bits(index), stream.bits(index), "{index}");
@@ -308,7 +303,7 @@ mod tests {
         for first in [0, 32, u64::from(u32::MAX) - 15, u64::MAX - 15] {
             let expected: [_; LANES] = std::array::from_fn(|lane| stream.bits(first + lane as u64));
             assert_eq!(SideBySide { stream, first }.with_simd(pulp::Scalar), expected, "{first}");
-            // With AVX2, where this machine has it.
+            // With AVX2, if this machine has it.
             assert_eq!(stream.side_by_side(first), expected, "{first}");
         }
     }

@@ -1,8 +1,8 @@
-//! Answers leave from the address that was asked, on a machine with several.
+//! Replies from the address that received the request, on a machine with several addresses.
 //!
-//! A socket that is bound to `0.0.0.0` or `[::]` sends from the address of its route. Who asked another address does not
-//! take that for an answer. So the kernel reports with each datagram to which address it was sent, and the answer names
-//! this address as its source.
+//! A socket bound to `0.0.0.0` or `[::]` sends from the address of its route. A client that asked another
+//! address rejects such a reply. Therefore the kernel reports the destination address of each datagram, and
+//! the reply uses it as source.
 //!
 //! Source: Linux, `ip(7)`, `IP_PKTINFO`; RFC 3542, section 6, `IPV6_RECVPKTINFO` and `IPV6_PKTINFO`.
 
@@ -17,31 +17,32 @@ use nix::sys::socket::{
     setsockopt,
 };
 
-/// Bytes of the longer of both reports.
+/// Size in bytes of the longer of the two kernel reports.
 const REPORT: usize = 40;
 
-/// Who sent a datagram, and which address of this machine was asked.
+/// Sender of a datagram, and the local address it was sent to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Asker {
-    /// The sender, to which answers go.
+    /// Sender, to which replies go.
     pub from: SocketAddr,
-    /// Source address of answers; None if the system chooses.
+    /// Source address of replies; `None` if the system chooses.
     pub asked: Option<IpAddr>,
 }
 
 impl From<SocketAddr> for Asker {
-    /// A peer that is sent to from the address that the system chooses.
+    /// Peer that receives from the address that the system chooses.
     fn from(from: SocketAddr) -> Self {
         Self { from, asked: None }
     }
 }
 
-/// Return whether a socket at `local` has every address of the machine.
+/// Tests if a socket at `local` listens on every address of the machine.
 fn has_several(local: SocketAddr) -> bool {
     local.ip().to_canonical().is_unspecified()
 }
 
-/// Exact size of the control data that a socket at `local` receives with each datagram; None if it receives none.
+/// Buffer of the exact control data size that a socket at `local` receives per datagram; `None` if it
+/// receives none.
 pub(crate) fn report_room(local: SocketAddr) -> Option<Vec<u8>> {
     has_several(local).then(|| match local {
         SocketAddr::V4(_) => nix::cmsg_space!(in_pktinfo),
@@ -49,7 +50,8 @@ pub(crate) fn report_room(local: SocketAddr) -> Option<Vec<u8>> {
     })
 }
 
-/// Has a socket that is bound to no address report which one was asked. Others have one address.
+/// Enables the report of the destination address on a socket bound to all addresses. Other sockets have one
+/// address.
 pub(crate) fn report_asked(socket: &UdpSocket) -> io::Result<()> {
     match socket.local_addr()? {
         local if !has_several(local) => {}
@@ -59,7 +61,7 @@ pub(crate) fn report_asked(socket: &UdpSocket) -> io::Result<()> {
     Ok(())
 }
 
-/// The sender of a datagram, and the address that it asked where the socket reports it.
+/// Sender of a datagram, and its destination address if the socket reports it.
 pub(crate) fn asker<S>(message: &RecvMsg<'_, '_, S>, seen: Option<&SockaddrStorage>) -> Option<Asker> {
     let seen = seen?;
     let v4 = seen.as_sockaddr_in().map(|seen| SocketAddrV4::from(*seen).into());
@@ -72,19 +74,19 @@ pub(crate) fn asker<S>(message: &RecvMsg<'_, '_, S>, seen: Option<&SockaddrStora
         ControlMessageOwned::Ipv6PacketInfo(info) => Some(IpAddr::from(info.ipi6_addr.s6_addr)),
         _ => None,
     });
-    // From a group nobody answers.
+    // A multicast address cannot be a source.
     let asked = asked.find(|ip| !ip.is_multicast() && !ip.is_unspecified());
     Some(Asker { from, asked })
 }
 
-/// Buffers of one call of `sendmmsg`, reserved once.
+/// Buffers for one `sendmmsg` call, reserved once.
 pub(crate) struct Outgoing {
     plain: MultiHeaders<SockaddrStorage>,
     v4: MultiHeaders<SockaddrStorage>,
     v6: MultiHeaders<SockaddrStorage>,
 }
 
-// SAFETY: the pointers in it are to memory of its own, and to that of a call while the call lasts.
+// SAFETY: the pointers refer to memory it owns, or to memory of a call while the call lasts.
 #[allow(unsafe_code)]
 unsafe impl Send for Outgoing {}
 
@@ -95,7 +97,6 @@ impl std::fmt::Debug for Outgoing {
 }
 
 impl Outgoing {
-    /// Room for `most` datagrams a call.
     pub(crate) fn with_capacity(most: usize) -> Self {
         let reporting = |space| MultiHeaders::preallocate(most, Some(space));
         Self {
@@ -105,9 +106,9 @@ impl Outgoing {
         }
     }
 
-    /// Sends datagrams from the address `asked`, if there is one; returns how many the kernel took.
+    /// Sends datagrams, from the address `asked` if given; returns how many the kernel accepted.
     ///
-    /// The route chooses the interface: answers to a link-local address have its zone.
+    /// The route chooses the interface: replies to a link-local address carry its zone.
     pub(crate) fn send(
         &mut self,
         socket: BorrowedFd<'_>,
@@ -134,11 +135,12 @@ impl Outgoing {
     }
 }
 
-/// Room for what the kernel reports with a datagram, as it aligns it.
+/// Buffer for the kernel's report, with the alignment of the kernel.
 #[repr(align(8))]
 struct Report([u8; REPORT]);
 
-/// A UDP socket that answers from the address that was asked. Sending and receiving allocate nothing.
+/// UDP socket that replies from the address that received the request. Sending and receiving allocate
+/// nothing.
 #[derive(Debug)]
 pub struct ReplySocket {
     socket: UdpSocket,
@@ -146,7 +148,7 @@ pub struct ReplySocket {
 }
 
 impl ReplySocket {
-    /// Binds to `local`, which may be no address: `0.0.0.0` or `[::]`.
+    /// Binds to `local`, which may be unspecified: `0.0.0.0` or `[::]`.
     ///
     /// # Errors
     ///
@@ -157,12 +159,12 @@ impl ReplySocket {
         Ok(Self { socket, outgoing: Outgoing::with_capacity(1) })
     }
 
-    /// The socket itself, for its settings and its address.
+    /// Underlying socket, for its settings and address.
     pub fn socket(&self) -> &UdpSocket {
         &self.socket
     }
 
-    /// Takes a datagram, as far as `buffer` has room for it; returns its length and who sent it.
+    /// Receives a datagram, truncated to `buffer`; returns its length and its sender.
     ///
     /// # Errors
     ///
@@ -180,7 +182,7 @@ impl ReplySocket {
         asker.map(|asker| (message.bytes, asker)).ok_or_else(|| io::ErrorKind::InvalidData.into())
     }
 
-    /// Sends a datagram to who asked, from the address that it asked.
+    /// Sends a datagram to the asker, from the address it asked.
     ///
     /// # Errors
     ///
@@ -199,7 +201,7 @@ impl ReplySocket {
 mod tests {
     use super::*;
 
-    /// Each of a machine's loopback addresses answers as itself; a socket with one address reports none.
+    /// Each loopback address replies as itself; a socket with one address reports none.
     #[test]
     fn the_answer_comes_from_the_address_that_was_asked() {
         for (bound, asked, reported) in [
@@ -217,7 +219,7 @@ mod tests {
             let ip: IpAddr = asked.parse().unwrap();
             let port = socket.socket().local_addr().unwrap().port();
             let client = UdpSocket::bind((if ip.is_ipv4() { "127.0.0.1" } else { "::1" }, 0)).unwrap();
-            // Connected: the kernel takes answers of no other address.
+            // Connected, so that the kernel rejects replies from other addresses.
             client.connect((ip, port)).unwrap();
             client.set_read_timeout(Some(std::time::Duration::from_secs(5))).unwrap();
             client.send(b"question").unwrap();

@@ -1,24 +1,24 @@
-//! What becomes of a packet.
+//! Verdict on a packet.
 
 use crate::damage::Damage;
 
-/// What becomes of a packet.
+/// Verdict on a packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// It arrives.
+    /// The packet arrives.
     Deliver {
         /// Arrival in ns since the link began, never before the packet was sent.
         at_ns: u64,
     },
-    /// It never arrives.
+    /// The packet never arrives.
     Drop {
-        /// Why.
+        /// Cause.
         cause: DropCause,
     },
 }
 
 impl Verdict {
-    /// Drops a packet with a cause if something takes it; else it arrives at `at_ns`.
+    /// Drops the packet with `cause` if `taken`; otherwise delivers it at `at_ns`.
     pub(crate) const fn unless(taken: bool, cause: DropCause, at_ns: u64) -> Self {
         if taken { Self::Drop { cause } } else { Self::Deliver { at_ns } }
     }
@@ -28,26 +28,26 @@ impl Verdict {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum DropCause {
-    /// The loss rule took it.
+    /// Dropped by the loss rule.
     Loss,
-    /// It was sent during an outage.
+    /// Sent during an outage.
     Outage,
-    /// It is larger than the path carries.
+    /// Larger than the MTU.
     Mtu,
-    /// The queue of the bottleneck was full.
+    /// The bottleneck's queue was full.
     Queue,
-    /// `CoDel` took it from the queue.
+    /// Dropped from the queue by `CoDel`.
     Codel,
-    /// The recording that is replayed lost it.
+    /// Lost in the replayed recording.
     Trace,
-    /// Somebody on the path took it.
+    /// Dropped by an attacker on the path.
     Attack,
     /// More packets were in flight than the driver holds.
     InFlight,
 }
 
 impl DropCause {
-    /// All of them, in the order of their numbers.
+    /// All causes, in numeric order.
     pub const ALL: [Self; 8] = [
         Self::Loss,
         Self::Outage,
@@ -59,7 +59,7 @@ impl DropCause {
         Self::InFlight,
     ];
 
-    /// Its name in logs and tables.
+    /// Name in logs and tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Loss => "loss",
@@ -74,39 +74,39 @@ impl DropCause {
     }
 }
 
-/// Something that arrives beside a packet and because of it.
+/// Additional packet that arrives because of another.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extra {
     /// Arrival in ns since the link began, never before the packet was sent.
     pub at_ns: u64,
-    /// Why there is one.
+    /// Cause.
     pub cause: ExtraCause,
-    /// How its bytes differ from those of the packet.
+    /// Difference of its bytes from those of the packet.
     pub damage: Damage,
 }
 
-/// Why something arrives beside a packet.
+/// Why an additional packet arrives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum ExtraCause {
     /// The network delivers the packet twice.
     Duplicate,
-    /// Somebody sends what was seen again.
+    /// An attacker replays a packet it has seen.
     Replay,
-    /// Somebody sends made-up bytes.
+    /// An attacker sends forged bytes.
     Forge,
-    /// Somebody sends a sequence that is ahead.
+    /// An attacker sends a copy with an advanced sequence.
     SequenceLead,
-    /// Somebody sends it back: it goes to the sender.
+    /// An attacker reflects the packet to its sender.
     Mirror,
-    /// Somebody sends it on from another address.
+    /// An attacker forwards the packet from another address.
     SecondSource,
-    /// Somebody sends it with other numbers in it.
+    /// An attacker sends the packet with altered numbers.
     Alter,
 }
 
 impl ExtraCause {
-    /// All of them, in the order of their numbers.
+    /// All causes, in numeric order.
     pub const ALL: [Self; 7] = [
         Self::Duplicate,
         Self::Replay,
@@ -117,7 +117,7 @@ impl ExtraCause {
         Self::Alter,
     ];
 
-    /// Its name in logs and tables.
+    /// Name in logs and tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Duplicate => "duplicate",
@@ -131,13 +131,13 @@ impl ExtraCause {
     }
 }
 
-/// All that becomes of a packet.
+/// Complete result for a packet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Judgement<'a> {
-    /// What becomes of the packet itself.
+    /// Verdict on the packet itself.
     pub verdict: Verdict,
-    /// How its bytes change in transit.
+    /// Changes of its bytes in transit.
     pub damage: &'a Damage,
-    /// What arrives beside it; a packet that somebody took may leave copies behind.
+    /// Additional packets; a dropped packet may leave copies behind.
     pub extras: &'a [Extra],
 }

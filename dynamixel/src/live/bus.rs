@@ -1,4 +1,4 @@
-//! Instructions with their answers, each within a deadline.
+//! Instructions and their answers, with deadlines.
 
 use std::{path::Path, sync::Arc};
 
@@ -17,21 +17,21 @@ use crate::{
 
 /// Start bit, eight bits, stop bit.
 const BITS_PER_BYTE: u64 = 10;
-/// Bytes of a status packet without parameters.
+/// Size of a status packet without parameters, in bytes.
 const STATUS_OVERHEAD: usize = 11;
 const SECOND_NS: u64 = 1_000_000_000;
-/// So often a stop is sent: nobody answers it.
+/// Number of times a stop is sent, because it is not answered.
 const STOPS: u32 = 3;
-/// A line that does not fall silent after a failure is given up so many timeouts after the last byte that may belong to
-/// it: the next call waits on.
+/// Timeouts after the last byte of a possible answer within which the line must fall silent. Otherwise the
+/// call fails, and the next one continues to wait.
 const MAX_SETTLING: u64 = 2;
-/// So often a call that waits looks whether a stop does.
+/// Interval in ns at which a waiting call checks for a stop.
 const LOOK_NS: u64 = 2_000_000;
 
 /// Why an instruction has no result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum BusError {
-    /// It cannot be sent.
+    /// The instruction cannot be encoded.
     #[error(transparent)]
     Request(#[from] RequestError),
     /// Another process of ours has the port.
@@ -40,62 +40,62 @@ pub enum BusError {
     /// The port is gone, or the system refuses it.
     #[error(transparent)]
     Port(#[from] Errno),
-    /// No answer, or only a part of one.
+    /// No answer, or an incomplete one.
     #[error("id {id} did not answer within {timeout_ms} ms")]
     Silent {
-        /// The servo; of several the first.
+        /// Servo; of several, the first.
         id: u8,
-        /// How long was waited.
+        /// Timeout in ms.
         timeout_ms: u64,
     },
-    /// The line did not fall silent, before an instruction or until the deadline of its answer: two controllers, or an
-    /// adapter that echoes.
+    /// The line did not fall silent before an instruction, or until the deadline of its answer: two
+    /// controllers, or an adapter that echoes.
     #[error("bytes that nobody asked for arrive without end: the bus must have one controller, and no echo")]
     Noise,
-    /// A packet that is none.
+    /// An invalid packet arrived.
     #[error(transparent)]
     Frame(#[from] FrameError),
     /// Another servo answered.
     #[error("id {seen} answered: must be id {allowed}")]
     Id {
-        /// The one that answered.
+        /// Id that answered.
         seen: u8,
-        /// The one that was asked.
+        /// Id that was asked.
         allowed: u8,
     },
-    /// Other than the number of bytes that belong to the answer.
+    /// The number of bytes differs from that of the answer.
     #[error("{seen} bytes of id {id}: must be {allowed}")]
     Length {
-        /// The servo.
+        /// Servo.
         id: u8,
-        /// Bytes that came.
+        /// Bytes received.
         seen: usize,
-        /// Bytes of such an answer.
+        /// Bytes of a valid answer.
         allowed: usize,
     },
-    /// The servo refuses.
+    /// The servo refuses the instruction.
     #[error("id {id}: {error}")]
     Refused {
-        /// The servo.
+        /// Servo.
         id: u8,
-        /// What it said.
+        /// Error byte.
         error: StatusError,
     },
     /// A read of several servos failed.
     #[error(transparent)]
     SyncRead(#[from] SyncReadError),
-    /// Another thread sends a stop: what was asked was not waited for, or not sent.
+    /// Another thread sends a stop: the call did not wait for its answer, or was not sent.
     #[error("a stop cut this call off")]
     Stopped,
-    /// By one of the threads that have the bus.
+    /// One of the threads has closed the bus.
     #[error("is closed")]
     Closed,
 }
 
-/// The servos on one serial port, of which this is the only controller.
+/// Servos on one serial port, of which this is the only controller.
 ///
-/// At the begin and after a failure what may still arrive is waited for, until the line has been silent for the timeout:
-/// an answer is then not taken for that to the next instruction, unless it is later than two timeouts.
+/// At the start and after a failure, waits until the line has been silent for the timeout. A late answer is
+/// then not mistaken for that of the next instruction, unless it is later than two timeouts.
 #[derive(Debug)]
 pub struct Bus {
     port: SerialPort,
@@ -104,17 +104,18 @@ pub struct Bus {
     packet: Packet,
     parser: StatusParser,
     unsettled: bool,
-    /// Until when the line has bytes that were sent already.
+    /// Time in ns until which the line carries bytes already sent.
     busy_until_ns: u64,
-    /// Until when the answer that was asked for last takes, where it is not known to be over.
+    /// End of the last requested answer in ns, unless it is known to be over.
     answer_until_ns: u64,
-    /// Bytes that are still looked at after the deadline, for an answer that was there before this thread was.
+    /// Bytes still accepted after the deadline, for an answer that arrived while this thread was not running.
     late: usize,
     stops: Arc<Stops>,
 }
 
 impl Bus {
-    /// Opens a port at a rate in bit/s. An answer may take `timeout_ns` longer than its bytes take on the wire.
+    /// Opens a port at a rate in bit/s. An answer may take `timeout_ns` longer than its bytes take on the
+    /// wire.
     pub fn open(path: &Path, baud: u32, timeout_ns: u64) -> Result<Self, BusError> {
         Ok(Self {
             port: SerialPort::open(path, baud).map_err(|error| match error {
@@ -125,7 +126,7 @@ impl Bus {
             timeout_ns,
             packet: Packet::default(),
             parser: StatusParser::default(),
-            // Whoever had the port before may have asked for something.
+            // The previous user of the port may have requested an answer.
             unsettled: true,
             busy_until_ns: 0,
             answer_until_ns: 0,
@@ -134,37 +135,38 @@ impl Bus {
         })
     }
 
-    /// Ends calls early for these stops.
+    /// Sets the stops for which calls end early.
     pub(super) fn end_for(&mut self, stops: Arc<Stops>) {
         self.stops = stops;
     }
 
-    /// Model number and firmware version of a servo.
+    /// Reads model number and firmware version of a servo.
     pub fn ping(&mut self, id: u8) -> Result<(u16, u8), BusError> {
         let mut answer = [0; 3];
         self.ask(&Instruction::Ping { id }, id, &mut answer)?;
         Ok((u16::from_le_bytes([answer[0], answer[1]]), answer[2]))
     }
 
-    /// Bytes from an address on; whether the servo has a hardware error.
+    /// Reads bytes from an address on; returns true if the servo has a hardware error.
     pub fn read(&mut self, id: u8, address: u16, bytes: &mut [u8]) -> Result<bool, BusError> {
         let length = u16::try_from(bytes.len()).map_err(|_| RequestError::TooLong { seen: bytes.len() })?;
         self.ask(&Instruction::Read { id, address, length }, id, bytes)
     }
 
-    /// Sets bytes from an address on; whether the servo has a hardware error. Of [`BROADCAST`] nothing is answered.
+    /// Writes bytes from an address on; returns true if the servo has a hardware error. [`BROADCAST`] is not
+    /// answered.
     pub fn write(&mut self, id: u8, address: u16, data: &[u8]) -> Result<bool, BusError> {
         self.ask(&Instruction::Write { id, address, data }, id, &mut [])
     }
 
-    /// Starts a servo anew; it is silent for a while then. Of [`BROADCAST`] nothing is answered.
+    /// Restarts a servo, which is then silent for a while. [`BROADCAST`] is not answered.
     pub fn reboot(&mut self, id: u8) -> Result<bool, BusError> {
         self.ask(&Instruction::Reboot { id }, id, &mut [])
     }
 
-    /// Reads several servos: afterwards [`SyncRead::replies`] has the values of all, or none.
+    /// Reads several servos; [`SyncRead::replies`] then has the values of all, or none.
     pub fn sync_read(&mut self, read: &mut SyncRead) -> Result<(), BusError> {
-        // Nothing of the last read is left, whatever fails.
+        // Discards previous values, even if this call fails.
         read.begin();
         self.settle()?;
         let result = self.exchange(read);
@@ -192,16 +194,16 @@ impl Bus {
         }
     }
 
-    /// Sets the same bytes of several servos; none answers. The rest of a failed answer is let by, for as long as its
-    /// bytes take and at most the timeout.
+    /// Writes the same addresses of several servos; none answers. First waits until a failed answer is over:
+    /// as long as its bytes take, at most the timeout.
     pub fn sync_write(&mut self, address: u16, length: u16, ids: &[u8], data: &[u8]) -> Result<(), BusError> {
         self.packet.encode(&Instruction::SyncWrite { address, length, ids, data })?;
         self.let_by()?;
         Ok(self.send_packet()?)
     }
 
-    /// The same whatever the line does: it waits for no answer and for no silence, and is sent three times, as far apart
-    /// as the answer that it may have collided with. An error if none of them could be sent.
+    /// Same as [`Self::sync_write`], but waits neither for an answer nor for silence. It is sent three times,
+    /// spaced by the answer that it may have collided with. Fails if none could be sent.
     pub fn stop(&mut self, address: u16, length: u16, ids: &[u8], data: &[u8]) -> Result<(), BusError> {
         self.packet.encode(&Instruction::SyncWrite { address, length, ids, data })?;
         let gap_ns = self.answer_until_ns.saturating_sub(now_ns()).min(self.timeout_ns);
@@ -221,7 +223,7 @@ impl Bus {
         self.port.send(self.packet.bytes(), deadline_ns)
     }
 
-    /// One instruction with the answer of one servo.
+    /// Sends one instruction and receives the answer of one servo.
     fn ask(&mut self, instruction: &Instruction<'_>, id: u8, answer: &mut [u8]) -> Result<bool, BusError> {
         self.packet.encode(instruction)?;
         if id == BROADCAST {
@@ -235,7 +237,7 @@ impl Bus {
         }
         self.settle()?;
         let result = self.answered(id, answer);
-        // What a servo refuses it has answered.
+        // A refusal is an answer too.
         self.unsettled = !matches!(result, Ok(_) | Err(BusError::Refused { .. }));
         result
     }
@@ -273,7 +275,7 @@ impl Bus {
         }
     }
 
-    /// After a failure: waits until the line is silent.
+    /// After a failure, waits until the line is silent.
     fn settle(&mut self) -> Result<(), BusError> {
         if !self.unsettled {
             return Ok(());
@@ -290,13 +292,12 @@ impl Bus {
         Ok(())
     }
 
-    /// Forgets what has arrived: it is no answer to what is asked now.
     fn discard(&self) -> Result<(), BusError> {
         if self.port.discard()? { Ok(()) } else { Err(BusError::Noise) }
     }
 
-    /// Bytes that arrive before a deadline; 0 if none do. Of those that are there at the deadline an answer's worth is
-    /// taken: where there are more, the line is noisy.
+    /// Receives bytes before a deadline; 0 if none arrive. After the deadline it accepts at most the size of
+    /// an answer; more is noise.
     fn receive(&mut self, buffer: &mut [u8], deadline_ns: u64) -> Result<usize, BusError> {
         loop {
             let now_ns = now_ns();
@@ -317,8 +318,8 @@ impl Bus {
         }
     }
 
-    /// Counts bytes that are sent now, and those of their answer; the deadline of both. What was sent before is still on
-    /// the line, and goes first.
+    /// Accounts for bytes sent now and for their answer; returns the deadline of both. Bytes sent earlier and
+    /// still on the line go first.
     fn begin(&mut self, sent: usize, answered: usize) -> u64 {
         self.busy_until_ns = self.busy_until_ns.max(now_ns()) + self.wire_ns(sent);
         let end_ns = self.busy_until_ns + self.wire_ns(answered);

@@ -1,4 +1,4 @@
-//! The bus on a serial port: the only code here that has a descriptor or a clock.
+//! Bus on a serial port: the only code here with a descriptor or a clock.
 
 mod bus;
 mod port;

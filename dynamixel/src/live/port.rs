@@ -1,4 +1,4 @@
-//! A serial port that nobody else of ours has, or a socket in its place, and the clock of its deadlines.
+//! Serial port exclusive to one of our processes, or a socket in its place, and the clock of deadlines.
 
 use std::{os::unix::net::UnixStream, path::Path};
 
@@ -13,10 +13,10 @@ use rustix::{
 };
 
 const SECOND_NS: u64 = 1_000_000_000;
-/// Bytes. Source: Linux, `N_TTY_BUF_SIZE`.
+/// Buffer of a terminal in bytes. Source: Linux, `N_TTY_BUF_SIZE`.
 const TERMINAL_KEEPS: usize = 4096;
 
-/// Time of the system's monotonic clock in ns.
+/// Monotonic system time in ns.
 pub(super) fn now_ns() -> u64 {
     let now = clock_gettime(ClockId::Monotonic);
     #[allow(clippy::cast_sign_loss)] // the monotonic clock starts at boot
@@ -24,18 +24,19 @@ pub(super) fn now_ns() -> u64 {
     seconds * SECOND_NS + nanoseconds
 }
 
-/// Waits for a while, or until a signal.
+/// Sleeps for a duration, or until a signal.
 pub(super) fn sleep_ns(duration_ns: u64) {
     #[allow(clippy::cast_possible_wrap)] // 292 years
     let duration =
         Timespec { tv_sec: (duration_ns / SECOND_NS) as i64, tv_nsec: (duration_ns % SECOND_NS) as i64 };
-    // One that a signal ends is short: what follows is sent the sooner.
+    // A signal shortens the sleep: the caller then sends earlier.
     let _ = nanosleep(&duration);
 }
 
-/// A serial port: raw, 8 bits, no parity, one stop bit; or a Unix socket that hands the same bytes on.
+/// Serial port: raw, 8 bits, no parity, one stop bit; or a Unix socket that carries the same bytes.
 ///
-/// A pseudo-terminal hands bytes on by threads of the kernel without priority, a socket by those that send and receive.
+/// A pseudo-terminal forwards bytes by kernel threads without priority; a socket does so in the threads that
+/// send and receive.
 #[derive(Debug)]
 pub(super) struct SerialPort {
     descriptor: OwnedFd,
@@ -45,7 +46,7 @@ pub(super) struct SerialPort {
 impl SerialPort {
     /// Opens it at a rate in bit/s; [`Errno::WOULDBLOCK`] if another process of ours has it.
     ///
-    /// Behind a socket is whoever has bound it: he says who else may have it, and at which rate.
+    /// The peer that has bound a socket decides on exclusive access and on the rate.
     pub(super) fn open(path: &Path, baud: u32) -> Result<Self, Errno> {
         if FileType::from_raw_mode(stat(path)?.st_mode) == FileType::Socket {
             let stream = UnixStream::connect(path)
@@ -65,7 +66,8 @@ impl SerialPort {
         Ok(Self { descriptor, is_socket: false })
     }
 
-    /// Forgets what has arrived; whether that was all. Of a socket no more is read than a terminal keeps.
+    /// Discards received bytes; returns true if none remain. A socket is read up to the buffer size of a
+    /// terminal.
     pub(super) fn discard(&self) -> Result<bool, Errno> {
         if !self.is_socket {
             return tcflush(&self.descriptor, QueueSelector::IFlush).map(|()| true);
@@ -99,13 +101,13 @@ impl SerialPort {
         Ok(())
     }
 
-    /// Bytes that arrive within a while; 0 if none do, or if a signal ends the wait.
+    /// Receives bytes within a duration; returns 0 if none arrive or a signal ends the wait.
     pub(super) fn receive(&self, buffer: &mut [u8], wait_ns: u64) -> Result<usize, Errno> {
         if !self.wait(PollFlags::IN, wait_ns)? {
             return Ok(0);
         }
         match read(&self.descriptor, buffer) {
-            // The end of a file: the adapter is gone.
+            // End of file: the adapter is gone.
             Ok(0) => Err(Errno::IO),
             Ok(count) => Ok(count),
             Err(Errno::AGAIN | Errno::INTR) => Ok(0),
@@ -113,7 +115,7 @@ impl SerialPort {
         }
     }
 
-    /// Whether the port is ready within a while; not if a signal ends the wait.
+    /// Waits until the port is ready; returns false on timeout or on a signal.
     fn wait(&self, flags: PollFlags, wait_ns: u64) -> Result<bool, Errno> {
         #[allow(clippy::cast_possible_wrap)] // 292 years
         let timeout =
@@ -121,7 +123,7 @@ impl SerialPort {
         let mut waited = [PollFd::new(&self.descriptor, flags)];
         match poll(&mut waited, Some(&timeout)) {
             Ok(0) | Err(Errno::INTR) => Ok(false),
-            // What went wrong is what the call says that comes next.
+            // The next call reports any error.
             Ok(_) => Ok(true),
             Err(error) => Err(error),
         }

@@ -1,4 +1,4 @@
-//! One bus for several threads, of which any may stop the servos at any time.
+//! One bus for several threads, any of which may stop the servos at any time.
 
 use std::sync::{
     Arc, Mutex, MutexGuard, PoisonError,
@@ -10,26 +10,27 @@ use super::{
     port::now_ns,
 };
 
-/// So long a call may go on that a stop waits for: an answer on the line then ends, and the stop does not collide with it.
+/// Time in ns that a call may continue while a stop waits: an answer on the line can end, so the stop does
+/// not collide.
 const GRACE_NS: u64 = 2_000_000;
 
-/// The stops that wait for the bus.
+/// Stops that wait for the bus.
 #[derive(Debug, Default)]
 pub(super) struct Stops {
     waiting: AtomicU32,
-    /// When the first of them was requested.
+    /// Time at which the first of them was requested, in ns.
     since_ns: AtomicU64,
 }
 
 impl Stops {
-    /// Whether a call has to end for them.
+    /// Tests if a call must end for a waiting stop.
     pub(super) fn cut(&self, now_ns: u64) -> bool {
         self.waiting.load(Ordering::Acquire) > 0
             && now_ns >= self.since_ns.load(Ordering::Relaxed).saturating_add(GRACE_NS)
     }
 
     fn begin(&self) {
-        // Of two at once either's time will do.
+        // If two begin at once, the time of either is correct.
         if self.waiting.load(Ordering::Acquire) == 0 {
             self.since_ns.store(now_ns(), Ordering::Relaxed);
         }
@@ -41,36 +42,36 @@ impl Stops {
     }
 }
 
-/// A bus that several threads have: one call after the other, and a stop before all that wait.
+/// Bus for several threads: one call at a time, and stops before all waiting calls.
 ///
-/// A call in progress ends within a few ms for a stop: with its answer, or [`BusError::Stopped`]. A packet that is being
-/// sent is sent whole.
+/// A call in progress ends within a few ms for a stop: with its answer, or [`BusError::Stopped`]. A packet in
+/// transmission is completed.
 #[derive(Debug)]
 pub struct SharedBus {
-    /// Had by a call from before it waits for the bus until its end: at most one call is in a stop's way.
+    /// Held by a call from before it waits for the bus until its end, so that at most one call delays a stop.
     calls: Mutex<()>,
-    /// Had by whoever has the bus next.
+    /// Held by the next user of the bus.
     next: Mutex<()>,
-    /// None once it is closed.
+    /// `None` once closed.
     bus: Mutex<Option<Bus>>,
     stops: Arc<Stops>,
 }
 
 impl SharedBus {
-    /// Of a bus that nobody else has.
+    /// Shares a bus that has no other user.
     pub fn new(mut bus: Bus) -> Self {
         let stops = Arc::new(Stops::default());
         bus.end_for(Arc::clone(&stops));
         Self { calls: Mutex::new(()), next: Mutex::new(()), bus: Mutex::new(Some(bus)), stops }
     }
 
-    /// Runs calls on the bus, once those of other threads and all stops are over.
+    /// Runs calls on the bus, after calls of other threads and all stops.
     pub fn call<T>(&self, run: impl FnOnce(&mut Bus) -> Result<T, BusError>) -> Result<T, BusError> {
         let _call = locked(&self.calls);
         run(self.bus().as_mut().ok_or(BusError::Closed)?)
     }
 
-    /// [`Bus::stop`], from any thread: it waits for a few ms of another call, or for another stop.
+    /// Runs [`Bus::stop`] from any thread: waits a few ms for another call, or for another stop.
     pub fn stop(&self, address: u16, length: u16, ids: &[u8], data: &[u8]) -> Result<(), BusError> {
         self.stops.begin();
         let mut bus = self.bus();
@@ -78,7 +79,7 @@ impl SharedBus {
         bus.as_mut().ok_or(BusError::Closed)?.stop(address, length, ids, data)
     }
 
-    /// Gives the port back; any other call is [`BusError::Closed`] then.
+    /// Closes the port; later calls return [`BusError::Closed`].
     pub fn close(&self) {
         let _call = locked(&self.calls);
         self.bus().take();
@@ -90,7 +91,7 @@ impl SharedBus {
     }
 }
 
-/// After a panic of another thread, too: a stop is sent nevertheless.
+/// Ignores poisoning: a stop must be sent even after a panic of another thread.
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

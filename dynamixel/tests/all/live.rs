@@ -1,5 +1,5 @@
-//! The bus on a Unix socket, whose other end is a test's: it floods or answers.
-#![allow(clippy::unwrap_used)] // a test may
+//! Bus on a Unix socket whose peer floods or answers.
+#![allow(clippy::unwrap_used)] // permitted in a test
 
 use std::{
     env, fs,
@@ -19,33 +19,31 @@ use haptether_dynamixel::{Bus, BusError, Instruction, Packet, SharedBus, SyncRea
 
 const BAUD: u32 = 4_000_000;
 const TIMEOUT_NS: u64 = 20_000_000;
-/// Of a call that ends within some timeouts.
+/// Limit for a call that ends within some timeouts.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// So long a test that fails floods.
+/// Maximum duration of a flood, if a test fails.
 const FLOODED: Duration = Duration::from_secs(30);
-/// Of a call that nobody answers.
+/// Timeout of calls without an answer.
 const LONG: Duration = Duration::from_secs(4);
 /// Source: ROBOTIS e-Manual, "Ping", the answer of id 1.
 const PONG: [u8; 14] = [0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x07, 0x00, 0x55, 0x00, 0x06, 0x04, 0x26, 0x65, 0x5D];
 
-/// What the other end does.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Peer {
-    /// Floods from the begin.
+    /// Floods from the start.
     Floods,
-    /// Floods once something is asked.
+    /// Floods after the first request.
     FloodsWhenAsked,
-    /// Answers the first instruction as if it were a ping, and floods then.
+    /// Answers the first instruction as a ping, then floods.
     FloodsAfterAnAnswer,
-    /// Answers the first instructions as if each were a ping, and is silent then.
+    /// Answers the first instructions as pings, then is silent.
     Answers(usize),
 }
 
-/// The other end of a bus.
 struct Line {
     path: PathBuf,
     over: Arc<AtomicBool>,
-    /// Whether all is there that a socket keeps.
+    /// Set once the socket buffer is full.
     full: Arc<AtomicBool>,
     heard: Arc<Mutex<Vec<u8>>>,
     thread: Option<JoinHandle<()>>,
@@ -78,7 +76,7 @@ impl Line {
         self.heard.lock().unwrap().len()
     }
 
-    /// Waits until so many of the packets have come, whole and one after the other.
+    /// Waits until the packet has arrived `times` times in a row, complete.
     fn hears(&self, packet: &[u8], times: usize) {
         let expected = packet.repeat(times);
         ended(|| {
@@ -126,13 +124,13 @@ fn serve(listener: &UnixListener, peer: Peer, over: &AtomicBool, full: &AtomicBo
         if !floods {
             thread::sleep(Duration::from_micros(100));
         } else if (0..32).any(|_| stream.write(&[0x55; 4096]).is_err()) {
-            // No header was in it, and no more of it fits.
+            // The flood contains no header, and the buffer is full.
             full.store(true, Ordering::Relaxed);
         }
     }
 }
 
-/// What a call gives, which has to end.
+/// Runs a call that must end in time.
 fn ended<T>(call: impl FnOnce() -> T) -> T {
     let begin = Instant::now();
     let result = call();
@@ -141,8 +139,8 @@ fn ended<T>(call: impl FnOnce() -> T) -> T {
 }
 
 #[test]
-fn a_line_that_is_flooded_is_given_up_before_anything_is_asked() {
-    // In a gap of the flood, which a machine that is busy makes, it is asked: then it is tried anew.
+fn flooded_line_fails_before_a_request_is_sent() {
+    // On a busy machine the flood may have a gap, in which the request is sent: retry.
     let is_given_up = (0..20).any(|_| {
         let line = Line::new("floods", Peer::Floods);
         let mut bus = line.bus();
@@ -150,7 +148,7 @@ fn a_line_that_is_flooded_is_given_up_before_anything_is_asked() {
         let error = ended(|| bus.ping(1)).unwrap_err();
         let took = begin.elapsed();
         assert!(error != BusError::Noise || line.heard() == 0);
-        // What waits for nothing is sent.
+        // Calls that wait for nothing are sent.
         ended(|| bus.sync_write(102, 2, &[1], &[0, 0])).unwrap();
         ended(|| bus.stop(64, 1, &[1], &[0])).unwrap();
         // Two timeouts.
@@ -159,9 +157,9 @@ fn a_line_that_is_flooded_is_given_up_before_anything_is_asked() {
     assert!(is_given_up);
 }
 
-/// Whether a call on a line that is flooded once it asks ends with the name of that. In a gap of the flood, which a
-/// machine that is busy makes, it ends with the other: then it is tried anew.
-fn is_told(name: &str, call: impl Fn(&mut Bus) -> Option<BusError>) -> bool {
+/// Tests if a call on a line that floods after a request reports noise. On a busy machine the flood may have
+/// a gap, in which the call times out: retry.
+fn reports_noise(name: &str, call: impl Fn(&mut Bus) -> Option<BusError>) -> bool {
     (0..20).any(|_| {
         let line = Line::new(name, Peer::FloodsWhenAsked);
         let mut bus = line.bus();
@@ -173,14 +171,14 @@ fn is_told(name: &str, call: impl Fn(&mut Bus) -> Option<BusError>) -> bool {
 }
 
 #[test]
-fn a_call_ends_at_its_deadline_whatever_comes_in() {
-    assert!(is_told("ping", |bus| bus.ping(1).err()));
+fn a_call_ends_at_its_deadline_during_a_flood() {
+    assert!(reports_noise("ping", |bus| bus.ping(1).err()));
 }
 
 #[test]
-fn a_read_of_several_ends_at_its_deadline_whatever_comes_in() {
+fn a_read_of_several_ends_at_its_deadline_during_a_flood() {
     for fast in [true, false] {
-        assert!(is_told("several", |bus| {
+        assert!(reports_noise("several", |bus| {
             let mut read = SyncRead::new(fast, 126, 10, &[1, 2, 3]).unwrap();
             let error = bus.sync_read(&mut read).err();
             assert!(read.replies().is_none());
@@ -190,12 +188,12 @@ fn a_read_of_several_ends_at_its_deadline_whatever_comes_in() {
 }
 
 #[test]
-fn what_has_arrived_before_an_instruction_is_not_forgotten_without_end() {
+fn discarding_received_bytes_ends_during_a_flood() {
     let line = Line::new("answers", Peer::FloodsAfterAnAnswer);
     let mut bus = line.bus();
     assert_eq!(ended(|| bus.ping(1)), Ok((1030, 38)));
     let asked = line.heard();
-    // The line counts as quiet still, and is not.
+    // The bus considers the line settled, but the flood has begun.
     ended(|| {
         while !line.full.load(Ordering::Relaxed) {
             thread::yield_now();
@@ -205,7 +203,7 @@ fn what_has_arrived_before_an_instruction_is_not_forgotten_without_end() {
     assert_eq!(line.heard(), asked);
 }
 
-/// Torque Enable of two servos to 0.
+/// Writes 0 to Torque Enable of two servos.
 fn stop(bus: &SharedBus) -> Result<(), BusError> {
     bus.stop(64, 1, &[1, 2], &[0, 0])
 }
@@ -217,7 +215,7 @@ fn stop_packet() -> Vec<u8> {
 }
 
 #[test]
-fn a_stop_cuts_off_a_call_that_waits_for_a_line_to_fall_silent() {
+fn a_stop_cuts_off_a_call_that_waits_for_silence() {
     for (peer, name) in [(Peer::Answers(0), "settling"), (Peer::Floods, "flooded")] {
         let line = Line::new(name, peer);
         let bus = line.shared(LONG);
@@ -236,7 +234,7 @@ fn a_stop_cuts_off_a_call_that_waits_for_a_line_to_fall_silent() {
 fn a_stop_cuts_off_a_call_that_waits_for_an_answer() {
     let line = Line::new("asking", Peer::Answers(1));
     let bus = line.shared(LONG);
-    // The line has been silent for the timeout then.
+    // The line has then been silent for the timeout.
     assert!(bus.call(|bus| bus.ping(1)).is_ok());
     let asked = line.heard();
     thread::scope(|scope| {
@@ -254,7 +252,7 @@ fn a_stop_cuts_off_a_call_that_waits_for_an_answer() {
 }
 
 #[test]
-fn a_stop_is_before_all_calls_that_wait() {
+fn a_stop_precedes_all_waiting_calls() {
     let line = Line::new("crowded", Peer::Answers(0));
     let bus = line.shared(LONG);
     let over = AtomicBool::new(false);
@@ -263,12 +261,12 @@ fn a_stop_is_before_all_calls_that_wait() {
         let calls = [(); 4].map(|()| {
             scope.spawn(|| {
                 while !over.load(Ordering::Relaxed) {
-                    // Each waits for the line to fall silent.
+                    // Each call waits for silence.
                     assert_eq!(bus.call(|bus| bus.ping(1)), Err(BusError::Stopped));
                 }
             })
         });
-        // Those that wait at the end have a stop each.
+        // Each call still waiting at the end gets a stop.
         while !calls.iter().all(thread::ScopedJoinHandle::is_finished) {
             over.store(stops >= 5, Ordering::Relaxed);
             thread::sleep(Duration::from_millis(20));

@@ -1,4 +1,4 @@
-//! The integration tests of the servo bus, one binary; those with an allocator of their own are binaries apart.
+//! Integration tests of the servo bus in one binary; tests with their own allocator are separate binaries.
 
 mod corpus;
 mod live;

@@ -1,4 +1,4 @@
-//! Packets byte for byte: those of the e-manual, and those of an encoder of our own that shares nothing with the crate.
+//! Packets byte for byte: those of the e-manual, and those of an independent encoder.
 #![allow(clippy::unwrap_used)]
 
 use haptether_dynamixel::{
@@ -7,7 +7,6 @@ use haptether_dynamixel::{
 };
 use proptest::{collection::vec, prelude::*};
 
-/// The checksum bit by bit.
 fn slow_crc(bytes: &[u8]) -> u16 {
     let mut crc = 0_u16;
     for &byte in bytes {
@@ -42,7 +41,7 @@ fn status(id: u8, error: u8, parameters: &[u8]) -> Vec<u8> {
     framed(id, &stuffed(&[&[0x55, error], parameters].concat()))
 }
 
-/// A fast reply; each part ends with the checksum of all before it.
+/// Fast reply; each part ends with the checksum of everything before it.
 fn fast(parts: &[(u8, u8, &[u8])]) -> Vec<u8> {
     let body: usize = parts.iter().map(|(_, _, data)| data.len() + 4).sum();
     let mut out = vec![0xFF, 0xFF, 0xFD, 0x00, 0xFE];
@@ -171,18 +170,18 @@ fn a_header_inside_is_stuffed() {
     packet.encode(&Instruction::Write { id: 1, address: 116, data: &[0xFF, 0xFF, 0xFD, 0x00] }).unwrap();
     assert_eq!(packet.bytes()[7..15], hex("03 74 00 FF FF FD FD 00"));
     assert_eq!(packet.bytes()[5..7], [10, 0]);
-    // Also where it ends the packet, and where the stuffing is followed by the byte that it is.
+    // At the end of the packet, and before another FD.
     packet.encode(&Instruction::Write { id: 1, address: 116, data: &[0xFF, 0xFF, 0xFD] }).unwrap();
     assert_eq!(packet.bytes()[10..14], hex("FF FF FD FD"));
     packet.encode(&Instruction::Write { id: 1, address: 116, data: &[0xFF, 0xFF, 0xFD, 0xFD] }).unwrap();
     assert_eq!(packet.bytes()[10..15], hex("FF FF FD FD FD"));
-    // An address is stuffed, too.
+    // Addresses are stuffed too.
     packet.encode(&Instruction::Read { id: 1, address: 0xFFFF, length: 1 }).unwrap();
     assert_eq!(packet.bytes()[8..12], hex("FF FF 01 00"));
 }
 
 #[test]
-fn what_no_packet_can_carry_is_refused() {
+fn unencodable_instructions_are_refused() {
     let cases: [(Instruction<'_>, &str); 11] = [
         (Instruction::Ping { id: 253 }, "id 253: must be 0 to 252"),
         (Instruction::Read { id: BROADCAST, address: 0, length: 1 }, "id 254: must be 0 to 252"),
@@ -273,7 +272,7 @@ fn a_read_gives_all_or_nothing() {
         let alerts: Vec<_> = read.replies().unwrap().map(|one| (one.id, one.alert, one.data[0])).collect();
         assert_eq!(alerts, [(1, false, 1), (2, true, 2), (3, false, 3)]);
 
-        // The next read knows nothing of it, not even after a part of its answer.
+        // The next read discards these values, even after a part of its answer.
         read.begin();
         assert!(read.replies().is_none());
         assert_eq!(read.unanswered(), ids);
@@ -282,13 +281,13 @@ fn a_read_gives_all_or_nothing() {
         assert!(read.replies().is_none());
         assert_eq!(read.unanswered(), if is_fast { &ids[..] } else { &ids[2..] });
 
-        // One that is silent ends the answer of all.
+        // One silent servo leaves no values.
         read.begin();
         let silent = &whole[..if is_fast { 24 } else { 26 }];
         assert_eq!(read.receive(silent), Ok(Progress::Waiting));
         assert!(read.replies().is_none());
 
-        // What a servo refuses, or another one answers, is an error until the next read begins.
+        // A refusal or a wrong servo is an error until the next read begins.
         let bad: [&[(u8, u8, &[u8])]; 4] = [
             &[(1, 0, &[1, 0]), (2, 7, &[2, 0]), (3, 0, &[3, 0])],
             &[(1, 0, &[1, 0]), (3, 0, &[2, 0]), (2, 0, &[3, 0])],
@@ -317,7 +316,7 @@ fn the_other_kind_of_answer_is_refused() {
     assert_eq!(read.receive(&fast(&[(1, 0, &[5])])), Err(SyncReadError::Kind { fast: true }));
 }
 
-/// Bytes among which those that stuffing is about are frequent.
+/// Bytes with frequent header and stuffing values.
 fn payload(max: usize) -> impl Strategy<Value = Vec<u8>> {
     vec(prop_oneof![Just(0xFF), Just(0xFD), Just(0x00), any::<u8>()], 0..max)
 }
@@ -367,7 +366,7 @@ proptest! {
     fn after_garbage_without_a_header_the_packet_is_found(
         garbage in payload(60), data in payload(20), sizes in vec(1_usize..9, 1..6),
     ) {
-        // Garbage that claims to be a packet would have the parser wait for its end.
+        // Garbage with a header would make the parser wait for its end.
         prop_assume!(!garbage.windows(3).any(|three| three == [0xFF, 0xFF, 0xFD]));
         let good = status(9, 0, &data);
         let joined = [&garbage[..], &good].concat();

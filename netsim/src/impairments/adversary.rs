@@ -1,7 +1,7 @@
-//! What somebody on the path does to packets on purpose: for the tests of the bridge's security.
+//! Attacks on packets by an adversary on the path, for the tests of the bridge's security.
 //!
-//! The adversary sits where packets arrive: it sees what the network left of them, and a packet that was dropped
-//! before is out of its reach.
+//! The adversary sits at the receiver: it sees packets after the network impairs them, and never sees dropped
+//! packets.
 
 use std::ops::RangeInclusive;
 
@@ -20,75 +20,76 @@ use crate::random::{Event, Stream};
 use crate::rule::{ArrivalRule, Extras, MAX_EXTRAS, add_extra};
 use crate::verdict::{DropCause, ExtraCause, Verdict};
 
-/// Each attack of a link has a stream of its own.
+/// Maximum number of attacks: each has its own stream.
 const MAX_ATTACKS: usize = 256;
 
-/// Something done to packets on purpose, where they arrive: what was lost before is out of its reach.
+/// Attack on packets at their arrival; lost packets are out of reach.
 ///
-/// Attacks act in the order of their list. What changes or takes a packet does so to the copies that the network
-/// made of it too; what adds one acts once. Of several attacks that flip bits of the same packet the last one does, and
-/// of several that alter it.
+/// Attacks act in list order. An attack that changes or drops a packet also affects its network duplicates;
+/// an attack that adds a packet acts once. If several attacks flip bits of a packet, only the last counts; the same
+/// holds for alterations.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Attack {
-    /// What is done.
+    /// Action.
     pub action: Action,
-    /// To which packets.
+    /// Packets affected.
     #[serde(default)]
     pub target: Target,
 }
 
-/// What is done to packets on purpose.
+/// Action of an attack.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Action {
     /// A copy arrives `after_s` later.
     Replay {
-        /// How much later, in s.
+        /// Extra delay in s.
         after_s: f64,
     },
-    /// A packet of the same size arrives beside it, with random bytes from `keep_bytes` on.
+    /// An additional packet of the same size arrives, with random bytes from `keep_bytes` on.
     Forge {
-        /// How many bytes at its start are those of the packet seen.
+        /// Number of leading bytes copied from the genuine packet.
         #[serde(default)]
         keep_bytes: usize,
     },
-    /// Bits of its header are flipped.
+    /// Bits of the header are flipped.
     BitFlip {
-        /// How many.
+        /// Number of bits.
         bits: u32,
-        /// Within which bytes.
+        /// Range of bytes.
         within: ByteRange,
     },
-    /// A copy arrives beside it whose sequence, a little-endian u64, is ahead.
+    /// A copy arrives whose sequence, a little-endian u64, is ahead.
     SequenceLead {
-        /// By how much.
+        /// Amount added to the sequence.
         lead: u64,
-        /// First byte of the sequence.
+        /// Offset of the sequence's first byte.
         offset: usize,
     },
-    /// Numbers in it are changed by somebody who knows where they stand.
+    /// Numbers at known offsets are changed.
     Alter {
-        /// Which numbers and how, one after the other: at most 4.
+        /// Edits in order, at most 4.
         #[serde(default)]
         edits: Vec<Edit>,
-        /// What is put right afterwards.
+        /// Checksum repaired afterwards.
         #[serde(default)]
         checksum: Option<Checksum>,
-        /// Whether an altered copy arrives beside the packet, which itself stays as it is.
+        /// Adds an altered copy and leaves the packet itself unchanged.
         #[serde(default)]
         inject: bool,
     },
-    /// It is held back.
+    /// The packet is held back.
     HoldBack {
-        /// For how long, in s.
+        /// Hold time in s.
         by_s: f64,
     },
-    /// It does not arrive.
+    /// The packet is dropped.
     Drop,
     /// A copy goes back to its sender.
     Mirror,
-    /// A copy arrives from another source address; in virtual time, which has no addresses, it is a duplicate.
+    /// A copy arrives from another source address; in virtual time, which has no addresses, it is a
+    /// duplicate.
     SecondSource,
 }
 
@@ -98,25 +99,25 @@ pub enum Action {
 pub struct ByteRange {
     /// First byte.
     pub start: usize,
-    /// First byte after it.
+    /// First byte after the range.
     pub end: usize,
 }
 
-/// Which packets: those sent at the given times, every n-th of them, each with a probability.
+/// Packets that an attack affects. All conditions must hold.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Target {
-    /// From when on, in s since the link began.
+    /// Start in s since the link began.
     pub from_s: f64,
-    /// Until when, in s; without it, for ever.
+    /// End in s; unlimited if absent.
     pub until_s: Option<f64>,
-    /// Only packets whose index is a multiple of it.
+    /// Index must be a multiple of this.
     pub every: u64,
-    /// Smallest payload in bytes.
+    /// Minimum payload in bytes.
     pub least_bytes: usize,
-    /// Largest payload in bytes.
+    /// Maximum payload in bytes.
     pub most_bytes: Option<usize>,
-    /// With which probability.
+    /// Probability per packet.
     pub probability: f64,
 }
 
@@ -150,7 +151,6 @@ pub(crate) fn build(
     Ok((!attacks.is_empty()).then(|| Box::new(Adversary(attacks)) as Box<dyn ArrivalRule>))
 }
 
-/// Whether something arrives beside the packet.
 fn copies(action: &Action) -> bool {
     !matches!(
         action,
@@ -158,7 +158,6 @@ fn copies(action: &Action) -> bool {
     )
 }
 
-/// Builds an action whose settings are found under a key.
 fn build_action(
     key: &str,
     action: &Action,
@@ -192,9 +191,9 @@ impl ArrivalRule for Adversary {
     }
 }
 
-/// A checked [`Target`].
+/// Checked [`Target`].
 ///
-/// The time that counts is that of sending, so that what the network adds to it changes no attack.
+/// The sending time decides, so network delay does not change an attack.
 #[derive(Clone, Debug)]
 struct Aim {
     from_ns: u64,
@@ -205,7 +204,6 @@ struct Aim {
 }
 
 impl Aim {
-    /// Checks the target found under a key.
     fn new(key: &str, target: &Target, stream: Stream) -> Result<Self, LinkSettingsError> {
         let at = |name| format!("{key}.{name}");
         within(&at("from_s"), target.from_s, 0.0, MAX_TIME_S)?;
@@ -237,7 +235,6 @@ impl Aim {
         })
     }
 
-    /// Whether a packet is met.
     fn takes(&self, packet: &Packet) -> bool {
         self.from_ns <= packet.sent_ns
             && packet.sent_ns < self.until_ns
@@ -247,20 +244,18 @@ impl Aim {
     }
 }
 
-/// Attacks that send what they saw once more: later, back to its sender, or from another address.
+/// Attacks that send a copy: later, to the sender, or from another address.
 #[derive(Clone, Copy, Debug)]
 struct Copying {
     after_ns: u64,
     cause: ExtraCause,
 }
 
-/// A replay some time after the packet arrived.
 fn replay(key: &str, after_s: f64) -> Result<Box<dyn ArrivalRule>, LinkSettingsError> {
     within(&format!("{key}.after_s"), after_s, 0.0, MAX_DELAY_S)?;
     Ok(Box::new(Copying { after_ns: nanoseconds(after_s), cause: ExtraCause::Replay }))
 }
 
-/// A copy at the time the packet arrives.
 fn copy_at_once(cause: ExtraCause) -> Box<dyn ArrivalRule> {
     Box::new(Copying { after_ns: 0, cause })
 }
@@ -272,7 +267,7 @@ impl ArrivalRule for Copying {
     }
 }
 
-/// An attack that sends made-up bytes behind a genuine beginning.
+/// Attack that sends random bytes after a genuine prefix.
 #[derive(Clone, Copy, Debug)]
 struct Forge {
     keep_bytes: usize,
@@ -293,7 +288,7 @@ impl ArrivalRule for Forge {
     }
 }
 
-/// An attack that flips bits at a chosen place, such as the header.
+/// Attack that flips bits in a chosen range, such as the header.
 #[derive(Clone, Copy, Debug)]
 struct BitFlip(Flips);
 
@@ -318,7 +313,7 @@ fn bit_flip(
 
 impl ArrivalRule for BitFlip {
     fn end(&mut self, packet: &Packet, at_ns: u64, damage: &mut Damage, extras: &mut Extras) -> Verdict {
-        // A packet that is too short has no such bytes.
+        // A short packet has no bytes in the range.
         if packet.size > self.0.start as usize {
             let duplicates = extras.iter_mut().filter(|extra| extra.cause == ExtraCause::Duplicate);
             for damage in std::iter::once(damage).chain(duplicates.map(|extra| &mut extra.damage)) {
@@ -330,10 +325,9 @@ impl ArrivalRule for BitFlip {
     }
 }
 
-/// Bytes of a sequence.
 const SEQUENCE_BYTES: usize = 8;
 
-/// An attack that sends a copy whose sequence is ahead, so that what is genuine would look old.
+/// Attack that sends a copy with an advanced sequence, so that genuine packets look old.
 #[derive(Clone, Copy, Debug)]
 struct SequenceLead {
     lead: u64,
@@ -348,7 +342,7 @@ fn sequence_lead(key: &str, lead: u64, offset: usize) -> Result<Box<dyn ArrivalR
 
 impl ArrivalRule for SequenceLead {
     fn end(&mut self, packet: &Packet, at_ns: u64, damage: &mut Damage, extras: &mut Extras) -> Verdict {
-        // A packet that is too short has no sequence to change.
+        // A short packet has no sequence.
         if packet.size >= self.offset + SEQUENCE_BYTES {
             let damage = Damage { lead: Some((bytes(self.offset), self.lead)), ..*damage };
             add_extra(extras, at_ns, ExtraCause::SequenceLead, damage);
@@ -357,13 +351,13 @@ impl ArrivalRule for SequenceLead {
     }
 }
 
-/// Largest number that an edit names: what a unit slipped by a million still fits in.
+/// Maximum magnitude of an edit's value: a unit mistake of a factor of one million fits in it.
 const MAX_VALUE: f64 = 1e12;
 
-/// An attack that changes numbers in a packet and repairs its checksum: what nothing but a key keeps out.
+/// Attack that changes numbers and repairs the checksum; only authentication with a key prevents it.
 ///
-/// Source: T. Bonaci et al., "To make a robot secure: an experimental analysis of cyber security threats against
-/// teleoperated surgical robotics", arXiv 1504.04339, intent manipulation and hijacking.
+/// Source: T. Bonaci et al., "To make a robot secure: an experimental analysis of cyber security threats
+/// against teleoperated surgical robotics", arXiv 1504.04339, intent manipulation and hijacking.
 #[derive(Clone, Copy, Debug)]
 struct Alter {
     alteration: Alteration,
@@ -398,7 +392,7 @@ fn alter(
 
 impl ArrivalRule for Alter {
     fn end(&mut self, packet: &Packet, at_ns: u64, damage: &mut Damage, extras: &mut Extras) -> Verdict {
-        // From a packet that is too short nothing is taken, and no copy is made.
+        // A short packet stays unchanged, and is not copied.
         let size = packet.size.min(damage.truncates_to().unwrap_or(usize::MAX));
         if size >= self.alteration.least_bytes() {
             if self.inject {
@@ -415,9 +409,9 @@ impl ArrivalRule for Alter {
     }
 }
 
-/// An attack that holds chosen packets back, with the copies that the network made of them.
+/// Attack that delays chosen packets and their network duplicates.
 ///
-/// Packets that are not met pass those that are: aimed at each n-th packet, it reorders.
+/// Other packets pass them: with every n-th packet as target, it reorders.
 #[derive(Clone, Copy, Debug)]
 struct HoldBack {
     by_ns: u64,
@@ -437,13 +431,13 @@ impl ArrivalRule for HoldBack {
     }
 }
 
-/// An attack that takes chosen packets, with the copies that the network made of them.
+/// Attack that drops chosen packets and their network duplicates.
 #[derive(Clone, Copy, Debug)]
 struct SelectiveDrop;
 
 impl ArrivalRule for SelectiveDrop {
     fn end(&mut self, _: &Packet, _: u64, _: &mut Damage, extras: &mut Extras) -> Verdict {
-        // What the adversary recorded before stays in its hands: with a replay before it, a drop is a delay.
+        // Copies of earlier attacks remain: a replay followed by a drop is a delay.
         extras.retain(|extra| extra.cause != ExtraCause::Duplicate);
         Verdict::Drop { cause: DropCause::Attack }
     }

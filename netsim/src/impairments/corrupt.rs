@@ -1,6 +1,6 @@
-//! Corruption: bits of a packet are flipped, all different, anywhere in its payload.
+//! Corruption: distinct random bits of the payload are flipped.
 //!
-//! A packet and each copy of it are corrupted independently.
+//! A packet and its copies are corrupted independently.
 
 use crate::checks::{LinkSettingsError, probability, within};
 use crate::damage::{Damage, Flips, MAX_FLIPS};
@@ -35,7 +35,7 @@ pub(crate) fn build(
 
 impl ArrivalRule for Corrupt {
     fn end(&mut self, packet: &Packet, at_ns: u64, damage: &mut Damage, extras: &mut Extras) -> Verdict {
-        // There is no bit to flip in an empty packet.
+        // An empty packet has no bits to flip.
         if packet.size > 0 {
             let bits = self.bits;
             let copies = extras.iter_mut().map(|extra| &mut extra.damage);

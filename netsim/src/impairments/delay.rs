@@ -1,4 +1,4 @@
-//! Constant delay: arrival = sent + d. Where it changes at given times, the timeline takes its place.
+//! Constant delay: arrival = sent + d. A timeline replaces it if the delay changes.
 
 use crate::checks::{LinkSettingsError, MAX_DELAY_S, nanoseconds, within};
 use crate::impairments::LinkSettings;

@@ -1,4 +1,4 @@
-//! Loss: which packets never arrive. A link has one model of it at most.
+//! Packet loss. A link has at most one loss model.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,28 +11,29 @@ use crate::random::{Chance, Event, InTurn, Stream};
 use crate::rule::Rule;
 use crate::verdict::{DropCause, Verdict};
 
-/// Gilbert-Elliott: two states, each with its own probability of loss.
+/// Gilbert-Elliott: two states, each with its own loss probability.
 ///
 /// Source: E. N. Gilbert, Bell Syst. Tech. J. 39, 1960; E. O. Elliott, Bell Syst. Tech. J. 42, 1963.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct GilbertElliott {
-    /// p: probability that the good state turns bad, per packet.
+    /// p: probability of good to bad, per packet.
     pub to_bad: f64,
-    /// r: probability that the bad state turns good, per packet.
+    /// r: probability of bad to good, per packet.
     pub to_good: f64,
-    /// 1 - k: probability of loss in the good state.
+    /// 1 - k: loss probability in the good state.
     #[serde(default)]
     pub loss_good: f64,
-    /// 1 - h: probability of loss in the bad state.
+    /// 1 - h: loss probability in the bad state.
     #[serde(default = "one")]
     pub loss_bad: f64,
 }
 
 /// Four states: 1 good, 2 good within a burst, 3 lost within a burst, 4 lost alone. `pij` leads from i to j.
 ///
-/// Source: S. Salsano, F. Ludovici, A. Ordine, D. Giannuzzi, "Definition of a general and intuitive loss model for
-/// packet networks and its implementation in the Netem module in the Linux kernel", 2012 (GI model).
+/// Source: S. Salsano, F. Ludovici, A. Ordine, D. Giannuzzi, "Definition of a general and intuitive loss
+/// model for packet networks and its implementation in the Netem module in the Linux kernel", 2012 (GI
+/// model).
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FourState {
@@ -43,7 +44,7 @@ pub struct FourState {
     /// Packets pass within a burst.
     #[serde(default)]
     pub p32: f64,
-    /// Packets are lost again within a burst.
+    /// Losses resume within a burst.
     #[serde(default = "one")]
     pub p23: f64,
     /// A packet is lost alone.
@@ -55,7 +56,6 @@ fn one() -> f64 {
     1.0
 }
 
-/// Builds the one model that the settings name.
 pub(crate) fn build(
     settings: &LinkSettings,
     streams: &Streams,
@@ -82,14 +82,14 @@ pub(crate) fn build(
     Ok(Some(Box::new(Bernoulli::new(loss, streams.of(Impairment::Loss)))))
 }
 
-/// Names the first two settings that describe different models.
+/// Rejects two loss models; the error names the first two.
 fn refuse_two_models(settings: &LinkSettings) -> Result<(), LinkSettingsError> {
     let models = [
         ("gilbert_elliott", settings.gilbert_elliott.is_some()),
         ("four_state", settings.four_state.is_some()),
         ("mean_burst", settings.mean_burst.is_some()),
         ("mean_burst_s", settings.mean_burst_s.is_some()),
-        // A mean burst goes with `loss`; without one it is a model of its own.
+        // With a mean burst, `loss` is a parameter; without one it is a model.
         ("loss", settings.loss > 0.0 && settings.mean_burst.is_none() && settings.mean_burst_s.is_none()),
     ];
     let mut given = models.iter().filter_map(|&(key, given)| given.then_some(key));
@@ -102,7 +102,7 @@ fn refuse_two_models(settings: &LinkSettings) -> Result<(), LinkSettingsError> {
     }
 }
 
-/// Bernoulli loss: each packet is lost with probability p, whatever happened to the others.
+/// Bernoulli loss: each packet is lost with probability p, independently.
 #[derive(Clone, Copy, Debug)]
 struct Bernoulli {
     chance: Chance,
@@ -110,7 +110,6 @@ struct Bernoulli {
 }
 
 impl Bernoulli {
-    /// With a probability that was checked.
     fn new(probability: f64, stream: Stream) -> Self {
         Self { chance: Chance::new(probability), draws: InTurn::new(stream) }
     }
@@ -122,25 +121,25 @@ impl Rule for Bernoulli {
     }
 }
 
-/// Longest mean burst, in packets.
+/// Maximum mean burst, in packets.
 const MAX_BURST: f64 = 1e9;
-/// By how much the probability that a burst starts may pass 1 because its terms were rounded.
+/// Tolerance for rounding of the burst start probability above 1.
 const ROUNDING: f64 = 1e-12;
 
 /// Gilbert loss: packets are lost in bursts of geometric length.
 ///
-/// Given the share L of lost packets and the mean burst B in packets, a packet after a lost one is lost with
-/// probability `stay = 1 - 1/B`, one after a delivered one with `start = L / (1 - L) / B`.
+/// Let L be the fraction of lost packets and B the mean burst in packets. After a lost packet the loss
+/// probability is `stay = 1 - 1/B`, after a delivered one `start = L / (1 - L) / B`.
 ///
-/// Source: E. N. Gilbert, Bell Syst. Tech. J. 39, 1960; the parameters are those of WebRTC, `SimulatedNetwork`
-/// (`loss_percent`, `avg_burst_loss_length`).
+/// Source: E. N. Gilbert, Bell Syst. Tech. J. 39, 1960; the parameters are those of WebRTC,
+/// `SimulatedNetwork` (`loss_percent`, `avg_burst_loss_length`).
 #[derive(Clone, Copy, Debug)]
 struct Gilbert {
     lost: MarkovChain<2>,
 }
 
 impl Gilbert {
-    /// `None` where bursts have no meaning, since nothing or everything is lost.
+    /// Returns `None` if nothing or everything is lost, where bursts have no meaning.
     fn new(loss: f64, mean_burst: f64, streams: &Streams) -> Result<Option<Self>, LinkSettingsError> {
         within("mean_burst", mean_burst, 1.0, MAX_BURST)?;
         if loss == 0.0 || loss == 1.0 {
@@ -171,17 +170,18 @@ impl Rule for Gilbert {
     }
 }
 
-/// Gilbert loss in time: the channel is bad for exponentially distributed times, and what is sent then is lost.
+/// Gilbert loss in time: the channel is bad for exponentially distributed times and loses all packets sent
+/// then.
 ///
-/// Given the share L of the time that is bad and its mean length B in s, good times last `B (1 - L) / L` on
-/// average. Unlike [`Gilbert`], what is lost does not depend on how often packets are sent.
+/// Let L be the fraction of bad time and B its mean length in s; good times last `B (1 - L) / L` on average.
+/// Unlike [`Gilbert`], the loss times do not depend on the packet rate.
 #[derive(Clone, Copy, Debug)]
 struct GilbertInTime {
     good: OnOff,
 }
 
 impl GilbertInTime {
-    /// `None` where bursts have no meaning, since nothing or everything is lost.
+    /// Returns `None` if nothing or everything is lost, where bursts have no meaning.
     fn new(loss: f64, mean_burst_s: f64, streams: &Streams) -> Result<Option<Self>, LinkSettingsError> {
         within("mean_burst_s", mean_burst_s, MIN_GAP_S, MAX_MEAN_S)?;
         if loss == 0.0 || loss == 1.0 {
@@ -208,9 +208,9 @@ impl Rule for GilbertInTime {
     }
 }
 
-/// Gilbert-Elliott loss: a good and a bad state, each with its own probability of loss.
+/// Gilbert-Elliott loss: a good and a bad state, each with its own loss probability.
 ///
-/// With p the probability of becoming bad and r that of becoming good, the share of lost packets is
+/// Let p be the probability of good to bad and r that of bad to good. The fraction of lost packets is
 /// `(r (1 - k) + p (1 - h)) / (p + r)`.
 ///
 /// Source: E. O. Elliott, Bell Syst. Tech. J. 42, 1963.
@@ -252,14 +252,14 @@ impl Rule for GilbertElliottLoss {
     }
 }
 
-/// Four-state Markov loss: bursts of loss with gaps inside them, and single losses outside.
+/// Four-state Markov loss: bursts with gaps inside them, and single losses outside.
 ///
-/// States 1 (good) and 2 (good within a burst) deliver, 3 (lost within a burst) and 4 (lost alone) lose the packet
-/// at which they are entered. The stationary law is as `p31 p23 : p13 p32 : p13 p23 : p14 p31 p23`, and the share of
-/// lost packets is that of the states 3 and 4.
+/// States 1 (good) and 2 (good within a burst) deliver the packet at which they are entered; 3 (lost within a
+/// burst) and 4 (lost alone) lose it. The stationary probabilities are as
+/// `p31 p23 : p13 p32 : p13 p23 : p14 p31 p23`. The fraction of lost packets is the sum of states 3 and 4.
 ///
-/// Source: S. Salsano, F. Ludovici, A. Ordine, D. Giannuzzi, "Definition of a general and intuitive loss model for
-/// packet networks and its implementation in the Netem module in the Linux kernel", 2012.
+/// Source: S. Salsano, F. Ludovici, A. Ordine, D. Giannuzzi, "Definition of a general and intuitive loss
+/// model for packet networks and its implementation in the Netem module in the Linux kernel", 2012.
 #[derive(Clone, Copy, Debug)]
 struct FourStateLoss {
     state: MarkovChain<4>,
@@ -279,7 +279,7 @@ impl FourStateLoss {
                 ));
             }
         }
-        // A state that is never entered has no say in how often it is left.
+        // With p32 = 0, state 2 is never entered and p23 is irrelevant.
         let p23_if_entered = if p32 == 0.0 { 1.0 } else { p23 };
         let weights = [p31 * p23_if_entered, p13 * p32, p13 * p23_if_entered, p14 * p31 * p23_if_entered];
         let sum: f64 = weights.iter().sum();
@@ -307,18 +307,18 @@ impl Rule for FourStateLoss {
     }
 }
 
-/// Most packets that a chain steps over at once, those that a rule before it dropped. After more than these it
-/// starts from its stationary law again, so that no packet costs more.
+/// Maximum number of steps over skipped packets, which an earlier rule dropped. Beyond it the chain restarts
+/// from its stationary distribution, which bounds the cost per packet.
 const MAX_STEPS: u64 = 10_000;
 
-/// A distribution over the states `0..N`, as a table of its sums.
+/// Distribution over the states `0..N`, as cumulative probabilities.
 #[derive(Clone, Copy, Debug)]
 struct Law<const N: usize> {
     up_to: [Chance; N],
 }
 
 impl<const N: usize> Law<N> {
-    /// Of probabilities that sum to 1, but for rounding.
+    /// Requires probabilities that sum to 1 up to rounding.
     fn new(probabilities: [f64; N]) -> Self {
         let mut sum = 0.0;
         Self {
@@ -330,23 +330,23 @@ impl<const N: usize> Law<N> {
     }
 
     fn pick(&self, bits: u64) -> usize {
-        // What rounding leaves below 1 belongs to the last state.
+        // The last state takes the remainder that rounding leaves below 1.
         self.up_to.iter().position(|chance| chance.takes(bits)).unwrap_or(N - 1)
     }
 }
 
-/// A Markov chain over the states `0..N`, whose state at packet n follows from that at n - 1 and one draw.
+/// Markov chain over the states `0..N`: the state at packet n follows from that at n - 1 and one draw.
 #[derive(Clone, Copy, Debug)]
 struct MarkovChain<const N: usize> {
     stationary: Law<N>,
     rows: [Law<N>; N],
     draws: InTurn,
-    /// Index of the last packet and the state at it.
+    /// Index of the last packet and its state.
     last: Option<(u64, usize)>,
 }
 
 impl<const N: usize> MarkovChain<N> {
-    /// A chain by its stationary law, in which it starts, and its rows of transition probabilities.
+    /// Starts in the stationary distribution; `rows` holds the transition probabilities.
     fn new(stationary: [f64; N], rows: [[f64; N]; N], stream: Stream) -> Self {
         Self {
             stationary: Law::new(stationary),
@@ -356,8 +356,8 @@ impl<const N: usize> MarkovChain<N> {
         }
     }
 
-    /// The state at a packet. Packets that a rule before dropped take a step each all the same, so that a rule before
-    /// this one leaves the states as they are.
+    /// State at a packet. The chain also steps for packets that an earlier rule dropped, so that earlier
+    /// rules do not change the states.
     fn state(&mut self, index: u64) -> usize {
         let state = match self.last {
             Some((last, state)) if last <= index && index - last <= MAX_STEPS => {

@@ -1,7 +1,7 @@
-//! The impairments of a link: which there are, in which order a packet meets them, and their settings.
+//! Impairments of a link: list, order and settings.
 //!
-//! An impairment is one file: its equation, its settings and its rule. What is listed here beside it: its module, its
-//! place in the order, its keys in [`LinkSettings`], the numbers of its random draws, and the longest delay it adds.
+//! Each impairment is one file with its equation, settings and rule. This file lists its module, its position
+//! in the order, its keys in [`LinkSettings`], the ids of its random streams, and its longest delay.
 
 mod adversary;
 mod corrupt;
@@ -39,8 +39,8 @@ pub use trace::{
     DelayTrace, IrttDelay, IrttRecording, ParseError, parse_delay_csv, parse_dist, parse_irtt, parse_mahimahi,
 };
 
-/// What a packet meets on its path, in this order: what is lost takes no place in the bottleneck, and what waits there
-/// is delayed afterwards. Then the link keeps the order, and reordering comes after that.
+/// Rules on the path, in this order. Lost packets take no place in the bottleneck; packets leaving the
+/// bottleneck are then delayed. After these rules the link enforces order, and then applies reordering.
 pub(crate) const PATH_RULES: &[BuildRule] = &[
     mtu::build,
     loss::build,
@@ -55,28 +55,27 @@ pub(crate) const PATH_RULES: &[BuildRule] = &[
     outage::build_holding,
 ];
 
-/// What lets a packet overtake others, after the link has kept the order.
+/// Rule that lets a packet overtake others, applied after the link enforces order.
 pub(crate) const REORDER_RULE: BuildRule = reorder::build;
 
-/// What happens to a packet on arrival, in this order.
+/// Rules on arrival, in this order.
 pub(crate) const ARRIVAL_RULES: &[BuildArrivalRule] =
     &[netem::build, duplicate::build, corrupt::build, truncate::build, adversary::build];
 
-/// What the network does to the packets of one direction. The default is a perfect network.
+/// Impairments of one direction. The default is a perfect network.
 ///
-/// What is absent or zero is a rule that is not built. The rules of a link run in the order in which their keys
-/// stand here: what a packet meets first comes first.
+/// Absent or zero keys build no rule. The rules run in the order of their keys here.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LinkSettings {
     /// Largest payload in bytes that passes; a larger one is dropped with the cause `mtu`.
     pub mtu: Option<usize>,
 
-    /// Probability that a packet is lost, 0 to 1. Without a mean burst, packets are lost independently.
+    /// Probability that a packet is lost, 0 to 1. Without a mean burst, losses are independent.
     pub loss: f64,
     /// Mean number of packets lost together, at least 1 (Gilbert).
     pub mean_burst: Option<f64>,
-    /// The same as a time in s: the chain runs in time, not by packets.
+    /// Mean burst as a time in s: the chain runs in time, not by packets.
     pub mean_burst_s: Option<f64>,
     /// Gilbert-Elliott, instead of `loss`.
     pub gilbert_elliott: Option<GilbertElliott>,
@@ -85,68 +84,68 @@ pub struct LinkSettings {
     /// Times at which nothing passes.
     pub outages: Vec<Outage>,
 
-    /// Rate of the bottleneck in bit/s; packets wait in its queue and take their time on the wire.
+    /// Rate of the bottleneck in bit/s. Packets wait in its queue and take their transmission time.
     pub rate_bps: Option<f64>,
-    /// Bytes of headers that each packet takes on the wire beside its payload: 28 of IPv4 and UDP.
+    /// Header bytes per packet on the wire, added to its payload: 28 for IPv4 and UDP.
     pub overhead_bytes: usize,
     /// Times at which the bottleneck may send, instead of `rate_bps` (mahimahi).
     pub opportunities: Option<Opportunities>,
-    /// Most packets that wait; 1000 if none of the three bounds is given. What is on the line does not wait.
+    /// Maximum queue length in packets; 1000 if no bound is given. The packet in transmission does not count.
     pub queue_packets: Option<usize>,
-    /// Most bytes that wait, headers included.
+    /// Maximum queue length in bytes, headers included.
     pub queue_bytes: Option<usize>,
-    /// Longest wait in ms.
+    /// Maximum wait in ms.
     pub queue_ms: Option<f64>,
-    /// What a queue that fills does.
+    /// Queue discipline.
     pub discipline: Discipline,
     /// Other traffic through the same bottleneck.
     pub cross_traffic: Option<CrossTraffic>,
 
-    /// Mean one-way delay in s, from 0 to [`MAX_DELAY_S`], beside what the bottleneck takes.
+    /// Mean one-way delay in s, from 0 to [`MAX_DELAY_S`], excluding the bottleneck.
     pub delay_s: f64,
     /// Standard deviation of the delay in s.
     pub jitter_s: f64,
-    /// Law of the delay around its mean.
+    /// Distribution of the delay around its mean.
     pub distribution: Distribution,
-    /// Shape of the law where it has one to choose: that of Pareto and of gamma.
+    /// Shape parameter of the Pareto and gamma distributions.
     pub distribution_shape: Option<f64>,
-    /// Time in s over which the delay forgets itself, by default 0.1: its autocorrelation is `exp(-t / tau)`. With
-    /// `keep_order` it is at least four times `jitter_s`, as short as the order permits; 0 without it is independent
-    /// from packet to packet.
+    /// Correlation time tau of the delay in s, by default 0.1: its autocorrelation is `exp(-t / tau)`. With
+    /// `keep_order` tau is at least four times `jitter_s`, the shortest that the order permits. Without
+    /// `keep_order`, 0 makes packets independent.
     pub jitter_correlation_s: Option<f64>,
     /// Changes of the mean delay at given times.
     pub timeline: Vec<DelayChange>,
     /// Scheduling slots with spikes at their ends, as of satellites.
     pub slots: Option<Slots>,
-    /// Recorded delays and losses, which take the place of `delay_s`.
+    /// Recorded delays and losses, which replace `delay_s`.
     pub trace: Option<DelayTrace>,
-    /// Whether packets arrive in the order in which they were sent, apart from `reorder`.
+    /// Keeps packets in sending order, apart from `reorder`.
     pub keep_order: bool,
 
     /// Probability that a packet is reordered.
     pub reorder: f64,
-    /// How many packets a reordered packet overtakes, from 1 to 1024: those that would arrive last of the packets
-    /// under way when it is sent.
+    /// Number of packets that a reordered packet overtakes, from 1 to 1024: those under way at its sending
+    /// with the latest arrivals.
     pub reorder_depth: usize,
-    /// Instead: how long in s a reordered packet is held while later ones pass.
+    /// Alternative to `reorder_depth`: time in s that a reordered packet is held while later ones pass.
     pub reorder_hold_s: Option<f64>,
 
     /// Probability that a packet arrives twice.
     pub duplicate: f64,
-    /// How long in s after the first the second arrives.
+    /// Delay in s between the first and the second arrival.
     pub duplicate_gap_s: f64,
     /// Probability that bits of a packet are flipped.
     pub corrupt: f64,
-    /// How many bits.
+    /// Number of flipped bits.
     pub corrupt_bits: u32,
-    /// Probability that a packet is cut short.
+    /// Probability that a packet is truncated.
     pub truncate: f64,
-    /// To how many bytes.
+    /// Length in bytes after truncation.
     pub truncate_bytes: usize,
 
-    /// What somebody on the path does.
+    /// Actions of an attacker on the path.
     pub attacks: Vec<Attack>,
-    /// Arguments of `tc netem`, reproduced with its quirks; nothing else may be given beside it.
+    /// Arguments of `tc netem`, reproduced with its quirks; excludes all other keys.
     pub netem: Option<String>,
 }
 
@@ -192,17 +191,16 @@ impl Default for LinkSettings {
     }
 }
 
-/// What a stream of draws is used for.
+/// Use of a random stream.
 ///
-/// The numbers are part of the recorded results: a new impairment takes a new number, an old one keeps its
-/// own.
+/// The ids are part of recorded results: a new impairment takes a new id, an old one keeps its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u16)]
 pub(crate) enum Impairment {
     Loss = 1,
     /// Delay by packet index.
     Jitter = 2,
-    /// Delay by bin of time.
+    /// Delay by time bin.
     Wander = 3,
     /// State of a Markov chain of losses.
     LossState = 4,
@@ -217,7 +215,6 @@ pub(crate) enum Impairment {
     Netem = 13,
 }
 
-/// Where a rule takes its randomness from.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Streams {
     pub(crate) seed: u64,
@@ -225,28 +222,26 @@ pub(crate) struct Streams {
 }
 
 impl Streams {
-    /// The draws of one impairment.
     pub(crate) fn of(&self, impairment: Impairment) -> Stream {
         Stream::new(self.seed, self.direction, impairment as u16)
     }
 }
 
-/// Builds the rule that the settings describe, if they do, or reports what is wrong with them.
+/// Builds the rule of the settings; `None` if they describe none.
 pub(crate) type BuildRule = fn(&LinkSettings, &Streams) -> Result<Option<Box<dyn Rule>>, LinkSettingsError>;
 
-/// As [`BuildRule`].
 pub(crate) type BuildArrivalRule =
     fn(&LinkSettings, &Streams) -> Result<Option<Box<dyn ArrivalRule>>, LinkSettingsError>;
 
-/// Standard deviations that a normal law stays within, with a probability of 1 - 1e-22.
+/// Bound of a normal distribution in standard deviations, exceeded with a probability of 1e-22.
 const NORMAL_TAIL: f64 = 10.0;
 
-/// The same of an exponential law, and of a normal one that is cut off near its mean: 1 - 1e-17.
+/// Same for an exponential distribution, and for a normal one truncated near its mean: 1e-17.
 const EXPONENTIAL_TAIL: f64 = 40.0;
 
 impl LinkSettings {
-    /// Time in s that no packet is under way for longer, nor a copy of it; infinite where nothing bounds it, as of a
-    /// heavy-tailed law or a recorded line.
+    /// Upper bound in s on the time a packet or its copy is under way. Infinite if unbounded, as for a
+    /// heavy-tailed distribution or a recorded line.
     pub fn longest_delay_s(&self) -> f64 {
         if self.netem.is_some() {
             return f64::INFINITY;
@@ -263,8 +258,7 @@ impl LinkSettings {
             + attacks.fold(0.0, f64::max)
     }
 
-    /// Time in s since the link began after which nothing that is scheduled happens any more; infinite where something
-    /// comes again and again.
+    /// Time in s since the link began of the last scheduled change; infinite if changes recur.
     pub fn last_change_s(&self) -> f64 {
         let outages = self.outages.iter().map(|outage| match outage.times {
             OutageTimes::Once { at_s, duration_s } => at_s + duration_s,
@@ -287,7 +281,7 @@ impl LinkSettings {
             .fold(0.0, f64::max)
     }
 
-    /// Whether a packet can be under way at all when the next is sent.
+    /// Tests if a packet can still be under way when the next one is sent.
     fn delays(&self) -> bool {
         self.delay_s > 0.0
             || self.jitter_s > 0.0
@@ -299,7 +293,7 @@ impl LinkSettings {
             || self.outages.iter().any(|outage| outage.effect == OutageEffect::Hold)
     }
 
-    /// What the delay itself may come to.
+    /// Upper bound of the delay itself.
     fn own_delay_s(&self) -> f64 {
         let scripted = self.timeline.iter().map(|change| change.delay_s);
         let recorded =
@@ -315,7 +309,7 @@ impl LinkSettings {
         let deviations = match &self.distribution {
             Distribution::Normal if self.jitter_s <= self.delay_s / 4.0 => NORMAL_TAIL,
             Distribution::Normal | Distribution::Exponential => EXPONENTIAL_TAIL,
-            // A uniform law of deviation 1 reaches to the root of 3.
+            // A uniform distribution of standard deviation 1 ends at sqrt(3).
             Distribution::Uniform => 1.74,
             Distribution::Table(_) => DelayLaw::new(self)
                 .map_or(f64::INFINITY, |law| 1.001 * (law.quantile_s(1.0) - law.mean_s()) / law.sigma_s()),
@@ -324,7 +318,7 @@ impl LinkSettings {
         mean + deviations * self.jitter_s + slots
     }
 
-    /// What the bottleneck may add: the longest wait, and the packet itself on the wire.
+    /// Upper bound of the bottleneck: maximum wait plus the packet's own transmission.
     fn waiting_s(&self) -> f64 {
         if self.opportunities.is_some() {
             return f64::INFINITY;
@@ -343,7 +337,7 @@ impl LinkSettings {
     }
 }
 
-/// How long an outage holds a packet.
+/// Maximum time an outage holds a packet.
 fn held_s(outage: &Outage) -> f64 {
     match (outage.effect, outage.times) {
         (OutageEffect::Drop, _) => 0.0,
@@ -364,7 +358,7 @@ mod tests {
     }
 
     #[test]
-    fn the_longest_delay_is_the_sum_of_what_may_come_together() {
+    fn longest_delay_is_the_sum_of_all_upper_bounds() {
         let delayed = LinkSettings { delay_s: 0.05, ..LinkSettings::default() };
         let once = OutageTimes::Once { at_s: 1.0, duration_s: 0.5 };
         let random = OutageTimes::Random { mean_up_s: 1.0, mean_down_s: 0.1 };
@@ -377,7 +371,7 @@ mod tests {
             (
                 LinkSettings {
                     jitter_s: 0.01,
-                    // Half at each end, half spread between: a variance of 2/3.
+                    // Half the mass at the ends, half spread between: a variance of 2/3.
                     distribution: Distribution::Table(vec![-1, 1]),
                     ..delayed.clone()
                 },

@@ -1,4 +1,4 @@
-//! MTU: what is larger than the path carries is dropped, as with fragmentation forbidden.
+//! MTU: larger packets are dropped, as with fragmentation forbidden.
 
 use crate::checks::{LinkSettingsError, MAX_PAYLOAD, within};
 use crate::impairments::LinkSettings;

@@ -1,6 +1,6 @@
-//! Outages: times at which nothing passes. What is sent during one is dropped, or held until it is over.
+//! Outages: times at which nothing passes. Packets sent during an outage are dropped, or held until it ends.
 //!
-//! Whether a packet meets an outage is settled by when it was sent, so that the delay changes nothing of it.
+//! The sending time decides, so the delay does not affect which packets meet an outage.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -13,68 +13,66 @@ use crate::random::Stream;
 use crate::rule::Rule;
 use crate::verdict::{DropCause, Verdict};
 
-/// Each outage of a link has a stream of its own.
+/// Maximum number of outages: each has its own stream.
 const MAX_OUTAGES: usize = 256;
-/// Least duration in s: a clock tick of the model.
+/// Minimum duration in s: one clock tick of the model.
 const MIN_S: f64 = 1e-9;
-/// Least mean time of random outages in s.
 const MIN_MEAN_S: f64 = 1e-6;
-/// How many times longer than the mean time up the mean time down may be; the work of finding the end of an outage
-/// grows with it.
+/// Maximum ratio of mean down time to mean up time; the work of finding the end of an outage grows with it.
 const MAX_DOWN_PER_UP: f64 = 1000.0;
 
 /// Times at which nothing passes.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Outage {
-    /// When.
+    /// Schedule.
     pub times: OutageTimes,
-    /// What becomes of the packets.
+    /// Effect on packets.
     #[serde(default)]
     pub effect: OutageEffect,
 }
 
-/// When nothing passes.
+/// Schedule of outages.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum OutageTimes {
-    /// Once.
+    /// A single outage.
     Once {
-        /// When it begins, in s since the link began.
+        /// Start in s since the link began.
         at_s: f64,
-        /// How long it lasts in s.
+        /// Duration in s.
         duration_s: f64,
     },
-    /// Again and again.
+    /// Periodic outages.
     Periodic {
-        /// When the first one begins, in s since the link began.
+        /// Start of the first outage, in s since the link began.
         at_s: f64,
-        /// From one beginning to the next, in s.
+        /// Period from start to start, in s.
         period_s: f64,
-        /// How long each lasts in s.
+        /// Duration of each in s.
         duration_s: f64,
     },
-    /// At random: both times are exponentially distributed.
+    /// Random outages; up and down times are exponentially distributed.
     Random {
-        /// Mean time in s between an end and the next beginning.
+        /// Mean time in s from an end to the next start.
         mean_up_s: f64,
-        /// Mean time in s that one lasts, at most 1000 times `mean_up_s`.
+        /// Mean duration in s, at most 1000 times `mean_up_s`.
         mean_down_s: f64,
     },
 }
 
-/// What becomes of packets that are sent during an outage.
+/// Effect on packets sent during an outage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum OutageEffect {
     /// They are dropped.
     #[default]
     Drop,
-    /// They are held, and arrive together once it is over.
+    /// They are held, and arrive together at its end.
     Hold,
 }
 
-/// Builds those that drop: they come before the bottleneck, since what is dropped takes no place there.
+/// Builds the dropping outages, which precede the bottleneck: dropped packets take no place there.
 pub(crate) fn build_dropping(
     settings: &LinkSettings,
     streams: &Streams,
@@ -83,7 +81,7 @@ pub(crate) fn build_dropping(
     Ok((!schedules.is_empty()).then(|| Box::new(Dropping(schedules)) as Box<dyn Rule>))
 }
 
-/// Builds those that hold: they come after the delay, which passes while a packet is held.
+/// Builds the holding outages, which follow the delay: the delay elapses while a packet is held.
 pub(crate) fn build_holding(
     settings: &LinkSettings,
     streams: &Streams,
@@ -125,14 +123,13 @@ struct Holding(Vec<Schedule>);
 
 impl Rule for Holding {
     fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict {
-        // Those sent during an outage come together at its end, as they were sent: drivers release packets that
-        // are due together in that order.
+        // Held packets are due together at the end of the outage; drivers release such packets in sending
+        // order.
         let ends = self.0.iter_mut().filter_map(|schedule| schedule.out_until(packet.sent_ns));
         Verdict::Deliver { at_ns: ends.fold(at_ns, u64::max) }
     }
 }
 
-/// When there is an outage: once, periodically, or at random.
 #[derive(Clone, Copy, Debug)]
 enum Schedule {
     Once { from_ns: u64, until_ns: u64 },
@@ -141,7 +138,6 @@ enum Schedule {
 }
 
 impl Schedule {
-    /// Checks the times found under a key.
     fn new(key: &str, times: &OutageTimes, stream: Stream) -> Result<Self, LinkSettingsError> {
         let check = |name, seen, low, high| within(&format!("{key}.{name}"), seen, low, high);
         match *times {
@@ -175,16 +171,14 @@ impl Schedule {
         }
     }
 
-    /// Whether there is an outage at a time.
     fn is_out(&mut self, at_ns: u64) -> bool {
         match self {
-            // Its end is not needed, and not for nothing.
+            // Finding the end is costly and not needed here.
             Self::Random(process) => process.is_off(at_ns),
             _ => self.out_until(at_ns).is_some(),
         }
     }
 
-    /// When the outage at a time ends, if there is one.
     fn out_until(&mut self, at_ns: u64) -> Option<u64> {
         match self {
             Self::Once { from_ns, until_ns } => (*from_ns..*until_ns).contains(&at_ns).then_some(*until_ns),

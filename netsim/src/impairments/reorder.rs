@@ -1,8 +1,8 @@
-//! Reordering: a packet jumps ahead of some that were sent before it, or is held while later ones pass.
+//! Reordering: a packet jumps ahead of earlier ones, or is held while later ones pass.
 //!
-//! A packet that jumps arrives 1 ns before the k-th last of those under way, so that it overtakes k and those due
-//! together with them, or all of them where fewer are under way. That much is known when it is sent: nothing is moved
-//! afterwards, and the others arrive when they would have.
+//! A jumping packet arrives 1 ns before the k-th last packet under way. It overtakes k packets and those due
+//! together with them, or all if fewer are under way. This is known at sending time: the arrivals of other
+//! packets stay unchanged.
 
 use std::collections::VecDeque;
 
@@ -15,7 +15,6 @@ use crate::random::Event;
 use crate::rule::Rule;
 use crate::verdict::Verdict;
 
-/// Most packets that one overtakes.
 const MAX_DEPTH: usize = 1024;
 
 pub(crate) fn build(
@@ -72,14 +71,14 @@ struct Jumping {
 }
 
 impl Jumping {
-    /// When a packet arrives that jumps ahead of the latest that are still under way when it is sent.
+    /// Arrival ahead of the latest packets under way at `sent_ns`; `None` if none is under way.
     fn ahead_of_latest(&self, sent_ns: u64) -> Option<u64> {
         let arrived = self.latest.partition_point(|&due_ns| due_ns <= sent_ns);
         self.latest.get(arrived).map(|due_ns| due_ns - 1)
     }
 
     fn remember(&mut self, due_ns: u64) {
-        // Most arrive last of all, and those that jumped first of these.
+        // Most packets arrive last; jumping packets arrive first among these.
         let position = self.latest.partition_point(|&other_ns| other_ns <= due_ns);
         if self.latest.len() < self.depth {
             self.latest.insert(position, due_ns);

@@ -1,9 +1,9 @@
-//! Scheduling slots of satellites: a level of delay for each slot, and spikes at both ends.
+//! Scheduling slots of satellites: a delay level per slot, and spikes at both ends.
 //!
-//! A packet sent in slot k has, beside the delay of the path, the level
-//! `max(N(0, level_s), -delay)` of the slot, where the delay is the lowest mean delay there is, and during a spike an
-//! extra that is exponentially distributed with the mean `spike_delay_s`. Level and spikes are drawn once per slot, so
-//! all packets of a spike have the same extra.
+//! A packet sent in slot k has, in addition to the delay of the path, the level `max(N(0, level_s), -delay)`
+//! of the slot. Here `delay` is the lowest mean delay. During a spike it also has an exponentially
+//! distributed extra with mean `spike_delay_s`. Level and spikes are drawn once per slot, so all packets of a
+//! spike have the same extra.
 //!
 //! Source: arXiv 2601.08439.
 
@@ -19,11 +19,10 @@ use crate::random::{Chance, Stream, unit};
 use crate::rule::Rule;
 use crate::verdict::{DropCause, Verdict};
 
-/// Shortest and longest slot in s.
 const MIN_PERIOD_S: f64 = 1e-3;
 const MAX_PERIOD_S: f64 = 1e6;
 
-/// Scheduling slots: a level of delay that is drawn anew for each, and spikes at both ends.
+/// Scheduling slots: a delay level drawn per slot, and spikes at both ends.
 ///
 /// Source: arXiv 2601.08439 (Starlink: 15 s; about 140 ms at the start, 75 ms at the end).
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
@@ -31,16 +30,17 @@ const MAX_PERIOD_S: f64 = 1e6;
 pub struct Slots {
     /// Length of a slot in s.
     pub period_s: f64,
-    /// How long in s delays are raised at the start of a slot.
+    /// Duration of the spike at the start of a slot, in s.
     #[serde(default)]
     pub start_spike_s: f64,
-    /// How long in s delays are raised at the end of a slot.
+    /// Duration of the spike at the end of a slot, in s.
     #[serde(default)]
     pub end_spike_s: f64,
-    /// By how much in s, on average; exponentially distributed from spike to spike.
+    /// Mean extra delay of a spike in s; exponentially distributed over spikes.
     #[serde(default)]
     pub spike_delay_s: f64,
-    /// Standard deviation in s of the level from slot to slot, beside `delay_s`; never below zero delay.
+    /// Standard deviation in s of the level over slots, added to `delay_s`; the total delay stays at or above
+    /// zero.
     #[serde(default)]
     pub level_s: f64,
     /// Probability that a packet is lost during a spike.
@@ -55,7 +55,7 @@ pub(crate) struct Slotted {
     end_spike_ns: u64,
     spike_delay_ns: f64,
     level_ns: f64,
-    /// The lowest mean delay.
+    /// Lowest mean delay.
     floor_ns: f64,
     spike_loss: Chance,
     stream: Stream,
@@ -98,7 +98,6 @@ pub(crate) fn build(
     })))
 }
 
-/// Uses of the stream.
 const LEVEL: u8 = 0;
 const START_SPIKE: u8 = 1;
 const END_SPIKE: u8 = 2;
@@ -129,10 +128,10 @@ impl Rule for Slotted {
     }
 }
 
-/// Normally distributed with mean 0 and deviation 1.
+/// Standard normal variate.
 ///
-/// Source: G. E. P. Box, M. E. Muller, "A note on the generation of random normal deviates", Ann. Math. Statist. 29(2),
-/// 1958.
+/// Source: G. E. P. Box, M. E. Muller, "A note on the generation of random normal deviates", Ann. Math.
+/// Statist. 29(2), 1958.
 fn normal([radius, angle]: [u64; 2]) -> f64 {
     (-2.0 * libm::log(unit(radius))).sqrt() * libm::cos(2.0 * std::f64::consts::PI * unit(angle))
 }
@@ -193,9 +192,9 @@ mod tests {
         }
     }
 
-    /// The first two moments of both laws over many slots, within 4 standard errors.
+    /// First two moments of both distributions over many slots, within 4 standard errors.
     #[test]
-    fn levels_and_spikes_have_the_law_that_was_asked() {
+    fn levels_and_spikes_match_their_distributions() {
         const SLOTS: u64 = 100_000;
         let count = SLOTS as f64;
         let mut link = link(Slots { level_s: 0.002, ..starlink() });
@@ -212,7 +211,7 @@ mod tests {
         assert!(level.abs() < 4.0 * 2.0 / count.sqrt(), "{level}");
         assert!((level_2 / 4.0 - 1.0).abs() < 4.0 * (2.0 / count).sqrt(), "{level_2}");
         assert!((spike / 30.0 - 1.0).abs() < 4.0 / count.sqrt(), "{spike}");
-        // E x^4 = 24 m^4 for the exponential law.
+        // E x^4 = 24 m^4 for the exponential distribution.
         assert!((spike_2 / 1800.0 - 1.0).abs() < 4.0 * (20.0 / 4.0 / count).sqrt(), "{spike_2}");
     }
 
@@ -228,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn packets_are_lost_in_spikes_alone() {
+    fn packets_are_lost_only_in_spikes() {
         const COUNT: u64 = 100_000;
         let mut link = link(Slots { spike_loss: 0.3, ..starlink() });
         let lost = |link: &mut Link, ms: u64| {
@@ -254,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn slots_that_are_none_are_refused() {
+    fn invalid_slots_are_refused() {
         let cases = [
             (Slots { period_s: 0.0, ..starlink() }, "slots.period_s = 0"),
             (Slots { start_spike_s: 16.0, ..starlink() }, "slots.start_spike_s = 16"),

@@ -1,7 +1,7 @@
-//! A mean delay that changes at given times, at once or along a ramp.
+//! Mean delay that changes at given times, as a step or a ramp.
 //!
-//! A packet has the delay of the time at which it is sent: before the first change `delay_s`, during a ramp a point on
-//! the line from the delay before it to the new one.
+//! The sending time of a packet determines its delay: `delay_s` before the first change, and a linear
+//! interpolation from the previous to the new delay during a ramp.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -14,20 +14,19 @@ use crate::packet::Packet;
 use crate::rule::Rule;
 use crate::verdict::Verdict;
 
-/// A change of the mean delay.
+/// Change of the mean delay.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DelayChange {
-    /// When it begins, in s since the link began.
+    /// Start in s since the link began.
     pub at_s: f64,
-    /// The new mean delay in s.
+    /// New mean delay in s.
     pub delay_s: f64,
-    /// How long in s it takes to get there, linearly; 0 is a step.
+    /// Duration of the linear ramp in s; 0 is a step.
     #[serde(default)]
     pub ramp_s: f64,
 }
 
-/// A change and the delay that it leads to.
 #[derive(Clone, Copy, Debug)]
 #[expect(clippy::struct_field_names, reason = "all are times in ns, and say so")]
 struct Change {

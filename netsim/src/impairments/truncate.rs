@@ -1,4 +1,4 @@
-//! Truncation: a packet is cut short. A packet and each copy of it are cut independently.
+//! Truncation of packets. A packet and its copies are truncated independently.
 
 use crate::checks::{LinkSettingsError, MAX_PAYLOAD, probability, within};
 use crate::damage::Damage;
@@ -33,7 +33,6 @@ pub(crate) fn build(
 
 impl ArrivalRule for Truncate {
     fn end(&mut self, packet: &Packet, at_ns: u64, damage: &mut Damage, extras: &mut Extras) -> Verdict {
-        // What is short already stays whole.
         if packet.size > self.bytes {
             let copies = extras.iter_mut().map(|extra| &mut extra.damage);
             self.cut.strike(packet.index, damage, copies, |damage, _| damage.cut_to(self.bytes));

@@ -1,23 +1,25 @@
-//! The offset between two clocks, from probes that went there and back.
+//! Offset between two clocks, estimated from round trips of probes.
 //!
-//! With the echo's clock ahead by `theta(t)`, a probe shows `a = forward + theta` and `b = backward - theta`. Only
-//! `a + b`, the round trip, is certain. The probe with the shortest round trip of a window waited least, and there the
-//! two directions are taken to be alike: `theta = (a - b) / 2`. A line through those of the quieter half of the windows
-//! is `theta(t)`, whose slope is the drift. If the directions differ by `2 e` when nothing waits, `e` is added to one
-//! and taken from the other throughout: no measurement from the two ends can find out.
+//! With the echo's clock ahead by `theta(t)`, a probe shows `a = forward + theta` and `b = backward - theta`.
+//! Only the round trip `a + b` is certain. The probe with the shortest round trip in a window waited least;
+//! there both directions are assumed equal: `theta = (a - b) / 2`. The line through these points, for the
+//! quieter half of the windows, is `theta(t)`; its slope is the drift.
 //!
-//! Source: D. L. Mills, "Internet time synchronization: the Network Time Protocol", IEEE Trans. Comm. 39(10), 1991
-//! (minimum filter); V. Paxson, "On calibrating measurements of packet transit times", SIGMETRICS 1998 (drift by a line
-//! through minima).
+//! If the unloaded directions differ by `2 e`, every estimate is off by `e`: added to one direction and taken
+//! from the other. No measurement from the two ends can detect this.
+//!
+//! Source: D. L. Mills, "Internet time synchronization: the Network Time Protocol", IEEE Trans. Comm. 39(10),
+//! 1991 (minimum filter); V. Paxson, "On calibrating measurements of packet transit times", SIGMETRICS 1998
+//! (drift by a line through minima).
 
-/// A probe that was answered: when it was sent, and the differences of the clocks' readings, in s.
+/// Answered probe: time of sending, and differences of clock readings, in s.
 #[derive(Clone, Copy, Debug)]
 #[expect(clippy::struct_field_names, reason = "the unit")]
 pub(super) struct RoundTrip {
     pub(super) sent_s: f64,
-    /// Received by the echo minus sent by the client.
+    /// Reception by the echo minus sending by the client.
     pub(super) there_s: f64,
-    /// Received by the client minus sent by the echo.
+    /// Reception by the client minus sending by the echo.
     pub(super) back_s: f64,
 }
 
@@ -27,7 +29,7 @@ impl RoundTrip {
     }
 }
 
-/// How far the echo's clock is ahead: `ahead_s + drift (t - at_s)`.
+/// Lead of the echo's clock: `ahead_s + drift (t - at_s)`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Offset {
     pub(super) at_s: f64,
@@ -35,13 +37,13 @@ pub(super) struct Offset {
     pub(super) drift: f64,
 }
 
-/// Windows that the time is divided into: each should contain a probe that did not wait.
+/// Number of windows; each should contain a probe that did not wait.
 const WINDOWS: usize = 20;
-/// No window is shorter, in s.
+/// Minimum window length in s.
 const MIN_WINDOW_S: f64 = 0.5;
 
 impl Offset {
-    /// From probes in the order of their sending.
+    /// Requires probes in sending order.
     pub(super) fn estimate(trips: &[RoundTrip]) -> Self {
         let (Some(first), Some(last)) = (trips.first(), trips.last()) else {
             return Self::default();
@@ -66,7 +68,7 @@ impl Offset {
         let mean_s = minima.iter().map(offset_s).sum::<f64>() / count;
         let spread: f64 = minima.iter().map(|trip| (trip.sent_s - at_s).powi(2)).sum();
         let common: f64 = minima.iter().map(|trip| (trip.sent_s - at_s) * (offset_s(trip) - mean_s)).sum();
-        // Of two points a line says more than they know.
+        // Two points do not determine a reliable slope.
         let drift = if minima.len() > 2 && spread > 0.0 { common / spread } else { 0.0 };
         Self { at_s, ahead_s: mean_s, drift }
     }
@@ -80,9 +82,9 @@ impl Offset {
 mod tests {
     use super::*;
 
-    /// Both directions take 10 ms, and now and then one waits; the clocks differ by an offset and a drift.
+    /// Both directions take 10 ms plus occasional waits; the clocks differ by an offset and a drift.
     #[test]
-    fn offset_and_drift_of_equal_ways_are_found() {
+    fn offset_and_drift_of_equal_directions_are_found() {
         for (offset_s, drift) in [(0.0, 0.0), (12.5, 50e-6), (-3.0, -200e-6)] {
             let trip = |n: u32| {
                 let sent_s = f64::from(n) * 0.001;
@@ -104,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn what_differs_between_the_ways_is_split() {
+    fn difference_between_directions_is_split() {
         let trips: Vec<_> =
             (0..3_u32).map(|n| RoundTrip { sent_s: f64::from(n), there_s: 0.010, back_s: 0.030 }).collect();
         let found = Offset::estimate(&trips);

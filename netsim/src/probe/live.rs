@@ -1,5 +1,5 @@
-//! Both ends of a measurement: one sends probes at absolute times and gathers the answers, the other, the echo, reports
-//! when a probe arrived and when its answer left.
+//! Both ends of a measurement. The client sends probes at absolute times and collects the answers; the echo
+//! reports when a probe arrived and when its answer left.
 
 use std::collections::hash_map::RandomState;
 use std::hash::{BuildHasher, Hasher};
@@ -15,83 +15,81 @@ use super::wire::{Answer, Request, SIZE, Seen};
 use super::{Probe, Recording};
 use crate::{ScheduleBefore, proxy::prepare_thread, reply::ReplySocket};
 
-/// Most probes a second.
+/// Maximum probe rate in Hz.
 pub const MAX_RATE_HZ: f64 = 1000.0;
-/// Slowest rate of probes in Hz.
 const MIN_RATE_HZ: f64 = 1e-3;
-/// Most probes of a measurement: more than two hours at 1 kHz.
+/// Maximum number of probes: more than two hours at 1 kHz.
 pub const MAX_PROBES: f64 = 1e7;
-/// How long the last answers are waited for.
+/// Timeout of the last answers.
 const LAST_WAIT: Duration = Duration::from_secs(2);
-/// Asleep for at most this long, so that a stop is noticed.
+/// Maximum sleep, so that a stop is noticed.
 const MAX_SLEEP: Duration = Duration::from_millis(20);
 
-/// What is to be measured.
+/// Settings of a measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RecordSettings {
-    /// Where the echo is.
+    /// Address of the echo.
     pub peer: SocketAddr,
-    /// Probes a second, at most [`MAX_RATE_HZ`].
+    /// Probes per second, at most [`MAX_RATE_HZ`].
     pub rate_hz: f64,
-    /// For how long in s.
+    /// Duration in s.
     pub duration_s: f64,
-    /// Whether to request real-time scheduling.
+    /// Requests real-time scheduling.
     pub realtime: bool,
 }
 
-/// A measurement that cannot be made.
+/// Failed measurement.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ProbeError {
-    /// A number that is not finite or not in its range.
+    /// A number is not finite or out of range.
     #[error("{key} = {seen}: must be a finite number from {least} to {most}")]
     OutOfRange {
         /// Name of the setting.
         key: &'static str,
-        /// Its value.
+        /// Value given.
         seen: f64,
-        /// The smallest value allowed.
+        /// Minimum allowed.
         least: f64,
-        /// The largest value allowed.
+        /// Maximum allowed.
         most: f64,
     },
-    /// Nobody answered.
+    /// No answer arrived.
     #[error("{peer}: none of {sent} probes was answered; is an echo running there?")]
     NoAnswer {
-        /// Where the probes went.
+        /// Destination of the probes.
         peer: SocketAddr,
-        /// How many.
+        /// Number of probes sent.
         sent: usize,
     },
-    /// Nobody answered at any address of a name.
+    /// No address of a name answered.
     #[error("no echo answers at any of {}", .peers.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "))]
     NoneAnswers {
-        /// All that were tried.
+        /// All addresses tried.
         peers: Vec<SocketAddr>,
     },
-    /// The network cannot be used.
+    /// The network is unusable.
     #[error("{peer}: {source}")]
     Socket {
-        /// Where the probes were to go.
+        /// Destination of the probes.
         peer: SocketAddr,
-        /// What the operating system says.
+        /// Error of the operating system.
         source: io::Error,
     },
 }
 
-/// What is known of a probe.
 #[derive(Clone, Copy, Debug)]
 struct Sent {
     at_ns: u64,
-    /// Whether the echo is known to have received it.
+    /// Set if the echo is known to have received it.
     arrived: bool,
     trip: Option<RoundTrip>,
 }
 
-/// How often each address of a name is asked.
+/// Interval of requests to each address of a name.
 const ASK_EVERY: Duration = Duration::from_millis(100);
 
-/// The address at which an echo answers, of a name that has several; a single one is not asked.
+/// Finds the address of a name at which an echo answers; a single address is returned unasked.
 ///
 /// # Errors
 ///
@@ -100,7 +98,7 @@ pub fn answering(peers: &[SocketAddr], stop: &AtomicBool) -> Result<SocketAddr, 
     if let [only] = peers {
         return Ok(*only);
     }
-    // One without a route is no reason not to ask the others.
+    // An address without a route is skipped.
     let mut asked: Vec<_> = peers
         .iter()
         .filter_map(|&peer| Some((peer, Run::new(connect(peer).ok()?, MAX_RATE_HZ, 1.0))))
@@ -121,7 +119,7 @@ pub fn answering(peers: &[SocketAddr], stop: &AtomicBool) -> Result<SocketAddr, 
     Err(ProbeError::NoneAnswers { peers: peers.to_vec() })
 }
 
-/// Measures a network until the time is over or `stop` is set, on the calling thread.
+/// Measures a network for the duration or until `stop` is set, on the calling thread.
 pub fn record(settings: &RecordSettings, stop: &AtomicBool) -> Result<Recording, ProbeError> {
     let RecordSettings { peer, rate_hz, duration_s, realtime } = *settings;
     let within = |key, seen: f64, least: f64, most: f64| {
@@ -152,7 +150,7 @@ fn connect(peer: SocketAddr) -> io::Result<UdpSocket> {
 
 struct Run {
     socket: UdpSocket,
-    /// Nobody who does not see the probes can answer them: the standard library's keys are random.
+    /// Random from the standard library's keys, so that only a host that sees the probes can answer.
     token: u64,
     period: Duration,
     count: usize,
@@ -203,7 +201,7 @@ impl Run {
         let request = Request { token: self.token, sequence, sent_ns: at_ns };
         match self.socket.send(&request.encode()) {
             Ok(_) => {}
-            // One that the network refuses is a lost one.
+            // A probe refused by the network counts as lost.
             Err(error) if is_passing(error.kind()) => {}
             Err(error) => return Err(error),
         }
@@ -212,7 +210,7 @@ impl Run {
         Ok(())
     }
 
-    /// Sleeps until an answer comes or a time is there.
+    /// Sleeps until an answer arrives or a time is reached.
     fn wait(&self, until: Duration) -> io::Result<()> {
         let timeout = until.saturating_sub(self.origin.elapsed()).min(MAX_SLEEP);
         let timeout = Timespec::try_from(timeout).map_err(io::Error::other)?;
@@ -223,7 +221,7 @@ impl Run {
     }
 
     fn receive(&mut self) -> io::Result<()> {
-        // One byte more, by which a datagram that is too long is recognised.
+        // One extra byte reveals a datagram that is too long.
         let mut buffer = [0; SIZE + 1];
         loop {
             match self.socket.recv(&mut buffer) {
@@ -244,7 +242,7 @@ impl Run {
         let Request { token, sequence, sent_ns } = answer.request;
         let place = |sequence| usize::try_from(sequence).unwrap_or(usize::MAX);
         let probe = self.sent.get_mut(place(sequence));
-        // A second answer to the same probe, as of a network that duplicates, says nothing new.
+        // A second answer to a probe, as from a network that duplicates, adds nothing.
         let Some(probe) = probe.filter(|probe| {
             token == self.token && sent_ns == probe.at_ns && now_ns >= sent_ns && probe.trip.is_none()
         }) else {
@@ -264,13 +262,12 @@ impl Run {
     }
 }
 
-/// The time from `from_ns` to `to_ns`, which may be readings of different clocks.
+/// Time from `from_ns` to `to_ns`, which may be readings of different clocks.
 fn seconds(to_ns: u64, from_ns: u64) -> f64 {
     let magnitude_s = to_ns.abs_diff(from_ns) as f64 * 1e-9;
     if to_ns < from_ns { -magnitude_s } else { magnitude_s }
 }
 
-/// What the probes say; nothing if none was answered.
 fn evaluate(sent: &[Sent], latest_s: f64) -> Option<Recording> {
     let trips: Vec<RoundTrip> = sent.iter().filter_map(|probe| probe.trip).collect();
     let shortest_s = trips.iter().map(RoundTrip::total_s).min_by(f64::total_cmp)?;
@@ -304,22 +301,22 @@ fn evaluate(sent: &[Sent], latest_s: f64) -> Option<Recording> {
     Some(Recording { probes, lost_forward, lost_backward, shortest_s, offset_s, drift, latest_s })
 }
 
-/// Measurements remembered at a time; another one takes the place of the one that was heard of longest ago.
+/// Maximum number of remembered measurements; a new one replaces the least recently heard.
 const MAX_SESSIONS: usize = 64;
-/// How soon a stop is noticed.
+/// Time within which a stop is noticed.
 const PATIENCE: Duration = Duration::from_millis(20);
 
-/// What an echo has done.
+/// Statistics of an echo.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct EchoStatistics {
     /// Probes answered.
     pub answered: u64,
-    /// Datagrams that were no probes, which get no answer.
+    /// Datagrams that were not probes, and got no answer.
     pub ignored: u64,
 }
 
-/// Answers probes, one for one and of the same size, so that it is of no use to flood somebody with.
+/// Answers probes one to one and in the same size, so that it cannot amplify a flood.
 #[derive(Debug)]
 pub struct Echo {
     socket: ReplySocket,
@@ -335,14 +332,14 @@ struct Session {
 }
 
 impl Echo {
-    /// An echo at an address; port 0 lets the system choose.
+    /// Binds an echo to an address; port 0 lets the system choose.
     pub fn bind(address: SocketAddr) -> io::Result<Self> {
         let socket = ReplySocket::bind(address)?;
         socket.socket().set_read_timeout(Some(PATIENCE))?;
         Ok(Self { socket, sessions: Vec::with_capacity(MAX_SESSIONS) })
     }
 
-    /// Where it is.
+    /// Address of the echo.
     pub fn address(&self) -> io::Result<SocketAddr> {
         self.socket.socket().local_addr()
     }
@@ -351,7 +348,7 @@ impl Echo {
     pub fn run(&mut self, stop: &AtomicBool) -> io::Result<EchoStatistics> {
         let mut statistics = EchoStatistics::default();
         let origin = Instant::now();
-        // One byte more, by which a datagram that is too long is recognised.
+        // One extra byte reveals a datagram that is too long.
         let mut buffer = [0; SIZE + 1];
         while !stop.load(Relaxed) {
             let (length, asker) = match self.socket.receive(&mut buffer) {
@@ -368,7 +365,7 @@ impl Echo {
             let received_ns = nanoseconds(received - origin);
             let answered_ns = nanoseconds(origin.elapsed());
             let answer = Answer { request, received_ns, answered_ns, seen };
-            // An answer that the network refuses is a lost one.
+            // An answer refused by the network counts as lost.
             if self.socket.send(&answer.encode(), asker).is_ok() {
                 statistics.answered += 1;
             }
@@ -397,8 +394,8 @@ impl Echo {
     }
 }
 
-/// Whether to go on: nothing arrived in time, or the network reports something of an earlier datagram, which anybody
-/// can make it do. Only a call that is wrong in itself would be wrong for ever.
+/// Tests if the call may be retried: a timeout, or a network report about an earlier datagram, which anybody
+/// can cause. Only an invalid call, or lack of memory, is permanent.
 fn is_passing(kind: io::ErrorKind) -> bool {
     !matches!(kind, io::ErrorKind::InvalidInput | io::ErrorKind::OutOfMemory)
 }

@@ -1,4 +1,4 @@
-//! Measuring a real network: an echo, and a client that records what it does to a stream of probes.
+//! Measurement of a real network: an echo, and a client that records delay and loss of a stream of probes.
 
 mod estimate;
 mod live;
@@ -10,43 +10,43 @@ pub use live::{
     Echo, EchoStatistics, MAX_PROBES, MAX_RATE_HZ, ProbeError, RecordSettings, answering, record,
 };
 
-/// What became of one probe.
+/// Result of one probe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Probe {
-    /// When it was sent, in s since the first one.
+    /// Time of sending, in s since the first probe.
     pub sent_s: f64,
-    /// How long it took in s; `None` was lost forward.
+    /// Forward delay in s; `None` if lost forward. If the answer was lost, this repeats the previous value.
     pub forward_s: Option<f64>,
-    /// How long its answer took in s; `None` was lost backward. Where the other direction lost it, this is that of the
-    /// probe before: there was nothing to measure.
+    /// Backward delay of the answer in s; `None` if lost backward. If the probe was lost forward, this
+    /// repeats the previous value, as there is nothing to measure.
     pub backward_s: Option<f64>,
 }
 
-/// A measurement of a network.
+/// Measurement of a network.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Recording {
-    /// All probes, in the order in which they were sent.
+    /// All probes, in sending order.
     pub probes: Vec<Probe>,
-    /// Lost forward.
+    /// Probes lost forward.
     pub lost_forward: u64,
-    /// Lost backward.
+    /// Answers lost backward.
     pub lost_backward: u64,
     /// Shortest round trip in s, without the time at the echo.
     pub shortest_s: f64,
-    /// How far the echo's clock was taken to be ahead, in s, in the middle of the measurement.
+    /// Estimated lead of the echo's clock in s, in the middle of the measurement.
     pub offset_s: f64,
-    /// How much faster the echo's clock was taken to run, as a share.
+    /// Estimated relative drift of the echo's clock; positive is fast.
     pub drift: f64,
-    /// How late the latest probe was sent, in s.
+    /// Maximum lateness of a sent probe, in s.
     pub latest_s: f64,
 }
 
-/// First line of the data, below the comments.
+/// Header line of the data, below the comments.
 const HEADER: &str = "time_s,forward_delay_s,backward_delay_s";
 
 impl Recording {
-    /// Writes it as CSV, with lines that begin with `#` on how it was measured; an empty cell is a loss.
+    /// Writes CSV with `#` comments on the measurement; an empty cell is a loss.
     pub fn write_csv(&self, out: &mut impl Write) -> io::Result<()> {
         let Self { probes, lost_forward, lost_backward, shortest_s, offset_s, drift, latest_s } = self;
         let sent = probes.len();

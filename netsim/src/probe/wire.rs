@@ -1,46 +1,44 @@
-//! What probe and answer look like: 72 bytes each, so that an answer is never longer than its request.
+//! Format of probe and answer: 72 bytes each, so that an answer is never longer than its request.
 //!
-//! Little-endian u64 one after the other: magic, kind, token, sequence, sent by the client, received by the echo, sent
-//! by the echo, newest sequence received, and which of the 64 up to it were. The echo's four are 0 in a probe.
+//! Little-endian u64: magic, kind, token, sequence, sent by the client, received by the echo, sent by the
+//! echo, newest sequence received, and a mask of the 64 sequences up to it. The echo's four fields are 0 in a
+//! probe.
 
-/// Bytes of a datagram.
+/// Size of a datagram in bytes.
 pub(super) const SIZE: usize = 72;
 const MAGIC: u64 = u64::from_le_bytes(*b"HAPTPRB1");
 const PROBE: u64 = 1;
 const ANSWER: u64 = 2;
 
-/// A request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Request {
-    /// Random, the same throughout a measurement: what does not know it is no answer.
+    /// Random and constant over a measurement; datagrams with another token are rejected.
     pub(super) token: u64,
     pub(super) sequence: u64,
-    /// On the client's clock, in ns.
+    /// Client clock in ns.
     pub(super) sent_ns: u64,
 }
 
-/// What comes back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Answer {
     pub(super) request: Request,
-    /// On the echo's clock, in ns.
+    /// Echo clock in ns.
     pub(super) received_ns: u64,
-    /// On the echo's clock, in ns.
+    /// Echo clock in ns.
     pub(super) answered_ns: u64,
     pub(super) seen: Seen,
 }
 
-/// Which probes the echo has received.
+/// Sequences that the echo has received.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Seen {
-    /// The highest sequence.
+    /// Highest sequence.
     pub(super) newest: u64,
-    /// Bit k: whether the one k before it was received.
+    /// Bit k is set if `newest - k` was received.
     pub(super) before: u64,
 }
 
 impl Seen {
-    /// Takes another probe in.
     pub(super) fn take(&mut self, sequence: u64) {
         if self.before == 0 {
             *self = Self { newest: sequence, before: 1 };
@@ -54,7 +52,7 @@ impl Seen {
         }
     }
 
-    /// The sequences that were received, newest first.
+    /// Received sequences, newest first.
     pub(super) fn sequences(self) -> impl Iterator<Item = u64> {
         let is_set = move |back: &u64| self.before & (1 << back) != 0;
         (0..64).filter(is_set).map_while(move |back| self.newest.checked_sub(back))
@@ -70,7 +68,7 @@ impl Request {
         words([MAGIC, PROBE, self.token, self.sequence, self.sent_ns, 0, 0, 0, 0])
     }
 
-    /// `None` is no probe.
+    /// Returns `None` for other datagrams.
     pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
         match read(bytes)? {
             [MAGIC, PROBE, token, sequence, sent_ns, 0, 0, 0, 0] => Some(Self { token, sequence, sent_ns }),
@@ -86,7 +84,7 @@ impl Answer {
         words([MAGIC, ANSWER, token, sequence, sent_ns, received_ns, answered_ns, newest, before])
     }
 
-    /// `None` is no answer.
+    /// Returns `None` for other datagrams.
     pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
         match read(bytes)? {
             [MAGIC, ANSWER, token, sequence, sent_ns, received_ns, answered_ns, newest, before] => {
@@ -140,7 +138,7 @@ mod tests {
             prop_assert_eq!(Answer::decode(&bytes), None);
         }
 
-        /// Against a set of all that was received.
+        /// Compares with a set of all received sequences.
         #[test]
         fn the_last_64_are_remembered(sequences in prop::collection::vec(0_u64..200, 1..60)) {
             let mut seen = Seen::default();
@@ -149,7 +147,7 @@ mod tests {
             }
             let newest = sequences.iter().copied().max().unwrap();
             let reported: Vec<u64> = seen.sequences().collect();
-            // What arrived when it was already too old is not among them.
+            // Sequences that were too old at their arrival are not reported.
             prop_assert!(reported.iter().all(|sequence| sequences.contains(sequence)));
             let mut so_far = 0;
             for &sequence in &sequences {

@@ -1,5 +1,5 @@
-//! Datagrams in memory that is reserved once: many with one call of `recvmmsg` or `sendmmsg`, and fixed cells for what
-//! is in flight.
+//! Datagrams in memory reserved once: batches per `recvmmsg` or `sendmmsg` call, and fixed cells for
+//! datagrams in flight.
 
 use super::statistics::count;
 use crate::reply::{self, Asker, asker};
@@ -12,26 +12,26 @@ use std::net::IpAddr;
 use std::os::fd::{AsRawFd, BorrowedFd};
 use std::sync::atomic::AtomicU64;
 
-/// Largest payload carried, in bytes: above any Ethernet frame. Larger datagrams are counted and dropped.
+/// Maximum payload in bytes: above any Ethernet frame. Larger datagrams are counted and dropped.
 pub const MAX_DATAGRAM: usize = 2048;
-/// Most datagrams taken with one call.
+/// Maximum number of datagrams received per call.
 const MAX_RECEIVED: usize = 64;
-/// Most datagrams sent with one call: few, so that the last is not much later than the first.
+/// Maximum number of datagrams sent per call: small, so that the last is not much later than the first.
 pub(super) const MAX_SENT: usize = 32;
-/// One byte more than is carried, by which a datagram that is too large is recognised.
+/// One extra byte reveals a datagram that is too large.
 const CELL: usize = MAX_DATAGRAM + 1;
 
-/// Takes datagrams from sockets that are alike: the kernel writes the length of an address, and of what it reports, over
-/// the room that there is for the next.
+/// Receives from sockets of equal address and report sizes: the kernel overwrites the buffer lengths, which
+/// then limit the next call.
 pub(super) struct Receiver {
     headers: MultiHeaders<SockaddrStorage>,
     bytes: Vec<u8>,
-    /// Length and sender of what the last call brought.
+    /// Length and sender of each datagram of the last call.
     arrived: ArrayVec<(usize, Option<Asker>), MAX_RECEIVED>,
 }
 
 impl Receiver {
-    /// For sockets that report as many bytes with each datagram as `report` has.
+    /// For sockets whose report per datagram has the size of `report`.
     pub(super) fn new(report: Option<Vec<u8>>) -> Self {
         Self {
             headers: MultiHeaders::preallocate(MAX_RECEIVED, report),
@@ -40,7 +40,7 @@ impl Receiver {
         }
     }
 
-    /// Takes what has come, up to a bound; an absent peer is counted and passed over.
+    /// Receives one batch; reports of an absent peer are counted and skipped.
     pub(super) fn receive(&mut self, socket: BorrowedFd<'_>, unreachable: &AtomicU64) -> io::Result<()> {
         self.arrived.clear();
         loop {
@@ -58,33 +58,32 @@ impl Receiver {
                 }
                 Err(Errno::EAGAIN) => return Ok(()),
                 Err(Errno::EINTR) => {}
-                // A call that is wrong in itself would be wrong for ever.
+                // An invalid call is a permanent error.
                 Err(
                     error @ (Errno::EBADF | Errno::EFAULT | Errno::EINVAL | Errno::ENOTSOCK | Errno::ENOMEM),
                 ) => {
                     return Err(error.into());
                 }
-                // All else the network reports of an earlier datagram, by ICMP, which anybody can send.
+                // Other errors are network reports about an earlier datagram, by ICMP, which anybody can
+                // send.
                 Err(_) => count(unreachable),
             }
         }
     }
 
-    /// What the last call brought.
     pub(super) fn datagrams(&self) -> impl Iterator<Item = (&[u8], Option<Asker>)> {
         let cells = self.bytes.chunks_exact(CELL);
         cells.zip(&self.arrived).map(|(cell, &(length, sender))| (&cell[..length.min(CELL)], sender))
     }
 }
 
-/// Sends datagrams.
 pub(super) struct Sender {
     headers: reply::Outgoing,
 }
 
-/// What is to be sent with one call.
+/// Datagrams for one call.
 pub(super) type Outgoing<'a> = ArrayVec<[IoSlice<'a>; 1], MAX_SENT>;
-/// Where to; `None` where the socket is connected.
+/// Destinations; `None` if the socket is connected.
 pub(super) type Destinations = ArrayVec<Option<SockaddrStorage>, MAX_SENT>;
 
 impl Sender {
@@ -92,7 +91,7 @@ impl Sender {
         Self { headers: reply::Outgoing::with_capacity(MAX_SENT) }
     }
 
-    /// Sends all from the address `asked`, if there is one; bit n of the result says whether the n-th was taken.
+    /// Sends all, from the address `asked` if given; bit n of the result is set if datagram n was accepted.
     pub(super) fn send(
         &mut self,
         socket: BorrowedFd<'_>,
@@ -116,7 +115,7 @@ impl Sender {
                     continue;
                 }
                 Err(Errno::EINTR) => continue,
-                // The socket reports what became of an earlier datagram and keeps this one back: send it again.
+                // The error concerns an earlier datagram, and this one was not sent: retry once.
                 Err(error) if is_unreachable(error) => {
                     count(unreachable);
                     if !is_repeated {
@@ -133,26 +132,26 @@ impl Sender {
     }
 }
 
-/// Whether the socket reports, by ICMP, that an earlier datagram found no peer: no reason to stop, it may come up
-/// yet.
+/// Tests for an ICMP report that an earlier datagram found no peer. This is not fatal: the peer may start
+/// later.
 fn is_unreachable(error: Errno) -> bool {
     matches!(error, Errno::ECONNREFUSED | Errno::EHOSTUNREACH | Errno::ENETDOWN | Errno::ENETUNREACH)
 }
 
-/// A datagram kept in a [`BufferPool`].
+/// Datagram in a [`BufferPool`].
 #[derive(Debug)]
 pub(super) struct Slot {
     cell: usize,
     length: usize,
 }
 
-/// `capacity` cells of [`MAX_DATAGRAM`] bytes, each with something that is known of its datagram.
+/// Pool of `capacity` cells of [`MAX_DATAGRAM`] bytes, each with metadata of its datagram.
 #[derive(Debug)]
 pub(super) struct BufferPool<T> {
     /// Zeroed, so the operating system maps a page only when a cell on it is first used.
     bytes: Vec<u8>,
     about: Vec<Option<T>>,
-    /// Last in, first out: as few cells are touched as were ever in flight together.
+    /// Last in, first out: only as many cells are touched as were ever in flight together.
     free: Vec<usize>,
 }
 
@@ -165,8 +164,8 @@ impl<T> BufferPool<T> {
         }
     }
 
-    /// Copies a datagram of at most [`MAX_DATAGRAM`] bytes in, if a cell is free; `change` may alter the copy and says
-    /// how much of it is kept.
+    /// Copies a datagram of at most [`MAX_DATAGRAM`] bytes into a free cell; `None` if there is none.
+    /// `change` may edit the copy, and returns the length to keep.
     pub(super) fn store(
         &mut self,
         datagram: &[u8],
@@ -182,18 +181,16 @@ impl<T> BufferPool<T> {
         Some(Slot { cell, length })
     }
 
-    /// The datagram in a slot.
     pub(super) fn read(&self, slot: &Slot) -> &[u8] {
         let start = slot.cell * MAX_DATAGRAM;
         &self.bytes[start..start + slot.length]
     }
 
-    /// What is known of the datagram in a slot.
     pub(super) fn about(&self, slot: &Slot) -> Option<&T> {
         self.about[slot.cell].as_ref()
     }
 
-    /// Takes the cell back. A slot is consumed, so none is given back twice.
+    /// Frees the cell. A slot is consumed, so none is freed twice.
     pub(super) fn release(&mut self, Slot { cell, .. }: Slot) {
         self.free.push(cell);
     }

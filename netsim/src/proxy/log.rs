@@ -1,4 +1,4 @@
-//! The ground truth: what became of every datagram, through a bounded ring to a thread that writes it down.
+//! Ground truth: the outcome of every datagram, through a bounded ring to a writer thread.
 
 use std::io::{self, BufWriter, Write};
 use std::sync::atomic::AtomicU64;
@@ -8,30 +8,29 @@ use std::time::Duration;
 use super::statistics::count;
 use crate::packet::Direction;
 
-/// Datagrams whose records wait to be written; more are not recorded.
+/// Capacity of the ring in records; further ones are lost.
 const MAX_WAITING: usize = 1 << 17;
 
-/// First line of the log.
 const HEADER: &str = "direction,index,kind,t_in_ns,t_due_ns,t_out_ns,cause,error_ns,size";
 
-/// What became of one datagram.
+/// Outcome of one datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Record {
     pub(super) direction: Direction,
     pub(super) index: u64,
-    /// Empty for the packet itself, else why there is a copy.
+    /// Empty for the packet itself; otherwise the cause of the copy.
     pub(super) kind: &'static str,
     pub(super) in_ns: u64,
     pub(super) due_ns: Option<u64>,
     pub(super) out_ns: Option<u64>,
-    /// Why it did not leave; empty if it did.
+    /// Reason for not leaving; empty if it left.
     pub(super) cause: &'static str,
-    /// Bytes that arrived.
+    /// Size on arrival in bytes.
     pub(super) size: usize,
 }
 
 impl Record {
-    /// Writes a line; an empty cell is what there is not.
+    /// Writes a line; absent values are empty cells.
     pub(super) fn write(&self, out: &mut impl Write) -> io::Result<()> {
         let Self { direction, index, kind, in_ns, due_ns, out_ns, cause, size } = self;
         write!(out, "{direction},{index},{kind},{in_ns},")?;
@@ -50,7 +49,6 @@ impl Record {
     }
 }
 
-/// The proxy's end of the ring.
 #[derive(Debug)]
 pub(super) struct Log {
     records: rtrb::Producer<Record>,
@@ -58,7 +56,6 @@ pub(super) struct Log {
 }
 
 impl Log {
-    /// Begins a log, and the thread that writes it.
     pub(super) fn begin(out: impl Write + Send + 'static) -> io::Result<Self> {
         let (records, waiting) = rtrb::RingBuffer::new(MAX_WAITING);
         let writer = thread::Builder::new()
@@ -67,29 +64,25 @@ impl Log {
         Ok(Self { records, writer })
     }
 
-    /// Hands a record over, or counts it as lost where the writer is behind.
+    /// Enqueues a record, or counts it as lost if the ring is full.
     pub(super) fn push(&mut self, record: Record, lost: &AtomicU64) {
         if self.records.push(record).is_err() {
             count(lost);
         }
     }
 
-    /// Waits until all is written.
     pub(super) fn end(self) -> io::Result<()> {
         drop(self.records);
         self.writer.join().unwrap_or_else(|_| Err(io::Error::other("the log's writer panicked")))
     }
 }
 
-/// How long an empty ring is left alone: a small part of the time in which it fills.
+/// Pause of the writer at an empty ring: a small part of the time in which it fills.
 const PAUSE: Duration = Duration::from_millis(5);
 
-/// The reading end of a ring.
 pub(super) trait Waiting<R> {
-    /// Whether the writing end is gone.
     fn is_abandoned(&self) -> bool;
 
-    /// Takes the oldest record.
     fn take(&mut self) -> Option<R>;
 }
 
@@ -103,8 +96,8 @@ impl<R> Waiting<R> for rtrb::Consumer<R> {
     }
 }
 
-/// What the writing thread does: it may wait for a disk, the proxy may not. Writes records until the other end of the
-/// ring is gone and all are written.
+/// Body of the writer thread, which may wait for a disk; the proxy may not. It writes records until the
+/// producer is gone and the ring is empty.
 fn write_while_open(out: impl Write, mut records: rtrb::Consumer<Record>) -> io::Result<()> {
     let mut out = BufWriter::with_capacity(1 << 16, out);
     writeln!(out, "{HEADER}")?;
@@ -112,14 +105,14 @@ fn write_while_open(out: impl Write, mut records: rtrb::Consumer<Record>) -> io:
     out.flush()
 }
 
-/// Gives each record to `write` until the other end of the ring is gone and all are given; rests when there is none.
+/// Passes records to `write` until the producer is gone and the ring is empty; calls `rest` when it is empty.
 pub(super) fn take_while_open<R>(
     records: &mut impl Waiting<R>,
     mut write: impl FnMut(R) -> io::Result<()>,
     rest: impl Fn(),
 ) -> io::Result<()> {
     loop {
-        // Looked at first: what was pushed before the end is seen below.
+        // Checked first: the loop below then sees all records pushed before the end.
         let is_last = records.is_abandoned();
         while let Some(record) = records.take() {
             write(record)?;
@@ -137,7 +130,7 @@ mod tests {
     use crate::packet::Direction;
 
     #[test]
-    fn a_line_has_empty_cells_for_what_there_is_not() {
+    fn absent_values_are_empty_cells() {
         let left = Record {
             direction: Direction::Forward,
             index: 7,

@@ -1,9 +1,9 @@
-//! The live driver: a UDP proxy that does to real datagrams what two links decide.
+//! Live driver: a UDP proxy that applies the verdicts of two links to real datagrams.
 //!
-//! One thread serves both directions and all clients. It sleeps in `ppoll` until a datagram comes or the next one in
-//! flight is nearly due, and spends the last part awake (see [`spin`]). Deadlines are absolute times of the monotonic
-//! clock, so errors do not add up. While it spins it goes on receiving, so that arrivals are stamped when they happen.
-//! Datagrams come and go many at a call; nothing is allocated for one.
+//! One thread serves both directions and all clients. It sleeps in `ppoll` until a datagram arrives or the
+//! next departure is near, and spins for the rest (see [`spin`]). Deadlines are absolute times of the
+//! monotonic clock, so errors do not accumulate. The thread receives while it spins, so that arrivals are
+//! stamped when they happen. Calls are batched; nothing is allocated per datagram.
 
 mod batch;
 mod log;
@@ -44,7 +44,7 @@ pub use realtime::{ScheduleBefore, Scheduling, schedule_fifo};
 pub use settings::{ProxyError, ProxySettings, Source};
 pub use statistics::{DirectionStatistics, ProxyMonitor, ProxyStatistics, SchedulingError};
 
-/// The proxy's clock: monotonic ns since it was bound. It wraps after 584 years.
+/// Clock of the proxy: monotonic ns since it was bound. It wraps after 584 years.
 #[derive(Clone, Copy, Debug)]
 struct Clock(Instant);
 
@@ -55,13 +55,14 @@ impl Clock {
     }
 }
 
-/// How often flows that have long been silent are looked for.
+/// Interval at which silent flows are expired, in ns.
 const EXPIRY_PERIOD_NS: u64 = 1_000_000_000;
 
-/// A UDP proxy between clients and one peer.
+/// UDP proxy between clients and one peer.
 ///
-/// It is no open relay: it forwards to the named peer only, and only what comes from this machine or from a source
-/// that the settings allow. Each client has its own socket towards the peer; all share one link in either direction.
+/// It is not an open relay. It forwards only to the named peer, and only datagrams from this machine or from
+/// a source that the settings allow. Each client has its own socket towards the peer; all clients share one
+/// link per direction.
 #[derive(Debug)]
 pub struct Proxy {
     ports: Ports,
@@ -75,9 +76,9 @@ pub struct Proxy {
     next_expiry_ns: u64,
 }
 
-/// What has the kernel's addresses in it and so stays on the thread that runs.
+/// Buffers that contain kernel addresses, and so stay on the running thread.
 struct Batches {
-    /// For the listening socket, whose family of addresses may be another than that of the peer.
+    /// For the listening socket, whose address family may differ from that of the peer.
     from_clients: Receiver,
     from_peer: Receiver,
     sender: Sender,
@@ -86,7 +87,7 @@ struct Batches {
 }
 
 impl Proxy {
-    /// Takes the sockets and all memory the proxy will use.
+    /// Opens the sockets, and reserves all memory the proxy will use.
     pub fn bind(settings: &ProxySettings) -> Result<Self, ProxyError> {
         let pipeline = |direction, link: &LinkSettings| {
             DirectionPipeline::new(direction, settings.seed, link)
@@ -123,17 +124,17 @@ impl Proxy {
         })
     }
 
-    /// Address the clients send to, with the port that was chosen.
+    /// Address that clients send to, with the actual port.
     pub fn listen_address(&self) -> SocketAddr {
         self.ports.listen_address
     }
 
-    /// A handle that reads the statistics while the proxy runs.
+    /// Handle that reads the statistics while the proxy runs.
     pub fn monitor(&self) -> ProxyMonitor {
         ProxyMonitor(Arc::clone(&self.record))
     }
 
-    /// A handle that changes the rules of the proxy while it runs.
+    /// Handle that changes the rules while the proxy runs.
     pub fn control(&self) -> ProxyControl {
         ProxyControl {
             seed: self.seed,
@@ -142,17 +143,20 @@ impl Proxy {
         }
     }
 
-    /// Serves until `stop` is set, which is noticed within 20 ms. What is still in flight then is not sent.
+    /// Serves until `stop` is set, which is noticed within 20 ms. Datagrams in flight at the stop are not
+    /// sent.
     ///
-    /// The thread that calls it is given real-time scheduling, if that is wanted and allowed, and keeps it. The log
-    /// ends with the run.
+    /// The calling thread gets real-time scheduling, if requested and permitted, and keeps it. The log ends
+    /// with the run.
     pub fn run(&mut self, stop: &AtomicBool) -> io::Result<ProxyStatistics> {
         self.run_observed(stop, |_, _| {})
     }
 
-    /// As [`run`](Proxy::run), showing every packet with what becomes of it to `observe` on the proxy's own thread.
+    /// Same as [`run`](Proxy::run), but passes every packet and its judgement to `observe` on the proxy's
+    /// thread.
     ///
-    /// The index of a packet is its order of arrival in its direction. What `observe` spends, datagrams wait.
+    /// The index of a packet is its order of arrival in its direction. Time spent in `observe` delays
+    /// datagrams.
     pub fn run_observed(
         &mut self,
         stop: &AtomicBool,
@@ -179,7 +183,7 @@ impl Proxy {
         self.forward.give_up(&mut metrics);
         self.backward.give_up(&mut metrics);
         if let Some(Err(_)) = self.log.take().map(Log::end) {
-            // What was measured is worth having without it.
+            // The measurements are useful without the log.
             self.record.log_failed.store(true, Relaxed);
         }
         Ok(self.monitor().snapshot())
@@ -190,8 +194,8 @@ impl Proxy {
         dues.into_iter().flatten().min()
     }
 
-    /// Sends what is due by now; what falls due meanwhile waits for the next round, so that receiving is not
-    /// starved.
+    /// Sends what is due now. Datagrams that become due meanwhile wait for the next round, so that receiving
+    /// does not starve.
     fn release_due(&mut self, sender: &mut Sender) {
         let Self { ports, forward, backward, record, log, clock, .. } = self;
         let mut metrics = Metrics { record, log };
@@ -210,7 +214,7 @@ impl Proxy {
         }
     }
 
-    /// Sleeps until a datagram comes, the next one in flight is nearly due, or a stop must be looked for.
+    /// Sleeps until a datagram arrives, the next departure is near, or the stop flag must be checked.
     fn sleep(&self, spin: &mut SpinBudget) -> io::Result<()> {
         let Some(sleep_ns) = spin.sleep_ns(self.clock.now_ns(), self.next_due()) else {
             return Ok(());
@@ -219,7 +223,7 @@ impl Proxy {
         self.ports.wait(&timeout)
     }
 
-    /// Takes what has come, and between sockets sends what falls due.
+    /// Receives from all ready sockets, and sends due datagrams in between.
     fn receive(
         &mut self,
         batches: &mut Batches,

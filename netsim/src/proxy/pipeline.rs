@@ -1,4 +1,4 @@
-//! One direction of the proxy: a link, what is in flight on it, and its record.
+//! One direction of the proxy: a link, its datagrams in flight, and its statistics.
 
 use super::Clock;
 use super::batch::{BufferPool, Destinations, MAX_DATAGRAM, MAX_SENT, Outgoing, Sender, Slot};
@@ -17,16 +17,15 @@ use std::io::IoSlice;
 use std::sync::atomic::{AtomicBool, Ordering, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// In the log: the socket refused it, or its client was gone.
+/// Log: the socket refused the datagram, or its client was gone.
 const UNSENT: &str = "unsent";
-/// In the log: the proxy was stopped before it was due.
+/// Log: the proxy stopped before the datagram was due.
 const UNFINISHED: &str = "unfinished";
 
-/// What is known of a datagram in flight.
+/// Metadata of a datagram in flight.
 #[derive(Clone, Copy, Debug)]
 struct Datagram {
-    /// Settled on arrival, so that an answer to a client that has since been replaced does not reach the new
-    /// one.
+    /// Fixed at arrival, so that an answer to a replaced client does not reach the new one.
     egress: Egress,
     index: u64,
     extra: Option<ExtraCause>,
@@ -43,7 +42,6 @@ pub(super) struct DirectionPipeline {
     next_index: u64,
 }
 
-/// Where both directions count and log what they do.
 pub(super) struct Metrics<'a> {
     pub(super) record: &'a Recorder,
     pub(super) log: &'a mut Option<Log>,
@@ -83,12 +81,11 @@ impl DirectionPipeline {
         self.queue.next_due()
     }
 
-    /// Takes up other rules, if some wait.
     pub(super) fn take_up_change(&mut self) {
         self.change.take_up(&mut self.link);
     }
 
-    /// Judges a datagram that arrived at `now_ns` and keeps it, and what arrives beside it, until it is due.
+    /// Judges a datagram that arrived at `now_ns`, and keeps it and its extras until they are due.
     pub(super) fn accept(
         &mut self,
         now_ns: u64,
@@ -107,8 +104,7 @@ impl DirectionPipeline {
         let Self { link, queue, buffers, .. } = self;
         let judgement = link.judge(&packet);
         let mut enqueue = |at_ns, damage: &Damage, about: Datagram| {
-            // Pool and queue have the same capacity: a slot in hand means room in the queue, so none is lost
-            // below.
+            // Pool and queue have equal capacity: a free cell implies room in the queue, so no slot is lost.
             let slot = buffers.store(datagram, about, |bytes| damage.apply(bytes));
             slot.ok_or(DropCause::InFlight).and_then(|slot| queue.push(at_ns, slot))
         };
@@ -153,7 +149,7 @@ impl DirectionPipeline {
         metrics.of(direction).overtaking.store(overtaking, Relaxed);
     }
 
-    /// Sends what is due by `now_ns`: what leaves by the same socket one after the other, with one call.
+    /// Sends what is due by `now_ns`, with one call per run of datagrams for the same socket.
     pub(super) fn release(
         &mut self,
         now_ns: u64,
@@ -233,7 +229,7 @@ impl DirectionPipeline {
         }
     }
 
-    /// Writes down what will not leave any more.
+    /// Logs datagrams that will not leave.
     pub(super) fn give_up(&mut self, metrics: &mut Metrics<'_>) {
         let direction = self.link.direction();
         while let Some((due_ns, slot)) = self.queue.pop_due(u64::MAX) {
@@ -267,7 +263,7 @@ impl Datagram {
     }
 }
 
-/// A handle by which any thread changes the rules of a running proxy.
+/// Handle by which any thread changes the rules of a running proxy.
 #[derive(Clone, Debug)]
 pub struct ProxyControl {
     pub(super) seed: u64,
@@ -276,10 +272,10 @@ pub struct ProxyControl {
 }
 
 impl ProxyControl {
-    /// Other settings for the datagrams from now on; those in flight arrive as was decided.
+    /// Applies new settings to later datagrams; those in flight keep their verdicts.
     ///
-    /// They are checked and built on the caller's thread; the proxy takes them up when it next wakes, within 20 ms.
-    /// A change that was not yet taken up is replaced.
+    /// Settings are checked and built on the caller's thread. The proxy adopts them when it next wakes,
+    /// within 20 ms. A pending change is replaced.
     pub fn change(&self, direction: Direction, settings: &LinkSettings) -> Result<(), LinkSettingsError> {
         self.change_rules(direction, Rules::build(direction, self.seed, settings)?);
         Ok(())
@@ -294,7 +290,7 @@ impl ProxyControl {
     }
 }
 
-/// Rules that wait to be taken up; afterwards, those that were replaced, so that the proxy's thread frees nothing.
+/// Pending rules; afterwards the replaced ones, so that the proxy's thread frees nothing.
 #[derive(Debug, Default)]
 pub(super) struct Change {
     is_waiting: AtomicBool,
@@ -312,7 +308,7 @@ impl Change {
         drop(replaced);
     }
 
-    /// Takes waiting rules up, unless somebody is just bringing others: then the next time.
+    /// Adopts pending rules, unless another thread holds the lock: then at the next call.
     fn take_up(&self, link: &mut Link) {
         if !self.is_waiting.load(Ordering::Acquire) {
             return;

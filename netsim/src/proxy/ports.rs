@@ -1,4 +1,4 @@
-//! Where datagrams enter and leave: the sockets, and the clients behind them.
+//! Sockets of the proxy, and the clients behind them.
 
 use super::settings::{ProxyError, ProxySettings, Source};
 use crate::reply::{Asker, report_asked, report_room};
@@ -12,12 +12,12 @@ use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 
 const NO_TIME: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
 
-/// Where a datagram leaves to.
+/// Destination of a datagram.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Egress {
-    /// To the peer, as from its client.
+    /// To the peer, from its client's socket.
     Peer(FlowId),
-    /// To the peer, from a source that is no client's.
+    /// To the peer, from a socket of no client.
     PeerBeside,
     /// To a client, from the address that it asked.
     Client(Asker),
@@ -25,7 +25,6 @@ pub(super) enum Egress {
     ClientBeside(Asker),
 }
 
-/// The egresses that a datagram may take.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Routes {
     pub(super) on: Egress,
@@ -33,10 +32,10 @@ pub(super) struct Routes {
     pub(super) beside: Egress,
 }
 
-/// The socket of an egress: what leaves by the same one can be sent with one call.
+/// Socket of an egress: datagrams for the same one can share a call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum EgressSocket {
-    /// From this address of the machine, where the socket has several.
+    /// From this address of the machine, if the socket has several.
     Listen(Option<IpAddr>),
     ListenBeside(Option<IpAddr>),
     Upstream(FlowId),
@@ -44,7 +43,7 @@ pub(super) enum EgressSocket {
 }
 
 impl EgressSocket {
-    /// The address that it sends from, where it has several.
+    /// Source address, if the socket has several.
     pub(super) fn asked(self) -> Option<IpAddr> {
         match self {
             Self::Listen(asked) | Self::ListenBeside(asked) => asked,
@@ -53,7 +52,6 @@ impl EgressSocket {
     }
 }
 
-/// Where datagrams enter.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Ingress {
     Listen,
@@ -74,7 +72,6 @@ impl Ingress {
     }
 }
 
-/// Room for the answer of a look at all ingresses.
 pub(super) struct Ready([Event; MAX_FLOWS + 1]);
 
 impl Ready {
@@ -125,17 +122,17 @@ impl Ports {
         })
     }
 
-    /// Room for what the listening socket reports with each datagram.
     pub(super) fn report_room(&self) -> Option<Vec<u8>> {
         report_room(self.listen_address)
     }
 
-    /// Bytes that the kernel grants for datagrams that wait: received, and to be sent.
+    /// Receive and send buffer sizes in bytes granted by the kernel.
     pub(super) fn granted(&self) -> (u64, u64) {
         granted(&self.listen)
     }
 
-    /// The flow of a client, who is served if it is of this machine or allowed; a new one gets its own socket.
+    /// Flow of a client from this machine or an allowed source; `None` for others. A new client gets its own
+    /// socket.
     pub(super) fn admit(&mut self, client: Asker, now_ns: u64) -> Option<FlowId> {
         if let Some(known) = self.flows.find(client, now_ns) {
             return Some(known);
@@ -152,7 +149,7 @@ impl Ports {
         Some(self.flows.open(client, upstream, now_ns))
     }
 
-    /// The client that an answer is for, unless it is none: the kernel lets through what arrived between binding and
+    /// Client of an answer; `None` for datagrams from others, which the kernel accepts between binding and
     /// connecting.
     pub(super) fn client_of(
         &mut self,
@@ -167,16 +164,15 @@ impl Ports {
         Some((flow, self.flows.get(flow)?.client))
     }
 
-    /// Waits until something comes, at most for `timeout`.
     pub(super) fn wait(&self, timeout: &Timespec) -> io::Result<()> {
         match poll(&mut [PollFd::new(&self.waiting, PollFlags::IN)], Some(timeout)) {
-            // A signal is as good a reason to wake as any.
+            // A signal ends the wait as well.
             Ok(_) | Err(rustix::io::Errno::INTR) => Ok(()),
             Err(error) => Err(error.into()),
         }
     }
 
-    /// Where datagrams have come, without waiting.
+    /// Ingresses with datagrams, without waiting.
     pub(super) fn look<'a>(
         &self,
         ready: &'a mut Ready,
@@ -189,7 +185,6 @@ impl Ports {
         Ok(ready.0[..found].iter().map(|event| Ingress::of(event.data.u64())))
     }
 
-    /// The socket of an ingress, if its client is still there.
     pub(super) fn ingress_socket(&self, ingress: Ingress) -> Option<BorrowedFd<'_>> {
         match ingress {
             Ingress::Listen => Some(self.listen.as_fd()),
@@ -197,7 +192,7 @@ impl Ports {
         }
     }
 
-    /// The socket of a socket, if its client is still there.
+    /// Descriptor of an egress socket, if its client is still there.
     pub(super) fn egress_socket(&self, socket: EgressSocket) -> Option<BorrowedFd<'_>> {
         match socket {
             EgressSocket::Listen(_) => Some(self.listen.as_fd()),
@@ -209,7 +204,7 @@ impl Ports {
 }
 
 impl Egress {
-    /// Through which socket, and where to if the socket does not know.
+    /// Socket to use, and the destination if the socket is not connected.
     pub(super) fn socket(self) -> (EgressSocket, Option<SockaddrStorage>) {
         match self {
             Self::Peer(flow) => (EgressSocket::Upstream(flow), None),
@@ -226,11 +221,10 @@ fn watch(waiting: &OwnedFd, socket: &UdpSocket, ingress: Ingress) -> rustix::io:
     epoll::add(waiting, socket, EventData::new_u64(ingress.number()), EventFlags::IN)
 }
 
-/// Asked of the kernel for datagrams that wait: 100 ms at 50000 packets/s, at 800 bytes each with what the kernel
-/// keeps beside them.
+/// Requested buffer size: 100 ms at 50000 packets/s, at 800 bytes per packet including the kernel's overhead.
 const BUFFER_BYTES: usize = 4 << 20;
 
-/// A socket at `listen`, and its address with the port that was chosen.
+/// Socket at `listen`, and its address with the actual port.
 fn open_listening(listen: SocketAddr) -> io::Result<(UdpSocket, SocketAddr)> {
     let socket = open(listen)?;
     report_asked(&socket)?;
@@ -238,7 +232,7 @@ fn open_listening(listen: SocketAddr) -> io::Result<(UdpSocket, SocketAddr)> {
     Ok((socket, address))
 }
 
-/// A socket connected to the peer, and the address the kernel took it for.
+/// Socket connected to the peer, and the peer's address as seen by the kernel.
 fn open_upstream(forward: SocketAddr) -> io::Result<(UdpSocket, SocketAddr)> {
     let any: SocketAddr = match forward {
         SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
@@ -253,7 +247,7 @@ fn open_upstream(forward: SocketAddr) -> io::Result<(UdpSocket, SocketAddr)> {
 fn open(address: SocketAddr) -> io::Result<UdpSocket> {
     let socket = UdpSocket::bind(address)?;
     socket.set_nonblocking(true)?;
-    // Beyond its limit the kernel grants more to the privileged, and its limit to others.
+    // The kernel exceeds its limit only for privileged processes; others get the limit.
     let _ = sockopt::set_socket_recv_buffer_size_force(&socket, BUFFER_BYTES)
         .or_else(|_| sockopt::set_socket_recv_buffer_size(&socket, BUFFER_BYTES));
     let _ = sockopt::set_socket_send_buffer_size_force(&socket, BUFFER_BYTES)
@@ -261,29 +255,27 @@ fn open(address: SocketAddr) -> io::Result<UdpSocket> {
     Ok(socket)
 }
 
-/// Bytes granted for receiving and for sending.
 fn granted(socket: &UdpSocket) -> (u64, u64) {
     let receive = sockopt::socket_recv_buffer_size(socket).unwrap_or(0);
     let send = sockopt::socket_send_buffer_size(socket).unwrap_or(0);
     (receive as u64, send as u64)
 }
 
-/// Whether the proxy would be its own peer.
+/// Tests if the proxy would be its own peer.
 fn is_own(listen: SocketAddr, peer: SocketAddr) -> bool {
-    // One address may be written as IPv4 and as IPv6.
+    // One address may be given as IPv4 and as IPv6.
     let (here, there) = (listen.ip().to_canonical(), peer.ip().to_canonical());
     let is_same_host = here == there || (here.is_unspecified() && there.is_loopback());
     is_same_host && listen.port() == peer.port()
 }
 
-/// Most clients served at a time.
+/// Maximum number of clients at a time.
 pub const MAX_FLOWS: usize = 64;
-/// A flow that has been silent for as long is closed.
+/// Silence in ns after which a flow is closed.
 const EXPIRY_NS: u64 = 60_000_000_000;
-/// A flow that has been silent for as long makes room for another where there is none.
+/// Silence in ns after which a flow is replaced by a new client if all places are taken.
 const YIELD_NS: u64 = 1_000_000_000;
 
-/// One client.
 #[derive(Debug)]
 pub(super) struct Flow {
     pub(super) client: Asker,
@@ -293,24 +285,23 @@ pub(super) struct Flow {
     heard_ns: u64,
 }
 
-/// A flow, and which of those that had its place one after the other.
+/// Slot index plus generation counter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct FlowId {
     place: usize,
     generation: u32,
 }
 
-/// All clients.
 #[derive(Debug, Default)]
 pub(super) struct Flows {
     places: Vec<Option<Flow>>,
-    /// The sender of the last datagram, which is that of the next one.
+    /// Slot of the last sender, which is usually that of the next datagram.
     last: usize,
     generation: u32,
 }
 
 impl Flows {
-    /// The flow of a client that is served, who has been heard now. It is answered from the address that it asked last.
+    /// Flow of a known client, marked as heard now. Answers leave from the address that it asked last.
     pub(super) fn find(&mut self, client: Asker, now_ns: u64) -> Option<FlowId> {
         let is_of = |flow: &Option<Flow>| flow.as_ref().is_some_and(|flow| flow.client.from == client.from);
         let place = if self.places.get(self.last).is_some_and(is_of) {
@@ -325,14 +316,14 @@ impl Flows {
         self.heard(place, now_ns)
     }
 
-    /// The flow at a place, which has been heard now from either side.
+    /// Flow in a slot, marked as heard now from either side.
     pub(super) fn heard(&mut self, place: usize, now_ns: u64) -> Option<FlowId> {
         let flow = self.places.get_mut(place)?.as_mut()?;
         flow.heard_ns = now_ns;
         Some(FlowId { place, generation: flow.generation })
     }
 
-    /// Whether another client may come, who takes the place of the one that has been silent longest if need be.
+    /// Tests if another client can be admitted; if needed, closes the flow that has been silent longest.
     pub(super) fn make_room(&mut self, now_ns: u64) -> bool {
         self.expire(now_ns);
         if self.len() < MAX_FLOWS {
@@ -349,7 +340,7 @@ impl Flows {
         })
     }
 
-    /// Takes a client in, after room was made.
+    /// Admits a client; requires that there is room.
     pub(super) fn open(&mut self, client: Asker, upstream: UdpSocket, now_ns: u64) -> FlowId {
         self.generation = self.generation.wrapping_add(1);
         let generation = self.generation;
@@ -362,24 +353,22 @@ impl Flows {
         FlowId { place, generation }
     }
 
-    /// Where the next client will be.
     pub(super) fn free_place(&self) -> usize {
         self.places.iter().position(Option::is_none).unwrap_or(self.places.len())
     }
 
-    /// Closes what has long been silent.
     pub(super) fn expire(&mut self, now_ns: u64) {
         for place in &mut self.places {
             place.take_if(|flow| now_ns.saturating_sub(flow.heard_ns) >= EXPIRY_NS);
         }
     }
 
-    /// The flow, if it is still open.
+    /// Flow, if it is still open.
     pub(super) fn get(&self, id: FlowId) -> Option<&Flow> {
         self.at(id.place).filter(|flow| flow.generation == id.generation)
     }
 
-    /// Whatever flow is at a place.
+    /// Flow in a slot, of any generation.
     pub(super) fn at(&self, place: usize) -> Option<&Flow> {
         self.places.get(place)?.as_ref()
     }
@@ -412,12 +401,12 @@ mod tests {
         assert!(flows.get(second).is_none() && flows.get(first).is_some());
         let third = open(&mut flows, 2, EXPIRY_NS);
         assert_eq!(third.place, second.place);
-        assert!(flows.get(second).is_none(), "the place is taken, the flow is not that one");
+        assert!(flows.get(second).is_none(), "the slot holds a flow of another generation");
         assert_eq!(flows.get(third).unwrap().client, client(2));
     }
 
     #[test]
-    fn where_all_places_are_taken_the_longest_silent_makes_room() {
+    fn with_all_slots_taken_the_longest_silent_flow_is_closed() {
         let mut flows = Flows::default();
         for number in 0..MAX_FLOWS {
             assert!(flows.make_room(100));

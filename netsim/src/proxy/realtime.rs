@@ -1,4 +1,4 @@
-//! What the proxy's thread requests of the scheduler.
+//! Scheduling of the proxy's thread.
 
 use std::{
     fmt, io,
@@ -12,16 +12,16 @@ use thread_priority::{
     set_thread_priority_and_policy, thread_native_id, thread_schedule_policy_param,
 };
 
-/// Above ordinary real-time threads, below those of the kernel's interrupts (50).
+/// Above ordinary real-time threads, below the kernel's interrupt threads (50).
 const PRIORITY: u8 = 40;
 
-/// How the proxy's thread is scheduled.
+/// Scheduling of the proxy's thread.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Scheduling {
     /// As any thread.
     #[default]
     Normal,
-    /// `SCHED_FIFO`: before every thread that has no real-time priority.
+    /// `SCHED_FIFO`: before every thread without a real-time priority.
     Fifo,
 }
 
@@ -34,16 +34,16 @@ impl fmt::Display for Scheduling {
     }
 }
 
-/// Lets timers of this thread be exact, and puts it before others if that is wanted and allowed.
+/// Makes timers of this thread exact, and requests real-time scheduling if `realtime` is set.
 pub(crate) fn prepare_thread(realtime: bool) -> Scheduling {
-    // Without it a normal thread is woken up to 50 us late, to be woken together with others. A kernel that refuses
-    // costs accuracy, which is measured anyway.
+    // By default a normal thread wakes up to 50 us late, batched with others. A refusal costs accuracy, which
+    // is measured anyway.
     let _ = set_current_timer_slack(NonZeroU64::new(1));
     if realtime && schedule_fifo(PRIORITY).is_ok() { Scheduling::Fifo } else { Scheduling::Normal }
 }
 
-/// Puts this thread under `SCHED_FIFO` with `priority`, 1 to 99, and returns the priority that the kernel then says it
-/// has.
+/// Sets `SCHED_FIFO` with `priority`, 1 to 99, for this thread; returns the priority that the kernel then
+/// reports.
 pub fn schedule_fifo(priority: u8) -> io::Result<u8> {
     let fifo = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
     let wanted = ThreadPriorityValue::try_from(priority).map_err(io::Error::other)?;
@@ -55,10 +55,10 @@ pub fn schedule_fifo(priority: u8) -> io::Result<u8> {
     }
 }
 
-/// How a thread was scheduled before it was given real time; given back when this is dropped on that thread.
+/// Scheduling of a thread before a real-time request; restored on drop, if dropped on that thread.
 ///
-/// Whoever runs a loop on a thread of their own goes on with it afterwards, and what they start inherits it: a program
-/// that computes under `SCHED_FIFO` takes a processor from everybody.
+/// A caller continues on the same thread after its loop, and new threads inherit the scheduling. A program
+/// that computes under `SCHED_FIFO` takes a processor from all others.
 #[derive(Debug)]
 pub struct ScheduleBefore {
     thread: ThreadId,
@@ -67,12 +67,13 @@ pub struct ScheduleBefore {
 }
 
 impl ScheduleBefore {
-    /// Of the calling thread; none where the system does not report it.
+    /// For the calling thread; `None` if the system does not report it.
     pub fn of_this_thread() -> Option<Self> {
         let (policy, parameters) = thread_schedule_policy_param(thread_native_id()).ok()?;
         let priority = match policy {
             ThreadSchedulePolicy::Realtime(_) => ThreadPriority::from_posix(parameters),
-            // Of those without real time the library takes a part of 99 for a niceness: the one that gives the same.
+            // For non-real-time policies the library maps 0 to 99 to a niceness: find the value that yields
+            // the current one.
             ThreadSchedulePolicy::Normal(_) => {
                 let niceness = getpriority_process(None).ok()?;
                 (0..=99_u8)
@@ -88,7 +89,7 @@ impl ScheduleBefore {
 impl Drop for ScheduleBefore {
     fn drop(&mut self) {
         if self.thread == thread::current().id() {
-            // To be given less is always allowed.
+            // Lowering the priority is always permitted.
             let _ = set_thread_priority_and_policy(thread_native_id(), self.priority, self.policy);
         }
     }

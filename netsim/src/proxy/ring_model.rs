@@ -1,9 +1,9 @@
-//! The ring between a loop and the thread that writes its records, under every interleaving and every value that the
-//! memory model allows.
+//! Model check of the ring between a loop and its writer thread, under every interleaving and every value
+//! that the memory model allows.
 //!
-//! The ring is that of `rtrb`, with its orderings, in loom's atomics; what is done with it is our own code. A slot is
-//! an atomic without an ordering of its own, and beside it a cell of loom that notices two accesses without an order.
-//! Each ordering and each step of the protocol that matters is also tested by leaving it out: the model must notice.
+//! The ring is that of `rtrb`, with its orderings, in loom's atomics; the code that uses it is ours. A slot
+//! is an atomic without an ordering of its own, beside a loom cell that detects unordered accesses. Each
+//! relevant ordering and protocol step is also tested by omitting it: the model must detect that.
 //!
 //! Source: `rtrb` 0.4.1, `Producer::push`, `Consumer::pop`, `ArcRingBuffer::drop`.
 
@@ -20,15 +20,15 @@ use super::log::{Waiting, take_while_open};
 const CAPACITY: usize = 2;
 const RECORDS: u64 = 3;
 
-/// What is left out of a ring.
+/// Ordering omitted from a ring.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Without {
     Nothing,
-    /// The order between a slot and the index that publishes it.
+    /// Order between a slot and the index that publishes it.
     Publication,
-    /// The order between the last records and the mark that there are no more.
+    /// Order between the last records and the end mark.
     Farewell,
-    /// The order between reading a slot and freeing it.
+    /// Order between reading a slot and freeing it.
     Return,
 }
 
@@ -125,7 +125,7 @@ impl Waiting<u64> for Consumer {
     }
 }
 
-/// A loop that pushes and goes; what it could not push is counted, as [`super::log::Log::push`] does.
+/// Loop that pushes all records and ends; it counts failed pushes, as [`super::log::Log::push`] does.
 fn push_all(mut records: Producer, lost: &AtomicU64) {
     for record in 1..=RECORDS {
         if records.push(record).is_err() {
@@ -134,7 +134,7 @@ fn push_all(mut records: Producer, lost: &AtomicU64) {
     }
 }
 
-/// Runs a loop beside `write`, which returns the records that it was given.
+/// Runs a loop concurrently with `write`, which returns the records it received.
 fn each_is_written_or_counted(without: Without, write: fn(Consumer) -> Vec<u64>) {
     loom::model(move || {
         let (producer, consumer) = Ring::ends(without);
@@ -159,7 +159,7 @@ fn writer(mut records: Consumer) -> Vec<u64> {
     written
 }
 
-/// Looks for the end only after it has found nothing.
+/// Checks for the end only after it finds no record.
 fn writer_that_looks_too_late(mut records: Consumer) -> Vec<u64> {
     let mut written = Vec::new();
     loop {
@@ -202,9 +202,9 @@ fn a_slot_returned_without_order_is_noticed() {
     each_is_written_or_counted(Without::Return, writer);
 }
 
-/// A live run: the reader drains while the loop goes, waits for its end, and drains what is left.
+/// Live run: the reader drains while the loop runs, waits for its end, and drains the rest.
 #[test]
-fn what_is_left_when_a_loop_has_ended_is_drained() {
+fn records_left_after_the_loop_are_drained() {
     loom::model(|| {
         let (producer, mut consumer) = Ring::ends(Without::Nothing);
         let lost = Arc::new(AtomicU64::new(0));

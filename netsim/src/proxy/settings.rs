@@ -1,4 +1,4 @@
-//! What a proxy is set to do, and why it may be refused.
+//! Settings of a proxy, and their errors.
 
 use std::io;
 use std::net::{IpAddr, SocketAddr};
@@ -9,10 +9,10 @@ use crate::checks::LinkSettingsError;
 use crate::impairments::LinkSettings;
 use crate::packet::Direction;
 
-/// Where a proxy stands and what it does to the datagrams that pass.
+/// Addresses and links of a proxy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProxySettings {
-    /// Address the client (the master) sends to; port 0 lets the system choose one.
+    /// Address the client (the master) sends to; port 0 lets the system choose.
     pub listen: SocketAddr,
     /// Address of the peer (the slave): the only destination, and the only source of answers.
     pub forward: SocketAddr,
@@ -20,20 +20,20 @@ pub struct ProxySettings {
     pub forward_link: LinkSettings,
     /// Network from peer to client.
     pub backward_link: LinkSettings,
-    /// Key of all random draws.
+    /// Seed of all random draws.
     pub seed: u64,
-    /// Sources that are served beside those of this machine, which always are.
+    /// Permitted sources in addition to those of this machine, which are always permitted.
     pub allow: Vec<Source>,
-    /// Whether to request real-time scheduling; what was granted is in the statistics.
+    /// Requests real-time scheduling; the statistics report the scheduling granted.
     pub realtime: bool,
-    /// Largest p99 of the scheduling error in s with which a run is valid.
+    /// Maximum p99 of the scheduling error in s for a valid run.
     pub max_error_s: f64,
-    /// File to write what became of each datagram to, as CSV; an existing one is replaced.
+    /// CSV file for the outcome of each datagram; an existing file is replaced.
     pub log: Option<PathBuf>,
 }
 
 impl ProxySettings {
-    /// A perfect network to `forward` and back.
+    /// Perfect network to `forward` and back.
     pub fn new(listen: SocketAddr, forward: SocketAddr) -> Self {
         Self {
             listen,
@@ -49,18 +49,17 @@ impl ProxySettings {
     }
 }
 
-/// Whose datagrams are served.
+/// Permitted source of datagrams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Source {
     ip: IpAddr,
-    /// The zone of a link-local address; 0 for all.
+    /// Zone of a link-local address; 0 for all.
     zone: u32,
-    /// That of one socket; without it all of the machine.
+    /// Port of one socket; `None` for all of the machine.
     port: Option<u16>,
 }
 
 impl Source {
-    /// Whether a datagram from `source` is one of them.
     pub(super) fn covers(self, source: SocketAddr) -> bool {
         let zone = match source {
             SocketAddr::V4(_) => 0,
@@ -75,7 +74,7 @@ impl Source {
 impl std::str::FromStr for Source {
     type Err = String;
 
-    /// An address with or without a port, and with or without a zone.
+    /// Parses an address with an optional port and an optional zone.
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let socket = text.strip_prefix('[').and_then(|rest| rest.rsplit_once("]:"));
         let socket = socket.or_else(|| text.rsplit_once(':').filter(|(ip, _)| !ip.contains(':')));
@@ -88,22 +87,22 @@ impl std::str::FromStr for Source {
     }
 }
 
-/// A proxy that cannot be set up.
+/// Error in setting up a proxy.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ProxyError {
-    /// A direction's settings describe no link.
+    /// The link settings of a direction are invalid.
     #[error("link.{direction}: {source}")]
     Link {
-        /// Which direction.
+        /// Direction.
         direction: Direction,
-        /// What is wrong with it.
+        /// Cause.
         source: LinkSettingsError,
     },
-    /// The peer's address names no port.
+    /// The peer's address has no port.
     #[error("forward = {forward}: must name a port from 1 to 65535")]
     NoPort {
-        /// The address.
+        /// Address.
         forward: SocketAddr,
     },
     /// The proxy would forward to itself.
@@ -111,31 +110,31 @@ pub enum ProxyError {
         "forward = {forward}: must not be the proxy's own listen address, or datagrams would go round for ever"
     )]
     Loop {
-        /// The address.
+        /// Address.
         forward: SocketAddr,
     },
-    /// The limit of the scheduling error is no duration.
+    /// The limit of the scheduling error is invalid.
     #[error("max_error_s = {seen}: must be a finite number above 0, at most 1")]
     MaxError {
-        /// The limit.
+        /// Limit given.
         seen: f64,
     },
     /// The log cannot be written.
     #[error("log = {path}: {source}")]
     Log {
-        /// Its path.
+        /// Path of the log.
         path: String,
-        /// What the operating system says.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// An address cannot be used.
+    /// An address is unusable.
     #[error("{key} = {address}: {source}")]
     Socket {
         /// Name of the setting.
         key: &'static str,
-        /// Its value.
+        /// Value of the setting.
         address: SocketAddr,
-        /// What the operating system says.
+        /// Error of the operating system.
         source: io::Error,
     },
 }

@@ -1,17 +1,18 @@
-//! How the proxy waits for a deadline: asleep until shortly before, then awake.
+//! Waiting for a deadline: asleep until shortly before, then spinning.
 
-/// Awake for at most this long before a datagram is due.
+/// Maximum spin before a departure, in ns.
 const SPIN_NS: u64 = 100_000;
-/// Asleep for at most this long, so that a stop is noticed.
+/// Maximum sleep in ns, so that a stop is noticed.
 const SLEEP_NS: u64 = 20_000_000;
-/// Most time awake that is saved up for later.
+/// Maximum saved spin time in ns.
 const MAX_CREDIT_NS: u64 = 2_000_000;
 
 /// Decides how long to sleep.
 ///
-/// The kernel wakes a sleeper some us late, or some tens of us without real-time scheduling, never a spinner. But with
-/// a deadline every few us, spinning before each would take the processor for ever, which with real-time scheduling
-/// nobody could take back: at most half of the time is spent so, and the rest asleep until the very deadline.
+/// The kernel wakes a sleeper some us late, some tens of us without real-time scheduling; a spinner is on
+/// time. With a deadline every few us, spinning before each would occupy the processor forever, and under
+/// real-time scheduling nothing could preempt it. Therefore at most half of the time is spent spinning; the
+/// rest is slept until the exact deadline.
 #[derive(Debug)]
 pub(super) struct SpinBudget {
     credit_ns: u64,
@@ -26,7 +27,7 @@ impl Default for SpinBudget {
 }
 
 impl SpinBudget {
-    /// How long to sleep now; `None` is not at all.
+    /// Time to sleep now in ns; `None` to spin.
     pub(super) fn sleep_ns(&mut self, now_ns: u64, due_ns: Option<u64>) -> Option<u64> {
         let passed_ns = now_ns.saturating_sub(self.looked_ns);
         self.looked_ns = now_ns;
@@ -63,7 +64,7 @@ mod tests {
         assert_eq!(budget.sleep_ns(1_000_000 - SPIN_NS, Some(1_000_000)), None);
         assert_eq!(budget.sleep_ns(999_999, Some(1_000_000)), None);
         assert_eq!(budget.sleep_ns(1_000_001, Some(1_000_000)), None);
-        // A kilohertz in both directions never runs out.
+        // 1 kHz in both directions never exhausts the budget.
         for tick in 0..10_000 {
             let due_ns = 2_000_000 + tick * 500_000;
             assert_eq!(budget.sleep_ns(due_ns - SPIN_NS, Some(due_ns)), None);

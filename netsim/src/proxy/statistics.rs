@@ -1,4 +1,4 @@
-//! What the proxy has done, readable from another thread while it runs.
+//! Statistics of the proxy, readable from other threads while it runs.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
@@ -7,57 +7,57 @@ use super::realtime::Scheduling;
 use crate::verdict::DropCause;
 
 const BIN_NS: u64 = 1_000;
-/// 1 us bins up to 10 ms; what is later still falls into one more bin.
+/// 1 us bins up to 10 ms; later values share one more bin.
 const BINS: usize = 10_000;
 
 const CAUSES: usize = DropCause::ALL.len();
 
-/// What happened to the datagrams of one direction.
+/// Statistics of the datagrams of one direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct DirectionStatistics {
     /// Datagrams accepted and judged.
     pub received: u64,
-    /// Of these, taken by the link's rules, for whatever cause.
+    /// Received datagrams dropped by the link's rules, for any cause.
     pub lost: u64,
-    /// Of these, dropped because too many were in flight.
+    /// Received datagrams dropped because too many were in flight.
     pub queue_full: u64,
-    /// Of these, sent on.
+    /// Received datagrams sent on.
     pub released: u64,
-    /// Of these, not sent on when due, because the socket refused them or the client was gone.
+    /// Received datagrams not sent when due, because the socket refused them or the client was gone.
     pub unsent: u64,
-    /// Of these, sent on or to be sent on with other bytes than arrived.
+    /// Received datagrams with changed bytes, sent or to be sent.
     pub damaged: u64,
-    /// What was to arrive beside the packets: copies, and what somebody makes up.
+    /// Additional datagrams: copies and forgeries.
     pub extras: u64,
-    /// Of these, sent.
+    /// Additional datagrams sent.
     pub extras_released: u64,
-    /// Of these, not sent: too many in flight, or refused by the socket.
+    /// Additional datagrams not sent: too many in flight, or refused by the socket.
     pub extras_lost: u64,
-    /// Datagrams due before one accepted earlier: each overtakes at least one.
+    /// Datagrams due before an earlier one: each overtakes at least one.
     pub overtaking: u64,
-    /// Datagrams above [`MAX_DATAGRAM`](super::MAX_DATAGRAM) bytes, dropped before any rule saw them.
+    /// Datagrams above [`MAX_DATAGRAM`](super::MAX_DATAGRAM) bytes, dropped before any rule.
     pub oversize: u64,
-    /// Datagrams from a source that is not served, dropped before any rule saw them. Forward: one that is neither
-    /// loopback nor allowed, or for which there is no room. Backward: another than the peer.
+    /// Datagrams from a source that is not permitted, dropped before any rule. Forward: a source that is
+    /// neither loopback nor allowed, or without room. Backward: a source other than the peer.
     pub refused: u64,
     causes: [u64; CAUSES],
 }
 
 impl DirectionStatistics {
-    /// Datagrams accepted that have neither left nor been dropped.
+    /// Accepted datagrams that have neither left nor been dropped.
     pub fn in_flight(&self) -> u64 {
         let gone = self.lost + self.queue_full + self.released + self.unsent;
         self.received.saturating_sub(gone)
     }
 
-    /// Datagrams accepted that were dropped for this cause.
+    /// Accepted datagrams dropped for this cause.
     pub fn dropped(&self, cause: DropCause) -> u64 {
         self.causes[cause as usize]
     }
 }
 
-/// What the proxy has done so far.
+/// Statistics of the proxy.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ProxyStatistics {
@@ -65,29 +65,30 @@ pub struct ProxyStatistics {
     pub forward: DirectionStatistics,
     /// Peer to client.
     pub backward: DirectionStatistics,
-    /// Clients that are served now.
+    /// Current number of clients.
     pub flows: u64,
-    /// Times the network reported that the peer cannot be reached, as when it is not up yet.
+    /// Number of network reports that the peer is unreachable, as before it starts.
     pub peer_unreachable: u64,
-    /// How late datagrams left, both directions together.
+    /// Lateness of departures, both directions together.
     pub scheduling_error: SchedulingError,
-    /// Datagrams that left before they were due: none, ever.
+    /// Datagrams that left before they were due: always 0.
     pub early: u64,
-    /// Records that the log lacks, because its writer was behind.
+    /// Records missing from the log because its writer was behind.
     pub log_lost: u64,
-    /// Whether the log could not be written to its end, as on a full disk.
+    /// Set if the log could not be written completely, as on a full disk.
     pub log_failed: bool,
-    /// How the proxy's thread is scheduled.
+    /// Scheduling of the proxy's thread.
     pub scheduling: Scheduling,
-    /// Bytes that the kernel grants the listening socket for datagrams that wait, both as it counts them.
+    /// Receive buffer granted to the listening socket, in bytes as the kernel counts them.
     pub receive_buffer_bytes: u64,
-    /// The same for sending.
+    /// Send buffer granted to the listening socket, in bytes as the kernel counts them.
     pub send_buffer_bytes: u64,
-    /// Whether the delays were those of the links: p99 of the scheduling error within its limit, nothing early.
+    /// Set if the delays are those of the links: p99 of the scheduling error within its limit, nothing early,
+    /// and no failed log.
     pub valid: bool,
 }
 
-/// How late datagrams left. Never negative: the proxy releases nothing early.
+/// Lateness of departures. Never negative: the proxy releases nothing early.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct SchedulingError {
@@ -99,16 +100,16 @@ pub struct SchedulingError {
     pub p99_ns: u64,
     /// 99.9th percentile, rounded up to a whole us, in ns.
     pub p999_ns: u64,
-    /// Largest, exact, in ns.
+    /// Maximum, exact, in ns.
     pub max_ns: u64,
 }
 
-/// A handle by which any thread reads the statistics of a running proxy, without disturbing it.
+/// Handle by which any thread reads the statistics of a running proxy, without disturbing it.
 #[derive(Clone, Debug)]
 pub struct ProxyMonitor(pub(super) Arc<Recorder>);
 
 impl ProxyMonitor {
-    /// What the proxy has done so far. Each number is exact; taken together they may be a few packets apart.
+    /// Statistics so far. Each number is exact; together they may be a few packets apart.
     pub fn snapshot(&self) -> ProxyStatistics {
         let Recorder { flows, peer_unreachable, early, log_lost, .. } = &*self.0;
         let scheduling_error = self.0.scheduling_error.summary();
@@ -130,7 +131,7 @@ impl ProxyMonitor {
     }
 }
 
-/// The writing side. Relaxed throughout: the numbers guard no other memory.
+/// Writing side. Relaxed throughout: the numbers guard no other memory.
 #[derive(Debug, Default)]
 pub(super) struct Recorder {
     pub(super) forward: DirectionRecorder,
@@ -163,7 +164,6 @@ pub(super) struct DirectionRecorder {
 }
 
 impl DirectionRecorder {
-    /// Counts a datagram that was dropped.
     pub(super) fn dropped(&self, cause: DropCause) {
         count(&self.causes[cause as usize]);
     }
@@ -189,7 +189,7 @@ impl DirectionRecorder {
     }
 }
 
-/// Counts per bin: one writer, any number of readers, no allocation after the start.
+/// Histogram: one writer, any number of readers, no allocation after the start.
 #[derive(Debug)]
 pub(super) struct Histogram {
     bins: Vec<AtomicU64>,
@@ -221,7 +221,7 @@ impl Histogram {
                     return upper_ns.min(max_ns);
                 }
             }
-            // Within the last, open bin only the maximum is known.
+            // In the last, open bin only the maximum is known.
             max_ns
         };
         SchedulingError {
@@ -234,7 +234,7 @@ impl Histogram {
     }
 }
 
-/// Adds one to a counter that only this thread writes, without locking the bus.
+/// Increments a counter that only this thread writes, without locking the bus.
 pub(super) fn count(counter: &AtomicU64) {
     counter.store(counter.load(Relaxed) + 1, Relaxed);
 }

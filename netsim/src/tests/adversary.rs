@@ -1,4 +1,4 @@
-//! Attacks: what each leaves of a packet, and on which packets it acts.
+//! Attacks: effect on a packet, and selection of packets.
 
 use crate::{
     Action, Attack, ByteRange, Checksum, Direction, DropCause, Edit, ExtraCause, Link, LinkSettings,
@@ -17,10 +17,10 @@ fn attacks(actions: &[Action]) -> LinkSettings {
     LinkSettings { delay_s: 0.01, attacks, ..LinkSettings::default() }
 }
 
-/// When after it was sent, why and with which bytes something arrives beside a packet.
+/// Delay after sending, cause and bytes of an additional packet.
 type Beside = (u64, ExtraCause, Vec<u8>);
 
-/// What becomes of a packet of 32 ones: itself if it arrives, and what arrives beside it.
+/// Outcome for a packet of 32 ones: itself if delivered, and additional packets.
 fn outcome(settings: &LinkSettings) -> (Option<Vec<u8>>, Vec<Beside>) {
     let mut link = Link::new(Direction::Forward, 3, settings).unwrap();
     let judgement = link.judge(&packet(7, 32));
@@ -91,7 +91,7 @@ fn a_sequence_that_is_ahead_wraps() {
     assert_eq!(beside, [(10_000_000, ExtraCause::SequenceLead, expected)]);
 }
 
-/// Sets the u64 at byte 8 to 5; the checksum itself is held to its definition beside `Alteration`.
+/// Sets the u64 at byte 8 to 5. Tests beside `Alteration` compare the checksum with its definition.
 fn to_five(inject: bool) -> Action {
     let edits = vec![Edit::U64 { offset: 8, operation: Operation::Set, value: 5 }];
     Action::Alter { edits, checksum: Some(Checksum::Crc32), inject }
@@ -111,7 +111,7 @@ fn a_packet_is_altered_in_place_with_the_copies_of_the_network() {
     let twice = LinkSettings { duplicate: 1.0, ..attacks(&[Action::Mirror, to_five(false)]) };
     let beside = [
         (10_000_000, ExtraCause::Duplicate, ones_with_five()),
-        // Seen before it was altered.
+        // Copied before the alteration.
         (10_000_000, ExtraCause::Mirror, vec![1; 32]),
     ];
     assert_eq!(outcome(&twice), (Some(ones_with_five()), beside.to_vec()));
@@ -124,7 +124,7 @@ fn an_altered_copy_arrives_beside_the_packet() {
 }
 
 #[test]
-fn what_is_cut_is_sealed_where_it_ends() {
+fn truncated_packet_gets_its_checksum_at_the_end() {
     let cut = LinkSettings { truncate: 1.0, truncate_bytes: 20, ..attacks(&[to_five(false)]) };
     let mut expected = ones_with_five()[..16].to_vec();
     let checksum = crc32fast::hash(&expected);
@@ -135,7 +135,7 @@ fn what_is_cut_is_sealed_where_it_ends() {
 }
 
 #[test]
-fn what_is_held_back_arrives_later_and_is_passed_by_the_rest() {
+fn held_packets_arrive_later_and_others_pass() {
     let hold = |every| Attack {
         action: Action::HoldBack { by_s: 0.0025 },
         target: Target { every, ..Target::default() },
@@ -148,19 +148,19 @@ fn what_is_held_back_arrives_later_and_is_passed_by_the_rest() {
                 Packet { direction: Direction::Forward, sent_ns: index * 1_000_000, size: 32, index };
             let judgement = link.judge(&packet);
             let Verdict::Deliver { at_ns } = judgement.verdict else { panic!("lost") };
-            assert_eq!(judgement.extras[0].at_ns, at_ns, "the copy of the network");
+            assert_eq!(judgement.extras[0].at_ns, at_ns, "the network's duplicate is held as well");
             at_ns / 100_000
         };
         (0..6).map(arrives).collect()
     };
     assert_eq!(arrivals(vec![hold(1)]), [125, 135, 145, 155, 165, 175]);
     assert_eq!(arrivals(vec![hold(3)]), [125, 110, 120, 155, 140, 150]);
-    // One after the other, and what is copied then is copied late.
+    // Holds accumulate in order; a copy of a held packet is late too.
     assert_eq!(arrivals(vec![hold(1), hold(3)]), [150, 135, 145, 180, 165, 175]);
 }
 
 #[test]
-fn a_dropped_packet_takes_the_copies_of_the_network_along_but_not_what_was_recorded() {
+fn drop_removes_network_duplicates_but_no_replays() {
     let settings = LinkSettings { duplicate: 1.0, ..attacks(&[Action::Drop, Action::Mirror]) };
     assert_eq!(outcome(&settings), (None, vec![]));
     let delayed = attacks(&[Action::Replay { after_s: 0.1 }, Action::Drop]);
@@ -168,7 +168,7 @@ fn a_dropped_packet_takes_the_copies_of_the_network_along_but_not_what_was_recor
 }
 
 #[test]
-fn what_is_lost_or_damaged_before_is_so_for_the_adversary() {
+fn adversary_sees_losses_and_damage_of_the_network() {
     let lost = LinkSettings { loss: 1.0, ..attacks(&[Action::Mirror]) };
     let mut link = Link::new(Direction::Forward, 3, &lost).unwrap();
     let judgement = link.judge(&packet(0, 32));
@@ -196,7 +196,7 @@ fn what_is_lost_or_damaged_before_is_so_for_the_adversary() {
 }
 
 #[test]
-fn no_more_arrives_beside_a_packet_than_there_is_room_for() {
+fn number_of_additional_packets_is_limited() {
     let eight = [const { Action::Mirror }; 8];
     let (itself, beside) = outcome(&attacks(&eight));
     assert!(itself.is_some());
@@ -209,7 +209,7 @@ fn no_more_arrives_beside_a_packet_than_there_is_room_for() {
 }
 
 #[test]
-fn what_is_too_short_for_an_attack_is_left_alone() {
+fn packet_too_short_for_an_attack_stays_unchanged() {
     let within = ByteRange { start: 32, end: 40 };
     let edits = vec![Edit::F64 { offset: 25, operation: Operation::Add, value: 1.0 }];
     for action in [
@@ -223,7 +223,7 @@ fn what_is_too_short_for_an_attack_is_left_alone() {
 }
 
 #[test]
-fn only_the_packets_aimed_at_are_met() {
+fn attack_affects_only_its_target() {
     let aimed = |target| {
         let attacks = vec![Attack { action: Action::Drop, target }];
         let settings = LinkSettings { attacks, ..LinkSettings::default() };

@@ -1,4 +1,4 @@
-//! Packets that are judged together: verdict for verdict, and count for count, as one by one; netem has rules on arrival.
+//! Batch verdicts and counters equal those of single packets; netem is excluded because it has arrival rules.
 
 use super::{rough, scattered};
 use crate::{Direction, Link, LinkSettings, Packet, Verdict};
@@ -26,7 +26,7 @@ fn settings() -> Vec<(&'static str, LinkSettings)> {
 
 proptest! {
     #[test]
-    fn together_is_as_one_by_one(
+    fn batch_equals_single_packets(
         seed: u64,
         sizes in prop::collection::vec(1_usize..300, 250),
         batches in prop::collection::vec(0_usize..40, 1..20),

@@ -1,11 +1,11 @@
-//! What Markov chains of losses should do, from their matrices: an oracle that knows no draw and no closed form.
+//! Markov chains of losses evaluated from their matrices: a reference without draws or closed forms.
 
 use crate::{Direction, Link, LinkSettings, Packet, Verdict};
 
 pub(super) const SEED: u64 = 0x5EED_0000_0000_0001;
 pub(super) const MANY: u64 = 1_000_000;
 
-/// Whether each of so many packets sent at a regular spacing is lost.
+/// Loss of each packet, sent at a regular spacing.
 pub(super) fn lost(settings: &LinkSettings, spacing_ns: u64, packets: u64) -> Vec<bool> {
     let mut link = Link::new(Direction::Forward, SEED, settings).unwrap();
     (0..packets)
@@ -17,7 +17,7 @@ pub(super) fn lost(settings: &LinkSettings, spacing_ns: u64, packets: u64) -> Ve
         .collect()
 }
 
-/// A chain with a probability of loss in each state.
+/// Markov chain with a loss probability per state.
 pub(super) struct LossChain<const N: usize> {
     pub(super) rows: [[f64; N]; N],
     pub(super) loss: [f64; N],
@@ -32,7 +32,8 @@ impl<const N: usize> LossChain<N> {
         law.iter().zip(&self.loss).map(|(share, loss)| share * loss).sum()
     }
 
-    /// By iteration of the chain that rests at every second step, which has the same law and no period.
+    /// Iterates the lazy chain, which stays or steps with probability 1/2: same stationary distribution, no
+    /// period.
     fn stationary(&self) -> [f64; N] {
         (0..200_000).fold([1.0 / N as f64; N], |law, _| {
             let next = self.step(law);
@@ -40,13 +41,13 @@ impl<const N: usize> LossChain<N> {
         })
     }
 
-    /// Share of lost packets.
+    /// Fraction of lost packets.
     pub(super) fn rate(&self) -> f64 {
         self.lost_in(self.stationary())
     }
 
-    /// Standard deviation of the number lost of `packets`:
-    /// `Var = n (c_0 + 2 sum_k c_k)`, `c_k` the covariance of two losses k packets apart.
+    /// Standard deviation of the number of losses in `packets`: `Var = n (c_0 + 2 sum_k c_k)`, `c_k` the
+    /// covariance of two losses k packets apart.
     pub(super) fn sigma(&self, packets: u64) -> f64 {
         let stationary = self.stationary();
         let rate = self.lost_in(stationary);
@@ -59,25 +60,25 @@ impl<const N: usize> LossChain<N> {
         (sum.max(0.0) * packets as f64).sqrt()
     }
 
-    /// Lost packets are as many as the chain says, within 3 sigma of the correlated process; `closed_form` is the
-    /// same rate by a formula.
+    /// Checks the number of losses against the chain, within 3 sigma of the correlated process. `closed_form`
+    /// is the same rate by a formula.
     pub(super) fn check_rate(&self, lost: &[bool], closed_form: f64) {
         let rate = self.rate();
         assert!((rate - closed_form).abs() < 1e-9, "{rate} {closed_form}");
         let count = lost.iter().filter(|&&lost| lost).count() as f64;
         let expected = rate * lost.len() as f64;
-        // One packet for what the edges do where nothing is random.
+        // One packet of tolerance for the edges of deterministic cases.
         let tolerance = 3.0 * self.sigma(lost.len() as u64) + 1.0;
         assert!((count - expected).abs() < tolerance, "{count}, expected {expected} +- {tolerance}");
     }
 }
 
-/// The chain that is lost with probability `start` after a delivered packet and `stay` after a lost one.
+/// Chain with loss probability `start` after a delivered packet and `stay` after a lost one.
 pub(super) fn two_states(start: f64, stay: f64) -> LossChain<2> {
     LossChain { rows: [[1.0 - start, start], [1.0 - stay, stay]], loss: [0.0, 1.0] }
 }
 
-/// The lengths of runs of lost packets, without those cut by the ends.
+/// Lengths of runs of lost packets, without runs at either end.
 pub(super) fn bursts(lost: &[bool]) -> Vec<usize> {
     let runs: Vec<_> = lost.chunk_by(|a, b| a == b).collect();
     let inner = runs.get(1..runs.len().saturating_sub(1)).unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Settings that change while packets are under way, and bounds that must hold for what packets really do.
+//! Changes of settings while packets are in flight, and bounds on observed delays.
 
 use crate::{DelayChange, Direction, Distribution, Judgement, Link, LinkSettings, Packet, Verdict};
 
@@ -27,7 +27,7 @@ fn after_a_change_packets_keep_their_order() {
 }
 
 #[test]
-fn a_packet_that_reordering_held_holds_up_no_other_after_a_change() {
+fn a_reorder_hold_does_not_delay_packets_after_a_change() {
     let holding = LinkSettings { reorder: 1.0, reorder_hold_s: Some(1.5), ..LinkSettings::default() };
     let mut link = link(&holding);
     assert_eq!(arrival(&mut link, 0, 0), 1500 * MS);
@@ -45,7 +45,7 @@ fn a_change_to_netem_adds_its_delay_once() {
 }
 
 #[test]
-fn no_packet_of_a_table_is_under_way_for_longer_than_the_bound_says() {
+fn table_delays_stay_within_the_longest_delay() {
     let table = (-50..=50).collect();
     let settings = LinkSettings {
         delay_s: 0.1,
@@ -60,7 +60,7 @@ fn no_packet_of_a_table_is_under_way_for_longer_than_the_bound_says() {
 }
 
 #[test]
-fn a_mean_that_the_jitter_would_reach_below_is_refused_where_it_stands() {
+fn timeline_delay_below_the_jitter_is_refused_by_its_key() {
     let settings = |delay_s| LinkSettings {
         delay_s: 0.1,
         jitter_s: 0.01,

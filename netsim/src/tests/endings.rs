@@ -1,4 +1,4 @@
-//! What happens where packets arrive: copies, flipped bits, cuts, and what is too large to pass.
+//! Effects on arrival: copies, flipped bits, truncation, and the MTU.
 
 use super::chains::{MANY, SEED};
 use crate::{Damage, Direction, DropCause, Extra, ExtraCause, Link, LinkSettings, Packet, Verdict};
@@ -61,7 +61,7 @@ fn a_packet_and_its_copy_are_damaged_independently() {
                 damage.apply(&mut payload);
                 payload
             };
-            // The same two of 512 bits, by chance: once in 131 000 times of some 10 000.
+            // The same two of 512 bits by chance: probability 1 / 131 000 in each of about 10 000 cases.
             assert_ne!(flipped(damage), flipped(copy));
         }
         let cut_by = |damage: Damage| u64::from(damage.truncates_to() == Some(20));
@@ -94,14 +94,14 @@ fn flipped_bits_are_uniform_over_the_payload() {
             let mut payload = [0; BITS / 8];
             assert_eq!(damage.apply(&mut payload), payload.len());
             let payload = u128::from_le_bytes(payload);
-            assert_eq!(payload.count_ones(), corrupt_bits, "the bits of packet {index} are different");
+            assert_eq!(payload.count_ones(), corrupt_bits, "the flipped bits of packet {index} are distinct");
             for (bit, count) in counts.iter_mut().enumerate() {
                 *count += u32::from(payload >> bit & 1 == 1);
             }
         }
         let drawn = f64::from(corrupt_bits);
         let expected = packets as f64 * drawn / BITS as f64;
-        // Drawn without replacement from B bits, b at a time, the sum is (B - b) / (B - 1) of chi-square.
+        // For b of B bits without replacement, the sum is (B - b) / (B - 1) of chi-square.
         let finite = (BITS as f64 - drawn) / (BITS as f64 - 1.0);
         let sum: f64 = counts.iter().map(|&seen| (f64::from(seen) - expected).powi(2) / expected).sum();
         let freedom = BITS as f64 - 1.0;
@@ -111,7 +111,7 @@ fn flipped_bits_are_uniform_over_the_payload() {
 }
 
 #[test]
-fn what_is_short_or_empty_is_left_alone() {
+fn short_and_empty_packets_stay_unchanged() {
     let settings =
         LinkSettings { corrupt: 1.0, truncate: 1.0, truncate_bytes: 10, ..LinkSettings::default() };
     let mut link = Link::new(Direction::Forward, 0, &settings).unwrap();
@@ -123,7 +123,7 @@ fn what_is_short_or_empty_is_left_alone() {
 }
 
 #[test]
-fn what_is_larger_than_the_mtu_does_not_pass() {
+fn packet_above_the_mtu_is_dropped() {
     let settings = LinkSettings { mtu: Some(1200), ..LinkSettings::default() };
     let mut link = Link::new(Direction::Forward, 0, &settings).unwrap();
     assert_eq!(link.judge(&packet(0, 1200)).verdict, Verdict::Deliver { at_ns: 0 });

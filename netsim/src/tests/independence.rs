@@ -1,4 +1,4 @@
-//! What one impairment does to a packet is the same whatever other impairments there are: all pairs of them.
+//! Independence of impairments, over all pairs: enabling another does not change the effect of one.
 
 use super::chains::SEED;
 use crate::{
@@ -8,7 +8,7 @@ use crate::{
 
 const PACKETS: u64 = 20_000;
 
-/// What is seen of one impairment on a packet; `None` if another one keeps it from being seen.
+/// Observed effect of one impairment on a packet; `None` if another impairment hides it.
 type Seen = Option<u64>;
 
 struct Case {
@@ -17,7 +17,7 @@ struct Case {
     see: fn(&Packet, &Judgement) -> Seen,
 }
 
-/// Whether this cause dropped it. One that was dropped for another never came as far, or went further.
+/// Drop by this cause; `None` for another cause, which precedes this rule or follows it.
 fn dropped(judgement: &Judgement, by: DropCause) -> Seen {
     match judgement.verdict {
         Verdict::Drop { cause } => (cause == by).then_some(1),
@@ -33,7 +33,7 @@ fn outage(_: &Packet, judgement: &Judgement) -> Seen {
     dropped(judgement, DropCause::Outage)
 }
 
-/// The time by which it is late, apart from what is below half a second: 0 or some seconds.
+/// Lateness in whole s, rounded: 0 or some seconds.
 fn held(packet: &Packet, judgement: &Judgement) -> Seen {
     match judgement.verdict {
         Verdict::Deliver { at_ns } => Some((at_ns - packet.sent_ns + 500_000_000) / 1_000_000_000),
@@ -84,7 +84,7 @@ const CASES: &[Case] = &[
             let times = OutageTimes::Periodic { at_s: 0.3, period_s: 1.0, duration_s: 0.05 };
             s.outages.push(Outage { times, effect: OutageEffect::Hold });
         },
-        // Held for 50 ms at most, as others are delayed: only that they are delivered is seen here.
+        // Held for at most 50 ms, similar to other delays: observe only the delivery.
         see: |_, j| matches!(j.verdict, Verdict::Deliver { .. }).then_some(1),
     },
     Case { name: "jitter", add: |s| s.jitter_s = 0.003, see: |_, _| None },
@@ -94,7 +94,7 @@ const CASES: &[Case] = &[
         name: "corrupt",
         add: |s| (s.corrupt, s.corrupt_bits) = (0.1, 3),
         see: |packet, j| {
-            // The flipped bits of the first eight bytes, unless the packet is dropped.
+            // Flipped bits of the first eight bytes, unless the packet is dropped.
             let mut payload = vec![0; packet.size];
             j.damage.apply(&mut payload);
             let first = payload.first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes));
@@ -116,7 +116,7 @@ const CASES: &[Case] = &[
     },
 ];
 
-/// A link has one model of loss.
+/// A link has at most one loss model.
 const LOSSES: [&str; 5] = ["bernoulli", "gilbert", "gilbert in time", "gilbert-elliott", "four states"];
 
 fn excludes(one: &Case, other: &Case) -> bool {
@@ -157,7 +157,7 @@ fn no_impairment_shifts_another() {
             }
         }
     }
-    // 13 of 14 are seen, each beside 13 others; 5 models of loss exclude each other.
+    // 13 of 14 are observed, each beside 13 others; 5 loss models exclude each other.
     assert_eq!(pairs, 13 * 13 - 5 * 4);
 }
 

@@ -1,4 +1,4 @@
-//! The delay follows its law: moments, quantiles, whole distribution, memory, order.
+//! Delays follow their distribution: moments, quantiles, shape, correlation, order.
 
 mod known_answers;
 mod refusals;
@@ -8,7 +8,7 @@ use crate::{Direction, Distribution, Link, LinkSettings, Packet, Verdict};
 
 const SEED: u64 = 0x5EED_0000_0000_0004;
 
-/// A link of each law, with the name that the tests give it.
+/// Link settings per distribution, with a name for messages.
 fn laws() -> Vec<(&'static str, LinkSettings)> {
     let settings = |jitter_s, distribution, distribution_shape| LinkSettings {
         delay_s: 0.05,
@@ -30,12 +30,11 @@ fn laws() -> Vec<(&'static str, LinkSettings)> {
     ]
 }
 
-/// Neither mean 0 nor deviation 1, as the tables of iproute2.
+/// Mean not 0 and deviation not 1, as in the tables of iproute2.
 fn skewed_table() -> Vec<i16> {
     (0..4096).map(|i| i16::try_from(i + i * i / 1000 - 7000).unwrap()).collect()
 }
 
-/// Delays that are independent from packet to packet.
 fn independent(settings: &LinkSettings) -> LinkSettings {
     LinkSettings { keep_order: false, jitter_correlation_s: Some(0.0), ..settings.clone() }
 }
@@ -44,7 +43,7 @@ fn correlated(settings: &LinkSettings, tau_s: f64) -> LinkSettings {
     LinkSettings { jitter_correlation_s: Some(tau_s), ..settings.clone() }
 }
 
-/// Delays in ns of packets sent at the given times, all of which arrive.
+/// Delays in ns of packets sent at given times; all arrive.
 fn delays_at(settings: &LinkSettings, times_ns: impl IntoIterator<Item = u64>) -> Vec<u64> {
     let direction = Direction::Forward;
     let mut link = Link::new(direction, SEED, settings).unwrap();
@@ -58,7 +57,6 @@ fn delays_at(settings: &LinkSettings, times_ns: impl IntoIterator<Item = u64>) -
     times_ns.into_iter().enumerate().map(delay).collect()
 }
 
-/// The same of packets sent at a rate.
 fn delays(settings: &LinkSettings, rate_hz: u64, packets: u64) -> Vec<u64> {
     delays_at(settings, (0..packets).map(|index| index * (1_000_000_000 / rate_hz)))
 }

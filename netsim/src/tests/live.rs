@@ -1,4 +1,4 @@
-//! The live driver on the loopback interface, between real threads.
+//! Live driver on the loopback interface, with real threads.
 
 use std::collections::HashSet;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
@@ -32,7 +32,7 @@ pub(super) fn settings(forward: SocketAddr, link: LinkSettings) -> ProxySettings
     }
 }
 
-/// A proxy on its own thread; stopping it gives its statistics and every verdict.
+/// Proxy on its own thread; stopping it returns its statistics and all verdicts.
 pub(super) struct Running {
     pub(super) address: SocketAddr,
     pub(super) monitor: ProxyMonitor,
@@ -62,7 +62,7 @@ impl Running {
     }
 }
 
-/// A peer that sends `count` datagrams back to where they came from.
+/// Peer that returns `count` datagrams to their sources.
 fn echo(count: usize) -> (SocketAddr, JoinHandle<()>) {
     let peer = socket();
     let address = peer.local_addr().unwrap();
@@ -82,7 +82,7 @@ fn receive_number(socket: &UdpSocket) -> u64 {
     u64::from_be_bytes(number)
 }
 
-/// Sends `count` numbered datagrams, one per `period`, and gives the round-trip times, sorted.
+/// Sends `count` numbered datagrams, one per `period`; returns the sorted round-trip times.
 fn round_trips(proxy: SocketAddr, count: usize, period: Duration) -> Vec<Duration> {
     let client = socket();
     client.connect(proxy).unwrap();
@@ -117,8 +117,7 @@ fn a_round_trip_takes_both_delays_and_never_less() {
     echoing.join().unwrap();
     let (statistics, _) = proxy.stop();
 
-    // Delivering at the exact time or later proves that the delay came from the rule: loopback takes
-    // microseconds.
+    // No datagram is early, and loopback takes microseconds: the delay stems from the rule.
     assert!(times[0] >= Duration::from_millis(40), "{:?}", times[0]);
     assert!(times[100] < Duration::from_millis(90), "{:?}", times[100]);
     for direction in [statistics.forward, statistics.backward] {
@@ -150,7 +149,7 @@ fn each_client_gets_its_own_answers() {
         let (length, source) = client.recv_from(&mut buffer).unwrap();
         assert_eq!((&buffer[..length], source), (&answer[..], proxy.address));
     }
-    // Nobody but the peer reaches a client.
+    // Only the peer reaches a client.
     let upstream = SocketAddr::new(LOOPBACK.ip(), upstreams[0].port());
     clients[1].send_to(b"forged", upstream).unwrap();
     peer.send_to(b"answer", upstream).unwrap();
@@ -159,7 +158,7 @@ fn each_client_gets_its_own_answers() {
     let (statistics, log) = proxy.stop();
     assert_eq!((statistics.flows, statistics.forward.refused), (3, 0));
     assert_eq!((statistics.forward.received, statistics.backward.received), (3, 4));
-    // The link is shared: the index goes on from client to client.
+    // The clients share the link and its index.
     let indices = log.iter().filter(|(packet, _)| packet.direction == Direction::Forward);
     assert!(indices.map(|(packet, _)| packet.index).eq(0..3));
 }
@@ -181,7 +180,7 @@ fn no_more_clients_are_served_than_there_is_room_for() {
 
 #[test]
 fn a_source_from_elsewhere_is_served_only_if_allowed() {
-    // An address of this machine that is none of the loopback, if it has one.
+    // A non-loopback address of this machine, if it has one.
     let probe = UdpSocket::bind("0.0.0.0:0").unwrap();
     if probe.connect("192.0.2.1:9").is_err() {
         return;
@@ -218,7 +217,7 @@ fn a_change_holds_for_datagrams_from_then_on_and_keeps_the_order() {
     client.connect(proxy.address).unwrap();
     let change = |settings: LinkSettings| proxy.control.change(Direction::Forward, &settings);
     client.send(&0_u64.to_be_bytes()).unwrap();
-    // Taken up before what comes 40 ms later.
+    // Adopted before the packet sent 40 ms later.
     thread::sleep(Duration::from_millis(20));
     assert!(change(LinkSettings { delay_s: f64::NAN, ..LinkSettings::default() }).is_err());
     change(LinkSettings { delay_s: 0.01, ..LinkSettings::default() }).unwrap();
@@ -309,7 +308,7 @@ fn statistics_are_read_while_the_proxy_runs() {
 }
 
 #[test]
-fn a_proxy_that_cannot_work_says_why() {
+fn invalid_proxy_settings_are_explained() {
     let peer = socket();
     let forward = peer.local_addr().unwrap();
     let bad_link = LinkSettings { loss: 2.0, ..LinkSettings::default() };

@@ -1,4 +1,4 @@
-//! What the proxy does to real datagrams is what the model says of the same packets in virtual time.
+//! Parity: the proxy applies to real datagrams the verdicts of the model in virtual time.
 
 use std::collections::HashMap;
 use std::net::{SocketAddr, UdpSocket};
@@ -20,7 +20,7 @@ use crate::{
 
 type Bytes = Vec<u8>;
 
-/// Takes everything that comes until it is stopped, and may send it back.
+/// Receives everything until stopped, and optionally sends it back.
 struct Sink {
     stop: Arc<AtomicBool>,
     thread: JoinHandle<Vec<(Bytes, SocketAddr)>>,
@@ -53,7 +53,7 @@ impl Sink {
     }
 }
 
-/// Waits until nothing is under way for a while.
+/// Waits until the proxy is idle for a while.
 fn wait_until_quiet(proxy: &Running) {
     let begun = Instant::now();
     let mut last = (proxy.monitor.snapshot(), Instant::now());
@@ -66,7 +66,7 @@ fn wait_until_quiet(proxy: &Running) {
     }
 }
 
-/// All rules that a packet of these sizes meets at once.
+/// All rules that apply to packets of these sizes together.
 fn rich() -> LinkSettings {
     LinkSettings {
         loss: 0.05,
@@ -88,12 +88,11 @@ fn rich() -> LinkSettings {
     }
 }
 
-/// Somebody does something to every n-th packet.
 fn attack(every: u64, action: Action) -> Attack {
     Attack { action, target: Target { every, ..Target::default() } }
 }
 
-/// Somebody changes the number at byte 2 and puts the checksum right.
+/// Attack that changes the number at byte 2 and repairs the checksum.
 fn altering(every: u64, inject: bool) -> Attack {
     let edits = vec![Edit::U64 { offset: 2, operation: Operation::Multiply, value: 3 }];
     attack(every, Action::Alter { edits, checksum: Some(Checksum::Crc32), inject })
@@ -105,14 +104,14 @@ fn payload(number: usize) -> Bytes {
     bytes
 }
 
-/// What the log says of one direction: by (index, kind), the rest of the line.
+/// Log lines of one direction: (index, kind) to the remaining cells.
 fn log_of<'a>(log: &'a str, direction: &str) -> HashMap<(u64, &'a str), Vec<&'a str>> {
     let cells = log.lines().skip(1).map(|line| line.split(',').collect::<Vec<_>>());
     let own = cells.filter(|cells| cells[0] == direction);
     own.map(|cells| ((cells[1].parse().unwrap(), cells[2]), cells[3..].to_vec())).collect()
 }
 
-/// Judges the packets anew and gives what must arrive, in order; meanwhile holds the log against it.
+/// Judges the packets again, checks the log, and returns the expected arrivals in order.
 fn expected(
     direction: Direction,
     seed: u64,
@@ -156,7 +155,7 @@ fn expected(
 }
 
 #[test]
-fn the_live_driver_does_what_the_virtual_one_says() {
+fn live_driver_matches_the_virtual_driver() {
     const COUNT: usize = 1500;
     let path = std::env::temp_dir().join(format!("haptether-parity-{}.csv", std::process::id()));
     let (peer, client) = (socket(), socket());
@@ -186,7 +185,7 @@ fn the_live_driver_does_what_the_virtual_one_says() {
     assert_eq!(counted.extras, counted.extras_released);
 }
 
-/// For every packet: a damaged copy, one that goes back, one from elsewhere, and one 30 ms later.
+/// For every packet: a damaged copy, a mirrored one, one from another source, and one 30 ms later.
 #[derive(Clone, Debug)]
 struct Copies;
 
@@ -209,7 +208,7 @@ impl ArrivalRule for Copies {
 }
 
 #[test]
-fn what_arrives_beside_a_packet_takes_its_own_way() {
+fn additional_packets_take_their_routes() {
     let (peer, client) = (socket(), socket());
     let perfect = LinkSettings::default();
     let proxy = Running::start(&settings(peer.local_addr().unwrap(), perfect.clone()));
@@ -218,7 +217,7 @@ fn what_arrives_beside_a_packet_takes_its_own_way() {
         proxy.control.change_rules(direction, rules);
     }
     thread::sleep(Duration::from_millis(30));
-    // Whoever sends, the other gets four and the sender one; there and back are alike.
+    // In either direction, the receiver gets four datagrams and the sender one.
     let exchange = |from: &UdpSocket, to: &UdpSocket, address: SocketAddr, text: &[u8]| {
         from.send_to(text, address).unwrap();
         let mut buffer = [0; 16];

@@ -1,4 +1,4 @@
-//! A measurement of the proxy, which says what there is to find.
+//! Measurement of the proxy, whose statistics are the reference.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -9,7 +9,7 @@ use crate::{
     Recording, record,
 };
 
-/// 500 probes through a proxy with these links.
+/// Sends 500 probes through a proxy with these links.
 fn measure(
     forward_link: LinkSettings,
     backward_link: LinkSettings,
@@ -38,7 +38,7 @@ fn different_delays_give_the_round_trip_and_half_of_it_each_way() {
     let (recording, _, echo) = measure(link(0.01), link(0.03));
     assert_eq!((recording.probes.len(), echo.answered), (500, 500));
     assert_eq!((recording.lost_forward, recording.lost_backward), (0, 0));
-    // Nothing is early, so the round trip is no shorter; what is above is scheduling.
+    // No datagram is early, so this is the minimum round trip; the excess is scheduling.
     assert!((0.040..0.045).contains(&recording.shortest_s), "{}", recording.shortest_s);
     let forward = median(recording.probes.iter().filter_map(|probe| probe.forward_s).collect());
     let backward = median(recording.probes.iter().filter_map(|probe| probe.backward_s).collect());
@@ -50,7 +50,7 @@ fn different_delays_give_the_round_trip_and_half_of_it_each_way() {
 }
 
 #[test]
-fn losses_are_told_apart_by_their_way() {
+fn losses_are_assigned_to_their_direction() {
     let link = |loss| LinkSettings { loss, delay_s: 0.002, ..LinkSettings::default() };
     let (recording, proxy, _) = measure(link(0.1), link(0.2));
     let lost = |of: fn(&crate::Probe) -> Option<f64>| {
@@ -59,7 +59,7 @@ fn losses_are_told_apart_by_their_way() {
     assert!(recording.lost_forward > 10 && recording.lost_backward > 20);
     assert_eq!(lost(|probe| probe.forward_s), recording.lost_forward);
     assert_eq!(lost(|probe| probe.backward_s), recording.lost_backward);
-    // The answers to the last probes may be lost: then nobody tells the way.
+    // If the answers to the last probes are lost, the direction is unknown.
     assert_eq!(recording.lost_forward + recording.lost_backward, proxy.forward.lost + proxy.backward.lost);
     assert!(recording.lost_forward.abs_diff(proxy.forward.lost) <= 5, "{recording:?}");
 
@@ -81,7 +81,7 @@ fn losses_are_told_apart_by_their_way() {
 }
 
 #[test]
-fn what_is_no_probe_gets_no_answer() {
+fn other_datagrams_get_no_answer() {
     let mut echo = Echo::bind(LOOPBACK).unwrap();
     let address = echo.address().unwrap();
     let stop = AtomicBool::new(false);
@@ -101,7 +101,7 @@ fn what_is_no_probe_gets_no_answer() {
 }
 
 #[test]
-fn a_measurement_that_cannot_be_made_says_why() {
+fn failed_measurements_are_explained() {
     let peer = socket().local_addr().unwrap();
     let good = RecordSettings { peer, rate_hz: 1000.0, duration_s: 0.01, realtime: false };
     let message = |settings| record(&settings, &AtomicBool::new(false)).unwrap_err().to_string();

@@ -1,4 +1,4 @@
-//! Loss models against the chains they are, over a million packets each.
+//! Loss models compared with their Markov chains, over a million packets each.
 
 use super::chains::{LossChain, MANY, bursts, check_geometric, lost, two_states};
 use crate::{Direction, FourState, GilbertElliott, Link, LinkSettings, Packet};
@@ -16,7 +16,7 @@ fn bernoulli_loses_independently() {
 
 #[test]
 fn gilbert_loses_as_much_as_asked_in_bursts_as_long_as_asked() {
-    // In the last, a burst starts after each packet that passes.
+    // In the last case a burst starts after each delivered packet.
     for (loss, mean_burst) in [(0.001, 5.0), (0.01, 5.0), (0.05, 10.0), (0.3, 2.0), (0.9, 9.0)] {
         let settings = LinkSettings { loss, mean_burst: Some(mean_burst), ..LinkSettings::default() };
         let lost = lost(&settings, MILLISECOND, MANY);
@@ -32,7 +32,7 @@ fn gilbert_loses_as_much_as_asked_in_bursts_as_long_as_asked() {
 }
 
 #[test]
-fn at_the_edge_of_what_is_feasible_nothing_is_left_to_chance() {
+fn shortest_feasible_burst_is_deterministic() {
     let settings = LinkSettings { loss: 0.5, mean_burst: Some(1.0), ..LinkSettings::default() };
     let lost = lost(&settings, MILLISECOND, 10_000);
     assert!(lost.windows(2).all(|pair| pair[0] != pair[1]), "every second packet");
@@ -72,7 +72,7 @@ fn gilbert_in_time_loses_the_same_share_at_any_rate_in_bursts_of_the_same_time()
     ] {
         let settings = LinkSettings { loss, mean_burst_s: Some(mean_burst_s), ..LinkSettings::default() };
         let lost = lost(&settings, spacing_ns, MANY);
-        // The process forgets itself as exp(-(1/U + 1/D) t), and 1/U + 1/D = 1 / (D (1 - L)).
+        // The process decorrelates as exp(-(1/U + 1/D) t), and 1/U + 1/D = 1 / (D (1 - L)).
         let rho = (-(spacing_ns as f64) * 1e-9 / (mean_burst_s * (1.0 - loss))).exp();
         let (start, stay) = (loss * (1.0 - rho), loss + (1.0 - loss) * rho);
         two_states(start, stay).check_rate(&lost, loss);
@@ -100,7 +100,7 @@ fn gilbert_elliott_loses_as_its_states_do() {
 }
 
 #[test]
-fn four_states_lose_what_enters_the_third_and_the_fourth() {
+fn four_states_lose_packets_in_states_three_and_four() {
     for [p13, p31, p32, p23, p14] in [
         [0.01, 0.2, 0.1, 0.5, 0.005],
         [0.02, 0.98, 0.0, 1.0, 0.0],
@@ -116,7 +116,7 @@ fn four_states_lose_what_enters_the_third_and_the_fourth() {
             [1.0, 0.0, 0.0, 0.0],
         ];
         let chain = LossChain { rows, loss: [0.0, 0.0, 1.0, 1.0] };
-        // By the balance of each cut: pi_3 p31 = pi_1 p13, pi_2 p23 = pi_3 p32, pi_4 = pi_1 p14.
+        // Balance of each cut: pi_3 p31 = pi_1 p13, pi_2 p23 = pi_3 p32, pi_4 = pi_1 p14.
         let third = p13 / p31;
         let closed_form = (third + p14) / (1.0 + third + third * p32 / p23 + p14);
         let lost = lost(&settings, MILLISECOND, MANY);
@@ -128,7 +128,7 @@ fn four_states_lose_what_enters_the_third_and_the_fourth() {
 }
 
 #[test]
-fn all_or_nothing_is_lost_whatever_the_bursts() {
+fn loss_of_zero_or_one_ignores_bursts() {
     for (loss, expected) in [(0.0, false), (1.0, true)] {
         for (mean_burst, mean_burst_s) in [(None, None), (Some(3.0), None), (None, Some(0.1))] {
             let settings = LinkSettings { loss, mean_burst, mean_burst_s, ..LinkSettings::default() };

@@ -1,4 +1,4 @@
-//! Tests of the crate as a whole, through its public names.
+//! Tests of the whole crate through its public names.
 
 mod adversary;
 mod batches;
@@ -24,12 +24,12 @@ fn rough() -> LinkSettings {
     LinkSettings { delay_s: 0.05, jitter_s: 0.005, loss: 0.01, ..LinkSettings::default() }
 }
 
-/// The same with delays that are independent from packet to packet, hence out of order.
+/// Same, with independent delays per packet, hence out of order.
 fn scattered() -> LinkSettings {
     LinkSettings { keep_order: false, jitter_correlation_s: Some(0.0), ..rough() }
 }
 
-/// Verdicts of the virtual driver on packets sent at 1 kHz: the delay of each in ns, `None` if lost.
+/// Delays in ns from the virtual driver for packets sent at 1 kHz; `None` if lost.
 fn virtual_delays(
     direction: Direction,
     seed: u64,

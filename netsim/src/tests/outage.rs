@@ -1,4 +1,4 @@
-//! Outages: when they are, how long they last, what they do.
+//! Outages: schedule, duration, effect.
 
 use super::chains::{MANY, bursts, check_geometric, lost, two_states};
 use crate::{Direction, DropCause, Link, LinkSettings, Outage, OutageEffect, OutageTimes, Packet, Verdict};
@@ -30,7 +30,7 @@ fn random_outages_have_the_share_and_the_duration_asked_for() {
     for (mean_up_s, mean_down_s) in [(0.5, 0.02), (0.02, 0.05), (0.002, 0.1)] {
         let settings = outages(&[OutageTimes::Random { mean_up_s, mean_down_s }], OutageEffect::Drop);
         let lost = lost(&settings, MILLISECOND, MANY);
-        // Seen every ms, a process of two states is a chain: see Gilbert loss in time.
+        // Sampled every ms, a two-state process is a chain, as in Gilbert loss in time.
         let share = mean_down_s / (mean_up_s + mean_down_s);
         let rho = (-0.001 * (1.0 / mean_up_s + 1.0 / mean_down_s)).exp();
         let (start, stay) = (share * (1.0 - rho), share + (1.0 - share) * rho);

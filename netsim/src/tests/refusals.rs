@@ -1,15 +1,15 @@
-//! Settings that no link can have: what is wrong, where, and what would be right.
+//! Invalid link settings: the error names the problem, its key and the remedy.
 
 use crate::LinkSettings;
 
-/// The message for settings written as JSON.
+/// Error message for settings in JSON.
 fn refused(text: &str) -> String {
     let settings: LinkSettings = serde_json::from_str(text).unwrap();
     settings.validate().expect_err(text).to_string()
 }
 
 #[test]
-fn a_refusal_names_the_key_what_was_seen_and_the_remedy() {
+fn error_names_key_value_and_remedy() {
     let cases = [
         (r#"{"mtu": 0}"#, "mtu = 0: must be a finite number from 1 to 65535"),
         (

@@ -1,4 +1,4 @@
-//! Reordering: how often, and by how many packets.
+//! Reordering: frequency, and number of overtaken packets.
 
 use super::chains::{MANY, SEED};
 use crate::{Direction, Link, LinkSettings, Packet, Verdict};
@@ -6,7 +6,6 @@ use crate::{Direction, Link, LinkSettings, Packet, Verdict};
 const MILLISECOND: u64 = 1_000_000;
 const DELAY: u64 = 20 * MILLISECOND;
 
-/// Arrivals of packets sent every ms.
 fn dues(settings: &LinkSettings, packets: u64) -> Vec<u64> {
     let mut link = Link::new(Direction::Forward, SEED, settings).unwrap();
     let due = |index| {
@@ -20,12 +19,11 @@ fn dues(settings: &LinkSettings, packets: u64) -> Vec<u64> {
     (0..packets).map(due).collect()
 }
 
-/// How many of the packets before a packet arrive after a time. None of those is further away than 64.
+/// Number of earlier packets that arrive after a time; looks back 64 packets, which covers all.
 fn later(dues: &[u64], index: usize, than_ns: u64) -> usize {
     dues[index.saturating_sub(64)..index].iter().filter(|&&due_ns| due_ns > than_ns).count()
 }
 
-/// How many of the packets before it a packet overtakes.
 fn overtaken(dues: &[u64], index: usize) -> usize {
     later(dues, index, dues[index])
 }
@@ -35,7 +33,7 @@ fn settings(reorder: f64, reorder_depth: usize) -> LinkSettings {
 }
 
 #[test]
-fn a_reordered_packet_overtakes_as_many_as_asked_and_the_others_arrive_as_ever() {
+fn reordering_overtakes_the_given_number_and_delays_no_other() {
     for (reorder, depth) in [(0.01, 1), (0.01, 3), (0.2, 1), (0.2, 5), (0.5, 17)] {
         let dues = dues(&settings(reorder, depth), MANY);
         let mut reordered = 0;
@@ -47,7 +45,7 @@ fn a_reordered_packet_overtakes_as_many_as_asked_and_the_others_arrive_as_ever()
                 reordered += 1;
                 let under_way = later(&dues, index, undisturbed - DELAY);
                 assert_eq!(overtaken(&dues, index), depth.min(under_way), "packet {index}");
-                // Where every second packet jumps, most have arrived soon.
+                // If every second packet jumps, most have arrived early.
                 enough += u32::from(under_way >= depth);
             } else {
                 assert_eq!(due_ns, undisturbed);
@@ -60,8 +58,8 @@ fn a_reordered_packet_overtakes_as_many_as_asked_and_the_others_arrive_as_ever()
     }
 }
 
-/// Reordered packets in order of arrival, with their extents: a packet is reordered if a later one arrived before it,
-/// and its extent is how many arrivals lie between it and the first such.
+/// Reordered packets in order of arrival, with their extents. A packet is reordered if a later one arrived
+/// before it. Its extent is the number of arrivals between it and the first such packet.
 ///
 /// Source: RFC 4737, 3.4 and 4.2.
 fn extents(dues: &[u64]) -> Vec<(usize, usize)> {
@@ -95,7 +93,7 @@ fn no_packet_overtakes_more_than_are_under_way() {
     let jumps = (2..dues.len()).filter(|&index| dues[index] < index as u64 * MILLISECOND + MILLISECOND);
     let mut count = 0;
     for jump in jumps {
-        // A ms and two ms before it the last two were sent; the third last has arrived.
+        // The last two packets, sent 1 ms and 2 ms before, are under way; the third last has arrived.
         assert!((1..=2).contains(&overtaken(&dues, jump)), "{jump}");
         assert!(dues[jump] >= jump as u64 * MILLISECOND);
         count += 1;
@@ -104,7 +102,7 @@ fn no_packet_overtakes_more_than_are_under_way() {
 }
 
 #[test]
-fn a_packet_that_is_held_arrives_later_and_drags_no_other() {
+fn a_held_packet_delays_no_other() {
     let hold = LinkSettings { reorder_hold_s: Some(0.0055), ..settings(0.05, 1) };
     let dues = dues(&LinkSettings { delay_s: 0.0, ..hold }, MANY);
     let mut held = 0;

@@ -1,6 +1,6 @@
-//! Known answers: what happens to the first packets of a seed, which no change of this code may move.
+//! Known answers: effects on the first packets of a seed, which code changes must preserve.
 //!
-//! The file was written by this test and checked by `tests/test_netsim_vectors.py`, an independent implementation of
+//! This test wrote the file. `tests/netsim/test_vectors.py` checked it: an independent implementation of
 //! Philox4x32-10 and of these models in Python integers, which runs with the Python tests.
 
 use std::fmt::Write as _;
@@ -15,7 +15,7 @@ fn is_lost(judgement: &Judgement) -> bool {
     matches!(judgement.verdict, Verdict::Drop { .. })
 }
 
-/// A name, the settings, and what is looked for on each packet.
+/// Name, settings, and the observed event per packet.
 type Case = (&'static str, &'static str, fn(&Judgement) -> bool);
 
 const CASES: &[Case] = &[

@@ -5,11 +5,11 @@ use crate::checks::nanoseconds;
 use crate::{Direction, Distribution, Link, LinkSettings, Packet, Verdict};
 
 const SEED: u64 = 0x5EED_0000_0000_0001;
-/// The first seed that loses exactly one of the first 16 packets.
+/// First seed that loses exactly one of the first 16 packets.
 const GOLDEN_SEED: u64 = 16;
 const MANY: u64 = 1_000_000;
 
-/// The values were also computed by an independent implementation, in Python with scipy.
+/// An independent implementation in Python with scipy gives the same values.
 #[test]
 fn verdicts_are_the_same_on_every_platform() {
     let forward = [
@@ -98,13 +98,13 @@ fn one_impairment_shifts_no_other() {
 }
 
 #[test]
-fn a_verdict_depends_on_settings_seed_and_packet_alone() {
+fn a_verdict_depends_only_on_settings_seed_and_packet() {
     let delays = |direction, seed| virtual_delays(direction, seed, &scattered(), 1000);
     let forward = delays(Direction::Forward, SEED);
     assert_eq!(forward, delays(Direction::Forward, SEED));
     assert_ne!(forward, delays(Direction::Forward, SEED + 1));
     assert_ne!(forward, delays(Direction::Backward, SEED));
-    // The packets before it leave no trace on a packet.
+    // Earlier packets do not affect a packet.
     let mut link = Link::new(Direction::Forward, SEED, &scattered()).unwrap();
     let packet = Packet { direction: Direction::Forward, sent_ns: 7, size: 1200, index: 999 };
     let expected = forward[999].unwrap();

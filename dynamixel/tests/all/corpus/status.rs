@@ -1,8 +1,7 @@
-//! Bytes of a bus: whatever comes, an answer that is read stands in them with its checksum.
+//! Fuzz target: every parsed answer occurs in the input, with its checksum.
 
 use haptether_dynamixel::{Progress, Received, StatusParser, SyncRead, crc16};
 
-/// The packet of one servo's answer.
 fn packet(id: u8, error: u8, parameters: &[u8]) -> Vec<u8> {
     let mut body = Vec::new();
     for byte in [0x55, error].into_iter().chain(parameters.iter().copied()) {
@@ -22,7 +21,7 @@ fn contains(bytes: &[u8], part: &[u8]) -> bool {
     bytes.windows(part.len()).any(|window| window == part)
 }
 
-/// Reads bytes in pieces of the size that the first of them says.
+/// Parses the input in pieces; the first byte sets their size.
 pub(crate) fn check(bytes: &[u8]) {
     let Some((&size, bytes)) = bytes.split_first() else { return };
     let size = usize::from(size).max(1);

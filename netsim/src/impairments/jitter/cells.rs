@@ -1,7 +1,8 @@
-//! A law of the delay as a table: cells of equal width in z, the standard normal variate that stands for the delay.
+//! Delay distribution as a table: cells of equal width in z, the standard normal variate of the delay.
 //!
-//! Within a cell the delay is linear. This moves mean and standard deviation by about 1e-5 of the latter, and the rest
-//! of the tails, 1e-16 on each side, is missing; so the delays are scaled and shifted to the moments of the law.
+//! The delay is linear within a cell. This changes mean and standard deviation by about 1e-5 of the latter,
+//! and a tail of 1e-16 is missing on each side. The delays are therefore scaled and shifted to the exact
+//! moments.
 
 use std::sync::LazyLock;
 
@@ -9,17 +10,17 @@ use crate::impairments::law::{DelayLaw, Tails};
 
 const PER_UNIT: usize = 64;
 pub(super) const WIDTH: f64 = 1.0 / PER_UNIT as f64;
-/// The cells reach from -8.25 to 8.25.
+/// The cells span -8.25 to 8.25.
 pub(super) const COUNT: usize = 2 * 528;
 const FIRST: f64 = -8.25;
 
-/// Where the cells meet: the same of every law.
+/// Cell borders, the same for every distribution.
 static POINTS: LazyLock<Box<[Tails]>> =
     LazyLock::new(|| (0..=COUNT).map(|k| Tails::of_normal(FIRST + k as f64 * WIDTH)).collect());
 
 #[derive(Clone, Debug)]
 pub(super) struct Cells {
-    /// Delay in ns where the cells meet, ascending.
+    /// Delay in ns at the cell borders, ascending.
     pub(super) delay_ns: Box<[f64]>,
     /// Probability of each cell.
     pub(super) mass: Box<[f64]>,
@@ -31,7 +32,7 @@ impl Cells {
         let mut mass: Box<[f64]> =
             points
                 .windows(2)
-                // The smaller tail has the digits.
+                // The smaller tail has full precision.
                 .map(|ends| {
                     if ends[1].z > 0.0 {
                         ends[0].above - ends[1].above
@@ -58,7 +59,7 @@ impl Cells {
         Self { delay_ns, mass }
     }
 
-    /// Position of a normal variate: its cell, and how far into it.
+    /// Cell of a normal variate, and the fraction within the cell.
     pub(super) fn place(z: f64) -> (usize, f64) {
         let place = ((z - FIRST) * PER_UNIT as f64).clamp(0.0, COUNT as f64);
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the cells")]
@@ -66,28 +67,29 @@ impl Cells {
         (cell, place - cell as f64)
     }
 
-    /// Whether the delay goes linearly with the variate, as of a normal law of which nothing is cut off: it then is
-    /// correlated as the variate is.
+    /// Tests if the delay is linear in the variate, as for an untruncated normal distribution. Both then have
+    /// the same correlation.
     pub(super) fn are_linear(&self) -> bool {
         let span = self.delay_ns[COUNT] - self.delay_ns[0];
         let step = span / COUNT as f64;
-        // Far above rounding of delays up to an hour, and far below what moves a correlation by 1e-4.
+        // Far above the rounding of delays up to an hour, and far below a correlation change of 1e-4.
         self.delay_ns.windows(2).all(|ends| (ends[1] - ends[0] - step).abs() <= 1e-6 * span)
     }
 
-    /// Correlation that two standard normal variates must have for their delays to have that of `exp(-1)`: at least
-    /// that, for no function of normal variates is correlated more than they are.
+    /// Correlation of two standard normal variates whose delays have the correlation `exp(-1)`. It is at
+    /// least `exp(-1)`: no function of normal variates has a higher correlation than they have.
     ///
-    /// With the coefficients `a_n = E[D He_n(z)] / sqrt(n!)` delays are correlated by `sum a_n² rho^n / sum a_n²`.
+    /// With the coefficients `a_n = E[D He_n(z)] / sqrt(n!)` the correlation of delays is
+    /// `sum a_n² rho^n / sum a_n²`.
     ///
-    /// Source: Mehler's formula; G. Cario, B. Nelson, "Autoregressive to anything", Operations Research Letters 19,
-    /// 1996 (a prescribed autocorrelation).
+    /// Source: Mehler's formula; G. Cario, B. Nelson, "Autoregressive to anything", Operations Research
+    /// Letters 19, 1996 (a prescribed autocorrelation).
     pub(super) fn correlation_for_one_e(&self) -> f64 {
         const ORDERS: u8 = 64;
         let wanted = libm::exp(-1.0);
         let places = (0..=COUNT).map(|k| FIRST + k as f64 * WIDTH);
-        // The trapezoidal rule, exact to rounding on a smooth function that vanishes at both ends; the constant
-        // factor cancels.
+        // The trapezoidal rule is exact to rounding for a smooth function that vanishes at both ends; the
+        // constant factor cancels.
         let weights: Vec<f64> = places.clone().map(|z| libm::exp(-0.5 * z * z)).collect();
         let total: f64 = weights.iter().sum();
         let mean =
@@ -96,7 +98,7 @@ impl Cells {
             weights.iter().zip(&self.delay_ns).map(|(weight, delay)| weight * (delay - mean)).collect();
         let variance: f64 =
             apart.iter().zip(&self.delay_ns).map(|(apart, delay)| apart * (delay - mean)).sum();
-        // He_n / sqrt(n!) at every place, order by order.
+        // He_n / sqrt(n!) at every border, order by order.
         let (mut before, mut here) = (vec![0.0; COUNT + 1], vec![1.0; COUNT + 1]);
         let shares: Vec<f64> = (0..ORDERS)
             .map(|n| {
@@ -118,7 +120,6 @@ impl Cells {
         high
     }
 
-    /// The delay in ns that a normal variate stands for.
     pub(super) fn delay_ns(&self, z: f64) -> f64 {
         let (cell, part) = Self::place(z);
         let [a, b] = [self.delay_ns[cell], self.delay_ns[cell + 1]];
@@ -126,7 +127,8 @@ impl Cells {
     }
 }
 
-/// Mean and standard deviation of delays that are uniform within each cell; `near` is some value close to the mean.
+/// Mean and standard deviation of delays that are uniform within each cell; `near` is any value close to the
+/// mean.
 fn moments(delay_ns: &[f64], mass: &[f64], near: f64) -> (f64, f64) {
     let (mut first, mut second) = (0.0, 0.0);
     for (ends, mass) in delay_ns.windows(2).zip(mass) {
@@ -143,7 +145,7 @@ mod tests {
     use crate::{Distribution, LinkSettings};
 
     #[test]
-    fn delays_of_correlated_variates_are_correlated_as_closed_forms_say() {
+    fn correlation_of_delays_matches_closed_forms() {
         let rho =
             |settings: LinkSettings| Cells::of(&DelayLaw::new(&settings).unwrap()).correlation_for_one_e();
         let of = |jitter_s, distribution| LinkSettings {
@@ -152,7 +154,7 @@ mod tests {
             distribution,
             ..LinkSettings::default()
         };
-        // Its delay is the variate.
+        // The delay is linear in the variate.
         assert!((rho(of(0.001, Distribution::Normal)) - (-1.0_f64).exp()).abs() < 1e-5);
         let linear = |settings| Cells::of(&DelayLaw::new(&settings).unwrap()).are_linear();
         assert!(linear(of(0.001, Distribution::Normal)) && linear(of(0.005, Distribution::Normal)));
@@ -171,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn mean_and_deviation_are_those_asked_for() {
+    fn mean_and_deviation_match_the_settings() {
         let settings = LinkSettings { delay_s: 0.05, jitter_s: 0.03, ..LinkSettings::default() };
         let cells = Cells::of(&DelayLaw::new(&settings).unwrap());
         let (mean, deviation) = moments(&cells.delay_ns, &cells.mass, 0.0);

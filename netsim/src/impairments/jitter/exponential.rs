@@ -1,20 +1,21 @@
-//! The exponential variate of a draw, without a division: on a [path](super::path) each draw waits for the variate of the
-//! one before.
+//! Exponential variate of a draw without a division: on a [path](super::path) each draw depends on the
+//! previous variate.
 //!
-//! `-ln u = -(e ln 2 + ln c + ln(1 + r))` with `u = 2^e m`, m in [1, 2), where `1 / c` is near `1 / m`, looked up by the
-//! first bits of m, and `r = m / c - 1` is small enough for a short polynomial. The logarithm of a library divides, and
-//! evaluates its polynomial after that, which takes nearly twice as long; it stays where nothing waits for it. No
-//! instruction is used that some processors lack, so the variate is the same on all.
+//! `-ln u = -(e ln 2 + ln c + ln(1 + r))` with `u = 2^e m`, m in [1, 2). The leading bits of m select
+//! `1 / c`, which is close to `1 / m`. `r = m / c - 1` is small enough for a short polynomial.
 //!
-//! Source: P. T. P. Tang, "Table-driven implementation of the logarithm function in IEEE floating-point arithmetic", ACM
-//! TOMS 16(4), 1990.
+//! A library's logarithm divides first and then evaluates its polynomial, which takes nearly twice as long;
+//! other code uses it. All processors have the instructions used here, so the variate is the same on all.
+//!
+//! Source: P. T. P. Tang, "Table-driven implementation of the logarithm function in IEEE floating-point
+//! arithmetic", ACM TOMS 16(4), 1990.
 
 use std::f64::consts::LN_2;
 
-/// Bits of m that choose the cell.
+/// Leading bits of m that select the cell.
 const CELL_BITS: u32 = 6;
 const CELLS: usize = 1 << CELL_BITS;
-/// Bits of a mantissa.
+/// Stored bits of a mantissa.
 const MANTISSA_BITS: u32 = f64::MANTISSA_DIGITS - 1;
 
 /// `1 / c`, the reciprocal of about the middle of a cell, and `ln c`.
@@ -31,17 +32,17 @@ const fn table() -> [Cell; CELLS] {
     let mut k = 0;
     while k < CELLS {
         let reciprocal = CELLS as f64 / (CELLS as f64 + k as f64 + 0.5);
-        // `ln c = -ln(1 / c)`, of the reciprocal as it was rounded.
+        // `ln c = -ln(1 / c)` of the rounded reciprocal.
         table[k] = Cell { reciprocal, logarithm: -logarithm(reciprocal) };
         k += 1;
     }
     table
 }
 
-/// `ln x = 2 artanh((x - 1) / (x + 1))` of x in (1/2, 1), by its series.
+/// `ln x = 2 artanh((x - 1) / (x + 1))` for x in (1/2, 1), by its series.
 const fn logarithm(x: f64) -> f64 {
     let t = (x - 1.0) / (x + 1.0);
-    // |t| < 1/3, and (1/9)^20 is below a last digit. The small terms first.
+    // t| < 1/3, and (1/9)^20 is below a unit in the last place. Small terms first.
     let (mut n, mut sum) = (20, 0.0);
     while n > 0 {
         n -= 1;
@@ -50,8 +51,8 @@ const fn logarithm(x: f64) -> f64 {
     2.0 * t * sum
 }
 
-/// `-ln u` of a uniform number in (0, 1), to 3e-16 and two last digits of itself; never negative.
-#[inline(always)] // between two draws
+/// `-ln u` of a uniform number in (0, 1); never negative. Error: 3e-16 plus two units in the last place.
+#[inline(always)] // latency between two draws
 pub(super) fn exponential(uniform: f64) -> f64 {
     debug_assert!(
         uniform.is_normal() && uniform < 1.0 && uniform > 0.0,
@@ -75,8 +76,9 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Against the logarithm of a library, which is off by less than a last digit. Off are here the table by 1.7e-16 and r by
-    /// half the last digit of 1, and by half a last digit of the sum each: ln 2, its product, and two subtractions.
+    /// Compares with a library's logarithm, which is within one unit in the last place. Errors here: the
+    /// table by 1.7e-16, r by half a unit in the last place of 1. Ln 2, its product and two subtractions add
+    /// half a unit of the sum each.
     fn check(uniform: f64) {
         let (seen, wanted) = (exponential(uniform), -libm::log(uniform));
         let most = 3e-16 + 3.0 * f64::EPSILON * wanted;

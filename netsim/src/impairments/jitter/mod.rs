@@ -1,6 +1,7 @@
-//! Jitter: arrival + (D - E[D]), where D follows the law of the delay.
+//! Jitter: arrival + (D - E[D]), where D follows the delay distribution.
 //!
-//! With `keep_order` or a correlation time D is a [path](path) in time, else it is drawn for each packet by itself.
+//! With `keep_order` or a correlation time, D is a [path](path) in time; otherwise it is independent per
+//! packet.
 
 mod cells;
 mod exponential;
@@ -23,9 +24,8 @@ use crate::random::{InTurn, Stream, unit};
 use crate::rule::Rule;
 use crate::verdict::Verdict;
 
-/// Probability of a delay that need not be thought of.
+/// Probability of a neglected delay.
 const RARE: f64 = 1e-9;
-/// Correlation time in s where none is given.
 const DEFAULT_CORRELATION_S: f64 = 0.1;
 
 pub(crate) fn build(
@@ -41,7 +41,7 @@ pub(crate) fn build(
     let law = DelayLaw::new(settings)?;
     check_timeline(settings, &law)?;
     if nanoseconds(settings.jitter_s) == 0 {
-        // Arrivals are whole ns, and a law that narrow has no quantiles that differ.
+        // Arrivals are whole ns, and so narrow a distribution has no distinct quantiles.
         return Ok(None);
     }
     let mean_ns = nanoseconds(settings.delay_s);
@@ -54,7 +54,6 @@ pub(crate) fn build(
     Ok(Some(Box::new(Independent { cells, mean_ns, draws: InTurn::new(streams.of(Impairment::Jitter)) })))
 }
 
-/// What a path follows from.
 #[derive(Clone, Debug, PartialEq)]
 struct PathSource {
     delay_s: f64,
@@ -65,15 +64,15 @@ struct PathSource {
     keep_order: bool,
 }
 
-/// Paths that a thread keeps for the next links: those of both directions, of the scenario before and of this one.
+/// Number of paths that a thread caches: both directions of the previous and of the current scenario.
 const PATHS_KEPT: usize = 4;
 
 thread_local! {
     static PATHS: RefCell<Vec<(PathSource, Arc<Path>)>> = const { RefCell::new(Vec::new()) };
 }
 
-/// The path of a law, which takes half a millisecond to compute: where this thread has just built a link of the same
-/// law, as in a sweep, it is that one's.
+/// Path of a distribution. Computing it takes half a millisecond, so the thread reuses a cached path of equal
+/// parameters, as in a sweep.
 fn shared_path(settings: &LinkSettings, law: &DelayLaw, tau_s: f64) -> Arc<Path> {
     let source = PathSource {
         delay_s: settings.delay_s,
@@ -96,11 +95,11 @@ fn shared_path(settings: &LinkSettings, law: &DelayLaw, tau_s: f64) -> Arc<Path>
     })
 }
 
-/// Refuses a mean delay that is less than the law reaches below it: delays would be cut off at zero, unseen.
+/// Rejects a mean delay that the jitter would take below zero: delays would be truncated silently.
 fn check_timeline(settings: &LinkSettings, law: &DelayLaw) -> Result<(), LinkSettingsError> {
     let below_s = settings.delay_s - law.quantile_s(RARE);
     for (index, change) in settings.timeline.iter().enumerate() {
-        // A rounding of the law is no reason to refuse.
+        // Tolerates rounding of the distribution.
         if change.delay_s < below_s * (1.0 - 1e-9) {
             let problem = format!(
                 "{} s is less than the jitter reaches below its mean, {below_s:.3e} s: give a larger delay, or less \
@@ -113,18 +112,18 @@ fn check_timeline(settings: &LinkSettings, law: &DelayLaw) -> Result<(), LinkSet
     Ok(())
 }
 
-/// Moves an arrival by how far a delay lies off its mean, though not to before the packet was sent.
+/// Moves an arrival by the deviation of its delay from the mean, but not before the packet was sent.
 fn shifted(at_ns: u64, delay_ns: u64, mean_ns: u64, sent_ns: u64) -> u64 {
     at_ns.saturating_add(delay_ns).saturating_sub(mean_ns).max(sent_ns)
 }
 
-/// As `round`, which is a call where the processor is not known to have an instruction for it.
+/// Rounds as `round` does, which is a function call if the target has no guaranteed rounding instruction.
 #[inline]
 fn whole(ns: f64) -> u64 {
-    /// From here on up to its double, numbers are whole, and count with their bits.
+    /// From here up to its double, floats are the consecutive integers, in value and in bits.
     const WHOLES: f64 = 4_503_599_627_370_496.0;
     if (0.0..WHOLES).contains(&ns) {
-        // The sum is rounded to the nearest, and a half to an even one.
+        // The sum rounds to nearest, ties to even; the last term rounds ties up.
         let nearest = ns + WHOLES;
         return (nearest.to_bits() - WHOLES.to_bits()) + u64::from(ns - (nearest - WHOLES) >= 0.5);
     }
@@ -133,7 +132,6 @@ fn whole(ns: f64) -> u64 {
     whole
 }
 
-/// A delay drawn for each packet by itself.
 #[derive(Clone, Debug)]
 struct Independent {
     cells: Cells,
@@ -149,14 +147,14 @@ impl Rule for Independent {
     }
 }
 
-/// Length of a bin in correlation times: at the lowest age of what is forgotten, `exp(-16)` of it is left.
+/// Bin length in correlation times: `exp(-16)` remains of the youngest forgotten state.
 const BIN_TAUS: f64 = 16.0;
 
-/// A delay that wanders along a path in time, whatever packets come.
+/// Delay that follows a path in time, independent of the packets.
 ///
-/// A run is keyed by the time at which it begins, so the path is the same at any packet rate. After a silence that the
-/// path does not remember it begins anew from its law, keyed by the bin of time, so that no silence costs more than
-/// about a thousand runs.
+/// A run is keyed by its start time, so the path is the same at any packet rate. After a silence longer than
+/// its memory the path restarts from its distribution, keyed by the time bin. A silence therefore costs at
+/// most about a thousand runs.
 #[derive(Clone, Debug)]
 struct Wander {
     path: Arc<Path>,
@@ -164,14 +162,13 @@ struct Wander {
     lengths: Stream,
     beginnings: Stream,
     bin_ns: u64,
-    /// The run of the latest packet, at `at`, and the one after it: nothing then waits for what a run's draw decides.
-    /// Before the first packet one that ended at 0, as no other does.
+    /// Run of the latest packet, at index `at`, and the next run. Drawing it ahead hides its latency.
+    /// Initially a run that ends at 0, as no real run does.
     runs: [Run; 2],
     at: usize,
     latest_ns: u64,
 }
 
-/// One run up or down.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     rises: bool,
@@ -203,7 +200,7 @@ impl Wander {
         }
     }
 
-    /// Goes on to the run of a time that is not before that of an earlier call.
+    /// Advances to the run at `time_ns`, which must not decrease between calls.
     #[inline]
     fn go_on(&mut self, time_ns: u64) {
         if self.run().end_ns <= time_ns {
@@ -211,8 +208,8 @@ impl Wander {
         }
     }
 
-    /// To the run of a time at which the present one has ended, with the one after it drawn.
-    #[inline(never)] // every other packet
+    /// Advances past an ended run, and draws the run after the new one.
+    #[inline(never)] // about every second packet
     fn go_on_to_later_run(&mut self, time_ns: u64) {
         let end_ns = self.run().end_ns;
         if end_ns == 0 || self.forgets(end_ns, time_ns) {
@@ -229,13 +226,13 @@ impl Wander {
         &self.runs[self.at & 1]
     }
 
-    /// Whether a whole bin lies between those of two times.
+    /// Tests if a whole bin lies between the bins of two times.
     fn forgets(&self, from_ns: u64, to_ns: u64) -> bool {
         to_ns - from_ns > self.bin_ns && to_ns / self.bin_ns > from_ns / self.bin_ns + 1
     }
 
-    /// The first run after a silence, from a place of the law, and the one after it.
-    #[inline(never)] // seldom
+    /// Draws the first run after a silence from the distribution, and the next run.
+    #[inline(never)] // rare
     fn begin_anew(&mut self, begin_ns: u64) {
         let [place, direction] = self.beginnings.pair(begin_ns / self.bin_ns);
         let (cell, part) = Cells::place(gaussian::quantile(unit(place)));
@@ -246,18 +243,17 @@ impl Wander {
         self.draw_next();
     }
 
-    /// The run after the present one.
     fn draw_next(&mut self) {
         let Run { rises, end_ns, to, .. } = *self.run();
         self.draw(1 - self.at, !rises, end_ns, self.path.traversal(rises).mirrored(to));
     }
 
-    /// A run is written where it is kept: a copy of what was just written would be waited for.
+    /// Draws a run in place; copying a value just written would stall.
     #[inline(always)]
     fn draw(&mut self, at: usize, rises: bool, begin_ns: u64, from: Place) {
         let traversal = self.path.traversal(rises);
         let to = traversal.switch(from, exponential(self.lengths.unit(begin_ns)));
-        // Time is whole: the run stops short of its end by less than 1 ns.
+        // Times are whole ns: the run stops less than 1 ns before its end.
         #[expect(clippy::cast_possible_truncation, reason = "saturates")]
         let length_ns = ((to.y_ns - from.y_ns) as i64).max(1);
         let y_ns = from.y_ns + length_ns as f64;
@@ -267,7 +263,7 @@ impl Wander {
             Run { rises, begin_ns, end_ns: begin_ns.saturating_add(length_ns.cast_unsigned()), from, to };
     }
 
-    #[inline(always)] // as judge
+    #[inline(always)] // as `judge`
     fn delay_ns(&mut self, time_ns: u64) -> u64 {
         self.go_on(time_ns);
         let run = self.run();
@@ -278,10 +274,10 @@ impl Wander {
 }
 
 impl Rule for Wander {
-    #[inline(always)] // into the loop over packets
+    #[inline(always)] // in the per-packet loop
     fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict {
-        // The path at the packet's place in the flow so far: as it falls by less than 1 s/s, what comes in order
-        // leaves in order. One that comes before an earlier one meets the path where that one did.
+        // Evaluates the path at the latest arrival so far. It falls by less than 1 s/s, so packets in order
+        // stay in order. An arrival before an earlier one gets the delay of the earlier one.
         self.latest_ns = self.latest_ns.max(at_ns);
         let delay_ns = self.delay_ns(self.latest_ns);
         Verdict::Deliver { at_ns: shifted(at_ns, delay_ns, self.mean_ns, packet.sent_ns) }
@@ -318,7 +314,7 @@ mod tests {
         }
     }
 
-    /// After a silence the delay is the same whatever was before it, and at the end of time it is one, too.
+    /// After a silence the delay does not depend on earlier packets, and the maximum time is valid.
     #[test]
     fn a_silence_forgets_what_was_before() {
         let settings = LinkSettings { delay_s: 0.05, jitter_s: 0.005, ..LinkSettings::default() };
@@ -341,7 +337,7 @@ mod tests {
         assert!(after(&[u64::MAX - 1, u64::MAX, u64::MAX]).is_some());
     }
 
-    /// Delays of the first packets of a link.
+    /// Arrivals of the first packets of a link.
     fn delays(settings: &LinkSettings) -> Vec<u64> {
         let direction = crate::Direction::Forward;
         let streams = Streams { seed: 7, direction };
@@ -355,7 +351,7 @@ mod tests {
             .collect()
     }
 
-    /// Laws that differ in one field, each built between the others: a path that is shared is that of its own law.
+    /// Parameters that differ in one field, built in turn: each gets its own path.
     #[test]
     fn a_shared_path_is_that_of_its_own_law() {
         let base = LinkSettings {
@@ -383,7 +379,7 @@ mod tests {
             LinkSettings { jitter_correlation_s: Some(0.2), ..base.clone() },
             LinkSettings { keep_order: !base.keep_order, ..base },
         ];
-        // A thread of its own shares nothing.
+        // A separate thread shares no path.
         let alone: Vec<_> = laws
             .iter()
             .map(|law| std::thread::scope(|scope| scope.spawn(|| delays(law)).join().unwrap()))
@@ -394,7 +390,7 @@ mod tests {
                 assert_eq!(delays(&laws[place]), alone[place], "{place}");
             }
         }
-        // Correlated delays keep their order anyway: the last law has the delays of the first.
+        // Correlated delays keep order in any case: the last settings have the delays of the first.
         let different = &alone[..laws.len() - 1];
         for (place, one) in different.iter().enumerate() {
             assert!(different[place + 1..].iter().all(|other| other != one), "{place} is that of another");

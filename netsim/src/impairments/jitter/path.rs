@@ -1,40 +1,40 @@
-//! The delay as a path in time that follows its law, forgets itself over tau, and never falls too fast.
+//! Delay as a path in time that follows its distribution, decorrelates over tau, and never falls too fast.
 //!
-//! Order is kept if the delay falls by less than 1 s/s. The usual AR(1) process is so rough that it falls faster over
-//! short times, however small its variance; to let early packets wait for the ones before them (a queue served in turn)
-//! then raises the mean and cuts the variance. So the path here has a bounded speed instead.
+//! Order is kept if the delay falls by less than 1 s/s. The usual AR(1) process is so rough that it falls
+//! faster over short times, however small its variance. Letting early packets wait for previous ones (a FIFO
+//! queue) then raises the mean and cuts the variance. The path here has a bounded speed instead.
 //!
-//! z is the standard normal variate of which the delay is the quantile Q(Phi(z)) (Gaussian copula). It moves at a speed
-//! `s(z) = min(c, m / |dD/dz|)`, up and down alternately. A run ends at a rate that is the sum of two:
+//! z is a standard normal variate, and the delay is its quantile Q(Phi(z)) (Gaussian copula). z moves at the
+//! speed `s(z) = min(c, m / |dD/dz|)`, alternately up and down. A run ends at the sum of two rates:
 //!
-//! - `-d ln(g) / dy` along the run, where positive; `y` is the time it takes to get to z at that speed, and
-//!   `g = phi(z) s(z)` the density of y. Towards likelier delays a run goes on, away from them it ends the sooner the
-//!   faster they thin out. This alone leaves the law as it is: what enters any stretch balances what leaves it.
-//! - `s(z)^2 tau / 2`, less the mean of the former over both directions. It is the same for both directions and so
-//!   leaves the law too. It makes z diffuse at the rate 1 / tau everywhere: seen over more than a run, z is the
-//!   Ornstein-Uhlenbeck process, AR(1) in time, of the autocorrelation `exp(-t / tau)`. Its tau is such that the delay,
-//!   a function of z, is correlated by 1 / e over the time of the settings.
+//! - `-d ln(g) / dy` along the run, where positive. `y` is the travel time to z at that speed, and
+//!   `g = phi(z) s(z)` is the density of y. A run continues towards more likely delays; away from them it
+//!   ends sooner the faster the density falls. This rate preserves the distribution: the flows into and out
+//!   of any stretch balance.
+//! - `s(z)^2 tau / 2`, minus the mean of the former over both directions. It is equal for both directions, so
+//!   it also preserves the distribution. It makes z diffuse at the rate 1 / tau everywhere. Over more than a
+//!   run, z is the Ornstein-Uhlenbeck process, AR(1) in time, with autocorrelation `exp(-t / tau)`. Its tau
+//!   is chosen so that the delay, a function of z, has correlation 1 / e over the time in the settings.
 //!
-//! With the cells of the law the density is a step function of y and the delay a line in each cell; for these the
+//! With cells, the density is a step function of y and the delay is linear in each cell. For these the
 //! process is exact, not an approximation in small steps.
 //!
-//! Source: J. Bierkens, P. Fearnhead, G. Roberts, "The zig-zag process and super-efficient sampling for Bayesian
-//! analysis of big data", Annals of Statistics 47(3), 2019, section 2; M. Kac, "A stochastic model related to the
-//! telegrapher's equation", Rocky Mountain J. Math. 4(3), 1974 (its diffusion).
+//! Source: J. Bierkens, P. Fearnhead, G. Roberts, "The zig-zag process and super-efficient sampling for
+//! Bayesian analysis of big data", Annals of Statistics 47(3), 2019, section 2; M. Kac, "A stochastic model
+//! related to the telegrapher's equation", Rocky Mountain J. Math. 4(3), 1974 (its diffusion).
 
 use super::cells::{COUNT, Cells, WIDTH};
 
-/// Fastest change of the delay in s/s: a little short of what would let a packet catch up with the one before.
+/// Maximum rate of change of the delay in s/s; at 1 a packet would catch up with the previous one.
 const FASTEST: f64 = 0.9;
-/// Shortest correlation time by standard deviations of the delay.
+/// Minimum correlation time in standard deviations of the delay.
 const MIN_TAU_SIGMAS: f64 = 4.0;
-/// Shortest correlation time in ns; far above the resolution of time.
+/// Minimum correlation time in ns; far above the time resolution.
 const MIN_TAU_NS: f64 = 20_000.0;
-/// Number of velocity's correlation times in tau: at least, and where the order requires no less, at most.
+/// Minimum number of velocity correlation times per tau, and the maximum, used unless order requires fewer.
 const MIN_SWITCHES: f64 = 12.0;
 const MAX_SWITCHES: f64 = 50.0;
 
-/// The traversals up and down through the cells, and the memory of the path.
 #[derive(Clone, Debug)]
 pub(super) struct Path {
     /// Down and up.
@@ -44,16 +44,17 @@ pub(super) struct Path {
 }
 
 impl Path {
-    /// The delay is correlated by 1 / e over `tau_s`, with `keep_order` over no less than the order permits. Delays
-    /// forget themselves sooner than z does, unless they are normal, so z is given a longer time.
+    /// Builds a path whose delay has correlation 1 / e over `tau_s`; with `keep_order`, over at least the
+    /// minimum for order. Except for normal delays, delays decorrelate faster than z, so z gets a longer
+    /// time.
     pub(super) fn new(cells: &Cells, tau_s: f64, sigma_s: f64, keep_order: bool) -> Self {
         let min_ns = if keep_order { MIN_TAU_SIGMAS * sigma_s * 1e9 } else { 0.0 };
         let wanted_ns = (tau_s * 1e9).max(min_ns).max(MIN_TAU_NS);
-        // Nearer than this the cells are not to the law; what is linear is not further off, and need not be integrated.
+        // The cells are this accurate in correlation. A linear delay needs no integration.
         let rho = if cells.are_linear() { 0.0 } else { cells.correlation_for_one_e() };
         let tau_ns = if rho < libm::exp(-1.0) + 1e-4 { wanted_ns } else { wanted_ns / -libm::log(rho) };
-        // c^2 tau eps = 1, where eps is the time over which the velocity forgets itself. The slope of a normal delay
-        // is then sigma / sqrt(tau eps): gentle where that is free, steep where tau is short.
+        // c^2 tau eps = 1, where eps is the correlation time of the velocity. The slope of a normal delay is
+        // then sigma / sqrt(tau eps): small for a long tau, large for a short one.
         let switches = if keep_order {
             let ratio = tau_ns / (sigma_s * 1e9);
             (0.5 * ratio * ratio).clamp(MIN_SWITCHES, MAX_SWITCHES)
@@ -71,7 +72,7 @@ impl Path {
             .collect();
         for k in 0..COUNT {
             let [before, here, after] = [k.saturating_sub(1), k, (k + 1).min(COUNT - 1)].map(|k| cells[k]);
-            // What the slope of the density makes runs end, on the mean of both directions.
+            // Switching rate due to the density slope, averaged over both directions.
             let jumps = libm::log(before.density / here.density).abs()
                 + libm::log(here.density / after.density).abs();
             let by_slope = 0.25 * jumps / here.length_ns;
@@ -83,14 +84,13 @@ impl Path {
         Self { traversals: [down, up], tau_ns }
     }
 
-    /// Through the cells the one way or the other.
     #[inline]
     pub(super) fn traversal(&self, rises: bool) -> &Traversal {
         &self.traversals[usize::from(rises)]
     }
 }
 
-/// A stretch of y that a run passes in `length_ns`, on which the delay goes linearly from one value to another.
+/// Stretch of y that a run passes in `length_ns`, with a linear delay.
 #[derive(Clone, Copy, Debug)]
 struct Cell {
     length_ns: f64,
@@ -106,34 +106,34 @@ impl Cell {
     }
 }
 
-/// Where a cell begins on a traversal.
+/// Start of a cell on a traversal.
 #[derive(Clone, Copy, Debug)]
 struct Border {
     /// In ns of travel.
     start_ns: f64,
-    /// Switching rate summed up to just after it.
+    /// Switching rate integrated to just after the border.
     hazard: f64,
     /// Switching rate in the cell, per ns.
     switching_rate: f64,
-    /// The reciprocal of that: a division would be waited for.
+    /// Reciprocal of the switching rate; a division would be on the critical path.
     per_rate: f64,
 }
 
-/// The cells in the order in which one direction meets them.
+/// Cells in the order of one direction.
 #[derive(Clone, Debug)]
 pub(super) struct Traversal {
-    /// Of each cell, and last where the traversal ends.
+    /// Start of each cell, and the end of the traversal.
     borders: Box<[Border]>,
     /// Delay in ns at each border.
     delay_ns: Box<[f64]>,
     by_start: Bins,
     by_hazard: Bins,
-    /// Of a delay that goes along one line through all cells, as a normal one does at one speed: where it begins in ns, and
-    /// by how much it grows in a ns of travel.
+    /// Start in ns, and slope per ns of travel, of a delay on one line through all cells. A normal delay at
+    /// constant speed is such a line.
     line: Option<[f64; 2]>,
 }
 
-/// A place on a traversal, and the cell in which it lies.
+/// Position on a traversal, and its cell.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Place {
     pub(super) y_ns: f64,
@@ -147,7 +147,7 @@ impl Traversal {
         let mut delay_ns = cells.first().map_or(0.0, |cell| cell.from_ns);
         let (mut borders, mut delays) = (Vec::with_capacity(COUNT + 1), Vec::with_capacity(COUNT + 1));
         for cell in &cells {
-            // Into a thinner cell a run goes on with the probability of the quotient of their densities.
+            // A run enters a thinner cell with a probability equal to the ratio of their densities.
             hazard += libm::log(density / cell.density).max(0.0);
             density = cell.density;
             let switching_rate = cell.switching_rate;
@@ -171,24 +171,24 @@ impl Traversal {
         Self { borders: borders.into(), delay_ns: delays.into(), by_start, by_hazard, line }
     }
 
-    /// The place a part into a cell.
+    /// Position at a fraction of a cell.
     pub(super) fn within(&self, cell: usize, part: f64) -> Place {
         let [start, end] = [self.borders[cell].start_ns, self.borders[cell + 1].start_ns];
         Place { y_ns: start + (end - start) * part, cell }
     }
 
-    /// The same place in the other direction.
+    /// Same position in the other direction.
     pub(super) fn mirrored(&self, place: Place) -> Place {
         Place { y_ns: (self.end_ns() - place.y_ns).max(0.0), cell: COUNT - 1 - place.cell }
     }
 
-    /// Where a run from `from` ends whose summed rate reaches `exponential`.
+    /// End of a run from `from`, at which its integrated rate reaches `exponential`.
     pub(super) fn switch(&self, from: Place, exponential: f64) -> Place {
         let first = &self.borders[from.cell];
         let passed = first.switching_rate * (from.y_ns - first.start_ns);
         let target = first.hazard + passed + exponential;
         let mut near = self.by_hazard.near(target).max(from.cell);
-        // Mostly that cell, the one before or the one after, in no order that a processor could foresee.
+        // Usually this cell or a neighbour, unpredictably: select without branching.
         let before = near.saturating_sub(1).max(from.cell);
         if let Some([_, one, other]) = self.borders.get(before..before + 3) {
             near = before + usize::from(one.hazard <= target) + usize::from(other.hazard <= target);
@@ -196,19 +196,18 @@ impl Traversal {
         let cell = self.last(near, from.cell, COUNT - 1, |border| border.hazard <= target);
         let [Border { start_ns, hazard, switching_rate: rate, per_rate }, Border { start_ns: end_ns, .. }] =
             [self.borders[cell], self.borders[cell + 1]];
-        // At the end of the cell the sum jumps.
+        // The integral jumps at the end of the cell.
         let rest = target - hazard;
         let y_ns = if rate > 0.0 { (start_ns + rest * per_rate).min(end_ns) } else { end_ns };
         Place { y_ns, cell }
     }
 
-    /// Where the traversal ends.
     pub(super) fn end_ns(&self) -> f64 {
         self.borders[COUNT].start_ns
     }
 
-    /// The delay in ns at a place between the cells of two others.
-    #[inline(always)] // once a packet
+    /// Delay in ns at a position between two cells.
+    #[inline(always)] // per packet
     pub(super) fn delay_between(&self, y_ns: f64, first: usize, last: usize) -> f64 {
         if let Some([begin_ns, slope]) = self.line {
             return begin_ns + slope * y_ns;
@@ -216,7 +215,7 @@ impl Traversal {
         self.delay_ns(Place { y_ns, cell: self.cell(y_ns, first, last) })
     }
 
-    /// The cell of a place between two others.
+    /// Cell of a position between two cells.
     fn cell(&self, y_ns: f64, first: usize, last: usize) -> usize {
         let near = self.by_start.near(y_ns).clamp(first, last);
         let [border, next] = [&self.borders[near], &self.borders[near + 1]];
@@ -226,13 +225,13 @@ impl Traversal {
         self.last(near, first, last, |border| border.start_ns <= y_ns)
     }
 
-    /// The same of a place less than a ns before the last, or beyond it.
+    /// Same for a position close to cell `last`: the end of a run less 1 ns, or beyond it.
     pub(super) fn cell_before(&self, y_ns: f64, first: usize, last: usize) -> usize {
         self.last(last, first, last, |border| border.start_ns <= y_ns)
     }
 
-    /// The last cell from `first` to `last` whose border something holds for, which does up to some border; `first` if
-    /// there is none. It is looked for from `near` on.
+    /// Last cell in `first..=last` whose border satisfies `holds`; `first` if none does. `holds` must be true
+    /// up to some border and false after it. The search starts at `near`.
     fn last(&self, near: usize, first: usize, last: usize, holds: impl Fn(&Border) -> bool) -> usize {
         let mut cell = near;
         while cell > first && !holds(&self.borders[cell]) {
@@ -244,7 +243,6 @@ impl Traversal {
         cell
     }
 
-    /// The delay in ns at a place.
     fn delay_ns(&self, Place { y_ns, cell }: Place) -> f64 {
         let [start, end] = [self.borders[cell].start_ns, self.borders[cell + 1].start_ns];
         let [a, b] = [self.delay_ns[cell], self.delay_ns[cell + 1]];
@@ -252,12 +250,13 @@ impl Traversal {
     }
 }
 
-/// Part of the range of the delays that a border may be off the line through all: its place is a sum over the cells.
+/// Maximum distance of a border from the line, as a fraction of the delay range: its position is a sum over
+/// the cells.
 const MAX_OFF_BY_RANGE: f64 = COUNT as f64 * f64::EPSILON;
-/// The same as a part of the delays, which have been scaled and shifted.
+/// Same as a fraction of the delays, which are scaled and shifted.
 const MAX_OFF_BY_DELAY: f64 = 8.0 * f64::EPSILON;
 
-/// Where the delay begins and its slope, if all borders lie on a line but for rounding, or for no more than that.
+/// Start and slope of the delay if all borders lie on a line up to rounding.
 fn line_through(borders: &[Border], delays: &[f64]) -> Option<[f64; 2]> {
     let (&first_ns, &last_ns) = (delays.first()?, delays.last()?);
     let range_ns = last_ns - first_ns;
@@ -269,16 +268,16 @@ fn line_through(borders: &[Border], delays: &[f64]) -> Option<[f64; 2]> {
     is_line.then_some([first_ns, slope])
 }
 
-/// About which of the cells has a value, by bins of equal width: of cells of equal width it is the one.
+/// Approximate lookup of a cell by bins of equal width; exact for cells of equal width.
 #[derive(Clone, Debug)]
 struct Bins {
     per_unit: f64,
-    /// The cell of the middle of each bin.
+    /// Cell at the middle of each bin.
     cells: Box<[u16; COUNT]>,
 }
 
 impl Bins {
-    /// Of the values at which cells begin, which do not fall, from 0 to `end`.
+    /// From non-decreasing cell starts in 0 to `end`.
     fn of(begins: &[f64; COUNT], end: f64) -> Self {
         let width = end / COUNT as f64;
         let mut cells = Box::new([0; COUNT]);
@@ -308,14 +307,14 @@ mod tests {
     use crate::impairments::law::DelayLaw;
     use crate::{Distribution, LinkSettings};
 
-    /// Where a law has one line, the delay on it is that by cells; where it has none, that by the cell that a search finds. At
-    /// a turn from up to down it does not jump.
+    /// On a line, the delay equals that by cells; otherwise it equals that of the searched cell. It does not
+    /// jump at a turn.
     #[test]
     fn a_delay_is_that_of_the_cells_by_a_line_or_without() {
         for (distribution, delay_s, keep_order, has_line) in [
             (Distribution::Normal, 0.05, true, true),
             (Distribution::Normal, 3600.0, false, true),
-            // Cut off at zero.
+            // Truncated at zero.
             (Distribution::Normal, 0.02, true, false),
             (Distribution::Uniform, 0.05, true, false),
             (Distribution::Lognormal, 0.05, false, false),
@@ -324,7 +323,7 @@ mod tests {
             let settings = LinkSettings { distribution: distribution.clone(), ..base };
             let cells = Cells::of(&DelayLaw::new(&settings).unwrap());
             let path = Path::new(&cells, 0.1, 0.005, keep_order);
-            // Half a last digit of each sum over the cells, and some of the delays.
+            // Half a unit in the last place for each sum over the cells, plus some for the delays.
             let range_ns = cells.delay_ns[COUNT] - cells.delay_ns[0];
             let most_ns =
                 0.5 * COUNT as f64 * f64::EPSILON * range_ns + 4.0 * f64::EPSILON * cells.delay_ns[COUNT];
@@ -348,7 +347,7 @@ mod tests {
         }
     }
 
-    /// Places and switches are those that a search through all cells finds, of cells of equal width and of others.
+    /// Lookups match a search through all cells, for equal and unequal cell widths.
     #[test]
     fn a_cell_is_found_as_by_bisection() {
         for (distribution, distribution_shape) in [
@@ -393,7 +392,7 @@ mod tests {
         let wanted_ns = (start_ns + passed_ns).min(borders[cell + 1].start_ns);
         let to = traversal.switch(from, exponential);
         assert_eq!(to.cell, cell, "{exponential}");
-        // The reciprocal, the product and the sum are rounded here, the quotient and the sum there.
+        // One side rounds reciprocal, product and sum; the other rounds quotient and sum.
         let most_ns = 2.0 * f64::EPSILON * (wanted_ns + (wanted_ns - start_ns));
         assert!((to.y_ns - wanted_ns).abs() <= most_ns, "{exponential}: {} {wanted_ns}", to.y_ns);
     }

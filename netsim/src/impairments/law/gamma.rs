@@ -1,7 +1,9 @@
-//! Gamma law of shape k and scale theta: from zero, `k = (mean / sigma)^2`, `theta = sigma^2 / mean`; with a shape that
-//! is given, `theta = sigma / sqrt(k)` beyond a least delay `mean - sigma sqrt(k)`.
+//! Gamma distribution of shape k and scale theta: from zero, `k = (mean / sigma)^2`,
+//! `theta = sigma^2 / mean`. With a given shape, `theta = sigma / sqrt(k)` above a minimum delay
+//! `mean - sigma sqrt(k)`.
 //!
-//! Source: N. L. Johnson, S. Kotz, N. Balakrishnan, "Continuous univariate distributions" vol. 1, 1994, chapter 17.
+//! Source: N. L. Johnson, S. Kotz, N. Balakrishnan, "Continuous univariate distributions" vol. 1, 1994,
+//! chapter 17.
 
 use super::{Tails, at_most};
 use crate::checks::{LinkSettingsError, within};
@@ -44,11 +46,11 @@ impl Gamma {
 const PRECISION: f64 = 1e-15;
 const NEWTON_PRECISION: f64 = 1e-7;
 const MAX_TERMS: usize = 10_000;
-/// From here on the normal law of the cube root is closer than the inversion is worth its time.
+/// From here on the normal approximation of the cube root is accurate enough.
 const LARGE_SHAPE: f64 = 2000.0;
 
-/// The gamma law of shape k and scale 1: regularised incomplete gamma functions `P(k, x)` and `Q = 1 - P`, and where
-/// they take a value.
+/// Gamma distribution of shape k and scale 1: regularised incomplete gamma functions `P(k, x)` and
+/// `Q = 1 - P`, and their inverse.
 ///
 /// Source: NIST Digital Library of Mathematical Functions, 8.11.4 (series) and 8.9.2 (continued fraction).
 #[derive(Clone, Copy, Debug)]
@@ -57,7 +59,7 @@ struct StandardGamma {
     log_factorial: f64,
 }
 
-/// `P(k, x)`, `Q(k, x)`, of which the smaller one has the digits, and dP/dx.
+/// `P(k, x)`, `Q(k, x)` and dP/dx; the smaller of P and Q has full precision.
 #[derive(Clone, Copy, Debug)]
 struct Values {
     p: f64,
@@ -117,16 +119,16 @@ impl StandardGamma {
         }
     }
 
-    /// The x at which P is the lower tail of a point.
+    /// The x at which P equals the lower tail.
     fn quantile(&self, point: Tails) -> f64 {
         let k = self.k;
         let cube_root = 1.0 - 1.0 / (9.0 * k) + point.z / (3.0 * k.sqrt());
         let wilson_hilferty = k * cube_root * cube_root * cube_root;
         if k > LARGE_SHAPE || !wilson_hilferty.is_finite() {
-            // An end of the law: 0 or infinity.
+            // End of the distribution: 0 or infinity.
             return wilson_hilferty.max(0.0);
         }
-        // P is below x^k / Gamma(k + 1), so this is below the x sought, and close to it where x is small.
+        // P is below x^k / Gamma(k + 1), so this is a lower bound of x, and tight for small x.
         let log_least = (libm::log(point.below) + self.log_factorial) / k;
         if log_least < -700.0 {
             return 0.0;
@@ -141,13 +143,13 @@ impl StandardGamma {
             } else {
                 high = high.min(x);
             }
-            // Newton on the logarithm of the smaller tail: nearly a line, of ln x below and of x above.
+            // Newton on the logarithm of the smaller tail: nearly linear in ln x below and in x above.
             let newton = if point.below < point.above {
                 x * libm::exp(libm::log(point.below / p) * p / (slope * x))
             } else {
                 x + libm::log(q / point.above) * q / slope
             };
-            // Its error is squared with each step.
+            // Each step squares its error.
             if (newton - x).abs() <= NEWTON_PRECISION * x {
                 return newton;
             }

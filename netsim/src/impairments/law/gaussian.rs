@@ -1,4 +1,4 @@
-//! The standard normal law: distribution function and its inverse.
+//! Standard normal distribution function and its inverse.
 
 use core::f64::consts::FRAC_1_SQRT_2;
 
@@ -13,7 +13,7 @@ pub(crate) fn pdf(z: f64) -> f64 {
     INV_SQRT_2_PI * libm::exp(-0.5 * z * z)
 }
 
-/// The inverse of [`cdf`], to about one part in 1e16.
+/// Inverse of [`cdf`], to about one part in 1e16.
 ///
 /// Source: M. J. Wichura, "Algorithm AS 241: the percentage points of the normal distribution", Applied
 /// Statistics 37(3), 1988, PPND16.
@@ -35,7 +35,7 @@ pub(crate) fn quantile(p: f64) -> f64 {
     size.copysign(q)
 }
 
-/// Coefficients of numerator and denominator, the highest power first.
+/// Coefficients of numerator and denominator, highest power first.
 type Rational = [[f64; 8]; 2];
 
 fn ratio(x: f64, [numerator, denominator]: &Rational) -> f64 {

@@ -1,4 +1,4 @@
-//! Laws of the delay: each has exactly the mean and the standard deviation of the settings.
+//! Delay distributions with exactly the mean and standard deviation of the settings.
 
 mod gamma;
 pub(crate) mod gaussian;
@@ -13,36 +13,36 @@ use shapes::{Exponential, Lognormal, Normal, Pareto, Table, Uniform};
 use super::LinkSettings;
 use crate::checks::{LinkSettingsError, MAX_DELAY_S, within};
 
-/// Law of the delay. Each has the mean `delay_s` and the standard deviation `jitter_s`.
+/// Delay distribution with the mean `delay_s` and the standard deviation `jitter_s`.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Distribution {
-    /// Normal; cut off at zero, mean and deviation kept, where it would reach below.
+    /// Normal; truncated at zero if it would reach below, with mean and deviation kept.
     #[default]
     Normal,
     /// Uniform.
     Uniform,
-    /// A least delay and an exponential excess.
+    /// Minimum delay plus an exponential excess.
     Exponential,
-    /// Gamma, from zero; with `distribution_shape` from a least delay.
+    /// Gamma from zero; with `distribution_shape` from a minimum delay.
     Gamma,
-    /// Lognormal, from zero.
+    /// Lognormal from zero.
     Lognormal,
-    /// A least delay and a Pareto excess of index `distribution_shape`, at least 2.5, by default 5.
+    /// Minimum delay plus a Pareto excess of index `distribution_shape`, at least 2.5, by default 5.
     Pareto,
-    /// An inverse distribution function at evenly spaced probabilities, as in the `.dist` files of iproute2, in
+    /// Inverse distribution function at evenly spaced probabilities, as in the `.dist` files of iproute2, in
     /// units of 1/8192 standard deviation around the mean.
     Table(Vec<i16>),
 }
 
-/// A point of a law, by both of its tails, so that neither loses its digits, and as a normal variate.
+/// Point of a distribution: both tails, each in full precision, and the normal variate.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Tails {
-    /// Probability of less.
+    /// Probability of a smaller value.
     pub(crate) below: f64,
-    /// Probability of more.
+    /// Probability of a larger value.
     pub(crate) above: f64,
-    /// The value that a standard normal variate has there.
+    /// Standard normal variate at this point.
     pub(crate) z: f64,
 }
 
@@ -52,7 +52,7 @@ impl Tails {
     }
 }
 
-/// The law of the delay of a link with jitter: what is drawn follows it, in order or not, correlated or not.
+/// Delay distribution of a link with jitter, for ordered, unordered, correlated and independent delays.
 ///
 /// Equation: `D = Q(p)`, p uniform; `E[D] = delay_s`, `sqrt(Var[D]) = jitter_s`, `D >= 0`.
 #[derive(Clone, Debug)]
@@ -74,9 +74,9 @@ enum Shape {
 }
 
 impl DelayLaw {
-    /// The law that `delay_s`, `jitter_s`, `distribution` and `distribution_shape` describe.
+    /// Builds the distribution from `delay_s`, `jitter_s`, `distribution` and `distribution_shape`.
     ///
-    /// It is refused where no law of that kind has this mean and standard deviation without negative delays.
+    /// Fails if no such distribution has this mean and standard deviation without negative delays.
     pub fn new(settings: &LinkSettings) -> Result<Self, LinkSettingsError> {
         let (mean_s, sigma_s, shape) = (settings.delay_s, settings.jitter_s, settings.distribution_shape);
         within("delay_s", mean_s, 0.0, MAX_DELAY_S)?;
@@ -110,7 +110,7 @@ impl DelayLaw {
         self.sigma_s
     }
 
-    /// The delay in s that a share `p` of the packets stays below; NaN for a `p` outside 0 to 1.
+    /// Delay in s that a fraction `p` of the packets stays below; NaN if `p` is outside 0 to 1.
     pub fn quantile_s(&self, p: f64) -> f64 {
         if !(0.0..=1.0).contains(&p) {
             return f64::NAN;
@@ -134,9 +134,9 @@ impl DelayLaw {
     }
 }
 
-/// Refuses a standard deviation above what the law allows at this mean.
+/// Rejects a standard deviation above the maximum at this mean.
 fn at_most(sigma_s: f64, max_s: f64, law: &str, mean_s: f64, remedy: &str) -> Result<(), LinkSettingsError> {
-    // A quotient of the two may round past a limit that the settings just meet.
+    // Their quotient may round past a limit that the settings just meet.
     if sigma_s <= max_s * (1.0 + 1e-12) {
         return Ok(());
     }

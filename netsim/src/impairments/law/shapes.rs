@@ -1,9 +1,9 @@
-//! The laws of the delay in closed form, and by a table: `D = Q(p)`.
+//! Delay distributions in closed form and by table: `D = Q(p)`.
 
 use super::{Tails, at_most, gaussian};
 use crate::checks::{LinkSettingsError, within};
 
-/// Uniform law: `D = mean + w (2 p - 1)`, `w = sqrt(3) sigma`.
+/// Uniform distribution: `D = mean + w (2 p - 1)`, `w = sqrt(3) sigma`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Uniform {
     mean_s: f64,
@@ -28,9 +28,10 @@ impl Uniform {
     }
 }
 
-/// A least delay and an exponential excess: `D = (mean - sigma) - sigma ln(1 - p)`.
+/// Minimum delay plus an exponential excess: `D = (mean - sigma) - sigma ln(1 - p)`.
 ///
-/// Source: A. M. Sukhov, N. Kuznetsova, A. Pervitsky, A. Galtsev, "Generating function for network delay", 2010.
+/// Source: A. M. Sukhov, N. Kuznetsova, A. Pervitsky, A. Galtsev, "Generating function for network delay",
+/// 2010.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Exponential {
     min_s: f64,
@@ -49,22 +50,23 @@ impl Exponential {
     }
 }
 
-/// `ln(1 - p)`, of the tail that has the digits.
+/// `ln(1 - p)`, from the more precise tail.
 fn log_above(point: Tails) -> f64 {
     if point.below < 0.5 { libm::log1p(-point.below) } else { libm::log(point.above) }
 }
 
 const DEFAULT_INDEX: f64 = 5.0;
-/// At 2 the variance is infinite; shortly above it lies in delays too rare to be ever met.
+/// At 2 the variance is infinite; slightly above 2 it stems from delays too rare to occur.
 const MIN_INDEX: f64 = 2.5;
 const MAX_INDEX: f64 = 100.0;
 
-/// A least delay and a heavy tail: Pareto of the first kind, index alpha, scaled and shifted.
+/// Minimum delay plus a heavy tail: Pareto of the first kind, index alpha, scaled and shifted.
 ///
 /// `X = x_m (1 - p)^(-1/alpha)`, `E[X] = alpha x_m / (alpha - 1)`,
 /// `Var[X] = x_m^2 alpha / ((alpha - 1)^2 (alpha - 2))`; `D = X + mean - E[X]`.
 ///
-/// Source: N. L. Johnson, S. Kotz, N. Balakrishnan, "Continuous univariate distributions" vol. 1, 1994, chapter 20.
+/// Source: N. L. Johnson, S. Kotz, N. Balakrishnan, "Continuous univariate distributions" vol. 1, 1994,
+/// chapter 20.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pareto {
     min_s: f64,
@@ -76,7 +78,7 @@ impl Pareto {
     pub(super) fn new(mean_s: f64, sigma_s: f64, index: Option<f64>) -> Result<Self, LinkSettingsError> {
         let index = index.unwrap_or(DEFAULT_INDEX);
         within("distribution_shape", index, MIN_INDEX, MAX_INDEX)?;
-        // E[X] - x_m is this many standard deviations.
+        // (E[X] - x_m) / standard deviation.
         let rise = ((index - 2.0) / index).sqrt();
         let remedy = "for more take a smaller distribution_shape or the distribution lognormal";
         at_most(sigma_s, mean_s / rise, "a least one and a Pareto excess", mean_s, remedy)?;
@@ -89,12 +91,14 @@ impl Pareto {
     }
 }
 
-/// Beyond it most of the variance lies in delays too rare to be ever met.
+/// Above it most of the variance stems from delays too rare to occur.
 const MAX_LOGNORMAL_RATIO: f64 = 5.0;
 
-/// Lognormal law, from zero: `D = exp(mu + s z)`, `s^2 = ln(1 + sigma^2 / mean^2)`, `mu = ln(mean) - s^2 / 2`.
+/// Lognormal distribution from zero: `D = exp(mu + s z)`, `s^2 = ln(1 + sigma^2 / mean^2)`,
+/// `mu = ln(mean) - s^2 / 2`.
 ///
-/// Source: N. L. Johnson, S. Kotz, N. Balakrishnan, "Continuous univariate distributions" vol. 1, 1994, chapter 14.
+/// Source: N. L. Johnson, S. Kotz, N. Balakrishnan, "Continuous univariate distributions" vol. 1, 1994,
+/// chapter 14.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lognormal {
     mu: f64,
@@ -114,27 +118,27 @@ impl Lognormal {
     }
 }
 
-/// From this many standard deviations on, the mass below zero is less than a rounding error of 1.
+/// Mean in standard deviations from which the mass below zero is less than a rounding error of 1.
 const FAR: f64 = 8.3;
-/// A law that is cut off further is all but exponential.
+/// With more truncation the distribution is nearly exponential.
 const MAX_NORMAL_RATIO: f64 = 0.99;
 
-/// Normal law, cut off at zero delay.
+/// Normal distribution, truncated at zero delay.
 ///
-/// `D = mu + s X`, X standard normal given `X > -a`, `a = mu / s`, with mu and s such that the law that is left has
-/// the mean and standard deviation requested. With `lambda = phi(a) / Phi(a)`:
+/// `D = mu + s X`, X standard normal given `X > -a`, `a = mu / s`. mu and s are chosen so that the truncated
+/// distribution has the requested mean and standard deviation. With `lambda = phi(a) / Phi(a)`:
 ///
 /// `E[D] = s (a + lambda)`, `Var[D] = s^2 (1 - a lambda - lambda^2)`.
 ///
-/// Their ratio falls from 1, the exponential law, to 0 as a grows.
+/// The ratio of standard deviation to mean falls from 1 (exponential) to 0 as a grows.
 ///
-/// Source: N. L. Johnson, S. Kotz, N. Balakrishnan, "Continuous univariate distributions" vol. 1, 1994, section
-/// 13.10.1.
+/// Source: N. L. Johnson, S. Kotz, N. Balakrishnan, "Continuous univariate distributions" vol. 1, 1994,
+/// section 13.10.1.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Normal {
     mu: f64,
     s: f64,
-    /// `Phi(a)`, unless nothing is cut off.
+    /// `Phi(a)`; `None` without truncation.
     kept: Option<f64>,
 }
 
@@ -165,9 +169,9 @@ fn moments(a: f64) -> (f64, f64) {
     (a + lambda, 1.0 - lambda * (a + lambda))
 }
 
-/// Where to cut for a ratio of standard deviation to mean, by bisection.
+/// Truncation a for a ratio of standard deviation to mean, by bisection.
 fn cut_for(ratio: f64) -> f64 {
-    // At -20 the ratio is 0.995, at 9 it is 1/9.
+    // The ratio is 0.995 at -20, and 1/9 at 9.
     let (mut low, mut high) = (-20.0, 9.0);
     for _ in 0..60 {
         let middle = 0.5 * (low + high);
@@ -181,14 +185,14 @@ fn cut_for(ratio: f64) -> f64 {
     0.5 * (low + high)
 }
 
-/// As many as netem takes.
+/// Maximum of netem.
 const MAX_VALUES: usize = 16384;
 
-/// An inverse distribution function by its values at evenly spaced probabilities, as in a `.dist` file of iproute2.
+/// Inverse distribution function at evenly spaced probabilities, as in a `.dist` file of iproute2.
 ///
-/// The i-th of n values, in order of size, belongs to the probability `(i + 1/2) / n`; between them it is linear,
-/// outside of them constant. The tables of iproute2 have neither mean 0 nor standard deviation 1 (that of its Pareto
-/// has 0.82), so a table is standardised first: what is requested is what results.
+/// The i-th of n sorted values belongs to the probability `(i + 1/2) / n`; values are interpolated linearly,
+/// and constant outside. The tables of iproute2 have neither mean 0 nor standard deviation 1 (Pareto has
+/// 0.82). A table is therefore standardised first, so that the result has the requested moments.
 ///
 /// Source: iproute2, `netem/maketable.c`; Linux, `net/sched/sch_netem.c`, `tabledist`.
 #[derive(Clone, Debug)]

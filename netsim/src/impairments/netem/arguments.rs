@@ -1,18 +1,15 @@
-//! The arguments of `tc netem`.
+//! Arguments of `tc netem`.
 
 use std::str::FromStr;
 
 use crate::checks::{LinkSettingsError, MAX_DELAY_S};
 use crate::impairments::ParseError;
 
-/// Packets that netem holds by default.
 const DEFAULT_LIMIT: usize = 1000;
-/// Most packets that it may be set to hold.
 const MAX_PACKETS: usize = 10_000_000;
-/// Longest text in bytes.
 const MAX_TEXT_BYTES: usize = 4096;
 
-/// What `tc` passes to netem. Probabilities and correlations are in units of 2^-32 - 1, as there.
+/// Arguments that `tc` passes to netem. As in `tc`, probabilities and correlations are in units of 2^-32 - 1.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Arguments {
     pub(super) limit: usize,
@@ -28,14 +25,12 @@ pub(super) struct Arguments {
     pub(super) rate: Option<Rate>,
 }
 
-/// A probability whose draws are correlated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Chance {
     pub(super) probability: u32,
     pub(super) rho: u32,
 }
 
-/// The law of the jitter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Table {
     /// Without a table.
@@ -45,7 +40,6 @@ pub(super) enum Table {
     ParetoNormal,
 }
 
-/// The model of loss.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Loss {
     Random(Chance),
@@ -74,7 +68,7 @@ pub(super) struct Rate {
     pub(super) cell_overhead: i32,
 }
 
-/// Names of the options, in the order in which `tc` looks for one that begins with the word.
+/// Option names, in the order in which `tc` matches prefixes.
 pub(super) const OPTIONS: [&str; 13] = [
     "limit",
     "latency",
@@ -92,7 +86,8 @@ pub(super) const OPTIONS: [&str; 13] = [
 ];
 
 impl Arguments {
-    /// Reads the arguments, with or without the command before them, or what `tc qdisc show` prints of a netem.
+    /// Parses the arguments, with or without the command before them, or the output of `tc qdisc show` for a
+    /// netem.
     pub(super) fn read(text: &str) -> Result<Self, LinkSettingsError> {
         Self::parse(text).map_err(|error| {
             LinkSettingsError::contradiction("netem", format!("column {}: {}", error.column, error.problem))
@@ -110,7 +105,7 @@ impl Arguments {
         let mut ecn = None;
         while let Some(word) = words.next() {
             if is_shown && word.text == "seed" {
-                // Settings of the kernel's generator; a link has none.
+                // Seed of the kernel's generator, which a link does not have.
                 words.next();
                 continue;
             }
@@ -126,7 +121,8 @@ impl Arguments {
                     }
                     arguments.loss = read_loss(&mut words)?;
                 }
-                // Packets that do not take part in congestion notification, as those of UDP, are dropped all the same.
+                // ECN does not apply to packets without ECN support, such as UDP: they are dropped in any
+                // case.
                 "ecn" => ecn = Some(word),
                 "reorder" => arguments.reorder = words.chance("reorder")?,
                 "corrupt" => arguments.corrupt = words.chance("corrupt")?,
@@ -155,7 +151,7 @@ impl Arguments {
         Ok(())
     }
 
-    /// What `tc` refuses, and what goes with what.
+    /// Rejects combinations that `tc` rejects.
     fn check(mut self, end: Word<'_>) -> Result<Self, ParseError> {
         if self.reorder.probability > 0 {
             if self.latency_ns == 0 {
@@ -219,7 +215,6 @@ fn read_loss(words: &mut Words<'_>) -> Result<Loss, ParseError> {
     }
 }
 
-/// A word of the text and its place.
 #[derive(Clone, Copy, Debug)]
 struct Word<'a> {
     column: usize,
@@ -238,7 +233,6 @@ impl Word<'_> {
         self.error(format!("\"{}\" is no option; there are {}", self.text, OPTIONS.join(", ")))
     }
 
-    /// Number and unit.
     fn split(&self) -> (Option<f64>, &str) {
         let is_number = |character: char| character.is_ascii_digit() || ".+-".contains(character);
         let length = self.text.find(|character| !is_number(character)).unwrap_or(self.text.len());
@@ -269,7 +263,6 @@ impl Word<'_> {
     }
 }
 
-/// Words between blanks.
 #[derive(Clone, Debug)]
 struct Words<'a> {
     text: &'a str,
@@ -285,14 +278,15 @@ impl<'a> Words<'a> {
         self.clone().next()
     }
 
-    /// The place after the last word.
     fn end(&self) -> Word<'a> {
         Word { column: self.text.trim_end().len() + 1, text: "" }
     }
 
-    /// Leaves out `tc qdisc add dev X root netem`, or as much of it as there is; true where `tc qdisc show` printed it.
+    /// Skips any part of `tc qdisc add dev X root netem`; returns true if the text is output of
+    /// `tc qdisc show`.
     ///
-    /// That is `qdisc netem 8001: dev X root refcnt 2` and the options, a line for each queue, with lines of statistics.
+    /// That output is `qdisc netem 8001: dev X root refcnt 2` and the options, one line per queue, with lines
+    /// of statistics.
     ///
     /// Source: `tc_qdisc.c`, `print_qdisc`; `q_netem.c`, `netem_print_opt` (iproute2 6.18).
     fn skip_command(&mut self) -> Result<bool, ParseError> {
@@ -327,7 +321,7 @@ impl<'a> Words<'a> {
         Err(self.end().error("a tc command without the word netem"))
     }
 
-    /// Leaves out the name of the number that follows, which `tc qdisc show` prints.
+    /// Skips the name of the next number, which `tc qdisc show` prints.
     fn skip_label(&mut self, label: &str) {
         if self.peek().is_some_and(|word| word.text == label) {
             self.next();
@@ -363,7 +357,7 @@ impl<'a> Words<'a> {
         }
     }
 
-    /// A time in ns; without a unit in us.
+    /// Time in ns; a number without a unit is in us.
     fn time(&mut self, name: &str) -> Result<i64, ParseError> {
         const UNITS: [(&str, f64); 12] = [
             ("", 1e3),
@@ -385,7 +379,7 @@ impl<'a> Words<'a> {
         Ok(time_ns)
     }
 
-    /// A percentage in units of 2^-32 - 1.
+    /// Percentage in units of 2^-32 - 1.
     fn percent(&mut self, name: &str) -> Result<u32, ParseError> {
         let percent = self.need(name)?.scaled(name, &[("", 1.0), ("%", 1.0)], 0.0, 100.0)?;
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to 2^32 - 1")]

@@ -1,23 +1,24 @@
 //! Linux `tc netem`, with its quirks, for settings that were published for it.
 //!
-//! For each packet in turn: the draw of duplication, the draw of loss (both together cancel: the packet passes once),
-//! the copy through all that follows and a loss draw of its own, corruption of one bit, the limit of packets held, and
-//! then either reordering, which sends the packet at once, or delay. What follows from that:
+//! Order per packet: draw of duplication; draw of loss (both together cancel: the packet passes once); the
+//! copy, through all later steps with its own loss draw; corruption of one bit; limit of held packets. Then
+//! follows either reordering, which sends the packet at once, or delay. Consequences:
 //!
 //! - A negative delay is no delay: normal 10 ms +-10 ms becomes 10.83 ms +-8.66 ms.
 //! - Tables end at four standard deviations.
-//! - Correlated draws are `y = (1 - rho) u + rho y_prev`, narrower than u: rare events all but cease (a loss of 1 % with
-//!   25 % becomes 0.0003 %). Delays take such a draw modulo twice the jitter, or modulo the length of the table, which
-//!   makes it uniform and independent again unless the jitter is of the order of seconds: their correlation does
-//!   nothing.
-//! - Jitter larger than the spacing of packets reorders them; with a rate it does not, because each packet then leaves
-//!   after the one before it.
-//! - The delay runs while a packet waits for the rate.
-//! - More than `limit` packets held, 1000 by default, are dropped, delay included.
+//! - Correlated draws are `y = (1 - rho) u + rho y_prev`, narrower than u, so rare events almost vanish (a
+//!   loss of 1 % with 25 % becomes 0.0003 %). Delays take such a draw modulo twice the jitter, or modulo the
+//!   table length. This makes it uniform and independent again unless the jitter is of the order of seconds:
+//!   delay correlation has no effect.
+//! - Jitter larger than the packet spacing reorders packets. With a rate it does not, because each packet
+//!   leaves after the previous one.
+//! - The delay elapses while a packet waits for the rate.
+//! - If more than `limit` packets are held, 1000 by default, further ones are dropped; packets in delay
+//!   count.
 //!
-//! Differences: netem draws everything from one generator, here each draw belongs to the packet, so that runs repeat
-//! and one packet more shifts nothing but the correlated states. The length of a packet for `rate` is its payload and
-//! 42 bytes of headers (Ethernet, IPv4, UDP). A draw that equals a bound exactly, one in 2^32, may fall on its other
+//! Differences: netem draws everything from one generator. Here each draw belongs to a packet, so runs repeat
+//! and an additional packet shifts only the correlated states. For `rate`, packet length is the payload plus
+//! 42 bytes of headers (Ethernet, IPv4, UDP). A draw exactly at a bound, one in 2^32, may count for the other
 //! side. `slot` and `seed` are refused.
 //!
 //! Source: `sch_netem.c` of Linux 6.18; `tc-netem(8)`.
@@ -45,11 +46,11 @@ use crate::random::Stream;
 use crate::rule::{ArrivalRule, Extras};
 use crate::verdict::{DropCause, Extra, ExtraCause, Verdict};
 
-/// Headers of Ethernet, IPv4 and UDP in bytes, which count for the rate.
+/// Size of Ethernet, IPv4 and UDP headers in bytes, which count for the rate.
 const HEADERS: i64 = 42;
 const NS_PER_S: u64 = 1_000_000_000;
 
-/// Uses of the stream; each packet has two draws, for itself and for its copy.
+/// Substreams; each packet has two draws, for itself and for its copy.
 const DUPLICATE: u8 = 0;
 const LOSS: u8 = 1;
 const STATE: u8 = 2;
@@ -60,7 +61,6 @@ const BIT: u8 = 6;
 const COPY_BIT: u8 = 7;
 const FIRST_STATE: u8 = 8;
 
-/// The draws of a packet, or of its copy.
 #[derive(Clone, Copy, Debug)]
 struct Draws {
     stream: Stream,
@@ -74,7 +74,6 @@ impl Draws {
     }
 }
 
-/// The correlated generator of netem.
 #[derive(Clone, Copy, Debug)]
 struct Correlated {
     rho: u32,
@@ -82,7 +81,7 @@ struct Correlated {
 }
 
 impl Correlated {
-    /// The next number, from a uniform one; in units of 2^-32, as the kernel computes it.
+    /// Next number, from a uniform one; in units of 2^-32, as the kernel computes it.
     fn next(&mut self, uniform: u32) -> u32 {
         if self.rho == 0 {
             return uniform;
@@ -94,7 +93,6 @@ impl Correlated {
     }
 }
 
-/// Draws that are compared with a probability.
 #[derive(Clone, Copy, Debug)]
 struct Event {
     probability: u32,
@@ -111,7 +109,7 @@ impl Event {
     }
 }
 
-/// State of the models of loss: that of 4 states, or 1 good and 2 bad.
+/// Loss model and its state: one of 4 states, or good and bad.
 #[derive(Clone, Copy, Debug)]
 enum Losing {
     Random(Event),
@@ -137,7 +135,7 @@ impl Losing {
                 *state = four_state(*state, draws.of(STATE), [*p13, *p31, *p32, *p23, *p14]);
                 *state == 3 || *state == 4
             }
-            // The state moves on first, and the loss is that of the state before.
+            // The state changes first; the previous state decides the loss.
             Self::Gilbert { is_bad, p, r, loss_bad, loss_good } => {
                 let was_bad = *is_bad;
                 if draws.of(STATE) < if was_bad { *r } else { *p } {
@@ -150,7 +148,7 @@ impl Losing {
     }
 }
 
-/// The state after this one; a packet is lost on entering 3 or 4.
+/// Next state; a packet is lost on entering 3 or 4.
 fn four_state(state: u8, uniform: u32, [p13, p31, p32, p23, p14]: [u32; 5]) -> u8 {
     match state {
         1 if uniform < p14 => 4,
@@ -164,7 +162,7 @@ fn four_state(state: u8, uniform: u32, [p13, p31, p32, p23, p14]: [u32; 5]) -> u
     }
 }
 
-/// netem as the only rule of a path.
+/// Netem as the only rule of a path.
 #[derive(Clone, Debug)]
 struct Netem {
     limit: usize,
@@ -179,13 +177,12 @@ struct Netem {
     gap: u32,
     rate: Option<Rate>,
     stream: Stream,
-    /// Packets that are held, by when they leave.
+    /// Departure times of the held packets.
     held: BinaryHeap<Reverse<u64>>,
     latest_ns: u64,
     since_reordered: u32,
 }
 
-/// The ending that the settings request.
 pub(crate) fn build(
     settings: &LinkSettings,
     streams: &Streams,
@@ -202,7 +199,7 @@ pub(crate) fn build(
     }
     let arguments = Arguments::read(text)?;
     let stream = streams.of(Impairment::Netem);
-    // The kernel begins each correlated generator at a random place too.
+    // The kernel also starts each correlated generator at a random value.
     let first = |position| upper(stream.nth(FIRST_STATE).bits(position));
     Ok(Some(Box::new(Netem {
         limit: arguments.limit,
@@ -245,7 +242,7 @@ impl ArrivalRule for Netem {
             && !self.losing.loses(&copy)
             && let Ok((at_ns, damage)) = self.hold(packet, at_ns, &copy)
         {
-            // There is room: it is the only one.
+            // There is room: it is the only extra.
             let _ = extras.try_push(Extra { at_ns, cause: ExtraCause::Duplicate, damage });
         }
         match self.hold(packet, at_ns, &draws) {
@@ -259,7 +256,6 @@ impl ArrivalRule for Netem {
 }
 
 impl Netem {
-    /// Corrupts and holds a packet until it leaves.
     fn hold(&mut self, packet: &Packet, now_ns: u64, draws: &Draws) -> Result<(u64, Damage), DropCause> {
         let mut damage = Damage::NONE;
         if self.corrupt.occurs(draws, CORRUPT) {
@@ -296,7 +292,7 @@ impl Netem {
             }
             due_ns += i128::from(rate.transmission_ns(packet.size));
         }
-        // What would have left before it arrived leaves at once.
+        // A packet that would leave before its arrival leaves at once.
         u64::try_from(due_ns.clamp(i128::from(now_ns), i128::from(u64::MAX))).unwrap_or(u64::MAX)
     }
 
@@ -328,7 +324,6 @@ impl Rate {
     }
 }
 
-/// The upper half of a draw.
 fn upper(bits: u64) -> u32 {
     (bits >> 32) as u32
 }

@@ -1,17 +1,19 @@
-//! The distribution tables that netem is given: inverse distribution functions at 4096 probabilities, cut off at four
-//! standard deviations, which is all that 16 bits in units of 1/8192 hold.
+//! Distribution tables of netem: inverse distribution functions at 4096 probabilities. They end at four
+//! standard deviations, the range of 16 bits in units of 1/8192.
 //!
-//! They are computed from their definitions, so that a value may differ by a unit from the file that iproute2 ships.
+//! The tables are computed from their definitions, so a value may differ by one unit from the file of
+//! iproute2.
 //!
 //! Source: `tc-netem(8)`; the definitions are those of NIST Net, in `netem/` of iproute2.
 
-/// What one standard deviation is in a table.
+/// Table units per standard deviation.
 pub(super) const SCALE: i64 = 8192;
 const SIZE: u16 = 4096;
-/// Index of the Pareto law of the tables; its mean is 3/2, its standard deviation 3/4 by the factor of its definition.
+/// Index of the Pareto distribution of the tables. Its mean is 3/2, its standard deviation 3/4 by its
+/// defining factor.
 const PARETO_SHAPE: f64 = 3.0;
 
-/// Normal: the point below which i/4096 of the law lies.
+/// Normal: the point below which i/4096 of the probability lies.
 pub(super) fn normal() -> Vec<i16> {
     (0..SIZE).map(|position| cut(scaled_normal(position))).collect()
 }
@@ -21,7 +23,7 @@ pub(super) fn pareto() -> Vec<i16> {
     (0..SIZE).map(|position| cut(scaled_pareto(position))).collect()
 }
 
-/// A quarter of the normal and three quarters of the Pareto table.
+/// Mix of 1/4 normal and 3/4 Pareto table.
 pub(super) fn pareto_normal() -> Vec<i16> {
     let mixed = |position| {
         let normal = scaled_normal(position).round();
@@ -36,10 +38,10 @@ fn scaled_pareto(position: u16) -> f64 {
     4.0 / 3.0 * (libm::pow(above, -1.0 / PARETO_SHAPE) - 1.5) * SCALE as f64
 }
 
-/// The largest x of a grid of 5e-5 whose probability, rounded to 1/16384, is that of the position.
+/// Largest x on a grid of 5e-5 whose probability, rounded to 1/16384, is that of the position.
 fn scaled_normal(position: u16) -> f64 {
     const STEP: f64 = 5e-5;
-    // Below half a part of 16384 everything counts as nothing.
+    // A remainder below half of 1/16384 rounds to zero.
     let below = (4.0 * f64::from(position) + 0.5) / 16_384.0;
     let (mut low, mut high) = (-10.0, 10.0);
     for _ in 0..40 {
@@ -70,9 +72,9 @@ mod tests {
         (mean, (square - mean * mean).sqrt())
     }
 
-    /// Against the moments measured on the tables that iproute2 ships.
+    /// Moments measured on the tables of iproute2.
     #[test]
-    fn tables_have_the_moments_of_those_that_are_shipped() {
+    fn tables_have_the_moments_of_iproute2() {
         let close =
             |seen: f64, expected: f64, within: f64| assert!((seen - expected).abs() < within, "{seen}");
         let (mean, sigma) = moments(&normal());

@@ -12,7 +12,7 @@ fn netem(text: &str) -> LinkSettings {
     LinkSettings { netem: Some(text.into()), ..LinkSettings::default() }
 }
 
-/// Every verdict on packets sent at 1 kHz.
+/// Verdicts on packets sent at 1 kHz.
 fn run<T>(text: &str, count: u64, mut seen: impl FnMut(u64, Judgement<'_>) -> T) -> Vec<T> {
     let direction = Direction::Forward;
     let mut link = Link::new(direction, 3, &netem(text)).unwrap();
@@ -24,7 +24,6 @@ fn run<T>(text: &str, count: u64, mut seen: impl FnMut(u64, Judgement<'_>) -> T)
         .collect()
 }
 
-/// Delays in ns, `None` if dropped.
 fn delays(text: &str, count: u64) -> Vec<Option<u64>> {
     run(text, count, |sent_ns, judgement| match judgement.verdict {
         Verdict::Deliver { at_ns } => Some(at_ns - sent_ns),
@@ -48,9 +47,9 @@ fn near(seen: f64, expected: f64, within: f64) {
     assert!((seen - expected).abs() < within, "{seen}, expected {expected} +-{within}");
 }
 
-/// N(10, 10) cut at zero: mean `10 (Phi(1) + phi(1))` = 10.833, deviation 8.66.
+/// N(10, 10) truncated at zero: mean `10 (Phi(1) + phi(1))` = 10.833, deviation 8.66.
 #[test]
-fn a_negative_delay_is_none_so_that_the_mean_rises() {
+fn negative_delays_become_zero_and_raise_the_mean() {
     let (mean, sigma) = delay_moments_ms("limit 100000 delay 10ms 10ms distribution normal");
     near(mean, 10.833, 4.0 * 8.66 / (COUNT as f64).sqrt() + 0.01);
     near(sigma, 8.66, 0.05);
@@ -95,9 +94,9 @@ fn correlated_draws_are_narrower() {
     }
 }
 
-/// The draw is taken modulo 2 J: of 2^32 ns only if J is the most that there can be is anything left of it.
+/// The draw is taken modulo 2 J: correlation in 2^32 ns survives only at the maximum J.
 #[test]
-fn the_correlation_of_a_delay_is_lost_in_the_modulo_unless_the_jitter_is_huge() {
+fn modulo_removes_delay_correlation_unless_the_jitter_is_huge() {
     let lag_1 = |text: &str| {
         let delays: Vec<f64> = delays(text, COUNT).iter().flatten().map(|&ns| ns as f64 / MS).collect();
         let (mean, sigma) = moments(delays.iter().copied());
@@ -119,9 +118,9 @@ fn loss(text: &str, count: u64) -> f64 {
     delays(text, count).iter().filter(|delay| delay.is_none()).count() as f64 / count as f64
 }
 
-/// A correlated draw hardly ever comes near zero; in per cent.
+/// A correlated draw rarely comes near zero; values in per cent.
 #[test]
-fn a_correlated_loss_all_but_ceases() {
+fn correlated_loss_almost_vanishes() {
     const DRAWS: u64 = 2_000_000;
     for (text, expected, within) in [
         ("loss 1%", 1.0, 0.03),
@@ -135,18 +134,18 @@ fn a_correlated_loss_all_but_ceases() {
 }
 
 #[test]
-fn the_models_of_loss_lose_what_their_chains_say() {
-    // Gilbert-Elliott: p / (p + r) of the time bad. Bernoulli with the default r. Four states with p14 alone: one in
-    // 1 + 1 / p14 packets.
+fn loss_models_match_their_chains() {
+    // Gilbert-Elliott: bad p / (p + r) of the time. Bernoulli with the default r. Four states with p14 only:
+    // one in 1 + 1 / p14 packets.
     near(loss("loss gemodel 1% 10% 70% 0.1%", COUNT), 0.7 / 11.0 + 0.01 / 11.0, 0.004);
     near(loss("loss gemodel 4%", COUNT), 0.04, 0.002);
     near(loss("loss state 1% 25%", COUNT), 0.01 / 0.26, 0.003);
     near(loss("loss state 0% 100% 0% 0% 10%", COUNT), 1.0 / 11.0, 0.003);
-    // Within a burst, p32 and p23: shares 1 : p13 p32 / (p31 p23) : p13 / p31.
+    // Within a burst, p32 and p23: ratios 1 : p13 p32 / (p31 p23) : p13 / p31.
     near(loss("loss state 5% 20% 30% 60%", COUNT), 0.25 / (1.0 + 0.125 + 0.25), 0.008);
 }
 
-/// Packets that arrive after one that was sent later (RFC 4737).
+/// Packets that arrive after a packet sent later (RFC 4737).
 fn reordered(text: &str) -> f64 {
     let mut arrivals: Vec<(u64, u64)> = delays(text, COUNT)
         .iter()
@@ -171,8 +170,8 @@ fn jitter_reorders_unless_there_is_a_rate() {
     }
 }
 
-/// The wait for the line is part of the delay: 100 bytes take 0.5 ms at 1.6 Mbit/s, less than the spacing, so nothing
-/// waits for the line; at 0.4 Mbit/s 2 ms, and each packet leaves 2 ms after the one before.
+/// The wait for the line is part of the delay. 100 bytes take 0.5 ms at 1.6 Mbit/s, less than the spacing, so
+/// no packet waits. At 0.4 Mbit/s they take 2 ms, and each packet leaves 2 ms after the previous one.
 #[test]
 fn a_rate_makes_packets_leave_one_after_the_other() {
     let fast = delays("delay 10ms rate 1.6mbit", 100);
@@ -194,7 +193,7 @@ fn more_than_the_limit_is_dropped() {
 }
 
 #[test]
-fn what_is_reordered_is_sent_at_once() {
+fn reordered_packets_are_sent_at_once() {
     let delays = delays("delay 10ms reorder 25%", COUNT);
     let at_once = delays.iter().filter(|delay| **delay == Some(0)).count() as f64 / COUNT as f64;
     near(at_once, 0.25, 0.004);
@@ -224,7 +223,7 @@ fn copies_and_damage_have_draws_of_their_own() {
             assert_eq!(flipped, u32::from(copy.damage.corrupts()));
         }
     });
-    // Lost and not doubled; doubled, not lost, and the copy not lost.
+    // Lost and not duplicated; duplicated, not lost, and the copy not lost.
     for (name, expected) in [
         ("arrives", 1.0 - 0.2 * 0.7),
         ("damaged", 0.1 * (1.0 - 0.2 * 0.7)),
@@ -274,7 +273,7 @@ fn arguments_are_read_as_tc_reads_them() {
     assert_eq!(read("delay 1s 3s").jitter_ns, i64::from(i32::MAX));
 }
 
-/// Each line as `tc qdisc show` of iproute2 prints it, and the arguments that it was made with.
+/// Lines as printed by `tc qdisc show` of iproute2, and the arguments that produced them.
 #[test]
 fn a_line_of_tc_qdisc_show_is_read_as_the_arguments_that_made_it() {
     let cases = [
@@ -340,7 +339,7 @@ fn an_error_says_where_in_the_text_it_is() {
 }
 
 #[test]
-fn what_was_asked_is_told_in_our_settings() {
+fn netem_arguments_are_translated_to_link_settings() {
     let plain = LinkSettings { delay_s: 0.1, ..LinkSettings::default() };
     let cases = [
         ("delay 100ms", plain.clone()),
@@ -405,7 +404,7 @@ proptest! {
 }
 
 #[test]
-fn what_settings_cannot_tell_is_read_too() {
+fn correlations_and_limit_are_read() {
     let asked =
         Asked::read("delay 50ms 10ms 25% loss 1% 50% corrupt 1% 75% duplicate 2% 5% reorder 1% 90% limit 7");
     let expected = Asked { delay: 0.25, loss: 0.5, duplicate: 0.05, corrupt: 0.75, reorder: 0.9, limit: 7 };

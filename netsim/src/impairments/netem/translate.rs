@@ -1,4 +1,4 @@
-//! What netem was set to, in the settings of a link.
+//! Translation of netem arguments to link settings.
 
 use serde::Serialize;
 
@@ -7,30 +7,30 @@ use super::{HEADERS, table};
 use crate::checks::LinkSettingsError;
 use crate::impairments::{Distribution, FourState, GilbertElliott, LinkSettings};
 
-/// Index of the Pareto law in netem's table.
+/// Index of the Pareto distribution in netem's table.
 const PARETO_SHAPE: f64 = 3.0;
 
-/// Correlations that netem was given from one packet to the next, 0 to 1, and its limit: what [`translate`] cannot
-/// tell, and what its quirks come from.
+/// Packet-to-packet correlations of netem, 0 to 1, and its limit. [`translate`] does not represent them, and
+/// netem's quirks stem from them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Asked {
-    /// Of the delay.
+    /// Correlation of the delay.
     pub delay: f64,
-    /// Of the loss.
+    /// Correlation of the loss.
     pub loss: f64,
-    /// Of the duplication.
+    /// Correlation of the duplication.
     pub duplicate: f64,
-    /// Of the corruption.
+    /// Correlation of the corruption.
     pub corrupt: f64,
-    /// Of the reordering.
+    /// Correlation of the reordering.
     pub reorder: f64,
-    /// Most packets that are held.
+    /// Maximum number of held packets.
     pub limit: usize,
 }
 
 impl Asked {
-    /// What arguments of `tc netem` request.
+    /// Parses arguments of `tc netem`.
     pub fn read(text: &str) -> Result<Self, LinkSettingsError> {
         let Arguments { delay_rho, loss, duplicate, corrupt, reorder, limit, .. } = Arguments::read(text)?;
         let loss_rho = if let Loss::Random(chance) = loss { chance.rho } else { 0 };
@@ -45,16 +45,17 @@ impl Asked {
     }
 }
 
-/// Settings that do what arguments of `tc netem` request, where netem does something else.
+/// Link settings that do what arguments of `tc netem` request, where netem itself does something else.
 ///
-/// - Jitter keeps the order of packets, mean and standard deviation. Without a distribution it is uniform, of standard
-///   deviation J / sqrt(3). Without correlation it is as short as the order permits; a correlation from packet to packet
-///   cannot be given as a time, so the correlation time is then left to its default.
-/// - A loss P with correlation rho becomes bursts of the mean length 1 / ((1 - rho) (1 - P)), of which the indicator has
-///   the autocorrelation rho^n; its rate stays P.
-/// - A reordered packet overtakes one packet; with a gap N, P / N of them are reordered. Correlations of duplication,
-///   corruption and reordering are left out.
-/// - The wait for the rate adds to the delay, and the limit is that of the queue before it; without a rate there is none.
+/// - Jitter keeps order, mean and standard deviation. Without a distribution it is uniform, of standard
+///   deviation J / sqrt(3). Without correlation it is as short as the order permits. A packet-to-packet
+///   correlation cannot be given as a time, so the correlation time then has its default.
+/// - A loss P with correlation rho becomes bursts of mean length 1 / ((1 - rho) (1 - P)). Their indicator has
+///   the autocorrelation rho^n; the rate stays P.
+/// - A reordered packet overtakes one packet; with a gap N, P / N of them are reordered. Correlations of
+///   duplication, corruption and reordering are ignored.
+/// - The wait for the rate adds to the delay, and the limit applies to the queue before it; without a rate
+///   there is no limit.
 pub fn translate(text: &str) -> Result<LinkSettings, LinkSettingsError> {
     let asked = Arguments::read(text)?;
     let mut settings = LinkSettings {
@@ -140,7 +141,7 @@ fn put_rate(settings: &mut LinkSettings, rate: Rate) -> Result<(), LinkSettingsE
     Ok(())
 }
 
-/// A probability out of units of 2^-32 - 1, as exact as a percentage was written.
+/// Probability from units of 2^-32 - 1, with the precision of the percentage as written.
 fn share(part: u32) -> f64 {
     (f64::from(part) / f64::from(u32::MAX) * 1e9).round() / 1e9
 }

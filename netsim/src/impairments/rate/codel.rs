@@ -1,34 +1,34 @@
-//! `CoDel`: drops from a queue in which packets have waited too long for a while.
+//! `CoDel`: drops from a queue whose packets have waited too long for some time.
 //!
-//! Decisions are taken when a packet leaves the queue, at a time that is known when it enters, since everything ahead
-//! of it is settled by then. Only the test that less than a full packet is waiting cannot look at what comes in
-//! between: it counts the bytes that wait when the packet enters, its own included.
+//! A decision concerns the time at which a packet leaves the queue. That time is known when it enters,
+//! because everything ahead of it is determined. One test cannot see later arrivals: that less than a full
+//! packet is waiting. It counts the bytes that wait when the packet enters, its own included.
 //!
-//! Source: K. Nichols, V. Jacobson et al., "Controlled delay active queue management", RFC 8289,
-//! section 5, taken packet by packet.
+//! Source: K. Nichols, V. Jacobson et al., "Controlled delay active queue management", RFC 8289, section 5,
+//! applied packet by packet.
 
-/// Wait in ns that is acceptable for good.
+/// Acceptable permanent wait in ns.
 const TARGET_NS: u64 = 5_000_000;
-/// How long in ns the wait may be above the target.
+/// Time in ns that the wait may exceed the target.
 const INTERVAL_NS: u64 = 100_000_000;
-/// Bytes of a full packet.
+/// Size of a full packet in bytes.
 const FULL_PACKET: u64 = 1500;
 
-/// What follows the packet that was dropped last, if its successor is already there.
+/// Treatment of the packet after a dropped one, if it is already queued.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Next {
-    /// Nothing in particular.
+    /// No special treatment.
     #[default]
     Regular,
-    /// It passes: entering the dropping state costs one packet.
+    /// The packet passes: entering the dropping state costs one packet.
     Passes,
-    /// It moves the next drop on, and may be dropped at the same time.
+    /// The packet advances the next drop, and may be dropped at the same time.
     Follows,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Codel {
-    /// When the wait will have been above the target for an interval; 0 while it is below.
+    /// Time at which the wait will have exceeded the target for an interval; 0 while it is below.
     first_above_ns: u64,
     dropping: bool,
     drop_next_ns: u64,
@@ -38,10 +38,10 @@ pub(super) struct Codel {
 }
 
 impl Codel {
-    /// Decides on a packet that leaves the queue at `now_ns`; packets come in their order.
+    /// Decides on a packet that leaves the queue at `now_ns`; packets come in order.
     pub(super) fn drops(&mut self, arrival_ns: u64, now_ns: u64, backlog: u64) -> bool {
         let may_drop = self.may_drop(now_ns - arrival_ns, now_ns, backlog);
-        // What did not wait found the queue empty, so nothing followed the packet before it.
+        // A packet that did not wait found an empty queue, so it does not follow the previous one.
         let next = if now_ns == arrival_ns { Next::Regular } else { self.next };
         self.next = Next::Regular;
         match next {
@@ -64,7 +64,7 @@ impl Codel {
         may_drop
     }
 
-    /// Whether packets have waited longer than the target for an interval.
+    /// Tests if the wait has exceeded the target for an interval.
     fn may_drop(&mut self, wait_ns: u64, now_ns: u64, backlog: u64) -> bool {
         if wait_ns < TARGET_NS || backlog <= FULL_PACKET {
             self.first_above_ns = 0;
@@ -77,7 +77,7 @@ impl Codel {
     }
 
     fn enter(&mut self, now_ns: u64) {
-        // Soon after the last time, it goes on at the rate of drops that was right then.
+        // Soon after the previous dropping state, resume at its drop rate.
         let since = self.count - self.last_count;
         let recent = now_ns.saturating_sub(self.drop_next_ns) < 16 * INTERVAL_NS;
         self.count = if since > 1 && recent { since } else { 1 };
@@ -88,7 +88,7 @@ impl Codel {
     }
 }
 
-/// Time of the next drop: drops come closer together with the square root of their number.
+/// Time of the next drop: the interval shrinks with the square root of the number of drops.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to one interval")]
 fn control_law(from_ns: u64, count: u64) -> u64 {
     from_ns.saturating_add((INTERVAL_NS as f64 / (count as f64).sqrt()).round() as u64)

@@ -1,7 +1,7 @@
-//! Other traffic through the bottleneck: packets at random times, with pauses where they are set.
+//! Cross traffic through the bottleneck: packets at random times, with optional pauses.
 //!
-//! Arrivals are a Poisson process, drawn bin of time by bin of time, so that they depend on the seed and the time
-//! alone. Pauses thin them out.
+//! Arrivals are a Poisson process, drawn by time bins, so that they depend only on seed and time. Pauses
+//! remove arrivals.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -9,36 +9,33 @@ use serde::{Deserialize, Serialize};
 use crate::checks::{LinkSettingsError, within};
 use crate::random::Stream;
 
-/// Slowest and fastest traffic in bit/s.
 const MIN_RATE_BPS: f64 = 1.0;
 const MAX_RATE_BPS: f64 = 1e11;
-/// Most packets per second: a gap in the link's own packets costs about a second of them.
+/// Maximum packets per second: a gap in the link's own packets costs about a second of them.
 const MAX_PER_S: f64 = 1e6;
-/// Largest packet in bytes.
 const MAX_PACKET_BYTES: usize = 65_535;
-/// Packets in a bin, on average.
+/// Mean number of packets per bin.
 const PER_BIN: f64 = 16.0;
-/// Most packets that are drawn to settle the queue after a silence.
+/// Maximum number of packets drawn to settle the queue after a silence.
 const MAX_TO_SETTLE: f64 = 2e6;
-/// Pauses and the times between them in one bin of theirs, on average.
+/// Mean number of on-off cycles per bin of pauses.
 const PAUSES_PER_BIN: f64 = 256.0;
-/// Shortest and longest mean time in s that it sends or pauses.
 const MIN_MEAN_S: f64 = 1e-6;
 const MAX_MEAN_S: f64 = 1e6;
 
-/// Other traffic through the same bottleneck: packets at random times (Poisson).
+/// Cross traffic through the same bottleneck: packets at random times (Poisson).
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CrossTraffic {
-    /// Mean rate in bit/s while it sends, headers included.
+    /// Mean rate in bit/s while sending, headers included.
     pub rate_bps: f64,
-    /// Size of its packets in bytes, headers included.
+    /// Packet size in bytes, headers included.
     #[serde(default = "full_size")]
     pub packet_bytes: usize,
-    /// Mean time in s that it sends before it pauses; exponentially distributed. Without it, it never pauses.
+    /// Mean sending time in s between pauses; exponentially distributed. If absent, it never pauses.
     #[serde(default)]
     pub mean_on_s: Option<f64>,
-    /// Mean time in s that it pauses.
+    /// Mean pause in s.
     #[serde(default)]
     pub mean_off_s: Option<f64>,
 }
@@ -52,7 +49,7 @@ pub(super) struct Cross {
     packet_bytes: u64,
     mean_gap_ns: f64,
     bin_ns: u64,
-    /// How long before a packet the traffic is drawn at least, so that the queue has forgotten how it began.
+    /// Minimum time before a packet from which traffic is drawn, so that the queue forgets its initial state.
     settle_ns: u64,
     stream: Stream,
     pauses: Option<Pauses>,
@@ -64,7 +61,7 @@ pub(super) struct Cross {
 }
 
 impl Cross {
-    /// `drain_ns` is how long a full queue takes to empty.
+    /// `drain_ns` is the time in which a full queue drains.
     pub(super) fn new(
         settings: &CrossTraffic,
         drain_ns: f64,
@@ -103,7 +100,7 @@ impl Cross {
         self.packet_bytes
     }
 
-    /// Leaves out what the queue will have forgotten by `now_ns`, so that a silence costs no more than that.
+    /// Skips traffic that the queue has forgotten by `now_ns`, which bounds the cost of a silence.
     pub(super) fn skip_silence(&mut self, now_ns: u64) {
         let silence_ns = now_ns.saturating_sub(self.judged_ns);
         self.judged_ns = now_ns;
@@ -116,7 +113,7 @@ impl Cross {
         }
     }
 
-    /// The next arrival before `now_ns`, if there is one.
+    /// Next arrival before `now_ns`, if any.
     pub(super) fn next_before(&mut self, now_ns: u64) -> Option<u64> {
         loop {
             let begin_ns = self.bin.saturating_mul(self.bin_ns);
@@ -137,7 +134,7 @@ impl Cross {
         self.offset_ns = 0.0;
     }
 
-    /// Gaps are exponential, and memoryless: the process begins anew in each bin and is the same.
+    /// Exponential gaps are memoryless, so restarting in each bin leaves the process unchanged.
     fn draw(&mut self) {
         loop {
             let gap = exponential(self.stream.at(self.bin, self.position));
@@ -151,10 +148,10 @@ impl Cross {
     }
 }
 
-/// Times at which the other traffic sends and pauses alternately, each exponentially distributed.
+/// Alternating times of sending and pausing, each exponentially distributed.
 ///
-/// Bins of time begin with a state of their own, drawn with the shares of both; one period in some 500 is cut short or
-/// prolonged by that.
+/// Each time bin starts in a newly drawn state, weighted by the mean times. This shortens or extends about
+/// one period in 500.
 #[derive(Clone, Copy, Debug)]
 struct Pauses {
     mean_on_ns: f64,
@@ -204,7 +201,7 @@ impl Pauses {
         self.period += 1;
     }
 
-    /// Times do not go back.
+    /// Requires times that do not go back.
     fn sends_at(&mut self, now_ns: u64) -> bool {
         let bin = now_ns / self.bin_ns;
         if bin != self.bin {
@@ -219,7 +216,7 @@ impl Pauses {
     }
 }
 
-/// Exponentially distributed with mean 1.
+/// Exponential variate of mean 1.
 fn exponential(bits: u64) -> f64 {
     -libm::log(crate::random::unit(bits))
 }

@@ -1,15 +1,15 @@
-//! The bottleneck: packets wait in one queue for a line of limited rate, and take their time on it.
+//! Bottleneck: packets wait in one queue for a line of limited rate, and take their transmission time.
 //!
 //! A packet that arrives at a with L bytes of payload and h bytes of headers leaves at
 //!
 //! ```text
-//! start = max(a, free)        free: when the packet before it has left
+//! start = max(a, free)        free: when the previous packet has left
 //! leave = start + 8 (L + h) / rate
 //! ```
 //!
-//! and what it waited and took adds to the delay of the path behind the bottleneck. (In netem the wait absorbs
-//! the delay.) A first-come queue needs no events: all that is ahead of a packet is settled when it arrives, and so
-//! is its own fate. Where times coincide, what leaves goes before what arrives.
+//! Wait and transmission add to the delay of the path behind the bottleneck. (In netem the wait absorbs the
+//! delay.) A FIFO queue needs no events: at its arrival, all packets ahead are determined, and so is its own
+//! departure. At equal times, departures precede arrivals.
 
 mod codel;
 mod cross;
@@ -36,34 +36,31 @@ use crate::packet::Packet;
 use crate::rule::Rule;
 use crate::verdict::{DropCause, Verdict};
 
-/// Packets that wait where no bound is given, as in many network interfaces.
+/// Default queue length in packets, as in many network interfaces.
 pub(crate) const DEFAULT_QUEUE_PACKETS: usize = 1000;
-/// Packets that memory is taken for at once; a longer queue grows.
+/// Packets to reserve memory for; a longer queue grows.
 const RESERVED_PACKETS: usize = 16_384;
-/// Largest bound of the queue in packets, and its length however it is bounded.
+/// Maximum bound in packets; also limits the length of queues with other bounds.
 const MAX_QUEUE_PACKETS: usize = 10_000_000;
-/// Largest bound of the queue in bytes.
 const MAX_QUEUE_BYTES: usize = 1 << 40;
-/// Longest bound of the wait in ms.
 const MAX_QUEUE_MS: f64 = 3.6e6;
-/// Most bytes of headers.
 const MAX_OVERHEAD: usize = 1000;
 
-/// What a queue that fills does.
+/// Queue discipline.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Discipline {
-    /// It drops what comes while it is full.
+    /// Drops packets that arrive while the queue is full.
     #[default]
     TailDrop,
-    /// Besides, it drops when packets have waited too long for a while: target 5 ms, interval 100 ms. What waits is
+    /// Also drops if packets wait too long for some time: target 5 ms, interval 100 ms. The backlog is
     /// counted when a packet enters, not when it leaves.
     ///
     /// Source: RFC 8289.
     Codel,
 }
 
-/// Bounds of the queue; what none of them names is not bounded.
+/// Bounds of the queue; an absent one is the maximum.
 #[derive(Clone, Copy, Debug)]
 struct Bounds {
     packets: usize,
@@ -71,14 +68,13 @@ struct Bounds {
     wait_ns: u64,
 }
 
-/// A packet that is not yet on the line.
+/// Packet that is not yet in transmission.
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
     start_ns: u64,
     wire_bytes: u64,
 }
 
-/// The queue and the line behind it.
 #[derive(Clone, Debug)]
 struct Bottleneck {
     server: Server,
@@ -89,7 +85,7 @@ struct Bottleneck {
 }
 
 impl Bottleneck {
-    /// Takes what arrives now; arrivals do not go back in time.
+    /// Offers a packet; arrivals do not go back in time.
     fn offer(&mut self, arrival_ns: u64, wire_bytes: u64) -> Verdict {
         self.take_out(arrival_ns);
         let start_ns = self.server.start(arrival_ns);
@@ -112,7 +108,7 @@ impl Bottleneck {
         Verdict::Deliver { at_ns: self.server.send(arrival_ns, wire_bytes) }
     }
 
-    /// What is on the line by now, or was dropped before, does not wait any more.
+    /// Removes packets whose transmission, or drop by `CoDel`, is due.
     fn take_out(&mut self, now_ns: u64) {
         while let Some(first) = self.waiting.front()
             && first.start_ns <= now_ns
@@ -123,7 +119,6 @@ impl Bottleneck {
     }
 }
 
-/// The bottleneck as a link's packets meet it, beside other traffic.
 #[derive(Clone, Debug)]
 pub(crate) struct Rate {
     bottleneck: Bottleneck,
@@ -156,7 +151,7 @@ pub(crate) fn build(
         }
     };
     let codel = (settings.discipline == Discipline::Codel).then(Codel::default);
-    // Here, off the thread of a live driver, which allocates nothing for a packet.
+    // Reserved here: the thread of a live driver allocates nothing per packet.
     let waiting = VecDeque::with_capacity(bounds.packets.min(RESERVED_PACKETS));
     let bottleneck = Bottleneck { server, bounds, waiting, waiting_bytes: 0, codel };
     let overhead_bytes = settings.overhead_bytes as u64;
@@ -175,7 +170,7 @@ impl Rule for Rate {
     }
 }
 
-/// Refuses what says how a queue behaves where there is none.
+/// Rejects queue settings without a bottleneck.
 fn refuse_strays(settings: &LinkSettings) -> Result<(), LinkSettingsError> {
     let given = [
         ("queue_packets", settings.queue_packets.is_some()),
@@ -219,7 +214,7 @@ fn check_size(key: &str, seen: usize, minimum: usize, maximum: usize) -> Result<
     within(key, seen as f64, minimum as f64, maximum as f64)
 }
 
-/// About how long a full queue takes to empty: what it remembers.
+/// Approximate time in which a full queue drains: the length of its memory.
 fn drain_ns(bounds: Bounds, server: &Server, packet_bytes: usize) -> f64 {
     let by_packets = bounds.packets as f64 * packet_bytes.max(1500) as f64 * server.mean_ns_per_byte();
     let by_bytes = bounds.bytes as f64 * server.mean_ns_per_byte();

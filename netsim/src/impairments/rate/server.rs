@@ -1,38 +1,33 @@
-//! The line behind the queue: of a constant rate, or with given times at which it carries something.
+//! Line behind the queue: of constant rate, or with given transmission opportunities.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::checks::{LinkSettingsError, within};
 
-/// Slowest and fastest line in bit/s.
 const SLOWEST_BPS: f64 = 1.0;
 const FASTEST_BPS: f64 = 1e11;
-/// Bytes that one opportunity carries.
+/// Bytes per opportunity.
 const OPPORTUNITY_BYTES: u64 = 1500;
-/// Longest list of opportunities in ms, some thirty years.
+/// Maximum time of an opportunity in ms, about thirty years.
 const MAX_TIME_MS: u64 = 1_000_000_000_000;
-/// Most opportunities in a list.
 pub(crate) const MAX_OPPORTUNITIES: usize = 10_000_000;
 const NS_PER_MS: u64 = 1_000_000;
 
-/// Times at which the bottleneck may send 1500 bytes each, repeated for ever with the last time as the period. A packet
-/// leaves with the opportunity that carries its last byte; what nothing waits for is lost.
+/// Times at which the bottleneck may send 1500 bytes each. The list repeats forever with its last time as the
+/// period. A packet leaves with the opportunity that carries its last byte; unused opportunities are lost.
 ///
 /// Source: mahimahi, `mm-link` traces.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Opportunities {
-    /// Times in ms, not decreasing, the last above 0: after it the list begins anew.
+    /// Times in ms, not decreasing, the last above 0; the list then repeats.
     pub time_ms: Vec<u64>,
 }
 
-/// What carries packets, one after the other.
 #[derive(Clone, Debug)]
 pub(super) enum Server {
-    /// Every byte takes the same time.
     Rate { rate_bps: f64, free_ns: u64 },
-    /// Bytes leave at given times.
     Schedule(Schedule),
 }
 
@@ -67,7 +62,7 @@ impl Server {
         Ok(Self::Schedule(Schedule { time_ns, current: None }))
     }
 
-    /// When a packet that arrives now would begin to be carried, behind all that was sent.
+    /// Transmission start of a packet that arrives now, behind all sent packets.
     pub(super) fn start(&self, arrival_ns: u64) -> u64 {
         match self {
             Self::Rate { free_ns, .. } => arrival_ns.max(*free_ns),
@@ -75,7 +70,7 @@ impl Server {
         }
     }
 
-    /// Carries the packet; the result is when its last byte has left.
+    /// Sends a packet; returns the departure of its last byte.
     pub(super) fn send(&mut self, arrival_ns: u64, wire_bytes: u64) -> u64 {
         match self {
             Self::Rate { rate_bps, free_ns } => {
@@ -87,7 +82,6 @@ impl Server {
         }
     }
 
-    /// How long a byte takes on average where packets are waiting.
     pub(super) fn mean_ns_per_byte(&self) -> f64 {
         match self {
             Self::Rate { rate_bps, .. } => 8e9 / rate_bps,
@@ -99,19 +93,20 @@ impl Server {
     }
 }
 
-/// Time on the line, rounded to the ns once: bits times 1e9 is exact.
+/// Transmission time, rounded to ns once: bits times 1e9 is exact.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates; nothing is negative")]
 fn transmission_ns(wire_bytes: u64, rate_bps: f64) -> u64 {
     (wire_bytes as f64 * 8e9 / rate_bps).round() as u64
 }
 
-/// Times at which up to 1500 bytes leave each, over and over; the period is the last of them.
+/// Times at which up to 1500 bytes leave each, repeated with the last time as the period.
 ///
-/// A packet leaves with the opportunity that carries its last byte. An opportunity may carry several small packets,
-/// and a large packet takes several; what one does not use is lost when nothing is waiting. A packet that arrives
-/// at the very time of an opportunity has missed it.
+/// A packet leaves with the opportunity that carries its last byte. An opportunity may carry several small
+/// packets, and a large packet may take several opportunities. The unused rest is lost if no packet waits. A
+/// packet that arrives exactly at an opportunity misses it.
 ///
-/// Source: R. Netravali et al., "Mahimahi: accurate record-and-replay for HTTP", USENIX ATC 2015; `mm-link(1)`.
+/// Source: R. Netravali et al., "Mahimahi: accurate record-and-replay for HTTP", USENIX ATC 2015;
+/// `mm-link(1)`.
 #[derive(Clone, Debug)]
 pub(super) struct Schedule {
     /// Not decreasing, the last above 0.
@@ -119,12 +114,12 @@ pub(super) struct Schedule {
     current: Option<Use>,
 }
 
-/// The opportunity that carried last, or is about to.
+/// Opportunity in use: the latest that carried bytes, or the next.
 #[derive(Clone, Copy, Debug)]
 struct Use {
     cycle: u64,
     position: usize,
-    /// Bytes that it can still carry.
+    /// Remaining capacity in bytes.
     left: u64,
 }
 
@@ -137,7 +132,7 @@ impl Schedule {
         at.cycle.saturating_mul(self.period_ns()).saturating_add(self.time_ns[at.position])
     }
 
-    /// The opportunity that carries the first byte of what arrives now.
+    /// Opportunity that carries the first byte of a packet arriving now.
     fn locate(&self, arrival_ns: u64) -> Use {
         if let Some(current) = self.current
             && arrival_ns < self.time_of(current)
@@ -146,12 +141,12 @@ impl Schedule {
         }
         let cycle = arrival_ns / self.period_ns();
         let offset = arrival_ns % self.period_ns();
-        // The offset is below the period, which is the last time, so there is always one.
+        // The offset is below the period, which is the last time, so an opportunity exists.
         let position = self.time_ns.partition_point(|&time_ns| time_ns <= offset);
         Use { cycle, position, left: OPPORTUNITY_BYTES }
     }
 
-    /// The opportunity that is `count` later, unused.
+    /// Unused opportunity `count` later.
     fn skip(&self, from: Use, count: u64) -> Use {
         let length = self.time_ns.len() as u64;
         let reached = from.position as u64 + count;

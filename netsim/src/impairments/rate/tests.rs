@@ -9,7 +9,7 @@ use crate::{Direction, DropCause, Link, LinkSettings, Packet, Verdict};
 
 const MS: u64 = 1_000_000;
 
-/// What a link does with packets (time in ns, payload in bytes).
+/// Verdicts of a link on packets (time in ns, payload in bytes).
 fn verdicts(settings: &LinkSettings, packets: &[(u64, usize)]) -> Vec<Verdict> {
     let direction = Direction::Forward;
     let mut link = Link::new(direction, 11, settings).unwrap();
@@ -34,7 +34,7 @@ fn a_packet_takes_its_time_on_the_line_and_waits_for_those_before_it() {
     // 64 + 28 bytes at 1 Mbit/s: 736 us.
     let packets = [(0, 64), (0, 64), (10_000_000, 64)];
     assert_eq!(verdicts(&limited(1e6), &packets), [at(736_000), at(1_472_000), at(10_736_000)]);
-    // What was waited adds to the delay.
+    // The wait adds to the delay.
     let delayed = LinkSettings { delay_s: 0.02, ..limited(1e6) };
     assert_eq!(verdicts(&delayed, &packets), [at(20_736_000), at(21_472_000), at(30_736_000)]);
     let bare = LinkSettings { overhead_bytes: 0, ..limited(8e9) };
@@ -42,8 +42,8 @@ fn a_packet_takes_its_time_on_the_line_and_waits_for_those_before_it() {
 }
 
 #[test]
-fn every_bound_of_the_queue_drops_what_comes_while_it_is_full() {
-    // A packet of 1000 bytes takes 1 ms; one is on the line, the others wait.
+fn every_bound_of_the_queue_drops_packets_while_it_is_full() {
+    // A packet of 1000 bytes takes 1 ms; one is in transmission, the others wait.
     let line = LinkSettings { overhead_bytes: 0, ..limited(8e6) };
     let burst = [(0, 1000); 4];
     let cases = [
@@ -62,7 +62,7 @@ fn every_bound_of_the_queue_drops_what_comes_while_it_is_full() {
     assert_eq!(
         many.iter().filter(|verdict| **verdict != FULL).count(),
         1001,
-        "1000 wait, one is on the line"
+        "1000 wait, one is in transmission"
     );
 }
 
@@ -104,13 +104,13 @@ fn opportunities_carry_1500_bytes_each() {
     let settings = scheduled(&[2, 2, 5, 10]);
     let cases: [(Arrivals, &[u64]); 6] = [
         (&[(0, 1500)], &[2]),
-        // Two small ones share one opportunity.
+        // Two small packets share one opportunity.
         (&[(0, 700), (0, 800), (0, 10)], &[2, 2, 2]),
-        // A large one takes three; the rest of the third goes to the next.
+        // A large packet takes three; the rest of the third goes to the next packet.
         (&[(0, 4400), (0, 100), (0, 1)], &[5, 5, 10]),
-        // What arrives with the opportunity has missed it, and its rest is lost.
+        // A packet that arrives with the opportunity misses it, and the rest of the opportunity is lost.
         (&[(0, 10), (2 * MS, 10)], &[2, 5]),
-        // The list begins anew.
+        // The list repeats.
         (
             &[(10 * MS, 1500), (10 * MS, 1500), (10 * MS, 1500), (10 * MS, 1500), (10 * MS, 1)],
             &[12, 12, 15, 20, 22],
@@ -123,7 +123,8 @@ fn opportunities_carry_1500_bytes_each() {
     }
 }
 
-/// A queue by events, with the same arrivals: (arrival, bytes on the wire), departure or `None` if dropped.
+/// Event-driven queue with the same arrivals (arrival, bytes on the wire); returns departures, `None` if
+/// dropped.
 fn by_events(
     arrivals: &[(u64, u64)],
     ns_per_byte: u64,
@@ -135,7 +136,7 @@ fn by_events(
     let mut done_ns = None;
     let mut next = 0;
     while next < arrivals.len() || done_ns.is_some() {
-        // Departures go before arrivals of the same time.
+        // At equal times, departures precede arrivals.
         if let Some(now_ns) = done_ns.filter(|&done| next == arrivals.len() || done <= arrivals[next].0) {
             done_ns = serve(&mut queue, now_ns, codel.as_mut(), ns_per_byte, &mut left);
             continue;
@@ -267,7 +268,7 @@ proptest! {
     }
 }
 
-/// mahimahi's own account: each opportunity in turn, with what arrived before it.
+/// Reference by mahimahi's rules: each opportunity in turn, with the packets that arrived before it.
 fn by_opportunities(arrivals: &[(u64, usize)], time_ms: &[u64]) -> Vec<Option<u64>> {
     let mut left_ms = vec![None; arrivals.len()];
     let mut next = 0;
@@ -312,7 +313,7 @@ proptest! {
     }
 }
 
-/// Loads from just below to twice the rate, with the queue emptying in between.
+/// Loads from just below to twice the rate; the queue empties in between.
 #[test]
 fn codel_agrees_with_its_rfc() {
     let mut dropped = 0;
@@ -357,7 +358,7 @@ fn crossed(line_bps: f64, packet_bytes: usize, rate_bps: f64) -> LinkSettings {
     LinkSettings { cross_traffic, overhead_bytes: 0, ..limited(line_bps) }
 }
 
-/// Waits of small packets, sent every 20 ms, in ms.
+/// Waits in ms of small packets sent every 20 ms.
 fn waits_ms(settings: &LinkSettings, count: u64) -> Vec<f64> {
     let packets: Vec<(u64, usize)> = (0..count).map(|index| (index * 20 * MS, 0)).collect();
     let verdicts = verdicts(settings, &packets);
@@ -368,12 +369,12 @@ fn waits_ms(settings: &LinkSettings, count: u64) -> Vec<f64> {
     verdicts.iter().zip(&packets).map(wait).collect()
 }
 
-/// M/D/1: mean wait `rho S / (2 (1 - rho))`, second moment `2 W^2 + lambda S^3 / (3 (1 - rho))`; a packet that comes at
-/// a time of its own sees the mean over time, and one without bytes adds nothing.
+/// M/D/1: mean wait `rho S / (2 (1 - rho))`, second moment `2 W^2 + lambda S^3 / (3 (1 - rho))`. A packet at
+/// an independent time sees the time average, and an empty packet adds no load.
 ///
 /// Source: L. Kleinrock, "Queueing systems", volume 1, 1975 (Pollaczek-Khinchine).
 #[test]
-fn the_wait_behind_other_traffic_is_that_of_m_d_1() {
+fn the_wait_behind_cross_traffic_is_that_of_m_d_1() {
     const COUNT: u64 = 50_000;
     for load in [0.3_f64, 0.5, 0.8] {
         // 1500 bytes at 12 Mbit/s: S = 1 ms.
@@ -381,8 +382,8 @@ fn the_wait_behind_other_traffic_is_that_of_m_d_1() {
         let mean = waits.iter().sum::<f64>() / COUNT as f64;
         let expected = load / (2.0 * (1.0 - load));
         let variance = expected.powi(2) + load / (3.0 * (1.0 - load));
-        // The queue forgets with the time constant S / (1 - sqrt(rho))^2, 90 ms at most here: neighbours are
-        // correlated.
+        // The queue decorrelates with the time constant S / (1 - sqrt(rho))^2, 90 ms at most here, so
+        // neighbours are correlated.
         let memory_ms = 1.0 / (1.0 - load.sqrt()).powi(2);
         let correlation = (-20.0 / memory_ms).exp();
         let inflation = (1.0 + correlation) / (1.0 - correlation);
@@ -393,7 +394,7 @@ fn the_wait_behind_other_traffic_is_that_of_m_d_1() {
 }
 
 #[test]
-fn other_traffic_pauses_for_the_share_of_time_that_was_asked() {
+fn cross_traffic_pauses_for_the_given_fraction_of_time() {
     let mut settings = crossed(8e7, 1000, 8e6);
     let cross = settings.cross_traffic.as_mut().unwrap();
     (cross.mean_on_s, cross.mean_off_s) = (Some(0.01), Some(0.03));
@@ -416,14 +417,14 @@ fn a_long_silence_costs_no_more_than_a_short_one() {
     let times = [0, MS, 1_000_000_000_000_000_000, u64::MAX - 1, u64::MAX];
     let packets: Vec<(u64, usize)> = times.into_iter().map(|sent_ns| (sent_ns, 64)).collect();
     assert_eq!(verdicts(&settings, &packets).len(), 5);
-    // An overloaded queue with the longest memory.
+    // Overloaded queue with the longest memory.
     let deep = LinkSettings { queue_packets: Some(10_000_000), ..crossed(1.0, 1500, 1e10) };
     assert_eq!(verdicts(&deep, &[(0, 64), (1_000_000_000_000_000_000, 64)]).len(), 2);
 }
 
-/// The other traffic is the same whatever the link's own packets do.
+/// Cross traffic does not depend on the link's own packets.
 #[test]
-fn own_packets_do_not_shift_other_traffic() {
+fn own_packets_do_not_shift_cross_traffic() {
     let settings = crossed(12e6, 1500, 6e6);
     let sparse = verdicts(&settings, &[(500 * MS, 0), (900 * MS, 0)]);
     let dense: Vec<(u64, usize)> = (0..=900).map(|step| (step * MS, 0)).collect();

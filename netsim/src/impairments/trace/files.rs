@@ -1,19 +1,19 @@
-//! Text files of recordings: delays as CSV, link traces of mahimahi, distribution tables of iproute2.
+//! Text files of recordings: delays as CSV, mahimahi link traces, iproute2 distribution tables.
 
 use super::{DelayTrace, MAX_RECORDS};
 use crate::checks::{MAX_DELAY_S, MAX_TIME_S, nanoseconds};
 use crate::impairments::rate::{MAX_OPPORTUNITIES, Opportunities};
 use crate::packet::Direction;
 
-/// A file that is not what it should be.
+/// Error in a text file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}, column {column}: {problem}")]
 pub struct ParseError {
-    /// Line, counted from 1.
+    /// Line, from 1.
     pub line: usize,
-    /// Column in bytes, counted from 1.
+    /// Column in bytes, from 1.
     pub column: usize,
-    /// What is wrong, and what would be right.
+    /// Problem and remedy.
     pub problem: String,
 }
 
@@ -25,10 +25,10 @@ impl ParseError {
 
 /// Reads delays of one direction from a CSV file.
 ///
-/// The header is `time_s,delay_s`, or `time_s,forward_delay_s,backward_delay_s` where both directions are in one file;
-/// only then does `direction` matter. Names and numbers may stand in quotes. Times increase, from any first one on, which
-/// becomes 0. An empty delay, or `lost`, is a lost packet. Lines that begin with `#` and empty lines are left out. At most
-/// ten million records.
+/// The header is `time_s,delay_s`, or `time_s,forward_delay_s,backward_delay_s` for both directions; only
+/// then does `direction` matter. Names and numbers may be quoted. Times increase from any first time, which
+/// becomes 0. An empty delay, or `lost`, is a lost packet. Empty lines and lines that begin with `#` are
+/// skipped. At most ten million records.
 pub fn parse_delay_csv(bytes: &[u8], direction: Direction) -> Result<DelayTrace, ParseError> {
     let mut time_s: Vec<f64> = Vec::new();
     let mut delay_s = Vec::new();
@@ -75,10 +75,9 @@ pub fn parse_delay_csv(bytes: &[u8], direction: Direction) -> Result<DelayTrace,
     Ok(DelayTrace { time_s, delay_s, interpolate: true, repeat: true })
 }
 
-/// Greatest time in s, of any clock.
 const MAX_CLOCK_S: f64 = 1e12;
 
-/// How many columns there are, and which one is wanted.
+/// Number of columns, and the column to read.
 #[derive(Clone, Copy, Debug)]
 struct Columns {
     count: usize,
@@ -116,7 +115,7 @@ impl Record {
         for field in line.commas() {
             match seen {
                 0 => record.time_s = field.number("time", -MAX_CLOCK_S, MAX_CLOCK_S)?,
-                // The other direction is checked too: a file is good or it is not.
+                // Check the other direction too: a file is either valid or invalid.
                 position => {
                     let delay_s = match field.text {
                         "" | "lost" => None,
@@ -140,12 +139,11 @@ impl Record {
     }
 }
 
-/// Latest time in ms.
 const MAX_TIME_MS: u64 = 1_000_000_000_000;
 
-/// Reads a link trace of mahimahi: a whole number of ms on every line, not decreasing, the last above 0.
+/// Reads a mahimahi link trace: a whole number of ms per line, not decreasing, the last above 0.
 ///
-/// As `mm-link` does, it refuses empty lines and knows no comments. At most ten million times.
+/// Like `mm-link`, it rejects empty lines and comments. At most ten million times.
 ///
 /// Source: `mm-link(1)` of mahimahi, and its reader's behaviour.
 pub fn parse_mahimahi(bytes: &[u8]) -> Result<Opportunities, ParseError> {
@@ -181,14 +179,14 @@ pub fn parse_mahimahi(bytes: &[u8]) -> Result<Opportunities, ParseError> {
     Ok(Opportunities { time_ms })
 }
 
-/// Most values that netem takes.
+/// Maximum of netem.
 const MAX_VALUES: usize = 16_384;
 
-/// Reads a `.dist` table of iproute2: whole numbers from -32768 to 32767 between blanks, 2 to 16384 of them that
-/// are not all alike; lines that
-/// begin with `#` are left out. They are an inverse distribution function in units of 1/8192 standard deviation.
+/// Reads an iproute2 `.dist` table: an inverse distribution function in units of 1/8192 standard deviation.
 ///
-/// `tc` cuts larger numbers off silently and ends a line at what it cannot read; here both are errors.
+/// It consists of 2 to 16384 whole numbers from -32768 to 32767, not all equal, separated by blanks. Lines
+/// that begin with `#` are skipped. `tc` silently truncates larger numbers, and stops reading a line at an
+/// invalid word; here both are errors.
 ///
 /// Source: `tc-netem(8)`; `get_distribution` of iproute2 (`MAX_DIST`).
 pub fn parse_dist(bytes: &[u8]) -> Result<Vec<i16>, ParseError> {
@@ -224,12 +222,11 @@ pub fn parse_dist(bytes: &[u8]) -> Result<Vec<i16>, ParseError> {
     Ok(table)
 }
 
-/// Longest line in bytes of a file of numbers.
 const MAX_LINE_BYTES: usize = 4096;
-/// Most of an unreadable field that is shown.
+/// Maximum number of characters of an invalid field in an error.
 const SHOWN: usize = 40;
 
-/// A piece of a line, with its place.
+/// Part of a line, and its position.
 #[derive(Clone, Copy, Debug)]
 struct Field<'a> {
     line: usize,
@@ -242,21 +239,19 @@ impl<'a> Field<'a> {
         ParseError::new(self.line, self.column, problem)
     }
 
-    /// The text as it is shown in an error.
     fn shown(&self) -> String {
         let mut characters = self.text.chars();
         let start: String = characters.by_ref().take(SHOWN).collect();
         if characters.next().is_some() { format!("\"{start}...\"") } else { format!("\"{start}\"") }
     }
 
-    /// Without blanks at both ends.
     fn trim(self) -> Self {
         let text = self.text.trim_start();
         let column = self.column + self.text.len() - text.len();
         Self { column, text: text.trim_end(), ..self }
     }
 
-    /// Without quotes around it, as spreadsheets write them.
+    /// Removes enclosing quotes, as spreadsheets write them.
     fn unquoted(self) -> Self {
         match self.text.strip_prefix('"').and_then(|text| text.strip_suffix('"')) {
             Some(text) => Self { column: self.column + 1, text, ..self }.trim(),
@@ -264,7 +259,6 @@ impl<'a> Field<'a> {
         }
     }
 
-    /// Its parts between commas.
     fn commas(self) -> impl Iterator<Item = Field<'a>> {
         let mut column = self.column;
         self.text.split(',').map(move |text| {
@@ -274,7 +268,6 @@ impl<'a> Field<'a> {
         })
     }
 
-    /// Its parts between blanks.
     fn words(self) -> impl Iterator<Item = Field<'a>> {
         let mut rest = self;
         std::iter::from_fn(move || {
@@ -289,7 +282,6 @@ impl<'a> Field<'a> {
         })
     }
 
-    /// A finite number within a range.
     fn number(&self, name: &str, minimum: f64, maximum: f64) -> Result<f64, ParseError> {
         match self.text.parse::<f64>() {
             Ok(number) if (minimum..=maximum).contains(&number) => Ok(number),
@@ -301,7 +293,7 @@ impl<'a> Field<'a> {
     }
 }
 
-/// The lines of a file; the first error of form ends them.
+/// Lines of a file; the first format error is returned as an item.
 fn lines(bytes: &[u8]) -> impl Iterator<Item = Result<Field<'_>, ParseError>> {
     let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
     let bytes = bytes.strip_suffix(b"\n").unwrap_or(bytes);

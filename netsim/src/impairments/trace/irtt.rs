@@ -9,31 +9,29 @@ use super::{DelayTrace, MAX_RECORDS, ParseError};
 use crate::checks::MAX_DELAY_S;
 use crate::packet::Direction;
 
-/// Longest measurement in ns.
 const MAX_SPAN_NS: i64 = 1_000_000_000_000_000_000;
 
-/// What the delays of an [`IrttRecording`] are.
+/// Kind of delays in an [`IrttRecording`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum IrttDelay {
-    /// One-way delays between two clocks. That they are plausible does not show that the clocks agree.
+    /// One-way delays between two clocks. Plausible values do not prove that the clocks agree.
     OneWay,
-    /// Half of each round trip: one-way delays were not recorded, or some were negative.
+    /// Half of each round trip: one-way delays are missing, or some are negative.
     HalfRoundTrip,
 }
 
-/// Delays of one direction as IRTT measured them.
+/// Delays of one direction, measured by IRTT.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IrttRecording {
     /// Delays and losses, in s since the first packet.
     pub delays: DelayTrace,
-    /// What they are.
+    /// Kind of delays.
     pub measured: IrttDelay,
 }
 
-/// Longest text of a problem that is repeated: the file's own words are in it.
+/// Maximum length of a repeated error text, which contains the file's own words.
 const MAX_SHOWN: usize = 200;
 
-/// A problem as one line of text.
 fn shortened(problem: &str) -> String {
     match problem.char_indices().nth(MAX_SHOWN) {
         Some((end, _)) => format!("{}...", &problem[..end]),
@@ -41,12 +39,14 @@ fn shortened(problem: &str) -> String {
     }
 }
 
-/// Reads what `irtt client -o` writes.
+/// Reads the output of `irtt client -o`.
 ///
-/// One-way delays are used if every reply has both and none is negative, else half of the round trip. A packet whose
-/// loss IRTT could place counts for its direction alone, and the other one has no record of it (its delay is not known,
-/// or it was never sent); a loss that it could not place counts for both. Times are those of sending by the client:
-/// the monotonic clock, else the wall clock, else sequence times interval. At most ten million round trips.
+/// One-way delays are used if every reply has both and none is negative; otherwise half of the round trip. If
+/// IRTT knows the direction of a loss, the loss counts only there. The other direction then has no record:
+/// its delay is unknown, or the packet was never sent. A loss of unknown direction counts for both.
+///
+/// Times are the client's sending times: the monotonic clock, else the wall clock, else sequence times
+/// interval. At most ten million round trips.
 ///
 /// Source: `irtt-client(1)`, version 0.9, JSON format 1.
 pub fn parse_irtt(bytes: &[u8], direction: Direction) -> Result<IrttRecording, ParseError> {
@@ -55,7 +55,7 @@ pub fn parse_irtt(bytes: &[u8], direction: Direction) -> Result<IrttRecording, P
     }
     let file: File = serde_json::from_slice(bytes).map_err(|error| {
         let problem = error.to_string();
-        // The place is a field of its own.
+        // Line and column are separate fields.
         let end = problem.rfind(" at line ").unwrap_or(problem.len());
         ParseError::new(error.line().max(1), error.column().max(1), shortened(&problem[..end]))
     })?;
@@ -116,7 +116,7 @@ impl File {
         let (Some(&begun_s), Some(&held_s)) = (delays.time_s.first(), delays.delay_s.first()) else {
             return Err("no round trips of this direction".into());
         };
-        // Both directions begin with the first packet, also where one has no record of it.
+        // Both directions begin with the first packet, even if one has no record of it.
         if begun_s > 0.0 {
             delays.time_s.insert(0, 0.0);
             delays.delay_s.insert(0, held_s);
@@ -125,7 +125,6 @@ impl File {
     }
 }
 
-/// Which times the packets have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Clock {
     Monotonic,
@@ -133,7 +132,7 @@ enum Clock {
     Sequence,
 }
 
-/// The packets, and the clock that all of them have.
+/// Packets and their common clock.
 #[derive(Debug)]
 struct Sent {
     packets: Vec<SentPacket>,
@@ -146,7 +145,7 @@ struct SentPacket {
     outcome: Outcome,
 }
 
-/// What became of a packet; times in ns.
+/// Outcome of a packet; times in ns.
 #[derive(Clone, Copy, Debug)]
 enum Outcome {
     LostForward,
@@ -156,7 +155,7 @@ enum Outcome {
 }
 
 impl Outcome {
-    /// Whether it does not speak against one-way delays.
+    /// Tests if the packet permits the use of one-way delays.
     fn has_one_way(&self) -> bool {
         match self {
             Self::LostForward | Self::LostBackward | Self::LostSomewhere => true,
@@ -167,7 +166,7 @@ impl Outcome {
         }
     }
 
-    /// What a direction did to the packet, if that is known.
+    /// Effect of one direction on the packet, if known.
     fn of(self, direction: Direction, measured: IrttDelay) -> Option<Seen> {
         let (forward_ns, backward_ns, round_trip_ns) = match (self, direction) {
             (Self::LostForward, Direction::Forward)
@@ -187,7 +186,7 @@ impl Outcome {
     }
 }
 
-/// What one direction did to a packet.
+/// Effect of one direction on a packet.
 #[derive(Clone, Copy, Debug)]
 enum Seen {
     Lost,
@@ -204,7 +203,7 @@ struct RoundTrip {
     delay: Delay,
 }
 
-/// Written as a word, by older versions as a truth value.
+/// Written as a word; older versions write a boolean.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Lost {
     No,
@@ -314,7 +313,7 @@ impl<'de> Deserialize<'de> for Sent {
     }
 }
 
-/// Takes round trips one by one, so that only what is used is kept and an error has its place.
+/// Reads round trips one by one, so that only used fields are kept and errors have a position.
 struct SentVisitor;
 
 impl<'de> Visitor<'de> for SentVisitor {

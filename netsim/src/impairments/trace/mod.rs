@@ -1,12 +1,14 @@
-//! Recorded delays and losses, replayed.
+//! Replay of recorded delays and losses.
 //!
-//! A packet meets what was recorded at the time at which it is sent. It is lost if the record that holds then, the last
-//! at or before it, was lost. Its delay is that of this record or, with `interpolate`, on the line to the next record
-//! if that one was delivered. The link begins at the first record, whatever its time is; after the last the last one holds.
-//! With `repeat` the recording restarts after its last time plus the last spacing. A single record holds for ever.
+//! A packet gets the recorded state at its sending time. The current record is the last one at or before that
+//! time. If it is lost, so is the packet. Otherwise its delay applies; with `interpolate` the delay is
+//! interpolated to the next record, if that was delivered.
 //!
-//! Loss comes before the bottleneck and delay takes the place of `delay_s` behind it, so a recording may be combined
-//! with a rate.
+//! The link begins at the first record, whatever its time. After the last record, that record holds; with
+//! `repeat` the recording restarts after its last time plus the last spacing. A single record holds forever.
+//!
+//! Loss precedes the bottleneck, and the recorded delay replaces `delay_s` behind it, so a recording can be
+//! combined with a rate.
 
 mod files;
 mod irtt;
@@ -27,7 +29,6 @@ use crate::packet::Packet;
 use crate::rule::Rule;
 use crate::verdict::{DropCause, Verdict};
 
-/// Most records of a recording.
 const MAX_RECORDS: usize = 10_000_000;
 
 /// Recorded delays and losses.
@@ -36,12 +37,12 @@ const MAX_RECORDS: usize = 10_000_000;
 pub struct DelayTrace {
     /// Times in s, increasing, the first 0 or more: the link begins at the first.
     pub time_s: Vec<f64>,
-    /// Delay in s of a packet sent then; `None` was lost.
+    /// Delay in s of a packet sent then; `None` if lost.
     pub delay_s: Vec<Option<f64>>,
-    /// Whether delays between two records are interpolated; else the last one holds.
+    /// Interpolates delays between records; otherwise the last record holds.
     #[serde(default = "yes")]
     pub interpolate: bool,
-    /// Whether it begins anew after its end; else its last record holds.
+    /// Restarts after the end; otherwise the last record holds.
     #[serde(default = "yes")]
     pub repeat: bool,
 }
@@ -50,15 +51,15 @@ fn yes() -> bool {
     true
 }
 
-/// Which time of a recording a packet meets.
+/// Mapping of link time to recording time.
 #[derive(Clone, Copy, Debug)]
 struct Playback {
-    /// After which it begins anew; `None` if it does not.
+    /// Period of repetition; `None` without repetition.
     period_ns: Option<u64>,
 }
 
 impl Playback {
-    /// Create the playback of a recording with these times, which start at 0.
+    /// Playback of a recording with these times, which start at 0.
     fn new(time_ns: &[u64], repeats: bool) -> Self {
         let &[.., before, last] = time_ns else {
             return Self { period_ns: None };
@@ -79,16 +80,14 @@ impl DelayTrace {
     }
 }
 
-/// The loss of a recording.
 #[derive(Clone, Debug)]
 pub(crate) struct TraceLoss {
     playback: Playback,
     starts_lost: bool,
-    /// When losing begins and ends, alternately.
+    /// Alternating starts and ends of loss.
     edges_ns: Vec<u64>,
 }
 
-/// The rule that loses what was lost in the recording.
 pub(crate) fn build_loss(
     settings: &LinkSettings,
     _: &Streams,
@@ -118,17 +117,15 @@ impl Rule for TraceLoss {
     }
 }
 
-/// The delays of a recording.
 #[derive(Clone, Debug)]
 pub(crate) struct TraceDelay {
     playback: Playback,
     time_ns: Vec<u64>,
-    /// `None` was lost.
+    /// `None` if lost.
     delay_ns: Vec<Option<u64>>,
     interpolate: bool,
 }
 
-/// The rule that delays as in the recording.
 pub(crate) fn build_delay(
     settings: &LinkSettings,
     _: &Streams,
@@ -150,7 +147,7 @@ impl TraceDelay {
     fn at(&self, now_ns: u64) -> u64 {
         let after = self.time_ns.partition_point(|&time_ns| time_ns <= now_ns);
         let holding = after.saturating_sub(1);
-        // What is lost was dropped before the bottleneck.
+        // Lost packets were dropped before the bottleneck.
         let from_ns = self.delay_ns[holding].unwrap_or_default();
         match self.delay_ns.get(after) {
             Some(&Some(to_ns)) if self.interpolate && after > 0 => {
@@ -169,7 +166,7 @@ impl Rule for TraceDelay {
     }
 }
 
-/// On the line between two values, rounded down.
+/// Linear interpolation between two values, rounded towards `from`.
 pub(crate) fn between(from: u64, to: u64, passed: u64, whole: u64) -> u64 {
     let change = u128::from(from.abs_diff(to)) * u128::from(passed) / u128::from(whole);
     #[expect(clippy::cast_possible_truncation, reason = "at most the difference of both")]

@@ -45,7 +45,7 @@ fn csv_is_read() {
     assert_eq!((forward.delay_s, backward.delay_s), (vec![Some(0.01), None], vec![Some(0.02), Some(0.04)]));
 }
 
-/// A spreadsheet's quotes; times of another clock, or before 0, from the first on.
+/// Quotes as written by spreadsheets; first times from another clock, or before 0.
 #[test]
 fn quotes_and_any_first_time_are_read() {
     let plain = parse_delay_csv(b"time_s,delay_s\n0,0.01\n0.5,lost\n1.5,\n", Direction::Forward).unwrap();
@@ -174,7 +174,7 @@ proptest! {
         }
     }
 
-    /// Bytes of a good file are replaced, taken out and doubled.
+    /// Replaces, removes and duplicates bytes of a valid file.
     #[test]
     fn a_mutated_file_breaks_no_parser(
         mutations in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..4_u8), 1..8),
@@ -186,7 +186,7 @@ proptest! {
                 let position = index.index(bytes.len());
                 match how {
                     0 => bytes[position] = byte,
-                    // More often something that such files contain.
+                    // A byte that is typical of such files.
                     1 => bytes[position] = USUAL[usize::from(byte) % USUAL.len()],
                     2 => drop(bytes.remove(position)),
                     _ => bytes.extend_from_within(position..),
@@ -226,7 +226,7 @@ fn a_recording_is_replayed_from_its_first_record_and_over_again() {
         (0.0, Some(10 * MS)),
         (0.25, Some(15 * MS)),
         (0.5, Some(20 * MS)),
-        // The next one was lost: nothing to interpolate to.
+        // The next record was lost: no interpolation.
         (1.4, Some(20 * MS)),
         (1.5, None),
         (3.499, None),
@@ -257,7 +257,7 @@ fn interpolation_falls_as_it_rises() {
 }
 
 #[test]
-fn a_recording_that_is_none_is_refused() {
+fn an_invalid_recording_is_refused() {
     let trace = |time_s: &[f64], delay_s: &[Option<f64>]| {
         let trace = DelayTrace {
             time_s: time_s.to_vec(),

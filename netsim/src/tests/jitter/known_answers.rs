@@ -1,12 +1,12 @@
-//! Known answers: quantiles of each law, and its first delays.
+//! Known answers: quantiles and first delays of each distribution.
 //!
-//! All were computed by an independent implementation as well: laws by scipy 1.17 (`scipy.stats`), draws by Python
-//! integers, the path by stepping from cell to cell.
+//! An independent implementation gives the same values: distributions by scipy 1.17 (`scipy.stats`), draws by
+//! Python integers, the path by stepping from cell to cell.
 
 use super::{SEED, correlated, delays, independent, laws};
 use crate::DelayLaw;
 
-/// Share of packets that stay below, for the quantiles.
+/// Probabilities of the quantiles.
 const SHARES: [f64; 5] = [1e-6, 0.01, 0.5, 0.99, 0.999_999];
 
 struct Answers {
@@ -185,7 +185,7 @@ fn quantiles_agree_with_an_independent_implementation() {
         assert_eq!((law.mean_s(), law.sigma_s()), (settings.delay_s, settings.jitter_s));
         for (share, answer) in SHARES.iter().zip(answers.quantiles_s) {
             let seen = law.quantile_s(*share);
-            // The table's own deviation was found by summing over 8e5 steps.
+            // The reference deviation of the table is a sum over 8e5 steps.
             let tolerance = if *name == "table" { 1e-7 } else { 1e-9 };
             assert!((seen - answer).abs() < tolerance * law.sigma_s(), "{name} {share}: {seen} {answer}");
         }

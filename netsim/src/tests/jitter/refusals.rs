@@ -1,4 +1,4 @@
-//! Settings for which there is no law.
+//! Settings without a valid delay distribution.
 
 use super::skewed_table;
 use crate::{DelayLaw, Direction, Distribution, Link, LinkSettings};
@@ -8,8 +8,8 @@ fn settings(delay_s: f64, jitter_s: f64, distribution: Distribution, shape: Opti
 }
 
 #[test]
-fn a_law_that_would_need_negative_delays_is_refused_with_the_limit_and_a_remedy() {
-    // Largest deviation at a mean of 0.01 s.
+fn jitter_that_needs_negative_delays_is_refused_with_limit_and_remedy() {
+    // Maximum deviation at a mean of 0.01 s.
     let cases = [
         (Distribution::Normal, None, 0.0099, "gamma or lognormal"),
         (Distribution::Uniform, None, 0.01 / 3_f64.sqrt(), "gamma or lognormal"),
@@ -18,7 +18,7 @@ fn a_law_that_would_need_negative_delays_is_refused_with_the_limit_and_a_remedy(
         (Distribution::Gamma, Some(4.0), 0.005, "smaller distribution_shape"),
         (Distribution::Lognormal, None, 0.05, "larger delay_s"),
         (Distribution::Pareto, None, 0.01 / 0.6_f64.sqrt(), "lognormal"),
-        // Of the uniform law by 4096 values, which ends half a step early on each side.
+        // Uniform distribution by 4096 values, which ends half a step early on each side.
         (Distribution::Table((-2048..2048).collect()), None, 0.01 / 1.732, "larger delay_s"),
     ];
     for (distribution, shape, most_s, remedy) in cases {
@@ -32,7 +32,7 @@ fn a_law_that_would_need_negative_delays_is_refused_with_the_limit_and_a_remedy(
 }
 
 #[test]
-fn what_is_at_the_limit_is_accepted() {
+fn jitter_at_the_limit_is_accepted() {
     for (jitter_s, distribution, shape) in [
         (0.05, Distribution::Exponential, None),
         (0.05 / 3_f64.sqrt(), Distribution::Uniform, None),
@@ -93,7 +93,7 @@ fn extreme_settings_that_are_accepted_build_finite_delays() {
             let settings =
                 LinkSettings { keep_order, ..settings(delay_s, jitter_s, distribution.clone(), shape) };
             let delays = super::delays(&settings, 1000, 1000);
-            // Nothing accepted has a delay of 1e6 standard deviations within a thousand packets.
+            // No accepted distribution reaches 1e6 standard deviations within a thousand packets.
             let most = (delay_s + 1e6 * jitter_s) * 1e9;
             assert!(delays.iter().all(|&ns| (ns as f64) < most), "{distribution:?}");
         }

@@ -1,10 +1,10 @@
-//! Statistics of many delays against the law they were asked to follow.
+//! Statistics of many delays compared with their distribution.
 
 use super::{correlated, delays, delays_at, independent, laws};
 use crate::checks::nanoseconds;
 use crate::{DelayLaw, LinkSettings};
 
-/// Time in s over which delays are all but the same: 0 if each is drawn by itself.
+/// Correlation time of the delays in s; 0 if each is independent.
 fn memory_s(settings: &LinkSettings) -> f64 {
     match (settings.jitter_correlation_s, settings.keep_order) {
         (Some(0.0), false) => 0.0,
@@ -14,7 +14,7 @@ fn memory_s(settings: &LinkSettings) -> f64 {
     }
 }
 
-/// Fourth moment around the mean in units of sigma: an integral over the normal variate.
+/// Fourth central moment in units of sigma: an integral over the normal variate.
 fn kurtosis(law: &DelayLaw) -> f64 {
     const STEP: f64 = 0.01;
     let terms = (-600..=600).map(|n| {
@@ -25,7 +25,7 @@ fn kurtosis(law: &DelayLaw) -> f64 {
     terms.sum()
 }
 
-/// Standard error of the mean of a series by those of a hundred parts, each of many correlation times.
+/// Standard error of the mean of a series, from a hundred parts of many correlation times each.
 fn standard_error(values: &[f64]) -> f64 {
     const PARTS: usize = 100;
     let mean_of = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
@@ -35,11 +35,13 @@ fn standard_error(values: &[f64]) -> f64 {
     (spread / PARTS as f64).sqrt()
 }
 
-/// Mean, standard deviation and 99th percentile: within 2 % or three standard errors, whichever is larger.
+/// Checks mean, standard deviation and 99th percentile, within 2 % or three standard errors, whichever is
+/// larger.
 ///
-/// No function of an Ornstein-Uhlenbeck process forgets itself more slowly than `exp(-t / tau)`, so the mean of one
-/// with the variance v has at most the variance `2 tau v / T` over a time T. Where order limits how fast a heavy tail
-/// comes and goes it takes longer; what the parts of the series say counts if it is more.
+/// No function of an Ornstein-Uhlenbeck process decorrelates more slowly than `exp(-t / tau)`. The mean of a
+/// function with variance v over a time T therefore has at most the variance `2 tau v / T`. Order limits how
+/// fast a heavy tail comes and goes, which takes longer; the error from the parts of the series then applies,
+/// if larger.
 fn assert_moments(name: &str, settings: &LinkSettings, delays_ns: &[u64], period_s: f64) {
     let law = DelayLaw::new(settings).unwrap();
     let (mean, sigma, p99) = (law.mean_s(), law.sigma_s(), law.quantile_s(0.99));
@@ -53,15 +55,12 @@ fn assert_moments(name: &str, settings: &LinkSettings, delays_ns: &[u64], period
     let squares: Vec<f64> = x.iter().map(|x| x * x).collect();
     let above: Vec<f64> = x.iter().map(|x| f64::from(u8::from(mean + x * sigma > p99))).collect();
 
-    // 2 % of sigma, not of the mean: that would pass nearly anything.
+    // 2 % of sigma, not of the mean, which would accept nearly anything.
     let (bias, error) = average(&x, 1.0);
     assert!(bias.abs() < (3.0 * error).max(0.02), "{name}: mean off by {bias} +- {error} sigma");
     let (square, error) = average(&squares, kurtosis(&law) - 1.0);
     let (seen, error) = (square.sqrt(), 0.5 * error);
-    assert!(
-        (seen - 1.0).abs() < (3.0 * error).max(0.02),
-        "{name}: sigma {seen} +- {error} of what was asked"
-    );
+    assert!((seen - 1.0).abs() < (3.0 * error).max(0.02), "{name}: sigma {seen} +- {error} of the request");
     // The percentile is above (below) a limit if more (less) than 1 % of the packets are.
     let (share, error) = average(&above, 0.0099);
     let rank = x.len() * 99 / 100;
@@ -70,7 +69,7 @@ fn assert_moments(name: &str, settings: &LinkSettings, delays_ns: &[u64], period
     assert!(close, "{name}: p99 {seen}, asked {p99}; {share} +- {error} above");
 }
 
-/// No packet waits for the one before: the path itself keeps the order, with a tenth of the distance to spare.
+/// Checks that the path itself keeps order, with a tenth of the packet spacing to spare: no packet waits.
 fn assert_in_order(name: &str, delays_ns: &[u64], period_ns: u64) {
     let slack = period_ns / 10 - 2;
     let close = delays_ns.windows(2).position(|pair| pair[1] + period_ns < pair[0] + slack);
@@ -78,7 +77,7 @@ fn assert_in_order(name: &str, delays_ns: &[u64], period_ns: u64) {
 }
 
 #[test]
-fn independent_delays_have_the_moments_asked_for() {
+fn independent_delays_have_the_given_moments() {
     for (name, settings) in laws() {
         let settings = independent(&settings);
         let delays = delays(&settings, 1000, 1_000_000);
@@ -96,41 +95,41 @@ fn check_in_order(tau_s: f64, rate_hz: u64, packets: u64) {
 }
 
 #[test]
-fn correlated_delays_in_order_have_the_moments_asked_for_at_20_ms() {
+fn correlated_delays_in_order_have_the_given_moments_at_20_ms() {
     check_in_order(0.02, 1000, 1_000_000);
 }
 
 #[test]
-fn correlated_delays_in_order_have_the_moments_asked_for_at_50_ms() {
+fn correlated_delays_in_order_have_the_given_moments_at_50_ms() {
     check_in_order(0.05, 1000, 1_000_000);
 }
 
 #[test]
-fn correlated_delays_in_order_have_the_moments_asked_for_at_100_ms() {
+fn correlated_delays_in_order_have_the_given_moments_at_100_ms() {
     check_in_order(0.1, 1000, 1_000_000);
 }
 
 #[test]
-fn delays_in_order_without_a_correlation_time_have_the_moments_asked_for() {
+fn delays_in_order_without_a_correlation_time_have_the_given_moments() {
     check_in_order(0.0, 1000, 1_000_000);
 }
 
 #[test]
-fn delays_have_the_moments_asked_for_at_other_rates() {
+fn delays_have_the_given_moments_at_other_rates() {
     check_in_order(0.05, 100, 200_000);
     check_in_order(0.02, 10_000, 1_000_000);
 }
 
 #[test]
-fn correlated_delays_out_of_order_have_the_moments_asked_for() {
+fn correlated_delays_out_of_order_have_the_given_moments() {
     for (name, settings) in laws() {
         let settings = LinkSettings { keep_order: false, ..correlated(&settings, 0.05) };
         assert_moments(name, &settings, &delays(&settings, 1000, 1_000_000), 0.001);
     }
 }
 
-/// The largest distance between the share of delays below a quantile and what it should be (Kolmogorov-Smirnov),
-/// times the root of their number; it is above 1.95 with a probability of 0.1 %.
+/// Kolmogorov-Smirnov distance between delays and distribution, times the root of their number. It exceeds
+/// 1.95 with a probability of 0.1 %.
 fn distance(law: &DelayLaw, delays_ns: &mut [u64]) -> f64 {
     const STEPS: usize = 2000;
     delays_ns.sort_unstable();
@@ -152,7 +151,7 @@ fn the_whole_distribution_of_independent_delays_is_that_of_the_law() {
     }
 }
 
-/// At eight correlation times from each other delays are independent to within exp(-8).
+/// At a spacing of eight correlation times, delays are independent to within exp(-8).
 #[test]
 fn the_whole_distribution_of_correlated_delays_is_that_of_the_law() {
     for (name, settings) in laws() {
@@ -175,12 +174,12 @@ fn milliseconds(seconds: f64) -> usize {
     usize::try_from(nanoseconds(seconds) / 1_000_000).unwrap()
 }
 
-/// The velocity of the path forgets itself over `eps = tau / n`, n from 12 (steep) to 50. With this much inertia an
-/// Ornstein-Uhlenbeck process has the autocorrelation `(a exp(-b t) - b exp(-a t)) / (a - b)`, `a + b = 1 / eps`,
-/// `a b = 1 / (tau eps)`: above `exp(-t / tau)` by up to `eps / tau` of it. Bartlett: the standard error of an
-/// estimate over a time T is at most `sqrt(tau / T)`.
+/// The velocity of the path decorrelates over `eps = tau / n`, n from 12 (steep) to 50. An Ornstein-Uhlenbeck
+/// process with this inertia has the autocorrelation `(a exp(-b t) - b exp(-a t)) / (a - b)`,
+/// `a + b = 1 / eps`, `a b = 1 / (tau eps)`. It exceeds `exp(-t / tau)` by up to `eps / tau` of it. Bartlett:
+/// the standard error of an estimate over a time T is at most `sqrt(tau / T)`.
 #[test]
-fn the_normal_law_forgets_itself_exponentially() {
+fn normal_delays_decorrelate_exponentially() {
     for (sigma_s, tau_s, turns) in [
         (0.0005, 0.05, 50.0),
         (0.005, 0.1, 50.0),
@@ -205,13 +204,13 @@ fn the_normal_law_forgets_itself_exponentially() {
     }
 }
 
-/// Over the correlation time that was asked for, delays of every law are correlated by 1 / e.
+/// Delays of every distribution have correlation 1 / e over the requested correlation time.
 ///
-/// The inertia of the path adds at most `1.2 / turns` of it, as for the normal law; where it keeps the order, these
-/// deviations of 1 / 200 of tau let it be as quick. The standard error comes from a hundred parts, each of a thousand
-/// correlation times.
+/// The inertia of the path adds at most `1.2 / turns` of it, as for the normal distribution. These deviations
+/// of 1 / 200 of tau permit this even if the path keeps order. The standard error comes from a hundred parts,
+/// each of a thousand correlation times.
 #[test]
-fn every_law_is_correlated_by_one_e_over_its_time() {
+fn every_distribution_has_correlation_one_e_over_its_time() {
     let asked = (-1.0_f64).exp();
     for keep_order in [true, false] {
         for (name, settings) in laws() {
@@ -262,10 +261,10 @@ fn silence_costs_little_and_forgets() {
     }
 }
 
-/// Run by hand: `cargo test --release -p haptether-netsim what_the_delays -- --ignored --nocapture`.
+/// Run by hand: `cargo test --release -p haptether-netsim delay_statistics -- --ignored --nocapture`.
 #[test]
 #[ignore = "a table to read, not an assertion"]
-fn what_the_delays_are() {
+fn delay_statistics() {
     println!("law, tau, in order: errors of mean, sigma (of sigma), p99; autocorrelation at 0.2, 1, 2 tau");
     for (name, settings) in laws() {
         let law = DelayLaw::new(&settings).unwrap();

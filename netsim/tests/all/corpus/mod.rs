@@ -1,5 +1,5 @@
-//! Replays what the fuzzer and people found worth keeping; `make fuzz` looks for more.
-#![allow(clippy::unwrap_used)] // a test may
+//! Replays the committed corpus of fuzzer and hand-written inputs; `make fuzz` searches for more.
+#![allow(clippy::unwrap_used)] // permitted in a test
 
 mod recording;
 mod replay;

@@ -1,11 +1,12 @@
-//! Fuzz target: the readers of recordings, each with the same bytes.
+//! Fuzz target: all readers of recordings on the same bytes.
 
 use haptether_netsim::{
     DelayTrace, Direction, Distribution, Link, LinkSettings, Opportunities, ParseError, parse_delay_csv,
     parse_dist, parse_irtt, parse_mahimahi,
 };
 
-/// Panics unless each reader refuses `bytes` with a place inside them, or gives what a link can be built from.
+/// Panics unless each reader rejects `bytes` with a position inside them, or returns settings that build a
+/// link.
 pub(crate) fn check(bytes: &[u8]) {
     for direction in [Direction::Forward, Direction::Backward] {
         let csv = parse_delay_csv(bytes, direction);
@@ -27,7 +28,7 @@ fn opportunities(opportunities: Opportunities) -> LinkSettings {
 }
 
 fn table(values: Vec<i16>) -> LinkSettings {
-    // One value of 16384 that is far from the others lies 128 deviations from their mean: no delay may be negative.
+    // One of 16384 values far from the others lies 128 deviations from the mean: no delay may be negative.
     let distribution = Distribution::Table(values);
     LinkSettings { delay_s: 1.0, jitter_s: 0.005, distribution, ..LinkSettings::default() }
 }
@@ -36,14 +37,14 @@ fn buildable(bytes: &[u8], read: Result<LinkSettings, ParseError>, format: &str)
     match read {
         Ok(settings) => {
             let link = Link::new(Direction::Forward, 1, &settings);
-            assert!(link.is_ok(), "{format} was read, and its link refused: {link:?}");
+            assert!(link.is_ok(), "{format} was read, but its link is invalid: {link:?}");
         }
         Err(error) => {
             let lines = bytes.split(|&byte| byte == b'\n').count();
             assert!((1..=lines).contains(&error.line), "{format}: {error} of {lines} lines");
             assert!((1..=bytes.len() + 2).contains(&error.column), "{format}: {error}");
             assert!(!error.problem.is_empty() && !error.problem.contains('\n'), "{format}: {error}");
-            // A line of a log, whatever was read.
+            // Fits a log line for any input.
             assert!(error.problem.chars().count() < 400, "{format}: {error}");
         }
     }

@@ -1,8 +1,8 @@
-//! Gives a fuzz target what is committed for it.
+//! Replay of the committed corpus of a fuzz target.
 
 use std::{fs, path::Path};
 
-/// Calls `target` with each file of `fuzz/corpus/<name>`, in the order of their names.
+/// Calls `target` with each file of `fuzz/corpus/<name>`, in name order.
 pub(crate) fn replay(name: &str, target: fn(&[u8])) {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/corpus").join(name);
     let entries = fs::read_dir(&folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
@@ -10,7 +10,7 @@ pub(crate) fn replay(name: &str, target: fn(&[u8])) {
     files.sort();
     assert!(files.len() >= 10, "{}: {} files are no corpus", folder.display(), files.len());
     for file in files {
-        // What a panic below does not say: which file it was.
+        // Names the file if `target` panics.
         let _shown = Shown(&file);
         target(&fs::read(&file).unwrap());
     }
