@@ -5,7 +5,7 @@ use serde::Deserialize;
 
 use crate::ladder::{Button, LadderState, PRESS_NS};
 
-/// Button of each function, by its bit from 0 to 31; `None` maps no button.
+/// Button per function, by bit from 0 to 31, if mapped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ButtonSettings {
@@ -47,8 +47,7 @@ impl ButtonSettings {
     }
 }
 
-/// Buttons of a device as read: bit n is set while button n is pressed. `None` if unknown, which does not count as a
-/// release.
+/// Buttons as read: bit n is set while button n is pressed. `None` if unknown, which is no release.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ButtonWord(pub Option<u32>);
 
@@ -57,17 +56,17 @@ impl ButtonWord {
     pub const UNKNOWN: Self = Self(None);
 }
 
-/// Evaluates the buttons of a device tick by tick.
+/// Evaluates the buttons tick by tick.
 ///
-/// A bouncing contact presses once. A button that is closed at the first sample, or after a gap in the samples, must
-/// be open before it can be pressed. The clutch switch opens by itself when the sides part or its press was not
-/// accepted, so that only a press closes it again.
+/// A bouncing contact presses once. A button closed at the first sample, or after a gap, must open before it can be
+/// pressed. The clutch switch opens when the sides part or its press was not accepted, so that only a press closes it
+/// again.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Buttons {
     settings: ButtonSettings,
     engage: Switch,
     gripper: Switch,
-    /// True if the last press of the clutch was accepted, as of the last tick.
+    /// True if the last clutch press was accepted at the last tick.
     was_aligned: bool,
 }
 
@@ -103,8 +102,8 @@ impl Buttons {
 
     /// Takes the word of a tick.
     ///
-    /// Returns the clutch, true if closed, and the trigger, 0 open or 1 closed. `None` if no button is mapped, or for
-    /// the clutch if the word is unknown.
+    /// Returns the clutch, true if closed, and the trigger, 0 open or 1 closed; `None` if not mapped, or the clutch
+    /// unknown.
     pub(crate) fn at(&mut self, now_ns: u64, word: ButtonWord) -> (Option<bool>, Option<f64>) {
         let Some(word) = word.0 else {
             self.stalled();
@@ -122,7 +121,7 @@ impl Buttons {
         self.engage.on = false;
     }
 
-    /// Opens the clutch switch after a gap in the samples. Each button must be open before it can be pressed.
+    /// Opens the clutch switch after a gap. Each button must open before it can be pressed.
     pub(crate) fn stalled(&mut self) {
         self.open();
         for switch in [&mut self.engage, &mut self.gripper] {

@@ -5,32 +5,32 @@ use crate::{
     wire::MAX_AXES,
 };
 
-/// A command of the operator at one side. None is taken from the network. A side ignores commands for the other side.
+/// A command of the operator at one side, never from the network. Commands for the other side are ignored.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OperatorCommand {
     /// Start of the run; a press of the clutch unless more than 5 s old.
     Start,
-    /// Releases the clutch briefly and presses it again. No effect if the device has a button.
+    /// Releases the clutch briefly and presses it again; no effect with a device button.
     Press,
     /// Releases the clutch. A closed button counts as open until it was seen open.
     Release,
     /// Lets another master begin after 2 s of silence, at the slave.
     Takeover,
-    /// Acknowledges the fault of this side. It couples nothing: the clutch must then be released and pressed.
+    /// Acknowledges this side's fault. Couples nothing: release and press the clutch then.
     Acknowledge,
-    /// Changes `lambda_p`, at the slave, with a fade; the arm goes on from where it is.
+    /// Changes `lambda_p` with a fade, at the slave; the arm does not jump.
     PositionScale(f64),
-    /// Changes `lambda_f`, at the master, with a fade.
+    /// Changes `lambda_f` with a fade, at the master.
     ForceScale(f64),
-    /// Changes `lambda_r`, at the slave, with a fade; the arm goes on from where it is.
+    /// Changes `lambda_r` with a fade, at the slave; the arm does not jump.
     RotationScale(f64),
-    /// Changes `lambda_tau`, at the master, with a fade.
+    /// Changes `lambda_tau` with a fade, at the master.
     TorqueScale(f64),
-    /// Changes rotation and locks, at both sides alike, with a fade; the arm goes on from where it is.
+    /// Changes rotation and locks with a fade, at both sides alike; the arm does not jump.
     Frame {
         /// Unit quaternion of the rotation from the master's frame to the slave's.
         quat_wxyz: [f64; 4],
-        /// True for each axis of the slave that does not follow; entries beyond its axes are ignored.
+        /// True per locked axis of the slave; entries beyond its axes are ignored.
         locked: [bool; MAX_AXES],
     },
 }

@@ -1,7 +1,7 @@
-//! Plants of drivers outside of this crate: what they have read, and what they are to write.
+//! Plants of drivers outside of this crate: their samples and orders.
 //!
-//! The loop of such a driver is `read -> tick -> write -> wait`: it leaves its sample here before the tick, and takes
-//! force or order from here after it.
+//! The loop of such a driver is `read -> tick -> write -> wait`. It stores its sample here before the tick, and takes
+//! force or order afterwards.
 
 use haptether_master::RotationSample;
 use haptether_safety::Axes;
@@ -77,7 +77,7 @@ impl<const N: usize> MasterPlant<N> for DrivenMaster<N> {
     }
 }
 
-/// Order to the driver of an arm.
+/// Order to an arm's driver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SlaveOrder<const N: usize> {
     /// Do nothing yet: no master has engaged.
@@ -95,7 +95,7 @@ pub enum SlaveOrder<const N: usize> {
     Stop,
 }
 
-/// Deceleration of the rotation of an arm that is no longer led, in rad/s^2.
+/// Deceleration of the rotation of an arm no longer led, in rad/s^2.
 const ANGULAR_DECELERATION: f64 = 25.0;
 
 /// Invalid deceleration.
@@ -103,7 +103,7 @@ const ANGULAR_DECELERATION: f64 = 25.0;
 #[error("deceleration = {0}: must be above 0 and at most 100 m/s^2")]
 pub struct DrivenSlaveError(pub f64);
 
-/// Path to rest of an arm that is no longer led: straight on, with constant deceleration.
+/// Path to rest of an arm no longer led: straight, with constant deceleration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Braking<const N: usize> {
     from: Axes<N>,
@@ -113,7 +113,7 @@ struct Braking<const N: usize> {
     rotation: Option<TurnBraking>,
 }
 
-/// Path to rest of the rotation: about one axis, with constant deceleration.
+/// The same for its rotation, about one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct TurnBraking {
     from: UnitQuaternion<f64>,
@@ -121,8 +121,8 @@ struct TurnBraking {
     rest: UnitQuaternion<f64>,
 }
 
-/// Constant deceleration from `speed`, t in s after it began. Returns the distance travelled, as a time at the
-/// initial velocity, and the remaining share of the speed. `None` once at rest.
+/// State t in s after a constant deceleration from `speed` began: distance as a time at the initial velocity, and
+/// remaining share of the speed. `None` at rest.
 fn braked(speed: f64, deceleration: f64, t: f64) -> Option<(f64, f64)> {
     let left = speed - deceleration * t;
     // x = v t - a t^2 / 2 along v.
@@ -136,8 +136,8 @@ fn turned(by: Axes<3>, from: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
 
 /// An arm whose driver is elsewhere.
 ///
-/// When it is no longer led, it brakes at `deceleration`. Commands written meanwhile are added to the braking motion,
-/// so that neither position nor velocity jumps. A stop is left to the driver.
+/// When no longer led it brakes at `deceleration`. Commands are added to the braking motion, so that position and
+/// velocity do not jump. A stop is left to the driver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DrivenSlave<const N: usize> {
     /// Measured position in m, velocity in m/s and `F_e` in N.
@@ -147,7 +147,6 @@ pub struct DrivenSlave<const N: usize> {
     pub rotation: Option<RotationState>,
     /// In m/s^2.
     deceleration: f64,
-    /// Rotation of the next order.
     turn: Option<(UnitQuaternion<f64>, Axes<3>)>,
     braking: Option<Braking<N>>,
     now_ns: u64,
@@ -282,7 +281,7 @@ mod tests {
                 arm.read((10 + n) * MS);
                 arm.write(&rest, &Axes::zeros());
                 let now = commanded(&arm);
-                // Trapezoid of two velocities: exact for constant deceleration, except in the step that reaches rest.
+                // Trapezoid of velocities: exact for constant deceleration, except in the step that reaches rest.
                 let step = now.0 - before.0 - (now.1 + before.1) * 0.5e-3;
                 assert!(step.norm() < 1e-12 || (now.1.norm() == 0.0 && step.norm() < deceleration * 1e-6));
                 assert!((now.1 - before.1).norm() <= deceleration * 1e-3 + 1e-12);
@@ -344,8 +343,7 @@ mod tests {
             arm.write_rotation(&rest_orientation, &Axes::zeros());
             arm.write(&rest, &Axes::zeros());
             let now = rotation(&arm);
-            // Trapezoid of two velocities about one axis: exact for constant deceleration, except in the step that
-            // reaches rest.
+            // Trapezoid of velocities about one axis: exact, except in the step that reaches rest.
             let step = (now.0 * before.0.inverse()).scaled_axis() - (now.1 + before.1) * 0.5e-3;
             assert!(step.norm() < 1e-9 || (now.1.norm() == 0.0 && step.norm() < deceleration * 1e-6), "{n}");
             assert!((now.1 - before.1).norm() <= deceleration * 1e-3 + 1e-12);

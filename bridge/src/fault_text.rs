@@ -11,8 +11,7 @@ pub const MAX_FAULT_TEXT: usize = PIECE * PIECES as usize - 1;
 /// Mark at the end of a truncated text.
 const CUT: char = '\u{2026}';
 
-/// A text of at most [`MAX_FAULT_TEXT`] bytes on one line, without characters that move a cursor, or hide or reorder
-/// text.
+/// A line of at most [`MAX_FAULT_TEXT`] bytes, without characters that move a cursor, or hide or reorder text.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct FaultText {
     bytes: [u8; MAX_FAULT_TEXT],
@@ -35,7 +34,7 @@ impl fmt::Write for Line {
     }
 }
 
-/// Returns whether a character is printable: no control or format character, and none that reorders or hides text.
+/// Returns whether a character is printable, and neither reorders nor hides text.
 fn is_printable(letter: char) -> bool {
     !letter.is_control()
         && !matches!(letter,
@@ -51,8 +50,7 @@ impl FaultText {
     /// No text.
     pub const EMPTY: Self = Self { bytes: [0; MAX_FAULT_TEXT], length: 0 };
 
-    /// Puts `text` on one line: white space becomes single blanks, unprintable characters become U+FFFD. A long text
-    /// is truncated.
+    /// Puts `text` on one line: white space becomes blanks, unprintable characters U+FFFD; a long text is truncated.
     pub fn new(text: &str) -> Self {
         let mut built = Self::EMPTY;
         // Length up to which the mark still fits.
@@ -76,7 +74,7 @@ impl FaultText {
         built
     }
 
-    /// As [`new`](Self::new), for formatted text and without allocation: first truncates to 255 bytes.
+    /// As [`new`](Self::new), for formatted text, without allocation; first truncates to 255 bytes.
     pub fn of(written: &impl fmt::Display) -> Self {
         let mut line = Line { bytes: [0; 255], length: 0 };
         // Keeps the part that fits.
@@ -128,8 +126,8 @@ impl fmt::Debug for FaultText {
 
 /// Piece of a text in one frame.
 ///
-/// Aligned, so that a copy is whole words. A copy of 14 bytes is two overlapping words, and the next copy waits for
-/// both (store forwarding fails).
+/// Aligned to copy whole words. A copy of 14 bytes would be two overlapping words, for which the next copy waits
+/// (store forwarding fails).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(align(8))]
 pub struct TextPiece {
@@ -142,7 +140,7 @@ pub struct TextPiece {
 }
 
 impl TextPiece {
-    /// Returns whether the encoding is canonical: all zeros without text, and zeros after the end.
+    /// Returns whether the encoding is canonical: zeros without text and after the end.
     #[inline]
     pub fn is_canonical(&self) -> bool {
         if self.number == 0 { *self == Self::default() } else { self.is_canonical_piece() }
@@ -193,7 +191,7 @@ impl SpokenText {
     }
 }
 
-/// Text of the peer, reassembled from pieces in any order and with repeats.
+/// Peer's text, reassembled from pieces in any order, with repeats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HeardText {
     number: u8,
@@ -231,7 +229,7 @@ impl HeardText {
         // Complete from the first piece to the first zero.
         let reached = usize::try_from(self.seen.trailing_ones()).unwrap_or(0) * PIECE;
         if let Some(end) = self.bytes[..reached].iter().position(|byte| *byte == 0) {
-            // The sender is not trusted: invalid UTF-8 ends the text, and the rest is made printable again.
+            // Untrusted: invalid UTF-8 ends the text, and the rest is made printable.
             let text = match std::str::from_utf8(&self.bytes[..end]) {
                 Ok(text) => text,
                 Err(error) => std::str::from_utf8(&self.bytes[..error.valid_up_to()]).unwrap_or_default(),
@@ -327,7 +325,7 @@ mod tests {
     }
 
     proptest! {
-        /// Any text arrives unchanged despite losses, once each piece has arrived.
+        /// Any text arrives unchanged once each piece has arrived.
         #[test]
         fn a_text_arrives_over_losses(text in "\\PC{0,150}", seed in any::<u64>()) {
             let text = FaultText::new(&text);

@@ -11,7 +11,7 @@ use crate::coupling::GripperFollower;
 /// Trigger that leads the gripper: 0 open to 1 closed.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Trigger {
-    /// Operator who moves it over time since engagement, along straight lines.
+    /// Operator who moves it since engagement, along straight lines.
     Simulated {
         /// Course of positions.
         course: Series<1>,
@@ -25,7 +25,7 @@ pub enum Trigger {
 }
 
 impl Trigger {
-    /// Creates a simulated trigger from times in s since engagement, increasing, with one position each.
+    /// Creates a simulated trigger: increasing times in s since engagement, with positions.
     pub fn simulated(course: &[[f64; 2]]) -> Result<Self, ModelError> {
         let (times, positions): (Vec<_>, Vec<_>) = course.iter().map(|[at_s, to]| (*at_s, *to)).unzip();
         for position in &positions {
@@ -55,7 +55,7 @@ impl Trigger {
         }
     }
 
-    /// Exerts `force_n` on the finger of a model from now on, positive closing.
+    /// Exerts `force_n` on a model's finger, positive closing.
     pub(crate) fn write(&mut self, force_n: f64) {
         if let Self::Held(held) = self {
             held.device.write(&Axes::<1>::new(force_n));
@@ -69,7 +69,6 @@ impl Trigger {
         Some(FingerTruth { velocity, finger_force_n })
     }
 
-    /// Takes note that the sides are engaged at `at_ns`.
     pub(crate) fn engaged(&mut self, at_ns: u64) {
         match self {
             Self::Simulated { engaged_ns, .. } => _ = engaged_ns.get_or_insert(at_ns),
@@ -81,8 +80,8 @@ impl Trigger {
 
 /// Positions of a trigger that leads a gripper, 0 open to 1 closed, without outliers: [`Guard`].
 ///
-/// The bounds are those of a point over 30 mm, read by 8 bits. The speed is unbounded: a driver may use a button as a
-/// trigger, and the gripper limits its own speed.
+/// Bounds of a point over 30 mm, read by 8 bits. The speed is unbounded: a driver may use a button, and the gripper
+/// limits itself.
 #[derive(Clone, Debug)]
 pub(crate) struct LeadingTrigger {
     guard: Guard<1>,
@@ -100,7 +99,7 @@ impl LeadingTrigger {
         Self { guard: Guard::new(bounds, SampleBounds::UNBOUNDED, period_s) }
     }
 
-    /// Returns the position, or its prediction while it is held. `ticks` is the time since the previous position.
+    /// Returns the position, or its prediction while held; `ticks` after the previous.
     pub(crate) fn taken(&mut self, position: f64, ticks: f64) -> f64 {
         let sample = Sample::point(&Axes::<1>::new(position), None);
         // Without a bound on the speed nothing is refused.
@@ -122,8 +121,7 @@ pub(crate) struct FingerTruth {
     pub(crate) finger_force_n: f64,
 }
 
-/// A trigger as a device of one axis between its stops, open at 0 and closed at `travel_m`, with the finger that
-/// holds it.
+/// A trigger as a one-axis device between stops, open at 0 and closed at `travel_m`, with the finger that holds it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeldTrigger {
     device: SimulatedMaster<1>,
@@ -131,7 +129,7 @@ pub struct HeldTrigger {
 }
 
 impl HeldTrigger {
-    /// Creates a trigger at rest at the start of the finger's path in m, where it waits until the sides engage.
+    /// Creates a trigger at rest at the start of the finger's path in m, until the sides engage.
     pub fn new(device: DeviceParameters<1>, travel_m: f64, finger: Hand<1>) -> Result<Self, MasterError> {
         let stops = (Axes::<1>::zeros(), Axes::<1>::new(travel_m));
         let mut device = SimulatedMaster::new(DeviceParameters { stops, ..device }, finger, 0)?;
@@ -162,7 +160,7 @@ enum Jaws {
     Driven(GripperSample),
 }
 
-/// A gripper that follows the master's trigger while the sides are coupled, and otherwise keeps its grip.
+/// A gripper that follows the master's trigger while coupled, and otherwise keeps its grip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LedGripper {
     jaws: Jaws,
@@ -179,7 +177,7 @@ impl LedGripper {
         Ok(Self::new(Jaws::Simulated(SimulatedGripper::new(settings)?), &settings))
     }
 
-    /// Creates a gripper whose driver is elsewhere. Its state is unknown until the driver has read it.
+    /// Creates a gripper whose driver is elsewhere; unknown until read.
     pub fn driven(settings: GripperSettings) -> Result<Self, ModelError> {
         let settings = settings.checked()?;
         let at = GripperSample { position: f64::NAN, ..GripperSample::default() };
@@ -203,7 +201,7 @@ impl LedGripper {
         }
     }
 
-    /// Sets where the jaws of a model meet a rigid object from now on.
+    /// Sets where a model's jaws meet a rigid object.
     pub(crate) fn meets(&mut self, object: Option<f64>) {
         if let Jaws::Simulated(gripper) = &mut self.jaws {
             gripper.set_object(object);

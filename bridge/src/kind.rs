@@ -12,7 +12,7 @@ pub enum SideKind {
     Linear = 1,
     /// 1 to 7 joints, in rad. Read m/s as rad/s and N as N m.
     Joints,
-    /// A point along 3 axes with an orientation. Velocity is a twist and force a wrench, in the base frame about the
+    /// A point along 3 axes with an orientation: velocity is a twist, force a wrench, in the base frame about the
     /// tool point.
     Pose,
 }

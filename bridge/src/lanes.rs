@@ -1,7 +1,7 @@
 //! Lanes of f64: the scalar type of sweeps.
 //!
-//! An array with loops, which the compiler translates into the vectors of the processor. A mask holds floats as well:
-//! for bytes or bits per lane the compiler emits scalar logic.
+//! The compiler vectorizes loops over an array. A mask holds floats as well: bytes or bits per lane would give scalar
+//! logic.
 
 use std::ops::{
     Add, AddAssign, BitAnd, BitOr, BitXor, Div, DivAssign, Mul, MulAssign, Neg, Not, Sub, SubAssign,
@@ -134,8 +134,8 @@ impl Not for LaneMask {
 }
 
 impl LaneMask {
-    /// Bits of each lane, read through memory. Without this a reduction over lanes would be computed lane by lane,
-    /// together with all operands of the mask.
+    /// Bits of each lane, read through memory. Otherwise a reduction makes the compiler compute the mask and its
+    /// operands lane by lane.
     #[inline(always)]
     fn bits(self) -> [u64; WIDTH] {
         std::hint::black_box(self.0).map(f64::to_bits)
@@ -165,7 +165,7 @@ impl SimdBool for LaneMask {
 
     #[inline(always)]
     fn all(self) -> bool {
-        // Zero iff no bit differs from true: one test of a vector. An "and" over lanes would be reduced step by step.
+        // Zero iff no bit differs from true: one vector test instead of a stepwise "and" over lanes.
         self.bits().iter().fold(0, |differs, bits| differs | (bits ^ TRUE.to_bits())) == 0
     }
 
@@ -331,8 +331,7 @@ impl SimdPartialOrd for Lanes {
 
     #[inline(always)]
     fn simd_clamp(self, min: Self, max: Self) -> Self {
-        // Two instructions, and equal to `f64::clamp` for ordered bounds: NaN stays, and so does a zero between
-        // zeros.
+        // `f64::clamp` for ordered bounds in two instructions: NaN stays, and so does a zero between zeros.
         Self(std::array::from_fn(|lane| {
             let (x, min, max) = (self.0[lane], min.0[lane], max.0[lane]);
             let below = if max < x { max } else { x };
@@ -407,7 +406,7 @@ pub(crate) fn padded<T>(of: &[T], lanes: usize) -> impl Iterator<Item = &T> {
     (0..lanes).filter_map(|lane| of.get(lane).or(of.last()))
 }
 
-/// Packs a number of each instance, lane by lane, as [`padded`].
+/// Packs a number of each instance, as [`padded`].
 pub(crate) fn packed<T, S: haptether_safety::Real>(of: &[T], number: impl Fn(&T) -> f64) -> S {
     let mut lanes = S::zero();
     for (lane, one) in padded(of, S::LANES).enumerate() {

@@ -22,18 +22,18 @@ pub struct LinkStatistics {
     pub late: u64,
     /// Repeated frames.
     pub duplicate: u64,
-    /// Datagrams that are not a frame of the peer.
+    /// Datagrams that are no frame of the peer.
     pub refused: u64,
-    /// Frames up to the newest that have not arrived, including those of earlier runs of the peer.
+    /// Missing frames up to the newest, including earlier runs of the peer.
     pub missing: u64,
-    /// Round trip of the newest echo in ns, without the peer's hold time; 0 before the first.
+    /// Newest round trip in ns, without the peer's hold time; 0 before the first.
     pub round_trip_ns: u64,
     /// Smallest round trip in ns; 0 before the first.
     pub min_round_trip_ns: u64,
 }
 
 impl LinkStatistics {
-    /// Adds the rejections of the session: replays count as duplicate or late, all others as refused.
+    /// Adds the session's rejections: replays as duplicate or late, others as refused.
     #[must_use]
     pub fn with(mut self, rejections: &Rejections) -> Self {
         let (repeated, too_old) = (rejections.of(Rejection::Repeated), rejections.of(Rejection::TooOld));
@@ -52,23 +52,23 @@ impl LinkStatistics {
 pub struct LinkTime {
     /// Time of the tick.
     pub tick_ns: u64,
-    /// Latest arrival time, or send time, of a frame: the tick's time, or later if the loop is late.
+    /// Latest arrival time, or send time: the tick's time, or later in a late loop.
     pub by_ns: u64,
 }
 
 impl LinkTime {
-    /// Time of a punctual tick.
+    /// Punctual tick.
     pub const fn at(tick_ns: u64) -> Self {
         Self { tick_ns, by_ns: tick_ns }
     }
 
-    /// Time of a tick that is `late_ns` late.
+    /// Tick that is `late_ns` late.
     pub const fn late(tick_ns: u64, late_ns: u64) -> Self {
         Self { tick_ns, by_ns: tick_ns.saturating_add(late_ns) }
     }
 }
 
-/// Plant state of the sender in each frame.
+/// Plant state in a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PortState {
     /// Position in m.
@@ -81,14 +81,14 @@ pub struct PortState {
     pub energy: PortEnergy,
     /// Orientation, angular velocity and torque; only for kind `pose`.
     pub rotation: Option<RotationState>,
-    /// Gripper or trigger; `None` in a session without a gripper.
+    /// Gripper or trigger, if the session has a gripper.
     pub gripper: Option<GripperState>,
-    /// Buttons of the master; `None` in a session without buttons.
+    /// Buttons of the master, if the session has buttons.
     pub buttons: Option<u32>,
 }
 
 impl PortState {
-    /// Stores the measured plant state; other fields stay.
+    /// Stores the measured state; other fields stay.
     #[inline]
     pub(crate) fn report<const N: usize>(
         &mut self,
@@ -103,7 +103,7 @@ impl PortState {
         {
             part.as_mut_slice()[..N].copy_from_slice(values.as_slice());
         }
-        // A point has no rotation: skip the write if the field is `None` and stays `None`.
+        // A point has no rotation, so skip the write.
         if rotation.is_some() || self.rotation.is_some() {
             self.rotation = rotation;
         }
@@ -118,7 +118,7 @@ impl Default for PortState {
     }
 }
 
-/// State of the sender itself in each frame.
+/// Sender state in a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Status {
     /// Ladder state, [`crate::LadderState::code`].
@@ -129,7 +129,7 @@ pub struct Status {
     pub clutch: bool,
     /// True if the sender ends.
     pub ending: bool,
-    /// Reason of the state, [`crate::Reason::code`]; 0 in the initial state.
+    /// Reason, [`crate::Reason::code`]; 0 initially.
     pub reason: u8,
     /// Fault, [`haptether_safety::Fault::code`]; 0 without.
     pub fault: u8,
@@ -140,19 +140,19 @@ pub struct Status {
 /// Reason why a datagram is not used.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum RejectReason {
-    /// Not a frame.
+    /// No frame of the peer.
     #[error(transparent)]
     Wire(#[from] WireError),
-    /// A newer frame arrived before it.
+    /// After a newer frame.
     #[error("frame {0} arrived after a newer one")]
     Late(u64),
-    /// The frame arrived before.
+    /// Repeated frame.
     #[error("frame {0} arrived twice")]
     Duplicate(u64),
-    /// The frame belongs to another run while this run lives.
+    /// Frame of another run while this run lives.
     #[error("frame of session {0:#x} while another session lives")]
     OtherRun(u64),
-    /// Further ahead than its sender can be, while frames of the living run arrive.
+    /// Further ahead than its sender can be, while the run lives.
     #[error("frame {seen} after {newest}: further ahead than any sender comes in this time")]
     Ahead {
         /// Received sequence.
@@ -162,23 +162,22 @@ pub enum RejectReason {
     },
 }
 
-/// Sequences before the newest that are tracked one by one: two seconds at 1 kHz.
+/// Tracked sequences before the newest: two seconds at 1 kHz.
 const WINDOW: u32 = 2048;
-/// Frame period of the fastest plausible sender in ns, half the period of any. A jump of the sequence beyond the
-/// window must take this long for each frame.
+/// Half the shortest frame period of any sender, in ns. A jump beyond the window must take this long per frame.
 const MIN_PERIOD_NS: u64 = 50_000;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Newest {
     frame: Frame,
-    /// Tick that took it; silence and age count from here.
+    /// Tick that took it, from which silence and age count.
     arrived_ns: u64,
     /// Latest arrival time.
     by_ns: u64,
 }
 
 impl Newest {
-    /// Returns whether a sequence of the same run is plausible at `by_ns`.
+    /// Returns whether a sequence of this run is plausible at `by_ns`.
     fn is_near(&self, sequence: u64, by_ns: u64) -> bool {
         let newest = self.frame.sequence;
         if sequence > newest && sequence - newest == 1 {
@@ -191,14 +190,14 @@ impl Newest {
     }
 }
 
-/// Header of an accepted frame. Read from the incoming frame, because reading the copy just stored would wait for it.
+/// Header of an accepted frame, read from the original: reading the copy would wait for it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FrameHead {
     /// True if the frame began a run.
     pub(crate) begins: bool,
     pub(crate) sequence: u64,
     pub(crate) sent_ns: u64,
-    /// Ladder state of the sender, and its reason.
+    /// Ladder state and reason of the sender.
     pub(crate) state: u8,
     pub(crate) reason: u8,
     pub(crate) ending: bool,
@@ -216,17 +215,16 @@ pub struct FrameLink {
     arrived: u64,
     /// Missing frames of earlier runs.
     missing_before: u64,
-    /// Layout of sent and received frames.
     layout: FrameLayout,
     arrivals: ReplayWindow,
     statistics: LinkStatistics,
     pub(crate) path: PeerPath,
-    /// Silence in ns after which another run of the peer is accepted.
+    /// Silence in ns after which another run is accepted.
     lease_ns: u64,
 }
 
 impl FrameLink {
-    /// Creates an end of `role`. `run_id` is drawn at every start, so that the peer notices a restart.
+    /// Creates an end of `role`. A new `run_id` at every start shows a restart to the peer.
     pub fn new(role: Role, axes: usize, run_id: u64, lease_ns: u64) -> Self {
         Self {
             role,
@@ -248,9 +246,9 @@ impl FrameLink {
     ///
     /// Returns whether the frame began a run. A refused datagram changes only its counter.
     ///
-    /// Without encryption anybody may write any sequence. A sequence that no sender can reach is refused while the
-    /// run lives. After a silence of the lease it begins a new run. So no forged frame takes the link from the peer
-    /// for longer than the lease.
+    /// Without encryption anybody may write any sequence. One that no sender can reach is refused while the run
+    /// lives. After a silence of the lease it begins a new run, so a forged frame takes the link for at most the
+    /// lease.
     pub fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<bool, RejectReason> {
         self.take_datagram(time, datagram).map(|head| head.begins)
     }
@@ -367,10 +365,10 @@ impl FrameLink {
         self.layout.length()
     }
 
-    /// Classifies a sequence of the living run: new, late or seen before.
+    /// Classifies a sequence of the living run.
     #[inline]
     fn place(&mut self, sequence: u64) -> Result<(), RejectReason> {
-        // Frames before the first of this run are outside its counts.
+        // Frames before the first of this run are not counted.
         let arrival =
             if sequence < self.first_sequence { Arrival::TooOld } else { self.arrivals.mark(sequence) };
         match arrival {
@@ -414,7 +412,7 @@ impl FrameLink {
         frame
     }
 
-    /// Fills in the next frame of `axes` axes. `frame` is empty or was filled by this link before.
+    /// Fills in the next frame of `axes` axes. `frame` must be empty or from this link.
     #[inline(always)] // makes a frame: docs/decisions/060-ticks-in-a-row.md
     pub(crate) fn fill_frame(
         &mut self,
@@ -446,7 +444,7 @@ impl FrameLink {
         self.statistics.sent += 1;
     }
 
-    /// Returns whether the newest frame confirms that the peer hears this very run.
+    /// Returns whether the newest frame confirms that the peer hears this run.
     pub fn is_heard(&self) -> bool {
         self.newest().is_some_and(|frame| {
             frame.hears_peer && frame.echo.is_some_and(|echo| echo.run_id == self.run_id)
@@ -596,7 +594,7 @@ mod tests {
         assert_eq!(master.statistics().round_trip_ns, 100 * MS);
     }
 
-    /// Changes 8 bytes of a frame and corrects its checksum, as anybody can without encryption.
+    /// Changes 8 bytes of a frame and corrects its checksum.
     fn changed(frame: &[u8], at: usize, value: u64) -> Vec<u8> {
         let mut bytes = frame[..frame.len() - 4].to_vec();
         bytes[at..at + 8].copy_from_slice(&value.to_le_bytes());
@@ -609,8 +607,8 @@ mod tests {
     const SENT: usize = 32;
     const HELD: usize = 48;
 
-    /// Forges one frame with any value in any field, in a living run and in a pause. The peer's frames are taken
-    /// again within the lease, and their age is unchanged.
+    /// Forges one frame with any value in any field, in a living run and in a pause. Within the lease the peer's
+    /// frames are taken again, at unchanged age.
     #[test]
     fn forged_frame_takes_link_for_at_most_the_lease() {
         let mut values: Vec<u64> = [0, 1, 1500, 1 << 32, 1 << 63, u64::MAX / 2].to_vec();
@@ -654,7 +652,7 @@ mod tests {
         }
     }
 
-    /// A delay that drops by a second, as from a draining queue, is a plausible jump.
+    /// A plausible jump: the delay drops by a second, as from a draining queue.
     #[test]
     fn frames_after_drop_of_delay_are_fresh() {
         let frames = frames(2000, 1);
@@ -665,7 +663,7 @@ mod tests {
     }
 
     proptest! {
-        /// For any order of arrival, every arrival is counted once and no older frame is used.
+        /// For any order, every arrival is counted once and no older frame is used.
         #[test]
         fn counts_balance(order in prop::collection::vec(0usize..300, 1..600)) {
             let frames = frames(300, 1);

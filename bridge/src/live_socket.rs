@@ -29,14 +29,13 @@ const LOCK_PATIENCE: Duration = Duration::from_secs(1);
 /// File of a listening socket, removed on drop.
 struct SocketFile {
     path: PathBuf,
-    /// `None` once removed. A file with another inode has replaced it and is kept.
+    /// `None` once removed. A replacement with another inode is kept.
     inode: Option<u64>,
     /// Creating process: a fork leaves the file alone.
     process: u32,
 }
 
 impl SocketFile {
-    /// File of a socket that was just bound.
     fn bound(path: &Path) -> io::Result<Self> {
         match std::fs::symlink_metadata(path) {
             Ok(found) => {
@@ -76,9 +75,9 @@ fn unix_socket() -> io::Result<OwnedFd> {
     Ok(socket_with(AddressFamily::UNIX, SocketType::STREAM, flags, None)?)
 }
 
-/// Locks the folder of `path`, so that no other run creates or removes a socket there.
+/// Locks the folder of `path` against other runs that create or remove a socket.
 ///
-/// Anybody may hold the lock of a folder that others may enter: there the socket is made without it.
+/// Anybody may hold the lock of a folder that others may enter: there it is not required.
 fn locked_folder(path: &Path) -> io::Result<File> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let folder = File::open(folder)?;
@@ -127,8 +126,7 @@ pub(crate) struct LiveSocket {
 }
 
 impl LiveSocket {
-    /// Listens at `path`. Replaces a socket that nobody listens at, and refuses anything else. If another run
-    /// listens, the error text is `taken`.
+    /// Listens at `path`. Replaces a stale socket, and refuses anything else; for another run the error is `taken`.
     pub(crate) fn listen(path: &Path, taken: &str) -> io::Result<Self> {
         let length = path.as_os_str().len();
         if length > MAX_PATH {
@@ -137,7 +135,7 @@ impl LiveSocket {
             )));
         }
         let address = SocketAddrUnix::new(path)?;
-        // Another run that starts now would take a bound but silent socket for a stale one.
+        // Another run that starts now would take a bound, silent socket for a stale one.
         let _alone = locked_folder(path)?;
         remove_stale(path, &address, taken)?;
         let socket = unix_socket()?;
@@ -150,8 +148,7 @@ impl LiveSocket {
         Ok(Self { listener, file })
     }
 
-    /// Accepts the next waiting client, with a non-blocking stream; `None` if nobody waits. Fails if no descriptor is
-    /// left.
+    /// Accepts a waiting client, non-blocking; `None` if nobody waits. Fails without a free descriptor.
     pub(crate) fn accept(&self) -> io::Result<Option<UnixStream>> {
         match self.listener.accept() {
             Ok((stream, _)) => {
@@ -185,7 +182,7 @@ mod tests {
 
     use super::*;
 
-    /// Every user may lock a folder that they may open. Only another run of this user may lock a private one.
+    /// Every user may lock a folder that they may open; a private one only this user.
     #[test]
     fn lock_in_shared_folder_does_not_block_socket() {
         let base = std::env::temp_dir().join(format!("haptether-lock-{}", std::process::id()));

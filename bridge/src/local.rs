@@ -31,8 +31,7 @@ pub struct LocalTick<const N: usize> {
     pub response: Response<N>,
 }
 
-/// Device and hand under a force that is rendered at the servo rate, held over each tick and watched by the safety
-/// layer.
+/// Device and hand under a force rendered at the servo rate, held over each tick, and watched by the safety layer.
 #[derive(Clone, Debug)]
 pub struct LocalLoop<P, R, const N: usize> {
     plant: P,
@@ -50,7 +49,7 @@ where
     P: ModelPlant<N>,
     R: Rendering<N>,
 {
-    /// Creates a loop at time 0 with a period of `period_ns`; the force acts `delay` ticks late.
+    /// Creates a loop at time 0; the force acts `delay` ticks late.
     pub fn new(mut plant: P, rendering: R, delay: DelayLine<N>, watch: Watch<N>, period_ns: u64) -> Self {
         let (last_position, _) = plant.read(0);
         let period_s = period_ns as f64 * 1e-9;
@@ -69,7 +68,7 @@ where
 
     /// Time of the next tick in s.
     pub fn time_s(&self) -> f64 {
-        // Nearest to the true time: a product of seconds would be off by a rounding from the times of a scene.
+        // Nearest to the true time: a product of seconds is a rounding off a scene's times.
         (self.tick * self.period_ns) as f64 / 1e9
     }
 
@@ -109,7 +108,7 @@ pub trait Rendering<const N: usize> {
     /// Returns whether the force depends on the velocity.
     fn needs_velocity(&self) -> bool;
 
-    /// Force in N at `time_s`, for the loop's position in m and velocity in m/s. It acts for `period_s`.
+    /// Force in N at `time_s`, for position in m and velocity in m/s as the loop knows them. It acts for `period_s`.
     fn force(&mut self, time_s: f64, period_s: f64, position: &Axes<N>, velocity: &Axes<N>) -> Axes<N>;
 
     /// Steps of free bodies that were too stiff for full accuracy.
@@ -119,7 +118,7 @@ pub trait Rendering<const N: usize> {
 }
 
 pub(crate) trait Surfaces<const N: usize> {
-    /// Returns whether `position` in m is inside an object. The force at it must have been computed last.
+    /// Returns whether `position` in m, at which the force was last computed, is inside an object.
     fn touches(&self, position: &Axes<N>) -> bool;
 }
 
@@ -175,12 +174,12 @@ pub enum Watch<const N: usize> {
     True(Box<TrueWatch<N>>),
 }
 
-/// Observers and controllers that see the true velocity and hand force, for studies without estimation.
+/// Observers and controllers on true velocity and hand force, for studies without estimation.
 #[derive(Clone, Debug)]
 pub struct TrueWatch<const N: usize> {
     /// Observers and controllers.
     pub controller: SafetyController<N>,
-    /// Limiters before the observers and after the controllers, as in the layer; `None` if a study switches them off.
+    /// Limiters before observers and after controllers, as in the layer; `None` if switched off.
     pub limiters: Option<[Limiter<N>; 2]>,
 }
 
@@ -198,7 +197,7 @@ pub struct Watched<const N: usize> {
 }
 
 impl<const N: usize> Watch<N> {
-    /// Does one tick: `position` in m, `velocity` in m/s if measured, `requested_force` in N.
+    /// Does one tick: position in m, velocity in m/s if measured, force in N.
     #[inline(always)] // in the loop of a run
     fn step(
         &mut self,

@@ -9,9 +9,9 @@ pub struct TickTime {
     pub start_ns: u64,
     /// True time of the tick in ns, used by the plant.
     pub now_ns: u64,
-    /// Deadline in ns on the endpoint's own clock; live, both are the same.
+    /// Deadline in ns on the endpoint's own clock; live, the same.
     pub clock_ns: u64,
-    /// Lateness of the wake-up in ns; in virtual time only if the endpoint's clock is set.
+    /// Lateness in ns; in virtual time only if the endpoint's clock is set.
     pub overshoot_ns: u64,
     /// Ticks skipped since the last one.
     pub missed: u64,
@@ -24,7 +24,7 @@ impl TickTime {
     }
 }
 
-/// A loop that wakes later than this discards the backlog and holds, since its inputs are old.
+/// A loop later than this discards the backlog and holds, since its inputs are old.
 const MAX_LATE_NS: u64 = 20_000_000;
 
 /// Wake-up of a loop from a deadline.
@@ -34,7 +34,7 @@ pub(crate) struct Wake {
     pub(crate) deadline_ns: u64,
     /// Lateness in ns.
     pub(crate) overshoot_ns: u64,
-    /// Skipped ticks. One wake-up is one tick: catching up would let the force grow faster than its limit.
+    /// Skipped ticks: one wake-up is one tick, since catching up would let the force exceed its rate limit.
     pub(crate) missed: u64,
 }
 
@@ -51,7 +51,7 @@ impl Wake {
     }
 }
 
-/// Clock value for a reading of 0, so that no offset makes the value negative.
+/// Clock value for a reading of 0: no offset makes it negative.
 const ORIGIN_NS: u64 = 1 << 62;
 
 /// Loop in virtual time: waits on the endpoint's clock, runs in true time.
@@ -101,15 +101,15 @@ fn shown_ns(clock: &EndpointClock, true_ns: u64) -> u64 {
     ORIGIN_NS.wrapping_add_signed(clock.reading_ns(true_ns))
 }
 
-/// Inverse share of a device's lateness that each tick adds to its pace. A device whose clock is slow by 100 ppm is
-/// then 0.1 periods late, instead of ever later.
+/// Inverse share of a device's lateness added to its pace per tick. A clock slow by 100 ppm is then met 0.1 periods
+/// late, instead of ever later.
 const PACE_SHARE: u64 = 1024;
 
-/// Minimum time between two ticks at a device's samples, in eighths of the period. Force may grow by a fixed amount
-/// per tick, so a burst of samples or twice the rate must not make it grow faster.
+/// Minimum time between ticks at a device's samples, in eighths of the period. Force grows per tick, so a burst or
+/// twice the rate must not make it grow faster.
 const MIN_EIGHTHS: u64 = 7;
 
-/// Tick times of a loop that a device paces: at its samples, which may be late but not early.
+/// Ticks of a loop paced by a device: at its samples, which may be late but not early.
 #[derive(Clone, Copy, Debug)]
 #[allow(clippy::struct_field_names)] // times carry their unit
 pub(crate) struct DevicePace {
@@ -146,9 +146,9 @@ impl DevicePace {
         wake
     }
 
-    /// Wake-up of a tick whose sample arrived now; an early sample is on time, since it sets the pace.
+    /// Tick at a sample that arrived now; an early sample is on time, since it sets the pace.
     ///
-    /// The tick's time is that of the sample, not its due time: datagrams that have arrived by then were sent before.
+    /// The tick's time is that of the sample, not its due time: datagrams arrived by then were sent before.
     pub(crate) fn sampled(&mut self, now_ns: u64) -> Wake {
         let wake = Wake::new(self.next_ns.min(now_ns), now_ns, self.period_ns);
         let late_ns = now_ns - wake.deadline_ns;

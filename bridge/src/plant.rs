@@ -1,4 +1,4 @@
-//! Plants of a runner: a device at the master, an arm at the slave, each along N axes.
+//! Plants of a runner: a device or an arm along N axes.
 
 use haptether_master::{RotationSample, SimulatedMaster, SimulatedRotation};
 use haptether_safety::{Axes, Real};
@@ -9,21 +9,21 @@ use crate::{buttons::ButtonWord, coupling::RotationState, driven::DrivenMaster};
 
 /// A master device; time is an argument.
 pub trait MasterPlant<const N: usize> {
-    /// Starts time at `now_ns`. Called once, before the first read.
+    /// Starts time at `now_ns`; called once, before the first read.
     fn begin(&mut self, _now_ns: u64) {}
 
-    /// Position in m at `now_ns`, and velocity in m/s if the device measures it.
+    /// Position in m and, if measured, velocity in m/s.
     fn read(&mut self, now_ns: u64) -> (Axes<N>, Option<Axes<N>>);
 
     /// Exerts `force` in N from now on.
     fn write(&mut self, force: &Axes<N>);
 
-    /// Clutch of the device, true if pressed; `None` without a button.
+    /// True if the clutch is pressed; `None` without a button.
     fn clutch(&self) -> Option<bool> {
         None
     }
 
-    /// Buttons of the device; `None` for a model, whose operator works the clutch.
+    /// Buttons; `None` for a model, whose operator works the clutch.
     fn buttons(&self) -> Option<ButtonWord> {
         None
     }
@@ -31,12 +31,12 @@ pub trait MasterPlant<const N: usize> {
     /// Called when the sides have engaged.
     fn engaged(&mut self) {}
 
-    /// True motion and force, if the plant is a model.
+    /// True motion and force of a model.
     fn truth(&self) -> Option<Truth<N>> {
         None
     }
 
-    /// Orientation, and angular velocity if measured, at the last read; `None` for a point.
+    /// Orientation and, if measured, angular velocity at the last read; `None` for a point.
     fn rotation(&self) -> Option<RotationSample> {
         None
     }
@@ -44,12 +44,12 @@ pub trait MasterPlant<const N: usize> {
     /// Exerts `torque` in N m from now on.
     fn write_torque(&mut self, _torque: &Axes<3>) {}
 
-    /// True rotation and torque, if the plant is a model that turns.
+    /// True rotation and torque of a model that turns.
     fn rotation_truth(&self) -> Option<RotationTruth> {
         None
     }
 
-    /// Samples and forces of a driver, if the device has one.
+    /// Samples and forces of a driver, if any.
     fn driven(&mut self) -> Option<&mut DrivenMaster<N>> {
         None
     }
@@ -82,13 +82,13 @@ pub trait ModelPlant<const N: usize>: MasterPlant<N> {
     /// True motion and force.
     fn state(&self) -> Truth<N>;
 
-    /// True force in N of walls that act directly on the device.
+    /// True force in N of walls on the device.
     fn wall_force(&self) -> Axes<N>;
 }
 
 /// A slave arm; time is an argument.
 pub trait SlavePlant<const N: usize> {
-    /// Starts time at `now_ns`. Called once, before the first read.
+    /// Starts time at `now_ns`; called once, before the first read.
     fn begin(&mut self, _now_ns: u64) {}
 
     /// Position in m, velocity in m/s and `F_e` in N at `now_ns`.
@@ -97,12 +97,12 @@ pub trait SlavePlant<const N: usize> {
     /// Takes the tool to `position` in m, which moves with `velocity` in m/s.
     fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>);
 
-    /// Stops softly within the bounds of the arm and stays there, whatever was written before. Returns the rest
-    /// position in m. Nothing is written until the stop is over. Never an emergency stop: power and brakes stay as
-    /// they are, so that nothing on the network can switch them.
+    /// Stops softly within the arm's bounds and stays there, whatever was written. Returns the rest position in m.
+    /// Nothing is written until the stop is over. Never an emergency stop: nothing on the network can switch power
+    /// and brakes.
     fn stop(&mut self) -> Axes<N>;
 
-    /// Comes to rest softly when no longer led. Returns the rest position in m, which is written from now on.
+    /// Comes to rest softly when no longer led. Returns where, in m, which is written from now on.
     fn hold(&mut self) -> Axes<N> {
         self.stop()
     }
@@ -110,32 +110,31 @@ pub trait SlavePlant<const N: usize> {
     /// Called when the sides have engaged.
     fn engaged(&mut self, _now_ns: u64) {}
 
-    /// Orientation, angular velocity and torque at the last read; `None` if the arm is led as a point.
+    /// Orientation, angular velocity and torque at the last read; `None` for a point.
     fn rotation(&self) -> Option<RotationState> {
         None
     }
 
-    /// Turns the tool to `orientation`, which turns with `angular_velocity` in rad/s. Call before each
-    /// [`write`](Self::write) to an arm that turns.
+    /// Turns the tool to `orientation`, which turns with `angular_velocity` in rad/s. Precedes each
+    /// [`write`](Self::write) of an arm that turns.
     fn write_rotation(&mut self, _orientation: &UnitQuaternion<f64>, _angular_velocity: &Axes<3>) {}
 
-    /// Braking speeds in m/s and rad/s as of the last tick, which add to those of the written command.
+    /// Braking speeds in m/s and rad/s at the last tick, added to the command's.
     fn braking_speeds(&self) -> [f64; 2] {
         [0.0; 2]
     }
 
-    /// Orientation in which [`stop`](Self::stop) or [`hold`](Self::hold) brings the tool to rest.
+    /// Orientation at rest of [`stop`](Self::stop) or [`hold`](Self::hold).
     fn rest_orientation(&self) -> Option<UnitQuaternion<f64>> {
         None
     }
 
-    /// Takes the sample of the arm's gripper. Returns where the jaws meet an object, 0 open to 1 closed, if the arm
-    /// knows what is between them.
+    /// Takes the gripper's sample. Returns where the jaws meet an object, 0 open to 1 closed, if the arm knows.
     fn grip(&mut self, _jaws: &GripperSample) -> Option<Option<f64>> {
         None
     }
 
-    /// Returns whether the arm touches something, as of the last read; false if unknown.
+    /// True if the arm touched something at the last read; false if unknown.
     fn touches(&self) -> bool;
 }
 
@@ -185,7 +184,7 @@ impl<P: MasterPlant<N> + ?Sized, const N: usize> MasterPlant<N> for Box<P> {
     }
 }
 
-/// A device with separate models of translation and rotation: a handle whose tool point is its centre of mass.
+/// A device with separate models: a handle whose tool point is its centre of mass.
 #[derive(Clone, Debug)]
 pub struct TurningMaster<P> {
     /// Translation of the tool point.
@@ -275,7 +274,7 @@ pub trait ModelArm {
         0
     }
 
-    /// Passes each signal of the environment: name, and values at the last read.
+    /// Passes each signal of the environment: name and values.
     fn world(&self, _take: &mut dyn FnMut(&'static str, &[f64])) {}
 }
 
@@ -332,7 +331,7 @@ impl SlavePlant<3> for SimulatedTool {
 
     fn grip(&mut self, jaws: &GripperSample) -> Option<Option<f64>> {
         SimulatedTool::grip(self, jaws.position, jaws.force_n);
-        // Without objects to hold, the gripper's own settings define what is between the jaws.
+        // Without objects to hold, the gripper's settings define the object.
         self.has_things_to_hold().then(|| self.between_jaws())
     }
 

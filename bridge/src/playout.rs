@@ -1,4 +1,4 @@
-//! Play-out buffer: makes the delay of the peer's packets constant, for couplings that need it.
+//! Play-out buffer: makes the packets' delay constant, for couplings that need it.
 
 use crate::path::{BILLION, difference, share_up};
 
@@ -7,24 +7,23 @@ use crate::path::{BILLION, difference, share_up};
 pub struct PlayoutSettings {
     /// Wait in ns of a packet with the smallest delay: the jitter that is removed.
     pub delay_ns: u64,
-    /// Maximum number of waiting sequences, including missing ones. Must exceed delay times rate.
+    /// Maximum number of waiting sequences, missing ones included: above delay times rate.
     pub capacity: usize,
     /// Window in ns of the minimum delay.
     pub window_ns: u64,
-    /// Warm-up in ns after the first packet, in which the play-out follows the minimum at once.
+    /// Time in ns after the first packet in which the play-out follows the minimum at once.
     pub warm_up_ns: u64,
-    /// Smallest shift in ns that moves the play-out.
+    /// Smallest shift in ns that is followed.
     pub tolerance_ns: u64,
-    /// Rate of such a move in parts per billion of time. Below 1e9, so that played time never runs backwards.
+    /// Rate of a shift in parts per billion; below 1e9, so that time never runs backwards.
     pub slew_ppb: u64,
-    /// Restarts the play-out after this time in ns of only late packets: the path or a clock has changed. A packet
-    /// that would wait longer than this beyond its delay restarts it at once.
+    /// Time in ns of only late packets after which the play-out restarts, since path or clock changed. A packet that
+    /// would wait longer than this beyond its delay restarts it at once.
     pub relearn_ns: u64,
 }
 
 impl PlayoutSettings {
-    /// Defaults for a delay in ns: 1024 sequences, a window of 10 s, a warm-up of 1 s, moves of 0.5 percent beyond
-    /// 0.5 ms, restart after 200 ms of late packets.
+    /// Defaults: 1024 sequences, window 10 s, warm-up 1 s, moves of 0.5 percent beyond 0.5 ms, restart after 200 ms.
     pub const fn new(delay_ns: u64) -> Self {
         Self {
             delay_ns,
@@ -65,13 +64,13 @@ pub enum PlayoutError {
 pub enum Arrival {
     /// The packet waits.
     Queued,
-    /// The packet waits and restarts the play-out: the path or a clock has changed.
+    /// The packet waits and restarts the play-out: path or clock changed.
     Anew,
     /// Not used: its time has passed, or a later packet was played.
     Late,
     /// The packet waits already.
     Duplicate,
-    /// Not used: its time is invalid for a monotonic clock.
+    /// Not used: invalid for a monotonic clock.
     Refused,
 }
 
@@ -82,9 +81,9 @@ pub struct Played<T> {
     pub sequence: u64,
     /// Send time on the sender's clock in ns.
     pub sent_ns: u64,
-    /// Due time on this clock in ns; not after the time of the call.
+    /// Due time on this clock in ns; not in the future.
     pub play_ns: u64,
-    /// Number of missing sequences since the packet played before.
+    /// Missing sequences since the packet played before.
     pub gap: u64,
     /// Payload.
     pub payload: T,
@@ -96,15 +95,15 @@ pub struct Played<T> {
 pub struct PlayoutCounts {
     /// Packets played.
     pub played: u64,
-    /// Packets that arrived after their time or after a later one was played.
+    /// Packets after their time or a later one.
     pub late: u64,
     /// Packets that waited already.
     pub duplicate: u64,
-    /// Sequences skipped because they had not arrived in time.
+    /// Sequences that had not arrived in time.
     pub missing: u64,
-    /// Packets skipped for a newer one, or dropped by a restart.
+    /// Packets skipped for a newer one, or by a restart.
     pub superseded: u64,
-    /// Packets skipped because the capacity was exceeded.
+    /// Packets skipped for lack of capacity.
     pub overflowed: u64,
     /// Number of restarts.
     pub anew: u64,
@@ -121,14 +120,14 @@ struct Slot<T> {
 
 /// Holds packets until their time and returns them in order.
 ///
-/// [`Self::arrived`] adds packets; [`Self::next_due`] removes one that is due, and is called until none is left. The
-/// time of calls must not decrease. Sequences returned only increase. Nothing is allocated after construction.
+/// [`Self::arrived`] adds packets; [`Self::next_due`] takes due ones, until none is left. Call times must not
+/// decrease; sequences returned only increase. Nothing is allocated after construction.
 #[derive(Clone, Debug)]
 pub struct Playout<T> {
     timeline: Timeline,
     /// Indexed by sequence modulo length.
     slots: Box<[Option<Slot<T>>]>,
-    /// First sequence not passed yet; `None` before the first packet.
+    /// First sequence not passed yet.
     next: Option<u64>,
     newest: u64,
     missing_since_played: u64,
@@ -151,7 +150,7 @@ impl<T: Copy> Playout<T> {
         })
     }
 
-    /// Takes a packet that arrived at `now_ns` and was sent at `sent_ns` on the sender's clock.
+    /// Takes a packet that arrived at `now_ns`, sent at `sent_ns` on the sender's clock.
     pub fn arrived(&mut self, sequence: u64, sent_ns: u64, now_ns: u64, payload: T) -> Arrival {
         if sequence == u64::MAX || sent_ns.max(now_ns) > i64::MAX.cast_unsigned() {
             self.counts.refused += 1;
@@ -184,7 +183,7 @@ impl<T: Copy> Playout<T> {
         Arrival::Queued
     }
 
-    /// Drops packets that wait for times of a previous timeline.
+    /// Drops packets of a previous timeline.
     fn clear_waiting(&mut self) {
         let Some(next) = self.next else { return };
         let waiting = self.slots.iter_mut().filter(|slot| slot.is_some_and(|slot| slot.sequence >= next));
@@ -194,7 +193,7 @@ impl<T: Copy> Playout<T> {
         }
     }
 
-    /// Skips sequences too far behind `sequence` for the capacity.
+    /// Skips sequences beyond the capacity.
     fn make_room(&mut self, sequence: u64) {
         let capacity = self.slots.len() as u64;
         let next = *self.next.get_or_insert(sequence);
@@ -204,7 +203,7 @@ impl<T: Copy> Playout<T> {
         }
     }
 
-    /// Passes the sequences from `next` to `until`. Returns how many were present; the others are missing.
+    /// Passes sequences up to `until`. Returns how many were present.
     fn pass(&mut self, next: u64, until: u64) -> u64 {
         let near = until.min(next.saturating_add(self.slots.len() as u64));
         let there = (next..near).filter(|&sequence| self.waits(sequence)).count() as u64;
@@ -259,7 +258,7 @@ impl<T: Copy> Playout<T> {
         self.counts
     }
 
-    /// Clears packets but not counts, for a new run of the sender with new sequences.
+    /// Clears packets, not counts, for a new run of the sender.
     pub fn restart(&mut self, settings: PlayoutSettings) -> Result<(), PlayoutError> {
         let counts = self.counts;
         *self = Self::new(settings)?;
@@ -270,9 +269,9 @@ impl<T: Copy> Playout<T> {
 
 /// Time of the sender that is due, as `now - shift`.
 ///
-/// The shift is the minimum transit in a window plus the requested delay. A transit is the difference of two
-/// unrelated clocks, so only its changes are meaningful. The shift rests while its target is near, so that packets
-/// are played exactly as far apart as sent. Otherwise it moves slowly.
+/// The shift is the minimum transit in a window plus the delay. A transit is a difference of unrelated clocks: only
+/// its changes mean something. Near its target the shift rests, so that packets are played exactly as spaced when
+/// sent. Otherwise it moves slowly.
 #[derive(Clone, Debug, PartialEq)]
 struct Timeline {
     settings: PlayoutSettings,
@@ -283,11 +282,10 @@ struct Timeline {
     moving: bool,
     /// Start of a period of only late packets.
     late_since_ns: Option<u64>,
-    /// Latest time of the sender that was due; does not decrease within a timeline.
+    /// Latest due time of the sender; does not decrease.
     position_ns: Option<i64>,
 }
 
-/// Position of a packet on the timeline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Placed {
     InTime,
@@ -365,8 +363,7 @@ impl Timeline {
         let away = target.saturating_sub(shift);
         self.moving = away != 0 && (self.moving || away.unsigned_abs() > self.settings.tolerance_ns);
         if self.moving {
-            // Rounded up, so that ticks of any length move. In a tick of more than 1 ns, 1 ns at most is not
-            // backwards.
+            // Rounded up, so that ticks of any length move; 1 ns does not reverse a longer tick.
             let most = share_up(elapsed, self.settings.slew_ppb).min(elapsed).cast_signed();
             shift += away.clamp(-most, most);
             self.shift_ns = Some(shift);
@@ -377,7 +374,6 @@ impl Timeline {
         Some((position, shift))
     }
 
-    /// Present wait in ns of a packet with the minimum transit.
     fn wait_ns(&self) -> Option<u64> {
         let wait = self.shift_ns?.saturating_sub(self.least.least()?);
         Some(u64::try_from(wait).unwrap_or(0))
@@ -388,7 +384,7 @@ const BLOCKS: usize = 8;
 
 /// Minimum over a window of time, in bounded memory.
 ///
-/// Eight blocks keep a minimum each, so the window covers seven to eight eighths of its length.
+/// Eight blocks keep a minimum each: seven to eight eighths of the window.
 #[derive(Clone, Debug, PartialEq)]
 struct WindowMinimum {
     block_ns: u64,
@@ -419,7 +415,6 @@ impl WindowMinimum {
         }
     }
 
-    /// Minimum over the window that ends at the newest addition.
     fn least(&self) -> Option<i64> {
         self.least
     }

@@ -4,7 +4,7 @@ use std::mem::MaybeUninit;
 
 use crate::recorder::Recorded;
 
-/// Creates a ring and touches each of its pages, so that using it does not grow the process.
+/// Creates a ring and touches its pages, so that use does not grow the process.
 pub(crate) fn ring<T>(capacity: usize) -> (rtrb::Producer<T>, rtrb::Consumer<T>) {
     let (mut producer, consumer) = rtrb::RingBuffer::new(capacity);
     if let Ok(mut room) = producer.write_chunk_uninit(capacity) {
@@ -17,7 +17,7 @@ pub(crate) fn ring<T>(capacity: usize) -> (rtrb::Producer<T>, rtrb::Consumer<T>)
     (producer, consumer)
 }
 
-/// Records of any type in a ring, so that their consumer is compiled once.
+/// Records of any type in a ring, to compile the consumer once.
 pub(crate) trait WaitingRecords: Send {
     /// Passes on at most `most` records, the oldest first.
     fn take(&mut self, most: usize, each: &mut dyn FnMut(&dyn Recorded));

@@ -1,4 +1,4 @@
-//! One side of the bridge: plant and endpoint together, stepped by both runners at each tick.
+//! One side of the bridge: plant and endpoint, stepped by both runners.
 
 use std::marker::PhantomData;
 
@@ -22,14 +22,14 @@ use crate::{
     wire::{Frame, MAX_FRAME},
 };
 
-/// One side of N axes: `receive`, `tick`, `send`. Times are on the endpoint's clock unless stated otherwise.
+/// One side of N axes. Times are on the endpoint's clock unless stated otherwise.
 pub trait Side {
     /// The record of a tick.
     type Record: Copy + Default + Send + 'static
     where
         Self: Sized;
 
-    /// Starts true time at `now_ns`. Called once, before the first tick.
+    /// Starts true time at `now_ns`; called once, before the first tick.
     fn begin(&mut self, now_ns: u64);
 
     /// Takes a datagram. A refused datagram changes only its counter.
@@ -37,7 +37,7 @@ pub trait Side {
         self.exchange_mut().receive(time, datagram)
     }
 
-    /// Takes a frame that was not encoded. A side that inspects datagrams in [`receive`](Self::receive) needs
+    /// Takes a frame that was not encoded. A side that inspects datagrams needs
     /// [`encoded`](crate::VirtualSettings::encoded) frames.
     #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     fn receive_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<(), RejectReason> {
@@ -55,8 +55,8 @@ pub trait Side {
         record
     }
 
-    /// As [`tick`](Self::tick), written into `record`, whose old contents are all overwritten. In place, because a
-    /// copy would wait for the values just written (store forwarding).
+    /// As [`tick`](Self::tick), overwriting all of `record`. A copy would wait for the values just written (store
+    /// forwarding).
     fn tick_into(&mut self, time: TickTime, record: &mut Self::Record)
     where
         Self: Sized;
@@ -66,25 +66,24 @@ pub trait Side {
         self.exchange_mut().send(time, buffer)
     }
 
-    /// Fills in the frame of this tick without encoding it.
+    /// Fills in the frame of this tick, not encoded.
     #[inline(always)] // makes a frame: docs/decisions/060-ticks-in-a-row.md
     fn fill_frame(&mut self, time: LinkTime, frame: &mut Frame) {
         let axes = self.axes();
         self.exchange_mut().fill_frame(time, axes, frame);
     }
 
-    /// Number of axes. A side with a fixed number returns a constant, so that frames are copied in a few
-    /// instructions.
+    /// Number of axes; a constant if fixed, so that frames are copied in a few instructions.
     #[inline(always)]
     fn axes(&self) -> usize {
         self.exchange().link().layout().axes
     }
 
-    /// Carries out an operator command. Returns whether it changed anything: releasing an open clutch does not.
+    /// Carries out an operator command. Returns whether it changed anything; releasing an open clutch does not.
     /// Invalid numbers change nothing.
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError>;
 
-    /// Bounds within which [`command`](Self::command) may change the scales.
+    /// Bounds of the scales in [`command`](Self::command).
     fn ranges(&self) -> ScaleRanges {
         ScaleRanges::default()
     }
@@ -94,13 +93,13 @@ pub trait Side {
         false
     }
 
-    /// Leaves the plant without force or motion.
+    /// Removes force and motion from the plant.
     fn rest(&mut self);
 
     /// Link, ladder and flight recorder.
     fn exchange(&self) -> &Exchange;
 
-    /// The same, mutable: to report a stall, a device failure or the end.
+    /// The same, to report a stall, a device failure or the end.
     fn exchange_mut(&mut self) -> &mut Exchange;
 }
 
@@ -109,7 +108,7 @@ pub trait Side {
 pub struct MasterSide<P, const N: usize, R = ()> {
     /// The device.
     pub plant: P,
-    /// Decides force and outgoing frame.
+    /// Endpoint.
     pub endpoint: MasterEndpoint<N>,
     /// Works the clutch of a device without a button.
     operator: ClutchOperator,
@@ -117,9 +116,9 @@ pub struct MasterSide<P, const N: usize, R = ()> {
     /// Leads the gripper; `None` if the slave has no gripper.
     pub trigger: Option<Trigger>,
     leading: LeadingTrigger,
-    /// Tick of the finger's safety layer at the last tick; `None` without force feedback.
+    /// Last tick of the finger's safety layer; `None` without force feedback.
     felt: Option<SafetyTick<1>>,
-    /// Mapped buttons of the device; `None` if the scene maps none.
+    /// Mapped buttons; `None` if the scene maps none.
     buttons: Option<Buttons>,
     records: PhantomData<R>,
 }
@@ -143,13 +142,13 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
         })
     }
 
-    /// Adds the buttons that `settings` map.
+    /// Adds buttons, as `settings` map them.
     pub fn with_buttons(mut self, settings: Option<ButtonSettings>) -> Result<Self, ButtonError> {
         let buttons = settings.map(Buttons::new).transpose()?;
         if let Some(buttons) = &buttons {
             self.endpoint.exchange.carry_buttons();
             if buttons.has_clutch() && self.plant.buttons().is_some() {
-                // A mapped bit is less reliable than a device's own clutch, so the start does not press it.
+                // A mapped bit is less reliable than a device's own clutch: the start does not press it.
                 self.button.must_be_released();
             }
         }
@@ -173,8 +172,7 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
 }
 
 impl<P: MasterPlant<N>, const N: usize, R> MasterSide<P, N, R> {
-    /// Clutch and trigger as the buttons of the device give them. A clutch mapped to a button is open while its bit
-    /// is unknown.
+    /// Clutch and trigger, as mapped. A clutch on a button is open while its bit is unknown.
     fn pressed(&mut self, now_ns: u64) -> (Option<bool>, Option<f64>) {
         let (Some(buttons), Some(word)) = (&mut self.buttons, self.plant.buttons()) else {
             return (self.button.at(now_ns, self.plant.clutch()), None);
@@ -191,7 +189,7 @@ impl<P: MasterPlant<N>, const N: usize, R> MasterSide<P, N, R> {
         (clutch, trigger)
     }
 
-    /// Makes the records contain the force feedback at the trigger.
+    /// Makes the records contain force feedback at the trigger.
     #[must_use]
     pub fn feeling(self) -> MasterSide<P, N, Feeling<R>> {
         self.recording()
@@ -212,13 +210,12 @@ impl<P: MasterPlant<N>, const N: usize, R> MasterSide<P, N, R> {
         }
     }
 
-    /// Tick of the finger's safety layer at the last tick, in m/s and N, positive closing; `None` without force
-    /// feedback.
+    /// Last tick of the finger's safety layer, in m/s and N, positive closing; `None` without force feedback.
     pub fn felt(&self) -> Option<&SafetyTick<1>> {
         self.felt.as_ref()
     }
 
-    /// Passes name and value of each force-feedback signal of the trigger, for a run in virtual time.
+    /// Passes each force-feedback signal of the trigger, for a run in virtual time.
     pub(crate) fn finger_signals(&self, take: &mut dyn FnMut(&'static str, &[f64])) {
         let (Some(felt), Some(trigger)) = (&self.felt, &self.trigger) else { return };
         let estimated = FingerTruth { velocity: felt.motion.velocity[0], finger_force_n: 0.0 };
@@ -284,7 +281,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for MasterSide<P, N,
         let reading = MasterReading { position, velocity, rotation: self.plant.rotation(), trigger: finger };
         let tick = self.endpoint.tick(time.clock_ns, time.missed, &reading, clutch);
         if tick.trigger.is_none() {
-            // A trigger with force feedback counts its own outliers.
+            // With force feedback the trigger counts its own outliers.
             self.endpoint.exchange.outliers += self.leading.outliers();
         }
         let truth = self.plant.truth();
@@ -364,12 +361,12 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for MasterSide<P, N,
     }
 }
 
-/// Returns whether the arm stands still in `state`, whatever the command.
+/// Returns whether the arm stands still whatever the command.
 pub(crate) fn is_stopped(state: LadderState) -> bool {
     matches!(state, LadderState::Stop | LadderState::Fault)
 }
 
-/// Ladder state of the last tick, and whether the arm was led then.
+/// Last ladder state, and whether the arm was led.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LeadTransition {
     stood: LadderState,
@@ -390,7 +387,7 @@ pub(crate) enum Rest {
 }
 
 impl Rest {
-    /// Brings the arm to rest. Returns the rest position in m.
+    /// Brings the arm to rest. Returns where, in m.
     pub(crate) fn of<const N: usize>(self, plant: &mut impl SlavePlant<N>) -> Axes<N> {
         match self {
             Self::Stop => plant.stop(),
@@ -400,8 +397,8 @@ impl Rest {
 }
 
 impl LeadTransition {
-    /// Returns how the arm comes to rest, only at the tick at which that begins. Repeated braking would give up a
-    /// contact bit by bit.
+    /// How the arm comes to rest, at the tick at which that begins. Repeated braking would give up a contact bit by
+    /// bit.
     #[inline]
     pub(crate) fn step(&mut self, state: LadderState, is_led: bool) -> Option<Rest> {
         let Self { stood, was_led } = std::mem::replace(self, Self { stood: state, was_led: is_led });
@@ -414,7 +411,7 @@ impl LeadTransition {
         }
     }
 
-    /// Brings the arm to rest at the tick at which that begins. Returns the rest position in m.
+    /// Brings the arm to rest at that tick. Returns where, in m.
     #[inline]
     pub(crate) fn rest<const N: usize>(
         &mut self,
@@ -431,7 +428,7 @@ impl LeadTransition {
 pub struct SlaveSide<P, const N: usize, R = ()> {
     /// The arm.
     pub plant: P,
-    /// Decides command and outgoing frame.
+    /// Endpoint.
     pub endpoint: SlaveEndpoint<N>,
     led: LeadTransition,
     /// The gripper, if any.
@@ -442,7 +439,7 @@ pub struct SlaveSide<P, const N: usize, R = ()> {
 }
 
 impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
-    /// Creates a side whose arm has not been commanded yet.
+    /// Creates a side with an arm not commanded yet.
     pub fn new(plant: P, endpoint: SlaveEndpoint<N>) -> Self {
         let led = LeadTransition::default();
         Self { plant, endpoint, led, gripper: None, reference_point: None, records: PhantomData }
@@ -455,7 +452,7 @@ impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
         SlaveSide { plant, endpoint, led, gripper, reference_point, records: PhantomData }
     }
 
-    /// Couples another point of the tool than the tool point. Requires an arm that turns.
+    /// Couples another point of the tool than the tool point, for an arm that turns.
     #[must_use]
     pub fn about(self, reference_point: Option<ReferencePoint>) -> Self {
         Self { reference_point, ..self }
@@ -553,7 +550,7 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side for SlaveSide<P, N, R>
     }
 }
 
-/// Seals the next frame of a side as a datagram of its session. Without keys returns `None` and numbers no frame.
+/// Seals the next frame of a side for its session. Without keys returns `None` and numbers no frame.
 pub(crate) fn sealed_frame<'a>(
     session: &mut Session,
     time: LinkTime,

@@ -25,7 +25,7 @@ pub struct VirtualSettings {
     pub period_ns: u64,
     /// Period of the slave's loop in ns.
     pub slave_period_ns: u64,
-    /// Number of the master's ticks. If its clock drifts, the run lasts this many periods of true time.
+    /// Number of the master's ticks; for a drifting clock, of its periods in true time.
     pub ticks: u64,
     /// Network from master to slave.
     pub forward: LinkSettings,
@@ -33,10 +33,9 @@ pub struct VirtualSettings {
     pub backward: LinkSettings,
     /// Seed of both directions and of the keys.
     pub seed: u64,
-    /// True if frames travel in a secure session. Otherwise the frames are the datagrams, without a handshake.
+    /// True for a secure session. Otherwise frames are sent as datagrams without a handshake.
     pub secure: bool,
-    /// True if every frame is encoded. Otherwise only frames whose bytes the network changes are encoded: faster,
-    /// with the same results.
+    /// True if every frame is encoded. Otherwise only those that the network changes: faster, with equal results.
     pub encoded: bool,
     /// The master's clock; `None` for true time.
     pub master_clock: Option<EndpointClock>,
@@ -44,8 +43,7 @@ pub struct VirtualSettings {
     pub slave_clock: Option<EndpointClock>,
 }
 
-/// Max. number of datagrams in flight in one direction: more than an hour at 1 kHz. Memory is allocated only as they
-/// are sent.
+/// Max. number of datagrams in flight per direction: more than an hour at 1 kHz. Allocated as they are sent.
 const MAX_IN_FLIGHT: usize = 1 << 22;
 
 /// Error of a run in virtual time.
@@ -77,13 +75,13 @@ pub struct LoopCounts {
     pub skipped: u64,
     /// Reading of the endpoint's clock at the last tick, in ns.
     pub clock_ns: u64,
-    /// Datagrams that the session rejected.
+    /// Datagrams rejected by the session.
     pub rejections: Rejections,
 }
 
 type Datagram = ([u8; MAX_DATAGRAM], usize);
 
-/// Packet in flight: its slot. A queue therefore moves no more than an index.
+/// Packet in flight, by slot, so that a queue moves only an index.
 #[derive(Clone, Copy, Debug)]
 enum Sent {
     /// A frame that was not encoded.
@@ -91,7 +89,7 @@ enum Sent {
     Bytes(usize),
 }
 
-/// Slab of packets in flight; free slots are used again.
+/// Slab of packets in flight.
 #[derive(Clone)]
 struct Slab<T> {
     slots: Vec<T>,
@@ -114,21 +112,19 @@ impl<T> Slab<T> {
     }
 }
 
-/// The network in one direction.
 #[derive(Clone)]
 struct OneWay {
     link: Link,
     in_flight: InFlight<Sent>,
     frames: Slab<Frame>,
     datagrams: Slab<Datagram>,
-    /// Frames sent and not judged yet, and their slots.
+    /// Frames not judged yet, and their slots.
     sent: Vec<Packet>,
     sent_slots: Vec<usize>,
-    /// Verdicts on them.
     verdicts: Vec<Verdict>,
     index: u64,
     direction: Direction,
-    /// Bytes of a frame of the sender.
+    /// Bytes of the sender's frames.
     frame_size: usize,
 }
 
@@ -163,8 +159,8 @@ impl OneWay {
         });
     }
 
-    /// Carries the next frame of a side in an insecure session. The frame is encoded only if the link changes
-    /// packets. Otherwise it waits for [`carry_sent`](Self::carry_sent).
+    /// Carries the next frame of a side in an insecure session. It is encoded only if the link changes packets;
+    /// otherwise it waits for [`carry_sent`](Self::carry_sent).
     #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     fn carry_next_frame(&mut self, side: &mut impl Side, time: LinkTime, now_ns: u64, back: &mut Self) {
         if self.link.changes_packets() {
@@ -186,7 +182,7 @@ impl OneWay {
     }
 
     /// Judges the waiting frames. Meanwhile a side does several ticks in a row, so that the sides do not evict each
-    /// other's code from the processor's cache.
+    /// other's code from the cache.
     fn carry_sent(&mut self) {
         if self.sent.is_empty() {
             return;
@@ -215,7 +211,7 @@ impl OneWay {
         packet
     }
 
-    // Not inlined, to keep it apart from the many links that change nothing.
+    // Not inlined, to keep it apart from links that change nothing.
     #[inline(never)]
     fn carry_changing(&mut self, now_ns: u64, frame: &Frame, back: &mut Self) {
         self.check_length(frame);
@@ -228,7 +224,7 @@ impl OneWay {
         });
     }
 
-    /// Passes each arrival of a datagram of `size` bytes to `push`.
+    /// Passes each arrival of a datagram to `push`.
     fn judged(
         &mut self,
         now_ns: u64,
@@ -255,7 +251,6 @@ impl OneWay {
     }
 }
 
-/// Builds the next frame of a side, not in place.
 #[inline(never)]
 fn build_frame(side: &mut impl Side, time: LinkTime) -> Frame {
     let mut frame = Frame::EMPTY;
@@ -263,13 +258,13 @@ fn build_frame(side: &mut impl Side, time: LinkTime) -> Frame {
     frame
 }
 
-/// Earliest arrival of a packet sent at `now_ns`. At one instant the master ticks first, so it hears the slave's
-/// packet at its next tick.
+/// Earliest arrival of a packet sent at `now_ns`. The master ticks first at one instant, so it hears the slave at its
+/// next tick.
 fn earliest_ns(direction: Direction, now_ns: u64) -> u64 {
     if direction == Direction::Backward { now_ns + 1 } else { now_ns }
 }
 
-/// Storage of the packets in flight in one direction.
+/// Packets in flight in one direction.
 struct Arrivals<'a> {
     in_flight: &'a mut InFlight<Sent>,
     frames: &'a mut Slab<Frame>,
@@ -277,7 +272,7 @@ struct Arrivals<'a> {
 }
 
 impl Arrivals<'_> {
-    // A full queue drops the packet, as the network would, and counts it.
+    // A full queue drops and counts the packet, as a network would.
 
     fn push_frame(&mut self, at_ns: u64, frame: &Frame) {
         let slot = self.frames.insert(*frame);
@@ -301,12 +296,12 @@ struct Loop<'a, S> {
     entropy: SeededEntropy,
     pace: Pace,
     counts: LoopCounts,
-    /// True if frames are encoded from the start: in a secure session, or on request.
+    /// True if frames are encoded from the start.
     encodes: bool,
 }
 
 impl<'a, S: Side> Loop<'a, S> {
-    /// Creates a secure loop if `seed` is given, an insecure one otherwise.
+    /// Creates a loop, secure if `seed` is given.
     fn new(
         side: &'a mut S,
         role: Role,
@@ -318,7 +313,7 @@ impl<'a, S: Side> Loop<'a, S> {
         let settings = SessionSettings::of_frames(role, side.exchange().link().layout(), peer_period_ns);
         let mut entropy = SeededEntropy::new(seed.unwrap_or_default(), role);
         let end = if seed.is_some() {
-            // Nobody listens in a simulation, so any key will do.
+            // Nobody listens in a simulation: any key will do.
             let key = PreSharedKey::new(b"the key of simulated sides alone")?;
             SessionEnd::secure(settings, key, &mut entropy)?
         } else {
@@ -332,8 +327,7 @@ impl<'a, S: Side> Loop<'a, S> {
         self.pace.true_ns < end_ns
     }
 
-    /// Does the due tick: takes the packets that `inward` delivers and sends `outward`, which judges its frames in
-    /// `carry_sent`.
+    /// Does the due tick, from `inward` to `outward`, which judges its frames in `carry_sent`.
     fn step(&mut self, inward: &mut OneWay, outward: &mut OneWay, record: &mut S::Record) {
         let (now_ns, wake) = (self.pace.true_ns, self.pace.wake());
         let clock_ns = wake.deadline_ns;
@@ -419,15 +413,15 @@ pub enum Event<'a, M, S> {
     Slave(&'a S),
 }
 
-/// Runs both sides, each at its own rate. Passes each tick's record and both sides to `observe`, until it breaks off
-/// or the master has done its ticks.
+/// Runs both sides at their own rates. Passes each record and both sides to `observe`, until it breaks off or the
+/// master has done its ticks.
 ///
-/// At each step the loop that is next takes the frames due by then, ticks and sends. At the same instant the master
-/// is first: a frame without delay reaches the slave in the same tick and the master in the next.
+/// The loop that is next takes the frames due by then, ticks and sends; at the same instant the master is first. A
+/// frame without delay reaches the slave in the same tick, the master in the next.
 ///
-/// Both loops begin at time 0. Plants and network use true time, each endpoint its own clock, which its loop waits
-/// on. A clock drift stretches the true period. A clock set forward makes the loop late, as after a suspend. In a
-/// secure session the first ticks send only the handshake.
+/// Both loops begin at time 0. Plants and network use true time, each loop its endpoint's clock. A drift stretches
+/// the true period. A clock set forward makes the loop late, as after a suspend. In a secure session the first ticks
+/// send only the handshake.
 pub fn run_virtual<M: Side, S: Side>(
     settings: &VirtualSettings,
     master: &mut M,
@@ -454,12 +448,11 @@ pub fn run_virtual<M: Side, S: Side>(
     Ok(run.counts())
 }
 
-/// Most ticks that a side does in a row: enough for its code to be in the processor's cache for most of them, few
-/// enough for their records to be there too.
+/// Most ticks of a side in a row: enough to keep its code in the cache, few enough to keep their records there.
 pub(crate) const MAX_AHEAD: usize = 64;
 
-/// As [`run_virtual`], with the same records in the same order, for callers that read only the records. The sides may
-/// be some ticks ahead of `observe`, and after a break their counts include those ticks.
+/// As [`run_virtual`], with the same records in the same order, for callers that read only records. The sides may be
+/// some ticks ahead of `observe`, and so may their counts after a break.
 pub(crate) fn run_virtual_ahead<M: Side, S: Side>(
     settings: &VirtualSettings,
     master: &mut M,
@@ -473,8 +466,8 @@ pub(crate) fn run_virtual_ahead<M: Side, S: Side>(
 
 /// A run whose sides are some ticks ahead of `observe`.
 ///
-/// The code of both sides together exceeds the first cache of a processor. So each side does several ticks in a row,
-/// as far as the link guarantees that no packet still to be sent arrives by then.
+/// The code of both sides exceeds the first cache. So a side does several ticks in a row, as long as no packet still
+/// to be sent can arrive by then.
 ///
 /// Source: K. M. Chandy, J. Misra, "Distributed simulation: a case study in design and verification of distributed
 /// programs", IEEE Trans. Softw. Eng. 5, 1979 (lookahead of a channel that keeps the order).
@@ -484,11 +477,11 @@ pub(crate) struct Ahead<'a, M: Side, S: Side> {
     far: Unseen<S::Record>,
 }
 
-/// True time in ns and record of each tick not observed yet, the oldest first.
+/// True time in ns and record of each unobserved tick, the oldest first.
 ///
-/// Usually all are observed before more are added, so no ring is needed.
+/// Usually all are observed before more are added: no ring is needed.
 struct Unseen<R> {
-    /// The first `kept` are ticks, the rest is free space.
+    /// The first `kept` are ticks, the rest is free.
     ticks: Vec<(u64, R)>,
     kept: usize,
     /// Number of those that were observed.
@@ -500,7 +493,7 @@ impl<R: Copy + Default> Unseen<R> {
         Self { ticks: Vec::new(), kept: 0, seen: 0 }
     }
 
-    /// Drops the observed ticks. Call before adding more.
+    /// Drops observed ticks. Call before adding more.
     fn forget_seen(&mut self) {
         self.ticks.copy_within(self.seen..self.kept, 0);
         self.kept -= self.seen;
@@ -508,7 +501,7 @@ impl<R: Copy + Default> Unseen<R> {
         self.ticks.resize_with(MAX_AHEAD, Default::default);
     }
 
-    /// Slot for the record of a tick at `true_ns`; `None` if full. Call before any is observed.
+    /// Slot for a tick at `true_ns`; `None` if full. Call before any is observed.
     fn push_slot(&mut self, true_ns: u64) -> Option<&mut R> {
         debug_assert_eq!(self.seen, 0, "forget_seen comes first");
         let (at_ns, record) = self.ticks.get_mut(self.kept)?;
@@ -527,7 +520,6 @@ impl<R: Copy + Default> Unseen<R> {
     }
 }
 
-/// True time in ns of the first of `ticks`, or `next_ns` if empty.
 fn first_ns<R>(ticks: &[(u64, R)], next_ns: u64) -> u64 {
     ticks.first().map_or(next_ns, |(at_ns, _)| *at_ns)
 }
@@ -543,7 +535,8 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
         Ok(Self { run, near: Unseen::new(), far: Unseen::new() })
     }
 
-    /// Does some ticks of each side, then observes those that no earlier tick can follow. Breaks when the run ends.
+    /// Does some ticks of each side, then observes those that no earlier tick can follow. Breaks at the end of the
+    /// run.
     pub(crate) fn advance(
         &mut self,
         observe: &mut impl FnMut(Event<'_, M::Record, S::Record>, (&M, &S)) -> ControlFlow<()>,
@@ -568,7 +561,7 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
             slave.step(forward, backward, record);
         }
         backward.carry_sent();
-        // In order of time, the master first at the same instant. If a side has no unobserved tick, its next tick
+        // In order of time, the master first at the same instant. The next tick of a side without unobserved ticks
         // bounds the other's.
         let next_ns = [master.pace.true_ns, slave.pace.true_ns];
         let has_ended = !master.goes_on(*end_ns) && !slave.goes_on(*end_ns);
@@ -590,7 +583,7 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
                 break Some(flow);
             }
         };
-        // All kept ticks are before the end, and so before the next tick of a side that has ended.
+        // All kept ticks are before the end, so before the next tick of an ended side.
         debug_assert!(!has_ended || flow.is_some() || (near_left.is_empty() && far_left.is_empty()));
         (near.seen, far.seen) = (near.kept - near_left.len(), far.kept - far_left.len());
         flow.unwrap_or(if has_ended { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
@@ -610,8 +603,7 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
         self.near.unseen().iter().map(|(_, record)| record)
     }
 
-    /// Copies the run. `None` if sessions take part: with security, encoded frames, or a network that changes
-    /// packets.
+    /// Copies the run. `None` with security, encoded frames, or a network that changes packets.
     pub(crate) fn snapshot(&self) -> Option<Snapshot<M, S>>
     where
         M: Clone,
@@ -633,7 +625,7 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
         })
     }
 
-    /// Resumes from a snapshot of a run of the same settings. The sides must be in the state of the snapshot.
+    /// Resumes a snapshot of a run of the same settings, with sides in its state.
     pub(crate) fn resume(
         settings: &VirtualSettings,
         snapshot: &Snapshot<M, S>,
@@ -648,7 +640,7 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
     }
 }
 
-/// A run between two ticks, which can be resumed more than once.
+/// A run between two ticks, for repeated resumption.
 pub(crate) struct Snapshot<M: Side, S: Side> {
     pub(crate) master: M,
     pub(crate) slave: S,
@@ -678,7 +670,6 @@ impl<'a, M: Side, S: Side> Run<'a, M, S> {
         Self::of(settings, master, slave, [forward, backward])
     }
 
-    /// Creates a run of sides that have begun.
     fn of(
         settings: &VirtualSettings,
         master: &'a mut M,
@@ -709,7 +700,7 @@ impl<'a, M: Side, S: Side> Run<'a, M, S> {
 mod tests {
     use super::*;
 
-    /// Compares with a list to which ticks are added and from which observed ticks are removed.
+    /// Compares with a plain list.
     #[test]
     fn unobserved_ticks_keep_their_order() {
         let (mut unseen, mut expected) = (Unseen::<u64>::new(), Vec::new());

@@ -26,16 +26,16 @@ pub enum Security {
     Insecure,
 }
 
-/// Shortest period of a peer in ns for which the replay window holds 2 s.
+/// Shortest peer period in ns for which the replay window holds 2 s.
 const PEER_PERIOD_NS: u64 = 100_000;
-/// Ticks between two reports of the session's standing to the handshakes.
+/// Ticks between reports of the session's standing.
 const STANDING_EVERY: u64 = 4;
 /// Answers of the handshakes taken per tick.
 const MAX_ANSWERS: usize = 4;
-/// Number of releases sent after the last frames, since datagrams get lost.
+/// Releases sent at the end, since datagrams get lost.
 pub(super) const RELEASES: usize = 5;
 
-/// Forbids core files and other users' debuggers, since keys lie in memory from now on.
+/// Forbids core files and other users' debuggers: keys are in memory.
 fn forbid_dumps() {
     let no_core = Rlimit { current: Some(0), ..getrlimit(Resource::Core) };
     // Optional on systems without it.
@@ -53,7 +53,7 @@ pub(super) struct LiveChannel {
 }
 
 impl LiveChannel {
-    /// Creates a session for this frame layout; a secure one has no keys yet.
+    /// Creates a session for a layout; a secure one has no keys yet.
     pub(super) fn start(
         role: Role,
         layout: FrameLayout,
@@ -77,7 +77,7 @@ impl LiveChannel {
         })
     }
 
-    /// Opens a datagram in place and passes its payload to the side.
+    /// Opens a datagram in place for the side.
     pub(super) fn receive(
         &mut self,
         time: LinkTime,
@@ -110,8 +110,7 @@ impl LiveChannel {
         Received::Nothing
     }
 
-    /// Advances time and takes new keys. Passes each handshake with its destination to `send`, each event to
-    /// `report`.
+    /// Advances time and takes new keys. Passes handshakes with destination to `send`, events to `report`.
     pub(super) fn advance(
         &mut self,
         now_ns: u64,

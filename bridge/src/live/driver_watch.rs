@@ -1,4 +1,4 @@
-//! Watch for a driver that does not return: a thread steps the loop meanwhile, so that both sides report why.
+//! Watch for a blocked driver: a thread steps the loop, so that both sides report why.
 
 use std::{
     io,
@@ -15,12 +15,12 @@ use crate::fault_text::FaultText;
 
 /// Polling interval.
 const LOOK: Duration = Duration::from_millis(50);
-/// Consecutive polls in the same call after which a driver counts as blocked. A suspended process does not poll.
+/// Consecutive polls in one call after which a driver is blocked. A suspended process does not poll.
 const LOOKS: u32 = 10;
-/// The same for the first `read`, in which an arm may get its torque.
+/// The same for the first `read`, which may give an arm its torque.
 const FIRST_LOOKS: u32 = 20;
 
-/// Bytes of its stack, which are locked: a tick takes a few tens of KiB.
+/// Bytes of the locked stack: a tick takes a few tens of KiB.
 const STACK: usize = 1 << 19;
 /// Wait in ns for a loop that another thread holds.
 const MAX_TURN_NS: u64 = 10_000_000;
@@ -41,18 +41,18 @@ pub enum DriverCall {
 pub struct DriverCalls {
     /// Number of calls times 4, plus the newest [`DriverCall`].
     newest: AtomicU64,
-    /// Value of `newest` for the call that was found blocked.
+    /// The call that was found blocked.
     blocked: AtomicU64,
 }
 
 impl DriverCalls {
-    /// Marks the start of `call`. Only the driver's thread may call this.
+    /// Marks the start of a call, on the driver's thread only.
     pub fn enter(&self, call: DriverCall) {
         let before = self.newest.load(Ordering::Relaxed) | 3;
         self.newest.store(before.wrapping_add(1) | call as u64, Ordering::Relaxed);
     }
 
-    /// Returns whether the newest call has blocked so long that the watch has told both sides.
+    /// Returns whether the newest call is blocked, as the watch has told both sides.
     pub fn is_blocked(&self) -> bool {
         let newest = self.newest();
         newest != 0 && newest == self.blocked.load(Ordering::Relaxed)
@@ -65,9 +65,8 @@ impl DriverCalls {
 
 /// Starts the thread that watches the driver `name` of a loop; it ends with the loop.
 ///
-/// Once a call has not returned for 0.5 s, the side goes to FAULT with a text that names the call. The thread steps
-/// the loop until the driver returns: frames, records and telemetry go on. At a stop it announces the end to the
-/// peer.
+/// After 0.5 s in one call the side goes to FAULT with a text that names the call. The thread steps the loop until
+/// the driver returns: frames, records and telemetry go on. At a stop it announces the end to the peer.
 ///
 /// # Errors
 ///

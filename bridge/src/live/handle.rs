@@ -1,4 +1,4 @@
-//! Inputs and outputs of a live loop: commands, state shared with watchers, sinks of records.
+//! Inputs and outputs of a live loop: commands, shared state, sinks of records.
 
 use std::{
     net::SocketAddr,
@@ -21,7 +21,7 @@ use crate::{
     wire::Role,
 };
 
-/// Lock-free handle to command and observe a loop from any thread.
+/// Lock-free handle to a loop, for any thread.
 #[derive(Clone, Debug)]
 pub struct LiveHandle(Arc<Shared>);
 
@@ -31,7 +31,7 @@ impl LiveHandle {
         self.0.stop.store(true, Ordering::Relaxed);
     }
 
-    /// Returns whether the loop was stopped, or ended by itself if a driver steps it.
+    /// Returns whether the loop was stopped, or ended by itself under a driver.
     pub fn is_stopped(&self) -> bool {
         self.0.stop.load(Ordering::Relaxed)
     }
@@ -41,8 +41,8 @@ impl LiveHandle {
         self.0.at_rest.load(Ordering::Relaxed)
     }
 
-    /// Releases the clutch briefly and presses it again, for the operator at this side only. Void if the loop does
-    /// not read it within 0.25 s or stalled within 0.25 s before: its time is unknown then.
+    /// Releases the clutch briefly and presses it again, for the operator at this side only. Void if not read within
+    /// 0.25 s, or within 0.25 s after a stall, when its time is unknown.
     pub fn press_clutch(&self) {
         self.0.press_ns.store(system::now_ns().max(1), Ordering::Relaxed);
     }
@@ -53,15 +53,14 @@ impl LiveHandle {
         self.0.takeover_ns.store(system::now_ns().max(1), Ordering::Relaxed);
     }
 
-    /// Records the operator's acknowledgement of a device fault. The driver takes it, by
-    /// [`Self::take_acknowledgement`].
+    /// Acknowledges a device fault. The driver takes it by [`Self::take_acknowledgement`].
     pub fn acknowledge_device(&self) {
         self.0.acknowledged_ns.store(system::now_ns().max(1), Ordering::Relaxed);
     }
 
-    /// Takes an acknowledgement; true if given within the last 0.25 s.
+    /// Takes an acknowledgement of the last 0.25 s.
     pub fn take_acknowledgement(&self) -> bool {
-        // Called at each tick: swap only if there is one.
+        // Called each tick: swap only if needed.
         if self.0.acknowledged_ns.load(Ordering::Relaxed) == 0 {
             return false;
         }
@@ -69,14 +68,13 @@ impl LiveHandle {
         system::now_ns().saturating_sub(at_ns) <= PROMPT_NS
     }
 
-    /// Number of ineffective presses, and the reason of the last: [`Self::press_clutch`], or a start that was too
-    /// old.
+    /// Number of ineffective presses and reason of the last: [`Self::press_clutch`], or an expired start.
     pub fn ineffective_presses(&self) -> (u64, Option<Ineffective>) {
         let count = self.0.ineffective_presses.load(Ordering::Acquire);
         (count, Ineffective::from_code(self.0.ineffective.load(Ordering::Relaxed)))
     }
 
-    /// True if the start expired as a press and the device has no button to press instead.
+    /// True if the start expired as a press and no button can press instead.
     pub fn is_start_void(&self) -> bool {
         self.0.is_start_void.load(Ordering::Relaxed)
     }
@@ -97,7 +95,7 @@ impl LiveHandle {
     }
 }
 
-/// Reading ends of a loop's rings, except for records. The loop never waits for them.
+/// Reading ends of a loop's rings, except records. The loop never waits for them.
 #[derive(Debug)]
 pub struct LiveWatch {
     handle: LiveHandle,
@@ -116,7 +114,7 @@ pub struct LiveWatch {
 }
 
 impl LiveWatch {
-    /// Handle for threads that must not wait for the reader of the rings.
+    /// Handle for threads independent of the rings' reader.
     pub fn handle(&self) -> &LiveHandle {
         &self.handle
     }
@@ -128,7 +126,7 @@ impl LiveWatch {
         }
     }
 
-    /// Takes the command port for a thread that serves clients; `None` the second time.
+    /// Takes the port for a thread that serves clients; once.
     pub fn port(&mut self) -> Option<ControlPort> {
         self.port.take()
     }
@@ -143,17 +141,16 @@ impl LiveWatch {
         self.recording.as_ref().map(Recording::report)
     }
 
-    /// Queues a command, which the loop carries out at its next tick. An acknowledgement is void if the loop does not
-    /// read it within 0.25 s.
+    /// Queues a command for the next tick. An acknowledgement is void if not read within 0.25 s.
     ///
     /// # Errors
     ///
-    /// A scale out of its bounds, given the clutch at the last tick, or a full queue.
+    /// A scale out of bounds, given the last known clutch, or a full queue.
     pub fn command(&mut self, command: OperatorCommand) -> Result<(), CommandError> {
         self.handle.0.give(&mut self.commands, command)
     }
 
-    /// Flight recorder as JSON, as of the last STOP or FAULT or of the end; `None` before.
+    /// Flight recorder as JSON, of the last STOP or FAULT or the end; `None` before.
     pub fn flight(&mut self) -> Option<String> {
         while let Ok(flight) = self.flights.pop() {
             self.flight = Some(Box::new(flight));
@@ -161,7 +158,7 @@ impl LiveWatch {
         self.flight.as_ref().map(|flight| flight.to_json())
     }
 
-    /// Reason why the sides are not coupled, with location and remedy; `None` if nothing is wrong.
+    /// Cause, location and remedy of the sides not being coupled; `None` if nothing is wrong.
     pub fn diagnosis(&mut self) -> Option<&Diagnosis> {
         while let Ok(diagnosis) = self.diagnoses.pop() {
             self.diagnosis = diagnosis;
@@ -180,7 +177,7 @@ impl LiveWatch {
     }
 }
 
-/// Commands a loop from one thread, beside a [`LiveWatch`] on another. The loop never waits for it.
+/// Command port for another thread than that of [`LiveWatch`]. The loop never waits for it.
 #[derive(Debug)]
 pub struct ControlPort {
     handle: LiveHandle,
@@ -188,7 +185,6 @@ pub struct ControlPort {
 }
 
 impl ControlPort {
-    /// Handle of the loop.
     pub fn handle(&self) -> &LiveHandle {
         &self.handle
     }
@@ -224,7 +220,7 @@ impl<R> RecordReader<R> {
         usize::try_from(self.handle.ticks()).map_or(self.room, |ticks| ticks.min(self.room))
     }
 
-    /// The newest records, oldest first. Empty before the loop has ended, and the second time.
+    /// Newest records, oldest first. Empty before the end of the loop, and after the first call.
     pub fn take(&self) -> Vec<R> {
         self.records.try_recv().unwrap_or_default().into_records()
     }
@@ -234,13 +230,13 @@ impl<R> RecordReader<R> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Ineffective {
-    /// Something else must be done first; the diagnosis tells.
+    /// Something else must be done first; see the diagnosis.
     NotYet = 1,
     /// The loop was late, so the time of the press is unknown.
     Late,
     /// The device has a button of its own.
     HasButton,
-    /// The start, which is a press, was too old when the loop began.
+    /// The start, which is a press, had expired.
     OldStart,
 }
 
@@ -271,10 +267,10 @@ pub(super) struct Shared {
     pub(super) state: AtomicU8,
     pub(super) ticks: AtomicU64,
     pub(super) answered: AtomicBool,
-    /// Time of the last press and takeover commands in ns; 0 once taken.
+    /// Times of the last press and takeover in ns; 0 once taken.
     press_ns: AtomicU64,
     takeover_ns: AtomicU64,
-    /// Time of the acknowledgement of a device fault in ns; 0 once taken.
+    /// Time of the acknowledgement in ns; 0 once taken.
     acknowledged_ns: AtomicU64,
     /// Number of ineffective presses, and reason of the last.
     ineffective_presses: AtomicU64,
@@ -308,7 +304,7 @@ impl Shared {
         }
     }
 
-    /// Queues a command. The caller gets its error here; the side checks again when it takes the command.
+    /// Queues a command. Errors go to the caller; the side checks again.
     fn give(
         &self,
         commands: &mut rtrb::Producer<(u64, OperatorCommand)>,
@@ -323,7 +319,7 @@ impl Shared {
         self.stop.load(Ordering::Relaxed) || system::is_exhausted()
     }
 
-    /// Diagnosis of a recorder, marked if the loop ends by it.
+    /// Diagnosis of a recorder, marked if it ends the loop.
     pub(super) fn diagnosis(&self, flight: &FlightRecorder) -> Option<Diagnosis> {
         let ends = self.ends.load(Ordering::Relaxed);
         flight.diagnosis().map(|diagnosis| Diagnosis { ends, ..*diagnosis })
@@ -344,7 +340,7 @@ pub(super) struct CommandQueue {
 }
 
 impl CommandQueue {
-    /// Returns the next command: the start, then those of the handles, the watch and the control port, each in order.
+    /// The next command: the start, those of handles, of the watch, of the control port.
     pub(super) fn next(&mut self, shared: &Shared) -> Option<(u64, OperatorCommand)> {
         if let Some(started_ns) = self.started_ns.take() {
             return Some((started_ns, OperatorCommand::Start));
@@ -378,7 +374,7 @@ impl<R> Default for RecordOutputs<R> {
     }
 }
 
-/// Sinks of a loop's records; the loop never waits for them.
+/// Sinks of records; the loop never waits for them.
 #[derive(Debug)]
 pub(super) struct RecordSinks<R> {
     to_reader: mpsc::SyncSender<Newest<R>>,
@@ -393,7 +389,7 @@ impl<R: Copy> RecordSinks<R> {
         }
     }
 
-    /// Passes a record to all sinks. Returns whether all earlier records are still kept.
+    /// Passes a record to all sinks. Returns whether all earlier ones are kept.
     pub(super) fn push(&mut self, record: R) -> bool {
         if let Some(recorder) = &mut self.outputs.recorder {
             recorder.take(record);
@@ -410,8 +406,8 @@ impl<R: Copy> RecordSinks<R> {
         }
     }
 
-    /// Passes on why the sides are not coupled, at `time_ns` after the start or shortly later. `None` means that they
-    /// may be again, which is not recorded.
+    /// Passes on why the sides are not coupled, since `time_ns` after the start or shortly before. `None` ends a
+    /// cause, which is not recorded.
     pub(super) fn note(&mut self, time_ns: u64, diagnosis: Option<&Diagnosis>) {
         if let (Some(recorder), Some(diagnosis)) = (&mut self.outputs.recorder, diagnosis) {
             recorder.note(time_ns, diagnosis);
@@ -421,7 +417,7 @@ impl<R: Copy> RecordSinks<R> {
         }
     }
 
-    /// Ends telemetry and recording of a loop.
+    /// Ends telemetry and recording.
     pub(super) fn end(mut self) -> Option<RecordingReport> {
         if let Some(telemetry) = self.outputs.telemetry.take() {
             telemetry.end();
@@ -451,12 +447,12 @@ pub(super) struct LoopChannels {
 const MAX_EVENTS: usize = 64;
 /// Maximum number of unread flight recorders.
 const MAX_FLIGHTS: usize = 2;
-/// Maximum number of unread diagnoses; the loop keeps the newest until there is room.
+/// Maximum number of unread diagnoses; the loop retries with the newest.
 const MAX_DIAGNOSES: usize = 16;
 /// Maximum number of queued commands, and of commands per tick.
 pub(super) const MAX_COMMANDS: usize = 16;
 
-/// Creates the rings of a loop that the operator started at `started_ns`.
+/// Creates the rings of a loop started by the operator at `started_ns`.
 pub(super) fn channels<R>(
     started_ns: u64,
     address: SocketAddr,
@@ -470,7 +466,7 @@ pub(super) fn channels<R>(
     (channels, RecordSinks { to_reader, outputs }, watch, reader)
 }
 
-/// Creates the rings except for records; compiled once for all record types.
+/// Creates the rings except records; compiled once.
 fn rings(
     started_ns: u64,
     address: SocketAddr,

@@ -23,16 +23,15 @@ use crate::{
     },
 };
 
-/// Maximum number of messages queued per direction; more are dropped, as by a network.
+/// Maximum number of queued messages per direction; more are dropped.
 const WAITING: usize = 64;
-/// Share of it for new sessions; the rest is reserved for the living one.
+/// Share for new sessions; the living one has the rest.
 const FOR_NEW: usize = WAITING / 2;
-/// Polling interval of the thread.
 const POLL: Duration = Duration::from_millis(2);
-/// Time in ns per message to the thread, for all new sessions together and for the living one. A message costs about
-/// 50 us, so a flood of recorded ones costs 1 % of a core.
+/// Time in ns per message, for all new sessions together and for the living one. A message costs about 50 us, so a
+/// flood costs 1 % of a core.
 const MESSAGE_NS: u64 = 5_000_000;
-/// Burst of messages of the living session: for a new epoch, and for the newest known epoch.
+/// Bursts of the living session: for a new epoch, and for the newest known.
 const NEW_KEYS: u64 = 16;
 const REPEATS: u64 = 8;
 
@@ -46,20 +45,19 @@ enum Request {
 
 #[derive(Debug)]
 pub(super) struct Answer {
-    /// Destination of the datagram: the sender of the request, or `None` for the peer.
+    /// Sender of the request, or `None` for the peer.
     pub(super) to: Option<Asker>,
     pub(super) outcome: Outcome,
 }
 
-/// Rate limits for messages to the thread. No number of recorded messages keeps out a new master or the partner of
-/// the living session.
+/// Rate limits of messages. Recorded ones, however many, keep out neither a new master nor the partner of the living
+/// session.
 #[derive(Debug)]
 struct Admission {
     sessions: Shares,
     renewals: Bucket,
     repeats: Bucket,
-    /// Session and epoch of the header. Slave: of the newest keys that this thread made. Master: of its newest
-    /// message.
+    /// Session and epoch: at the slave of the newest keys made, at the master of its newest message.
     newest: Option<(u64, u32)>,
 }
 
@@ -73,7 +71,7 @@ impl Admission {
         }
     }
 
-    /// Returns whether a message with a valid MAC of the shared key goes on to the thread.
+    /// Returns whether a message with a valid MAC goes on to the thread.
     fn admits(
         &mut self,
         now_ns: u64,
@@ -88,8 +86,7 @@ impl Admission {
         if !is_renewal {
             return self.sessions.take(now_ns, from);
         }
-        // Repeats of an epoch that is proved to be the partner's have a limit of their own. Lower epochs were given
-        // up.
+        // Repeats of a proved epoch of the partner have their own limit. Lower epochs were given up.
         match self.newest.filter(|newest| newest.0 == session).map(|newest| epoch.cmp(&newest.1)) {
             Some(std::cmp::Ordering::Less) => false,
             Some(std::cmp::Ordering::Equal) => self.repeats.take(now_ns, MESSAGE_NS, REPEATS),
@@ -137,14 +134,14 @@ impl Handshakes {
         })
     }
 
-    /// Reports the session's standing, unless the thread has unread requests.
+    /// Reports the session's standing, unless requests are unread.
     pub(super) fn set_standing(&mut self, standing: Standing) {
         if self.requests.slots() == WAITING {
             let _ = self.requests.push(Request::Standing(standing, self.keys));
         }
     }
 
-    /// Passes on a message that arrived at `now_ns`, after the session's standing, if within its limit.
+    /// Passes on a message within its limit, after the session's standing.
     pub(super) fn hand_over(
         &mut self,
         now_ns: u64,
@@ -176,14 +173,14 @@ impl Handshakes {
         Some(answer)
     }
 
-    /// Returns whether the thread has ended by itself; true once.
+    /// True once if the thread has ended by itself.
     pub(super) fn has_died(&mut self) -> bool {
         let died = !self.was_reported && self.thread.has_returned();
         self.was_reported |= died;
         died
     }
 
-    /// Ends the thread. Returns its rejections and the messages beyond their limit.
+    /// Ends the thread. Returns its rejections, including messages beyond the limit.
     pub(super) fn end(&mut self) -> Rejections {
         self.is_over.store(true, Ordering::Relaxed);
         let rejections = self.thread.join().unwrap_or_default();
@@ -220,7 +217,7 @@ fn answer(
     while !is_over.load(Ordering::Relaxed) {
         while let Ok(request) = requests.pop() {
             match (request, &standing) {
-                // A standing from before the newest keys were in use would make this thread request them again.
+                // A standing older than the newest keys would make this thread request them again.
                 (Request::Standing(newer, keys), _) => standing = (keys == given).then_some(newer),
                 (Request::Message(asker, message), Some(known)) => {
                     let now_ns = system::now_ns();
@@ -339,8 +336,7 @@ mod tests {
         SocketAddr::from(([10, 0, 0, host], 9))
     }
 
-    /// 1e5 recorded first messages a second from one address: another address is admitted at once, and the thread
-    /// gets few.
+    /// 1e5 recorded first messages a second from one address: another address is admitted at once.
     #[test]
     fn flood_of_recorded_messages_keeps_no_master_out() {
         let mut admission = Admission::new();

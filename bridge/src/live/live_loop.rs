@@ -1,4 +1,4 @@
-//! Live loop of one side, for either runner: take commands and datagrams, tick, send, record.
+//! Live loop of one side: take commands and datagrams, tick, send, record.
 
 use std::{any::Any, ops::ControlFlow, sync::atomic::Ordering};
 
@@ -30,9 +30,9 @@ pub struct LiveSettings {
     pub period_ns: u64,
     /// Time in ns after the sides engaged at which the loop ends.
     pub duration_ns: Option<u64>,
-    /// Time in ns after which the loop ends if the sides have not engaged.
+    /// Time in ns after which the loop ends unless engaged.
     pub patience_ns: Option<u64>,
-    /// Start by the operator, in ns of the system's monotonic clock; `None` for the creation of the loop.
+    /// Start by the operator, in ns of the monotonic clock; `None` for the loop's creation.
     pub started_ns: Option<u64>,
     /// Real-time requests to the system.
     pub realtime: RealtimeSettings,
@@ -49,7 +49,7 @@ pub struct LoopReport {
     pub dropped_records: u64,
     /// Frames that the system refused to send.
     pub unsent: u64,
-    /// Datagrams from other addresses than a known peer's; counted as refused in `link`, too.
+    /// Datagrams from other addresses than a known peer's; included in `link`.
     pub elsewhere: u64,
     /// Counts of the link.
     pub link: LinkStatistics,
@@ -63,7 +63,7 @@ pub struct LoopReport {
     pub outliers: u64,
     /// True if frames were encrypted and authenticated.
     pub secure: bool,
-    /// Datagrams that the session rejected, by cause; counted in `link`, too.
+    /// Datagrams rejected by the session, by cause; included in `link`.
     pub rejections: Rejections,
     /// First engagement of the sides, in ns since the start; `u64::MAX` if never.
     pub engaged_ns: u64,
@@ -75,17 +75,17 @@ pub struct LoopReport {
     pub out_of_memory: bool,
 }
 
-/// The inverse of this share of the period may be spent on receiving, so that a flood cannot stretch the tick.
+/// Inverse share of the period for receiving, so that a flood cannot stretch the tick.
 const RECEIVE_SHARE: u64 = 4;
-/// Time in ns to wait after each of the last frames and releases: 20 ms in all, since losses occur in bursts.
+/// Waits in ns after each of the last frames and releases: 20 ms in all, since losses occur in bursts.
 const END_NS: [u64; 9] =
     [1_000_000, 1_000_000, 2_000_000, 4_000_000, 1_000_000, 1_000_000, 2_000_000, 8_000_000, 0];
-/// Maximum age in ns of a command when the loop takes it, and time after a stall in which no press is taken. A signal
-/// sent while the process was suspended arrives when it resumes.
+/// Maximum age in ns of a command, and time after a stall without presses. Signals sent during a suspend arrive after
+/// it.
 pub(super) const PROMPT_NS: u64 = 250_000_000;
 
-/// Returns whether a command given at `at_ns` is still valid at `now_ns`. `stalled_ns` is the end of the loop's last
-/// stall, `failed_ns` the time of the side's present fault.
+/// Returns whether a command of `at_ns` is still valid at `now_ns`. `stalled_ns` is the end of the last stall,
+/// `failed_ns` the time of the present fault.
 fn is_prompt(
     command: OperatorCommand,
     at_ns: u64,
@@ -95,18 +95,18 @@ fn is_prompt(
 ) -> bool {
     let is_young = now_ns.saturating_sub(at_ns) <= PROMPT_NS;
     match command {
-        // A time in the future would never expire.
+        // A future time would never expire.
         OperatorCommand::Start => now_ns.checked_sub(at_ns).is_some_and(|age_ns| age_ns <= PRESS_NS),
         OperatorCommand::Press | OperatorCommand::Takeover => {
             is_young && stalled_ns.is_none_or(|stalled| at_ns > stalled + PROMPT_NS)
         }
-        // It acknowledges the fault of that time, not a later one.
+        // It is for the fault of that time, not a later one.
         OperatorCommand::Acknowledge => is_young && failed_ns.is_none_or(|failed| failed <= at_ns),
         _ => true,
     }
 }
 
-/// A side with the sinks of its records. The loop steps this trait, so that it is compiled once for all sides.
+/// A side with its sinks. The loop steps this trait, so that it is compiled once.
 pub(super) trait LoopSide {
     fn side(&self) -> &dyn Side;
 
@@ -115,12 +115,12 @@ pub(super) trait LoopSide {
     /// The concrete side, for its driver.
     fn side_any(&mut self) -> &mut dyn Any;
 
-    /// Sets time 0 of the loop on the monotonic clock. From now on a drop leaves the plant at rest.
+    /// Sets time 0 of the loop on the monotonic clock.
     fn begin(&mut self, now_ns: u64);
 
     fn tick(&mut self, time: TickTime);
 
-    /// Passes the record of the last tick to the sinks. Returns whether they still keep all earlier records.
+    /// Passes the last record to the sinks. Returns whether all earlier ones are kept.
     fn record(&mut self) -> bool;
 
     /// Removes force and motion, once.
@@ -137,7 +137,7 @@ pub(super) trait LoopSide {
     fn abandon(&mut self) -> Option<RecordingReport>;
 }
 
-/// A side with the sinks of its records. Once begun, it leaves the plant at rest when dropped.
+/// A side with its sinks. Once begun, a drop leaves the plant at rest.
 pub(super) struct RecordedSide<S: Side> {
     side: S,
     sinks: Option<RecordSinks<S::Record>>,
@@ -150,7 +150,7 @@ impl<S: Side> RecordedSide<S> {
         Self { side, sinks: Some(sinks), record: S::Record::default(), is_at_rest: true }
     }
 
-    /// Once: an arm that is stopped repeatedly gives up its contact.
+    /// Once: repeated stops give up a contact.
     fn leave_at_rest(&mut self) {
         if !std::mem::replace(&mut self.is_at_rest, true) {
             self.side.rest();
@@ -258,11 +258,9 @@ impl LiveLoop {
         }
     }
 
-    /// Does one tick; breaks when the run is over.
     pub(super) fn step(&mut self, plant: &mut dyn LoopSide, wake: Wake, shared: &Shared) -> ControlFlow<()> {
         let Wake { deadline_ns, overshoot_ns, missed } = wake;
-        // The tick's time is its deadline or the time of the device's sample. The pure part sees a steady clock, as
-        // in virtual time.
+        // The pure part sees a steady clock, as in virtual time: the deadline, or the time of the device's sample.
         let (now_ns, start_ns) = (deadline_ns, self.start_ns);
         self.now_ns = now_ns;
         self.report.skipped += missed;
@@ -310,11 +308,11 @@ impl LiveLoop {
         }
     }
 
-    /// Carries out the commands since the last tick that are still valid.
+    /// Carries out the valid commands since the last tick.
     fn take_commands(&mut self, side: &mut dyn Side, shared: &Shared) {
         let Self { channel, channels, now_ns, stalled_ns, .. } = self;
         let now_ns = *now_ns;
-        // Bounded by the queue's size, so that endless commands cannot hold the tick.
+        // Bounded, so that endless commands cannot hold the tick.
         for _ in 0..MAX_COMMANDS {
             let Some((at_ns, command)) = channels.commands.next(shared) else { break };
             let failed_ns = side.exchange().flight().failed_ns();
@@ -341,7 +339,7 @@ impl LiveLoop {
                     }
                 }
                 _ if counts => {
-                    // Refused earlier, unless the clutch has closed since.
+                    // Checked when queued: fails only if the clutch has closed since.
                     if let Err(error) = side.command(now_ns, command) {
                         let _ = channels.events.push(SecurityEvent::Refused(error));
                     }
@@ -351,7 +349,7 @@ impl LiveLoop {
         }
     }
 
-    /// Hands out the results of a tick without waiting.
+    /// Hands out the results of a tick, without waiting.
     fn report(&mut self, plant: &mut dyn LoopSide, shared: &Shared) {
         let Self { channels, report, now_ns, start_ns, .. } = self;
         let elapsed_ns = *now_ns - *start_ns;
@@ -384,7 +382,7 @@ impl LiveLoop {
         shared.answered.store(link.round_trip_ns != 0, Ordering::Relaxed);
     }
 
-    /// Leaves the plant at rest and announces the end to the peer. Does nothing the second time.
+    /// Leaves the plant at rest and announces the end to the peer, once.
     pub(super) fn announce_end(&mut self, plant: &mut dyn LoopSide, shared: &Shared) {
         if std::mem::replace(&mut self.has_announced_end, true) {
             return;
@@ -396,8 +394,7 @@ impl LiveLoop {
         side.exchange_mut().end();
         for (sent, wait_ns) in END_NS.into_iter().enumerate() {
             let now_ns = system::now_ns();
-            // A release ends the peer's keys, so the frames with the reason go first. Without security there is no
-            // release.
+            // A release ends the peer's keys, so the frames with the reason go first.
             let datagram = if channel.session.is_secure() && sent + RELEASES >= END_NS.len() {
                 channel.session.release(now_ns, buffer).ok()
             } else {
@@ -411,7 +408,7 @@ impl LiveLoop {
         shared.at_rest.store(true, Ordering::Relaxed);
     }
 
-    /// Leaves the plant at rest, announces the end to the peer, and closes sinks and session.
+    /// Announces the end and closes sinks and session.
     pub(super) fn end(
         mut self,
         plant: &mut dyn LoopSide,

@@ -2,7 +2,7 @@
 
 use std::thread::JoinHandle;
 
-/// A thread to be joined. A forked process has the handle but not the thread, which counts as ended there.
+/// A thread to be joined. In a forked process it counts as ended.
 #[derive(Debug)]
 pub(crate) struct OwnThread<T> {
     handle: Option<JoinHandle<T>>,
@@ -24,8 +24,7 @@ impl<T> OwnThread<T> {
         self.handle.as_ref().is_some_and(JoinHandle::is_finished)
     }
 
-    /// Waits for its end and returns its result. `None` if it was joined before, panicked or belongs to another
-    /// process.
+    /// Waits for its end. `None` if joined before, panicked or of another process.
     pub(crate) fn join(&mut self) -> Option<T> {
         let handle = self.handle.take()?;
         if self.is_elsewhere() {

@@ -35,7 +35,7 @@ pub struct LiveRun {
     realtime: RealtimeReport,
 }
 
-/// A side in its loop. The plant is first, so that it is at rest before anything else is dropped.
+/// A side in its loop. The plant is dropped, and so at rest, first.
 struct Running {
     plant: Box<dyn LoopSide + Send>,
     live_loop: LiveLoop,
@@ -148,7 +148,7 @@ impl LiveRun {
         self.thread.is_finished()
     }
 
-    /// Ends the loop and returns its report; `None` if it was joined before or panicked.
+    /// Ends the loop. Returns its report; `None` if joined before or panicked.
     pub fn join(&mut self) -> Option<Ended> {
         self.handle.stop();
         self.thread.join()
@@ -161,7 +161,7 @@ impl Drop for LiveRun {
     }
 }
 
-/// Ticks for which the peer is told of a device failure: frames get lost, and the driver's text needs several.
+/// Ticks that report a device failure: frames get lost, and the text needs several.
 const FAILED_TICKS: u32 = 3 * PIECES as u32;
 
 enum Stage {
@@ -170,15 +170,15 @@ enum Stage {
     Over,
 }
 
-/// The loop of one side, a tick at a time: `begin`, `step` at every sample of the device, then `end`.
+/// The loop of one side, tick by tick: `begin`, `step` at every sample, `end`, all on one thread.
 ///
-/// A driver that does not wait for its device calls `wait` after each tick. All calls must be on one thread.
+/// A driver that does not wait for its device calls `wait` after each tick.
 pub struct PacedLoop<S> {
     paced: Pacing,
     side: PhantomData<S>,
 }
 
-/// Part of a paced loop that is independent of the side's type, compiled once.
+/// Part of a paced loop independent of the side's type, compiled once.
 struct Pacing {
     stage: Stage,
     settings: LiveSettings,
@@ -190,7 +190,7 @@ struct Pacing {
     kept: Option<Kept>,
 }
 
-/// A loop that has not begun, its watch and its records.
+/// A prepared loop, its watch and its records.
 pub type Paced<S> = (PacedLoop<S>, LiveWatch, RecordReader<<S as Side>::Record>);
 
 /// Prepares the loop of one side; `outputs` receive every record.
@@ -216,8 +216,7 @@ pub fn paced_by_device<S: Side + Send + 'static>(
 }
 
 impl<S: Side + 'static> PacedLoop<S> {
-    /// Does one tick: `before` gives the side its sample, `after` takes its decision. Returns `None` once the run is
-    /// over.
+    /// Does one tick: `before` sets the sample, `after` takes the decision. `None` once the run is over.
     pub fn step<T>(&mut self, before: impl FnOnce(&mut S), after: impl FnOnce(&mut S) -> T) -> Option<T> {
         let wake = self.paced.wake()?;
         before(self.side()?);
@@ -262,9 +261,9 @@ impl Pacing {
     }
 }
 
-/// Operations of a driver on its loop, for any side. [`PacedLoop::step`] does the tick.
+/// Operations of a driver on any side's loop, except [`PacedLoop::step`].
 pub trait DriverLoop {
-    /// Starts time and requests real-time scheduling for this thread. Does nothing if already begun.
+    /// Starts time, and requests real-time scheduling for this thread. Does nothing if already begun.
     ///
     /// Fails, and ends the run, if real-time scheduling is required and not fully granted.
     fn begin(&mut self) -> Result<RealtimeReport, StartError>;
@@ -272,18 +271,17 @@ pub trait DriverLoop {
     /// Sleeps until the next tick is due.
     fn wait(&mut self);
 
-    /// Handles a lost device: zero force, no motion, and reports it to the peer with the driver's text, if any.
+    /// Handles a lost device: zero force, no motion, and the driver's text to the peer.
     fn fail(&mut self, text: &FaultText);
 
-    /// Does one tick for a driver that does not return: zero force and no motion, with `text` as the fault. Returns
-    /// when the next tick is due in ns. Returns `None` once the run is over, after announcing its end.
+    /// Does one tick for a driver that does not return: zero force, no motion, fault `text`. Returns the next due
+    /// time in ns. Once the run is over, announces its end and returns `None`.
     fn turn_blocked(&mut self, text: &FaultText) -> Option<u64>;
 
-    /// Announces the end of this side to the peer, once the device is at rest. Call before anything that waits for
-    /// the report.
+    /// Announces the end to the peer, once the device is at rest and before anything waits for the report.
     fn announce_end(&mut self);
 
-    /// Ends the loop and returns its report; `None` if it was ended before.
+    /// Ends the loop. Returns its report; `None` if ended before.
     fn end(&mut self) -> Option<Ended>;
 }
 
@@ -344,7 +342,7 @@ impl DriverLoop for Pacing {
         for _ in 0..FAILED_TICKS {
             // Repeated at each tick: a lost device does not recover.
             running.plant.side_mut().exchange_mut().device_failed(Some(text));
-            // At the present time, not when the next sample would be due: a report must not lie in the future.
+            // Now, not when the next sample is due: a report must not lie in the future.
             let wake = self.pace.sampled(system::now_ns());
             let wake = Wake { overshoot_ns: 0, missed: 0, ..wake };
             if running.step(wake, &self.shared).is_break() {
@@ -381,7 +379,7 @@ impl DriverLoop for Pacing {
         match std::mem::replace(&mut self.stage, Stage::Over) {
             Stage::Running(running) => {
                 let (report, flight) = running.end(&self.shared);
-                // Memory is locked for the whole process: unlock at the end of the run, not when the loop is dropped.
+                // Memory is locked per process: unlock at the end of the run, not on drop.
                 self.kept = None;
                 Some((LoopReport { realtime, ..report }, Some(flight)))
             }

@@ -1,5 +1,5 @@
-//! Non-blocking UDP to one peer. Answers follow the peer when it moves, not a copier of its frames. They leave from
-//! the address that the peer used.
+//! Non-blocking UDP to one peer. Answers follow a moving peer, not a copier of its frames, and leave from the address
+//! that the peer used.
 
 use std::{
     io,
@@ -28,8 +28,8 @@ pub enum PeerAddress {
     Learned,
 }
 
-/// Address from which the system sends to `peer`, with any free port. For a peer on this machine it is on loopback,
-/// which no other machine reaches.
+/// Local address from which the system sends to `peer`, with any free port. On loopback, unreachable from other
+/// machines, for a peer on this machine.
 pub fn local_address(peer: SocketAddr) -> io::Result<SocketAddr> {
     let any: SocketAddr = match peer {
         SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
@@ -43,19 +43,18 @@ pub fn local_address(peer: SocketAddr) -> io::Result<SocketAddr> {
     Ok(local)
 }
 
-/// A non-blocking UDP socket and its peer. If the peer's name has several addresses, datagrams go to each in turn
-/// until one answers.
+/// A non-blocking UDP socket and its peer. Of several peer addresses each gets datagrams in turn, until one answers.
 #[derive(Debug)]
 pub struct PeerSocket {
-    /// More than one if the peer's addresses need different sockets.
+    /// Several if the peer's addresses need them.
     sockets: Vec<ReplySocket>,
     /// Socket index and route of each address of the peer.
     routes: Vec<(usize, Route)>,
-    /// Index of the address that is sent to next.
+    /// Index of the next address.
     current: usize,
     /// True if the peer has answered or has only one address.
     is_found: bool,
-    /// Address at which the peer answered, until reported.
+    /// Address that answered, until reported.
     found: Option<SocketAddr>,
     strangers: Strangers,
     /// Frames that the system refused to send: nobody listens there, or the buffer was full.
@@ -72,7 +71,7 @@ impl PeerSocket {
         Ok(Self::new(vec![open(local)?], vec![(0, route)]))
     }
 
-    /// Binds for a peer with several addresses, each paired with the local address that sends to it.
+    /// Binds for a peer with several addresses, each paired with its local address.
     ///
     /// # Errors
     ///
@@ -115,12 +114,11 @@ impl PeerSocket {
         self.sockets[self.routes[self.current].0].socket().local_addr()
     }
 
-    /// Takes the address at which a peer with several addresses answered; once.
+    /// Takes the address that answered, of several; once.
     pub(super) fn take_found(&mut self) -> Option<SocketAddr> {
         self.found.take()
     }
 
-    /// Takes the next report on datagrams that are not from the peer.
     pub(super) fn take_strangers(&mut self) -> Option<StrangerReport> {
         self.strangers.poll()
     }
@@ -131,7 +129,7 @@ impl PeerSocket {
 
     /// Passes each waiting datagram to `take`, which classifies it, until the clock shows `until_ns`.
     ///
-    /// A datagram from another address than a known peer's is counted and ignored. At least [`ROUND`] are taken: a
+    /// Datagrams from other addresses than a known peer's are counted and ignored. At least [`ROUND`] are taken: a
     /// late loop must hear its peer, too.
     pub(super) fn drain(
         &mut self,
@@ -151,7 +149,7 @@ impl PeerSocket {
         until_ns: u64,
         take: &mut impl FnMut(Asker, &mut [u8]) -> Received,
     ) {
-        // One byte longer than the longest datagram, to detect a longer one.
+        // One byte more, to detect a too long datagram.
         let mut buffer = [0; MAX_DATAGRAM + 1];
         for taken in 0..MAX_DATAGRAMS {
             if taken > 0 && taken % ROUND == 0 && system::now_ns() >= until_ns {
@@ -183,7 +181,7 @@ impl PeerSocket {
         }
     }
 
-    /// Index of the peer's address that sent this datagram; `None` if it is not the peer's.
+    /// Index of the peer's address that sent a datagram, if any.
     fn admitting(&self, socket: usize, from: SocketAddr) -> Option<usize> {
         let admits = |(of, route): &(usize, Route)| *of == socket && route.admits(from);
         if self.is_found {
@@ -192,8 +190,7 @@ impl PeerSocket {
         self.routes.iter().position(admits)
     }
 
-    /// Discards waiting datagrams as outdated, until the clock shows `until_ns`, so that a flood cannot hold the
-    /// loop.
+    /// Discards waiting datagrams as outdated, until `until_ns`, so that a flood cannot hold the loop.
     pub fn discard(&mut self, until_ns: u64) {
         let mut buffer = [0; 1];
         for socket in &self.sockets {
@@ -231,7 +228,7 @@ fn open(local: SocketAddr) -> io::Result<ReplySocket> {
     Ok(socket)
 }
 
-/// Silence in ns after which a peer may have moved; the ladder holds after the same time.
+/// Silence in ns after which a peer may have moved, as after which the ladder holds.
 const MOVES_AFTER_NS: u64 = 20_000_000;
 /// Maximum number of answers owed to the second address.
 const MAX_OWED: u32 = 4;
@@ -241,7 +238,7 @@ const MAX_OWED: u32 = 4;
 pub(super) enum Received {
     /// A frame newer than all before.
     Fresh {
-        /// True if the frame says that the peer hears this side, so answers reach it.
+        /// True if the peer hears this side, so answers reach it.
         is_answered: bool,
     },
     /// A repeated or late frame of the peer.
@@ -266,12 +263,12 @@ impl Place {
 
 /// Address of a peer.
 ///
-/// The first arrival of a frame and its copies is fresh, whatever its source. So a repeated frame is a sign of life,
-/// too. A peer is followed to another address only after 20 ms without any frame from its own. A faster copier
-/// therefore does not attract the answers.
+/// The first copy of a frame to arrive is fresh, from any source. So a repeated frame is a sign of life, too. A peer
+/// is followed elsewhere only after 20 ms without frames from its address: a faster copier does not attract the
+/// answers.
 ///
-/// If a copy comes first, at the start of a session or after a move, the peer reports that it hears nothing. Then a
-/// second address is answered as well, one datagram for each received from it.
+/// If a copy is first, at the start or after a move, the peer reports that it hears nothing. Then a second address is
+/// answered as well, one datagram for each received from it.
 #[derive(Clone, Debug)]
 struct Route {
     learns: bool,
@@ -288,7 +285,6 @@ impl Route {
         Self { learns: false, peer: Some(Place { asker: address.into(), heard_ns: 0 }), ..Self::learned() }
     }
 
-    /// Route to the address that frames come from.
     fn learned() -> Self {
         Self { learns: true, peer: None, second: None, owed: 0, is_answered: false }
     }
@@ -327,7 +323,6 @@ impl Route {
         }
     }
 
-    /// Destinations of the next datagram to the peer.
     fn next(&mut self) -> [Option<Asker>; 2] {
         let second = self.second.filter(|_| self.owed > 0);
         self.owed = self.owed.saturating_sub(1);
@@ -355,8 +350,8 @@ mod tests {
         SocketAddr::from(([10, 0, 0, 1], port))
     }
 
-    /// Longest time in ns in which the master had no answer, from `from_ns` to the end of `ticks` of 1 ms, and the
-    /// number of answers per address. The master is at address `lives(tick)`.
+    /// Longest time in ns without an answer to the master, from `from_ns` on over `ticks` of 1 ms, and answers per
+    /// address. The master is at `lives(tick)`.
     fn silence(
         ticks: u64,
         from_ns: u64,
@@ -372,7 +367,7 @@ mod tests {
         }
         arrivals.sort_unstable();
         let (mut seen, mut newest, mut answers) = (BTreeSet::new(), None, BTreeMap::new());
-        // Newest answer to the master, by the send time of each of its frames.
+        // Newest answer to the master, by send time.
         let mut answered_ns = vec![0; usize::try_from(ticks).unwrap()];
         let (mut last_ns, mut longest_ns, mut next) = (0, 0, 0);
         for now_ms in 0..ticks {
@@ -408,7 +403,7 @@ mod tests {
         (longest_ns, answers)
     }
 
-    /// 1 to 50 ms faster, all frames or some, from the middle of a session.
+    /// 1 to 50 ms faster, all frames or some, in mid-session.
     #[test]
     fn faster_copy_of_living_peer_gets_no_answer() {
         for faster_ms in [1, 2, 4, 10, 25, 50] {
@@ -442,7 +437,7 @@ mod tests {
         }
     }
 
-    /// The peer's frames stall, the copies do not: the slave moves to the copier and still serves the peer.
+    /// The peer's frames stall, the copies do not: the slave moves but still serves the peer.
     #[test]
     fn stalled_peer_is_not_lost_to_copier() {
         let senders = [
@@ -453,7 +448,7 @@ mod tests {
         assert!(longest_ns <= 20 * MS, "{longest_ns}");
     }
 
-    /// The relay blocks the originals: only its frames arrive, and they are answered.
+    /// Only the relay's frames arrive, and they are answered.
     #[test]
     fn relay_that_replaces_peer_is_followed() {
         let senders = [
@@ -509,7 +504,7 @@ mod tests {
         }
     }
 
-    /// Of a name with several addresses, the socket keeps the one that answers and ignores the others.
+    /// The socket keeps the address that answers, and ignores the others.
     #[test]
     fn each_address_of_a_peer_is_tried_until_one_answers() {
         let any: SocketAddr = "127.0.0.1:0".parse().unwrap();

@@ -1,5 +1,4 @@
-//! Datagrams that are not from the peer: from another address, key or version. They couple nobody. The operator sees
-//! the first and every tenfold count.
+//! Datagrams that are not from the peer. They couple nobody; the operator sees the first and every tenfold count.
 
 use std::net::SocketAddr;
 
@@ -15,7 +14,7 @@ pub enum Stranger {
     Elsewhere,
     /// A handshake of another key.
     Key,
-    /// Of another version of the protocol.
+    /// Another version of the protocol.
     Version,
     /// Unencrypted, and this side has a key.
     Clear,
@@ -39,7 +38,7 @@ pub(super) fn header_of(datagram: &[u8]) -> Option<Header> {
     Some(Header { magic: [first, second], version, is_handshake: is_handshake(datagram) })
 }
 
-/// Evidence in a refused datagram that it is not from the peer, if any; `rejection` is the session's.
+/// Evidence in a refused datagram that it is not from the peer.
 pub(super) fn stranger(
     header: Option<&Header>,
     is_secure: bool,

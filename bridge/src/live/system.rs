@@ -42,7 +42,7 @@ const MIN_SLEEP_NS: u64 = 50_000;
 
 /// Sleeps until the monotonic clock shows `deadline_ns`; for 50 us if it is past.
 ///
-/// Under real-time scheduling a loop that cannot keep up and never sleeps would starve all else on this processor.
+/// Under real-time scheduling a loop that never sleeps would starve all else on this processor.
 pub(super) fn sleep_until(deadline_ns: u64) {
     let now_ns = now_ns();
     let deadline_ns = if deadline_ns > now_ns { deadline_ns } else { now_ns + MIN_SLEEP_NS };
@@ -52,20 +52,20 @@ pub(super) fn sleep_until(deadline_ns: u64) {
     while clock_nanosleep_absolute(ClockId::Monotonic, &deadline) == Err(rustix::io::Errno::INTR) {}
 }
 
-/// Requests that the kernel does not delay this thread's wake-ups by its default 50 us. Optional.
+/// Requests wake-ups without the kernel's default slack of 50 us. Optional.
 fn request_prompt_wakeups() {
     let _ = set_current_timer_slack(std::num::NonZeroU64::new(1));
 }
 
-/// One flag per process, since memory is shared.
+/// Per process, as memory is shared.
 static EXHAUSTED: AtomicBool = AtomicBool::new(false);
 
-/// Ends each loop of this process at its next tick: no force, no motion, and the peer is notified.
+/// Ends each loop of this process at its next tick: no force, no motion, peer notified.
 pub fn end_for_lack_of_memory() {
     EXHAUSTED.store(true, Ordering::Relaxed);
 }
 
-/// Clears the flag of exhausted memory, for loops that begin from now on.
+/// Clears the flag, for later loops.
 pub fn memory_is_back() {
     EXHAUSTED.store(false, Ordering::Relaxed);
 }
@@ -92,9 +92,9 @@ pub enum RealtimeDemand {
 pub struct RealtimeSettings {
     /// How strictly to request.
     pub demand: RealtimeDemand,
-    /// Priority under `SCHED_FIFO`, 1 to 99. The default is above the threads of interrupts (50) and of netsim (40).
+    /// Priority under `SCHED_FIFO`, 1 to 99. The default exceeds those of interrupt threads (50) and netsim (40).
     pub priority: u8,
-    /// Processor to pin the loop to; `None` lets the kernel choose.
+    /// Processor to pin the loop to, or `None`.
     pub cpu: Option<u16>,
 }
 
@@ -112,7 +112,7 @@ pub enum Granted<T> {
     NotRequested,
     /// Granted, as read back from the kernel.
     Yes(T),
-    /// Refused, with the kernel's error number; 0 if it reported success and did otherwise.
+    /// Refused, with the kernel's error number; 0 for a false success.
     Refused(i32),
 }
 
@@ -142,8 +142,7 @@ pub struct RealtimeReport {
     pub locked: Granted<u64>,
     /// Processor that the loop is pinned to.
     pub cpu: Granted<u16>,
-    /// No deep sleep of processors, which delays wake-ups. Only root may request it. It matters little and is never
-    /// required.
+    /// No deep sleep of processors, which delays wake-ups. Root only, of little effect, and never required.
     pub wakeful: Granted<()>,
 }
 
@@ -153,7 +152,7 @@ impl RealtimeReport {
         !(self.fifo.is_refused() || self.locked.is_refused() || self.cpu.is_refused())
     }
 
-    /// Fails if everything is required and not everything was granted.
+    /// Fails if full grants are required and missing.
     pub(super) fn check(&self, demand: RealtimeDemand) -> io::Result<()> {
         if demand == RealtimeDemand::Require && !self.is_complete() {
             let text = format!("real time is required: {self}");
@@ -166,7 +165,7 @@ impl RealtimeReport {
     fn refusals(&self) -> Vec<String> {
         let mut refusals = Vec::new();
         let mut add = |what: &str, number: i32, needs: &str| {
-            // A number unknown to the kernel is not an `Errno` either.
+            // A number unknown to the kernel is no `Errno` either.
             let rights = [Errno::PERM, Errno::NOMEM, Errno::AGAIN].map(Errno::raw_os_error);
             refusals.push(match number {
                 0 => format!("{what} was granted and not given"),
@@ -213,7 +212,7 @@ impl fmt::Display for RealtimeReport {
     }
 }
 
-/// Makes all requests for this thread. The grants last as long as the returned [`Kept`].
+/// Makes all requests for this thread, granted as long as [`Kept`] lives.
 pub(super) fn prepare(settings: RealtimeSettings, later: LaterMemory) -> (RealtimeReport, Kept) {
     request_prompt_wakeups();
     if settings.demand == RealtimeDemand::Off {
@@ -243,12 +242,12 @@ pub(super) fn prepare(settings: RealtimeSettings, later: LaterMemory) -> (Realti
 pub(super) struct Kept {
     memory: Option<LockedMemory>,
     awake: Option<File>,
-    /// Restored when the loop ends: its thread may serve others.
+    /// Restored at the end, since the thread may serve others.
     schedule: Option<ScheduleBefore>,
     processors: Option<ProcessorsBefore>,
 }
 
-/// Processors that a thread might use before its loop; restored when this is dropped on that thread.
+/// Processors allowed before the loop; restored if dropped on that thread.
 #[derive(Debug)]
 struct ProcessorsBefore {
     thread: ThreadId,
@@ -287,7 +286,7 @@ fn stay_on(cpu: u16) -> io::Result<u16> {
     if sched_getaffinity(None)? == only { Ok(cpu) } else { Err(io::Error::other("another set")) }
 }
 
-/// Touches the stack pages that a tick uses before the first tick, if they cannot be locked.
+/// Touches the stack pages of a tick beforehand, if they cannot be locked.
 #[inline(never)]
 fn touch_stack(pages: u32) -> u8 {
     let page = std::hint::black_box([0_u8; 4096]);
@@ -298,16 +297,16 @@ fn touch_stack(pages: u32) -> u8 {
 /// Number of loops with locked memory: the kernel locks whole processes, not threads.
 static LOCKING: Mutex<usize> = Mutex::new(0);
 
-/// Memory that the process maps after a loop has begun.
+/// Memory mapped after a loop has begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LaterMemory {
-    /// May be paged out: the loop's thread maps none.
+    /// Pageable: the loop's thread maps none.
     Free,
-    /// Locked page by page on use: a driver in Python allocates during a tick.
+    /// Locked on use: a driver in Python allocates during a tick.
     Locked,
 }
 
-/// Keeps the memory in use at the start of a loop in RAM.
+/// Keeps the memory in use in RAM.
 #[derive(Debug)]
 pub(super) struct LockedMemory {
     /// As the kernel reports.
@@ -317,7 +316,7 @@ pub(super) struct LockedMemory {
 impl LockedMemory {
     fn new(later: LaterMemory) -> io::Result<Self> {
         let mut locking = LOCKING.lock().unwrap_or_else(PoisonError::into_inner);
-        // If locked memory is limited, the kernel refuses later memory beyond the limit, which would end the process.
+        // Beyond a limit the kernel refuses later memory, which would end the process.
         let is_bounded = getrlimit(Resource::Memlock).current.is_some() && !may_lock_all();
         let mut locked = lock_used(is_bounded);
         if locked.is_ok() && !is_bounded && later == LaterMemory::Locked {
@@ -334,20 +333,20 @@ impl LockedMemory {
     }
 }
 
-/// Bytes of this thread's stack to lock, above and below the present frame.
+/// Bytes of stack to lock above and below this frame.
 const STACK: usize = 256 << 10;
 
-/// Longest unused stretch between used pages that is locked with them. `malloc` writes on both sides of a block, and
-/// a tick may be the first to write in between. The reserve for the end of a run is in larger blocks.
+/// Longest unused stretch between used pages that is locked with them. `malloc` writes around a block, and a tick may
+/// write in between first. The end-of-run reserve is in larger blocks.
 const GAP: usize = 64 << 10;
 
 /// Name prefixes of libraries that a tick calls.
 const CALLED: [&str; 4] = ["libc.", "libc-", "libm.", "libm-"];
 
-/// Locks each used page of the process, all of this library and of those it calls, and the stack around this frame.
+/// Locks each used page, all of this library and those it calls, and the stack around this frame.
 ///
 /// `mlockall` fills whole mappings instead: 8 MiB per stack, 32 MiB per thread of `OpenBLAS`, 64 MiB per arena of
-/// `malloc` in the kernel's count, and all of each library.
+/// `malloc` in the kernel's count, and all libraries.
 #[allow(unsafe_code)] // locks pages, and neither reads nor writes them
 fn lock_used(is_bounded: bool) -> io::Result<()> {
     let maps = std::fs::read("/proc/self/maps")?;
@@ -356,18 +355,18 @@ fn lock_used(is_bounded: bool) -> io::Result<()> {
     let (code, frame) = (lock_used as *const () as usize, (&raw const maps).addr());
     let library = mappings.iter().find(|mapping| mapping.addresses.contains(&code)).map(|found| found.file);
     let page = page_size();
-    // A process that may not be dumped reads pagemap only as root: then lock everything.
+    // A process that may not be dumped can read pagemap only as root: lock everything.
     let Ok(pagemap) = File::open("/proc/self/pagemap") else {
         return mlockall(MlockAllFlags::CURRENT).map_err(io::Error::from);
     };
-    // Without a limit the kernel refuses only pages that another thread has unmapped meanwhile.
+    // Without a limit the kernel refuses only pages unmapped meanwhile by another thread.
     let mut entries = Vec::new();
     for Mapping { addresses, file, name } in &mappings {
         // 8 bytes a page. The highest two bits: in memory, paged out.
         entries.resize(addresses.len() / page, [0_u8; 8]);
         let offset = (addresses.start / page * 8) as u64;
         if pagemap.read_exact_at(entries.as_flattened_mut(), offset).is_err() {
-            // A mapping of the kernel, beyond those of the process.
+            // A kernel mapping, beyond those of the process.
             continue;
         }
         let is_library = library == Some(*file) || CALLED.iter().any(|called| name.starts_with(called));
@@ -389,7 +388,7 @@ fn lock_used(is_bounded: bool) -> io::Result<()> {
     Ok(())
 }
 
-/// A readable mapping of this process.
+/// A readable mapping.
 struct Mapping<'a> {
     addresses: Range<usize>,
     /// Device and inode; zeros without a file.
@@ -398,7 +397,7 @@ struct Mapping<'a> {
 }
 
 impl<'a> Mapping<'a> {
-    /// Parses a line of `/proc/self/maps`; `None` if the mapping is not readable.
+    /// Parses a line of `/proc/self/maps`; `None` if not readable.
     fn of_line(line: &'a str) -> Option<Self> {
         let mut fields = line.split_ascii_whitespace();
         let (start, end) = fields.next()?.split_once('-')?;
@@ -410,7 +409,7 @@ impl<'a> Mapping<'a> {
     }
 }
 
-/// Ranges of numbers below `count` for which `within` holds; gaps of up to `gap` numbers are included.
+/// Ranges below `count` where `within` holds, bridging gaps of up to `gap`.
 fn runs(count: usize, gap: usize, within: impl Fn(usize) -> bool) -> Vec<Range<usize>> {
     let mut runs: Vec<Range<usize>> = Vec::new();
     for number in (0..count).filter(|number| within(*number)) {
@@ -432,7 +431,7 @@ impl Drop for LockedMemory {
     }
 }
 
-/// Returns whether this thread has `CAP_IPC_LOCK`, bit 14 of the effective capabilities, and so no limit.
+/// Returns whether this thread has `CAP_IPC_LOCK` (bit 14, effective), and so no limit.
 fn may_lock_all() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let effective = status.lines().find_map(|line| line.strip_prefix("CapEff:"));
@@ -504,7 +503,7 @@ mod tests {
     fn report_equals_kernel_state() {
         let settings = RealtimeSettings { priority: 3, ..RealtimeSettings::default() };
         let (report, kept) = std::thread::spawn(move || prepare(settings, LaterMemory::Free)).join().unwrap();
-        // The grant depends on this machine; the report must be true either way.
+        // The grant depends on the machine; the report must be true.
         match report.fifo {
             Granted::Yes(priority) => assert_eq!(priority, 3),
             Granted::Refused(number) => assert_ne!(number, 0),

@@ -64,10 +64,10 @@ fn device_sets_the_pace_with_any_clock() {
 
 /// A device slow by more than a 1024th is repeatedly late by a period, and by no more.
 ///
-/// Lateness L grows by d - L / 1024 a tick, from 0 to the period P in k ticks where P = 1024 d (1 - LEFT^k); then a
-/// tick is skipped. The excess of L over P, less than d, continues at the rate of L = 0 instead of L = P. That takes
-/// up to (P / 1024) / (d - P / 1024) of a tick longer. The tick begun at the end, and rounding down (less than 1 ns
-/// of d each tick, 1 in 4000), add or remove one.
+/// Lateness L grows by d - L / 1024 a tick. It grows from 0 to the period P in k ticks where P = 1024 d (1 - LEFT^k);
+/// then a tick is skipped. The excess of L over P, below d, grows at the rate of L = 0 instead of L = P. That takes
+/// up to (P / 1024) / (d - P / 1024) of a tick longer. The last tick, and rounding down (below 1 ns of d each tick, 1
+/// in 4000), add or remove one.
 #[test]
 fn device_that_is_too_slow_skips_ticks() {
     let (ticks, period) = (200_000, 1e6);
@@ -87,8 +87,8 @@ fn device_that_is_too_slow_skips_ticks() {
     }
 }
 
-/// After a step of the device's rate its lateness moves to 1024 d, by a 1024th a tick, but not below 0. Rounding down
-/// adds less than 1 ns a tick, and a 1024th of it is removed again: at most 1024 ns.
+/// After a step of the rate the lateness moves to 1024 d, by a 1024th a tick, but not below 0. Rounding adds less
+/// than 1 ns a tick and decays by a 1024th: at most 1024 ns.
 #[test]
 fn a_step_of_the_rate_is_followed_over_a_thousand_ticks() {
     for (before_ppm, after_ppm) in [
@@ -119,7 +119,7 @@ fn a_step_of_the_rate_is_followed_over_a_thousand_ticks() {
                 break;
             }
         }
-        // At 2 % it takes 1 / 0.02 to 1 / (0.02 - 1 / 1024) ticks, so 50 to 52.6, to be late by a period.
+        // At 2 % a period of lateness takes 1 / 0.02 to 1 / (0.02 - 1 / 1024) ticks, so 50 to 52.6.
         let expected = if after_ppm == 20_000 { 50..=53 } else { 0..=0 };
         assert!(expected.contains(&left_out.unwrap_or(0)), "{before_ppm} to {after_ppm}: {left_out:?}");
     }

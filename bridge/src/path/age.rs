@@ -1,15 +1,15 @@
-//! Age of the peer's newest packet, by our clock only, and the level of ages that the ladder compares with.
+//! Age of the peer's newest packet by our clock only, and the level that the ladder compares with.
 
 use super::{peer_clock::ClockFault, share_up};
 
 /// Number of send times kept: four seconds at 1 kHz. Echoes of older packets are ignored.
 const SENT_KEPT: usize = 4096;
 
-/// Bounds the age of the newest packet received, from our send times.
+/// Bounds the age of the newest packet, from our send times.
 ///
-/// A packet that echoes counter `c` left the peer after `c` arrived there. So it left no earlier than `T_c`, the time
-/// of our clock at which `c` was sent. At `now` its age is at most `now - T_c`, for any delays and any clock of the
-/// peer. A packet is never older than one sent before it, so the bound does not fall back when an echo is missing.
+/// A packet that echoes counter `c` left the peer after `c` arrived there, so not before `T_c`, when `c` was sent by
+/// our clock. At `now` it is at most `now - T_c` old, for any delays and peer clock. A packet is never older than one
+/// sent before it, so the bound does not fall back when an echo is missing.
 #[derive(Clone, Debug)]
 pub struct PacketAge {
     /// Maximum drift in ppb of the peer's clock, which measures the hold time.
@@ -31,8 +31,7 @@ impl PacketAge {
         Self { max_drift_ppb, sent, newest: None, known: 0, sent_after_ns: None }
     }
 
-    /// Records that our packet `counter` was sent at `now_ns`. A counter that does not follow the last one clears all
-    /// before it.
+    /// Records our packet `counter`, sent at `now_ns`. A gap in the counters clears all before.
     pub fn sent(&mut self, counter: u64, now_ns: u64) {
         let follows = self.newest.and_then(|newest| newest.checked_add(1)) == Some(counter);
         self.known = if follows { (self.known + 1).min(SENT_KEPT as u64) } else { 1 };
@@ -40,10 +39,10 @@ impl PacketAge {
         self.sent[slot(counter)] = now_ns;
     }
 
-    /// Takes the echo of a packet newer than all before, which arrived at `now_ns`: our counter, and the peer's hold
-    /// time in ns. Ignores an unknown counter.
+    /// Takes the echo of a packet newer than all before, arrived at `now_ns`: our counter, and the hold time in ns.
+    /// Ignores unknown counters.
     ///
-    /// Fails if the hold time exceeds the duration of the exchange, a fault of a clock. The bound holds even then.
+    /// A hold time longer than the exchange is a fault of a clock; the bound holds even then.
     pub fn received(&mut self, now_ns: u64, echo: (u64, u64)) -> Result<(), ClockFault> {
         let (counter, held_ns) = echo;
         self.sent_at(counter).map_or(Ok(()), |sent_ns| self.echoed(now_ns, sent_ns, held_ns))
@@ -71,7 +70,7 @@ impl PacketAge {
         (before < self.known).then(|| self.sent[slot(counter)])
     }
 
-    /// Maximum age in ns of the newest packet at `now_ns`; `None` before the first echo of a known counter.
+    /// Maximum age in ns of the newest packet at `now_ns`; `None` before the first known echo.
     pub fn max_ns(&self, now_ns: u64) -> Option<u64> {
         self.sent_after_ns.map(|sent_ns| now_ns.saturating_sub(sent_ns))
     }
@@ -99,13 +98,12 @@ const MAX_DEVIATION_NS: f64 = 20e6;
 /// Number of mean deviations above the mean that belong to the baseline.
 const DEVIATIONS: f64 = 4.0;
 
-/// Baseline of the ages of a link, with which the ladder compares: mean plus four mean deviations, anchored when the
-/// sides engage.
+/// Baseline of a link's ages for the ladder: mean plus four mean deviations, anchored when the sides engage.
 ///
-/// `m += g (a - m)`, `d += g (|a - m| - d)`, level `m + 4 d`. The gain `g` is the time that a sample stands for,
-/// divided by the known time of at most 8 s. The mean starts at the anchoring with that of the last 0.1 s. The
-/// deviation starts with the session at half of the first age. Two seconds after the anchoring the level is learnt.
-/// From then on it only falls, within some 8 s, so that a delay that creeps up is compared with its earlier value.
+/// `m += g (a - m)`, `d += g (|a - m| - d)`, level `m + 4 d`. The gain `g` is the time that a sample stands for, over
+/// the known time of at most 8 s. The mean starts at the anchoring with that of the last 0.1 s, the deviation with
+/// the session at half of the first age. Two seconds after the anchoring the level is learnt: it then only falls,
+/// within some 8 s. So a creeping delay is compared with its earlier value.
 ///
 /// Source: RFC 6298, section 2 (`K = 4`, first deviation `R / 2`), with gains by time instead of by sample, since
 /// packets of one link are correlated.
@@ -222,7 +220,7 @@ mod tests {
         baseline.level_ns().unwrap() as f64 / MS as f64
     }
 
-    /// `d_n = d_0 (20 ms / 21 ms) (21 / 22) ...`: the weight of the first guess is 20 ms divided by the known time.
+    /// `d_n = d_0 (20 ms / 21 ms) (21 / 22) ...`: the first guess has the weight of 20 ms over the known time.
     #[test]
     fn weight_of_first_guess_decays_with_known_time() {
         for (age_ms, first_ms) in [(10.0, 5.0), (40.0, 20.0), (100.0, 20.0)] {
@@ -243,8 +241,7 @@ mod tests {
         }
     }
 
-    /// Up to its averaging time, a mean is that of all ages so far. The first stands for 20 ms, for any ages within
-    /// 0.1 s.
+    /// Up to its averaging time, a mean is that of all ages so far; the first stands for 20 ms.
     #[test]
     fn mean_and_deviation_are_those_of_all_ages_so_far() {
         let age_ms = |n: u64| if n % 700 < 350 { 10.0 } else { 30.0 };
@@ -285,7 +282,7 @@ mod tests {
         feed(&mut baseline, 13_000, 60_000, |_| 140.0);
         assert!((level_ms(&baseline) - 140.0).abs() < 0.5, "{}", level_ms(&baseline));
         // Mean, deviation and level follow each other with 8 s. The mean is within 20 ms of the fallen age after ln 5
-        // of these. From then on at most (100 + 100 s + 40 s^2) exp(-s) ms of the level are left.
+        // of these. Then at most (100 + 100 s + 40 s^2) exp(-s) ms of the level are left.
         feed(&mut baseline, 73_000, 80_000, |_| 40.0);
         let left_ms = level_ms(&baseline) - 40.0;
         let s = 10.0 - 5.0_f64.ln();

@@ -4,8 +4,7 @@ use std::fmt;
 
 use super::difference;
 
-/// Number of sequences behind the newest that may still arrive late, and of arrivals searched for the extent of a
-/// reordered packet: two seconds at 1 kHz.
+/// Sequences behind the newest that may arrive late, and arrivals searched for an extent: two seconds at 1 kHz.
 const PLACES: usize = 2048;
 const WINDOW: u64 = PLACES as u64;
 
@@ -55,8 +54,8 @@ impl PathMeter {
         (self.first_ns, self.last_ns, self.worst_gap_ns) = (None, 0, 0);
     }
 
-    /// Takes a packet that arrived at `now_ns` and was sent at `sent_ns` on the sender's clock. Arrival times must
-    /// not decrease.
+    /// Takes a packet that arrived at `now_ns`, sent at `sent_ns` on the sender's clock. Arrival times must not
+    /// decrease.
     pub fn arrived(&mut self, sequence: u64, sent_ns: u64, now_ns: u64) {
         match self.sequences.mark(sequence) {
             Seen::Duplicate => {
@@ -205,7 +204,7 @@ pub(super) enum Seen {
     TooFar,
 }
 
-/// Arrivals among the last [`WINDOW`] sequences. A sequence that leaves the window unseen is lost.
+/// Arrivals among the last [`WINDOW`] sequences; one that leaves the window unseen is lost.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Sequences {
     there: [bool; PLACES],
@@ -315,7 +314,7 @@ impl Reordering {
 
 /// Measures the reordering extent `e = i - j` of arrival `i`, where `j` is the first arrival with a greater sequence.
 ///
-/// At `j` the running maximum first exceeds the sequence. The maximum never decreases, so a binary search finds `j`.
+/// The running maximum first exceeds the sequence at `j`, so a binary search finds it.
 ///
 /// Source: RFC 4737, section 3.3 (reordered), section 4.2.2 (extent).
 #[derive(Clone, Debug, PartialEq)]
@@ -355,11 +354,10 @@ impl Extents {
     }
 }
 
-/// Mean deviation of the packet spacing: `J += (|D| - J) / 16`, where `D` is the spacing of two packets at arrival
-/// minus that at sending.
+/// Mean deviation of packet spacing: `J += (|D| - J) / 16`, where `D` is the spacing at arrival minus that at
+/// sending.
 ///
-/// It measures the change of delay from packet to packet. A delay that varies slowly over many packets has little
-/// jitter.
+/// A delay that varies slowly over many packets has little jitter.
 ///
 /// Source: RFC 3550, section 6.4.1 and appendix A.8 (integers, `J` scaled by 16).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -1,8 +1,7 @@
-//! Estimates of the path to the peer from frames only: age, loss and order of frames, the peer's clock.
+//! Path to the peer, from frames only: their age, loss and order, and the peer's clock.
 //!
-//! The monotonic clocks of the sides differ in origin and rate. [`PacketAge`] needs only our clock, so the ladder
-//! holds by it. [`PeerClock`] bounds the difference of the clocks, for logs. No function here takes a wall time, so a
-//! step of the wall clock has no effect.
+//! The sides' monotonic clocks differ in origin and rate. [`PacketAge`] needs only ours, so the ladder holds by it.
+//! [`PeerClock`] bounds their difference, for logs. No function takes a wall time, so its steps have no effect.
 
 mod age;
 mod meter;
@@ -18,11 +17,10 @@ pub use peer_clock::{ClockFault, MAX_DRIFT_PPB, PeerClock, PeerOffset, Timestamp
 
 pub(crate) const BILLION: u64 = 1_000_000_000;
 
-/// Age and counts of the peer's frames, and its clock, for the living run of the peer.
+/// Age and counts of the peer's frames, and its clock, for its living run.
 ///
-/// Call [`Self::sent`] for each frame sent and [`Self::arrived`] for each authentic frame of the peer in order of
-/// arrival. Call [`Self::newest`] for each of these that is newer than all before. All times are on one monotonic
-/// clock.
+/// Call [`Self::sent`] per frame sent, [`Self::arrived`] per authentic frame in order of arrival, and
+/// [`Self::newest`] per frame newer than all before. All times are on one monotonic clock.
 #[derive(Clone, Debug)]
 pub struct PeerPath {
     age: PacketAge,
@@ -93,8 +91,8 @@ impl PeerPath {
 
     /// Takes a frame newer than all before, sent at `sent_ns` on the peer's clock; `echo` is of our run.
     ///
-    /// The frame is taken at `now_ns` and arrived by `by_ns`, which is later if the loop is late. Of the echo only
-    /// counter and hold time are used, since our send times are kept here.
+    /// It is taken at `now_ns` and arrived by `by_ns`, later in a late loop. Only counter and hold time of the echo
+    /// are used: our send times are known here.
     #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     pub fn newest(&mut self, sent_ns: u64, echo: Option<&Echo>, now_ns: u64, by_ns: u64) {
         let exchanged = echo.and_then(|echo| Some((self.age.sent_at(echo.sequence)?, echo.held_ns)));
@@ -137,12 +135,12 @@ impl PeerPath {
         self.baseline.anchor();
     }
 
-    /// Maximum age in ns of the peer's newest frame at `now_ns`; `None` before the peer's first echo.
+    /// Maximum age in ns of the newest frame at `now_ns`; `None` before the peer's first echo.
     pub fn max_age_ns(&self, now_ns: u64) -> Option<u64> {
         self.age.max_ns(now_ns)
     }
 
-    /// Excess in ns of that maximum age at `now_ns` over the level of this link; `None` before the peer's first echo.
+    /// Excess in ns of that age over the level of this link; `None` before the peer's first echo.
     pub fn over_baseline_ns(&self, now_ns: u64) -> Option<u64> {
         Some(self.max_age_ns(now_ns)?.saturating_sub(self.baseline.level_ns()?))
     }

@@ -1,19 +1,16 @@
-//! Offset of the peer's clock from ours: its range by causality, and the proof of a step. For logs only: no safety
-//! decision depends on it.
+//! Offset of the peer's clock: its causal range, and the proof of a step. For logs only, not for safety decisions.
 
 use super::{BILLION, difference, share_up};
 
 /// Maximum drift in parts per billion between two healthy clocks: two oscillators at the 100 ppm of the cheapest.
 pub const MAX_DRIFT_PPB: u64 = 200_000;
 
-/// Maximum time of a monotonic clock in ns: 292 years. Larger times have the highest bit set, so one OR tests
-/// several.
+/// Maximum time of a monotonic clock in ns: 292 years. Larger ones have the highest bit set, so one OR tests several.
 const MAX_NS: u64 = i64::MAX.cast_unsigned();
 
 /// Times of a packet there and one back, in ns: the outer two on our clock, the inner two on the peer's.
 ///
-/// A frame with an echo gives three of them: our send time as written, the peer's send time minus its hold time, and
-/// the peer's send time.
+/// A frame with an echo gives three: our send time, the peer's send time minus its hold time, the peer's send time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimestampExchange {
     /// `t1`: our packet was sent.
@@ -27,8 +24,7 @@ pub struct TimestampExchange {
 }
 
 impl TimestampExchange {
-    /// Checks that the times of each clock are valid, and that both durations agree for clocks that drift apart by at
-    /// most `max_drift_ppb`.
+    /// Checks that each clock's times are valid, and both durations agree up to a drift of `max_drift_ppb`.
     fn check(&self, max_drift_ppb: u64) -> Result<(), ClockFault> {
         let Self { sent_ns, peer_received_ns, peer_sent_ns, received_ns } = *self;
         let (took, held) = (self.took_ns(), self.held_ns());
@@ -67,8 +63,8 @@ impl TimestampExchange {
 
     /// Peer's clock minus ours: `theta = ((t2 - t1) + (t3 - t4)) / 2`, rounded to zero.
     ///
-    /// Its error is half the difference of the delays, `(forward - backward) / 2`, so at most half the round trip,
-    /// plus the drift meanwhile.
+    /// The error is half the difference of the delays, `(forward - backward) / 2`, so at most half the round trip,
+    /// plus drift.
     ///
     /// Source: RFC 5905, section 8.
     fn offset_ns(&self) -> i64 {
@@ -77,10 +73,10 @@ impl TimestampExchange {
     }
 }
 
-/// Fault of a clock, the peer's or ours: behaviour that a monotonic clock excludes.
+/// Behaviour that a monotonic clock, the peer's or ours, excludes.
 ///
-/// A fault is no danger by itself, since no safety decision depends on an offset. It is reported because a machine
-/// whose clock jumps was suspended or is broken.
+/// No danger by itself, since no safety decision depends on an offset. It is reported because a machine whose clock
+/// jumps was suspended or is broken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ClockFault {
@@ -104,15 +100,15 @@ pub enum ClockFault {
         /// Excess in ns.
         by_ns: u64,
     },
-    /// No clock within the allowed drift fits this exchange and those before it, for any delays. A clock stepped, or
-    /// drifts by more than allowed. The estimate restarts.
+    /// No clock within the allowed drift fits this exchange and those before, for any delays: a clock stepped, or
+    /// drifts by more. The estimate restarts.
     #[error(
         "the peer's clock stepped by about {by_ns} ns, at least {at_least_ns} ns, against ours, or drifts by more than \
          {allowed_ppb} ppb; the estimate begins anew"
     )]
     Step {
-        /// Approximate jump in ns; positive if the peer's clock went ahead. The sign is reversed if an exchange from
-        /// before the step arrives after one from after it.
+        /// Approximate jump in ns; positive if the peer's clock went ahead. Reversed if an exchange from before the
+        /// step arrives after one from after it.
         by_ns: i64,
         /// Smallest jump in ns that explains it.
         at_least_ns: u64,
@@ -138,28 +134,26 @@ pub struct PeerOffset {
 
 /// Parts per nanosecond of the lines, so that a rate of one in a billion is a whole number.
 const PARTS: i128 = BILLION as i128;
-/// Readings are rounded down to whole ns. The bound of a difference of two may be off by 1 ns, the difference by
-/// another. In parts.
+/// Readings are rounded down to whole ns: a bound of a difference may be off by 1 ns, the difference by another. In
+/// parts.
 const READING: i128 = 2 * PARTS;
 
 /// Range of the peer's clock minus ours, `theta`, since no packet arrives before it was sent.
 ///
-/// When a packet of ours was sent at `t1`, the peer's clock showed at most `t2`, so `theta(t1) <= t2 - t1`. When a
-/// packet of the peer arrived at `t4`, its clock showed at least `t3`, so `theta(t4) >= t3 - t4`. Both hold for any
-/// delays. Healthy clocks drift apart by at most `rho`, so each bound holds later as a line that relaxes with that
-/// slope. All lines of one side are parallel, so the smallest upper and the greatest lower line remain so. These two
-/// are the intersection of all ranges so far.
+/// When our packet left at `t1`, the peer's clock showed at most `t2`: `theta(t1) <= t2 - t1`. When the peer's
+/// arrived at `t4`, its clock showed at least `t3`: `theta(t4) >= t3 - t4`. Both hold for any delays. Healthy clocks
+/// drift apart by at most `rho`, so each bound relaxes as a line of that slope. Lines of one side are parallel, so
+/// the smallest upper and the greatest lower one remain so. They are the intersection of all ranges so far.
 ///
-/// A clock of drift up to `rho` fits all bounds if and only if every upper one fits every lower one with `l - u <=
-/// rho |t4 - t1|` (a function of bounded slope can be drawn through points that fit in pairs).
+/// A clock of drift up to `rho` fits all bounds iff every upper one fits every lower one: `l - u <= rho |t4 - t1|`.
+/// (A function of bounded slope can be drawn through points that fit in pairs.)
 ///
-/// The estimate is the middle of the range. Its error is half the difference of the smallest delays of the two
-/// directions, and at most half the width of the range.
+/// The estimate is the middle of the range. Its error is half the difference of the two smallest delays, and at most
+/// half the width.
 ///
-/// An exchange that empties the range proves a clock step: a machine was suspended or is broken. The range then
-/// restarts with exchanges sent after the proof arrived, so that all four times are after the step. A step below the
-/// width of the range, so of at most a round trip, looks like a changed path. It may leave the offset outside its
-/// bound by at most the step, until the range has widened.
+/// An exchange that empties the range proves a step: a machine was suspended or is broken. The range restarts with
+/// exchanges sent after the proof arrived, so after the step. A step below the width of the range, at most a round
+/// trip, looks like a changed path. Until the range has widened, the offset may be outside its bound by that step.
 ///
 /// Source: K. Marzullo, S. Owicki (1983), Maintaining the time in a distributed system (intersection of intervals
 /// that widen with the drift).
@@ -185,9 +179,7 @@ struct Lines {
 /// Contradiction of an exchange with those before it, in ns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Contradiction {
-    /// The peer's clock is ahead of the range.
     Ahead(u64),
-    /// It is behind the range.
     Behind(u64),
 }
 
@@ -199,10 +191,9 @@ impl PeerClock {
         Self { max_drift_ppb, lines: None, newest_ns: 0, anew_from_ns: 0, steps: 0 }
     }
 
-    /// Takes an exchange, in order of `received_ns`. Returns whether it was used: one sent before the last step was
-    /// detected is not.
+    /// Takes an exchange, in order of `received_ns`. Returns false for one sent before the last step was detected.
     ///
-    /// [`ClockFault::Step`] restarts the range; on any other fault the exchange is ignored.
+    /// [`ClockFault::Step`] restarts the range; any other fault ignores the exchange.
     pub fn take(&mut self, times: &TimestampExchange) -> Result<bool, ClockFault> {
         times.check(self.max_drift_ppb)?;
         if times.received_ns < self.newest_ns {
@@ -222,8 +213,8 @@ impl PeerClock {
             return Ok(true);
         };
         if new.upper >= kept.upper && new.lower <= kept.lower {
-            // The most frequent case with varying delays: neither line gets tighter. The kept lines fit one another,
-            // so the exchange contradicts neither, except for the rounding of `check`, less than 1 ns.
+            // The most frequent case: no line gets tighter. The kept lines fit each other, so the exchange
+            // contradicts neither, except for the rounding of `check`, below 1 ns.
             return Ok(true);
         }
         if let Some(contradiction) = contradiction(&kept, &new, drifted) {
@@ -248,8 +239,7 @@ impl PeerClock {
         ClockFault::Step { by_ns, at_least_ns, allowed_ppb: self.max_drift_ppb }
     }
 
-    /// Time in ns by which a packet arrived before its sending on every clock that fits; `None` if it did not on
-    /// some.
+    /// Time in ns by which a packet preceded its sending on every fitting clock, if any.
     fn ahead_ns(&self, peer_sent_ns: u64, received_ns: u64) -> Option<u64> {
         let ahead = lower_parts(peer_sent_ns, received_ns) - (self.lines?.upper + self.drifted(received_ns));
         (ahead > 0).then(|| whole_up(ahead))
@@ -257,8 +247,8 @@ impl PeerClock {
 
     /// Checks a packet without an echo, sent at `peer_sent_ns` on the peer's clock.
     ///
-    /// Fails if it arrived before it was sent on every clock that fits all exchanges. The packet may also be from
-    /// before the last step; the next exchange shows which.
+    /// Fails if it preceded its sending on every clock that fits. It may also be from before the last step; the next
+    /// exchange shows which.
     pub fn check_arrival(&self, peer_sent_ns: u64, received_ns: u64) -> Result<(), ClockFault> {
         for seen_ns in [peer_sent_ns, received_ns] {
             if seen_ns > MAX_NS {
@@ -302,11 +292,10 @@ impl PeerClock {
     }
 }
 
-/// Returns the contradiction if no clock of the allowed drift fits an exchange and the kept lines. These have widened
-/// by `drifted`, in parts, at the arrival of the answer.
+/// Contradiction of an exchange with the kept lines, widened by `drifted` in parts at its arrival, if no clock fits.
 ///
-/// A reported contradiction is certain. A step of up to `2 rho (t4 - t1)` more may be missed: the upper bound holds
-/// at `t1` but is compared with the lower line at `t4`, which packets after `t1` may have set.
+/// A contradiction is certain. One of up to `2 rho (t4 - t1)` is reported late: the upper bound, valid at `t1`, is
+/// compared with the lower line at `t4`. Packets after `t1` may have set that line.
 fn contradiction(kept: &Lines, new: &Lines, drifted: i128) -> Option<Contradiction> {
     let apart = 2 * drifted;
     let (upper, lower) = (kept.upper + apart, kept.lower - apart);

@@ -49,8 +49,7 @@ fn an_asymmetric_delay_costs_half_the_asymmetry() {
             }
             let (error, bound) = peer.error(&clock, 5 * S);
             let half = (forward.cast_signed() - backward.cast_signed()) / 2;
-            // The upper line is older than the lower one by the round trip, over which it relaxes by 200 ppm: half of
-            // that, plus the rounding of readings.
+            // The upper line, older by the round trip, has relaxed by 200 ppm of it: half of that, plus rounding.
             let parted = (forward + backward + 6 * US).cast_signed() / 10_000 + 3;
             assert!((half - 3..=half + parted).contains(&error), "{error} of {half}");
             assert!(error.unsigned_abs() <= bound);
@@ -83,9 +82,8 @@ fn a_day_of_drift_stays_within_the_bound() {
                 worst = worst.max((error - 2_500_000).unsigned_abs());
             }
         }
-        // A queue of s ms has probability s / 20. A line relaxes by at most 0.03 ms between two exchanges, so that
-        // the least of 60 at most 1.8 ms old ones is above 14 ms with (14 / 20)^60 = 5e-10; an error of 8 ms needs
-        // that.
+        // A queue of s ms has probability s / 20. A line relaxes by at most 0.03 ms between exchanges. The least of
+        // 60, up to 1.8 ms old, exceeds 14 ms with (14 / 20)^60 = 5e-10. An error of 8 ms needs that.
         assert!(worst < 8 * MS, "{ppb}: {worst}");
     }
 }
@@ -98,8 +96,7 @@ fn error_without_queues_is_drift_within_an_exchange() {
         for n in 0..600_000 {
             clock.take(&peer.exchange(n * MS, 10 * MS, 100 * US, 10 * MS)).unwrap();
         }
-        // Half of 200 ppm of the upper line, 20.1 ms old. The clocks drift by 100 ppm meanwhile, half of which the
-        // offset at the end misses. The rest is rounding.
+        // Half of 200 ppm of the upper line, 20.1 ms old, plus half of the 100 ppm drift meanwhile, plus rounding.
         assert!(peer.error(&clock, 600 * S).0.unsigned_abs() < 2_010 + 1_005 + 10);
     }
 }
@@ -140,8 +137,8 @@ fn netsim_links_are_measured_within_the_bound() {
             let (error, bound) = peer.error(&clock, received_ns);
             assert!(error.unsigned_abs() <= bound);
         }
-        // Each direction adds up to 6.9 ms, evenly. A line relaxes by at most 2.5 us between two exchanges: the least
-        // of 240 within 0.6 ms of it is above 1.4 ms with (1 - 0.2)^(0.8 * 240) = 3e-19; an error of 1 ms needs that.
+        // Each direction adds up to 6.9 ms, evenly. A line relaxes by at most 2.5 us between exchanges. The least of
+        // 240 within 0.6 ms exceeds 1.4 ms with (1 - 0.2)^(0.8 * 240) = 3e-19. An error of 1 ms needs that.
         assert!(peer.error(&clock, 600 * S).0.unsigned_abs() < MS);
     }
 }
@@ -212,8 +209,7 @@ fn a_packet_from_the_future_is_a_fault_of_a_clock() {
     let now = S + 30 * MS;
     let arrives = |early_ns| clock.check_arrival(peer.at(now + early_ns), now);
     assert_eq!(clock.check_arrival(peer.at(now - 10 * MS), now), Ok(()));
-    // The delay there, 200 ppm of the 30 ms since its beginning, and the rounding of readings in the bound and in
-    // this packet.
+    // The delay there, 200 ppm of the 30 ms since its beginning, and rounding.
     assert_eq!(arrives(10 * MS + 6 * US + 4), Ok(()));
     assert_eq!(arrives(10 * MS + 6 * US + 5), Err(ClockFault::NegativeDelay { by_ns: 1 }));
 }
@@ -461,7 +457,7 @@ proptest! {
         }
     }
 
-    /// Healthy clocks and any delays: no fault is reported, and the truth is within the bound, then and later.
+    /// Healthy clocks and any delays: no fault, and the truth stays within the bound.
     #[test]
     fn bound_holds_without_fault_on_any_path(
         peer in wandering(),
@@ -505,8 +501,8 @@ proptest! {
         }
     }
 
-    /// A step is reported only if no healthy clock fits all exchanges so far. It is reported at the latest when twice
-    /// the drift over the longest exchange, plus the rounding of four readings, does not explain it.
+    /// A step is reported only if no healthy clock fits all exchanges. At the latest it is when twice the drift over
+    /// the longest exchange, plus four roundings, does not explain it.
     #[test]
     fn a_step_is_reported_when_and_only_when_it_is_proven(
         mut peer in wandering(),
@@ -543,8 +539,7 @@ proptest! {
         }
     }
 
-    /// After a step the estimate restarts with exchanges from after it. So the bound holds again, and the step is
-    /// reported once.
+    /// After a step the estimate restarts with later exchanges: the bound holds again, and the step is reported once.
     #[test]
     fn bound_holds_again_after_a_step(
         mut peer in wandering(),
@@ -682,7 +677,6 @@ fn independent_uniform_delays_have_the_jitter_of_their_law() {
     );
 }
 
-/// All statistics by definition, over the whole trace.
 fn by_definition(sequences: &[u64]) -> (u64, u64, u64, u64, u64, u64, u64) {
     let mut unique: Vec<u64> = Vec::new();
     let mut duplicate = 0;

@@ -31,7 +31,6 @@ fn through_link(settings: &LinkSettings, seed: u64, count: u64, ppb: i64) -> Tra
     trace
 }
 
-/// Plays a trace in ticks of `tick_ns`.
 fn play(settings: PlayoutSettings, trace: &Trace, tick_ns: u64) -> (Vec<Played<u64>>, PlayoutCounts) {
     let mut playout = Playout::new(settings).unwrap();
     let mut played = Vec::new();
@@ -87,8 +86,8 @@ fn delay_stays_constant_despite_drift() {
         let (played, counts) = play(PlayoutSettings::new(5 * MS), &trace, MS);
         assert_eq!((counts.late, counts.missing, counts.anew), (0, 0, 0), "{ppb}");
         for packet in played.iter().filter(|packet| packet.play_ns > 2 * S) {
-            // The clocks drift apart by 12 ms in 120 s. The window lags by at most 10 s of drift, 1 ms. Beyond the
-            // tolerance of 0.5 ms the play-out follows. The minimum delay is 0.87 ms below the mean.
+            // The clocks drift apart by 12 ms in 120 s. The window lags by at most 10 s of drift, 1 ms, and the
+            // play-out by the tolerance of 0.5 ms. The minimum delay is 0.87 ms below the mean.
             let delay = packet.play_ns - packet.sequence * MS;
             assert!(delay.abs_diff(30 * MS - 866_000 + 5 * MS) < 1_700_000, "{ppb}: {delay}");
         }

@@ -94,8 +94,7 @@ impl FingerTick {
     }
 }
 
-/// Master record plus the force feedback at the trigger. Written by a run in virtual time, whose records have one
-/// type for any trigger.
+/// Master record plus force feedback at the trigger, for runs in virtual time, whose records have one type.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct WithFinger<M> {
     record: M,

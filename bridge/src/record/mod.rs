@@ -63,9 +63,9 @@ pub struct MasterRecord<const N: usize, R = ()> {
     pub gain: f64,
     /// Ticks skipped since the last.
     pub missed: u64,
-    /// State that the tick took over from the last.
+    /// State taken over from the last tick.
     pub past: Past,
-    /// Code of a fault that device or trigger reported to the safety layer, 0 without.
+    /// Fault code reported by device or trigger, 0 without.
     pub given_fault: u8,
     /// True position in m of a model, else measured x.
     pub true_position: Axes<N>,
@@ -81,7 +81,7 @@ pub struct MasterRecord<const N: usize, R = ()> {
     pub safety_force: Axes<N>,
     /// `F_device` in N.
     pub device_force: Axes<N>,
-    /// Trigger that leads the gripper, 0 open to 1 closed; NaN if unknown or without a gripper.
+    /// Trigger of the gripper, 0 open to 1 closed; NaN if unknown or without.
     pub trigger: f64,
     /// `S_vf`, `S_h`, `E_wso` and `E_so` in J; NaN if not observed.
     pub observers: PerController<f64>,
@@ -91,27 +91,27 @@ pub struct MasterRecord<const N: usize, R = ()> {
     pub acted: u8,
     /// State of the ladder.
     pub state: LadderState,
-    /// Reason of the state, [`crate::Reason::code`]; 0 in the initial state.
+    /// Its reason, [`crate::Reason::code`]; 0 initially.
     pub reason: u8,
-    /// Codes of state, reason and fault in the peer's newest frame; 255, 0 and 0 before the first.
+    /// Codes of state, reason and fault of the peer; 255, 0 and 0 before its first frame.
     pub peer: [u8; 3],
     /// True if the clutch is closed, as known to this side.
     pub clutch: bool,
     /// Silence of the peer in ns, `u64::MAX` before its first frame.
     pub age_ns: u64,
-    /// Round trip in ns of the newest echo, including both loops' waits for their ticks; `u64::MAX` before the first.
+    /// Newest round trip in ns, including both loops' waits; `u64::MAX` before the first.
     pub round_trip_ns: u64,
-    /// Lateness of the loop in ns; in virtual time only if this side's clock is set.
+    /// Lateness in ns; in virtual time only if this side's clock is set.
     pub overshoot_ns: u64,
-    /// Number of outlier samples replaced so far.
+    /// Outliers replaced so far.
     pub outliers: u64,
-    /// Code of the fault, 0 without.
+    /// Fault code, 0 without.
     pub fault: u8,
     /// Rotation; empty for a point.
     pub rotation: R,
 }
 
-/// An empty record: NaN and the largest integers for unknown values.
+/// An empty record: NaN and the largest integers if unknown.
 impl<const N: usize, R: MasterTurn> Default for MasterRecord<N, R> {
     fn default() -> Self {
         let zeros = Axes::zeros();
@@ -225,9 +225,9 @@ pub struct SlaveRecord<const N: usize, R = ()> {
     pub touches: bool,
     /// State of the ladder.
     pub state: LadderState,
-    /// Reason of the state, [`crate::Reason::code`]; 0 in the initial state.
+    /// Its reason, [`crate::Reason::code`]; 0 initially.
     pub reason: u8,
-    /// Codes of state, reason and fault in the peer's newest frame; 255, 0 and 0 before the first.
+    /// Codes of state, reason and fault of the peer; 255, 0 and 0 before its first frame.
     pub peer: [u8; 3],
     /// True if the clutch is closed, as known to this side.
     pub clutch: bool,
@@ -235,19 +235,19 @@ pub struct SlaveRecord<const N: usize, R = ()> {
     pub limited: u8,
     /// Silence of the peer in ns, `u64::MAX` before its first frame.
     pub age_ns: u64,
-    /// Round trip in ns of the newest echo, including both loops' waits for their ticks; `u64::MAX` before the first.
+    /// Newest round trip in ns, including both loops' waits; `u64::MAX` before the first.
     pub round_trip_ns: u64,
-    /// Lateness of the loop in ns; in virtual time only if this side's clock is set.
+    /// Lateness in ns; in virtual time only if this side's clock is set.
     pub overshoot_ns: u64,
-    /// Number of outlier samples replaced so far.
+    /// Outliers replaced so far.
     pub outliers: u64,
-    /// Code of the fault, 0 without.
+    /// Fault code, 0 without.
     pub fault: u8,
     /// Rotation; empty for a point.
     pub rotation: R,
 }
 
-/// An empty record: NaN and the largest integers for unknown values.
+/// An empty record: NaN and the largest integers if unknown.
 impl<const N: usize, R: SlaveTurn> Default for SlaveRecord<N, R> {
     fn default() -> Self {
         let zeros = Axes::zeros();

@@ -10,7 +10,7 @@ use crate::{
     recorder::{Field, Value},
 };
 
-/// Rotation part of a master record. It is empty, and free, for a point.
+/// Rotation part of a master record; empty, and free, for a point.
 pub trait MasterTurn: Copy + std::fmt::Debug + PartialEq + Send + 'static {
     /// True if there is a rotation.
     const TURNS: bool;
@@ -21,8 +21,7 @@ pub trait MasterTurn: Copy + std::fmt::Debug + PartialEq + Send + 'static {
     /// Rotation, if any.
     fn rotation(&self) -> Option<&MasterRotation>;
 
-    /// Builds the part from measured and true rotation, the tick of the safety layer, and the received and requested
-    /// torques.
+    /// Builds the part of a tick; `torques` are the received and the requested one.
     fn of(
         measured: Option<&RotationSample>,
         truth: Option<RotationTruth>,
@@ -92,7 +91,7 @@ impl SlaveTurn for () {
     fn fields<'a>(&'a self, _: &mut dyn FnMut(Field<'a>)) {}
 }
 
-/// One tick of a master's rotation, in its base frame about the tool point. Orientations are unit quaternions w, x,
+/// One tick of a master's rotation, in the base frame about the tool point. Orientations are unit quaternions w, x,
 /// y, z.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MasterRotation {
@@ -127,7 +126,7 @@ pub struct MasterRotation {
 }
 
 impl MasterRotation {
-    /// Passes name and values of each signal of a run in virtual time, which has the true values.
+    /// Passes each signal of a run in virtual time, which has true values.
     pub(crate) fn signals(&self, take: &mut dyn FnMut(&'static str, &[f64])) {
         take("orientation", &self.true_orientation);
         take("measured_orientation", &self.orientation);
@@ -247,7 +246,7 @@ impl MasterTurn for MasterRotation {
     }
 }
 
-/// One tick of a slave's rotation, in its base frame about the tool point. Orientations are unit quaternions w, x, y,
+/// One tick of a slave's rotation, in the base frame about the tool point. Orientations are unit quaternions w, x, y,
 /// z.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlaveRotation {
@@ -260,7 +259,7 @@ pub struct SlaveRotation {
 }
 
 impl SlaveRotation {
-    /// Passes name and values of each signal of a run in virtual time.
+    /// Passes each signal of a run in virtual time.
     pub(crate) fn signals(&self, take: &mut dyn FnMut(&'static str, &[f64])) {
         take("slave_orientation", &self.orientation);
         take("slave_command_orientation", &self.command_orientation);

@@ -1,9 +1,9 @@
-//! Telemetry of a running live loop: samples and events over a Unix socket, to any number of readers.
+//! Telemetry of a live loop: samples and events over a Unix socket, to any number of readers.
 //!
-//! The loop writes each record to a bounded ring and never waits. A separate thread decimates them. Each frame of
-//! 1/60 s has the minimum, maximum and last value of each signal, so that a spike of one tick survives. It also has
-//! every change of a name, a flag or a set of bits. A slow reader loses samples, which are reported to it, and does
-//! not affect the others. Lines of JSON; see docs/telemetry.md.
+//! The loop writes records to a bounded ring and never waits. A thread decimates them to frames of 1/60 s. A frame
+//! has minimum, maximum and last value of each signal, so that a spike of one tick survives. It has every change of a
+//! name, flag or set of bits, too. A slow reader loses samples, which are reported to it, and affects no others.
+//! Lines of JSON; see docs/telemetry.md.
 
 mod frame;
 mod readers;
@@ -33,7 +33,7 @@ use crate::{
 /// Settings of telemetry.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TelemetrySettings {
-    /// Unix socket, for the owner only. Replaces a socket that nobody listens at, and refuses anything else.
+    /// Unix socket, for the owner only. Replaces a stale socket, and refuses anything else.
     pub path: PathBuf,
     /// Security mark of the run.
     pub security: SecurityMark,
@@ -58,10 +58,10 @@ const ENDED: u8 = 1;
 /// It panicked, or never began.
 const FAILED: u8 = 2;
 
-/// Reason why the sides are not coupled, and its time after the start in ns; `None` if they may be again.
+/// Time after the start in ns, and reason why the sides are not coupled; `None` ends it.
 type Note = (u64, Option<Diagnosis>);
 
-/// Counts of the loop, as read by the thread. Each is exact, but they may be of different ticks.
+/// Counts of the loop, as the thread reads them: each exact, but not all of one tick.
 #[derive(Debug, Default)]
 struct Counts {
     /// Records dropped because the ring was full.
@@ -109,10 +109,9 @@ impl<R: Recorded> Telemetry<R> {
     }
 }
 
-/// The loop's ends of the channels to the thread.
 type Sender = (rtrb::Producer<Note>, Arc<Counts>, Arc<AtomicU8>, mpsc::Receiver<()>);
 
-/// Starts the thread that sends; compiled once for all record types.
+/// Starts the sending thread; compiled once for all record types.
 fn spawn_sender(readers: Readers, frame: Frame, mut waiting: Box<dyn WaitingRecords>) -> io::Result<Sender> {
     let (notes, noted) = ring(NOTES);
     let counts = Arc::<Counts>::default();
@@ -127,7 +126,7 @@ fn spawn_sender(readers: Readers, frame: Frame, mut waiting: Box<dyn WaitingReco
 }
 
 impl<R> Telemetry<R> {
-    /// Passes a record on, or drops and counts it if the thread does not keep up.
+    /// Passes a record on, or counts it as dropped if the thread is behind.
     #[inline]
     pub(crate) fn take(&mut self, record: R) {
         if self.records.push(record).is_err() {
@@ -141,12 +140,12 @@ impl<R> Telemetry<R> {
         self.counts.count_link(link);
     }
 
-    /// Passes on why the sides are not coupled, at `time_ns` after the start of the run; `None` if they may be again.
+    /// Passes on why the sides are not coupled, at `time_ns` after the start; `None` ends it.
     pub(crate) fn note(&mut self, time_ns: u64, diagnosis: Option<&Diagnosis>) {
         let _ = self.notes.push((time_ns, diagnosis.copied()));
     }
 
-    /// Ends telemetry in good order. Without it, drop closes the readers without an end line.
+    /// Ends telemetry in good order; a drop without it sends no end line.
     pub(crate) fn end(self) {
         self.state.store(ENDED, Ordering::Release);
     }
@@ -177,7 +176,7 @@ fn send_while_running(
         // Loaded first, so that all records pushed before the end are taken below.
         let state = state.load(Ordering::Acquire);
         readers.accept();
-        // Records that arrive meanwhile wait for the next frame, so that a faster loop cannot hold the thread here.
+        // Later records wait for the next frame: a faster loop cannot hold the thread.
         records.take(records.waiting(), &mut |record| frame.take(record));
         while let Ok((time_ns, diagnosis)) = notes.pop() {
             match diagnosis {

@@ -19,9 +19,9 @@ use crate::live_socket::LiveSocket;
 
 /// Maximum number of readers; a further one is sent `refused` and closed.
 const MAX_READERS: usize = 16;
-/// Maximum backlog in bytes before a reader loses samples.
+/// Backlog in bytes beyond which a reader loses samples.
 const MAX_BACKLOG: usize = 1 << 18;
-/// Maximum backlog in bytes before a reader is closed: it has lost seconds of samples by then and takes no events.
+/// Backlog in bytes beyond which a reader is closed: it has lost seconds of samples and takes no events.
 const MAX_EVENTS: usize = 1 << 20;
 
 struct Reader {
@@ -40,7 +40,7 @@ impl Reader {
         }
     }
 
-    /// Sends as much of the backlog as possible. Returns whether the reader is still connected.
+    /// Sends as much backlog as possible. Returns whether the reader is there.
     fn flush(&mut self) -> bool {
         let mut seen = [PollFd::new(&self.stream, PollFlags::empty())];
         let is_gone = poll(&mut seen, Some(&Timespec::default())).is_ok_and(|count| count > 0);
@@ -112,7 +112,7 @@ impl Readers {
         }
     }
 
-    /// Sends lines to all readers, and closes a reader with a backlog of more than a megabyte.
+    /// Sends lines to all, closing readers more than a megabyte behind.
     pub(super) fn events(&mut self, lines: &[u8]) {
         self.connected.retain_mut(|reader| {
             reader.backlog.extend_from_slice(lines);
@@ -120,7 +120,7 @@ impl Readers {
         });
     }
 
-    /// Sends a sample of `ticks` ticks to all readers. A reader with a large backlog loses it.
+    /// Sends a sample of `ticks` ticks; a reader with a large backlog loses it.
     pub(super) fn sample(&mut self, sample: &[u8], ticks: u64) {
         for reader in &mut self.connected {
             if reader.backlog.len() + sample.len() > MAX_BACKLOG {
@@ -132,13 +132,12 @@ impl Readers {
         }
     }
 
-    /// Sends as much of the backlogs as the readers take at once.
+    /// Sends as much backlog as possible to all.
     pub(super) fn flush(&mut self) {
         self.connected.retain_mut(Reader::flush);
     }
 
-    /// Sends the last line and closes, waiting up to `patience` for slow readers. The socket file is gone before a
-    /// reader sees the end.
+    /// Removes the socket file, sends the last line, and waits up to `patience` for slow readers.
     pub(super) fn end(mut self, last: &[u8], patience: Duration) {
         self.socket.remove();
         self.connected.iter_mut().for_each(Reader::count_lost);

@@ -68,7 +68,6 @@ fn counts() -> Counts {
     counts
 }
 
-/// The sample of a frame, and its changes.
 fn framed(records: &[Record]) -> (Json, Vec<Json>) {
     let mut frame = Frame::of(&Record::any());
     for record in records {
@@ -95,7 +94,7 @@ fn frame_has_minimum_maximum_and_last_of_each_axis() {
 }
 
 #[test]
-fn non_finite_values_do_not_change_the_bounds() {
+fn nan_does_not_change_the_bounds() {
     let mut records: Vec<_> = (0..3).map(record).collect();
     records[1].trigger = 0.5;
     records[0].trigger = f64::NAN;
@@ -405,7 +404,7 @@ fn invalid_path_is_refused_with_remedy() {
     assert!(refusal(&taken).contains("another run"));
     assert!(taken.exists());
     drop(other);
-    // Of another kind, and alive.
+    // Another kind of socket, and alive.
     let datagrams = folder.join("datagrams");
     let _other = UnixDatagram::bind(&datagrams).unwrap();
     assert!(refusal(&datagrams).contains("is another program's socket"));
@@ -418,7 +417,7 @@ fn invalid_path_is_refused_with_remedy() {
     assert!(!stale.exists());
 }
 
-/// A socket with a full queue is neither awaited nor replaced.
+/// A full queue is neither awaited nor replaced.
 #[test]
 fn socket_with_full_queue_is_left_alone() {
     let folder = folder("full");
@@ -442,7 +441,7 @@ fn socket_with_full_queue_is_left_alone() {
     assert!(path.exists());
 }
 
-/// Of runs that begin at once at a path with a stale socket, one gets it and keeps it.
+/// At a path with a stale socket, one of several concurrent runs gets it and keeps it.
 #[test]
 fn one_of_concurrent_runs_gets_the_path() {
     let folder = folder("at-once");
@@ -471,7 +470,6 @@ fn one_of_concurrent_runs_gets_the_path() {
     assert!(!path.exists());
 }
 
-/// A reader that goes, and many that come, change nothing.
 #[test]
 fn readers_come_and_go() {
     let folder = folder("come");

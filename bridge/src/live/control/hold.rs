@@ -1,8 +1,8 @@
-//! A press and hold from another program: only an action of a person now counts as a press.
+//! A press and hold from another program: only an action of a person now counts.
 //!
-//! The holder sends a beat at least five times a second. Each but the first carries the token from the answer to the
-//! previous beat, and all carry the time that the button has been down. So a stalled queue cannot imitate a hold: its
-//! beats lack the token, arrive in a burst, or disagree with the time that has passed here.
+//! The holder sends a beat at least five times a second. Each but the first carries the token answered to the
+//! previous one, and all carry the time held. So a stalled queue cannot imitate a hold: its beats lack the token,
+//! arrive in a burst, or disagree with the time here.
 
 /// Duration of a press in ns.
 const HOLD_NS: u64 = 1_000_000_000;
@@ -19,9 +19,9 @@ pub(super) struct Beat {
     pub(super) from: u64,
     /// Arrival time in ns.
     pub(super) now_ns: u64,
-    /// Time in ns that the button has been down, as the sender reports.
+    /// Time in ns held so far, as reported.
     pub(super) held_ns: u64,
-    /// Token of the answer to the previous beat; `None` for the first.
+    /// Token of the previous answer; `None` at first.
     pub(super) token: Option<u64>,
 }
 
@@ -103,7 +103,7 @@ mod tests {
     const MS: u64 = 1_000_000;
     const START: u64 = 77_000 * MS;
 
-    /// Result of the last of the beats (arrival in ms, reported time in ms), each with the previous token.
+    /// Result of the last beat (arrival in ms, reported time in ms), each with the previous token.
     fn held(beats: &[(u64, u64)]) -> Held {
         let mut hold = Hold::default();
         let mut token = None;

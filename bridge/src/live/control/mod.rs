@@ -1,8 +1,7 @@
-//! Control socket of a live side: a person commands the running loop from another program.
+//! Control socket of a live side, for commands from other programs.
 //!
-//! It is separate from telemetry, whose readers must not be able to command. Its own thread serves it without the
-//! Python interpreter, so a stop acts whatever Python does. The loop sees ordinary commands. Requests and answers are
-//! lines of JSON, see docs/console.md.
+//! It is separate from telemetry, whose readers must not command. Its thread needs no interpreter, so a stop acts
+//! whatever Python does. The loop sees ordinary commands. Lines of JSON, see docs/console.md.
 
 mod hold;
 mod request;
@@ -33,11 +32,11 @@ use self::{
 use super::{handle::ControlPort, handle::Ineffective, own_thread::OwnThread};
 use crate::{command::OperatorCommand, live_socket::LiveSocket, wire::Role};
 
-/// Maximum number of connections. A further one closes the idlest, so that no program blocks a stop.
+/// Maximum number of connections. A further one closes the idlest, so that none blocks a stop.
 const MAX_CONNECTIONS: usize = 32;
-/// Maximum number of connections accepted before open ones are served.
+/// Maximum number accepted before open ones are served.
 const MAX_ACCEPTED: usize = 8;
-/// Time in us for which a new connection counts as busy, since its first request is on its way.
+/// Time in us for which a new connection counts as busy, awaiting its first request.
 const NEW_US: u64 = 100_000;
 /// Bytes of a request, without its end.
 const MAX_REQUEST: usize = 512;
@@ -48,7 +47,7 @@ const LOOK_EVERY: Timespec = Timespec { tv_sec: 0, tv_nsec: 20_000_000 };
 const AT_ONCE: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
 /// Maximum age of the token of a request in us.
 const MAX_TOKEN_US: u64 = 400_000;
-/// Maximum time for which a stop waits for the loop to be at rest before it is answered.
+/// Maximum wait of a stop's answer for the loop to be at rest.
 const REST: Duration = Duration::from_millis(300);
 
 /// A listening control socket. Clients wait until there is a loop.
@@ -58,14 +57,14 @@ pub struct ControlSocket {
 }
 
 impl ControlSocket {
-    /// Listens at `path`, for the owner only. Replaces a socket that nobody listens at, and refuses anything else.
+    /// Listens at `path`, for the owner only. Replaces a stale socket, and refuses anything else.
     pub fn listen(path: &Path) -> io::Result<Self> {
         let socket = LiveSocket::listen(path, "another run is controlled there")?;
         Ok(Self { socket, path: path.to_owned() })
     }
 
-    /// Serves the loop of a side until it is over. If a driver steps it, acknowledgements also go to its device: the
-    /// driver takes them by [`super::LiveHandle::take_acknowledgement`].
+    /// Serves the loop until it is over. A driver also takes acknowledgements, by
+    /// [`super::LiveHandle::take_acknowledgement`].
     pub fn serve(self, role: Role, port: ControlPort, has_driver: bool) -> io::Result<Control> {
         let is_over = Arc::<AtomicBool>::default();
         let theirs = Arc::clone(&is_over);
@@ -102,8 +101,8 @@ impl Drop for Control {
     }
 }
 
-/// Time since boot in us, including suspends: a message from before a suspend is old after it. Exact in a page's
-/// numbers for centuries.
+/// Time since boot in us, including suspends, so that messages from before one are old. Exact in a page's numbers for
+/// centuries.
 fn now_us() -> u64 {
     let now = clock_gettime(ClockId::Boottime);
     #[allow(clippy::cast_sign_loss)] // it starts at boot
@@ -115,7 +114,7 @@ fn is_fresh(token: u64) -> bool {
     now_us().checked_sub(token).is_some_and(|age_us| age_us <= MAX_TOKEN_US)
 }
 
-/// Duplicates a descriptor, to be closed for a connection when no other is left.
+/// Duplicates a descriptor, to be freed for a connection when none is left.
 fn spare(socket: &LiveSocket) -> io::Result<OwnedFd> {
     Ok(fcntl_dupfd_cloexec(socket, 0)?)
 }
@@ -124,12 +123,12 @@ struct Connection {
     number: u64,
     stream: UnixStream,
     received: Vec<u8>,
-    /// Time of its last request in us. New connection: the time until which its first is awaited.
+    /// Time of the last request in us, or until which the first is awaited.
     active_us: u64,
 }
 
 impl Connection {
-    /// Sends a line. Returns whether all of it was taken at once, as for a client that reads its answers.
+    /// Sends a line. Returns whether all was taken at once, as for a reading client.
     fn send(&self, line: &[u8]) -> bool {
         loop {
             match send(&self.stream, line, SendFlags::NOSIGNAL | SendFlags::DONTWAIT) {
@@ -142,7 +141,7 @@ impl Connection {
 
     /// Receives pending bytes. Returns whether the connection is still open.
     fn receive(&mut self) -> bool {
-        // A client that sends faster than it is answered waits.
+        // A too fast client waits.
         if self.received.len() > MAX_REQUEST {
             return true;
         }
@@ -214,11 +213,10 @@ impl Server {
         }
     }
 
-    /// Accepts connections. If too many are open, or no descriptor is left, closes the idlest.
+    /// Accepts connections. Closes the idlest if too many, or without a free descriptor.
     fn accept(&mut self) {
         for _ in 0..MAX_ACCEPTED {
-            // Without a free descriptor `accept` fails even if nobody waits, and would close a connection for
-            // nothing.
+            // Without a descriptor `accept` fails even if nobody waits, and would close a connection in vain.
             let mut waiting = [PollFd::new(&self.socket, PollFlags::IN)];
             if poll(&mut waiting, Some(&AT_ONCE)) != Ok(1) {
                 return;
@@ -242,8 +240,7 @@ impl Server {
         }
     }
 
-    /// Closes the idlest connection with a reason, after answering a received request. Returns false if there is
-    /// none.
+    /// Closes the idlest connection with a reason, after answering its request. False without any.
     fn displace(&mut self) -> bool {
         let idlest = (0..self.connected.len()).min_by_key(|at| self.connected[*at].active_us);
         let Some(mut idlest) = idlest.map(|at| self.connected.swap_remove(at)) else { return false };
@@ -256,7 +253,7 @@ impl Server {
         true
     }
 
-    /// Answers the requests of a connection. Returns whether it stays open.
+    /// Answers requests. Returns whether the connection stays.
     fn serve_one(&mut self, connection: &mut Connection) -> bool {
         let is_there = connection.receive();
         for _ in 0..MAX_AT_ONCE {
@@ -330,7 +327,7 @@ impl Server {
         }
     }
 
-    /// The driver of a device takes the acknowledgement; the loop alone would clear a fault that persists.
+    /// The driver takes the acknowledgement; the loop alone would clear a persisting fault.
     fn acknowledge(&mut self, answer: Answer) -> Answer {
         if self.has_driver {
             self.port.handle().acknowledge_device();
@@ -339,7 +336,7 @@ impl Server {
         self.command(OperatorCommand::Acknowledge, "what was wrong counts as mended", answer)
     }
 
-    /// Ends the loop and waits briefly for it to be at rest. No later request needs this thread.
+    /// Ends the loop and waits briefly for rest; no later request needs this thread.
     fn stop(&mut self) -> &'static str {
         self.port.handle().stop();
         let end = Instant::now() + REST;

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A request. Times are whole ms, since a page's numbers are exact up to 2^53. A token comes from the answer to a
-/// recent `status`, so a queued request carries an old one.
+/// A request. Times are whole ms, exact in a page up to 2^53. A token is from a recent `status`, so a queued request
+/// has an old one.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum Request {
@@ -56,7 +56,7 @@ pub(super) struct Answer {
     pub(super) request: &'static str,
     pub(super) done: bool,
     pub(super) text: String,
-    /// Token of the next beat of a hold, or after a `status` of the next request.
+    /// Token for the next beat, or for the request after a `status`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) token: Option<u64>,
     /// True if this beat has pressed the clutch.
@@ -74,7 +74,7 @@ pub(super) struct Status {
     pub(super) ticks: u64,
     pub(super) is_stopped: bool,
     pub(super) is_at_rest: bool,
-    /// Number of ineffective presses, and reason of the last; `None` if the diagnosis has it.
+    /// Ineffective presses and reason of the last; `None` if the diagnosis has it.
     pub(super) ineffective_presses: u64,
     pub(super) ineffective: Option<&'static str>,
 }
