@@ -164,7 +164,7 @@ mod tests {
         };
         at(&mut engage, known(0), 30);
         assert_eq!(at(&mut engage, known(3), 30), (Some(true), Some(1.0)));
-        assert_eq!(at(&mut engage, ButtonWord::UNKNOWN, 30), (None, Some(1.0)), "it keeps its grip");
+        assert_eq!(at(&mut engage, ButtonWord::UNKNOWN, 30), (None, Some(1.0)), "unknown keeps the grip");
         // Unknown: still held, or pressed meanwhile.
         assert_eq!(at(&mut engage, known(3), 30), (Some(false), Some(1.0)));
         at(&mut engage, known(0), 30);

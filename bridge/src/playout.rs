@@ -23,7 +23,8 @@ pub struct PlayoutSettings {
 }
 
 impl PlayoutSettings {
-    /// Defaults: 1024 sequences, window 10 s, warm-up 1 s, moves of 0.5 percent beyond 0.5 ms, restart after 200 ms.
+    /// Defaults: 1024 sequences, window 10 s, warm-up 1 s, moves of 0.5 percent beyond 0.5 ms, restart after 200 ms
+    /// of late packets.
     pub const fn new(delay_ns: u64) -> Self {
         Self {
             delay_ns,
@@ -95,7 +96,7 @@ pub struct Played<T> {
 pub struct PlayoutCounts {
     /// Packets played.
     pub played: u64,
-    /// Packets after their time or a later one.
+    /// Packets that arrived after their time or after a later one was played.
     pub late: u64,
     /// Packets that waited already.
     pub duplicate: u64,

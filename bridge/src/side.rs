@@ -22,7 +22,7 @@ use crate::{
     wire::{Frame, MAX_FRAME},
 };
 
-/// One side of N axes. Times are on the endpoint's clock unless stated otherwise.
+/// One side of N axes: per tick `receive`, `tick`, `send`. Times are on the endpoint's clock unless stated otherwise.
 pub trait Side {
     /// The record of a tick.
     type Record: Copy + Default + Send + 'static

@@ -448,7 +448,8 @@ pub fn run_virtual<M: Side, S: Side>(
     Ok(run.counts())
 }
 
-/// Most ticks of a side in a row: enough to keep its code in the cache, few enough to keep their records there.
+/// Maximum number of ticks of a side in a row: enough to keep its code in the cache, few enough to keep their records
+/// there.
 pub(crate) const MAX_AHEAD: usize = 64;
 
 /// As [`run_virtual`], with the same records in the same order, for callers that read only records. The sides may be

@@ -357,7 +357,7 @@ mod tests {
         for n in 0..16 {
             assert!(admission.admits(1000 * MS, at(2), &message(1, 7, 7), true), "{n}");
         }
-        assert!(!admission.admits(1000 * MS, at(2), &message(1, 7, 7), true), "with a limit of its own");
+        assert!(!admission.admits(1000 * MS, at(2), &message(1, 7, 7), true), "new epochs have a limit, too");
     }
 
     /// A master accepts the answer to its last request, and no recorded one.

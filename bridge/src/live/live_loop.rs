@@ -466,6 +466,6 @@ mod tests {
             let seen = is_prompt(command, at, at + later_ms * MS, stalled, failed);
             assert_eq!(seen, counts, "{command:?} {later_ms} {stalled:?} {failed:?}");
         }
-        assert!(!is_prompt(Start, at, at - 1, None, None), "a start that is still to come");
+        assert!(!is_prompt(Start, at, at - 1, None, None), "a start in the future");
     }
 }

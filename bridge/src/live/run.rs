@@ -35,7 +35,7 @@ pub struct LiveRun {
     realtime: RealtimeReport,
 }
 
-/// A side in its loop. The plant is dropped, and so at rest, first.
+/// A side in its loop. The plant is the first field, so that it is dropped, and at rest, first.
 struct Running {
     plant: Box<dyn LoopSide + Send>,
     live_loop: LiveLoop,

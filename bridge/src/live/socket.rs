@@ -43,7 +43,8 @@ pub fn local_address(peer: SocketAddr) -> io::Result<SocketAddr> {
     Ok(local)
 }
 
-/// A non-blocking UDP socket and its peer. Of several peer addresses each gets datagrams in turn, until one answers.
+/// A non-blocking UDP socket and its peer. If the peer has several addresses, each gets datagrams in turn until one
+/// answers.
 #[derive(Debug)]
 pub struct PeerSocket {
     /// Several if the peer's addresses need them.

@@ -139,7 +139,7 @@ fn frames_follow_one_another() {
     let mut frame = Frame::of(&Record::any());
     frame.take(&Record { tripped: 2, ..record(9) });
     let _ = frame.sample(&Counts::default()).unwrap();
-    assert!(frame.sample(&Counts::default()).is_none(), "a frame without a tick says nothing");
+    assert!(frame.sample(&Counts::default()).is_none(), "a frame without a tick has no sample");
     frame.take(&Record { state: LadderState::Stop, ..record(1) });
     let sample = lines(frame.sample(&Counts::default()).unwrap().0).remove(0);
     assert_eq!(sample["signals"]["position"][0], serde_json::json!([1.0, 1.0, 1.0]));
@@ -340,7 +340,7 @@ fn stalled_reader_loses_samples_and_gets_their_count() {
             let ender =
                 thread::spawn(move || readers.end(b"{\"kind\":\"end\"}\n", Duration::from_millis(300)));
             ender.join().unwrap();
-            assert!(begun.elapsed() < Duration::from_secs(5), "its end is not held up");
+            assert!(begun.elapsed() < Duration::from_secs(5), "a stalled reader delays the end");
             let mut bytes = Vec::new();
             (&stalled).read_to_end(&mut bytes).unwrap();
             bytes.truncate(bytes.iter().rposition(|byte| *byte == b'\n').unwrap());

@@ -161,10 +161,10 @@ mod tests {
             |from, after_ms: u64| Beat { from, now_ns: START + after_ms * MS, held_ns: 0, token: None };
         assert!(matches!(hold.beat(first(1, 0)), Held::Goes(_)));
         assert!(matches!(hold.beat(first(2, 100)), Held::Void(_)));
-        let Held::Goes(_) = hold.beat(first(1, 200)) else { panic!("the other changes nothing") };
+        let Held::Goes(_) = hold.beat(first(1, 200)) else { panic!("the hold must go on") };
         assert!(matches!(hold.beat(first(2, 601)), Held::Goes(_)), "lapsed");
         hold.end(1);
-        assert!(matches!(hold.beat(first(1, 700)), Held::Void(_)), "that of another does not end by it");
+        assert!(matches!(hold.beat(first(1, 700)), Held::Void(_)), "connection 2 still holds");
         hold.end(2);
         assert!(matches!(hold.beat(first(1, 700)), Held::Goes(_)));
     }

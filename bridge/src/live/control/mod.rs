@@ -101,8 +101,8 @@ impl Drop for Control {
     }
 }
 
-/// Time since boot in us, including suspends, so that messages from before one are old. Exact in a page's numbers for
-/// centuries.
+/// Time since boot in us, including suspends, so that messages from before one are old. Exact in a browser's numbers
+/// for centuries.
 fn now_us() -> u64 {
     let now = clock_gettime(ClockId::Boottime);
     #[allow(clippy::cast_sign_loss)] // it starts at boot

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A request. Times are whole ms, exact in a page up to 2^53. A token is from a recent `status`, so a queued request
-/// has an old one.
+/// A request. Times are whole ms, exact in a browser up to 2^53. A token is from a recent `status`, so a queued
+/// request has an old one.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum Request {
