@@ -74,10 +74,11 @@ impl FaultText {
         built
     }
 
-    /// As [`new`](Self::new), for formatted text, without allocation; first truncates to 255 bytes.
+    /// As [`new`](Self::new), for formatted text, without allocation. Drops the first piece written beyond 255 bytes,
+    /// and all after it.
     pub fn of(written: &impl fmt::Display) -> Self {
         let mut line = Line { bytes: [0; 255], length: 0 };
-        // Keeps the part that fits.
+        // Keeps the pieces that fit.
         let _ = fmt::Write::write_fmt(&mut line, format_args!("{written}"));
         Self::new(std::str::from_utf8(&line.bytes[..line.length]).unwrap_or_default())
     }
