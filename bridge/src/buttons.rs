@@ -1,40 +1,40 @@
-//! What the buttons of a device do: clutch, engage and gripper, as a scene maps them.
+//! Buttons of a device: clutch, engage and gripper, as a scene maps them.
 
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::ladder::{Button, LadderState, PRESS_NS};
 
-/// Which button does what, by its bit from 0 to 31; what is none is done by no button.
+/// Button per function, by bit from 0 to 31, if mapped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ButtonSettings {
-    /// The clutch: closed while it is held.
+    /// Clutch: closed while the button is held.
     pub clutch: Option<u8>,
-    /// The clutch as a switch: a press closes it, the next one opens it.
+    /// Clutch as a switch: a press closes it, the next one opens it.
     pub engage: Option<u8>,
-    /// The gripper: a press closes it, the next one opens it.
+    /// Gripper: a press closes it, the next one opens it.
     pub gripper: Option<u8>,
 }
 
-/// A mapping that no device can have.
+/// Invalid mapping.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ButtonError {
-    /// A bit that no word has.
+    /// Invalid bit.
     #[error("master.buttons.{name} = {seen}: must be 0 to 31")]
     Bit {
-        /// Which.
+        /// Function.
         name: &'static str,
-        /// What was given.
+        /// Bit.
         seen: u8,
     },
-    /// Two things on one button, or the clutch on two.
+    /// Two functions on one button, or the clutch on two.
     #[error("master.buttons: must be a button of its own for each, and one of clutch and engage")]
     Shared,
 }
 
 impl ButtonSettings {
-    /// Refuses what no device can have.
+    /// Checks the mapping.
     pub fn check(&self) -> Result<(), ButtonError> {
         let Self { clutch, engage, gripper } = *self;
         for (name, bit) in [("clutch", clutch), ("engage", engage), ("gripper", gripper)] {
@@ -47,31 +47,29 @@ impl ButtonSettings {
     }
 }
 
-/// The buttons of a device as they are read: bit n, button n is pressed; none where they are not known, which is no
-/// release.
+/// Buttons as read: bit n is set while button n is pressed. `None` if unknown, which is no release.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ButtonWord(pub Option<u32>);
 
 impl ButtonWord {
-    /// A sample that does not say.
+    /// Unknown state.
     pub const UNKNOWN: Self = Self(None);
 }
 
-/// What the buttons of a device say, tick by tick.
+/// Evaluates the buttons tick by tick.
 ///
-/// A contact that bounces presses once. A button that is closed at the first sample has not been pressed: it must be seen
-/// open before, as after a gap in which nobody knows what it did. The switch of the clutch opens by itself where the two
-/// sides have parted or its press was not taken up, so that nothing but a press closes it again.
+/// A bouncing contact presses once. A button closed at the first sample, or after a gap, must open before it can be
+/// pressed. The clutch switch opens when the sides part or its press was not accepted, so that only a press closes it
+/// again.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Buttons {
     settings: ButtonSettings,
     engage: Switch,
     gripper: Switch,
-    /// Whether the last press of the clutch was taken up, at the last tick.
+    /// True if the last clutch press was accepted at the last tick.
     was_aligned: bool,
 }
 
-/// A button that switches something on and off.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Switch {
     button: Button,
@@ -83,7 +81,7 @@ impl Switch {
     fn at(&mut self, now_ns: u64, level: bool) -> bool {
         let before = self.button.last_press_ns();
         let _ = self.button.at(now_ns, Some(level));
-        // Closed at the first sample, it was pressed by nobody.
+        // Nobody pressed a button that is closed at the first sample.
         let counts = std::mem::replace(&mut self.is_known, true) && self.button.last_press_ns() != before;
         self.on ^= counts;
         self.on
@@ -97,15 +95,15 @@ impl Buttons {
         Ok(Self { settings, engage, gripper, was_aligned: false })
     }
 
-    /// Whether a button works the clutch.
+    /// Returns whether a button works the clutch.
     pub(crate) fn has_clutch(&self) -> bool {
         self.settings.clutch.is_some() || self.settings.engage.is_some()
     }
 
     /// Takes the word of a tick.
     ///
-    /// Returns whether the clutch is closed, where a button works it and it is known, and the trigger, 0 open or 1 closed,
-    /// where one does.
+    /// Returns the clutch, true if closed, and the trigger, 0 open or 1 closed; `None` if not mapped, or the clutch
+    /// unknown.
     pub(crate) fn at(&mut self, now_ns: u64, word: ButtonWord) -> (Option<bool>, Option<f64>) {
         let Some(word) = word.0 else {
             self.stalled();
@@ -118,13 +116,12 @@ impl Buttons {
         (clutch.map(level).or(engaged), closed)
     }
 
-    /// The switch of the clutch is open.
+    /// Opens the clutch switch.
     pub(crate) fn open(&mut self) {
         self.engage.on = false;
     }
 
-    /// Nobody knows what the buttons did meanwhile: the switch of the clutch is open, and each must be seen open before it
-    /// can be pressed.
+    /// Opens the clutch switch after a gap. Each button must open before it can be pressed.
     pub(crate) fn stalled(&mut self) {
         self.open();
         for switch in [&mut self.engage, &mut self.gripper] {
@@ -132,7 +129,7 @@ impl Buttons {
         }
     }
 
-    /// The ladder stands there: where a press is no longer taken up, the switch of the clutch is open.
+    /// Opens the clutch switch if the ladder no longer accepts its press.
     pub(crate) fn follow(&mut self, now_ns: u64, state: LadderState) {
         let was_aligned = std::mem::replace(&mut self.was_aligned, state.is_aligned());
         let pressed_ns = self.engage.button.last_press_ns().unwrap_or(0);
@@ -154,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_known_is_no_release_and_no_press() {
+    fn unknown_word_is_no_release_and_no_press() {
         let mut engage = buttons(None, Some(0), Some(1));
         let mut now = 0;
         let mut at = |engage: &mut Buttons, word: ButtonWord, ticks: u64| {
@@ -167,15 +164,15 @@ mod tests {
         };
         at(&mut engage, known(0), 30);
         assert_eq!(at(&mut engage, known(3), 30), (Some(true), Some(1.0)));
-        assert_eq!(at(&mut engage, ButtonWord::UNKNOWN, 30), (None, Some(1.0)), "it keeps its grip");
-        // Still held, or pressed meanwhile: nobody knows.
+        assert_eq!(at(&mut engage, ButtonWord::UNKNOWN, 30), (None, Some(1.0)), "unknown keeps the grip");
+        // Unknown: still held, or pressed meanwhile.
         assert_eq!(at(&mut engage, known(3), 30), (Some(false), Some(1.0)));
         at(&mut engage, known(0), 30);
         assert_eq!(at(&mut engage, known(3), 30), (Some(true), Some(0.0)));
     }
 
     #[test]
-    fn a_press_while_the_buttons_were_not_known_switches_nothing() {
+    fn press_during_unknown_words_switches_nothing() {
         for gap in [1, 5, 30, 300] {
             let mut switched = buttons(None, Some(0), Some(1));
             let words =
@@ -189,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn a_press_that_nobody_takes_up_does_not_wait_for_ever() {
+    fn unaccepted_press_expires() {
         let mut engage = buttons(None, Some(0), None);
         for now in 0..6000 {
             engage.follow(now * MS, LadderState::Disengaged);
@@ -238,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_closed_at_the_start_and_what_bounces_is_no_press() {
+    fn closed_at_start_and_bounce_are_no_press() {
         let mut engage = buttons(None, Some(0), None);
         for n in 0..100 {
             assert_eq!(engage.at(n * MS, known(1)).0, Some(false), "{n}");
@@ -254,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mapping_that_cannot_be_is_refused() {
+    fn invalid_mapping_is_refused() {
         for (clutch, engage, gripper) in [
             (Some(32), None, None),
             (None, Some(32), None),

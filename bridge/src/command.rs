@@ -1,42 +1,42 @@
-//! What an operator commands at one side while it runs.
+//! Commands of an operator to a running side.
 
 use crate::{
     coupling::{CouplingError, FrameMap, PositionForce, RotationCoupling},
     wire::MAX_AXES,
 };
 
-/// A command of the operator at one side. None is taken from the network, and what the other side has is passed over.
+/// A command of the operator at one side, never from the network. Commands for the other side are ignored.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OperatorCommand {
-    /// The start of the run, which is a press of the clutch unless it is more than 5 s ago.
+    /// Start of the run; a press of the clutch unless more than 5 s old.
     Start,
-    /// Releases the clutch for a moment and presses it again; nothing where the device has a button.
+    /// Releases the clutch briefly and presses it again; no effect with a device button.
     Press,
-    /// Releases the clutch, and a closed button counts as open until it was seen open.
+    /// Releases the clutch. A closed button counts as open until it was seen open.
     Release,
-    /// Lets another master begin, if the one before has been silent for 2 s: at the slave's session.
+    /// Lets another master begin after 2 s of silence, at the slave.
     Takeover,
-    /// This side's fault is mended. Nothing couples by it: the clutch must then be released and pressed.
+    /// Acknowledges this side's fault. Couples nothing: release and press the clutch then.
     Acknowledge,
-    /// Changes `lambda_p`, at the slave: it fades, and the arm goes on from where it is.
+    /// Changes `lambda_p` with a fade, at the slave; the arm does not jump.
     PositionScale(f64),
-    /// Changes `lambda_f`, at the master: it fades.
+    /// Changes `lambda_f` with a fade, at the master.
     ForceScale(f64),
-    /// Changes `lambda_r`, at the slave: it fades, and the arm goes on from where it is.
+    /// Changes `lambda_r` with a fade, at the slave; the arm does not jump.
     RotationScale(f64),
-    /// Changes `lambda_tau`, at the master: it fades.
+    /// Changes `lambda_tau` with a fade, at the master.
     TorqueScale(f64),
-    /// Changes rotation and locks, at both sides alike: it fades, and the arm goes on from where it is.
+    /// Changes rotation and locks with a fade, at both sides alike; the arm does not jump.
     Frame {
         /// Unit quaternion of the rotation from the master's frame to the slave's.
         quat_wxyz: [f64; 4],
-        /// Whether the slave's axis does not follow; those beyond its number of axes count for nothing.
+        /// True per locked axis of the slave; entries beyond its axes are ignored.
         locked: [bool; MAX_AXES],
     },
 }
 
 impl OperatorCommand {
-    /// Refuses numbers that an endpoint of N axes cannot have.
+    /// Rejects numbers that are invalid for an endpoint of N axes.
     pub fn check<const N: usize>(&self) -> Result<(), CouplingError> {
         match self {
             Self::Start | Self::Press | Self::Release | Self::Takeover | Self::Acknowledge => Ok(()),

@@ -1,7 +1,7 @@
-//! Plants of drivers outside of this crate: what they have read, and what they are to write.
+//! Plants of drivers outside of this crate: their samples and orders.
 //!
-//! The loop of such a driver is `read -> tick -> write -> wait`: it leaves its sample here before the tick, and takes
-//! force or order from here after it.
+//! The loop of such a driver is `read -> tick -> write -> wait`. It stores its sample here before the tick, and takes
+//! force or order afterwards.
 
 use haptether_master::RotationSample;
 use haptether_safety::Axes;
@@ -16,19 +16,19 @@ use crate::{
 /// A haptic device whose driver is elsewhere.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DrivenMaster<const N: usize> {
-    /// Position in m, as read.
+    /// Measured position in m.
     pub position: Axes<N>,
-    /// Velocity in m/s, from a device that measures it.
+    /// Velocity in m/s, if the device measures it.
     pub velocity: Option<Axes<N>>,
-    /// Whether the clutch is pressed, of a device that has a button.
+    /// Clutch state, if the device has a button; true if pressed.
     pub clutch: Option<bool>,
-    /// Its buttons.
+    /// Buttons of the device.
     pub buttons: ButtonWord,
-    /// Force in N that the device is to exert.
+    /// Force in N for the device to exert.
     pub force: Axes<N>,
-    /// Orientation and angular velocity, as read, of a device that turns.
+    /// Measured orientation and angular velocity, if the device turns.
     pub rotation: Option<RotationSample>,
-    /// Torque in N m that the device is to exert.
+    /// Torque in N m for the device to exert.
     pub torque: Axes<3>,
 }
 
@@ -77,10 +77,10 @@ impl<const N: usize> MasterPlant<N> for DrivenMaster<N> {
     }
 }
 
-/// What a driver is to have its arm do.
+/// Order to an arm's driver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SlaveOrder<const N: usize> {
-    /// Nothing yet: no master has engaged.
+    /// Do nothing yet: no master has engaged.
     Wait,
     /// Take the tool to `position` in m, which moves with `velocity` in m/s.
     Move {
@@ -88,22 +88,22 @@ pub enum SlaveOrder<const N: usize> {
         position: Axes<N>,
         /// Velocity in m/s.
         velocity: Axes<N>,
-        /// Orientation to turn the tool to, and its angular velocity in rad/s; none where it is led as a point.
+        /// Orientation of the tool, and its angular velocity in rad/s; `None` if the tool is led as a point.
         rotation: Option<(UnitQuaternion<f64>, Axes<3>)>,
     },
-    /// Stop softly, and stay.
+    /// Stop softly and stay.
     Stop,
 }
 
-/// How the rotation of an arm brakes where it is no longer led, in rad/s^2.
+/// Deceleration of the rotation of an arm no longer led, in rad/s^2.
 const ANGULAR_DECELERATION: f64 = 25.0;
 
-/// A deceleration that no arm can be stopped with.
+/// Invalid deceleration.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("deceleration = {0}: must be above 0 and at most 100 m/s^2")]
 pub struct DrivenSlaveError(pub f64);
 
-/// The path to rest of an arm that is no longer led: straight on, with constant deceleration.
+/// Path to rest of an arm no longer led: straight, with constant deceleration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Braking<const N: usize> {
     from: Axes<N>,
@@ -113,7 +113,7 @@ struct Braking<const N: usize> {
     rotation: Option<TurnBraking>,
 }
 
-/// The same of its rotation: on about one axis.
+/// The same for its rotation, about one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct TurnBraking {
     from: UnitQuaternion<f64>,
@@ -121,40 +121,39 @@ struct TurnBraking {
     rest: UnitQuaternion<f64>,
 }
 
-/// Time and share of the speed that is left of an even braking from `speed`, t in s after it began: the way is that time
-/// along the first velocity.
+/// State t in s after a constant deceleration from `speed` began: distance as a time at the initial velocity, and
+/// remaining share of the speed. `None` at rest.
 fn braked(speed: f64, deceleration: f64, t: f64) -> Option<(f64, f64)> {
     let left = speed - deceleration * t;
-    // x = v t - a t^2 / 2 along v, of constant deceleration.
+    // x = v t - a t^2 / 2 along v.
     (left > 0.0).then(|| (t - 0.5 * deceleration * t * t / speed, left / speed))
 }
 
-/// On by a rotation vector in the base frame.
+/// Rotates `from` by a rotation vector in the base frame.
 fn turned(by: Axes<3>, from: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
     Unit::new_normalize((UnitQuaternion::from_scaled_axis(by) * from).into_inner())
 }
 
 /// An arm whose driver is elsewhere.
 ///
-/// Where it is no longer led it brakes at `deceleration`; what is written meanwhile is added to that, so that neither
-/// the commanded position nor its velocity ever jumps. A stop is left to the driver.
+/// When no longer led it brakes at `deceleration`. Commands are added to the braking motion, so that position and
+/// velocity do not jump. A stop is left to the driver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DrivenSlave<const N: usize> {
-    /// Position in m, velocity in m/s and `F_e` in N, as read.
+    /// Measured position in m, velocity in m/s and `F_e` in N.
     pub sample: [Axes<N>; 3],
     order: SlaveOrder<N>,
-    /// Orientation, angular velocity and torque, as read, of an arm that is led as a pose.
+    /// Measured orientation, angular velocity and torque, if the arm is led as a pose.
     pub rotation: Option<RotationState>,
     /// In m/s^2.
     deceleration: f64,
-    /// What the next order turns the tool to.
     turn: Option<(UnitQuaternion<f64>, Axes<3>)>,
     braking: Option<Braking<N>>,
     now_ns: u64,
 }
 
 impl<const N: usize> DrivenSlave<N> {
-    /// An arm that brakes at `deceleration` in m/s^2.
+    /// Creates an arm that brakes at `deceleration` in m/s^2.
     pub fn new(deceleration: f64) -> Result<Self, DrivenSlaveError> {
         if !(deceleration > 0.0 && deceleration <= 100.0) {
             return Err(DrivenSlaveError(deceleration));
@@ -170,7 +169,7 @@ impl<const N: usize> DrivenSlave<N> {
         })
     }
 
-    /// What the driver is to do after this tick.
+    /// Order to the driver after this tick.
     pub fn order(&self) -> &SlaveOrder<N> {
         &self.order
     }
@@ -208,7 +207,7 @@ impl<const N: usize> SlavePlant<N> for DrivenSlave<N> {
         self.order = SlaveOrder::Move { position, velocity, rotation };
     }
 
-    /// Left to the driver, so that where it ends is not known here.
+    /// Left to the driver: the rest position is unknown here.
     fn stop(&mut self) -> Axes<N> {
         (self.order, self.braking) = (SlaveOrder::Stop, None);
         Axes::repeat(f64::NAN)
@@ -268,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn an_arm_that_is_not_led_brakes_evenly_to_where_it_said() {
+    fn unled_arm_brakes_evenly_to_announced_rest() {
         for (speed, deceleration) in [(0.25, 2.5), (1.0, 5.0), (3.0, 100.0), (0.0, 5.0)] {
             let mut arm = DrivenSlave::<3>::new(deceleration).unwrap();
             let velocity = Axes::<3>::new(0.6, -0.8, 0.0) * speed;
@@ -282,7 +281,7 @@ mod tests {
                 arm.read((10 + n) * MS);
                 arm.write(&rest, &Axes::zeros());
                 let now = commanded(&arm);
-                // Trapezoid of two velocities: exact for constant deceleration, but in the step it ends in.
+                // Trapezoid of velocities: exact for constant deceleration, except in the step that reaches rest.
                 let step = now.0 - before.0 - (now.1 + before.1) * 0.5e-3;
                 assert!(step.norm() < 1e-12 || (now.1.norm() == 0.0 && step.norm() < deceleration * 1e-6));
                 assert!((now.1 - before.1).norm() <= deceleration * 1e-3 + 1e-12);
@@ -293,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn an_arm_that_is_led_again_while_it_brakes_is_commanded_no_jump() {
+    fn arm_led_again_while_braking_is_commanded_no_jump() {
         let mut arm = DrivenSlave::<3>::new(2.0).unwrap();
         let velocity = Axes::<3>::new(1.0, 0.0, 0.0);
         arm.read(0);
@@ -302,7 +301,7 @@ mod tests {
         let mut before = Axes::zeros();
         for n in 1..=1000 {
             arm.read(n * MS);
-            // From 100 ms on the master leads it the other way, slowly.
+            // From 100 ms on the master leads it slowly the other way.
             let led = n.saturating_sub(100) as f64 * 1e-3;
             arm.write(&(rest - velocity * (0.1 * led)), &(velocity * -0.1));
             let (position, _) = commanded(&arm);
@@ -313,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pose_that_is_not_led_brakes_its_rotation_evenly_to_where_it_said() {
+    fn unled_pose_brakes_rotation_evenly_to_announced_rest() {
         let (deceleration, w) = (ANGULAR_DECELERATION, Axes::<3>::new(0.0, 1.2, -0.9));
         let mut arm = DrivenSlave::<3>::new(2.0).unwrap();
         let turned = |by: Axes<3>| UnitQuaternion::from_scaled_axis(by);
@@ -344,7 +343,7 @@ mod tests {
             arm.write_rotation(&rest_orientation, &Axes::zeros());
             arm.write(&rest, &Axes::zeros());
             let now = rotation(&arm);
-            // Trapezoid of two velocities about one axis: exact for constant deceleration, but in the step it ends in.
+            // Trapezoid of velocities about one axis: exact, except in the step that reaches rest.
             let step = (now.0 * before.0.inverse()).scaled_axis() - (now.1 + before.1) * 0.5e-3;
             assert!(step.norm() < 1e-9 || (now.1.norm() == 0.0 && step.norm() < deceleration * 1e-6), "{n}");
             assert!((now.1 - before.1).norm() <= deceleration * 1e-3 + 1e-12);
@@ -354,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn an_arm_that_was_never_led_is_left_alone_and_a_stop_is_the_drivers() {
+    fn never_led_arm_waits_and_stop_is_left_to_driver() {
         let mut arm = DrivenSlave::<3>::new(2.0).unwrap();
         assert!(arm.hold().iter().all(|x| x.is_nan()));
         assert_eq!(*arm.order(), SlaveOrder::Wait);
@@ -365,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn only_a_deceleration_that_can_be_is_taken() {
+    fn invalid_deceleration_is_rejected() {
         for deceleration in [0.0, -1.0, 100.1, f64::NAN, f64::INFINITY] {
             assert!(DrivenSlave::<1>::new(deceleration).is_err(), "{deceleration}");
         }

@@ -1,25 +1,23 @@
-//! A driver's own text on a fault: bounded, printable, and carried in pieces, one in each frame.
+//! A driver's text on a fault: bounded, printable, and sent in pieces, one per frame.
 
 use std::fmt;
 
-/// Bytes of a text in one frame.
+/// Bytes of text per frame.
 pub const PIECE: usize = 12;
 /// Pieces of the longest text.
 pub const PIECES: u8 = 20;
-/// Longest text in bytes of UTF-8: after it there is room for the zero byte that ends it.
+/// Longest text in bytes of UTF-8, without its final zero byte.
 pub const MAX_FAULT_TEXT: usize = PIECE * PIECES as usize - 1;
-/// What stands at the end of a text that was cut.
+/// Mark at the end of a truncated text.
 const CUT: char = '\u{2026}';
 
-/// A text of at most [`MAX_FAULT_TEXT`] bytes on one line: nothing in it moves a cursor, hides or reorders what is
-/// shown.
+/// A line of at most [`MAX_FAULT_TEXT`] bytes, without characters that move a cursor, or hide or reorder text.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct FaultText {
     bytes: [u8; MAX_FAULT_TEXT],
     length: u8,
 }
 
-/// A text that is being written.
 struct Line {
     bytes: [u8; 255],
     length: usize,
@@ -36,7 +34,7 @@ impl fmt::Write for Line {
     }
 }
 
-/// Whether a character is shown as itself: no control, no format character, none that reorders or hides text.
+/// Returns whether a character is printable, and neither reorders nor hides text.
 fn is_printable(letter: char) -> bool {
     !letter.is_control()
         && !matches!(letter,
@@ -52,10 +50,10 @@ impl FaultText {
     /// No text.
     pub const EMPTY: Self = Self { bytes: [0; MAX_FAULT_TEXT], length: 0 };
 
-    /// `text` on one line: white space becomes single blanks, what is not printable U+FFFD; what is too long is cut.
+    /// Puts `text` on one line: white space becomes blanks, unprintable characters U+FFFD; a long text is truncated.
     pub fn new(text: &str) -> Self {
         let mut built = Self::EMPTY;
-        // Up to where the mark of a cut still fits.
+        // Length up to which the mark still fits.
         let mut fits = 0;
         let letters = text
             .split_whitespace()
@@ -76,10 +74,11 @@ impl FaultText {
         built
     }
 
-    /// The same of what is written here, without memory of its own: text beyond 255 bytes is cut first.
+    /// As [`new`](Self::new), for formatted text, without allocation. Drops the first piece written beyond 255 bytes,
+    /// and all after it.
     pub fn of(written: &impl fmt::Display) -> Self {
         let mut line = Line { bytes: [0; 255], length: 0 };
-        // It takes what fits.
+        // Keeps the pieces that fit.
         let _ = fmt::Write::write_fmt(&mut line, format_args!("{written}"));
         Self::new(std::str::from_utf8(&line.bytes[..line.length]).unwrap_or_default())
     }
@@ -98,16 +97,16 @@ impl FaultText {
 
     /// The text.
     pub fn as_str(&self) -> &str {
-        // Put together from characters alone.
+        // Composed of whole characters.
         std::str::from_utf8(&self.bytes[..usize::from(self.length)]).unwrap_or_default()
     }
 
-    /// Whether there is none.
+    /// Returns whether there is no text.
     pub const fn is_empty(&self) -> bool {
         self.length == 0
     }
 
-    /// How many pieces it has; the last one holds the zero byte after it.
+    /// Number of pieces; the last one contains the final zero byte.
     #[allow(clippy::cast_possible_truncation)] // 12
     const fn pieces(&self) -> u8 {
         self.length / PIECE as u8 + 1
@@ -126,23 +125,23 @@ impl fmt::Debug for FaultText {
     }
 }
 
-/// What one frame carries of a text.
+/// Piece of a text in one frame.
 ///
-/// Aligned, so that a copy is whole words: one of 14 bytes is two that overlap, and the next copy waits for both (store
-/// forwarding fails).
+/// Aligned to copy whole words. A copy of 14 bytes would be two overlapping words, for which the next copy waits
+/// (store forwarding fails).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(align(8))]
 pub struct TextPiece {
-    /// Which text of the sender it is of, 1 to 255; 0 where it has none.
+    /// Number of the sender's text, 1 to 255; 0 without text.
     pub number: u8,
-    /// Which piece, from 0.
+    /// Index of the piece, from 0.
     pub index: u8,
-    /// Its bytes; after the end of the text zeros.
+    /// Its bytes; zeros after the end of the text.
     pub bytes: [u8; PIECE],
 }
 
 impl TextPiece {
-    /// Whether it has one encoding alone: no text is all zeros, and so is what lies after an end.
+    /// Returns whether the encoding is canonical: zeros without text and after the end.
     #[inline]
     pub fn is_canonical(&self) -> bool {
         if self.number == 0 { *self == Self::default() } else { self.is_canonical_piece() }
@@ -155,7 +154,7 @@ impl TextPiece {
     }
 }
 
-/// The text of a side, as it goes into its frames.
+/// Text of a side, split into frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SpokenText {
     text: FaultText,
@@ -164,10 +163,10 @@ pub struct SpokenText {
 }
 
 impl SpokenText {
-    /// From here on it is `text`; nothing where it is already.
+    /// Sets the text; no effect if it is the same.
     pub fn set(&mut self, text: &FaultText) {
         if self.text != *text {
-            // Never 0, which stands for no text.
+            // Never 0, which means no text.
             let number = self.number.checked_add(1).unwrap_or(1);
             *self = Self { text: *text, number, next: 0 };
         }
@@ -178,7 +177,7 @@ impl SpokenText {
         &self.text
     }
 
-    /// What the next frame carries, one piece after the other.
+    /// Returns the piece of the next frame, in order.
     pub fn next_piece(&mut self) -> TextPiece {
         if self.text.is_empty() {
             return TextPiece::default();
@@ -193,7 +192,7 @@ impl SpokenText {
     }
 }
 
-/// A text of the peer, put together from the pieces that arrive, in any order and however often.
+/// Peer's text, reassembled from pieces in any order, with repeats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HeardText {
     number: u8,
@@ -209,7 +208,7 @@ impl Default for HeardText {
 }
 
 impl HeardText {
-    /// Takes a piece of a frame; pieces of a text before do not mix with those of another.
+    /// Takes a piece; pieces of different texts do not mix.
     #[inline]
     pub fn take(&mut self, piece: &TextPiece) {
         // Nearly all frames have none.
@@ -228,10 +227,10 @@ impl HeardText {
         let start = usize::from(piece.index) * PIECE;
         self.bytes[start..start + PIECE].copy_from_slice(&piece.bytes);
         self.seen |= 1 << piece.index;
-        // Whole from the first piece to the first zero.
+        // Complete from the first piece to the first zero.
         let reached = usize::try_from(self.seen.trailing_ones()).unwrap_or(0) * PIECE;
         if let Some(end) = self.bytes[..reached].iter().position(|byte| *byte == 0) {
-            // It was written by somebody else: what is no UTF-8 ends it, and the rest is made printable again.
+            // Untrusted: invalid UTF-8 ends the text, and the rest is made printable.
             let text = match std::str::from_utf8(&self.bytes[..end]) {
                 Ok(text) => text,
                 Err(error) => std::str::from_utf8(&self.bytes[..error.valid_up_to()]).unwrap_or_default(),
@@ -280,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_too_long_is_cut_between_characters() {
+    fn long_text_is_truncated_between_characters() {
         let whole = "x".repeat(MAX_FAULT_TEXT);
         assert_eq!(FaultText::new(&whole).as_str(), whole);
         let cut = FaultText::new(&"x".repeat(MAX_FAULT_TEXT + 1));
@@ -311,9 +310,9 @@ mod tests {
         assert!(heard.text().is_empty());
     }
 
-    /// Whoever sends, what is shown is one printable line.
+    /// From any sender, the text is one printable line.
     #[test]
-    fn a_hostile_peer_writes_nothing_but_a_line() {
+    fn text_of_hostile_peer_is_one_line() {
         let mut heard = HeardText::default();
         let mut bytes = [0; PIECE];
         bytes[..7].copy_from_slice(b"a\x1b[2J\nb");
@@ -327,7 +326,7 @@ mod tests {
     }
 
     proptest! {
-        /// Any text arrives as it was sent, whatever gets lost, once each piece has arrived.
+        /// Any text arrives unchanged once each piece has arrived.
         #[test]
         fn a_text_arrives_over_losses(text in "\\PC{0,150}", seed in any::<u64>()) {
             let text = FaultText::new(&text);

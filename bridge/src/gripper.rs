@@ -1,4 +1,4 @@
-//! What leads a gripper at the side of the hand, and the gripper that is led at the side of the robot.
+//! Trigger that leads a gripper at the master, and the led gripper at the slave.
 
 use haptether_master::{DeviceParameters, Hand, ModelError as MasterError, SimulatedMaster};
 use haptether_safety::{Guard, Sample, SampleBounds};
@@ -8,24 +8,24 @@ use haptether_slave::{
 
 use crate::coupling::GripperFollower;
 
-/// What the hand leads the gripper with: 0 open to 1 closed.
+/// Trigger that leads the gripper: 0 open to 1 closed.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Trigger {
-    /// An operator who moves it over time, since the two sides engaged; in between along straight lines.
+    /// Operator who moves it since engagement, along straight lines.
     Simulated {
-        /// Its course.
+        /// Course of positions.
         course: Series<1>,
-        /// When the two engaged, in ns.
+        /// Engagement of the sides in ns.
         engaged_ns: Option<u64>,
     },
-    /// A model with a motor, in the finger of a modelled operator.
+    /// Model with a motor, held by the finger of a modelled operator.
     Held(Box<HeldTrigger>),
-    /// That of a device whose driver is elsewhere, as read; none from a device without one.
+    /// Position read by a device's driver; `None` without a trigger.
     Driven(Option<f64>),
 }
 
 impl Trigger {
-    /// Times in s since engagement, increasing, with one position each.
+    /// Creates a simulated trigger: increasing times in s since engagement, with positions.
     pub fn simulated(course: &[[f64; 2]]) -> Result<Self, ModelError> {
         let (times, positions): (Vec<_>, Vec<_>) = course.iter().map(|[at_s, to]| (*at_s, *to)).unzip();
         for position in &positions {
@@ -38,14 +38,12 @@ impl Trigger {
         Ok(Self::Simulated { course, engaged_ns: None })
     }
 
-    /// Time begins at `now_ns`.
     pub(crate) fn begin(&mut self, now_ns: u64) {
         if let Self::Held(held) = self {
             held.device.begin(now_ns);
         }
     }
 
-    /// Where it is at `now_ns`.
     pub(crate) fn position(&mut self, now_ns: u64) -> Option<f64> {
         match self {
             Self::Simulated { course, engaged_ns } => {
@@ -57,21 +55,20 @@ impl Trigger {
         }
     }
 
-    /// Exerts `force_n` on the finger from now on, positive closing; that of a driver is its own.
+    /// Exerts `force_n` on a model's finger, positive closing.
     pub(crate) fn write(&mut self, force_n: f64) {
         if let Self::Held(held) = self {
             held.device.write(&Axes::<1>::new(force_n));
         }
     }
 
-    /// What no sensor measures, of a model.
+    /// True velocity and force of a model.
     pub(crate) fn truth(&self) -> Option<FingerTruth> {
         let Self::Held(held) = self else { return None };
         let [velocity, finger_force_n] = [held.device.velocity()[0], held.device.hand_force()[0]];
         Some(FingerTruth { velocity, finger_force_n })
     }
 
-    /// The two sides are engaged at `at_ns`.
     pub(crate) fn engaged(&mut self, at_ns: u64) {
         match self {
             Self::Simulated { engaged_ns, .. } => _ = engaged_ns.get_or_insert(at_ns),
@@ -81,17 +78,17 @@ impl Trigger {
     }
 }
 
-/// The positions of a trigger that leads a gripper, 0 open to 1 closed, without those that leave their path: [`Guard`].
+/// Positions of a trigger that leads a gripper, 0 open to 1 closed, without outliers: [`Guard`].
 ///
-/// The bounds are those of a point over 30 mm, read by 8 bits. There is none on the speed: a driver may take a button for a
-/// trigger, and the gripper goes no faster than it can.
+/// Bounds of a point over 30 mm, read by 8 bits. The speed is unbounded: a driver may use a button, and the gripper
+/// limits itself.
 #[derive(Clone, Debug)]
 pub(crate) struct LeadingTrigger {
     guard: Guard<1>,
 }
 
 impl LeadingTrigger {
-    /// Before the first position, of ticks of `period_s`.
+    /// Creates the filter for ticks of `period_s`, before the first position.
     pub(crate) fn new(period_s: f64) -> Self {
         let bounds = SampleBounds {
             speed: f64::INFINITY,
@@ -102,7 +99,7 @@ impl LeadingTrigger {
         Self { guard: Guard::new(bounds, SampleBounds::UNBOUNDED, period_s) }
     }
 
-    /// Return the position or, while it is held, its prediction; `ticks` after the one before.
+    /// Returns the position, or its prediction while held; `ticks` after the previous.
     pub(crate) fn taken(&mut self, position: f64, ticks: f64) -> f64 {
         let sample = Sample::point(&Axes::<1>::new(position), None);
         // Without a bound on the speed nothing is refused.
@@ -110,13 +107,12 @@ impl LeadingTrigger {
         self.guard.taken().position[0].clamp(0.0, 1.0)
     }
 
-    /// How many were outliers.
     pub(crate) fn outliers(&self) -> u64 {
         self.guard.outliers()
     }
 }
 
-/// What no sensor of a trigger measures.
+/// True motion of a trigger.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct FingerTruth {
     /// True velocity in m/s; positive closes.
@@ -125,7 +121,7 @@ pub(crate) struct FingerTruth {
     pub(crate) finger_force_n: f64,
 }
 
-/// A trigger as a device of one axis between its stops, open at 0 and closed at `travel_m`, and the finger that holds it.
+/// A trigger as a one-axis device between stops, open at 0 and closed at `travel_m`, with the finger that holds it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeldTrigger {
     device: SimulatedMaster<1>,
@@ -133,7 +129,7 @@ pub struct HeldTrigger {
 }
 
 impl HeldTrigger {
-    /// At rest where the way of the finger, in m, begins; it waits there until the two sides engage.
+    /// Creates a trigger at rest at the start of the finger's path in m, until the sides engage.
     pub fn new(device: DeviceParameters<1>, travel_m: f64, finger: Hand<1>) -> Result<Self, MasterError> {
         let stops = (Axes::<1>::zeros(), Axes::<1>::new(travel_m));
         let mut device = SimulatedMaster::new(DeviceParameters { stops, ..device }, finger, 0)?;
@@ -141,47 +137,47 @@ impl HeldTrigger {
         Ok(Self { device, travel_m })
     }
 
-    /// 0 open to 1 closed.
+    /// Position, 0 open to 1 closed.
     fn read(&mut self, now_ns: u64) -> f64 {
-        // An encoder rounds beyond a stop.
+        // An encoder may round beyond a stop.
         (self.device.read(now_ns).position[0] / self.travel_m).clamp(0.0, 1.0)
     }
 }
 
-/// What a driver is to have its gripper do.
+/// Order to the driver of a gripper.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum GripperOrder {
-    /// Stay, and keep the force on what it holds.
+    /// Stay, and keep the grip force.
     Hold,
-    /// Go on to a position.
+    /// Move to a position.
     Move(GripperCommand),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Jaws {
     Simulated(SimulatedGripper),
-    /// As the driver has read them.
+    /// As read by the driver.
     Driven(GripperSample),
 }
 
-/// A gripper that follows the trigger of the master while the two sides are coupled, and else keeps its grip.
+/// A gripper that follows the master's trigger while coupled, and otherwise keeps its grip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LedGripper {
     jaws: Jaws,
     follower: GripperFollower,
     sample: GripperSample,
     order: GripperOrder,
-    /// When it was last led, in ns.
+    /// Time of the last `lead` in ns.
     led_ns: Option<u64>,
 }
 
 impl LedGripper {
-    /// A model.
+    /// Creates a model.
     pub fn simulated(settings: GripperSettings) -> Result<Self, ModelError> {
         Ok(Self::new(Jaws::Simulated(SimulatedGripper::new(settings)?), &settings))
     }
 
-    /// One whose driver is elsewhere: nothing is known of it before that has read it.
+    /// Creates a gripper whose driver is elsewhere; unknown until read.
     pub fn driven(settings: GripperSettings) -> Result<Self, ModelError> {
         let settings = settings.checked()?;
         let at = GripperSample { position: f64::NAN, ..GripperSample::default() };
@@ -198,21 +194,21 @@ impl LedGripper {
         }
     }
 
-    /// What its driver has read.
+    /// Stores the sample of its driver.
     pub fn take(&mut self, read: GripperSample) {
         if let Jaws::Driven(sample) = &mut self.jaws {
             *sample = read;
         }
     }
 
-    /// Where the jaws of a model meet something rigid from now on.
+    /// Sets where a model's jaws meet a rigid object.
     pub(crate) fn meets(&mut self, object: Option<f64>) {
         if let Jaws::Simulated(gripper) = &mut self.jaws {
             gripper.set_object(object);
         }
     }
 
-    /// What it measures at `now_ns`.
+    /// Returns the sample at `now_ns`.
     pub(crate) fn read(&mut self, now_ns: u64) -> GripperSample {
         self.sample = match &mut self.jaws {
             Jaws::Simulated(gripper) => gripper.read(now_ns),
@@ -221,7 +217,7 @@ impl LedGripper {
         self.sample
     }
 
-    /// Follows `trigger`, 0 open to 1 closed; without one it keeps its grip.
+    /// Follows `trigger`, 0 open to 1 closed; keeps the grip if `None`.
     pub(crate) fn lead(&mut self, now_ns: u64, trigger: Option<f64>) {
         let elapsed_s = now_ns.saturating_sub(self.led_ns.replace(now_ns).unwrap_or(now_ns)) as f64 * 1e-9;
         self.order = match self.follower.step(trigger, &self.sample, elapsed_s) {
@@ -236,17 +232,17 @@ impl LedGripper {
         }
     }
 
-    /// Whether the trigger leads it.
+    /// Returns whether the trigger leads it.
     pub(crate) fn follows(&self) -> bool {
         self.follower.follows()
     }
 
-    /// What its driver is to do after this tick.
+    /// Order to its driver after this tick.
     pub fn order(&self) -> &GripperOrder {
         &self.order
     }
 
-    /// What it measured at this tick, and the last command, 0 open to 1 closed.
+    /// Sample of this tick, and the last command, 0 open to 1 closed.
     pub fn state(&self) -> (GripperSample, Option<f64>) {
         (self.sample, self.follower.position())
     }
@@ -265,7 +261,7 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    /// A trigger at the middle of its way that nobody holds.
+    /// A trigger at mid-travel that nobody holds.
     fn free() -> Trigger {
         let device = DeviceParameters::ideal(0.05, 0.0, 0.0);
         let held = HeldTrigger::new(device, 0.03, Hand::absent(Axes::<1>::new(0.015)).unwrap()).unwrap();
@@ -273,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn a_held_trigger_moves_between_its_stops_as_it_is_pushed() {
+    fn held_trigger_moves_between_its_stops() {
         let mut trigger = free();
         trigger.begin(5 * MS);
         assert_eq!(trigger.position(5 * MS), Some(0.5));
@@ -288,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn a_side_at_rest_leaves_its_trigger_without_force() {
+    fn side_at_rest_leaves_trigger_without_force() {
         let endpoint = MasterEndpoint::new(&MasterSettings {
             period_ns: MS,
             run_id: 1,

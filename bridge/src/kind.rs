@@ -1,24 +1,24 @@
-//! What the coordinates of a side are.
+//! Kind of the coordinates of a side.
 
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// What the coordinates of a side are: both sides of a session have the same.
+/// Kind of the coordinates of a side; the same at both sides of a session.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum SideKind {
     /// A point along 1 to 3 axes, in m.
     #[default]
     Linear = 1,
-    /// 1 to 7 joints, in rad; velocity in rad/s, torque in N m where it says m/s and N.
+    /// 1 to 7 joints, in rad. Read m/s as rad/s and N as N m.
     Joints,
-    /// A point along 3 axes with an orientation: velocity is a twist and force a wrench, in the base frame about the
+    /// A point along 3 axes with an orientation: velocity is a twist, force a wrench, in the base frame about the
     /// tool point.
     Pose,
 }
 
 impl SideKind {
-    /// As it is written in a scene.
+    /// Name in a scene.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Linear => "linear",
@@ -27,12 +27,12 @@ impl SideKind {
         }
     }
 
-    /// Its number on the wire.
+    /// Code on the wire.
     pub(crate) const fn code(self) -> u8 {
         self as u8
     }
 
-    /// Whether it can have that many axes.
+    /// Returns whether `axes` is a valid number of axes.
     pub const fn has_axes(self, axes: usize) -> bool {
         match self {
             Self::Linear => matches!(axes, 1..=3),

@@ -1,7 +1,7 @@
-//! Scenarios side by side: the scalar that sweeps compute with.
+//! Lanes of f64: the scalar type of sweeps.
 //!
-//! An array and loops over it, which the compiler translates into whatever vectors the processor has. A mask is made of
-//! numbers as well: from bytes or bits per lane the compiler makes logic lane by lane, and no vectors at all.
+//! The compiler vectorizes loops over an array. A mask holds floats as well: bytes or bits per lane would give scalar
+//! logic.
 
 use std::ops::{
     Add, AddAssign, BitAnd, BitOr, BitXor, Div, DivAssign, Mul, MulAssign, Neg, Not, Sub, SubAssign,
@@ -10,15 +10,15 @@ use std::ops::{
 use nalgebra::{SimdBool, SimdPartialOrd, SimdValue};
 use num_traits::{One, Zero};
 
-/// How many scenarios stand side by side: two vectors of AVX2.
+/// Number of lanes: two vectors of AVX2.
 pub(crate) const WIDTH: usize = 8;
 
-/// One number of each scenario.
+/// One number per lane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(64))]
 pub(crate) struct Lanes([f64; WIDTH]);
 
-/// One truth of each scenario: 1 or 0.
+/// One truth value per lane: 1 or 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(64))]
 pub(crate) struct LaneMask([f64; WIDTH]);
@@ -134,8 +134,8 @@ impl Not for LaneMask {
 }
 
 impl LaneMask {
-    /// The bits of each lane, from memory. A question about all lanes at once would otherwise be answered lane by lane,
-    /// and with it all that the mask was made of.
+    /// Bits of each lane, read through memory. Otherwise a reduction makes the compiler compute the mask and its
+    /// operands lane by lane.
     #[inline(always)]
     fn bits(self) -> [u64; WIDTH] {
         std::hint::black_box(self.0).map(f64::to_bits)
@@ -165,7 +165,7 @@ impl SimdBool for LaneMask {
 
     #[inline(always)]
     fn all(self) -> bool {
-        // Whether any bit differs from true: one test of a vector, where an "and" over lanes is reduced step by step.
+        // Zero iff no bit differs from true: one vector test instead of a stepwise "and" over lanes.
         self.bits().iter().fold(0, |differs, bits| differs | (bits ^ TRUE.to_bits())) == 0
     }
 
@@ -213,7 +213,7 @@ impl SimdBool for LaneMask {
     }
 }
 
-#[allow(unsafe_code)] // the trait has methods that a caller may only use with a lane that there is
+#[allow(unsafe_code)] // the trait has unsafe methods that require a valid lane
 impl SimdValue for Lanes {
     const LANES: usize = WIDTH;
     type Element = f64;
@@ -309,7 +309,7 @@ impl SimdPartialOrd for Lanes {
     }
 
     #[inline(always)]
-    #[allow(clippy::float_cmp)] // lane-wise equality is what is needed
+    #[allow(clippy::float_cmp)] // lane-wise equality is intended
     fn simd_eq(self, other: Self) -> LaneMask {
         self.compare(other, |a, b| a == b)
     }
@@ -331,8 +331,7 @@ impl SimdPartialOrd for Lanes {
 
     #[inline(always)]
     fn simd_clamp(self, min: Self, max: Self) -> Self {
-        // For bounds in their order that of numbers, by two instructions: what cannot be compared stays, and so does a zero
-        // between zeros.
+        // `f64::clamp` for ordered bounds in two instructions: NaN stays, and so does a zero between zeros.
         Self(std::array::from_fn(|lane| {
             let (x, min, max) = (self.0[lane], min.0[lane], max.0[lane]);
             let below = if max < x { max } else { x };
@@ -402,12 +401,12 @@ impl haptether_slave::Real for Lanes {
     }
 }
 
-/// One instance of each lane: lanes that are left over repeat the last one.
+/// Iterates over one instance per lane; spare lanes repeat the last one.
 pub(crate) fn padded<T>(of: &[T], lanes: usize) -> impl Iterator<Item = &T> {
     (0..lanes).filter_map(|lane| of.get(lane).or(of.last()))
 }
 
-/// A number of each instance, lane by lane, [`padded`].
+/// Packs a number of each instance, as [`padded`].
 pub(crate) fn packed<T, S: haptether_safety::Real>(of: &[T], number: impl Fn(&T) -> f64) -> S {
     let mut lanes = S::zero();
     for (lane, one) in padded(of, S::LANES).enumerate() {
@@ -439,9 +438,9 @@ mod tests {
     }
 
     proptest! {
-        /// Every operation is, lane by lane, the operation on `f64`.
+        /// Every operation equals the `f64` operation in each lane.
         #[test]
-        fn a_lane_is_a_number(
+        fn lanes_match_scalar(
             a in prop::array::uniform::<_, WIDTH>(any_number()),
             b in prop::array::uniform::<_, WIDTH>(any_number()),
             m in prop::array::uniform::<_, WIDTH>(any::<bool>()),

@@ -1,7 +1,7 @@
 //! The bridge: wire format, link, ladder, coupling and endpoints as pure state machines, and their two runners.
 //!
-//! [`MasterEndpoint`] and [`SlaveEndpoint`] own no socket, no thread and no clock. [`run_virtual`] drives them in
-//! virtual time, [`live`] over UDP; both through [`Side`], so that what is simulated is what runs.
+//! [`MasterEndpoint`] and [`SlaveEndpoint`] own no socket, thread or clock. [`run_virtual`] and [`live`] (UDP) both
+//! step a [`Side`], so a simulation runs the live code.
 
 mod buttons;
 mod command;

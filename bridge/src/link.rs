@@ -1,4 +1,4 @@
-//! One end of the exchange of frames: sequence numbers, strictly newest wins, statistics, round trip.
+//! One end of the frame exchange: sequence numbers, strictly newest wins, statistics, round trip.
 
 use haptether_safety::Axes;
 
@@ -16,24 +16,24 @@ use crate::{
 pub struct LinkStatistics {
     /// Frames sent.
     pub sent: u64,
-    /// Frames that were newer than all before when they arrived.
+    /// Frames newer than all before them on arrival.
     pub fresh: u64,
-    /// Frames that arrived after a newer one: counted, not used.
+    /// Frames that arrived after a newer one; not used.
     pub late: u64,
-    /// Frames that had arrived before.
+    /// Repeated frames.
     pub duplicate: u64,
-    /// Datagrams that were no frame of the peer.
+    /// Datagrams that are no frame of the peer.
     pub refused: u64,
-    /// Frames of the peer that have not arrived up to the newest one, those of its runs before this one included.
+    /// Missing frames up to the newest, including earlier runs of the peer.
     pub missing: u64,
-    /// Round trip of the newest echo in ns, without the time that the peer held it; 0 before the first.
+    /// Newest round trip in ns, without the peer's hold time; 0 before the first.
     pub round_trip_ns: u64,
-    /// Least round trip seen in ns; 0 before the first.
+    /// Smallest round trip in ns; 0 before the first.
     pub min_round_trip_ns: u64,
 }
 
 impl LinkStatistics {
-    /// With what the session did not take: what it knows for a replay is a duplicate or late, all else refused.
+    /// Adds the session's rejections: replays as duplicate or late, others as refused.
     #[must_use]
     pub fn with(mut self, rejections: &Rejections) -> Self {
         let (repeated, too_old) = (rejections.of(Rejection::Repeated), rejections.of(Rejection::TooOld));
@@ -44,31 +44,31 @@ impl LinkStatistics {
     }
 }
 
-/// When a frame is received or sent, in ns on the endpoint's clock.
+/// Receive or send time of a frame, in ns on the endpoint's clock.
 ///
-/// Silence counts by ticks; frames and what is known of clocks need the true time, for a loop that woke late would else
-/// take frames before they were sent.
+/// Silence counts by tick time. Frames and clock estimates need the true time: a late loop would otherwise take
+/// frames before they were sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinkTime {
-    /// The time of the tick.
+    /// Time of the tick.
     pub tick_ns: u64,
-    /// By when a frame has arrived, or when it is sent: the tick's time, or later where the loop is late.
+    /// Latest arrival time, or send time: the tick's time, or later in a late loop.
     pub by_ns: u64,
 }
 
 impl LinkTime {
-    /// Of a tick that is not late.
+    /// Punctual tick.
     pub const fn at(tick_ns: u64) -> Self {
         Self { tick_ns, by_ns: tick_ns }
     }
 
-    /// Of a tick that is `late_ns` late.
+    /// Tick that is `late_ns` late.
     pub const fn late(tick_ns: u64, late_ns: u64) -> Self {
         Self { tick_ns, by_ns: tick_ns.saturating_add(late_ns) }
     }
 }
 
-/// What a sender says of its plant in each frame.
+/// Plant state in a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PortState {
     /// Position in m.
@@ -77,18 +77,18 @@ pub struct PortState {
     pub velocity: Padded,
     /// Force in N.
     pub force: Padded,
-    /// What went in and out of the link.
+    /// Energy into and out of the link.
     pub energy: PortEnergy,
-    /// Orientation, angular velocity and torque; none but of kind `pose`.
+    /// Orientation, angular velocity and torque; only for kind `pose`.
     pub rotation: Option<RotationState>,
-    /// Gripper or trigger; none in a session without a gripper.
+    /// Gripper or trigger, if the session has a gripper.
     pub gripper: Option<GripperState>,
-    /// The buttons of the master; none in a session without.
+    /// Buttons of the master, if the session has buttons.
     pub buttons: Option<u32>,
 }
 
 impl PortState {
-    /// Takes what a plant was measured at; the rest stays.
+    /// Stores the measured state; other fields stay.
     #[inline]
     pub(crate) fn report<const N: usize>(
         &mut self,
@@ -97,13 +97,13 @@ impl PortState {
         force: &Axes<N>,
         rotation: Option<RotationState>,
     ) {
-        // In place: the values beyond the axes stay zero.
+        // In place: values beyond the axes stay zero.
         for (part, values) in
             [(&mut self.position, position), (&mut self.velocity, velocity), (&mut self.force, force)]
         {
             part.as_mut_slice()[..N].copy_from_slice(values.as_slice());
         }
-        // A point has none: nothing is written where there is none, and was none.
+        // A point has no rotation, so skip the write.
         if rotation.is_some() || self.rotation.is_some() {
             self.rotation = rotation;
         }
@@ -118,67 +118,66 @@ impl Default for PortState {
     }
 }
 
-/// What a sender says of itself in each frame.
+/// Sender state in a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Status {
-    /// State of its ladder, [`crate::LadderState::code`].
+    /// Ladder state, [`crate::LadderState::code`].
     pub state: u8,
-    /// Whether it hears the peer.
+    /// True if the sender hears the peer.
     pub hears_peer: bool,
-    /// Whether its clutch is closed.
+    /// True if the clutch is closed.
     pub clutch: bool,
-    /// Whether it ends.
+    /// True if the sender ends.
     pub ending: bool,
-    /// Why it stands there, [`crate::Reason::code`]; 0 where it began.
+    /// Reason, [`crate::Reason::code`]; 0 initially.
     pub reason: u8,
-    /// Its fault, [`haptether_safety::Fault::code`]; 0 without.
+    /// Fault, [`haptether_safety::Fault::code`]; 0 without.
     pub fault: u8,
-    /// A piece of its text on that.
+    /// Piece of the fault's text.
     pub text: TextPiece,
 }
 
-/// Why a frame of the right form is not used.
+/// Reason why a datagram is not used.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum RejectReason {
-    /// No frame.
+    /// No frame of the peer.
     #[error(transparent)]
     Wire(#[from] WireError),
-    /// A newer frame was there before.
+    /// After a newer frame.
     #[error("frame {0} arrived after a newer one")]
     Late(u64),
-    /// This frame was there before.
+    /// Repeated frame.
     #[error("frame {0} arrived twice")]
     Duplicate(u64),
-    /// Of another run while this one lives.
+    /// Frame of another run while this run lives.
     #[error("frame of session {0:#x} while another session lives")]
     OtherRun(u64),
-    /// Further ahead than its sender can have reached, while frames of the living run arrive.
+    /// Further ahead than its sender can be, while the run lives.
     #[error("frame {seen} after {newest}: further ahead than any sender comes in this time")]
     Ahead {
-        /// As received.
+        /// Received sequence.
         seen: u64,
-        /// The newest before it.
+        /// Newest sequence before it.
         newest: u64,
     },
 }
 
-/// Frames before the newest that are known one by one: two seconds at 1 kHz.
+/// Tracked sequences before the newest: two seconds at 1 kHz.
 const WINDOW: u32 = 2048;
-/// Time between two frames of the fastest sender in ns, twice as fast as any: a jump of the sequence beyond the window
-/// takes so long for each frame.
+/// Half the shortest frame period of any sender, in ns. A jump beyond the window must take this long per frame.
 const MIN_PERIOD_NS: u64 = 50_000;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Newest {
     frame: Frame,
-    /// The tick that took it: silence and age count from then.
+    /// Tick that took it, from which silence and age count.
     arrived_ns: u64,
-    /// When it had arrived for sure.
+    /// Latest arrival time.
     by_ns: u64,
 }
 
 impl Newest {
-    /// Whether a sequence of the same run can follow or precede it at `by_ns`.
+    /// Returns whether a sequence of this run is plausible at `by_ns`.
     fn is_near(&self, sequence: u64, by_ns: u64) -> bool {
         let newest = self.frame.sequence;
         if sequence > newest && sequence - newest == 1 {
@@ -191,21 +190,21 @@ impl Newest {
     }
 }
 
-/// What a frame that was taken says of itself; read where the frame came from, for the copy just kept would be waited for.
+/// Header of an accepted frame, read from the original: reading the copy would wait for it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FrameHead {
-    /// Whether it began a run.
+    /// True if the frame began a run.
     pub(crate) begins: bool,
     pub(crate) sequence: u64,
     pub(crate) sent_ns: u64,
-    /// State of its sender's ladder, and why it stands there.
+    /// Ladder state and reason of the sender.
     pub(crate) state: u8,
     pub(crate) reason: u8,
     pub(crate) ending: bool,
     pub(crate) text: TextPiece,
 }
 
-/// One end: numbers what it sends, keeps the newest of what it receives.
+/// One end: numbers its frames and keeps the newest received.
 #[derive(Clone, Debug)]
 pub struct FrameLink {
     role: Role,
@@ -214,19 +213,18 @@ pub struct FrameLink {
     newest: Option<Newest>,
     first_sequence: u64,
     arrived: u64,
-    /// Missing frames of the runs before this one.
+    /// Missing frames of earlier runs.
     missing_before: u64,
-    /// Of frames sent and received.
     layout: FrameLayout,
     arrivals: ReplayWindow,
     statistics: LinkStatistics,
     pub(crate) path: PeerPath,
-    /// A silent peer may be followed by another run after this time.
+    /// Silence in ns after which another run is accepted.
     lease_ns: u64,
 }
 
 impl FrameLink {
-    /// An end of role `role`; `run_id` is drawn anew at every start, so that a restarted peer is known as such.
+    /// Creates an end of `role`. A new `run_id` at every start shows a restart to the peer.
     pub fn new(role: Role, axes: usize, run_id: u64, lease_ns: u64) -> Self {
         Self {
             role,
@@ -246,20 +244,21 @@ impl FrameLink {
 
     /// Takes a datagram; strictly newer frames replace the newest.
     ///
-    /// Returns whether the frame began a run. A refused datagram changes nothing but its counter.
+    /// Returns whether the frame began a run. A refused datagram changes only its counter.
     ///
-    /// In the clear anybody may write any sequence. One that no sender can reach is refused while the run lives; after
-    /// the lease's silence it begins a run anew. So no frame takes the link from its peer for longer than that.
+    /// Without encryption anybody may write any sequence. One that no sender can reach is refused while the run
+    /// lives. After a silence of the lease it begins a new run, so a forged frame takes the link for at most the
+    /// lease.
     pub fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<bool, RejectReason> {
         self.take_datagram(time, datagram).map(|head| head.begins)
     }
 
-    /// The same of a frame whose bytes nobody has looked at, without them: [`Frame::received`].
+    /// Takes a frame that was not encoded: [`Frame::received`].
     pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<bool, RejectReason> {
         self.take_frame(time, frame, self.layout.axes).map(|head| head.begins)
     }
 
-    /// As [`receive`](Self::receive), with what the frame says of itself.
+    /// As [`receive`](Self::receive), but returns the header.
     pub(crate) fn take_datagram(
         &mut self,
         time: LinkTime,
@@ -269,7 +268,7 @@ impl FrameLink {
         self.take(time, self.layout.axes, decoded.as_ref().map_err(|error| *error))
     }
 
-    /// As [`receive_frame`](Self::receive_frame), with what the frame says of itself.
+    /// As [`receive_frame`](Self::receive_frame), but returns the header.
     #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     pub(crate) fn take_frame(
         &mut self,
@@ -283,7 +282,7 @@ impl FrameLink {
         self.take_other_frame(time, frame)
     }
 
-    #[inline(never)] // seldom, and its frame is a copy
+    #[inline(never)] // rare, and copies its frame
     fn take_other_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<FrameHead, RejectReason> {
         let received = frame.received(self.role.peer(), self.layout);
         self.take(time, self.layout.axes, received.as_deref().map_err(|error| *error))
@@ -351,12 +350,12 @@ impl FrameLink {
         Ok(FrameHead { begins, sequence, sent_ns, state, reason, ending, text })
     }
 
-    /// What its frames carry, those sent and those received.
+    /// Layout of sent and received frames.
     pub fn layout(&self) -> FrameLayout {
         self.layout
     }
 
-    /// Changes what its frames carry; before the first.
+    /// Sets the layout, before the first frame.
     pub fn set_layout(&mut self, layout: FrameLayout) {
         self.layout = layout;
     }
@@ -366,10 +365,10 @@ impl FrameLink {
         self.layout.length()
     }
 
-    /// Places a sequence of the living run: new, late or seen before.
+    /// Classifies a sequence of the living run.
     #[inline]
     fn place(&mut self, sequence: u64) -> Result<(), RejectReason> {
-        // What lies before the first frame of this run is not held by its counts.
+        // Frames before the first of this run are not counted.
         let arrival =
             if sequence < self.first_sequence { Arrival::TooOld } else { self.arrivals.mark(sequence) };
         match arrival {
@@ -390,13 +389,12 @@ impl FrameLink {
         Err(RejectReason::Late(sequence))
     }
 
-    /// Of the sequences up to the newest one.
     fn count_missing(&mut self, newest: u64) {
         let expected = newest.saturating_sub(self.first_sequence).saturating_add(1);
         self.statistics.missing = self.missing_before + expected.saturating_sub(self.arrived);
     }
 
-    /// Writes the next frame.
+    /// Encodes the next frame.
     pub fn send<'a>(
         &mut self,
         time: LinkTime,
@@ -407,14 +405,14 @@ impl FrameLink {
         self.next_frame(time, status, &port).encode(buffer)
     }
 
-    /// The next frame, not written.
+    /// Returns the next frame, not encoded.
     pub fn next_frame(&mut self, time: LinkTime, status: Status, port: &PortState) -> Frame {
         let mut frame = Frame::EMPTY;
         self.fill_frame(time, self.layout.axes, status, port, &mut frame);
         frame
     }
 
-    /// Makes the next frame, of `axes` axes, of an empty one or of one that this link has made before.
+    /// Fills in the next frame of `axes` axes. `frame` must be empty or from this link.
     #[inline(always)] // makes a frame: docs/decisions/060-ticks-in-a-row.md
     pub(crate) fn fill_frame(
         &mut self,
@@ -446,14 +444,14 @@ impl FrameLink {
         self.statistics.sent += 1;
     }
 
-    /// Whether the newest frame says that the peer hears this very run, not one before it or another's.
+    /// Returns whether the newest frame confirms that the peer hears this run.
     pub fn is_heard(&self) -> bool {
         self.newest().is_some_and(|frame| {
             frame.hears_peer && frame.echo.is_some_and(|echo| echo.run_id == self.run_id)
         })
     }
 
-    /// Its own run.
+    /// Id of its own run.
     pub fn run_id(&self) -> u64 {
         self.run_id
     }
@@ -463,7 +461,7 @@ impl FrameLink {
         self.next_sequence
     }
 
-    /// The newest frame of the peer.
+    /// Newest frame of the peer.
     pub fn newest(&self) -> Option<&Frame> {
         self.newest.as_ref().map(|newest| &newest.frame)
     }
@@ -473,7 +471,7 @@ impl FrameLink {
         self.newest.as_ref().map(|newest| now_ns.saturating_sub(newest.arrived_ns))
     }
 
-    /// Clock of the peer, age of its frames and counts of their path.
+    /// Peer clock, frame age and path counts.
     pub fn path(&self) -> &PeerPath {
         &self.path
     }
@@ -528,7 +526,7 @@ mod tests {
     }
 
     #[test]
-    fn losses_are_those_of_all_runs() {
+    fn losses_sum_over_all_runs() {
         let (first, second) = (frames(5, 1), frames(4, 2));
         let mut master = FrameLink::new(Role::Master, 1, 7, 200 * MS);
         for (now_ns, frame) in [(0, &first[0]), (3 * MS, &first[3])] {
@@ -538,7 +536,7 @@ mod tests {
         for (now_ns, frame) in [(300 * MS, &second[1]), (302 * MS, &second[3])] {
             master.receive(LinkTime::at(now_ns), frame).unwrap();
         }
-        // Of the second its first frame heard is 1: only 2 is missing.
+        // The first frame heard of the second run is 1: only 2 is missing.
         assert_eq!(master.statistics().missing, 3);
     }
 
@@ -582,7 +580,7 @@ mod tests {
     }
 
     #[test]
-    fn the_round_trip_leaves_out_what_the_peer_held() {
+    fn round_trip_excludes_peer_hold_time() {
         let mut master = FrameLink::new(Role::Master, 1, 7, 200 * MS);
         let mut slave = FrameLink::new(Role::Slave, 1, 8, 200 * MS);
         let mut buffer = [0; MAX_FRAME];
@@ -596,7 +594,7 @@ mod tests {
         assert_eq!(master.statistics().round_trip_ns, 100 * MS);
     }
 
-    /// Bytes of a frame changed, and its checksum made to fit: in the clear anybody can.
+    /// Changes 8 bytes of a frame and corrects its checksum.
     fn changed(frame: &[u8], at: usize, value: u64) -> Vec<u8> {
         let mut bytes = frame[..frame.len() - 4].to_vec();
         bytes[at..at + 8].copy_from_slice(&value.to_le_bytes());
@@ -609,10 +607,10 @@ mod tests {
     const SENT: usize = 32;
     const HELD: usize = 48;
 
-    /// One frame of somebody else in the clear, with any number in any field, in a run that lives and in a pause of it:
-    /// what the peer sends is taken again within the lease, and its age is what it was.
+    /// Forges one frame with any value in any field, in a living run and in a pause. Within the lease the peer's
+    /// frames are taken again, at unchanged age.
     #[test]
-    fn no_frame_in_the_clear_takes_the_link_for_longer_than_the_lease() {
+    fn forged_frame_takes_link_for_at_most_the_lease() {
         let mut values: Vec<u64> = [0, 1, 1500, 1 << 32, 1 << 63, u64::MAX / 2].to_vec();
         values.extend((0..3).map(|n| u64::MAX - n));
         for (field, pause_ms) in
@@ -645,7 +643,7 @@ mod tests {
                     lost_ms = lost_ms.max(ms - last_ms);
                 }
                 let what = format!("byte {field} = {value} after {pause_ms} ms: {lost_ms} ms");
-                // A sequence within the window is one that the peer can reach.
+                // The peer can reach a sequence within the window.
                 let within = field == SEQUENCE && value.abs_diff(1000) <= 4048;
                 assert!(lost_ms <= if within { 2048 } else { 200 }, "{what}");
                 let over_ns = master.path().over_baseline_ns(14_000 * MS);
@@ -654,9 +652,9 @@ mod tests {
         }
     }
 
-    /// A delay that falls by a second, as a queue that drains, is no jump that nobody makes.
+    /// A plausible jump: the delay drops by a second, as from a draining queue.
     #[test]
-    fn frames_that_overtake_a_second_of_delay_are_news() {
+    fn frames_after_drop_of_delay_are_fresh() {
         let frames = frames(2000, 1);
         let mut master = FrameLink::new(Role::Master, 1, 7, 200 * MS);
         master.receive(LinkTime::at(1000 * MS), &frames[0]).unwrap();
@@ -665,7 +663,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the network does to the order, every arrival is counted once and nothing older is used.
+        /// For any order, every arrival is counted once and no older frame is used.
         #[test]
         fn counts_balance(order in prop::collection::vec(0usize..300, 1..600)) {
             let frames = frames(300, 1);

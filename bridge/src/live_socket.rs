@@ -1,4 +1,4 @@
-//! The Unix sockets of a live side, for its owner alone: of telemetry, and of control.
+//! Unix sockets of a live side, for its owner only: telemetry and control.
 
 use std::{
     fs::File,
@@ -21,22 +21,21 @@ use rustix::{
     net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, bind, connect, listen, socket_with},
 };
 
-/// The longest path that a Unix socket can have, in bytes; Linux, `struct sockaddr_un`.
+/// Maximum length of a Unix socket's path in bytes; Linux, `struct sockaddr_un`.
 const MAX_PATH: usize = 107;
-/// How long another run may take to make its socket.
+/// Time allowed for another run to create its socket.
 const LOCK_PATIENCE: Duration = Duration::from_secs(1);
 
-/// The file of a socket that listens, for as long as this is there.
+/// File of a listening socket, removed on drop.
 struct SocketFile {
     path: PathBuf,
-    /// Another that has taken its place is left alone; none once it was removed.
+    /// `None` once removed. A replacement with another inode is kept.
     inode: Option<u64>,
-    /// That made it: a process forked from it leaves the file alone.
+    /// Creating process: a fork leaves the file alone.
     process: u32,
 }
 
 impl SocketFile {
-    /// That to which a socket has just been bound.
     fn bound(path: &Path) -> io::Result<Self> {
         match std::fs::symlink_metadata(path) {
             Ok(found) => {
@@ -76,9 +75,9 @@ fn unix_socket() -> io::Result<OwnedFd> {
     Ok(socket_with(AddressFamily::UNIX, SocketType::STREAM, flags, None)?)
 }
 
-/// The folder of `path`, in which no other run makes or removes a socket while this is held.
+/// Locks the folder of `path` against other runs that create or remove a socket.
 ///
-/// In a folder that others may enter, anybody may hold the lock: there the socket is made without it.
+/// Anybody may hold the lock of a folder that others may enter: there it is not required.
 fn locked_folder(path: &Path) -> io::Result<File> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let folder = File::open(folder)?;
@@ -95,13 +94,13 @@ fn locked_folder(path: &Path) -> io::Result<File> {
     }
 }
 
-/// True if users other than this one may open a folder.
+/// True if other users may open the folder.
 fn is_shared(folder: &File) -> io::Result<bool> {
     let found = folder.metadata()?;
     Ok(found.mode() & 0o077 != 0 || found.uid() != rustix::process::geteuid().as_raw())
 }
 
-/// Removes a socket that a killed run has left behind; refuses what is anything else.
+/// Removes the socket of a killed run; refuses anything else.
 fn remove_stale(path: &Path, address: &SocketAddrUnix, taken: &str) -> io::Result<()> {
     match std::fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
@@ -111,7 +110,7 @@ fn remove_stale(path: &Path, address: &SocketAddrUnix, taken: &str) -> io::Resul
         }
         Ok(_) => {}
     }
-    // It never waits: where too many wait to be accepted, it is said at once.
+    // Non-blocking: a full backlog fails at once.
     match connect(&unix_socket()?, address) {
         Err(Errno::CONNREFUSED) => std::fs::remove_file(path),
         Err(Errno::NOENT) => Ok(()),
@@ -120,15 +119,14 @@ fn remove_stale(path: &Path, address: &SocketAddrUnix, taken: &str) -> io::Resul
     }
 }
 
-/// A socket that listens at a path, whose file is gone with it.
+/// A listening socket whose file is removed with it.
 pub(crate) struct LiveSocket {
     listener: UnixListener,
     file: SocketFile,
 }
 
 impl LiveSocket {
-    /// Listens at `path`. A socket that nobody listens at is replaced, anything else refused; where another run listens
-    /// the refusal says `taken`.
+    /// Listens at `path`. Replaces a stale socket, and refuses anything else; for another run the error is `taken`.
     pub(crate) fn listen(path: &Path, taken: &str) -> io::Result<Self> {
         let length = path.as_os_str().len();
         if length > MAX_PATH {
@@ -137,11 +135,11 @@ impl LiveSocket {
             )));
         }
         let address = SocketAddrUnix::new(path)?;
-        // Another run that begins now would take a socket that does not listen yet for one that was left behind.
+        // Another run that starts now would take a bound, silent socket for a stale one.
         let _alone = locked_folder(path)?;
         remove_stale(path, &address, taken)?;
         let socket = unix_socket()?;
-        // Before it has a name: there is no moment in which others may connect.
+        // Before it has a name, so that others can never connect.
         rustix::fs::fchmod(&socket, 0o600.into())?;
         bind(&socket, &address)?;
         let file = SocketFile::bound(path)?;
@@ -150,8 +148,7 @@ impl LiveSocket {
         Ok(Self { listener, file })
     }
 
-    /// The next program that waits, whose connection never blocks; none at once where none waits. Fails where the process
-    /// or the system has no descriptor left.
+    /// Accepts a waiting client, non-blocking; `None` if nobody waits. Fails without a free descriptor.
     pub(crate) fn accept(&self) -> io::Result<Option<UnixStream>> {
         match self.listener.accept() {
             Ok((stream, _)) => {
@@ -159,12 +156,12 @@ impl LiveSocket {
                 Ok(Some(stream))
             }
             Err(error) if is_exhausted(&error) => Err(error),
-            // None waits, or it is gone already.
+            // Nobody waits, or the client has gone.
             Err(_) => Ok(None),
         }
     }
 
-    /// Removes its file; those that are connected stay so.
+    /// Removes the file; open connections stay.
     pub(crate) fn remove(&mut self) {
         self.file.remove();
     }
@@ -185,9 +182,9 @@ mod tests {
 
     use super::*;
 
-    /// Every user may lock a folder that they may open. In a private folder only another run of this user does.
+    /// Every user may lock a folder that they may open; a private one only this user.
     #[test]
-    fn a_lock_in_a_shared_folder_holds_no_socket_up() {
+    fn lock_in_shared_folder_does_not_block_socket() {
         let base = std::env::temp_dir().join(format!("haptether-lock-{}", std::process::id()));
         create_dir(&base).unwrap();
         for (mode, is_made) in [(0o1777, true), (0o755, true), (0o750, true), (0o700, false)] {

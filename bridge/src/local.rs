@@ -1,4 +1,4 @@
-//! The loop without a network: device, hand and a force that is rendered on the spot.
+//! Loop without a network: device, hand and a locally rendered force.
 
 use haptether_safety::{
     Axes, Limiter, Observation, SafetyLayer,
@@ -19,19 +19,19 @@ pub struct LocalTick<const N: usize> {
     pub hand_force: Axes<N>,
     /// Force in N of walls that act on the device at every instant.
     pub wall_force: Axes<N>,
-    /// `F_v` in N, as requested.
+    /// Requested `F_v` in N.
     pub requested_force: Axes<N>,
-    /// `F_v` in N, as far as the device can render it.
+    /// `F_v` in N within the limits of the device.
     pub rendered_force: Axes<N>,
-    /// `F_h` in N, as the observers saw it.
+    /// `F_h` in N, as the observers see it.
     pub grasp_force: Axes<N>,
     /// `F_device` in N.
     pub device_force: Axes<N>,
-    /// `F_c` and what the observers said.
+    /// `F_c` and the observers' values.
     pub response: Response<N>,
 }
 
-/// Device and hand under a force rendered at the servo rate and held over each tick, watched by the safety layer.
+/// Device and hand under a force rendered at the servo rate, held over each tick, and watched by the safety layer.
 #[derive(Clone, Debug)]
 pub struct LocalLoop<P, R, const N: usize> {
     plant: P,
@@ -49,30 +49,30 @@ where
     P: ModelPlant<N>,
     R: Rendering<N>,
 {
-    /// A loop at time 0 with a period of `period_ns`; what is rendered acts `delay` ticks late.
+    /// Creates a loop at time 0; the force acts `delay` ticks late.
     pub fn new(mut plant: P, rendering: R, delay: DelayLine<N>, watch: Watch<N>, period_ns: u64) -> Self {
         let (last_position, _) = plant.read(0);
         let period_s = period_ns as f64 * 1e-9;
         Self { plant, rendering, delay, watch, period_ns, period_s, tick: 0, last_position }
     }
 
-    /// The device and the hand.
+    /// Device and hand.
     pub fn plant(&self) -> &P {
         &self.plant
     }
 
-    /// What is rendered.
+    /// Rendered force field.
     pub fn rendering(&self) -> &R {
         &self.rendering
     }
 
     /// Time of the next tick in s.
     pub fn time_s(&self) -> f64 {
-        // The number nearest to the time: a product of seconds lies a rounding beside the times that a scene names.
+        // Nearest to the true time: a product of seconds is a rounding off a scene's times.
         (self.tick * self.period_ns) as f64 / 1e9
     }
 
-    /// One tick.
+    /// Does one tick.
     #[inline(always)] // in the loop of a run
     pub fn step(&mut self) -> LocalTick<N> {
         let time_s = self.time_s();
@@ -80,7 +80,7 @@ where
         self.tick += 1;
         let mut velocity = Axes::zeros();
         if self.rendering.needs_velocity() {
-            // What a servo loop has of V when it renders damping.
+            // Velocity estimate of a servo loop that renders damping.
             velocity = (position - self.last_position) / self.period_s;
             self.last_position = position;
         }
@@ -105,22 +105,20 @@ where
 
 /// A force field that a servo loop samples.
 pub trait Rendering<const N: usize> {
-    /// Whether any of it depends on the velocity.
+    /// Returns whether the force depends on the velocity.
     fn needs_velocity(&self) -> bool;
 
-    /// The force in N at time t in s, for the position in m and the velocity in m/s that the loop knows; it then acts
-    /// for `period_s`.
+    /// Force in N at `time_s`, for position in m and velocity in m/s as the loop knows them. It acts for `period_s`.
     fn force(&mut self, time_s: f64, period_s: f64, position: &Axes<N>, velocity: &Axes<N>) -> Axes<N>;
 
-    /// Steps of free bodies that were too stiff to be followed to the accuracy of the others.
+    /// Steps of free bodies that were too stiff for full accuracy.
     fn coarse_steps(&self) -> u64 {
         0
     }
 }
 
-/// A force field of surfaces.
 pub(crate) trait Surfaces<const N: usize> {
-    /// Whether a point at `position` in m, for which the force was computed last, is inside an object.
+    /// Returns whether `position` in m, at which the force was last computed, is inside an object.
     fn touches(&self, position: &Axes<N>) -> bool;
 }
 
@@ -167,41 +165,39 @@ impl<const N: usize> Rendering<N> for SceneRendering<N> {
     }
 }
 
-/// Observers and controllers that see what the scene says.
+/// Observers and controllers with the inputs that the scene chooses.
 #[derive(Clone, Debug)]
 pub enum Watch<const N: usize> {
-    /// What the estimator makes of the measured positions, as live.
+    /// Estimates from the measured positions, as live.
     Estimated(Box<SafetyLayer<N>>),
-    /// The truth.
+    /// True values.
     True(Box<TrueWatch<N>>),
 }
 
-/// Observers and controllers that see the model's own velocity and force of the hand, for studies that leave estimation
-/// out.
+/// Observers and controllers on true velocity and hand force, for studies without estimation.
 #[derive(Clone, Debug)]
 pub struct TrueWatch<const N: usize> {
     /// Observers and controllers.
     pub controller: SafetyController<N>,
-    /// Bounds on the force, before the observers and after the controllers as in the layer; none where a study switches
-    /// them off.
+    /// Limiters before observers and after controllers, as in the layer; `None` if switched off.
     pub limiters: Option<[Limiter<N>; 2]>,
 }
 
-/// What was seen and decided at one tick.
+/// Inputs and decisions of one tick.
 #[derive(Clone, Copy, Debug)]
 pub struct Watched<const N: usize> {
-    /// `F_v` in N as far as it can be rendered.
+    /// `F_v` in N within the limits of rendering.
     pub rendered_force: Axes<N>,
-    /// `F_h` in N as the observers saw it.
+    /// `F_h` in N, as the observers see it.
     pub grasp_force: Axes<N>,
     /// `F_device` in N.
     pub device_force: Axes<N>,
-    /// `F_c` and what the observers said.
+    /// `F_c` and the observers' values.
     pub response: Response<N>,
 }
 
 impl<const N: usize> Watch<N> {
-    /// One tick: `position` in m and, from a device that measures it, `velocity` in m/s; `requested_force` in N.
+    /// Does one tick: position in m, velocity in m/s if measured, force in N.
     #[inline(always)] // in the loop of a run
     fn step(
         &mut self,
@@ -244,7 +240,7 @@ impl<const N: usize> TrueWatch<N> {
     }
 }
 
-/// A line of `ticks` values: what goes in comes out so many ticks later; before that, nothing.
+/// Delay line: returns each value `ticks` ticks later, and zeros before.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DelayLine<const N: usize> {
     under_way: Box<[Axes<N>]>,
@@ -252,12 +248,12 @@ pub struct DelayLine<const N: usize> {
 }
 
 impl<const N: usize> DelayLine<N> {
-    /// A line of that many ticks; 0 passes at once.
+    /// Creates a line of `ticks` ticks; 0 passes values at once.
     pub fn new(ticks: usize) -> Self {
         Self { under_way: vec![Axes::zeros(); ticks].into_boxed_slice(), next: 0 }
     }
 
-    /// Puts one in and takes one out.
+    /// Adds a value and removes the oldest.
     #[inline(always)] // in the loop of a run
     pub fn pass(&mut self, force: Axes<N>) -> Axes<N> {
         let Some(slot) = self.under_way.get_mut(self.next) else { return force };
@@ -272,7 +268,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_goes_in_comes_out_so_many_ticks_later() {
+    fn delay_line_delays_by_its_ticks() {
         for ticks in [0_usize, 1, 3, 50] {
             let mut line = DelayLine::<1>::new(ticks);
             for n in 0..200_usize {

@@ -1,41 +1,40 @@
-//! When a loop ticks: on time, late, or far too late.
+//! Tick times of a loop: on time, late, or stalled.
 
 use haptether_netsim::EndpointClock;
 
-/// When a tick is.
+/// Time of a tick.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TickTime {
-    /// When the run began, in ns.
+    /// Start of the run in ns.
     pub start_ns: u64,
-    /// True time of the tick in ns, which the plant lives by.
+    /// True time of the tick in ns, used by the plant.
     pub now_ns: u64,
-    /// The tick's deadline in ns on the endpoint's own clock; live, both are the same.
+    /// Deadline in ns on the endpoint's own clock; live, the same.
     pub clock_ns: u64,
-    /// How late the loop woke, in ns; in virtual time only where the endpoint's clock is set.
+    /// Lateness in ns; in virtual time only if the endpoint's clock is set.
     pub overshoot_ns: u64,
-    /// Ticks left out since the last one.
+    /// Ticks skipped since the last one.
     pub missed: u64,
 }
 
 impl TickTime {
-    /// A tick on time, on a clock that is right.
+    /// A punctual tick, on a true clock.
     pub fn at(now_ns: u64) -> Self {
         Self { now_ns, clock_ns: now_ns, ..Self::default() }
     }
 }
 
-/// A loop that wakes later than this discards the backlog and holds: what it knows is old.
+/// A loop later than this discards the backlog and holds, since its inputs are old.
 const MAX_LATE_NS: u64 = 20_000_000;
 
-/// What a loop does that waited for a deadline and woke.
+/// Wake-up of a loop from a deadline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Wake {
-    /// The tick's own time: its deadline, later by the ticks that are left out.
+    /// Time of the tick: the deadline, plus the skipped ticks.
     pub(crate) deadline_ns: u64,
-    /// How late the loop woke.
+    /// Lateness in ns.
     pub(crate) overshoot_ns: u64,
-    /// Ticks left out: one wake-up is one tick, for a backlog worked off at once would let the force grow faster
-    /// than its limit.
+    /// Skipped ticks: one wake-up is one tick, since catching up would let the force exceed its rate limit.
     pub(crate) missed: u64,
 }
 
@@ -46,19 +45,19 @@ impl Wake {
         Self { deadline_ns: deadline_ns + missed * period_ns, overshoot_ns, missed }
     }
 
-    /// Whether what has arrived meanwhile is too old to act on.
+    /// Returns whether pending datagrams are too old to act on.
     pub(crate) fn is_stalled(&self) -> bool {
         self.overshoot_ns > MAX_LATE_NS
     }
 }
 
-/// What a clock shows whose reading is 0: no reading lies below 0, as far back as an offset goes.
+/// Clock value for a reading of 0: no offset makes it negative.
 const ORIGIN_NS: u64 = 1 << 62;
 
-/// A loop in virtual time: it waits on the endpoint's own clock, but happens in true time.
+/// Loop in virtual time: waits on the endpoint's clock, runs in true time.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pace {
-    /// Without one the endpoint's clock is true time.
+    /// `None` for true time.
     clock: Option<EndpointClock>,
     period_ns: u64,
     /// True time of the next tick.
@@ -68,13 +67,13 @@ pub(crate) struct Pace {
 }
 
 impl Pace {
-    /// A loop whose first tick is at true time 0.
+    /// Creates a loop whose first tick is at true time 0.
     pub(crate) fn new(clock: Option<EndpointClock>, period_ns: u64) -> Self {
         let deadline_ns = clock.map_or(0, |clock| shown_ns(&clock, 0));
         Self { clock, period_ns, true_ns: 0, deadline_ns }
     }
 
-    /// The tick that is due.
+    /// Wake-up of the due tick.
     pub(crate) fn wake(&self) -> Wake {
         match &self.clock {
             None => Wake { deadline_ns: self.deadline_ns, overshoot_ns: 0, missed: 0 },
@@ -82,17 +81,17 @@ impl Pace {
         }
     }
 
-    /// How far beyond the tick's time the loop woke.
+    /// Lateness in ns after the tick's own time.
     pub(crate) fn late_ns(&self, wake: &Wake) -> u64 {
         wake.overshoot_ns - wake.missed * self.period_ns
     }
 
-    /// Waits for the next tick after one.
+    /// Waits for the tick after `wake`.
     pub(crate) fn wait_after(&mut self, wake: &Wake) {
         self.deadline_ns = wake.deadline_ns + self.period_ns;
         self.true_ns = match &self.clock {
             None => self.deadline_ns,
-            // A reading that a step skips is reached at the step.
+            // A reading that a clock step skips is reached at the step.
             Some(clock) => clock.true_ns(self.deadline_ns.wrapping_sub(ORIGIN_NS).cast_signed()),
         };
     }
@@ -102,22 +101,22 @@ fn shown_ns(clock: &EndpointClock, true_ns: u64) -> u64 {
     ORIGIN_NS.wrapping_add_signed(clock.reading_ns(true_ns))
 }
 
-/// Share of a device's lateness that is taken for its pace, each tick: a device whose clock is slow by 100 ppm is met
-/// 0.1 periods late instead of ever later.
+/// Inverse share of a device's lateness added to its pace per tick. A clock slow by 100 ppm is then met 0.1 periods
+/// late, instead of ever later.
 const PACE_SHARE: u64 = 1024;
 
-/// Shortest time between two ticks at a device's samples, in eighths of the period: force grows by so much a tick, so a
-/// device that sends its samples in a burst, or at twice the rate, must not make it grow faster.
+/// Minimum time between ticks at a device's samples, in eighths of the period. Force grows per tick, so a burst or
+/// twice the rate must not make it grow faster.
 const MIN_EIGHTHS: u64 = 7;
 
-/// When a loop ticks that a device paces: at its samples, each of which may be late, but none before its time.
+/// Ticks of a loop paced by a device: at its samples, which may be late but not early.
 #[derive(Clone, Copy, Debug)]
 #[allow(clippy::struct_field_names)] // times carry their unit
 pub(crate) struct DevicePace {
     period_ns: u64,
-    /// When the next sample is due.
+    /// Due time of the next sample.
     next_ns: u64,
-    /// Before which no sample is taken.
+    /// Earliest time of the next tick.
     earliest_ns: u64,
 }
 
@@ -126,22 +125,20 @@ impl DevicePace {
         Self { period_ns, next_ns: 0, earliest_ns: 0 }
     }
 
-    /// The first sample is due.
     pub(crate) fn begin(&mut self, now_ns: u64) {
         self.next_ns = now_ns;
     }
 
-    /// When the next tick is due.
     pub(crate) fn next_ns(&self) -> u64 {
         self.next_ns
     }
 
-    /// Before which there is no tick: a sample that is earlier is kept until then.
+    /// Earliest time of the next tick; an earlier sample waits until then.
     pub(crate) fn earliest_ns(&self) -> u64 {
         self.earliest_ns
     }
 
-    /// A tick that this side's clock was waited for.
+    /// Wake-up of a tick that waited for this side's clock.
     pub(crate) fn waited(&mut self, now_ns: u64) -> Wake {
         let wake = Wake::new(self.next_ns, now_ns, self.period_ns);
         self.next_ns = wake.deadline_ns + self.period_ns;
@@ -149,9 +146,9 @@ impl DevicePace {
         wake
     }
 
-    /// A tick whose sample the device has given now: due then where it is early, for it sets the pace.
+    /// Tick at a sample that arrived now; an early sample is on time, since it sets the pace.
     ///
-    /// The tick's time is that of the sample, and not when it was due: what has arrived by then was sent before.
+    /// The tick's time is that of the sample, not its due time: datagrams arrived by then were sent before.
     pub(crate) fn sampled(&mut self, now_ns: u64) -> Wake {
         let wake = Wake::new(self.next_ns.min(now_ns), now_ns, self.period_ns);
         let late_ns = now_ns - wake.deadline_ns;

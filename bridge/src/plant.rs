@@ -1,4 +1,4 @@
-//! What a runner drives: a device on one side, an arm on the other, each along N axes.
+//! Plants of a runner: a device or an arm along N axes.
 
 use haptether_master::{RotationSample, SimulatedMaster, SimulatedRotation};
 use haptether_safety::{Axes, Real};
@@ -7,36 +7,36 @@ use nalgebra::UnitQuaternion;
 
 use crate::{buttons::ButtonWord, coupling::RotationState, driven::DrivenMaster};
 
-/// A master device as a runner sees it; time is an argument.
+/// A master device; time is an argument.
 pub trait MasterPlant<const N: usize> {
-    /// Time begins at `now_ns`; called once, before the first read.
+    /// Starts time at `now_ns`; called once, before the first read.
     fn begin(&mut self, _now_ns: u64) {}
 
-    /// Position in m at `now_ns` and, if the device measures it, velocity in m/s.
+    /// Position in m and, if measured, velocity in m/s.
     fn read(&mut self, now_ns: u64) -> (Axes<N>, Option<Axes<N>>);
 
     /// Exerts `force` in N from now on.
     fn write(&mut self, force: &Axes<N>);
 
-    /// Whether the clutch of the device is pressed; none if it has no button.
+    /// True if the clutch is pressed; `None` without a button.
     fn clutch(&self) -> Option<bool> {
         None
     }
 
-    /// The buttons of the device; none of a model, whose operator works the clutch.
+    /// Buttons; `None` for a model, whose operator works the clutch.
     fn buttons(&self) -> Option<ButtonWord> {
         None
     }
 
-    /// The two sides have engaged.
+    /// Called when the sides have engaged.
     fn engaged(&mut self) {}
 
-    /// What no sensor measures, where the plant is a model.
+    /// True motion and force of a model.
     fn truth(&self) -> Option<Truth<N>> {
         None
     }
 
-    /// Orientation and, if the device measures it, angular velocity at the last read; none of a device of points.
+    /// Orientation and, if measured, angular velocity at the last read; `None` for a point.
     fn rotation(&self) -> Option<RotationSample> {
         None
     }
@@ -44,18 +44,18 @@ pub trait MasterPlant<const N: usize> {
     /// Exerts `torque` in N m from now on.
     fn write_torque(&mut self, _torque: &Axes<3>) {}
 
-    /// What no sensor measures of its rotation, where the plant is a model that turns.
+    /// True rotation and torque of a model that turns.
     fn rotation_truth(&self) -> Option<RotationTruth> {
         None
     }
 
-    /// The samples and forces of a driver, where the plant is a device that has one.
+    /// Samples and forces of a driver, if any.
     fn driven(&mut self) -> Option<&mut DrivenMaster<N>> {
         None
     }
 }
 
-/// What no sensor of a device measures of its rotation, in the base frame.
+/// True rotation of a modelled device, in the base frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RotationTruth {
     /// True orientation.
@@ -66,7 +66,7 @@ pub struct RotationTruth {
     pub hand_torque: Axes<3>,
 }
 
-/// What no sensor of a device measures.
+/// True motion of a modelled device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Truth<const N: usize, S: Real = f64> {
     /// True position in m.
@@ -79,16 +79,16 @@ pub struct Truth<const N: usize, S: Real = f64> {
 
 /// A model of a device and its hand.
 pub trait ModelPlant<const N: usize>: MasterPlant<N> {
-    /// What no sensor measures.
+    /// True motion and force.
     fn state(&self) -> Truth<N>;
 
-    /// True force in N of walls that act on the device by themselves.
+    /// True force in N of walls on the device.
     fn wall_force(&self) -> Axes<N>;
 }
 
-/// A slave arm as a runner sees it; time is an argument.
+/// A slave arm; time is an argument.
 pub trait SlavePlant<const N: usize> {
-    /// Time begins at `now_ns`; called once, before the first read.
+    /// Starts time at `now_ns`; called once, before the first read.
     fn begin(&mut self, _now_ns: u64) {}
 
     /// Position in m, velocity in m/s and `F_e` in N at `now_ns`.
@@ -97,45 +97,44 @@ pub trait SlavePlant<const N: usize> {
     /// Takes the tool to `position` in m, which moves with `velocity` in m/s.
     fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>);
 
-    /// Stops softly: comes to rest within the bounds of the arm and stays there, whatever was written before. Returns
-    /// where that is, in m. Nothing is written until the stop is over. Never an emergency stop: power and brakes stay
-    /// as they are, so that nothing on the network can switch them.
+    /// Stops softly within the arm's bounds and stays there, whatever was written. Returns the rest position in m.
+    /// Nothing is written until the stop is over. Never an emergency stop: nothing on the network can switch power
+    /// and brakes.
     fn stop(&mut self) -> Axes<N>;
 
-    /// Comes to rest softly where it is no longer led, and returns where that is, in m. That is written from now on.
+    /// Comes to rest softly when no longer led. Returns where, in m, which is written from now on.
     fn hold(&mut self) -> Axes<N> {
         self.stop()
     }
 
-    /// The two sides have engaged.
+    /// Called when the sides have engaged.
     fn engaged(&mut self, _now_ns: u64) {}
 
-    /// Orientation, angular velocity and torque at the last read; none of an arm that is led as a point.
+    /// Orientation, angular velocity and torque at the last read; `None` for a point.
     fn rotation(&self) -> Option<RotationState> {
         None
     }
 
-    /// Turns the tool to `orientation`, which turns with `angular_velocity` in rad/s; before each
-    /// [`write`](Self::write) to an arm that turns.
+    /// Turns the tool to `orientation`, which turns with `angular_velocity` in rad/s. Precedes each
+    /// [`write`](Self::write) of an arm that turns.
     fn write_rotation(&mut self, _orientation: &UnitQuaternion<f64>, _angular_velocity: &Axes<3>) {}
 
-    /// Speeds in m/s and rad/s with which it still brakes, as of the last tick: what is written moves it by that much more.
+    /// Braking speeds in m/s and rad/s at the last tick, added to the command's.
     fn braking_speeds(&self) -> [f64; 2] {
         [0.0; 2]
     }
 
-    /// How the tool is turned where [`stop`](Self::stop) or [`hold`](Self::hold) brings it to rest.
+    /// Orientation at rest of [`stop`](Self::stop) or [`hold`](Self::hold).
     fn rest_orientation(&self) -> Option<UnitQuaternion<f64>> {
         None
     }
 
-    /// Its gripper measures this; returns where the jaws meet what the arm has between them, 0 open to 1 closed, of an
-    /// arm that knows what is there.
+    /// Takes the gripper's sample. Returns where the jaws meet an object, 0 open to 1 closed, if the arm knows.
     fn grip(&mut self, _jaws: &GripperSample) -> Option<Option<f64>> {
         None
     }
 
-    /// Whether it touches something, as of the last read; false of an arm that does not know.
+    /// True if the arm touched something at the last read; false if unknown.
     fn touches(&self) -> bool;
 }
 
@@ -185,12 +184,12 @@ impl<P: MasterPlant<N> + ?Sized, const N: usize> MasterPlant<N> for Box<P> {
     }
 }
 
-/// A device that moves as one model and turns as another: a handle whose tool point is its centre of mass.
+/// A device with separate models: a handle whose tool point is its centre of mass.
 #[derive(Clone, Debug)]
 pub struct TurningMaster<P> {
-    /// The device as a point.
+    /// Translation of the tool point.
     pub point: P,
-    /// The device about that point.
+    /// Rotation about it.
     pub body: SimulatedRotation,
 }
 
@@ -268,14 +267,14 @@ impl<const N: usize> ModelPlant<N> for SimulatedMaster<N> {
     }
 }
 
-/// What a model of an arm knows beyond its sensors.
+/// Further state of a modelled arm.
 pub trait ModelArm {
-    /// Steps of its environment that were too stiff to be followed to full accuracy.
+    /// Steps of the environment that were too stiff for full accuracy.
     fn coarse_steps(&self) -> u64 {
         0
     }
 
-    /// Hands over what is there besides the arm: name of a signal, and its numbers at the last read.
+    /// Passes each signal of the environment: name and values.
     fn world(&self, _take: &mut dyn FnMut(&'static str, &[f64])) {}
 }
 
@@ -332,7 +331,7 @@ impl SlavePlant<3> for SimulatedTool {
 
     fn grip(&mut self, jaws: &GripperSample) -> Option<Option<f64>> {
         SimulatedTool::grip(self, jaws.position, jaws.force_n);
-        // Where there is nothing that could be taken, the gripper's own settings say what is between the jaws.
+        // Without objects to hold, the gripper's settings define the object.
         self.has_things_to_hold().then(|| self.between_jaws())
     }
 

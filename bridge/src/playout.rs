@@ -1,31 +1,30 @@
-//! A buffer that makes the delay of the peer's packets constant, for couplings that need that.
+//! Play-out buffer: makes the packets' delay constant, for couplings that need it.
 
 use crate::path::{BILLION, difference, share_up};
 
-/// Settings of a play-out. But for the delay they rarely need a change.
+/// Settings of a play-out. Only the delay usually needs a change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlayoutSettings {
-    /// The wait in ns of a packet of the smallest delay, so the jitter that is evened out.
+    /// Wait in ns of a packet with the smallest delay: the jitter that is removed.
     pub delay_ns: u64,
-    /// Most sequences that wait, missing ones included: more than delay times rate.
+    /// Maximum number of waiting sequences, missing ones included: above delay times rate.
     pub capacity: usize,
-    /// Window in ns in which the smallest delay is sought.
+    /// Window in ns of the minimum delay.
     pub window_ns: u64,
-    /// Time in ns after the first packet in which the play-out follows what it learns at once, not slowly.
+    /// Time in ns after the first packet in which the play-out follows the minimum at once.
     pub warm_up_ns: u64,
-    /// The play-out stays as it is while it would move by less, in ns.
+    /// Smallest shift in ns that is followed.
     pub tolerance_ns: u64,
-    /// How fast the play-out moves otherwise, in parts per billion of time: below a whole, so that time played never
-    /// runs backwards.
+    /// Rate of a shift in parts per billion; below 1e9, so that time never runs backwards.
     pub slew_ppb: u64,
-    /// After this time in ns in which all packets were too late, the play-out begins anew: the path or a clock has
-    /// changed. So it does at once with a packet that would wait for longer than this beyond its delay.
+    /// Time in ns of only late packets after which the play-out restarts, since path or clock changed. A packet that
+    /// would wait longer than this beyond its delay restarts it at once.
     pub relearn_ns: u64,
 }
 
 impl PlayoutSettings {
-    /// For a delay in ns: 1024 sequences, a window of 10 s after a warm-up of 1 s, moves of 0.5 percent beyond 0.5 ms,
-    /// anew after 200 ms of late packets.
+    /// Defaults: 1024 sequences, window 10 s, warm-up 1 s, moves of 0.5 percent beyond 0.5 ms, restart after 200 ms
+    /// of late packets.
     pub const fn new(delay_ns: u64) -> Self {
         Self {
             delay_ns,
@@ -49,11 +48,11 @@ impl PlayoutSettings {
     }
 }
 
-/// Settings with which nothing can be played.
+/// Invalid settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PlayoutError {
-    /// Too few or too many to hold.
+    /// Capacity out of range.
     #[error("capacity = {0}: must be from 1 to 1048576 sequences")]
     Capacity(usize),
     /// Time would run backwards.
@@ -61,55 +60,55 @@ pub enum PlayoutError {
     Slew(u64),
 }
 
-/// What became of a packet that arrived.
+/// Result of an arrival.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Arrival {
-    /// It waits.
+    /// The packet waits.
     Queued,
-    /// It waits, and the play-out begins anew with it: the path or a clock changed.
+    /// The packet waits and restarts the play-out: path or clock changed.
     Anew,
-    /// Its time, or a later packet, has been played: it is not used.
+    /// Not used: its time has passed, or a later packet was played.
     Late,
-    /// It waits already.
+    /// The packet waits already.
     Duplicate,
-    /// A time that no monotonic clock shows: it is not used.
+    /// Not used: invalid for a monotonic clock.
     Refused,
 }
 
 /// A packet that is due.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Played<T> {
-    /// Its sequence.
+    /// Sequence.
     pub sequence: u64,
-    /// When it was sent, on the sender's clock, in ns.
+    /// Send time on the sender's clock in ns.
     pub sent_ns: u64,
-    /// When it was due, on our clock, in ns; not after the time at which it is taken.
+    /// Due time on this clock in ns; not in the future.
     pub play_ns: u64,
-    /// How many sequences between it and the one played before are missing.
+    /// Missing sequences since the packet played before.
     pub gap: u64,
-    /// What it carries.
+    /// Payload.
     pub payload: T,
 }
 
-/// What became of the packets so far.
+/// Counts of packets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PlayoutCounts {
     /// Packets played.
     pub played: u64,
-    /// Packets that arrived after their time, or after a later one was played.
+    /// Packets that arrived after their time or after a later one was played.
     pub late: u64,
     /// Packets that waited already.
     pub duplicate: u64,
-    /// Sequences passed over because they were not there in time.
+    /// Sequences that had not arrived in time.
     pub missing: u64,
-    /// Packets passed over because a newer one was there, or that waited when the play-out began anew.
+    /// Packets skipped for a newer one, or by a restart.
     pub superseded: u64,
-    /// Packets passed over because more arrived than the capacity holds.
+    /// Packets skipped for lack of capacity.
     pub overflowed: u64,
-    /// How often the play-out began anew.
+    /// Number of restarts.
     pub anew: u64,
-    /// Packets with impossible times.
+    /// Packets with invalid times.
     pub refused: u64,
 }
 
@@ -120,17 +119,16 @@ struct Slot<T> {
     payload: T,
 }
 
-/// Holds packets until their time and hands them out in order.
+/// Holds packets until their time and returns them in order.
 ///
-/// [`Self::arrived`] puts packets in, [`Self::next_due`] takes out one that is due; call it until none is left. Times of
-/// successive calls do not decrease. What is handed out only ever goes forward in sequence, and nothing is allocated
-/// after construction.
+/// [`Self::arrived`] adds packets; [`Self::next_due`] takes due ones, until none is left. Call times must not
+/// decrease; sequences returned only increase. Nothing is allocated after construction.
 #[derive(Clone, Debug)]
 pub struct Playout<T> {
     timeline: Timeline,
-    /// At the place of the sequence modulo the length.
+    /// Indexed by sequence modulo length.
     slots: Box<[Option<Slot<T>>]>,
-    /// The first sequence not yet passed; none before the first packet.
+    /// First sequence not passed yet.
     next: Option<u64>,
     newest: u64,
     missing_since_played: u64,
@@ -139,7 +137,7 @@ pub struct Playout<T> {
 }
 
 impl<T: Copy> Playout<T> {
-    /// Of settings.
+    /// Creates an empty play-out.
     pub fn new(settings: PlayoutSettings) -> Result<Self, PlayoutError> {
         settings.check()?;
         Ok(Self {
@@ -153,7 +151,7 @@ impl<T: Copy> Playout<T> {
         })
     }
 
-    /// Takes a packet that arrived at `now_ns` and was sent at `sent_ns` on the sender's clock.
+    /// Takes a packet that arrived at `now_ns`, sent at `sent_ns` on the sender's clock.
     pub fn arrived(&mut self, sequence: u64, sent_ns: u64, now_ns: u64, payload: T) -> Arrival {
         if sequence == u64::MAX || sent_ns.max(now_ns) > i64::MAX.cast_unsigned() {
             self.counts.refused += 1;
@@ -186,7 +184,7 @@ impl<T: Copy> Playout<T> {
         Arrival::Queued
     }
 
-    /// Drops what waits for times of a timeline that has ended.
+    /// Drops packets of a previous timeline.
     fn clear_waiting(&mut self) {
         let Some(next) = self.next else { return };
         let waiting = self.slots.iter_mut().filter(|slot| slot.is_some_and(|slot| slot.sequence >= next));
@@ -196,7 +194,7 @@ impl<T: Copy> Playout<T> {
         }
     }
 
-    /// Passes over what is too far behind a sequence to be held beside it.
+    /// Skips sequences beyond the capacity.
     fn make_room(&mut self, sequence: u64) {
         let capacity = self.slots.len() as u64;
         let next = *self.next.get_or_insert(sequence);
@@ -206,7 +204,7 @@ impl<T: Copy> Playout<T> {
         }
     }
 
-    /// Passes the sequences from `next` up to `until`; how many of them were there. The others are missing.
+    /// Passes sequences up to `until`. Returns how many were present.
     fn pass(&mut self, next: u64, until: u64) -> u64 {
         let near = until.min(next.saturating_add(self.slots.len() as u64));
         let there = (next..near).filter(|&sequence| self.waits(sequence)).count() as u64;
@@ -217,7 +215,7 @@ impl<T: Copy> Playout<T> {
         there
     }
 
-    /// The next packet that is due at `now_ns`.
+    /// Removes the next packet that is due at `now_ns`.
     pub fn next_due(&mut self, now_ns: u64) -> Option<Played<T>> {
         let next = self.next?;
         let (position, shift) = self.timeline.advance(now_ns)?;
@@ -232,7 +230,7 @@ impl<T: Copy> Playout<T> {
         self.counts.superseded += superseded;
         self.next = Some(sequence + 1);
         self.counts.played += 1;
-        // A play-out that jumps ahead in its warm-up hands out at once what was due meanwhile.
+        // A jump ahead in the warm-up plays at once what became due meanwhile.
         self.last_play_ns = play_ns.max(self.last_play_ns);
         let gap = std::mem::take(&mut self.missing_since_played);
         Some(Played { sequence, sent_ns, play_ns: self.last_play_ns, gap, payload })
@@ -251,17 +249,17 @@ impl<T: Copy> Playout<T> {
         self.at(sequence).is_some()
     }
 
-    /// How long in ns a packet of least delay waits now; none before the first.
+    /// Present wait in ns of a packet with the minimum delay; `None` before the first packet.
     pub fn wait_ns(&self) -> Option<u64> {
         self.timeline.wait_ns()
     }
 
-    /// What became of the packets so far.
+    /// Counts so far.
     pub fn counts(&self) -> PlayoutCounts {
         self.counts
     }
 
-    /// Clears all packets, not the counts: for a new run of the sender, whose sequences begin anew.
+    /// Clears packets, not counts, for a new run of the sender.
     pub fn restart(&mut self, settings: PlayoutSettings) -> Result<(), PlayoutError> {
         let counts = self.counts;
         *self = Self::new(settings)?;
@@ -270,11 +268,11 @@ impl<T: Copy> Playout<T> {
     }
 }
 
-/// The sender's time that is due, as `now - shift`.
+/// Time of the sender that is due, as `now - shift`.
 ///
-/// The shift is the smallest transit in a window plus the delay requested. A transit is the difference of
-/// two unrelated clocks: only its changes mean something, and only those are used. The shift rests while its target
-/// stays near it, so that what is played stays exactly as far apart as it was sent; otherwise it moves slowly.
+/// The shift is the minimum transit in a window plus the delay. A transit is a difference of unrelated clocks: only
+/// its changes mean something. Near its target the shift rests, so that packets are played exactly as spaced when
+/// sent. Otherwise it moves slowly.
 #[derive(Clone, Debug, PartialEq)]
 struct Timeline {
     settings: PlayoutSettings,
@@ -283,18 +281,17 @@ struct Timeline {
     began_ns: u64,
     moved_ns: u64,
     moving: bool,
-    /// Since when all packets were too late.
+    /// Start of a period of only late packets.
     late_since_ns: Option<u64>,
-    /// The latest of the sender's times that was due: it never falls within one timeline.
+    /// Latest due time of the sender; does not decrease.
     position_ns: Option<i64>,
 }
 
-/// How a packet lies on the timeline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Placed {
     InTime,
     Late,
-    /// It begins a new timeline.
+    /// It starts a new timeline.
     Anew,
 }
 
@@ -312,7 +309,6 @@ impl Timeline {
         }
     }
 
-    /// Takes a packet sent at `sent_ns` on the sender's clock.
     fn arrived(&mut self, sent_ns: u64, now_ns: u64) -> Placed {
         if self.shift_ns.is_none() {
             self.begin(sent_ns, now_ns);
@@ -360,7 +356,7 @@ impl Timeline {
         Some(self.least.least()?.saturating_add(delay))
     }
 
-    /// Moves on to `now_ns`; the sender's time that is due then, and the shift.
+    /// Advances to `now_ns`. Returns the sender's time that is due, and the shift.
     fn advance(&mut self, now_ns: u64) -> Option<(i64, i64)> {
         let (mut shift, target) = (self.shift_ns?, self.target_ns()?);
         let elapsed = now_ns.saturating_sub(self.moved_ns);
@@ -368,7 +364,7 @@ impl Timeline {
         let away = target.saturating_sub(shift);
         self.moving = away != 0 && (self.moving || away.unsigned_abs() > self.settings.tolerance_ns);
         if self.moving {
-            // Rounded up, so that ticks of any length move; one ns at most is not backwards in a tick of more.
+            // Rounded up, so that ticks of any length move; 1 ns does not reverse a longer tick.
             let most = share_up(elapsed, self.settings.slew_ppb).min(elapsed).cast_signed();
             shift += away.clamp(-most, most);
             self.shift_ns = Some(shift);
@@ -379,7 +375,6 @@ impl Timeline {
         Some((position, shift))
     }
 
-    /// The wait in ns of a packet of least transit, as it is now.
     fn wait_ns(&self) -> Option<u64> {
         let wait = self.shift_ns?.saturating_sub(self.least.least()?);
         Some(u64::try_from(wait).unwrap_or(0))
@@ -388,10 +383,9 @@ impl Timeline {
 
 const BLOCKS: usize = 8;
 
-/// The least key of a window of time, in bounded memory.
+/// Minimum over a window of time, in bounded memory.
 ///
-/// The window is cut into eight blocks of which each keeps its least; so it reaches back between seven and eight
-/// eighths of its length.
+/// Eight blocks keep a minimum each: seven to eight eighths of the window.
 #[derive(Clone, Debug, PartialEq)]
 struct WindowMinimum {
     block_ns: u64,
@@ -405,7 +399,6 @@ impl WindowMinimum {
         Self { block_ns: (window_ns / BLOCKS as u64).max(1), newest: 0, blocks: [None; BLOCKS], least: None }
     }
 
-    /// Adds what was seen at `now_ns`.
     fn add(&mut self, now_ns: u64, key: i64) {
         let block = (now_ns / self.block_ns).max(self.newest);
         if block > self.newest {
@@ -423,7 +416,6 @@ impl WindowMinimum {
         }
     }
 
-    /// The least of the window that ends at the newest addition.
     fn least(&self) -> Option<i64> {
         self.least
     }

@@ -1,10 +1,10 @@
-//! Rings between threads whose memory is there from the start.
+//! Preallocated rings between threads.
 
 use std::mem::MaybeUninit;
 
 use crate::recorder::Recorded;
 
-/// A ring with room for so many, each of whose pages has been touched: a run does not grow by using it.
+/// Creates a ring and touches its pages, so that use does not grow the process.
 pub(crate) fn ring<T>(capacity: usize) -> (rtrb::Producer<T>, rtrb::Consumer<T>) {
     let (mut producer, consumer) = rtrb::RingBuffer::new(capacity);
     if let Ok(mut room) = producer.write_chunk_uninit(capacity) {
@@ -17,15 +17,14 @@ pub(crate) fn ring<T>(capacity: usize) -> (rtrb::Producer<T>, rtrb::Consumer<T>)
     (producer, consumer)
 }
 
-/// Records that wait in a ring, of any type: who writes them is compiled once.
+/// Records of any type in a ring, to compile the consumer once.
 pub(crate) trait WaitingRecords: Send {
-    /// Hands over at most `most` records, the oldest first.
+    /// Passes on at most `most` records, the oldest first.
     fn take(&mut self, most: usize, each: &mut dyn FnMut(&dyn Recorded));
 
-    /// Number of records that wait.
     fn waiting(&self) -> usize;
 
-    /// Whether no more will come.
+    /// Returns whether the producer is gone.
     fn is_abandoned(&self) -> bool;
 }
 

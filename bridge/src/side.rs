@@ -1,4 +1,4 @@
-//! One side of the bridge, plant and endpoint together: what both runners step at each tick.
+//! One side of the bridge: plant and endpoint, stepped by both runners.
 
 use std::marker::PhantomData;
 
@@ -22,24 +22,23 @@ use crate::{
     wire::{Frame, MAX_FRAME},
 };
 
-/// One side of N axes: `receive` what has arrived, `tick`, `send`. Times are on the endpoint's own clock where not
-/// said.
+/// One side of N axes: per tick `receive`, `tick`, `send`. Times are on the endpoint's clock unless stated otherwise.
 pub trait Side {
     /// The record of a tick.
     type Record: Copy + Default + Send + 'static
     where
         Self: Sized;
 
-    /// True time begins at `now_ns`; called once, before the first tick.
+    /// Starts true time at `now_ns`; called once, before the first tick.
     fn begin(&mut self, now_ns: u64);
 
-    /// Takes a datagram; a refused one changes nothing but its counter.
+    /// Takes a datagram. A refused datagram changes only its counter.
     fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<(), RejectReason> {
         self.exchange_mut().receive(time, datagram)
     }
 
-    /// The same of a frame whose bytes nobody has looked at, without them. A side that looks at datagrams in
-    /// [`receive`](Self::receive) is run with [`encoded`](crate::VirtualSettings::encoded) frames.
+    /// Takes a frame that was not encoded. A side that inspects datagrams needs
+    /// [`encoded`](crate::VirtualSettings::encoded) frames.
     #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     fn receive_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<(), RejectReason> {
         let axes = self.axes();
@@ -56,76 +55,76 @@ pub trait Side {
         record
     }
 
-    /// The same into `record`, which holds another tick: all of it is written. Where it is kept, since a copy of what was just
-    /// written waits for that (store forwarding).
+    /// As [`tick`](Self::tick), overwriting all of `record`. A copy would wait for the values just written (store
+    /// forwarding).
     fn tick_into(&mut self, time: TickTime, record: &mut Self::Record)
     where
         Self: Sized;
 
-    /// Writes the frame of this tick.
+    /// Encodes the frame of this tick.
     fn send<'a>(&mut self, time: LinkTime, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
         self.exchange_mut().send(time, buffer)
     }
 
-    /// The frame of this tick, not written.
+    /// Fills in the frame of this tick, not encoded.
     #[inline(always)] // makes a frame: docs/decisions/060-ticks-in-a-row.md
     fn fill_frame(&mut self, time: LinkTime, frame: &mut Frame) {
         let axes = self.axes();
         self.exchange_mut().fill_frame(time, axes, frame);
     }
 
-    /// Number of axes; of a side of a fixed number a constant, by which frames are copied in a few instructions.
+    /// Number of axes; a constant if fixed, so that frames are copied in a few instructions.
     #[inline(always)]
     fn axes(&self) -> usize {
         self.exchange().link().layout().axes
     }
 
-    /// Carries out a command of the operator at this side. Returns whether it changed anything: a release where the
-    /// clutch was open does not. Numbers that cannot be change nothing.
+    /// Carries out an operator command. Returns whether it changed anything; releasing an open clutch does not.
+    /// Invalid numbers change nothing.
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError>;
 
-    /// Bounds of its scales while it runs; those of [`command`](Self::command).
+    /// Bounds of the scales in [`command`](Self::command).
     fn ranges(&self) -> ScaleRanges {
         ScaleRanges::default()
     }
 
-    /// Whether the device has a button of its own.
+    /// Returns whether the device has a button of its own.
     fn has_button(&self) -> bool {
         false
     }
 
-    /// Leaves the plant without force or motion.
+    /// Removes force and motion from the plant.
     fn rest(&mut self);
 
-    /// What talks to the peer: link, ladder, flight recorder.
+    /// Link, ladder and flight recorder.
     fn exchange(&self) -> &Exchange;
 
-    /// The same, to report a stall, a failure of the device, or an end.
+    /// The same, to report a stall, a device failure or the end.
     fn exchange_mut(&mut self) -> &mut Exchange;
 }
 
-/// The side of the hand; R is what its records have of a rotation.
+/// The master side; R is the rotation part of its records.
 #[derive(Clone, Debug)]
 pub struct MasterSide<P, const N: usize, R = ()> {
     /// The device.
     pub plant: P,
-    /// What decides.
+    /// Endpoint.
     pub endpoint: MasterEndpoint<N>,
-    /// Who presses the clutch of a device that has no button.
+    /// Works the clutch of a device without a button.
     operator: ClutchOperator,
     button: Button,
-    /// What leads the gripper; none where the slave has none.
+    /// Leads the gripper; `None` if the slave has no gripper.
     pub trigger: Option<Trigger>,
     leading: LeadingTrigger,
-    /// What the finger that holds it felt at the last tick; none without force feedback.
+    /// Last tick of the finger's safety layer; `None` without force feedback.
     felt: Option<SafetyTick<1>>,
-    /// What the buttons of the device do; none where the scene maps none.
+    /// Mapped buttons; `None` if the scene maps none.
     buttons: Option<Buttons>,
     records: PhantomData<R>,
 }
 
 impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
-    /// A side whose clutch is worked as `clutch` says, unless the device has a button.
+    /// Creates a side whose clutch is worked by `clutch`, unless the device has a button.
     pub fn new(plant: P, endpoint: MasterEndpoint<N>, clutch: Clutch) -> Result<Self, ClutchError> {
         let operator = ClutchOperator::new(clutch)?;
         let button = Button::default();
@@ -143,26 +142,26 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
         })
     }
 
-    /// The same side with buttons that do what `settings` say.
+    /// Adds buttons, as `settings` map them.
     pub fn with_buttons(mut self, settings: Option<ButtonSettings>) -> Result<Self, ButtonError> {
         let buttons = settings.map(Buttons::new).transpose()?;
         if let Some(buttons) = &buttons {
             self.endpoint.exchange.carry_buttons();
             if buttons.has_clutch() && self.plant.buttons().is_some() {
-                // A bit that somebody chose is less sure than a device's own clutch: the start does not press it.
+                // A mapped bit is less reliable than a device's own clutch: the start does not press it.
                 self.button.must_be_released();
             }
         }
         Ok(Self { buttons, ..self })
     }
 
-    /// The same side with records of a hand that turns.
+    /// Makes the records contain a rotation.
     #[must_use]
     pub fn turning(self) -> MasterSide<P, N, MasterRotation> {
         self.recording()
     }
 
-    /// The same side with a trigger that leads the slave's gripper.
+    /// Adds a trigger that leads the slave's gripper.
     #[must_use]
     pub fn with_trigger(mut self, trigger: Option<Trigger>) -> Self {
         if trigger.is_some() {
@@ -173,8 +172,7 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
 }
 
 impl<P: MasterPlant<N>, const N: usize, R> MasterSide<P, N, R> {
-    /// What the buttons of the device say of clutch and trigger, where the scene maps them; a clutch that a button works
-    /// is open where that is not known.
+    /// Clutch and trigger, as mapped. A clutch on a button is open while its bit is unknown.
     fn pressed(&mut self, now_ns: u64) -> (Option<bool>, Option<f64>) {
         let (Some(buttons), Some(word)) = (&mut self.buttons, self.plant.buttons()) else {
             return (self.button.at(now_ns, self.plant.clutch()), None);
@@ -191,13 +189,12 @@ impl<P: MasterPlant<N>, const N: usize, R> MasterSide<P, N, R> {
         (clutch, trigger)
     }
 
-    /// The same side with records of what the finger at the trigger feels.
+    /// Makes the records contain force feedback at the trigger.
     #[must_use]
     pub fn feeling(self) -> MasterSide<P, N, Feeling<R>> {
         self.recording()
     }
 
-    /// Change the kind of the records alone.
     fn recording<Q>(self) -> MasterSide<P, N, Q> {
         let Self { plant, endpoint, operator, button, trigger, leading, felt, buttons, .. } = self;
         MasterSide {
@@ -213,12 +210,12 @@ impl<P: MasterPlant<N>, const N: usize, R> MasterSide<P, N, R> {
         }
     }
 
-    /// What the finger at the trigger felt at the last tick, in m/s and N, positive closing; none without force feedback.
+    /// Last tick of the finger's safety layer, in m/s and N, positive closing; `None` without force feedback.
     pub fn felt(&self) -> Option<&SafetyTick<1>> {
         self.felt.as_ref()
     }
 
-    /// Hands over each signal of a trigger that the finger feels, of a run in virtual time: name, and its number.
+    /// Passes each force-feedback signal of the trigger, for a run in virtual time.
     pub(crate) fn finger_signals(&self, take: &mut dyn FnMut(&'static str, &[f64])) {
         let (Some(felt), Some(trigger)) = (&self.felt, &self.trigger) else { return };
         let estimated = FingerTruth { velocity: felt.motion.velocity[0], finger_force_n: 0.0 };
@@ -235,7 +232,6 @@ impl<P: MasterPlant<N>, const N: usize, R> MasterSide<P, N, R> {
         }
     }
 
-    /// Whether a button of the device works the clutch, as the scene maps them.
     fn has_mapped_clutch(&self) -> bool {
         self.plant.buttons().is_some() && self.buttons.as_ref().is_some_and(Buttons::has_clutch)
     }
@@ -274,7 +270,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for MasterSide<P, N,
         if let Some(trigger) = &mut self.trigger {
             let at = trigger.position(time.now_ns);
             let mut state = GripperState::of_trigger(pressed.1.or(at));
-            // A button that leads the gripper overrides the finger at the trigger.
+            // A button that leads the gripper overrides the trigger position.
             finger = state.position.filter(|_| pressed.1.is_none());
             if let Some(at) = finger {
                 state.position = Some(self.leading.taken(at, (time.missed + 1) as f64));
@@ -285,7 +281,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for MasterSide<P, N,
         let reading = MasterReading { position, velocity, rotation: self.plant.rotation(), trigger: finger };
         let tick = self.endpoint.tick(time.clock_ns, time.missed, &reading, clutch);
         if tick.trigger.is_none() {
-            // A trigger with force feedback counts its own.
+            // With force feedback the trigger counts its own outliers.
             self.endpoint.exchange.outliers += self.leading.outliers();
         }
         let truth = self.plant.truth();
@@ -344,7 +340,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for MasterSide<P, N,
     }
 
     fn has_button(&self) -> bool {
-        // Before the first tick the plant alone knows.
+        // Only the plant knows before the first tick.
         self.has_mapped_clutch() || self.button.is_there() || self.plant.clutch().is_some()
     }
 
@@ -365,12 +361,12 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for MasterSide<P, N,
     }
 }
 
-/// Whether an arm stands still whatever was commanded.
+/// Returns whether the arm stands still whatever the command.
 pub(crate) fn is_stopped(state: LadderState) -> bool {
     matches!(state, LadderState::Stop | LadderState::Fault)
 }
 
-/// Whether an arm was led at its last tick, and where the ladder stood.
+/// Last ladder state, and whether the arm was led.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LeadTransition {
     stood: LadderState,
@@ -378,23 +374,20 @@ pub(crate) struct LeadTransition {
 }
 
 impl Default for LeadTransition {
-    /// Of an arm that has not been commanded yet.
     fn default() -> Self {
         Self { stood: LadderState::Disengaged, was_led: false }
     }
 }
 
-/// How an arm comes to rest.
+/// Manner in which an arm comes to rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rest {
-    /// It stops.
     Stop,
-    /// It holds where it is no longer led.
     Hold,
 }
 
 impl Rest {
-    /// Brings the arm to rest; returns where, in m.
+    /// Brings the arm to rest. Returns where, in m.
     pub(crate) fn of<const N: usize>(self, plant: &mut impl SlavePlant<N>) -> Axes<N> {
         match self {
             Self::Stop => plant.stop(),
@@ -404,8 +397,8 @@ impl Rest {
 }
 
 impl LeadTransition {
-    /// How the arm comes to rest at the tick at which that begins. Once each: whoever brakes again and again would let go of
-    /// what the arm leans on, bit by bit.
+    /// How the arm comes to rest, at the tick at which that begins. Repeated braking would give up a contact bit by
+    /// bit.
     #[inline]
     pub(crate) fn step(&mut self, state: LadderState, is_led: bool) -> Option<Rest> {
         let Self { stood, was_led } = std::mem::replace(self, Self { stood: state, was_led: is_led });
@@ -418,7 +411,7 @@ impl LeadTransition {
         }
     }
 
-    /// Brings the arm to rest at the tick at which that begins: where, in m.
+    /// Brings the arm to rest at that tick. Returns where, in m.
     #[inline]
     pub(crate) fn rest<const N: usize>(
         &mut self,
@@ -430,42 +423,42 @@ impl LeadTransition {
     }
 }
 
-/// The side of the robot; R is what its records have of a rotation.
+/// The slave side; R is the rotation part of its records.
 #[derive(Clone, Debug)]
 pub struct SlaveSide<P, const N: usize, R = ()> {
     /// The arm.
     pub plant: P,
-    /// What decides.
+    /// Endpoint.
     pub endpoint: SlaveEndpoint<N>,
     led: LeadTransition,
-    /// Its gripper, if it has one.
+    /// The gripper, if any.
     pub gripper: Option<LedGripper>,
-    /// The point of the tool that is coupled; none for the tool point.
+    /// Coupled point of the tool; `None` couples the tool point.
     reference_point: Option<ReferencePoint>,
     records: PhantomData<R>,
 }
 
 impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
-    /// A side whose arm has not been commanded yet.
+    /// Creates a side with an arm not commanded yet.
     pub fn new(plant: P, endpoint: SlaveEndpoint<N>) -> Self {
         let led = LeadTransition::default();
         Self { plant, endpoint, led, gripper: None, reference_point: None, records: PhantomData }
     }
 
-    /// The same side with records of an arm that turns.
+    /// Makes the records contain a rotation.
     #[must_use]
     pub fn turning(self) -> SlaveSide<P, N, SlaveRotation> {
         let Self { plant, endpoint, led, gripper, reference_point, .. } = self;
         SlaveSide { plant, endpoint, led, gripper, reference_point, records: PhantomData }
     }
 
-    /// The same side coupled at another point of its tool than the tool point, of an arm that turns.
+    /// Couples another point of the tool than the tool point, for an arm that turns.
     #[must_use]
     pub fn about(self, reference_point: Option<ReferencePoint>) -> Self {
         Self { reference_point, ..self }
     }
 
-    /// The same side with a gripper.
+    /// Adds a gripper.
     #[must_use]
     pub fn with_gripper(mut self, gripper: Option<LedGripper>) -> Self {
         if gripper.is_some() {
@@ -557,7 +550,7 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side for SlaveSide<P, N, R>
     }
 }
 
-/// The next frame of a side as a datagram of its session; none, and no frame is numbered, while there are no keys.
+/// Seals the next frame of a side for its session. Without keys returns `None` and numbers no frame.
 pub(crate) fn sealed_frame<'a>(
     session: &mut Session,
     time: LinkTime,

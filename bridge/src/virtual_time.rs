@@ -1,4 +1,4 @@
-//! The virtual-time runner: both sides and the network between them, without socket, sleep or clock.
+//! Virtual-time runner: both sides and the network between them, without socket, sleep or clock.
 
 use std::ops::ControlFlow;
 
@@ -18,80 +18,78 @@ use crate::{
     wire::{Frame, MAX_FRAME, Role},
 };
 
-/// How a run in virtual time goes.
+/// Settings of a run in virtual time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VirtualSettings {
     /// Period of the master's loop in ns.
     pub period_ns: u64,
     /// Period of the slave's loop in ns.
     pub slave_period_ns: u64,
-    /// Number of the master's ticks: of its periods in the true time of the run, if its clock is not right.
+    /// Number of the master's ticks; for a drifting clock, of its periods in true time.
     pub ticks: u64,
     /// Network from master to slave.
     pub forward: LinkSettings,
     /// Network from slave to master.
     pub backward: LinkSettings,
-    /// Seed of both, and of the keys.
+    /// Seed of both directions and of the keys.
     pub seed: u64,
-    /// Whether frames travel in a secure session. Without one they are the datagrams, and there is no handshake.
+    /// True for a secure session. Otherwise frames are sent as datagrams without a handshake.
     pub secure: bool,
-    /// Whether every frame travels as its bytes. Without that one whose bytes nobody changes travels as it is, which
-    /// changes no result and takes less time.
+    /// True if every frame is encoded. Otherwise only those that the network changes: faster, with equal results.
     pub encoded: bool,
-    /// What the master's clock shows; without one, true time.
+    /// The master's clock; `None` for true time.
     pub master_clock: Option<EndpointClock>,
-    /// What the slave's clock shows.
+    /// The slave's clock; `None` for true time.
     pub slave_clock: Option<EndpointClock>,
 }
 
-/// Max. number of datagrams in flight in one direction: more than an hour at 1 kHz. They take memory only as they are
-/// sent.
+/// Max. number of datagrams in flight per direction: more than an hour at 1 kHz. Allocated as they are sent.
 const MAX_IN_FLIGHT: usize = 1 << 22;
 
-/// Why a run in virtual time cannot be.
+/// Error of a run in virtual time.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum VirtualError {
-    /// Settings that describe no link.
+    /// Invalid link settings.
     #[error(transparent)]
     Link(#[from] LinkSettingsError),
-    /// There is no session.
+    /// No session.
     #[error(transparent)]
     Session(#[from] EndError),
 }
 
-/// What the network and the two loops counted.
+/// Counts of the network and of both loops.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct VirtualCounts {
     /// Datagrams dropped because too many were in flight.
     pub overflowed: u64,
-    /// What the master's and the slave's loop counted.
+    /// Counts of the master's and the slave's loop.
     pub loops: [LoopCounts; 2],
 }
 
-/// What a loop in virtual time and its session counted.
+/// Counts of a loop in virtual time and of its session.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LoopCounts {
     /// Ticks done.
     pub ticks: u64,
-    /// Ticks left out because the endpoint's clock was set forward.
+    /// Ticks skipped because the endpoint's clock was set forward.
     pub skipped: u64,
-    /// What the endpoint's clock showed at the last tick, in ns.
+    /// Reading of the endpoint's clock at the last tick, in ns.
     pub clock_ns: u64,
-    /// Datagrams that the session did not take.
+    /// Datagrams rejected by the session.
     pub rejections: Rejections,
 }
 
 type Datagram = ([u8; MAX_DATAGRAM], usize);
 
-/// What travels, and where it is kept meanwhile: a queue then moves no more than this.
+/// Packet in flight, by slot, so that a queue moves only an index.
 #[derive(Clone, Copy, Debug)]
 enum Sent {
-    /// A frame whose bytes nobody looks at.
+    /// A frame that was not encoded.
     Frame(usize),
     Bytes(usize),
 }
 
-/// A slab of what is in flight: each slot is used again once it is free.
+/// Slab of packets in flight.
 #[derive(Clone)]
 struct Slab<T> {
     slots: Vec<T>,
@@ -114,21 +112,19 @@ impl<T> Slab<T> {
     }
 }
 
-/// The network in one direction.
 #[derive(Clone)]
 struct OneWay {
     link: Link,
     in_flight: InFlight<Sent>,
     frames: Slab<Frame>,
     datagrams: Slab<Datagram>,
-    /// Frames that are sent and not judged yet, and the slots where they are.
+    /// Frames not judged yet, and their slots.
     sent: Vec<Packet>,
     sent_slots: Vec<usize>,
-    /// What becomes of them.
     verdicts: Vec<Verdict>,
     index: u64,
     direction: Direction,
-    /// Bytes of a frame of the sender.
+    /// Bytes of the sender's frames.
     frame_size: usize,
 }
 
@@ -155,7 +151,7 @@ impl OneWay {
         })
     }
 
-    /// Takes a datagram; `back` leads to its sender.
+    /// Carries a datagram; `back` leads to its sender.
     fn carry(&mut self, now_ns: u64, datagram: &[u8], back: &mut Self) {
         self.carry_sent();
         self.judged(now_ns, datagram.len(), back, |to, at_ns, damage| {
@@ -163,8 +159,8 @@ impl OneWay {
         });
     }
 
-    /// The same of the next frame of a side, which is its datagram: it has bytes only where somebody changes them. Where
-    /// nobody does, it waits for [`carry_sent`](Self::carry_sent).
+    /// Carries the next frame of a side in an insecure session. It is encoded only if the link changes packets;
+    /// otherwise it waits for [`carry_sent`](Self::carry_sent).
     #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     fn carry_next_frame(&mut self, side: &mut impl Side, time: LinkTime, now_ns: u64, back: &mut Self) {
         if self.link.changes_packets() {
@@ -185,8 +181,8 @@ impl OneWay {
         debug_assert_eq!(frame.layout().length(), self.frame_size, "what stands in a frame never changes");
     }
 
-    /// Judges the frames that wait. The sides tick some times in a row meanwhile: neither is then in the way of the
-    /// other's code in the processor's cache.
+    /// Judges the waiting frames. Meanwhile a side does several ticks in a row, so that the sides do not evict each
+    /// other's code from the cache.
     fn carry_sent(&mut self) {
         if self.sent.is_empty() {
             return;
@@ -215,7 +211,7 @@ impl OneWay {
         packet
     }
 
-    // Out of the way of the many links that change nothing.
+    // Not inlined, to keep it apart from links that change nothing.
     #[inline(never)]
     fn carry_changing(&mut self, now_ns: u64, frame: &Frame, back: &mut Self) {
         self.check_length(frame);
@@ -228,7 +224,7 @@ impl OneWay {
         });
     }
 
-    /// Hands over each arrival of a datagram of `size` bytes.
+    /// Passes each arrival of a datagram to `push`.
     fn judged(
         &mut self,
         now_ns: u64,
@@ -255,7 +251,6 @@ impl OneWay {
     }
 }
 
-/// The next frame of a side where it is not made in place.
 #[inline(never)]
 fn build_frame(side: &mut impl Side, time: LinkTime) -> Frame {
     let mut frame = Frame::EMPTY;
@@ -263,13 +258,13 @@ fn build_frame(side: &mut impl Side, time: LinkTime) -> Frame {
     frame
 }
 
-/// When the earliest of what is sent at `now_ns` arrives. At one instant the master is first: whenever the slave does that
-/// tick, the master hears of it in its next.
+/// Earliest arrival of a packet sent at `now_ns`. The master ticks first at one instant, so it hears the slave at its
+/// next tick.
 fn earliest_ns(direction: Direction, now_ns: u64) -> u64 {
     if direction == Direction::Backward { now_ns + 1 } else { now_ns }
 }
 
-/// Where a direction keeps what is on its way.
+/// Packets in flight in one direction.
 struct Arrivals<'a> {
     in_flight: &'a mut InFlight<Sent>,
     frames: &'a mut Slab<Frame>,
@@ -277,7 +272,7 @@ struct Arrivals<'a> {
 }
 
 impl Arrivals<'_> {
-    // A full queue drops, as the network would, and counts it.
+    // A full queue drops and counts the packet, as a network would.
 
     fn push_frame(&mut self, at_ns: u64, frame: &Frame) {
         let slot = self.frames.insert(*frame);
@@ -294,19 +289,19 @@ impl Arrivals<'_> {
     }
 }
 
-/// A side with its session, whose entropy its seed decides, and its clock.
+/// A side with its session, seeded entropy and clock.
 struct Loop<'a, S> {
     side: &'a mut S,
     end: SessionEnd,
     entropy: SeededEntropy,
     pace: Pace,
     counts: LoopCounts,
-    /// Whether frames have bytes from the start: those of a secure session, or of a run that asks for it.
+    /// True if frames are encoded from the start.
     encodes: bool,
 }
 
 impl<'a, S: Side> Loop<'a, S> {
-    /// Secure with the seed of its keys, insecure without.
+    /// Creates a loop, secure if `seed` is given.
     fn new(
         side: &'a mut S,
         role: Role,
@@ -328,12 +323,11 @@ impl<'a, S: Side> Loop<'a, S> {
         Ok(Self { side, end, entropy, pace, counts: LoopCounts::default(), encodes })
     }
 
-    /// Whether it has a tick before the end.
     fn goes_on(&self, end_ns: u64) -> bool {
         self.pace.true_ns < end_ns
     }
 
-    /// The tick that is due: it takes what `inward` delivers and sends `outward`, which judges its frames in `carry_sent`.
+    /// Does the due tick, from `inward` to `outward`, which judges its frames in `carry_sent`.
     fn step(&mut self, inward: &mut OneWay, outward: &mut OneWay, record: &mut S::Record) {
         let (now_ns, wake) = (self.pace.true_ns, self.pace.wake());
         let clock_ns = wake.deadline_ns;
@@ -350,7 +344,7 @@ impl<'a, S: Side> Loop<'a, S> {
         while let Some((_, sent)) = inward.in_flight.pop_due(now_ns) {
             match sent {
                 Sent::Frame(slot) => {
-                    // A refusal is counted by the link.
+                    // The link counts a refusal.
                     let _ = self.side.receive_frame(time, &inward.frames.slots[slot]);
                     inward.frames.free.push(slot);
                 }
@@ -375,7 +369,7 @@ impl<'a, S: Side> Loop<'a, S> {
                 outward.carry(now_ns, datagram, inward);
             }
         } else {
-            // A session without security is open at any time, and seals nothing.
+            // An insecure session is always open and seals nothing.
             outward.carry_next_frame(self.side, time, now_ns, inward);
         }
         self.pace.wait_after(&wake);
@@ -384,17 +378,16 @@ impl<'a, S: Side> Loop<'a, S> {
         self.counts.clock_ns = clock_ns;
     }
 
-    /// Takes a datagram of bytes.
     fn open(&mut self, time: LinkTime, slot: usize, inward: &mut OneWay, outward: &mut OneWay) {
         let (mut bytes, length) = inward.datagrams.slots[slot];
         inward.datagrams.free.push(slot);
         match self.end.receive(time.tick_ns, &mut bytes[..length], &mut self.entropy) {
-            // A refusal is counted by the link.
+            // The link counts a refusal.
             Ok(Received::Payload { payload, .. }) => {
                 let _ = self.side.receive(time, payload);
             }
             Ok(Received::Reply(answer)) => outward.carry(self.pace.true_ns, &answer, inward),
-            // A rejection is counted by the session.
+            // The session counts a rejection.
             Ok(Received::Nothing) | Err(_) => {}
         }
     }
@@ -411,7 +404,7 @@ fn damaged(sent: &[u8], damage: &Damage) -> Datagram {
     (buffer, length)
 }
 
-/// What happened next.
+/// Next event of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Event<'a, M, S> {
     /// The master ticked.
@@ -420,14 +413,15 @@ pub enum Event<'a, M, S> {
     Slave(&'a S),
 }
 
-/// Runs both sides, each at its own rate, and hands each tick's record and both sides to `observe`, until that breaks
-/// off or the master has done its ticks.
+/// Runs both sides at their own rates. Passes each record and both sides to `observe`, until it breaks off or the
+/// master has done its ticks.
 ///
-/// The next of the two loops to tick takes the frames that are due by then, ticks and sends; at the same instant the
-/// master is first. A frame without delay therefore reaches the slave in the same tick and the master in the next.
-/// Both loops begin at time 0. Plants and network live in true time, each endpoint by its own clock: its loop waits
-/// on that, so that a drift stretches the true period, and where it is set forward the loop finds itself late, as a
-/// live one does that was suspended. In a secure session the first ticks send nothing but the handshake.
+/// The loop that is next takes the frames due by then, ticks and sends; at the same instant the master is first. A
+/// frame without delay reaches the slave in the same tick, the master in the next.
+///
+/// Both loops begin at time 0. Plants and network use true time, each loop its endpoint's clock. A drift stretches
+/// the true period. A clock set forward makes the loop late, as after a suspend. In a secure session the first ticks
+/// send only the handshake.
 pub fn run_virtual<M: Side, S: Side>(
     settings: &VirtualSettings,
     master: &mut M,
@@ -454,12 +448,12 @@ pub fn run_virtual<M: Side, S: Side>(
     Ok(run.counts())
 }
 
-/// Most ticks that a side does in a row: so many that its code is in the processor's cache for most of them, so few
-/// that their records are, too.
+/// Maximum number of ticks of a side in a row: enough to keep its code in the cache, few enough to keep their records
+/// there.
 pub(crate) const MAX_AHEAD: usize = 64;
 
-/// As [`run_virtual`], with the same records in the same order, for who does not look at what the sides have beside
-/// them: these may be some ticks ahead by then, and what they counted after a break goes further.
+/// As [`run_virtual`], with the same records in the same order, for callers that read only records. The sides may be
+/// some ticks ahead of `observe`, and so may their counts after a break.
 pub(crate) fn run_virtual_ahead<M: Side, S: Side>(
     settings: &VirtualSettings,
     master: &mut M,
@@ -471,10 +465,10 @@ pub(crate) fn run_virtual_ahead<M: Side, S: Side>(
     Ok(ahead.counts())
 }
 
-/// A run whose sides are some ticks ahead of what was observed of them.
+/// A run whose sides are some ticks ahead of `observe`.
 ///
-/// The code of both sides together is larger than the first cache of a processor. So each side does some ticks in a
-/// row, as far as the link says that nothing will arrive by then which has not been sent.
+/// The code of both sides exceeds the first cache. So a side does several ticks in a row, as long as no packet still
+/// to be sent can arrive by then.
 ///
 /// Source: K. M. Chandy, J. Misra, "Distributed simulation: a case study in design and verification of distributed
 /// programs", IEEE Trans. Softw. Eng. 5, 1979 (lookahead of a channel that keeps the order).
@@ -484,14 +478,14 @@ pub(crate) struct Ahead<'a, M: Side, S: Side> {
     far: Unseen<S::Record>,
 }
 
-/// True time in ns and record of each tick that was not observed yet, the oldest first.
+/// True time in ns and record of each unobserved tick, the oldest first.
 ///
-/// Most times all are observed before there are more, so they need not go in a circle.
+/// Usually all are observed before more are added: no ring is needed.
 struct Unseen<R> {
-    /// The first `kept` are of ticks, the rest is room to write into.
+    /// The first `kept` are ticks, the rest is free.
     ticks: Vec<(u64, R)>,
     kept: usize,
-    /// How many of these were observed.
+    /// Number of those that were observed.
     seen: usize,
 }
 
@@ -500,7 +494,7 @@ impl<R: Copy + Default> Unseen<R> {
         Self { ticks: Vec::new(), kept: 0, seen: 0 }
     }
 
-    /// Lets go of those that were observed; before more are kept.
+    /// Drops observed ticks. Call before adding more.
     fn forget_seen(&mut self) {
         self.ticks.copy_within(self.seen..self.kept, 0);
         self.kept -= self.seen;
@@ -508,7 +502,7 @@ impl<R: Copy + Default> Unseen<R> {
         self.ticks.resize_with(MAX_AHEAD, Default::default);
     }
 
-    /// The slot for the record of a tick at `true_ns`; none if all are taken. Before any of these was observed.
+    /// Slot for a tick at `true_ns`; `None` if full. Call before any is observed.
     fn push_slot(&mut self, true_ns: u64) -> Option<&mut R> {
         debug_assert_eq!(self.seen, 0, "forget_seen comes first");
         let (at_ns, record) = self.ticks.get_mut(self.kept)?;
@@ -521,13 +515,12 @@ impl<R: Copy + Default> Unseen<R> {
         &self.ticks[self.seen..self.kept]
     }
 
-    /// A copy without those that were observed, which takes no more memory than it needs.
+    /// Copies the unobserved ticks, without spare capacity.
     fn copied(&self) -> Self {
         Self { ticks: self.unseen().to_vec(), kept: self.unseen().len(), seen: 0 }
     }
 }
 
-/// True time in ns of the first of these ticks, else of the next.
 fn first_ns<R>(ticks: &[(u64, R)], next_ns: u64) -> u64 {
     ticks.first().map_or(next_ns, |(at_ns, _)| *at_ns)
 }
@@ -543,7 +536,8 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
         Ok(Self { run, near: Unseen::new(), far: Unseen::new() })
     }
 
-    /// Some ticks of each side, and what of them nothing earlier can follow to be observed; breaks where the run ends.
+    /// Does some ticks of each side, then observes those that no earlier tick can follow. Breaks at the end of the
+    /// run.
     pub(crate) fn advance(
         &mut self,
         observe: &mut impl FnMut(Event<'_, M::Record, S::Record>, (&M, &S)) -> ControlFlow<()>,
@@ -551,7 +545,7 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
         let Self { run: Run { master, slave, forward, backward, end_ns }, near, far } = self;
         near.forget_seen();
         far.forget_seen();
-        // What is sent later arrives later than it is sent. At the same instant the master is first.
+        // A packet sent later arrives later than it is sent. At the same instant the master is first.
         while master.goes_on(*end_ns)
             && (master.pace.true_ns <= slave.pace.true_ns
                 || master.pace.true_ns < backward.link.earliest_later_ns())
@@ -568,14 +562,14 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
             slave.step(forward, backward, record);
         }
         backward.carry_sent();
-        // In the order of time, the master first at the same instant. Where no tick of a side is kept any more, its next one bounds
-        // what may be observed.
+        // In order of time, the master first at the same instant. The next tick of a side without unobserved ticks
+        // bounds the other's.
         let next_ns = [master.pace.true_ns, slave.pace.true_ns];
         let has_ended = !master.goes_on(*end_ns) && !slave.goes_on(*end_ns);
         let sides = (&*master.side, &*slave.side);
         let (mut near_left, mut far_left) = (near.unseen(), far.unseen());
         let flow = loop {
-            // Observed where it is: a record is large to move.
+            // Observed in place: a record is large to move.
             let event = if first_ns(near_left, next_ns[0]) <= first_ns(far_left, next_ns[1]) {
                 let Some(((_, record), left)) = near_left.split_first() else { break None };
                 near_left = left;
@@ -590,7 +584,7 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
                 break Some(flow);
             }
         };
-        // All kept ticks are before the end, and so before the next one of a side that has ended.
+        // All kept ticks are before the end, so before the next tick of an ended side.
         debug_assert!(!has_ended || flow.is_some() || (near_left.is_empty() && far_left.is_empty()));
         (near.seen, far.seen) = (near.kept - near_left.len(), far.kept - far_left.len());
         flow.unwrap_or(if has_ended { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
@@ -600,18 +594,17 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
         self.run.counts()
     }
 
-    /// The side of the hand as it stands, which may be ahead of what was observed of it.
+    /// The master side, which may be ahead of `observe`.
     pub(crate) fn master(&self) -> &M {
         self.run.master.side
     }
 
-    /// Ticks of the master that were not observed yet.
+    /// Unobserved ticks of the master.
     pub(crate) fn unseen_of_master(&self) -> impl Iterator<Item = &M::Record> {
         self.near.unseen().iter().map(|(_, record)| record)
     }
 
-    /// The run as it stands; none where sessions have a part in it: with security, frames as bytes, or a network that
-    /// changes what it carries.
+    /// Copies the run. `None` with security, encoded frames, or a network that changes packets.
     pub(crate) fn snapshot(&self) -> Option<Snapshot<M, S>>
     where
         M: Clone,
@@ -633,7 +626,7 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
         })
     }
 
-    /// Goes on from a snapshot of a run of the same settings, with sides that are to stand as those in it.
+    /// Resumes a snapshot of a run of the same settings, with sides in its state.
     pub(crate) fn resume(
         settings: &VirtualSettings,
         snapshot: &Snapshot<M, S>,
@@ -648,11 +641,9 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
     }
 }
 
-/// A run between two ticks, to go on from more than once.
+/// A run between two ticks, for repeated resumption.
 pub(crate) struct Snapshot<M: Side, S: Side> {
-    /// The side of the hand.
     pub(crate) master: M,
-    /// The side of the robot.
     pub(crate) slave: S,
     paces: [Pace; 2],
     counts: [LoopCounts; 2],
@@ -662,7 +653,6 @@ pub(crate) struct Snapshot<M: Side, S: Side> {
     far: Unseen<S::Record>,
 }
 
-/// Both loops and the network between them.
 struct Run<'a, M, S> {
     master: Loop<'a, M>,
     slave: Loop<'a, S>,
@@ -681,7 +671,6 @@ impl<'a, M: Side, S: Side> Run<'a, M, S> {
         Self::of(settings, master, slave, [forward, backward])
     }
 
-    /// Of sides that have begun.
     fn of(
         settings: &VirtualSettings,
         master: &'a mut M,
@@ -712,9 +701,9 @@ impl<'a, M: Side, S: Side> Run<'a, M, S> {
 mod tests {
     use super::*;
 
-    /// Against a list to which ticks are added and from which those that were observed are taken.
+    /// Compares with a plain list.
     #[test]
-    fn what_was_not_observed_is_kept_in_its_order() {
+    fn unobserved_ticks_keep_their_order() {
         let (mut unseen, mut expected) = (Unseen::<u64>::new(), Vec::new());
         let mut time_ns = 0;
         for round in 0..50 {

@@ -1,4 +1,4 @@
-//! What stands between a live side and its socket: a session that seals and opens, and keys from another thread.
+//! Channel between a live side and its socket: a session, with keys from another thread.
 
 use haptether_netsim::Asker;
 #[cfg(target_os = "linux")]
@@ -17,34 +17,34 @@ use crate::{
     wire::{FrameLayout, Role, hears_peer},
 };
 
-/// How the frames of a live run travel.
+/// Protection of the frames of a live run.
 #[derive(Debug)]
 pub enum Security {
-    /// Encrypted and authenticated with the key that both sides share.
+    /// Encrypted and authenticated with the shared key.
     Secure(PreSharedKey),
-    /// In the clear: anybody who can send can steer.
+    /// Unprotected: anybody who can send can steer.
     Insecure,
 }
 
-/// Shortest period of a peer in ns that the window against replay holds 2 s of.
+/// Shortest peer period in ns for which the replay window holds 2 s.
 const PEER_PERIOD_NS: u64 = 100_000;
-/// How often the handshakes get the standing of the session, in ticks.
+/// Ticks between reports of the session's standing.
 const STANDING_EVERY: u64 = 4;
-/// Answers of the handshakes that one tick takes.
+/// Answers of the handshakes taken per tick.
 const MAX_ANSWERS: usize = 4;
-/// How often a release is sent after the last frames: datagrams get lost.
+/// Releases sent at the end, since datagrams get lost.
 pub(super) const RELEASES: usize = 5;
 
-/// No core file of this process, and no debugger of another user's: keys lie in its memory from here on.
+/// Forbids core files and other users' debuggers: keys are in memory.
 fn forbid_dumps() {
     let no_core = Rlimit { current: Some(0), ..getrlimit(Resource::Core) };
-    // Where the system has neither, nothing is lost but this.
+    // Optional on systems without it.
     let _ = setrlimit(Resource::Core, no_core);
     #[cfg(target_os = "linux")]
     let _ = set_dumpable_behavior(DumpableBehavior::NotDumpable);
 }
 
-/// The session of a live side.
+/// Session of a live side.
 #[derive(Debug)]
 pub(super) struct LiveChannel {
     pub(super) session: Session,
@@ -53,7 +53,7 @@ pub(super) struct LiveChannel {
 }
 
 impl LiveChannel {
-    /// A session of frames of this layout and number of axes; without keys yet, if it is secure.
+    /// Creates a session for a layout; a secure one has no keys yet.
     pub(super) fn start(
         role: Role,
         layout: FrameLayout,
@@ -77,7 +77,7 @@ impl LiveChannel {
         })
     }
 
-    /// Opens a datagram in place and hands what it holds to the side.
+    /// Opens a datagram in place for the side.
     pub(super) fn receive(
         &mut self,
         time: LinkTime,
@@ -86,7 +86,7 @@ impl LiveChannel {
         side: &mut (impl Side + ?Sized),
     ) -> Received {
         let now_ns = time.tick_ns;
-        // Opening changes what is encrypted.
+        // Read first: opening modifies encrypted bytes.
         let (header, is_secure) = (header_of(datagram), self.session.is_secure());
         let unknown = |rejection| {
             stranger(header.as_ref(), is_secure, rejection).map_or(Received::Nothing, Received::Stranger)
@@ -104,13 +104,13 @@ impl LiveChannel {
             }
             Err(Rejection::Repeated) => return Received::Repeat,
             Ok(Incoming::Release) => side.exchange_mut().peer_ended(),
-            // A rejection is counted by the session.
+            // The session counts a rejection.
             Err(rejection) => return unknown(Some(rejection)),
         }
         Received::Nothing
     }
 
-    /// Lets time pass, and takes new keys; hands each handshake, and where it goes, to `send`, each event to `report`.
+    /// Advances time and takes new keys. Passes handshakes with destination to `send`, events to `report`.
     pub(super) fn advance(
         &mut self,
         now_ns: u64,
@@ -144,7 +144,7 @@ impl LiveChannel {
         }
     }
 
-    /// Ends the handshakes; returns what was not taken, by cause.
+    /// Ends the handshakes. Returns the rejections, by cause.
     pub(super) fn end(&mut self) -> Rejections {
         let more = self.handshakes.as_mut().map(Handshakes::end).unwrap_or_default();
         self.session.rejections() + more

@@ -1,4 +1,4 @@
-//! A driver that does not return: a thread of its own turns the loop meanwhile, so that both sides say why.
+//! Watch for a blocked driver: a thread steps the loop, so that both sides report why.
 
 use std::{
     io,
@@ -13,47 +13,46 @@ use std::{
 use super::{run::DriverLoop, system};
 use crate::fault_text::FaultText;
 
-/// From one look at the driver to the next.
+/// Polling interval.
 const LOOK: Duration = Duration::from_millis(50);
-/// A driver has not returned if so many looks in a row find it in the same call. While this process stands still, there
-/// are none.
+/// Consecutive polls in one call after which a driver is blocked. A suspended process does not poll.
 const LOOKS: u32 = 10;
-/// The same of the first `read`, in which an arm may be given its torque.
+/// The same for the first `read`, which may give an arm its torque.
 const FIRST_LOOKS: u32 = 20;
 
-/// Bytes of its stack, which are locked: a tick takes a few tens of KiB.
+/// Bytes of the locked stack: a tick takes a few tens of KiB.
 const STACK: usize = 1 << 19;
-/// How long the watch waits for a loop that another thread has.
+/// Wait in ns for a loop that another thread holds.
 const MAX_TURN_NS: u64 = 10_000_000;
 
-/// Where the thread of a driver is.
+/// Present call of the driver's thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DriverCall {
     /// In the loop, or at rest.
     None = 0,
     /// In `read`.
     Read = 1,
-    /// In `write`, or in what else follows a tick.
+    /// In `write` or in other work after a tick.
     Write = 2,
 }
 
-/// The calls of a driver: its thread notes them, and [`watch_driver`] reads them.
+/// Calls of a driver: its thread writes them, [`watch_driver`] reads them.
 #[derive(Debug, Default)]
 pub struct DriverCalls {
-    /// How many there were, times 4, and the newest [`DriverCall`].
+    /// Number of calls times 4, plus the newest [`DriverCall`].
     newest: AtomicU64,
-    /// The one that the watch found not to return.
+    /// The call that was found blocked.
     blocked: AtomicU64,
 }
 
 impl DriverCalls {
-    /// The driver's thread is there from now on. Only that thread calls it.
+    /// Marks the start of a call, on the driver's thread only.
     pub fn enter(&self, call: DriverCall) {
         let before = self.newest.load(Ordering::Relaxed) | 3;
         self.newest.store(before.wrapping_add(1) | call as u64, Ordering::Relaxed);
     }
 
-    /// Whether the newest call has not returned for so long that the watch has told both sides.
+    /// Returns whether the newest call is blocked, as the watch has told both sides.
     pub fn is_blocked(&self) -> bool {
         let newest = self.newest();
         newest != 0 && newest == self.blocked.load(Ordering::Relaxed)
@@ -64,14 +63,14 @@ impl DriverCalls {
     }
 }
 
-/// Starts the thread that looks after the driver `name` of a loop; it ends with the loop.
+/// Starts the thread that watches the driver `name` of a loop; it ends with the loop.
 ///
-/// Once a call has not returned for 0.5 s, the side goes to FAULT with a text that names the call. The thread turns the
-/// loop until the driver returns: frames, records and telemetry go on. At a stop it announces the end to the peer.
+/// After 0.5 s in one call the side goes to FAULT with a text that names the call. The thread steps the loop until
+/// the driver returns: frames, records and telemetry go on. At a stop it announces the end to the peer.
 ///
 /// # Errors
 ///
-/// The system has no room for a thread.
+/// The system cannot create a thread.
 pub fn watch_driver<L>(paced: &Arc<Mutex<Box<L>>>, calls: &Arc<DriverCalls>, name: String) -> io::Result<()>
 where
     L: DriverLoop + Send + ?Sized + 'static,
@@ -111,7 +110,7 @@ fn watch<L: DriverLoop + ?Sized>(paced: &Weak<Mutex<Box<L>>>, calls: &DriverCall
                     Some(next_ns) => next_ns,
                     None => return,
                 },
-                // Whoever ends the loop has it.
+                // The thread that ends the loop holds it.
                 Err(TryLockError::WouldBlock) => system::now_ns() + MAX_TURN_NS,
                 Err(TryLockError::Poisoned(_)) => return,
             };

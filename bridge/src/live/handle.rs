@@ -1,4 +1,4 @@
-//! What leads to and from a live loop: commands, what it shares with those who watch it, and where its records go.
+//! Inputs and outputs of a live loop: commands, shared state, sinks of records.
 
 use std::{
     net::SocketAddr,
@@ -21,7 +21,7 @@ use crate::{
     wire::Role,
 };
 
-/// Commands and shows a loop from any thread, without a lock.
+/// Lock-free handle to a loop, for any thread.
 #[derive(Clone, Debug)]
 pub struct LiveHandle(Arc<Shared>);
 
@@ -31,37 +31,36 @@ impl LiveHandle {
         self.0.stop.store(true, Ordering::Relaxed);
     }
 
-    /// Whether the loop was stopped, or has ended by itself where a driver steps it.
+    /// Returns whether the loop was stopped, or ended by itself under a driver.
     pub fn is_stopped(&self) -> bool {
         self.0.stop.load(Ordering::Relaxed)
     }
 
-    /// Whether the loop has ended: no force, no motion, and the peer has been sent the end.
+    /// Returns whether the loop has ended: no force, no motion, peer notified.
     pub fn is_at_rest(&self) -> bool {
         self.0.at_rest.load(Ordering::Relaxed)
     }
 
-    /// Releases the clutch for a moment and presses it again, on command of the operator at this side only. Void if the
-    /// loop does not read it within 0.25 s, or was late within 0.25 s before: its time is not known then.
+    /// Releases the clutch briefly and presses it again, for the operator at this side only. Void if not read within
+    /// 0.25 s, or within 0.25 s after a stall, when its time is unknown.
     pub fn press_clutch(&self) {
         self.0.press_ns.store(system::now_ns().max(1), Ordering::Relaxed);
     }
 
-    /// Lets another master begin, if the one before has been silent for 2 s; on command of the operator at the slave
-    /// only. Void as [`Self::press_clutch`].
+    /// Lets another master begin after 2 s of silence, for the operator at the slave only. Void as
+    /// [`Self::press_clutch`].
     pub fn allow_takeover(&self) {
         self.0.takeover_ns.store(system::now_ns().max(1), Ordering::Relaxed);
     }
 
-    /// The operator says that the fault of a device that a driver steps is mended: the driver takes it, by
-    /// [`Self::take_acknowledgement`].
+    /// Acknowledges a device fault. The driver takes it by [`Self::take_acknowledgement`].
     pub fn acknowledge_device(&self) {
         self.0.acknowledged_ns.store(system::now_ns().max(1), Ordering::Relaxed);
     }
 
-    /// Whether [`Self::acknowledge_device`] was called since the last time, and within 0.25 s.
+    /// Takes an acknowledgement of the last 0.25 s.
     pub fn take_acknowledgement(&self) -> bool {
-        // Of each tick: the swap is for those in which there is one.
+        // Called each tick: swap only if needed.
         if self.0.acknowledged_ns.load(Ordering::Relaxed) == 0 {
             return false;
         }
@@ -69,24 +68,23 @@ impl LiveHandle {
         system::now_ns().saturating_sub(at_ns) <= PROMPT_NS
     }
 
-    /// How often a press did nothing, and why the last one did not: [`Self::press_clutch`], or a start that was too
-    /// old.
+    /// Number of ineffective presses and reason of the last: [`Self::press_clutch`], or an expired start.
     pub fn ineffective_presses(&self) -> (u64, Option<Ineffective>) {
         let count = self.0.ineffective_presses.load(Ordering::Acquire);
         (count, Ineffective::from_code(self.0.ineffective.load(Ordering::Relaxed)))
     }
 
-    /// True if the start was to press the clutch, was too long ago, and no button of the device can press instead.
+    /// True if the start expired as a press and no button can press instead.
     pub fn is_start_void(&self) -> bool {
         self.0.is_start_void.load(Ordering::Relaxed)
     }
 
-    /// Where the ladder stands.
+    /// State of the ladder.
     pub fn state(&self) -> LadderState {
         LadderState::from_code(self.0.state.load(Ordering::Relaxed)).unwrap_or(LadderState::Disengaged)
     }
 
-    /// Whether the peer has answered a frame of this side.
+    /// Returns whether the peer has answered a frame of this side.
     pub fn is_answered(&self) -> bool {
         self.0.answered.load(Ordering::Relaxed)
     }
@@ -97,63 +95,62 @@ impl LiveHandle {
     }
 }
 
-/// The outer ends of a loop's rings but that of its records; the loop never waits for them.
+/// Reading ends of a loop's rings, except records. The loop never waits for them.
 #[derive(Debug)]
 pub struct LiveWatch {
     handle: LiveHandle,
     events: rtrb::Consumer<SecurityEvent>,
     flights: rtrb::Consumer<FlightRecorder>,
-    /// The newest that was taken.
+    /// Newest taken.
     flight: Option<Box<FlightRecorder>>,
     diagnoses: rtrb::Consumer<Option<Diagnosis>>,
-    /// The newest that was taken.
+    /// Newest taken.
     diagnosis: Option<Diagnosis>,
     commands: rtrb::Producer<(u64, OperatorCommand)>,
-    /// Until [`Self::port`] has handed it out.
+    /// Until [`Self::port`] hands it out.
     port: Option<ControlPort>,
     address: SocketAddr,
     recording: Option<Recording>,
 }
 
 impl LiveWatch {
-    /// For threads that must not wait for whoever reads the rings.
+    /// Handle for threads independent of the rings' reader.
     pub fn handle(&self) -> &LiveHandle {
         &self.handle
     }
 
-    /// Takes what happened to the session.
+    /// Takes the events of the session.
     pub fn drain_events(&mut self, mut take: impl FnMut(SecurityEvent)) {
         while let Ok(event) = self.events.pop() {
             take(event);
         }
     }
 
-    /// The way in for a thread that serves others; none a second time.
+    /// Takes the port for a thread that serves clients; once.
     pub fn port(&mut self) -> Option<ControlPort> {
         self.port.take()
     }
 
-    /// Where the socket listens.
+    /// Local address of the socket.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// How the recording stands; none if there is none.
+    /// State of the recording, if any.
     pub fn recording(&self) -> Option<RecordingReport> {
         self.recording.as_ref().map(Recording::report)
     }
 
-    /// Hands a command to the loop, which carries it out at its next tick. An acknowledgement is void if the loop does not
-    /// read it within 0.25 s.
+    /// Queues a command for the next tick. An acknowledgement is void if not read within 0.25 s.
     ///
     /// # Errors
     ///
-    /// A scale out of its bounds, as the clutch was at the last tick, and too many commands that wait.
+    /// A scale out of bounds, given the last known clutch, or a full queue.
     pub fn command(&mut self, command: OperatorCommand) -> Result<(), CommandError> {
         self.handle.0.give(&mut self.commands, command)
     }
 
-    /// The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before.
+    /// Flight recorder as JSON, of the last STOP or FAULT or the end; `None` before.
     pub fn flight(&mut self) -> Option<String> {
         while let Ok(flight) = self.flights.pop() {
             self.flight = Some(Box::new(flight));
@@ -161,7 +158,7 @@ impl LiveWatch {
         self.flight.as_ref().map(|flight| flight.to_json())
     }
 
-    /// Why the two sides are not coupled, where it happened and what to do; none where nothing is wrong.
+    /// Cause, location and remedy of the sides not being coupled; `None` if nothing is wrong.
     pub fn diagnosis(&mut self) -> Option<&Diagnosis> {
         while let Ok(diagnosis) = self.diagnoses.pop() {
             self.diagnosis = diagnosis;
@@ -169,7 +166,7 @@ impl LiveWatch {
         self.diagnosis.as_ref()
     }
 
-    /// The loop is over: what it reported last counts.
+    /// Takes the last report of a finished loop.
     pub fn ended(&mut self, flight: Option<Box<FlightRecorder>>) {
         while self.flights.pop().is_ok() {}
         self.flight = flight.or(self.flight.take());
@@ -180,7 +177,7 @@ impl LiveWatch {
     }
 }
 
-/// Commands a loop from one thread, beside a [`LiveWatch`] on another; the loop never waits for it.
+/// Command port for another thread than that of [`LiveWatch`]. The loop never waits for it.
 #[derive(Debug)]
 pub struct ControlPort {
     handle: LiveHandle,
@@ -188,7 +185,6 @@ pub struct ControlPort {
 }
 
 impl ControlPort {
-    /// Stops, presses, and says where the loop stands.
     pub fn handle(&self) -> &LiveHandle {
         &self.handle
     }
@@ -199,18 +195,18 @@ impl ControlPort {
     }
 }
 
-/// Why a command was not handed to a loop.
+/// Reason why a command was not queued.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum CommandError {
-    /// A scale that may not be had now.
+    /// A scale that is not allowed now.
     #[error(transparent)]
     Refused(#[from] CouplingError),
-    /// Too many commands wait.
+    /// The queue is full.
     #[error("the loop has not done what it was told before: is it running?")]
     Full,
 }
 
-/// Gets the records that a loop has kept, once it has ended.
+/// Receives the kept records of a loop once it has ended.
 #[derive(Debug)]
 pub struct RecordReader<R> {
     records: mpsc::Receiver<Newest<R>>,
@@ -219,33 +215,33 @@ pub struct RecordReader<R> {
 }
 
 impl<R> RecordReader<R> {
-    /// How many records the loop keeps by now.
+    /// Number of records that the loop keeps by now.
     pub fn kept(&self) -> usize {
         usize::try_from(self.handle.ticks()).map_or(self.room, |ticks| ticks.min(self.room))
     }
 
-    /// The newest records, the oldest of them first; none before the loop has ended, and none a second time.
+    /// Newest records, oldest first. Empty before the end of the loop, and after the first call.
     pub fn take(&self) -> Vec<R> {
         self.records.try_recv().unwrap_or_default().into_records()
     }
 }
 
-/// Why a press of the clutch did nothing.
+/// Reason why a press of the clutch did nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Ineffective {
-    /// Something else must be done before; the diagnosis says what.
+    /// Something else must be done first; see the diagnosis.
     NotYet = 1,
-    /// The loop was late: nobody knows when it was done.
+    /// The loop was late, so the time of the press is unknown.
     Late,
     /// The device has a button of its own.
     HasButton,
-    /// The start, which is a press, was too long ago when the loop began.
+    /// The start, which is a press, had expired.
     OldStart,
 }
 
 impl Ineffective {
-    /// As the operator reads it; none where the diagnosis has a text.
+    /// Text for the operator; `None` if the diagnosis has one.
     pub fn text(self) -> Option<&'static str> {
         match self {
             Self::NotYet => None,
@@ -260,32 +256,30 @@ impl Ineffective {
     }
 }
 
-/// What the loop and those who watch it both see.
+/// State shared by the loop and its watchers.
 #[derive(Debug)]
 pub(super) struct Shared {
     role: Role,
-    /// Bounds of the scales of the side.
     ranges: ScaleRanges,
-    /// Whether its clutch is open, and nothing is left of a coupling.
+    /// True if the clutch is open and no coupling remains.
     pub(super) is_open: AtomicBool,
     pub(super) stop: AtomicBool,
     pub(super) state: AtomicU8,
     pub(super) ticks: AtomicU64,
-    /// The peer has answered a frame.
     pub(super) answered: AtomicBool,
-    /// When a press and a takeover were commanded last, in ns; 0 where not since the loop looked.
+    /// Times of the last press and takeover in ns; 0 once taken.
     press_ns: AtomicU64,
     takeover_ns: AtomicU64,
-    /// When the fault of a driver's device was acknowledged, in ns; 0 where it was taken.
+    /// Time of the acknowledgement in ns; 0 once taken.
     acknowledged_ns: AtomicU64,
-    /// Presses that did nothing, and why the last of them did not.
+    /// Number of ineffective presses, and reason of the last.
     ineffective_presses: AtomicU64,
     ineffective: AtomicU8,
-    /// The start was too old, and no button of the device can press instead.
+    /// The start expired as a press and the device has no button.
     pub(super) is_start_void: AtomicBool,
-    /// The device has failed, and the loop ends by that.
+    /// The device has failed, which ends the loop.
     pub(super) ends: AtomicBool,
-    /// No force, no motion, and the peer has been sent the end.
+    /// No force, no motion, peer notified.
     pub(super) at_rest: AtomicBool,
 }
 
@@ -310,7 +304,7 @@ impl Shared {
         }
     }
 
-    /// Hands a command to the loop. Whoever commands is answered here; the side checks it once more when it takes it.
+    /// Queues a command. Errors go to the caller; the side checks again.
     fn give(
         &self,
         commands: &mut rtrb::Producer<(u64, OperatorCommand)>,
@@ -320,35 +314,33 @@ impl Shared {
         commands.push((system::now_ns(), command)).map_err(|_| CommandError::Full)
     }
 
-    /// Whether the loop must end: it was stopped, or the process has no memory left.
+    /// Returns whether the loop was stopped or memory is exhausted.
     pub(super) fn must_end(&self) -> bool {
         self.stop.load(Ordering::Relaxed) || system::is_exhausted()
     }
 
-    /// Why the two sides are not coupled, as the recorder of a side has it.
+    /// Diagnosis of a recorder, marked if it ends the loop.
     pub(super) fn diagnosis(&self, flight: &FlightRecorder) -> Option<Diagnosis> {
         let ends = self.ends.load(Ordering::Relaxed);
         flight.diagnosis().map(|diagnosis| Diagnosis { ends, ..*diagnosis })
     }
 
-    /// A press did nothing.
     pub(super) fn reject_press(&self, why: Ineffective) {
         self.ineffective.store(why as u8, Ordering::Relaxed);
         self.ineffective_presses.fetch_add(1, Ordering::Release);
     }
 }
 
-/// The commands that wait for the loop, each with the time in ns at which it was given.
+/// Commands that wait for the loop, each with its time in ns.
 pub(super) struct CommandQueue {
     started_ns: Option<u64>,
     given: rtrb::Consumer<(u64, OperatorCommand)>,
-    /// Of the control port.
+    /// From the control port.
     controlled: rtrb::Consumer<(u64, OperatorCommand)>,
 }
 
 impl CommandQueue {
-    /// The next one: the start, what any thread has commanded through its handle, then those of the watch and of
-    /// the control port, each in their order.
+    /// The next command: the start, those of handles, of the watch, of the control port.
     pub(super) fn next(&mut self, shared: &Shared) -> Option<(u64, OperatorCommand)> {
         if let Some(started_ns) = self.started_ns.take() {
             return Some((started_ns, OperatorCommand::Start));
@@ -365,14 +357,14 @@ impl CommandQueue {
     }
 }
 
-/// Who gets every record of a loop; nobody by default.
+/// Receivers of every record of a loop; none by default.
 #[derive(Debug)]
 pub struct RecordOutputs<R> {
-    /// Its [`RecordReader`], at the end.
+    /// For its [`RecordReader`], at the end.
     pub newest: Newest<R>,
-    /// A file.
+    /// Recording to a file.
     pub recorder: Option<Recorder<R>>,
-    /// Whoever looks on.
+    /// Telemetry to readers.
     pub telemetry: Option<Telemetry<R>>,
 }
 
@@ -382,7 +374,7 @@ impl<R> Default for RecordOutputs<R> {
     }
 }
 
-/// Where the records of a loop go; nobody there is ever waited for.
+/// Sinks of records; the loop never waits for them.
 #[derive(Debug)]
 pub(super) struct RecordSinks<R> {
     to_reader: mpsc::SyncSender<Newest<R>>,
@@ -390,14 +382,14 @@ pub(super) struct RecordSinks<R> {
 }
 
 impl<R: Copy> RecordSinks<R> {
-    /// The loop's time 0, on the monotonic clock.
+    /// Starts at the loop's time 0, on the monotonic clock.
     pub(super) fn start(&self, now_ns: u64) {
         if let Some(recorder) = &self.outputs.recorder {
             recorder.start(now_ns);
         }
     }
 
-    /// Hands a record to all; returns whether all before it are still kept.
+    /// Passes a record to all sinks. Returns whether all earlier ones are kept.
     pub(super) fn push(&mut self, record: R) -> bool {
         if let Some(recorder) = &mut self.outputs.recorder {
             recorder.take(record);
@@ -408,15 +400,14 @@ impl<R: Copy> RecordSinks<R> {
         self.outputs.newest.push(record)
     }
 
-    /// Hands on what the link has counted.
     pub(super) fn count_link(&self, link: &LinkStatistics) {
         if let Some(telemetry) = &self.outputs.telemetry {
             telemetry.count_link(link);
         }
     }
 
-    /// Hands on why the two sides are not coupled, since `time_ns` after the start or shortly before; none where that
-    /// is over, which a recording does not say.
+    /// Passes on why the sides are not coupled, since `time_ns` after the start or shortly before. `None` ends a
+    /// cause, which is not recorded.
     pub(super) fn note(&mut self, time_ns: u64, diagnosis: Option<&Diagnosis>) {
         if let (Some(recorder), Some(diagnosis)) = (&mut self.outputs.recorder, diagnosis) {
             recorder.note(time_ns, diagnosis);
@@ -426,7 +417,7 @@ impl<R: Copy> RecordSinks<R> {
         }
     }
 
-    /// Ends the telemetry and the recording of a loop.
+    /// Ends telemetry and recording.
     pub(super) fn end(mut self) -> Option<RecordingReport> {
         if let Some(telemetry) = self.outputs.telemetry.take() {
             telemetry.end();
@@ -434,17 +425,17 @@ impl<R: Copy> RecordSinks<R> {
         self.abandon()
     }
 
-    /// Closes both where no loop began.
+    /// Closes both if no loop began.
     pub(super) fn abandon(self) -> Option<RecordingReport> {
         let RecordOutputs { newest, recorder, telemetry } = self.outputs;
         drop(telemetry);
-        // Nobody may be there any more.
+        // The reader may be gone.
         let _ = self.to_reader.try_send(newest);
         recorder.map(Recorder::end)
     }
 }
 
-/// The loop's ends of what leads to and from it.
+/// The loop's ends of its rings.
 pub(super) struct LoopChannels {
     pub(super) events: rtrb::Producer<SecurityEvent>,
     pub(super) flights: rtrb::Producer<FlightRecorder>,
@@ -452,16 +443,16 @@ pub(super) struct LoopChannels {
     pub(super) commands: CommandQueue,
 }
 
-/// Events that wait for a reader; further ones are dropped.
+/// Maximum number of unread events; further ones are dropped.
 const MAX_EVENTS: usize = 64;
-/// States and commands as of a STOP or FAULT that wait for a reader.
+/// Maximum number of unread flight recorders.
 const MAX_FLIGHTS: usize = 2;
-/// Diagnoses that wait for a reader; the loop keeps the newest until there is room.
+/// Maximum number of unread diagnoses; the loop retries with the newest.
 const MAX_DIAGNOSES: usize = 16;
-/// Commands that may wait for the loop, and that one tick takes.
+/// Maximum number of queued commands, and of commands per tick.
 pub(super) const MAX_COMMANDS: usize = 16;
 
-/// Makes the rings of a loop that the operator started at `started_ns`.
+/// Creates the rings of a loop started by the operator at `started_ns`.
 pub(super) fn channels<R>(
     started_ns: u64,
     address: SocketAddr,
@@ -475,7 +466,7 @@ pub(super) fn channels<R>(
     (channels, RecordSinks { to_reader, outputs }, watch, reader)
 }
 
-/// The same without the records; compiled once for all types of records.
+/// Creates the rings except records; compiled once.
 fn rings(
     started_ns: u64,
     address: SocketAddr,

@@ -1,4 +1,4 @@
-//! Handshakes on a thread of their own: they cost a millisecond and allocate, which no tick may.
+//! Handshakes on a thread of their own: they take a millisecond and allocate, which no tick may.
 
 use std::{
     io,
@@ -23,45 +23,41 @@ use crate::{
     },
 };
 
-/// What waits in either direction; more is dropped, as a network would.
+/// Maximum number of queued messages per direction; more are dropped.
 const WAITING: usize = 64;
-/// Of that, what new sessions may fill; the rest is the living one's.
+/// Share for new sessions; the living one has the rest.
 const FOR_NEW: usize = WAITING / 2;
-/// How often the thread looks.
 const POLL: Duration = Duration::from_millis(2);
-/// Time in ns for each message that the thread gets: of new sessions all together, and of the living one. Each costs it
-/// some 50 us, so that a flood of recorded ones costs 1 % of a core.
+/// Time in ns per message, for all new sessions together and for the living one. A message costs about 50 us, so a
+/// flood costs 1 % of a core.
 const MESSAGE_NS: u64 = 5_000_000;
-/// Messages of the living session at once: of an epoch that was not there yet, and of the newest that was.
+/// Bursts of the living session: for a new epoch, and for the newest known.
 const NEW_KEYS: u64 = 16;
 const REPEATS: u64 = 8;
 
-/// What the loop hands to the thread.
 #[derive(Debug)]
 enum Request {
-    /// How the session stands, with so many keys of this thread in use.
+    /// Standing of the session, and the number of this thread's keys in use.
     Standing(Standing, u64),
-    /// A message of a handshake, and who sent it.
+    /// Handshake message and its sender.
     Message(Asker, HandshakeDatagram),
 }
 
-/// What the thread returns to the loop.
 #[derive(Debug)]
 pub(super) struct Answer {
-    /// Where its datagram goes: to the sender of the request, or to the peer.
+    /// Sender of the request, or `None` for the peer.
     pub(super) to: Option<Asker>,
     pub(super) outcome: Outcome,
 }
 
-/// Which messages the thread gets: recorded ones, however many, keep neither a new master out nor the partner of the
-/// living session.
+/// Rate limits of messages. Recorded ones, however many, keep out neither a new master nor the partner of the living
+/// session.
 #[derive(Debug)]
 struct Admission {
     sessions: Shares,
     renewals: Bucket,
     repeats: Bucket,
-    /// Session and epoch, as in the header: of the newest keys that this thread made for the slave, of the newest
-    /// message that it made at the master.
+    /// Session and epoch: at the slave of the newest keys made, at the master of its newest message.
     newest: Option<(u64, u32)>,
 }
 
@@ -75,7 +71,7 @@ impl Admission {
         }
     }
 
-    /// Whether a message with the shared key's MAC goes on to the thread.
+    /// Returns whether a message with a valid MAC goes on to the thread.
     fn admits(
         &mut self,
         now_ns: u64,
@@ -90,8 +86,7 @@ impl Admission {
         if !is_renewal {
             return self.sessions.take(now_ns, from);
         }
-        // Of an epoch that has proved to be the partner's, repeats take nothing from the next; those below were given
-        // up.
+        // Repeats of a proved epoch of the partner have their own limit. Lower epochs were given up.
         match self.newest.filter(|newest| newest.0 == session).map(|newest| epoch.cmp(&newest.1)) {
             Some(std::cmp::Ordering::Less) => false,
             Some(std::cmp::Ordering::Equal) => self.repeats.take(now_ns, MESSAGE_NS, REPEATS),
@@ -108,9 +103,9 @@ pub(super) struct Handshakes {
     is_over: Arc<AtomicBool>,
     thread: OwnThread<Rejections>,
     admission: Admission,
-    /// Keys that the loop has had.
+    /// Number of keys that the loop has received.
     keys: u64,
-    /// Messages that were more than their share.
+    /// Messages beyond their limit.
     dropped: u64,
     was_reported: bool,
 }
@@ -139,14 +134,14 @@ impl Handshakes {
         })
     }
 
-    /// Hands over how the session stands, unless the thread has not read the requests before.
+    /// Reports the session's standing, unless requests are unread.
     pub(super) fn set_standing(&mut self, standing: Standing) {
         if self.requests.slots() == WAITING {
             let _ = self.requests.push(Request::Standing(standing, self.keys));
         }
     }
 
-    /// Hands over a message that arrived at `now_ns`, after the standing of the session, if it is within its share.
+    /// Passes on a message within its limit, after the session's standing.
     pub(super) fn hand_over(
         &mut self,
         now_ns: u64,
@@ -167,7 +162,6 @@ impl Handshakes {
         let _ = self.requests.push(Request::Message(asker, message));
     }
 
-    /// The next answer, if there is one.
     pub(super) fn next(&mut self) -> Option<Answer> {
         let answer = self.answers.pop().ok()?;
         self.keys += u64::from(answer.outcome.keys.is_some());
@@ -179,14 +173,14 @@ impl Handshakes {
         Some(answer)
     }
 
-    /// Whether the thread has ended by itself; true once.
+    /// True once if the thread has ended by itself.
     pub(super) fn has_died(&mut self) -> bool {
         let died = !self.was_reported && self.thread.has_returned();
         self.was_reported |= died;
         died
     }
 
-    /// Ends the thread; returns what it did not take, and what was more than its share.
+    /// Ends the thread. Returns its rejections, including messages beyond the limit.
     pub(super) fn end(&mut self) -> Rejections {
         self.is_over.store(true, Ordering::Relaxed);
         let rejections = self.thread.join().unwrap_or_default();
@@ -200,10 +194,10 @@ impl Drop for Handshakes {
     }
 }
 
-/// Why a live run has no session.
+/// Reason why a live run has no session.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
-    /// Settings that make none, or no randomness.
+    /// Invalid settings, or no randomness.
     #[error(transparent)]
     Session(#[from] EndError),
     /// No thread or socket.
@@ -223,7 +217,7 @@ fn answer(
     while !is_over.load(Ordering::Relaxed) {
         while let Ok(request) = requests.pop() {
             match (request, &standing) {
-                // What was reported before the newest keys were in use would have this thread request them again.
+                // A standing older than the newest keys would make this thread request them again.
                 (Request::Standing(newer, keys), _) => standing = (keys == given).then_some(newer),
                 (Request::Message(asker, message), Some(known)) => {
                     let now_ns = system::now_ns();
@@ -231,7 +225,7 @@ fn answer(
                     {
                         let has_keys = outcome.keys.is_some();
                         let to = (!outcome.to_peer).then_some(asker);
-                        // A full ring means that the loop does not run: nobody waits for keys.
+                        // A full ring means that the loop does not run and needs no keys.
                         if answers.push(Answer { to, outcome }).is_ok() && has_keys {
                             given += 1;
                             standing = None;
@@ -247,7 +241,7 @@ fn answer(
                     let outcome = Outcome { reply: Some(hello), ..Outcome::default() };
                     let _ = answers.push(Answer { to: None, outcome });
                 }
-                // Without randomness there are no keys; another try may find some.
+                // No keys without randomness; a later try may succeed.
                 Ok(None) | Err(HandshakeError::Entropy(_) | HandshakeError::Noise) => {}
             }
         }
@@ -256,22 +250,22 @@ fn answer(
     handshake.rejections()
 }
 
-/// What happened to the session of a live run, for the operator, and what the loop refused.
+/// Security event of a live run, for the operator, and refusals of the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SecurityEvent {
-    /// Of the session.
+    /// Event of the session.
     Session(SessionEvent),
-    /// Of a handshake.
+    /// Event of a handshake.
     Handshake(HandshakeEvent),
     /// The operator at the slave may not let another master begin yet.
     StillHeard(StillHeard),
-    /// What the operator changed of the coupling was refused when the loop took it.
+    /// The loop refused a change of the coupling.
     Refused(CouplingError),
     /// The thread that makes keys has ended by itself.
     KeysEnd,
     /// Address at which a peer with several addresses answered.
     Found(SocketAddr),
-    /// Datagrams that are not of the peer.
+    /// Datagrams that are not from the peer.
     Strangers(StrangerReport),
 }
 
@@ -342,9 +336,9 @@ mod tests {
         SocketAddr::from(([10, 0, 0, host], 9))
     }
 
-    /// 1e5 recorded first messages a second from one address: another's is taken at once, and the thread gets few.
+    /// 1e5 recorded first messages a second from one address: another address is admitted at once.
     #[test]
-    fn a_flood_of_recorded_messages_keeps_no_master_out() {
+    fn flood_of_recorded_messages_keeps_no_master_out() {
         let mut admission = Admission::new();
         let taken =
             (0..100_000).filter(|n| admission.admits(n * 10_000, at(1), &message(1, *n, 0), false)).count();
@@ -352,9 +346,9 @@ mod tests {
         assert!(admission.admits(1000 * MS, at(2), &message(1, 5, 0), false));
     }
 
-    /// All that the partner has sent, again and again: the next message is taken as if there were none of it.
+    /// Endless repeats of the partner's messages do not delay its next message.
     #[test]
-    fn repeats_of_the_partner_do_not_keep_its_next_message_out() {
+    fn repeats_of_partner_do_not_block_its_next_message() {
         let mut admission = Admission::new();
         admission.newest = Some((7, 6));
         for (n, epoch) in (0..100_000).zip([4, 5, 6].into_iter().cycle()) {
@@ -363,12 +357,12 @@ mod tests {
         for n in 0..16 {
             assert!(admission.admits(1000 * MS, at(2), &message(1, 7, 7), true), "{n}");
         }
-        assert!(!admission.admits(1000 * MS, at(2), &message(1, 7, 7), true), "with a limit of its own");
+        assert!(!admission.admits(1000 * MS, at(2), &message(1, 7, 7), true), "new epochs have a limit, too");
     }
 
-    /// A master hears the answer to its last request, and no recorded one.
+    /// A master accepts the answer to its last request, and no recorded one.
     #[test]
-    fn answers_to_other_messages_are_not_looked_at() {
+    fn answers_to_other_messages_are_refused() {
         let mut admission = Admission::new();
         assert!(!admission.admits(0, at(1), &message(2, 7, 0), false), "nothing was requested");
         admission.newest = Some((7, 0));

@@ -1,4 +1,4 @@
-//! The live loop of one side, whoever waits for its ticks: take commands and what has arrived, tick, send, record.
+//! Live loop of one side: take commands and datagrams, tick, send, record.
 
 use std::{any::Any, ops::ControlFlow, sync::atomic::Ordering};
 
@@ -21,71 +21,71 @@ use crate::{
     wire::Role,
 };
 
-/// How a live loop goes.
+/// Settings of a live loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LiveSettings {
-    /// Which side it is.
+    /// Role of this side.
     pub role: Role,
     /// Period in ns.
     pub period_ns: u64,
-    /// Ends this long after the two sides engaged, in ns.
+    /// Time in ns after the sides engaged at which the loop ends.
     pub duration_ns: Option<u64>,
-    /// Ends if the two sides have not engaged after this time, in ns.
+    /// Time in ns after which the loop ends unless engaged.
     pub patience_ns: Option<u64>,
-    /// When the operator started this side, in ns of the system's monotonic clock; when it is made, where nobody says.
+    /// Start by the operator, in ns of the monotonic clock; `None` for the loop's creation.
     pub started_ns: Option<u64>,
-    /// What to request of the system.
+    /// Real-time requests to the system.
     pub realtime: RealtimeSettings,
 }
 
-/// How a live loop went.
+/// Report of a live loop.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LoopReport {
     /// Ticks done.
     pub ticks: u64,
-    /// Ticks left out because the loop woke too late.
+    /// Ticks skipped because the loop woke too late.
     pub skipped: u64,
-    /// Records that newer ones have replaced.
+    /// Records replaced by newer ones.
     pub dropped_records: u64,
     /// Frames that the system refused to send.
     pub unsent: u64,
-    /// Datagrams from other addresses than a known peer's; refused in `link`, too.
+    /// Datagrams from other addresses than a known peer's; included in `link`.
     pub elsewhere: u64,
     /// Counts of the link.
     pub link: LinkStatistics,
-    /// What the path did to the peer's frames, and what is known of its clock.
+    /// Path of the peer's frames, and estimate of its clock.
     pub path: PathReport,
-    /// How often the ladder went to HOLD.
+    /// Number of transitions of the ladder to HOLD.
     pub holds: u64,
     /// Ticks at which a bound acted on the remote command.
     pub limited: u64,
-    /// Samples that left the path of the others and were replaced.
+    /// Outlier samples that were replaced.
     pub outliers: u64,
-    /// Whether frames were encrypted and authenticated.
+    /// True if frames were encrypted and authenticated.
     pub secure: bool,
-    /// Datagrams that the session did not take, by cause; in `link`, too.
+    /// Datagrams rejected by the session, by cause; included in `link`.
     pub rejections: Rejections,
-    /// When the sides first engaged, in ns since the start; `u64::MAX` if never.
+    /// First engagement of the sides, in ns since the start; `u64::MAX` if never.
     pub engaged_ns: u64,
-    /// What the loop's thread got of the system.
+    /// Real-time scheduling granted to the loop's thread.
     pub realtime: RealtimeReport,
-    /// What became of the recording; none if there was none.
+    /// Report of the recording, if any.
     pub recording: Option<RecordingReport>,
-    /// Whether the loop was ended because no memory was left.
+    /// True if the loop ended because memory ran out.
     pub out_of_memory: bool,
 }
 
-/// Part of the period that may be spent on what has arrived; more would let a flood stretch the tick.
+/// Inverse share of the period for receiving, so that a flood cannot stretch the tick.
 const RECEIVE_SHARE: u64 = 4;
-/// After each of the last frames and releases, the time in ns to the next: 20 ms in all, since losses occur in bursts.
+/// Waits in ns after each of the last frames and releases: 20 ms in all, since losses occur in bursts.
 const END_NS: [u64; 9] =
     [1_000_000, 1_000_000, 2_000_000, 4_000_000, 1_000_000, 1_000_000, 2_000_000, 8_000_000, 0];
-/// Greatest age in ns of a command when the loop takes it, and for how long after a stall it takes no press: a signal
-/// that was sent while the process stood still arrives when it goes on.
+/// Maximum age in ns of a command, and time after a stall without presses. Signals sent during a suspend arrive after
+/// it.
 pub(super) const PROMPT_NS: u64 = 250_000_000;
 
-/// Whether a command that was given at `at_ns` still counts at `now_ns`; `stalled_ns` is the end of the loop's last
-/// stall, `failed_ns` when the side went to the fault in which it stands.
+/// Returns whether a command of `at_ns` is still valid at `now_ns`. `stalled_ns` is the end of the last stall,
+/// `failed_ns` the time of the present fault.
 fn is_prompt(
     command: OperatorCommand,
     at_ns: u64,
@@ -95,54 +95,49 @@ fn is_prompt(
 ) -> bool {
     let is_young = now_ns.saturating_sub(at_ns) <= PROMPT_NS;
     match command {
-        // A time that has not been yet would never grow old.
+        // A future time would never expire.
         OperatorCommand::Start => now_ns.checked_sub(at_ns).is_some_and(|age_ns| age_ns <= PRESS_NS),
         OperatorCommand::Press | OperatorCommand::Takeover => {
             is_young && stalled_ns.is_none_or(|stalled| at_ns > stalled + PROMPT_NS)
         }
-        // It is of the fault that was there then, and of no later one.
+        // It is for the fault of that time, not a later one.
         OperatorCommand::Acknowledge => is_young && failed_ns.is_none_or(|failed| failed <= at_ns),
         _ => true,
     }
 }
 
-/// A side with the sinks of its records. The loop steps it through this trait, so that it is compiled once for all sides.
+/// A side with its sinks. The loop steps this trait, so that it is compiled once.
 pub(super) trait LoopSide {
-    /// The side.
     fn side(&self) -> &dyn Side;
 
-    /// The side, to change.
     fn side_mut(&mut self) -> &mut dyn Side;
 
-    /// The side as its own type, for its driver.
+    /// The concrete side, for its driver.
     fn side_any(&mut self) -> &mut dyn Any;
 
-    /// The loop's time 0 on the monotonic clock. The plant is left at rest from here on.
+    /// Sets time 0 of the loop on the monotonic clock.
     fn begin(&mut self, now_ns: u64);
 
-    /// Does one tick.
     fn tick(&mut self, time: TickTime);
 
-    /// Hands the record of the last tick to the sinks; returns whether all records before it are still kept.
+    /// Passes the last record to the sinks. Returns whether all earlier ones are kept.
     fn record(&mut self) -> bool;
 
-    /// No force and no motion from here on, once.
+    /// Removes force and motion, once.
     fn rest(&mut self);
 
-    /// Hands the link's counts to the sinks.
     fn count_link(&self, link: &LinkStatistics);
 
-    /// Hands a diagnosis to the sinks, as [`RecordSinks::note`].
+    /// Passes a diagnosis to the sinks, as [`RecordSinks::note`].
     fn note(&mut self, time_ns: u64, diagnosis: Option<&Diagnosis>);
 
-    /// Ends the sinks.
     fn end_records(&mut self) -> Option<RecordingReport>;
 
-    /// Closes the sinks where no loop began.
+    /// Closes the sinks if no loop began.
     fn abandon(&mut self) -> Option<RecordingReport>;
 }
 
-/// A side with the sinks of its records. Once it has begun, it leaves the plant at rest when it is dropped.
+/// A side with its sinks. Once begun, a drop leaves the plant at rest.
 pub(super) struct RecordedSide<S: Side> {
     side: S,
     sinks: Option<RecordSinks<S::Record>>,
@@ -155,7 +150,7 @@ impl<S: Side> RecordedSide<S> {
         Self { side, sinks: Some(sinks), record: S::Record::default(), is_at_rest: true }
     }
 
-    /// Once: an arm that is stopped again and again lets go of what it leans on.
+    /// Once: repeated stops give up a contact.
     fn leave_at_rest(&mut self) {
         if !std::mem::replace(&mut self.is_at_rest, true) {
             self.side.rest();
@@ -218,7 +213,6 @@ impl<S: Side> Drop for RecordedSide<S> {
     }
 }
 
-/// One side, live.
 pub(super) struct LiveLoop {
     socket: PeerSocket,
     channel: LiveChannel,
@@ -228,17 +222,16 @@ pub(super) struct LiveLoop {
     start_ns: u64,
     /// Time of the last tick in ns.
     now_ns: u64,
-    /// State that was last shown with its flight recorder.
+    /// Last state whose flight recorder was handed out.
     shown: LadderState,
     diagnosis: DiagnosisReport,
     has_announced_end: bool,
-    /// When this loop last found itself stalled, in ns.
+    /// End of the last stall in ns.
     stalled_ns: Option<u64>,
     buffer: [u8; MAX_DATAGRAM],
 }
 
 impl LiveLoop {
-    /// Time begins.
     pub(super) fn begin(
         plant: &mut dyn LoopSide,
         socket: PeerSocket,
@@ -265,18 +258,16 @@ impl LiveLoop {
         }
     }
 
-    /// One tick; breaks where the run is over.
     pub(super) fn step(&mut self, plant: &mut dyn LoopSide, wake: Wake, shared: &Shared) -> ControlFlow<()> {
         let Wake { deadline_ns, overshoot_ns, missed } = wake;
-        // The tick's time is its deadline, or that of the device's sample: the pure part sees a steady clock, as in
-        // virtual time.
+        // The pure part sees a steady clock, as in virtual time: the deadline, or the time of the device's sample.
         let (now_ns, start_ns) = (deadline_ns, self.start_ns);
         self.now_ns = now_ns;
         self.report.skipped += missed;
         if wake.is_stalled() {
             self.stalled_ns = Some(system::now_ns());
             plant.side_mut().exchange_mut().stalled(now_ns);
-            // Late already: another period for this is not much.
+            // The loop is late already: one more period hardly matters.
             self.socket.discard(system::now_ns() + self.settings.period_ns);
         }
         self.take_commands(plant.side_mut(), shared);
@@ -284,7 +275,7 @@ impl LiveLoop {
         let side = plant.side_mut();
         let late = || LinkTime::late(now_ns, system::now_ns().saturating_sub(now_ns));
         socket.drain(now_ns, now_ns + settings.period_ns / RECEIVE_SHARE, |asker, datagram| {
-            // It may have arrived while this loop was still asleep beyond its time.
+            // It may have arrived while this loop overslept.
             channel.receive(late(), asker, datagram, side)
         });
         channel.advance(
@@ -317,11 +308,11 @@ impl LiveLoop {
         }
     }
 
-    /// Carries out what the operator has commanded since the last tick, as far as it still counts.
+    /// Carries out the valid commands since the last tick.
     fn take_commands(&mut self, side: &mut dyn Side, shared: &Shared) {
         let Self { channel, channels, now_ns, stalled_ns, .. } = self;
         let now_ns = *now_ns;
-        // As many as may wait at once: whoever commands without end does not hold the tick.
+        // Bounded, so that endless commands cannot hold the tick.
         for _ in 0..MAX_COMMANDS {
             let Some((at_ns, command)) = channels.commands.next(shared) else { break };
             let failed_ns = side.exchange().flight().failed_ns();
@@ -334,7 +325,7 @@ impl LiveLoop {
                         shared.is_start_void.store(!side.has_button(), Ordering::Relaxed);
                     }
                 }
-                // A press that is said to do nothing must not couple once its obstacle is gone.
+                // A press reported as ineffective must not couple once its obstacle is gone.
                 OperatorCommand::Press if !counts => shared.reject_press(Ineffective::Late),
                 OperatorCommand::Press if side.has_button() => shared.reject_press(Ineffective::HasButton),
                 OperatorCommand::Press
@@ -348,7 +339,7 @@ impl LiveLoop {
                     }
                 }
                 _ if counts => {
-                    // Refused before, unless the clutch has closed since.
+                    // Checked when queued: fails only if the clutch has closed since.
                     if let Err(error) = side.command(now_ns, command) {
                         let _ = channels.events.push(SecurityEvent::Refused(error));
                     }
@@ -358,7 +349,7 @@ impl LiveLoop {
         }
     }
 
-    /// Hands out what a tick has left; nobody is waited for.
+    /// Hands out the results of a tick, without waiting.
     fn report(&mut self, plant: &mut dyn LoopSide, shared: &Shared) {
         let Self { channels, report, now_ns, start_ns, .. } = self;
         let elapsed_ns = *now_ns - *start_ns;
@@ -369,7 +360,7 @@ impl LiveLoop {
         if state.is_coupled() && report.engaged_ns == u64::MAX {
             report.engaged_ns = elapsed_ns;
         }
-        // Until there was room: nobody may have looked at the one before.
+        // Retried until there is room: the previous recorder may not have been read.
         if state == self.shown
             || !matches!(state, LadderState::Stop | LadderState::Fault)
             || channels.flights.push(*exchange.flight()).is_ok()
@@ -385,26 +376,25 @@ impl LiveLoop {
         shared.state.store(state.code(), Ordering::Relaxed);
         shared.is_open.store(is_open, Ordering::Relaxed);
         shared.ticks.store(report.ticks, Ordering::Relaxed);
-        // A round trip is known from the first answer on.
+        // The round trip is known from the first answer on.
         let link = plant.side().exchange().link().statistics();
         plant.count_link(&link);
         shared.answered.store(link.round_trip_ns != 0, Ordering::Relaxed);
     }
 
-    /// Leaves the plant at rest and announces the end of this side to the peer; nothing a second time.
+    /// Leaves the plant at rest and announces the end to the peer, once.
     pub(super) fn announce_end(&mut self, plant: &mut dyn LoopSide, shared: &Shared) {
         if std::mem::replace(&mut self.has_announced_end, true) {
             return;
         }
-        // First of all: what follows takes its time.
+        // First: the rest takes time.
         plant.rest();
         let side = plant.side_mut();
         let Self { socket, channel, buffer, .. } = self;
         side.exchange_mut().end();
         for (sent, wait_ns) in END_NS.into_iter().enumerate() {
             let now_ns = system::now_ns();
-            // A release ends the keys of the peer, so the frames that say why are sent first. In the clear there is
-            // none.
+            // A release ends the peer's keys, so the frames with the reason go first.
             let datagram = if channel.session.is_secure() && sent + RELEASES >= END_NS.len() {
                 channel.session.release(now_ns, buffer).ok()
             } else {
@@ -414,11 +404,11 @@ impl LiveLoop {
             socket.send(None, datagram);
             system::sleep_until(now_ns + wait_ns);
         }
-        // What follows takes memory.
+        // Memory is needed from here on.
         shared.at_rest.store(true, Ordering::Relaxed);
     }
 
-    /// Leaves the plant at rest, announces the end to the peer, and closes what is open.
+    /// Announces the end and closes sinks and session.
     pub(super) fn end(
         mut self,
         plant: &mut dyn LoopSide,
@@ -455,9 +445,9 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    /// A command of 10 s, when it still counts.
+    /// Validity of a command given at 10 s.
     #[test]
-    fn commands_count_for_a_time_of_their_own() {
+    fn commands_expire() {
         let at = 10_000 * MS;
         for (command, later_ms, stalled, failed, counts) in [
             (Start, 5000, None, None, true),
@@ -476,6 +466,6 @@ mod tests {
             let seen = is_prompt(command, at, at + later_ms * MS, stalled, failed);
             assert_eq!(seen, counts, "{command:?} {later_ms} {stalled:?} {failed:?}");
         }
-        assert!(!is_prompt(Start, at, at - 1, None, None), "a start that is still to come");
+        assert!(!is_prompt(Start, at, at - 1, None, None), "a start in the future");
     }
 }

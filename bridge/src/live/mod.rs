@@ -1,4 +1,4 @@
-//! The live runner: the same sides as in virtual time, with sockets and sleep added and nothing else.
+//! Live runner: the same sides as in virtual time, plus sockets and sleep.
 
 mod channel;
 mod control;

@@ -2,17 +2,17 @@
 
 use std::mem::MaybeUninit;
 
-/// The newest records of a loop, in memory that is there from the start.
+/// Ring of the newest records of a loop, allocated at the start.
 #[derive(Debug)]
 pub struct Newest<R> {
     records: Vec<R>,
-    /// Index of the oldest record, once there is no room for more.
+    /// Index of the oldest record, once full.
     oldest: usize,
     room: usize,
 }
 
 impl<R> Newest<R> {
-    /// Room for this many, each page of which has been touched; none where there is no memory for it.
+    /// Allocates and touches room for `room` records; `None` without memory.
     pub fn of(room: usize) -> Option<Self> {
         let mut records = Vec::new();
         records.try_reserve_exact(room).ok()?;
@@ -24,7 +24,7 @@ impl<R> Newest<R> {
         self.room
     }
 
-    /// Adds a record; returns whether there was room for it beside all others.
+    /// Adds a record. Returns whether no older record was overwritten.
     pub(super) fn push(&mut self, record: R) -> bool {
         if self.records.len() < self.room {
             self.records.push(record);
@@ -34,11 +34,10 @@ impl<R> Newest<R> {
             *oldest = record;
             self.oldest = (self.oldest + 1) % self.room;
         }
-        // Nothing is lost where nothing is kept.
+        // A ring without room loses nothing.
         self.room == 0
     }
 
-    /// All records, the oldest first.
     pub(super) fn into_records(self) -> Vec<R> {
         let Self { mut records, oldest, .. } = self;
         records.rotate_left(oldest);
@@ -58,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_newest_are_kept_in_their_order() {
+    fn newest_records_keep_their_order() {
         for (room, pushed, expected) in
             [(0, 3, 0..0), (3, 0, 0..0), (3, 2, 0..2), (3, 3, 0..3), (3, 4, 1..4), (3, 8, 5..8)]
         {

@@ -1,8 +1,8 @@
-//! A thread that ends with its owner, in the process that began it.
+//! A thread that ends with its owner, in the process that started it.
 
 use std::thread::JoinHandle;
 
-/// A thread to be joined. A process that is forked has the handle and not the thread: there it counts as ended.
+/// A thread to be joined. In a forked process it counts as ended.
 #[derive(Debug)]
 pub(crate) struct OwnThread<T> {
     handle: Option<JoinHandle<T>>,
@@ -24,11 +24,11 @@ impl<T> OwnThread<T> {
         self.handle.as_ref().is_some_and(JoinHandle::is_finished)
     }
 
-    /// Waits for its end and returns what it returned; none if it was joined before, has panicked or is not of this process.
+    /// Waits for its end. `None` if joined before, panicked or of another process.
     pub(crate) fn join(&mut self) -> Option<T> {
         let handle = self.handle.take()?;
         if self.is_elsewhere() {
-            // To detach what this process does not have is undefined, too.
+            // Detaching a thread of another process is undefined, too.
             std::mem::forget(handle);
             return None;
         }

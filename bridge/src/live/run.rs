@@ -1,4 +1,4 @@
-//! Who waits for the ticks of a live loop: a thread of its own, or a driver whose device paces it.
+//! Runners of a live loop: a thread of its own, or a driver whose device paces the ticks.
 
 use std::{
     io,
@@ -24,7 +24,7 @@ use crate::{
     side::Side,
 };
 
-/// How a loop went, and its last states and commands, for [`LiveWatch::ended`].
+/// Report of a loop, and its flight recorder, for [`LiveWatch::ended`].
 pub type Ended = (LoopReport, Option<Box<FlightRecorder>>);
 
 /// A live loop on its own thread.
@@ -35,7 +35,7 @@ pub struct LiveRun {
     realtime: RealtimeReport,
 }
 
-/// A side in its loop. The plant comes first: it is at rest before anything else is dropped.
+/// A side in its loop. The plant is the first field, so that it is dropped, and at rest, first.
 struct Running {
     plant: Box<dyn LoopSide + Send>,
     live_loop: LiveLoop,
@@ -68,9 +68,9 @@ impl Running {
     }
 }
 
-/// Starts the loop of one side on a thread of its own; `outputs` get every record, too.
+/// Starts the loop of one side on its own thread; `outputs` receive every record.
 ///
-/// Fails where real-time scheduling is required and not all of it was granted.
+/// Fails if real-time scheduling is required and not fully granted.
 pub fn run_live<S: Side + Send + 'static>(
     side: S,
     socket: PeerSocket,
@@ -82,7 +82,6 @@ pub fn run_live<S: Side + Send + 'static>(
     Ok((spawned(parts, &watch)?, watch, records))
 }
 
-/// The parts of a loop that has not begun.
 struct Parts {
     plant: Box<dyn LoopSide + Send>,
     socket: PeerSocket,
@@ -109,7 +108,7 @@ fn prepared<S: Side + Send + 'static>(
     Ok((Parts { plant, socket, channel, channels, settings, shared }, watch, records))
 }
 
-/// Starts a loop on a thread of its own; compiled once for all sides.
+/// Starts a loop on its own thread; compiled once for all sides.
 fn spawned(parts: Parts, watch: &LiveWatch) -> Result<LiveRun, StartError> {
     let Parts { mut plant, socket, channel, channels, settings, shared } = parts;
     let (to_starter, granted) = mpsc::sync_channel(1);
@@ -139,17 +138,17 @@ fn spawned(parts: Parts, watch: &LiveWatch) -> Result<LiveRun, StartError> {
 }
 
 impl LiveRun {
-    /// What the loop's thread got of the system.
+    /// Real-time scheduling granted to the loop's thread.
     pub fn realtime(&self) -> RealtimeReport {
         self.realtime
     }
 
-    /// Whether the loop has ended.
+    /// Returns whether the loop has ended.
     pub fn is_finished(&self) -> bool {
         self.thread.is_finished()
     }
 
-    /// Ends the loop and returns how it went; none if it was joined before or the loop panicked.
+    /// Ends the loop. Returns its report; `None` if joined before or panicked.
     pub fn join(&mut self) -> Option<Ended> {
         self.handle.stop();
         self.thread.join()
@@ -162,41 +161,39 @@ impl Drop for LiveRun {
     }
 }
 
-/// Ticks after a device has failed in which the peer is sent that: frames get lost, and the driver's text is sent in
-/// pieces.
+/// Ticks that report a device failure: frames get lost, and the text needs several.
 const FAILED_TICKS: u32 = 3 * PIECES as u32;
 
-/// How far the loop is.
 enum Stage {
     Ready(Box<(Box<dyn LoopSide + Send>, PeerSocket, LiveChannel, LoopChannels)>),
     Running(Box<Running>),
     Over,
 }
 
-/// The loop of one side, a tick at a time: `begin`, then at every sample of the device `step`, at last `end`.
+/// The loop of one side, tick by tick: `begin`, `step` at every sample, `end`, all on one thread.
 ///
-/// A driver that does not wait for its device calls `wait` after each tick. All of it on one thread.
+/// A driver that does not wait for its device calls `wait` after each tick.
 pub struct PacedLoop<S> {
     paced: Pacing,
     side: PhantomData<S>,
 }
 
-/// The same for sides of any type: it is compiled once.
+/// Part of a paced loop independent of the side's type, compiled once.
 struct Pacing {
     stage: Stage,
     settings: LiveSettings,
     shared: Arc<Shared>,
     pace: DevicePace,
-    /// The last tick was waited for here, and not by the device.
+    /// The last tick was awaited here, not by the device.
     waited: bool,
     realtime: RealtimeReport,
     kept: Option<Kept>,
 }
 
-/// A loop that is not begun, its watch and its records.
+/// A prepared loop, its watch and its records.
 pub type Paced<S> = (PacedLoop<S>, LiveWatch, RecordReader<<S as Side>::Record>);
 
-/// Prepares the loop of one side; `outputs` get every record, too.
+/// Prepares the loop of one side; `outputs` receive every record.
 pub fn paced_by_device<S: Side + Send + 'static>(
     side: S,
     socket: PeerSocket,
@@ -219,7 +216,7 @@ pub fn paced_by_device<S: Side + Send + 'static>(
 }
 
 impl<S: Side + 'static> PacedLoop<S> {
-    /// One tick: `before` hands the side its sample, `after` takes what it decided. None where the run is over.
+    /// Does one tick: `before` sets the sample, `after` takes the decision. `None` once the run is over.
     pub fn step<T>(&mut self, before: impl FnOnce(&mut S), after: impl FnOnce(&mut S) -> T) -> Option<T> {
         let wake = self.paced.wake()?;
         before(self.side()?);
@@ -233,7 +230,7 @@ impl<S: Side + 'static> PacedLoop<S> {
 }
 
 impl Pacing {
-    /// When the next tick is; none where the run is over.
+    /// Time of the next tick; `None` once the run is over.
     fn wake(&mut self) -> Option<Wake> {
         if !matches!(self.stage, Stage::Running(_)) {
             return None;
@@ -264,28 +261,27 @@ impl Pacing {
     }
 }
 
-/// What a driver does with its loop, of whatever side, but a tick: that is [`PacedLoop::step`].
+/// Operations of a driver on any side's loop, except [`PacedLoop::step`].
 pub trait DriverLoop {
-    /// Time begins; requests real time of the system for this thread. Nothing if it has begun.
+    /// Starts time, and requests real-time scheduling for this thread. Does nothing if already begun.
     ///
-    /// Fails, and is over, where real-time scheduling is required and not all of it was granted.
+    /// Fails, and ends the run, if real-time scheduling is required and not fully granted.
     fn begin(&mut self) -> Result<RealtimeReport, StartError>;
 
     /// Sleeps until the next tick is due.
     fn wait(&mut self);
 
-    /// The device is gone: zero force and no motion, and the peer is sent that, with the driver's text where there is
-    /// one.
+    /// Handles a lost device: zero force, no motion, and the driver's text to the peer.
     fn fail(&mut self, text: &FaultText);
 
-    /// One tick in place of a driver that does not return: zero force and no motion, with `text` as the fault. Returns
-    /// when the next is due in ns; none where the run is over, whose end it has then announced.
+    /// Does one tick for a driver that does not return: zero force, no motion, fault `text`. Returns the next due
+    /// time in ns. Once the run is over, announces its end and returns `None`.
     fn turn_blocked(&mut self, text: &FaultText) -> Option<u64>;
 
-    /// The device is at rest: announces the end of this side to the peer, before whoever waits for the report does.
+    /// Announces the end to the peer, once the device is at rest and before anything waits for the report.
     fn announce_end(&mut self);
 
-    /// Ends the loop and returns how it went; none if it was ended before.
+    /// Ends the loop. Returns its report; `None` if ended before.
     fn end(&mut self) -> Option<Ended>;
 }
 
@@ -319,7 +315,7 @@ impl DriverLoop for Pacing {
     fn begin(&mut self) -> Result<RealtimeReport, StartError> {
         match std::mem::replace(&mut self.stage, Stage::Over) {
             Stage::Ready(parts) => {
-                // There before the memory is locked.
+                // Allocated before the memory is locked.
                 let room = Box::new(MaybeUninit::zeroed());
                 let (realtime, kept) = system::prepare(self.settings.realtime, LaterMemory::Locked);
                 realtime.check(self.settings.realtime.demand)?;
@@ -344,9 +340,9 @@ impl DriverLoop for Pacing {
         let Stage::Running(running) = &mut self.stage else { return };
         self.shared.ends.store(true, Ordering::Relaxed);
         for _ in 0..FAILED_TICKS {
-            // Anew at each: nobody can mend what is gone.
+            // Repeated at each tick: a lost device does not recover.
             running.plant.side_mut().exchange_mut().device_failed(Some(text));
-            // Now, and not when the next sample would have been due: what is reported must not be of the future.
+            // Now, not when the next sample is due: a report must not lie in the future.
             let wake = self.pace.sampled(system::now_ns());
             let wake = Wake { overshoot_ns: 0, missed: 0, ..wake };
             if running.step(wake, &self.shared).is_break() {
@@ -383,7 +379,7 @@ impl DriverLoop for Pacing {
         match std::mem::replace(&mut self.stage, Stage::Over) {
             Stage::Running(running) => {
                 let (report, flight) = running.end(&self.shared);
-                // Locked memory is the process's: it is given back with the run, not with the last who holds the loop.
+                // Memory is locked per process: unlock at the end of the run, not on drop.
                 self.kept = None;
                 Some((LoopReport { realtime, ..report }, Some(flight)))
             }

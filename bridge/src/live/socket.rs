@@ -1,5 +1,5 @@
-//! UDP to one peer, without blocking, and where answers go: to the peer, wherever it moves, and not to who copies its
-//! frames; from the address of this machine that the peer asked.
+//! Non-blocking UDP to one peer. Answers follow a moving peer, not a copier of its frames, and leave from the address
+//! that the peer used.
 
 use std::{
     io,
@@ -14,51 +14,51 @@ use super::{
 };
 use crate::session::MAX_DATAGRAM;
 
-/// Datagrams between two looks at the clock.
+/// Datagrams between two reads of the clock.
 const ROUND: usize = 32;
-/// Datagrams taken at once, however fast they are.
+/// Maximum number of datagrams taken at once.
 const MAX_DATAGRAMS: usize = 4096;
 
-/// How the peer is known.
+/// Source of the peer's address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PeerAddress {
-    /// Sends there from the start.
+    /// Send to this address from the start.
     Known(SocketAddr),
-    /// Answers to the address of the last good frame.
+    /// Answer to the address of the last valid frame.
     Learned,
 }
 
-/// The address from which the system sends to `peer`, with any free port. For a peer on this machine it is on loopback, which
-/// no other machine reaches.
+/// Local address from which the system sends to `peer`, with any free port. On loopback, unreachable from other
+/// machines, for a peer on this machine.
 pub fn local_address(peer: SocketAddr) -> io::Result<SocketAddr> {
     let any: SocketAddr = match peer {
         SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
         SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
     };
     let route = UdpSocket::bind(any)?;
-    // Sends nothing: the system chooses.
+    // Sends nothing; the system chooses the route.
     route.connect(peer)?;
     let mut local = route.local_addr()?;
     local.set_port(0);
     Ok(local)
 }
 
-/// A non-blocking UDP socket and its peer. A peer whose name has several addresses is sent to at each in turn, until it
-/// answers at one.
+/// A non-blocking UDP socket and its peer. If the peer has several addresses, each gets datagrams in turn until one
+/// answers.
 #[derive(Debug)]
 pub struct PeerSocket {
-    /// More than one where the addresses of the peer need sockets of their own.
+    /// Several if the peer's addresses need them.
     sockets: Vec<ReplySocket>,
-    /// For each address of the peer its socket, as an index.
+    /// Socket index and route of each address of the peer.
     routes: Vec<(usize, Route)>,
-    /// The address that is sent to next.
+    /// Index of the next address.
     current: usize,
-    /// True once the peer has answered, or if it has one address.
+    /// True if the peer has answered or has only one address.
     is_found: bool,
-    /// Address at which the peer answered, until it is reported.
+    /// Address that answered, until reported.
     found: Option<SocketAddr>,
     strangers: Strangers,
-    /// Frames that the system refused to send: nobody listens there, or its buffer was full.
+    /// Frames that the system refused to send: nobody listens there, or the buffer was full.
     pub unsent: u64,
 }
 
@@ -72,11 +72,11 @@ impl PeerSocket {
         Ok(Self::new(vec![open(local)?], vec![(0, route)]))
     }
 
-    /// Binds for a peer with several addresses, each with the address of this machine that sends to it.
+    /// Binds for a peer with several addresses, each paired with its local address.
     ///
     /// # Errors
     ///
-    /// Error of the last address, if no socket can be bound to any.
+    /// The error of the last address, if no socket can be bound.
     pub fn bind_each(ends: &[(SocketAddr, SocketAddr)]) -> io::Result<Self> {
         let mut sockets: Vec<(SocketAddr, ReplySocket)> = Vec::new();
         let (mut routes, mut refused) = (Vec::new(), io::ErrorKind::AddrNotAvailable.into());
@@ -110,30 +110,28 @@ impl PeerSocket {
         }
     }
 
-    /// Where it listens.
+    /// Local address of the socket in use.
     pub fn local_address(&self) -> io::Result<SocketAddr> {
         self.sockets[self.routes[self.current].0].socket().local_addr()
     }
 
-    /// Take the address at which a peer with several addresses answered; returns it once.
+    /// Takes the address that answered, of several; once.
     pub(super) fn take_found(&mut self) -> Option<SocketAddr> {
         self.found.take()
     }
 
-    /// Take the next report on datagrams that are not from the peer.
     pub(super) fn take_strangers(&mut self) -> Option<StrangerReport> {
         self.strangers.poll()
     }
 
-    /// Datagrams from other addresses than the peer's.
     pub(super) fn elsewhere(&self) -> u64 {
         self.strangers.count_of(Stranger::Elsewhere)
     }
 
-    /// Hands each datagram that waits to `take`, which returns what it was, until the clock shows `until_ns`.
+    /// Passes each waiting datagram to `take`, which classifies it, until the clock shows `until_ns`.
     ///
-    /// A datagram from elsewhere than a known peer is counted and not looked at. At least [`ROUND`] are taken: a loop that
-    /// woke late must hear its peer, too.
+    /// Datagrams from other addresses than a known peer's are counted and ignored. At least [`ROUND`] are taken: a
+    /// late loop must hear its peer, too.
     pub(super) fn drain(
         &mut self,
         now_ns: u64,
@@ -152,7 +150,7 @@ impl PeerSocket {
         until_ns: u64,
         take: &mut impl FnMut(Asker, &mut [u8]) -> Received,
     ) {
-        // One byte more than the longest datagram, so that a longer one is seen to be too long.
+        // One byte more, to detect a too long datagram.
         let mut buffer = [0; MAX_DATAGRAM + 1];
         for taken in 0..MAX_DATAGRAMS {
             if taken > 0 && taken % ROUND == 0 && system::now_ns() >= until_ns {
@@ -176,7 +174,7 @@ impl PeerSocket {
                         _ => {}
                     }
                 }
-                // Nobody listens there (yet): a later frame may find somebody.
+                // Nobody listens there yet; a later frame may succeed.
                 Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(_) => return,
@@ -184,7 +182,7 @@ impl PeerSocket {
         }
     }
 
-    /// The address of the peer that a datagram to this socket is from, as an index.
+    /// Index of the peer's address that sent a datagram, if any.
     fn admitting(&self, socket: usize, from: SocketAddr) -> Option<usize> {
         let admits = |(of, route): &(usize, Route)| *of == socket && route.admits(from);
         if self.is_found {
@@ -193,7 +191,7 @@ impl PeerSocket {
         self.routes.iter().position(admits)
     }
 
-    /// Throws away what waits: it is old. Until the clock shows `until_ns`: a flood must not hold the loop here.
+    /// Discards waiting datagrams as outdated, until `until_ns`, so that a flood cannot hold the loop.
     pub fn discard(&mut self, until_ns: u64) {
         let mut buffer = [0; 1];
         for socket in &self.sockets {
@@ -210,7 +208,7 @@ impl PeerSocket {
         }
     }
 
-    /// Sends to `to` or, without it, to the peer, if there is one.
+    /// Sends to `to` if given, else to the peer if known.
     pub fn send(&mut self, to: Option<Asker>, datagram: &[u8]) {
         if !self.is_found {
             let is_of = |(_, route): &(usize, Route)| to.is_some_and(|to| route.admits(to.from));
@@ -231,24 +229,24 @@ fn open(local: SocketAddr) -> io::Result<ReplySocket> {
     Ok(socket)
 }
 
-/// Silence in ns after which a peer may be elsewhere: that after which the ladder holds.
+/// Silence in ns after which a peer may have moved, as after which the ladder holds.
 const MOVES_AFTER_NS: u64 = 20_000_000;
-/// Answers that wait to be sent to the second address at most.
+/// Maximum number of answers owed to the second address.
 const MAX_OWED: u32 = 4;
 
-/// What a datagram says of where the peer is.
+/// Evidence of a datagram about the peer's address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Received {
     /// A frame newer than all before.
     Fresh {
-        /// Whether the peer says in it that it hears this side: answers reach it.
+        /// True if the peer hears this side, so answers reach it.
         is_answered: bool,
     },
-    /// A frame of the peer that was there before, or is late.
+    /// A repeated or late frame of the peer.
     Repeat,
-    /// That it is of somebody else.
+    /// A datagram of somebody else.
     Stranger(Stranger),
-    /// Nothing.
+    /// No evidence.
     Nothing,
 }
 
@@ -264,46 +262,44 @@ impl Place {
     }
 }
 
-/// The address of a peer.
+/// Address of a peer.
 ///
-/// Of a frame and its copy the first to arrive is fresh, from wherever it was sent. So a frame that was there before is
-/// a sign of life, too, and a peer is followed elsewhere only after 20 ms without any at its address. Who copies
-/// frames, and is faster, does not draw the answers away.
+/// The first copy of a frame to arrive is fresh, from any source. So a repeated frame is a sign of life, too. A peer
+/// is followed elsewhere only after 20 ms without frames from its address: a faster copier does not attract the
+/// answers.
 ///
-/// Where a copy was there first, at the start of a session or after a move, the peer says that it hears nothing; then a
-/// second address is answered as well, one datagram for each received from there.
+/// If a copy is first, at the start or after a move, the peer reports that it hears nothing. Then a second address is
+/// answered as well, one datagram for each received from it.
 #[derive(Clone, Debug)]
 struct Route {
     learns: bool,
     peer: Option<Place>,
     second: Option<Place>,
     owed: u32,
-    /// Of the newest frame.
+    /// Given by the newest frame.
     is_answered: bool,
 }
 
 impl Route {
-    /// To one address, from the start and for good.
+    /// Route to one fixed address.
     fn known(address: SocketAddr) -> Self {
         Self { learns: false, peer: Some(Place { asker: address.into(), heard_ns: 0 }), ..Self::learned() }
     }
 
-    /// To the address that frames are sent from.
     fn learned() -> Self {
         Self { learns: true, peer: None, second: None, owed: 0, is_answered: false }
     }
 
-    /// Return whether frames of the peer arrive from this address.
+    /// Returns whether frames of the peer arrive from this address.
     fn lives_at(&self, now_ns: u64, from: SocketAddr) -> bool {
         self.peer.is_some_and(|peer| peer.asker.from == from && !peer.is_silent(now_ns))
     }
 
-    /// Whether a datagram from there is looked at.
     fn admits(&self, from: SocketAddr) -> bool {
         self.learns || self.peer.is_some_and(|peer| peer.asker.from == from)
     }
 
-    /// Takes note of a datagram from `asker` that arrived at `now_ns`.
+    /// Updates the addresses from a datagram of `asker` that arrived at `now_ns`.
     fn take(&mut self, now_ns: u64, asker: Asker, received: Received) {
         match received {
             Received::Fresh { is_answered } => self.is_answered = is_answered,
@@ -328,7 +324,6 @@ impl Route {
         }
     }
 
-    /// Where the next datagram to the peer goes.
     fn next(&mut self) -> [Option<Asker>; 2] {
         let second = self.second.filter(|_| self.owed > 0);
         self.owed = self.owed.saturating_sub(1);
@@ -345,7 +340,7 @@ mod tests {
     const MS: u64 = 1_000_000;
     const DELAY_NS: u64 = 60 * MS;
 
-    /// Who sends a master's frames on to the slave, and until when.
+    /// A sender of the master's frames, and the ticks at which it sends.
     struct Sender {
         address: SocketAddr,
         faster_ns: u64,
@@ -356,8 +351,8 @@ mod tests {
         SocketAddr::from(([10, 0, 0, 1], port))
     }
 
-    /// Longest time in ns in which the master had no answer, from `from_ns` to the end, over `ticks` of 1 ms; and how
-    /// many answers each address got. The master is at the address `lives(tick)`.
+    /// Longest time in ns without an answer to the master, from `from_ns` on over `ticks` of 1 ms, and answers per
+    /// address. The master is at `lives(tick)`.
     fn silence(
         ticks: u64,
         from_ns: u64,
@@ -373,7 +368,7 @@ mod tests {
         }
         arrivals.sort_unstable();
         let (mut seen, mut newest, mut answers) = (BTreeSet::new(), None, BTreeMap::new());
-        // What the master heard last, by its own time of sending each frame.
+        // Newest answer to the master, by send time.
         let mut answered_ns = vec![0; usize::try_from(ticks).unwrap()];
         let (mut last_ns, mut longest_ns, mut next) = (0, 0, 0);
         for now_ms in 0..ticks {
@@ -409,9 +404,9 @@ mod tests {
         (longest_ns, answers)
     }
 
-    /// From 1 to 50 ms faster, all frames or some, from the middle of a session.
+    /// 1 to 50 ms faster, all frames or some, in mid-session.
     #[test]
-    fn a_faster_copy_of_a_living_peer_gets_no_answer() {
+    fn faster_copy_of_living_peer_gets_no_answer() {
         for faster_ms in [1, 2, 4, 10, 25, 50] {
             for sends in [
                 (|tick| tick > 500) as fn(u64) -> bool,
@@ -430,9 +425,9 @@ mod tests {
         }
     }
 
-    /// The slave knows the copier's address before it knows the peer's.
+    /// The slave learns the copier's address before the peer's.
     #[test]
-    fn a_copy_from_the_first_frame_on_leaves_the_peer_its_answers() {
+    fn copy_from_first_frame_leaves_answers_to_peer() {
         for faster_ms in [1, 4, 50] {
             let senders = [
                 Sender { address: at(1), faster_ns: 0, sends: |_| true },
@@ -443,9 +438,9 @@ mod tests {
         }
     }
 
-    /// The peer's own frames stall, the copies do not: the slave moves to the copier and serves the peer all the same.
+    /// The peer's frames stall, the copies do not: the slave moves but still serves the peer.
     #[test]
-    fn a_stall_of_the_peer_does_not_lose_it_to_a_copier() {
+    fn stalled_peer_is_not_lost_to_copier() {
         let senders = [
             Sender { address: at(1), faster_ns: 0, sends: |tick| !(1000..1060).contains(&tick) },
             Sender { address: at(2), faster_ns: 4 * MS, sends: |tick| tick > 500 },
@@ -454,9 +449,9 @@ mod tests {
         assert!(longest_ns <= 20 * MS, "{longest_ns}");
     }
 
-    /// The copier lets through none of the originals: what it sends is all there is, and it is answered.
+    /// Only the relay's frames arrive, and they are answered.
     #[test]
-    fn a_relay_that_takes_the_peers_place_is_followed() {
+    fn relay_that_replaces_peer_is_followed() {
         let senders = [
             Sender { address: at(1), faster_ns: 0, sends: |tick| tick < 1000 },
             Sender { address: at(2), faster_ns: 4 * MS, sends: |tick| tick > 500 },
@@ -466,9 +461,9 @@ mod tests {
         assert!(longest_ns <= 25 * MS, "{longest_ns}");
     }
 
-    /// A translator of addresses gives the peer another one.
+    /// An address translator gives the peer another address.
     #[test]
-    fn a_peer_that_moves_is_followed_within_21_ms() {
+    fn moved_peer_is_followed_within_21_ms() {
         let senders = [
             Sender { address: at(1), faster_ns: 0, sends: |tick| tick < 1000 },
             Sender { address: at(3), faster_ns: 0, sends: |tick| tick >= 1000 },
@@ -479,9 +474,9 @@ mod tests {
         assert!(answers[&at(3)] > 1900);
     }
 
-    /// It moves while somebody copies its frames and is faster.
+    /// The peer moves while a faster copier is active.
     #[test]
-    fn a_peer_that_moves_beside_a_copier_is_found() {
+    fn moved_peer_is_found_beside_copier() {
         let senders = [
             Sender { address: at(1), faster_ns: 0, sends: |tick| tick < 1000 },
             Sender { address: at(2), faster_ns: 4 * MS, sends: |tick| tick > 500 },
@@ -493,7 +488,7 @@ mod tests {
     }
 
     #[test]
-    fn a_peer_on_this_machine_is_sent_to_from_loopback() {
+    fn peer_on_this_machine_is_reached_from_loopback() {
         for peer in ["127.0.0.1:9000", "127.0.0.9:9000", "[::1]:9000", "[::ffff:127.0.0.1]:9000"] {
             let peer: SocketAddr = peer.parse().unwrap();
             // Not every machine has IPv6.
@@ -510,7 +505,7 @@ mod tests {
         }
     }
 
-    /// The socket keeps the address that answers, of a name with several, and ignores all others.
+    /// The socket keeps the address that answers, and ignores the others.
     #[test]
     fn each_address_of_a_peer_is_tried_until_one_answers() {
         let any: SocketAddr = "127.0.0.1:0".parse().unwrap();
@@ -545,16 +540,16 @@ mod tests {
                 let count = std::iter::from_fn(|| end.recv_from(&mut buffer).ok()).count();
                 assert_eq!(count, if index == place { 6 } else { 0 });
             }
-            // The address that was given up is a stranger's.
+            // The discarded address counts as a stranger's.
             ends[(place + 1) % 3].send_to(&[2], asked_from[place]).unwrap();
             socket.drain(0, u64::MAX, |_, _| fresh);
             assert_eq!(socket.elsewhere(), 1);
         }
     }
 
-    /// Damage on the way makes a frame look like one of another version.
+    /// Damage makes a frame look like one of another version.
     #[test]
-    fn a_peer_that_is_heard_is_no_stranger() {
+    fn heard_peer_is_no_stranger() {
         for peer in [Some(at(1)), None] {
             let mut route = peer.map_or_else(Route::learned, Route::known);
             assert!(!route.lives_at(500 * MS, at(1)), "nothing was heard");
@@ -566,16 +561,16 @@ mod tests {
     }
 
     #[test]
-    fn a_known_peer_is_never_left() {
+    fn known_peer_keeps_its_address() {
         let mut route = Route::known(at(1));
         assert!(route.admits(at(1)) && !route.admits(at(2)));
         route.take(100 * MS, at(1).into(), Received::Fresh { is_answered: false });
         assert_eq!(route.next(), [Some(at(1).into()), None]);
     }
 
-    /// Who copies a few frames does not have a stream sent elsewhere.
+    /// A copier of a few frames cannot redirect a stream.
     #[test]
-    fn a_second_address_gets_no_more_than_came_from_there() {
+    fn second_address_gets_one_answer_per_datagram() {
         let mut route = Route::learned();
         route.take(0, at(1).into(), Received::Fresh { is_answered: false });
         let mut to_second = 0;
@@ -590,7 +585,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_good_teaches_nothing() {
+    fn invalid_datagrams_do_not_change_the_route() {
         let mut route = Route::learned();
         route.take(0, at(1).into(), Received::Nothing);
         assert_eq!(route.next(), [None, None]);

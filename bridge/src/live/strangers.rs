@@ -1,5 +1,4 @@
-//! Datagrams that are not of the peer: of another address, key or version. Nobody is coupled by them; the operator sees the
-//! first, and then every tenfold of their number.
+//! Datagrams that are not from the peer. They couple nobody; the operator sees the first and every tenfold count.
 
 use std::net::SocketAddr;
 
@@ -8,18 +7,18 @@ use crate::{
     wire::{MAGIC, VERSION},
 };
 
-/// How a datagram shows that it is not of the peer.
+/// Evidence that a datagram is not from the peer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stranger {
-    /// It came from another address than that of a known peer.
+    /// From another address than a known peer's.
     Elsewhere,
-    /// Its handshake is of another key.
+    /// A handshake of another key.
     Key,
-    /// It is of another version of the protocol.
+    /// Another version of the protocol.
     Version,
-    /// It is in the clear, and this side has a key.
+    /// Unencrypted, and this side has a key.
     Clear,
-    /// It is encrypted, and this side goes without a key.
+    /// Encrypted, and this side has no key.
     Encrypted,
 }
 
@@ -27,20 +26,19 @@ impl Stranger {
     const COUNT: usize = 5;
 }
 
-/// The outside of a datagram.
 pub(super) struct Header {
     magic: [u8; 2],
     version: u8,
     is_handshake: bool,
 }
 
-/// Header of a datagram; None if the datagram is too short.
+/// Header of a datagram; `None` if too short.
 pub(super) fn header_of(datagram: &[u8]) -> Option<Header> {
     let &[first, second, version, ..] = datagram else { return None };
     Some(Header { magic: [first, second], version, is_handshake: is_handshake(datagram) })
 }
 
-/// How a datagram that was not taken shows that it is not of the peer, if it does; `rejection` is of the session.
+/// Evidence in a refused datagram that it is not from the peer.
 pub(super) fn stranger(
     header: Option<&Header>,
     is_secure: bool,
@@ -63,11 +61,11 @@ pub(super) fn stranger(
 /// Report to the operator on datagrams of one kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StrangerReport {
-    /// Difference from datagrams of the peer.
+    /// Evidence.
     pub kind: Stranger,
-    /// How many there were.
+    /// Number of datagrams.
     pub count: u64,
-    /// Who sent the last.
+    /// Sender of the last.
     pub from: SocketAddr,
 }
 
@@ -95,7 +93,7 @@ impl std::fmt::Display for StrangerReport {
     }
 }
 
-/// Counts of each kind, and what is to be told of them.
+/// Counts of each kind, and reports not read yet.
 #[derive(Debug, Default)]
 pub(super) struct Strangers {
     counts: [u64; Stranger::COUNT],
@@ -106,18 +104,16 @@ impl Strangers {
     pub(super) fn count(&mut self, kind: Stranger, from: SocketAddr) {
         let count = &mut self.counts[kind as usize];
         *count += 1;
-        // The first, the tenth, the hundredth: a flood fills no screen.
+        // The first, the tenth, the hundredth: a flood does not fill the screen.
         if 10_u64.checked_pow(count.ilog10()) == Some(*count) {
             self.waiting[kind as usize] = Some(StrangerReport { kind, count: *count, from });
         }
     }
 
-    /// The next that is to be told, if there is one.
     pub(super) fn poll(&mut self) -> Option<StrangerReport> {
         self.waiting.iter_mut().find_map(Option::take)
     }
 
-    /// How many of a kind there were.
     pub(super) fn count_of(&self, kind: Stranger) -> u64 {
         self.counts[kind as usize]
     }
@@ -159,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn every_tenfold_is_told() {
+    fn every_tenfold_is_reported() {
         let (mut strangers, from) = (Strangers::default(), SocketAddr::from(([192, 0, 2, 1], 7)));
         let mut told = Vec::new();
         for _ in 0..5000 {

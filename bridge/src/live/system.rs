@@ -1,4 +1,4 @@
-//! The operating system under a live loop: its clock and sleep, memory that runs out, real time.
+//! Operating system of a live loop: clock and sleep, exhausted memory, real-time scheduling.
 
 use std::{
     fmt,
@@ -29,7 +29,7 @@ use rustix::{
 
 const SECOND: u64 = 1_000_000_000;
 
-/// Time of the system's monotonic clock in ns, which live loops go by.
+/// Time of the system's monotonic clock in ns, used by live loops.
 pub fn now_ns() -> u64 {
     let now = clock_gettime(ClockId::Monotonic);
     #[allow(clippy::cast_sign_loss)] // the monotonic clock starts at boot
@@ -37,12 +37,12 @@ pub fn now_ns() -> u64 {
     seconds * SECOND + nanoseconds
 }
 
-/// Shortest sleep in ns between two ticks of a loop that is late.
+/// Shortest sleep in ns between two ticks of a late loop.
 const MIN_SLEEP_NS: u64 = 50_000;
 
-/// Sleeps until the monotonic clock shows `deadline_ns`, and for 50 us if it already does.
+/// Sleeps until the monotonic clock shows `deadline_ns`; for 50 us if it is past.
 ///
-/// With real-time scheduling nobody else would run on this processor while a loop that cannot keep up never sleeps.
+/// Under real-time scheduling a loop that never sleeps would starve all else on this processor.
 pub(super) fn sleep_until(deadline_ns: u64) {
     let now_ns = now_ns();
     let deadline_ns = if deadline_ns > now_ns { deadline_ns } else { now_ns + MIN_SLEEP_NS };
@@ -52,50 +52,49 @@ pub(super) fn sleep_until(deadline_ns: u64) {
     while clock_nanosleep_absolute(ClockId::Monotonic, &deadline) == Err(rustix::io::Errno::INTR) {}
 }
 
-/// Requests of the kernel not to delay this thread's wake-ups by its default 50 us; where that is refused it works,
-/// too.
+/// Requests wake-ups without the kernel's default slack of 50 us. Optional.
 fn request_prompt_wakeups() {
     let _ = set_current_timer_slack(std::num::NonZeroU64::new(1));
 }
 
-/// Of the process, as memory is.
+/// Per process, as memory is shared.
 static EXHAUSTED: AtomicBool = AtomicBool::new(false);
 
-/// Ends each loop of this process at its next tick: no force, no motion, and the peer is sent the end.
+/// Ends each loop of this process at its next tick: no force, no motion, peer notified.
 pub fn end_for_lack_of_memory() {
     EXHAUSTED.store(true, Ordering::Relaxed);
 }
 
-/// There is memory again, for loops that begin from now on.
+/// Clears the flag, for later loops.
 pub fn memory_is_back() {
     EXHAUSTED.store(false, Ordering::Relaxed);
 }
 
-/// Whether none was left.
+/// Returns whether memory is exhausted.
 pub fn is_exhausted() -> bool {
     EXHAUSTED.load(Ordering::Relaxed)
 }
 
-/// How much is at stake.
+/// How strictly to request real-time scheduling.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RealtimeDemand {
     /// Request nothing.
     Off,
-    /// Request, and go on with what was granted.
+    /// Request, and go on with the grants.
     #[default]
     Auto,
     /// Request, and do not start with less.
     Require,
 }
 
-/// What to request of the system.
+/// Requests to the system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RealtimeSettings {
-    /// How much is at stake.
+    /// How strictly to request.
     pub demand: RealtimeDemand,
-    /// Priority under `SCHED_FIFO`, 1 to 99. The default lies above the threads of interrupts (50) and of netsim (40).
+    /// Priority under `SCHED_FIFO`, 1 to 99. The default exceeds those of interrupt threads (50) and netsim (40).
     pub priority: u8,
-    /// Processor that the loop stays on; without one the kernel chooses.
+    /// Processor to pin the loop to, or `None`.
     pub cpu: Option<u16>,
 }
 
@@ -105,15 +104,15 @@ impl Default for RealtimeSettings {
     }
 }
 
-/// What became of one wish.
+/// Result of one request.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Granted<T> {
-    /// Nobody requested it.
+    /// Not requested.
     #[default]
     NotRequested,
-    /// Granted, as the kernel says when it is read again.
+    /// Granted, as read back from the kernel.
     Yes(T),
-    /// Refused, with the number of the kernel's error; 0 where it said yes and did otherwise.
+    /// Refused, with the kernel's error number; 0 for a false success.
     Refused(i32),
 }
 
@@ -134,27 +133,26 @@ impl<T> Granted<T> {
     }
 }
 
-/// What the loop's thread has got, as read back from the kernel.
+/// Grants to the loop's thread, as read back from the kernel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RealtimeReport {
     /// Priority under `SCHED_FIFO`.
     pub fifo: Granted<u8>,
     /// Bytes of the process that cannot be paged out.
     pub locked: Granted<u64>,
-    /// Processor that the loop stays on.
+    /// Processor that the loop is pinned to.
     pub cpu: Granted<u16>,
-    /// Processors that do not fall into a sleep from which they wake late. Only root may request that, and little
-    /// hangs on it: it is never required.
+    /// No deep sleep of processors, which delays wake-ups. Root only, of little effect, and never required.
     pub wakeful: Granted<()>,
 }
 
 impl RealtimeReport {
-    /// Whether all that was requested was granted.
+    /// Returns whether all requests were granted, except deep sleep.
     pub fn is_complete(&self) -> bool {
         !(self.fifo.is_refused() || self.locked.is_refused() || self.cpu.is_refused())
     }
 
-    /// Refuses to go on where all of it is demanded and not all was granted.
+    /// Fails if full grants are required and missing.
     pub(super) fn check(&self, demand: RealtimeDemand) -> io::Result<()> {
         if demand == RealtimeDemand::Require && !self.is_complete() {
             let text = format!("real time is required: {self}");
@@ -163,11 +161,11 @@ impl RealtimeReport {
         Ok(())
     }
 
-    /// What was refused, and what would have it granted.
+    /// Refused requests, each with the right that it needs.
     fn refusals(&self) -> Vec<String> {
         let mut refusals = Vec::new();
         let mut add = |what: &str, number: i32, needs: &str| {
-            // A number that the kernel does not have is none for `Errno`, either.
+            // A number unknown to the kernel is no `Errno` either.
             let rights = [Errno::PERM, Errno::NOMEM, Errno::AGAIN].map(Errno::raw_os_error);
             refusals.push(match number {
                 0 => format!("{what} was granted and not given"),
@@ -214,7 +212,7 @@ impl fmt::Display for RealtimeReport {
     }
 }
 
-/// Requests all of it for this thread; what is returned must live as long as it is to last.
+/// Makes all requests for this thread, granted as long as [`Kept`] lives.
 pub(super) fn prepare(settings: RealtimeSettings, later: LaterMemory) -> (RealtimeReport, Kept) {
     request_prompt_wakeups();
     if settings.demand == RealtimeDemand::Off {
@@ -238,18 +236,18 @@ pub(super) fn prepare(settings: RealtimeSettings, later: LaterMemory) -> (Realti
     (report, Kept { memory: memory.ok(), awake: awake.ok(), schedule, processors })
 }
 
-/// What is granted for as long as it is held.
+/// Grants, released when dropped.
 #[derive(Debug, Default)]
 #[allow(dead_code)] // held, not read
 pub(super) struct Kept {
     memory: Option<LockedMemory>,
     awake: Option<File>,
-    /// Given back when the loop ends: its thread may be somebody else's.
+    /// Restored at the end, since the thread may serve others.
     schedule: Option<ScheduleBefore>,
     processors: Option<ProcessorsBefore>,
 }
 
-/// Where a thread might run before its loop; given back when this is dropped on that thread.
+/// Processors allowed before the loop; restored if dropped on that thread.
 #[derive(Debug)]
 struct ProcessorsBefore {
     thread: ThreadId,
@@ -270,14 +268,14 @@ impl Drop for ProcessorsBefore {
     }
 }
 
-/// Has the kernel allow no wake-up to take long, as cyclictest does, for as long as the file is open.
+/// Keeps processors out of deep sleep while the file is open, as cyclictest does.
 fn keep_awake() -> io::Result<File> {
     let mut latency = OpenOptions::new().write(true).open("/dev/cpu_dma_latency")?;
     latency.write_all(&0_i32.to_ne_bytes())?;
     Ok(latency)
 }
 
-/// Keeps this thread on one processor.
+/// Pins this thread to one processor.
 fn stay_on(cpu: u16) -> io::Result<u16> {
     if usize::from(cpu) >= CpuSet::MAX_CPU {
         return Err(Errno::INVAL.into());
@@ -288,7 +286,7 @@ fn stay_on(cpu: u16) -> io::Result<u16> {
     if sched_getaffinity(None)? == only { Ok(cpu) } else { Err(io::Error::other("another set")) }
 }
 
-/// Has the pages of the stack that a tick uses there before the first one, where they cannot be locked.
+/// Touches the stack pages of a tick beforehand, if they cannot be locked.
 #[inline(never)]
 fn touch_stack(pages: u32) -> u8 {
     let page = std::hint::black_box([0_u8; 4096]);
@@ -296,29 +294,29 @@ fn touch_stack(pages: u32) -> u8 {
     std::hint::black_box(page[0]) | below
 }
 
-/// Loops whose memory is locked: the kernel locks whole processes, not threads.
+/// Number of loops with locked memory: the kernel locks whole processes, not threads.
 static LOCKING: Mutex<usize> = Mutex::new(0);
 
-/// Memory that the process maps after a loop has begun.
+/// Memory mapped after a loop has begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LaterMemory {
-    /// Free to be paged out: the loop's thread maps none.
+    /// Pageable: the loop's thread maps none.
     Free,
-    /// Locked page by page as it is used: a driver in Python allocates in a tick.
+    /// Locked on use: a driver in Python allocates during a tick.
     Locked,
 }
 
-/// The memory that the process uses when a loop begins stays where it is.
+/// Keeps the memory in use in RAM.
 #[derive(Debug)]
 pub(super) struct LockedMemory {
-    /// As the kernel says.
+    /// As the kernel reports.
     bytes: u64,
 }
 
 impl LockedMemory {
     fn new(later: LaterMemory) -> io::Result<Self> {
         let mut locking = LOCKING.lock().unwrap_or_else(PoisonError::into_inner);
-        // Beyond a bound the kernel refuses later memory, which would end the process.
+        // Beyond a limit the kernel refuses later memory, which would end the process.
         let is_bounded = getrlimit(Resource::Memlock).current.is_some() && !may_lock_all();
         let mut locked = lock_used(is_bounded);
         if locked.is_ok() && !is_bounded && later == LaterMemory::Locked {
@@ -335,21 +333,20 @@ impl LockedMemory {
     }
 }
 
-/// Bytes of this thread's stack that are locked above and below where it stands.
+/// Bytes of stack to lock above and below this frame.
 const STACK: usize = 256 << 10;
 
-/// Longest unused stretch between used pages that is locked with them: `malloc` writes on both sides of what it gives
-/// out, and a tick may be the first to write in between. The reserve for the end of a run is in larger blocks.
+/// Longest unused stretch between used pages that is locked with them. `malloc` writes around a block, and a tick may
+/// write in between first. The end-of-run reserve is in larger blocks.
 const GAP: usize = 64 << 10;
 
-/// Beginnings of the names of libraries that a tick calls.
+/// Name prefixes of libraries that a tick calls.
 const CALLED: [&str; 4] = ["libc.", "libc-", "libm.", "libm-"];
 
-/// Locks each page of the process that is in use, all of this library and of those that it calls, and the stack around
-/// this frame.
+/// Locks each used page, all of this library and those it calls, and the stack around this frame.
 ///
-/// `mlockall` fills whole mappings instead: 8 MiB for each stack, 32 MiB for each thread of `OpenBLAS`, 64 MiB for each
-/// arena of `malloc` in what the kernel counts, and all of each library.
+/// `mlockall` fills whole mappings instead: 8 MiB per stack, 32 MiB per thread of `OpenBLAS`, 64 MiB per arena of
+/// `malloc` in the kernel's count, and all libraries.
 #[allow(unsafe_code)] // locks pages, and neither reads nor writes them
 fn lock_used(is_bounded: bool) -> io::Result<()> {
     let maps = std::fs::read("/proc/self/maps")?;
@@ -358,18 +355,18 @@ fn lock_used(is_bounded: bool) -> io::Result<()> {
     let (code, frame) = (lock_used as *const () as usize, (&raw const maps).addr());
     let library = mappings.iter().find(|mapping| mapping.addresses.contains(&code)).map(|found| found.file);
     let page = page_size();
-    // A process that may not be dumped reads it as root alone: then all is locked.
+    // A process that may not be dumped can read pagemap only as root: lock everything.
     let Ok(pagemap) = File::open("/proc/self/pagemap") else {
         return mlockall(MlockAllFlags::CURRENT).map_err(io::Error::from);
     };
-    // Without a bound the kernel refuses only what another thread has unmapped meanwhile.
+    // Without a limit the kernel refuses only pages unmapped meanwhile by another thread.
     let mut entries = Vec::new();
     for Mapping { addresses, file, name } in &mappings {
         // 8 bytes a page. The highest two bits: in memory, paged out.
         entries.resize(addresses.len() / page, [0_u8; 8]);
         let offset = (addresses.start / page * 8) as u64;
         if pagemap.read_exact_at(entries.as_flattened_mut(), offset).is_err() {
-            // A mapping of the kernel, beyond those of the process.
+            // A kernel mapping, beyond those of the process.
             continue;
         }
         let is_library = library == Some(*file) || CALLED.iter().any(|called| name.starts_with(called));
@@ -381,7 +378,7 @@ fn lock_used(is_bounded: bool) -> io::Result<()> {
         };
         for pages in runs(entries.len(), gap, is_locked) {
             let address = ptr::without_provenance_mut(addresses.start + pages.start * page);
-            // SAFETY: the kernel refuses what is not mapped.
+            // SAFETY: the kernel refuses unmapped pages.
             let locked = unsafe { mlock(address, pages.len() * page) };
             if is_bounded {
                 locked?;
@@ -391,17 +388,16 @@ fn lock_used(is_bounded: bool) -> io::Result<()> {
     Ok(())
 }
 
-/// A readable mapping of this process.
+/// A readable mapping.
 struct Mapping<'a> {
     addresses: Range<usize>,
-    /// Device and inode; zeros of one without a file.
+    /// Device and inode; zeros without a file.
     file: [&'a str; 2],
-    /// Name of its file.
     name: &'a str,
 }
 
 impl<'a> Mapping<'a> {
-    /// Of a line of `/proc/self/maps`; none where nobody may read it.
+    /// Parses a line of `/proc/self/maps`; `None` if not readable.
     fn of_line(line: &'a str) -> Option<Self> {
         let mut fields = line.split_ascii_whitespace();
         let (start, end) = fields.next()?.split_once('-')?;
@@ -413,7 +409,7 @@ impl<'a> Mapping<'a> {
     }
 }
 
-/// The ranges below `count` of numbers that are `within`, and of at most `gap` others between two of them.
+/// Ranges below `count` where `within` holds, bridging gaps of up to `gap`.
 fn runs(count: usize, gap: usize, within: impl Fn(usize) -> bool) -> Vec<Range<usize>> {
     let mut runs: Vec<Range<usize>> = Vec::new();
     for number in (0..count).filter(|number| within(*number)) {
@@ -435,7 +431,7 @@ impl Drop for LockedMemory {
     }
 }
 
-/// Whether this thread has `CAP_IPC_LOCK`, bit 14 of the effective capabilities: no bound holds for it.
+/// Returns whether this thread has `CAP_IPC_LOCK` (bit 14, effective), and so no limit.
 fn may_lock_all() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let effective = status.lines().find_map(|line| line.strip_prefix("CapEff:"));
@@ -456,7 +452,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_got_is_said_in_words() {
+    fn report_names_grants_and_refusals() {
         let (not_requested, perm) = (Granted::NotRequested, Errno::PERM.raw_os_error());
         for (fifo, locked, cpu, said) in [
             (not_requested, Granted::NotRequested, Granted::NotRequested, "off: ordinary scheduling"),
@@ -493,7 +489,7 @@ mod tests {
     }
 
     #[test]
-    fn a_processor_that_is_not_there_is_refused_and_nothing_else() {
+    fn missing_processor_is_refused_alone() {
         for cpu in [u16::MAX, 1023] {
             let settings = RealtimeSettings { cpu: Some(cpu), ..RealtimeSettings::default() };
             let (report, _kept) =
@@ -504,10 +500,10 @@ mod tests {
     }
 
     #[test]
-    fn what_the_kernel_says_is_what_is_reported() {
+    fn report_equals_kernel_state() {
         let settings = RealtimeSettings { priority: 3, ..RealtimeSettings::default() };
         let (report, kept) = std::thread::spawn(move || prepare(settings, LaterMemory::Free)).join().unwrap();
-        // Whether it is granted is this machine's; the report must be true either way.
+        // The grant depends on the machine; the report must be true.
         match report.fifo {
             Granted::Yes(priority) => assert_eq!(priority, 3),
             Granted::Refused(number) => assert_ne!(number, 0),
@@ -523,7 +519,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_are_as_long_as_can_be() {
+    fn runs_are_maximal() {
         for (used, gap, expected) in [
             ("", 1, vec![]),
             ("...", 3, vec![]),
@@ -541,7 +537,7 @@ mod tests {
     }
 
     #[test]
-    fn memory_is_locked_that_is_used() {
+    fn used_memory_is_locked() {
         const UNUSED: usize = 4 << 30;
         const USED: usize = 8 << 20;
         let (unused, used) = (Vec::<u8>::with_capacity(UNUSED), vec![1_u8; USED]);
@@ -551,7 +547,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_asked_for_that_nobody_wants() {
+    fn demand_off_requests_nothing() {
         let settings = RealtimeSettings { demand: RealtimeDemand::Off, ..RealtimeSettings::default() };
         let (report, kept) = std::thread::spawn(move || prepare(settings, LaterMemory::Free)).join().unwrap();
         assert_eq!(report, RealtimeReport::default());

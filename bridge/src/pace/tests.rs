@@ -15,7 +15,7 @@ fn paced(settings: ClockSettings, ticks: usize) -> Vec<(u64, Wake)> {
     (0..ticks).map(|_| tick()).collect()
 }
 
-/// A device whose samples are `drift_ppm` of a period of 1 ms farther apart than they should be.
+/// A device whose sample period is `drift_ppm` longer than 1 ms.
 struct Device {
     pace: DevicePace,
     now_ns: u64,
@@ -43,11 +43,11 @@ impl Device {
     }
 }
 
-/// What is left of a deviation after a tick, as [`PACE_SHARE`] has it.
+/// Fraction of a deviation that is left after a tick, by [`PACE_SHARE`].
 const LEFT: f64 = 1.0 - 1.0 / 1024.0;
 
 #[test]
-fn a_device_sets_the_pace_whatever_its_clock() {
+fn device_sets_the_pace_with_any_clock() {
     for drift_ppm in [-20_000_i64, -1000, -100, 0, 100, 900] {
         let mut device = Device::new();
         let mut late_ns = 0;
@@ -56,20 +56,20 @@ fn a_device_sets_the_pace_whatever_its_clock() {
             assert_eq!(wake.missed, 0, "{drift_ppm} {n}");
             late_ns = wake.overshoot_ns;
         }
-        // Where what is late grows by a tick is what its share takes away.
+        // Steady state: the lateness grows in a tick by as much as its share removes.
         let expected_ns = (drift_ppm * 1024).max(0).cast_unsigned();
         assert!(late_ns.abs_diff(expected_ns) < 2048, "{drift_ppm}: {late_ns}");
     }
 }
 
-/// Slow by more than a 1024th, it is late by a period again and again, and by no more.
+/// A device slow by more than a 1024th is repeatedly late by a period, and by no more.
 ///
-/// Lateness L grows by d - L / 1024 a tick, from 0 to the period P in k ticks where P = 1024 d (1 - LEFT^k); then a
-/// tick is left out. What L is over P, less than d, goes on at the pace of L = 0 instead of L = P, which takes up to
-/// (P / 1024) / (d - P / 1024) of a tick longer. The tick that has begun at the end, and what is rounded down (less
-/// than 1 ns of d each tick, 1 in 4000), make one more or less.
+/// Lateness L grows by d - L / 1024 a tick. It grows from 0 to the period P in k ticks where P = 1024 d (1 - LEFT^k);
+/// then a tick is skipped. The excess of L over P, below d, grows at the rate of L = 0 instead of L = P. That takes
+/// up to (P / 1024) / (d - P / 1024) of a tick longer. The last tick, and rounding down (below 1 ns of d each tick, 1
+/// in 4000), add or remove one.
 #[test]
-fn a_device_that_is_too_slow_leaves_out_what_it_owes() {
+fn device_that_is_too_slow_skips_ticks() {
     let (ticks, period) = (200_000, 1e6);
     for drift_ppm in [5000_i64, 20_000] {
         let mut device = Device::new();
@@ -87,8 +87,8 @@ fn a_device_that_is_too_slow_leaves_out_what_it_owes() {
     }
 }
 
-/// After a step of the device's rate its lateness goes from where it was to 1024 d, by a 1024th a tick, but not
-/// below 0. What is rounded down adds less than 1 ns a tick, of which a 1024th goes again: at most 1024 ns.
+/// After a step of the rate the lateness moves to 1024 d, by a 1024th a tick, but not below 0. Rounding adds less
+/// than 1 ns a tick and decays by a 1024th: at most 1024 ns.
 #[test]
 fn a_step_of_the_rate_is_followed_over_a_thousand_ticks() {
     for (before_ppm, after_ppm) in [
@@ -119,14 +119,14 @@ fn a_step_of_the_rate_is_followed_over_a_thousand_ticks() {
                 break;
             }
         }
-        // At 2 % it takes 1 / 0.02 to 1 / (0.02 - 1 / 1024) ticks, which is 50 to 52.6, to be late by a period.
+        // At 2 % a period of lateness takes 1 / 0.02 to 1 / (0.02 - 1 / 1024) ticks, so 50 to 52.6.
         let expected = if after_ppm == 20_000 { 50..=53 } else { 0..=0 };
         assert!(expected.contains(&left_out.unwrap_or(0)), "{before_ppm} to {after_ppm}: {left_out:?}");
     }
 }
 
 #[test]
-fn a_driver_that_blocks_leaves_ticks_out_and_stalls() {
+fn blocked_driver_skips_ticks_and_stalls() {
     for (blocked_ms, missed, stalled) in [(1, 1, false), (19, 19, false), (20, 20, false), (21, 21, true)] {
         for waits in [false, true] {
             let mut pace = DevicePace::new(MS);
@@ -142,7 +142,7 @@ fn a_driver_that_blocks_leaves_ticks_out_and_stalls() {
 }
 
 #[test]
-fn an_offset_shifts_what_the_clock_shows_and_nothing_else() {
+fn offset_shifts_the_clock_alone() {
     for offset_s in [-4e9, -1.5, 0.0, 1.5, 4e9] {
         let settings = ClockSettings { offset_s, ..ClockSettings::default() };
         let first = paced(settings, 1)[0].1.deadline_ns;
@@ -158,7 +158,7 @@ fn drift_changes_the_true_period_by_its_share() {
     for (drift_ppm, ticks) in [(100.0, 100_011), (-100.0, 99_991), (0.0, 100_001)] {
         let settings = ClockSettings { drift_ppm, ..ClockSettings::default() };
         let last = paced(settings, ticks)[ticks - 1];
-        // The last of these ticks is the one nearest to 100 s of true time: of a period of 1 ms / (1 + drift).
+        // The last of these ticks is nearest to 100 s of true time, with a period of 1 ms / (1 + drift).
         let expected = (ticks - 1) as f64 * 1e6 / (1.0 + drift_ppm * 1e-6);
         assert!((last.0 as f64 - expected).abs() <= 1.0, "{drift_ppm}: {last:?}");
         assert!(last.1.overshoot_ns <= 1 && last.1.missed == 0);
@@ -166,7 +166,7 @@ fn drift_changes_the_true_period_by_its_share() {
 }
 
 #[test]
-fn a_step_forward_leaves_ticks_out_as_a_late_loop_does() {
+fn step_forward_skips_ticks_as_a_late_loop() {
     for (step_ms, stalled) in [(7, false), (1000, true)] {
         let settings =
             ClockSettings { step_s: step_ms as f64 * 1e-3, step_at_s: 3.5e-3, ..ClockSettings::default() };

@@ -1,41 +1,37 @@
-//! How old the newest packet of the peer is, by our clock alone, and the level of ages that the ladder measures
-//! against.
+//! Age of the peer's newest packet by our clock only, and the level that the ladder compares with.
 
 use super::{peer_clock::ClockFault, share_up};
 
-/// Our newest sending times that are kept: four seconds at 1 kHz. An echo of an older one says nothing.
+/// Number of send times kept: four seconds at 1 kHz. Echoes of older packets are ignored.
 const SENT_KEPT: usize = 4096;
 
-/// Keeps our sending times and the age of the newest packet received.
+/// Bounds the age of the newest packet, from our send times.
 ///
-/// A packet that echoes our counter `c` left the peer after that arrived there, so not before the time `T_c` of our
-/// clock at which `c` left here. So at `now` it is at most `now - T_c` old: whatever the delays, and whatever the
-/// peer's clock shows. A
-/// packet never is older than one that the peer sent before it, so the bound does not fall back when an echo is
-/// missing.
+/// A packet that echoes counter `c` left the peer after `c` arrived there, so not before `T_c`, when `c` was sent by
+/// our clock. At `now` it is at most `now - T_c` old, for any delays and peer clock. A packet is never older than one
+/// sent before it, so the bound does not fall back when an echo is missing.
 #[derive(Clone, Debug)]
 pub struct PacketAge {
-    /// Greatest drift of the peer's clock, with which it measures how long it held a packet.
+    /// Maximum drift in ppb of the peer's clock, which measures the hold time.
     max_drift_ppb: u64,
-    /// Times in ns, each at the place of its counter modulo the length.
+    /// Send times in ns, indexed by counter modulo length.
     sent: Box<[u64]>,
-    /// The counter sent last.
+    /// Newest counter sent.
     newest: Option<u64>,
-    /// How many up to it are known, at most as many as are kept.
+    /// Number of known send times up to the newest.
     known: u64,
-    /// The newest packet left the peer no earlier.
+    /// Lower bound in ns of the send time of the newest packet.
     sent_after_ns: Option<u64>,
 }
 
 impl PacketAge {
-    /// Nothing sent yet; healthy clocks part by at most `max_drift_ppb`.
+    /// Creates a tracker without packets. Healthy clocks drift apart by at most `max_drift_ppb`.
     pub fn new(max_drift_ppb: u64) -> Self {
         let sent = vec![0; SENT_KEPT].into_boxed_slice();
         Self { max_drift_ppb, sent, newest: None, known: 0, sent_after_ns: None }
     }
 
-    /// Notes that our packet `counter` left at `now_ns`. Counters rise by one; one that does not follow
-    /// the last forgets all before it.
+    /// Records our packet `counter`, sent at `now_ns`. A gap in the counters clears all before.
     pub fn sent(&mut self, counter: u64, now_ns: u64) {
         let follows = self.newest.and_then(|newest| newest.checked_add(1)) == Some(counter);
         self.known = if follows { (self.known + 1).min(SENT_KEPT as u64) } else { 1 };
@@ -43,16 +39,16 @@ impl PacketAge {
         self.sent[slot(counter)] = now_ns;
     }
 
-    /// Takes the echo of a packet newer than all before that arrived at `now_ns`: our counter, and for how long in ns
-    /// the peer says that it held it. One that is not known any more is passed over.
+    /// Takes the echo of a packet newer than all before, arrived at `now_ns`: our counter, and the hold time in ns.
+    /// Ignores unknown counters.
     ///
-    /// The bound holds also where this fails: a time held longer than the exchange took is a fault of a clock.
+    /// A hold time longer than the exchange is a fault of a clock; the bound holds even then.
     pub fn received(&mut self, now_ns: u64, echo: (u64, u64)) -> Result<(), ClockFault> {
         let (counter, held_ns) = echo;
         self.sent_at(counter).map_or(Ok(()), |sent_ns| self.echoed(now_ns, sent_ns, held_ns))
     }
 
-    /// The same of an echo of a packet that left at `sent_ns`.
+    /// The same, for an echo of a packet sent at `sent_ns`.
     #[inline]
     pub(super) fn echoed(&mut self, now_ns: u64, sent_ns: u64, held_ns: u64) -> Result<(), ClockFault> {
         self.sent_after_ns = Some(self.sent_after_ns.unwrap_or(0).max(sent_ns));
@@ -60,7 +56,7 @@ impl PacketAge {
         if held_ns <= took_ns {
             return Ok(());
         }
-        // Both readings of the time held are whole ns: 1 ns of it may be rounding.
+        // Both readings of the hold time are whole ns, so 1 ns may be rounding.
         let unsure_ns = share_up(held_ns, self.max_drift_ppb).saturating_add(1);
         if held_ns.saturating_sub(unsure_ns) > took_ns {
             return Err(ClockFault::NegativeRoundTrip { by_ns: held_ns - took_ns });
@@ -68,19 +64,18 @@ impl PacketAge {
         Ok(())
     }
 
-    /// When our packet `counter` left, in ns; none if it is not known any more.
+    /// Send time of our packet `counter` in ns; `None` if not kept.
     pub fn sent_at(&self, counter: u64) -> Option<u64> {
         let before = self.newest?.checked_sub(counter)?;
         (before < self.known).then(|| self.sent[slot(counter)])
     }
 
-    /// Largest age in ns that the newest packet can have at `now_ns`; none until the peer has echoed anything that we
-    /// still know.
+    /// Maximum age in ns of the newest packet at `now_ns`; `None` before the first known echo.
     pub fn max_ns(&self, now_ns: u64) -> Option<u64> {
         self.sent_after_ns.map(|sent_ns| now_ns.saturating_sub(sent_ns))
     }
 
-    /// Clears what is known of the peer's packets: for a new session. Sending times are kept.
+    /// Clears the state of the peer's packets for a new session, but keeps send times.
     pub fn restart(&mut self) {
         self.sent_after_ns = None;
     }
@@ -90,29 +85,28 @@ fn slot(counter: u64) -> usize {
     usize::try_from(counter % SENT_KEPT as u64).unwrap_or(0)
 }
 
-/// Time in ns over which mean and deviation reach back.
+/// Averaging time in ns of mean and deviation.
 const REACH_NS: f64 = 8e9;
-/// Time in ns within which the present mean follows.
+/// Averaging time in ns of the present mean.
 const PRESENT_NS: f64 = 0.1e9;
-/// Time in ns after an anchoring in which the level is still being learnt, and may rise.
+/// Time in ns after an anchoring in which the level is learnt and may rise.
 const LEARNT_NS: f64 = 2e9;
-/// Time in ns that a first sample counts for, and that any sample counts for at most.
+/// Time in ns that the first sample stands for, and maximum for any sample.
 const SAMPLE_NS: u64 = 20_000_000;
-/// A deviation in ns counts as no more than this: what would hold is no jitter.
+/// Deviations in ns saturate here: one that makes the ladder hold is not jitter.
 const MAX_DEVIATION_NS: f64 = 20e6;
-/// Mean deviations above the mean that are baseline.
+/// Number of mean deviations above the mean that belong to the baseline.
 const DEVIATIONS: f64 = 4.0;
 
-/// Level of the ages of a link, against which the ladder measures: mean and four mean deviations, anchored when the two
-/// sides engage.
+/// Baseline of a link's ages for the ladder: mean plus four mean deviations, anchored when the sides engage.
 ///
-/// `m += g (a - m)`, `d += g (|a - m| - d)`, level `m + 4 d`, where the gain `g` is the time that a sample stands for
-/// by the time known, at most 8 s. The mean begins at the anchoring with that of the last 0.1 s, the deviation with the
-/// session at half of the first age. Two seconds after the anchoring the level is learnt: from then on it only falls,
-/// within some 8 s, so that a delay that creeps up is measured against what it was, not against what it has become.
+/// `m += g (a - m)`, `d += g (|a - m| - d)`, level `m + 4 d`. The gain `g` is the time that a sample stands for, over
+/// the known time of at most 8 s. The mean starts at the anchoring with that of the last 0.1 s, the deviation with
+/// the session at half of the first age. Two seconds after the anchoring the level is learnt: it then only falls,
+/// within some 8 s. So a creeping delay is compared with its earlier value.
 ///
-/// Source: RFC 6298, section 2 (`K = 4`, first deviation `R / 2`), with gains by time instead of by sample, since packets
-/// of one link are correlated.
+/// Source: RFC 6298, section 2 (`K = 4`, first deviation `R / 2`), with gains by time instead of by sample, since
+/// packets of one link are correlated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[expect(clippy::struct_field_names, reason = "they are of one unit")]
 pub struct AgeBaseline {
@@ -120,7 +114,7 @@ pub struct AgeBaseline {
     present_ns: f64,
     mean_ns: f64,
     deviation_ns: f64,
-    /// For how long each of the three has been known, in ns, to its reach.
+    /// Known time in ns of each of the three, up to its averaging time.
     present_known_ns: f64,
     mean_known_ns: f64,
     deviation_known_ns: f64,
@@ -134,7 +128,7 @@ impl Default for AgeBaseline {
 }
 
 impl AgeBaseline {
-    /// No age yet.
+    /// Creates a baseline without ages.
     pub fn new() -> Self {
         let known = SAMPLE_NS as f64;
         Self {
@@ -149,7 +143,7 @@ impl AgeBaseline {
         }
     }
 
-    /// Takes the age `age_ns` that a packet had when it arrived at `now_ns`.
+    /// Takes the age `age_ns` of a packet that arrived at `now_ns`.
     #[inline]
     pub fn take(&mut self, now_ns: u64, age_ns: u64) {
         let age = age_ns as f64;
@@ -167,7 +161,7 @@ impl AgeBaseline {
         ] {
             *known = (*known + stands_ns).min(reach);
         }
-        // Of times alone: these divisions wait for no age.
+        // Depends on times only: these divisions do not wait for the age.
         let [present_gain, mean_gain, deviation_gain] =
             [self.present_known_ns, self.mean_known_ns, self.deviation_known_ns]
                 .map(|known| stands_ns / known);
@@ -187,22 +181,22 @@ impl AgeBaseline {
         self.mean_ns + DEVIATIONS * self.deviation_ns
     }
 
-    /// What the ages are now is what they are measured against from here on: the two sides engage.
+    /// Anchors the level at the present ages, when the sides engage.
     pub fn anchor(&mut self) {
         self.mean_ns = self.present_ns;
         self.mean_known_ns = SAMPLE_NS as f64;
         self.level_ns = self.present_level_ns();
     }
 
-    /// The level in ns; none before the first packet.
+    /// Level in ns; `None` before the first packet.
     #[inline]
-    #[allow(clippy::cast_possible_truncation)] // from 0 to below 2^63, as ages of 292 years are: a mean of ages
+    #[allow(clippy::cast_possible_truncation)] // a mean of ages: from 0 to below 2^63, as ages of 292 years are
     pub fn level_ns(&self) -> Option<u64> {
-        // Signed, for which processors have an instruction.
+        // Signed, since processors have an instruction for it.
         self.last_ns.map(|_| (self.level_ns as i64).cast_unsigned())
     }
 
-    /// Clears all: for a new session of the peer.
+    /// Clears all, for a new session of the peer.
     pub fn restart(&mut self) {
         *self = Self::new();
     }
@@ -226,10 +220,9 @@ mod tests {
         baseline.level_ns().unwrap() as f64 / MS as f64
     }
 
-    /// `d_n = d_0 (20 ms / 21 ms) (21 / 22) ...`: of the first guess the share that 20 ms have of the time known is
-    /// left.
+    /// `d_n = d_0 (20 ms / 21 ms) (21 / 22) ...`: the first guess has the weight of 20 ms over the known time.
     #[test]
-    fn of_the_first_guess_the_share_of_its_time_is_left() {
+    fn weight_of_first_guess_decays_with_known_time() {
         for (age_ms, first_ms) in [(10.0, 5.0), (40.0, 20.0), (100.0, 20.0)] {
             let mut baseline = AgeBaseline::new();
             assert_eq!(baseline.level_ns(), None);
@@ -248,7 +241,7 @@ mod tests {
         }
     }
 
-    /// Until its reach a mean is that of all ages so far, of which the first stands for 20 ms, whatever they do in 0.1 s.
+    /// Up to its averaging time, a mean is that of all ages so far; the first stands for 20 ms.
     #[test]
     fn mean_and_deviation_are_those_of_all_ages_so_far() {
         let age_ms = |n: u64| if n % 700 < 350 { 10.0 } else { 30.0 };
@@ -276,20 +269,20 @@ mod tests {
     }
 
     #[test]
-    fn what_creeps_up_is_not_followed_and_what_falls_is_within_8_s() {
+    fn level_ignores_creep_and_follows_fall_within_8_s() {
         let mut baseline = AgeBaseline::new();
         feed(&mut baseline, 0, 3000, |_| 20.0);
         let learnt = level_ms(&baseline);
         feed(&mut baseline, 3000, 10_000, |n| 20.0 + 0.012 * (n - 3000) as f64);
         assert!(level_ms(&baseline) <= learnt);
-        // Pressed anew at 140 ms: that is the level now, but for how far it is behind the creep within 0.1 s.
+        // Anchored again at 140 ms, minus its lag behind the creep within 0.1 s.
         baseline.anchor();
         let deviation_ms = (level_ms(&baseline) - 140.0) / 4.0;
         assert!((-0.5..=20.0).contains(&deviation_ms), "{deviation_ms}");
         feed(&mut baseline, 13_000, 60_000, |_| 140.0);
         assert!((level_ms(&baseline) - 140.0).abs() < 0.5, "{}", level_ms(&baseline));
-        // Mean, deviation and level follow one another with 8 s. Once the mean is within 20 ms of the fallen age, after
-        // ln 5 of these, what is left of the level is at most (100 + 100 s + 40 s^2) exp(-s) ms.
+        // Mean, deviation and level follow each other with 8 s. The mean is within 20 ms of the fallen age after ln 5
+        // of these. Then at most (100 + 100 s + 40 s^2) exp(-s) ms of the level are left.
         feed(&mut baseline, 73_000, 80_000, |_| 40.0);
         let left_ms = level_ms(&baseline) - 40.0;
         let s = 10.0 - 5.0_f64.ln();
@@ -299,7 +292,7 @@ mod tests {
         assert_eq!(baseline, AgeBaseline::new());
     }
 
-    /// Whatever arrives, the level stays finite and within 80 ms of the greatest age.
+    /// For any ages, the level stays finite and within 80 ms of the maximum age.
     #[test]
     fn no_jitter_raises_the_level_by_more_than_80_ms() {
         let mut baseline = AgeBaseline::new();

@@ -1,17 +1,16 @@
-//! Counts of what arrives: loss and its bursts, reordering, jitter, rate and gaps.
+//! Path statistics of arrivals: loss and bursts, reordering, jitter, rate and gaps.
 
 use std::fmt;
 
 use super::difference;
 
-/// Sequences behind the newest that may still arrive late, and arrivals over which the extent of a reordered packet is
-/// sought: two seconds at 1 kHz.
+/// Sequences behind the newest that may arrive late, and arrivals searched for an extent: two seconds at 1 kHz.
 const PLACES: usize = 2048;
 const WINDOW: u64 = PLACES as u64;
 
-/// Counts what arrives, in bounded memory.
+/// Counts arrivals, in bounded memory.
 ///
-/// Losses are final when 2048 later sequences have been seen; a packet that arrives late before that is no loss.
+/// A loss is final after 2048 later sequences; a packet that arrives before that is not lost.
 #[derive(Clone, Debug)]
 pub struct PathMeter {
     sequences: Box<Sequences>,
@@ -32,7 +31,6 @@ impl Default for PathMeter {
 }
 
 impl PathMeter {
-    /// Nothing has arrived.
     pub fn new() -> Self {
         Self {
             sequences: Box::new(Sequences::new()),
@@ -47,7 +45,7 @@ impl PathMeter {
         }
     }
 
-    /// Clears all: for a new session, whose sequences begin anew.
+    /// Clears all, for a new session with new sequences.
     pub fn restart(&mut self) {
         *self.sequences = Sequences::new();
         *self.extents = Extents::new();
@@ -56,7 +54,7 @@ impl PathMeter {
         (self.first_ns, self.last_ns, self.worst_gap_ns) = (None, 0, 0);
     }
 
-    /// Takes a packet that arrived at `now_ns` and was sent at `sent_ns` on the sender's clock. Times of arrival do not
+    /// Takes a packet that arrived at `now_ns`, sent at `sent_ns` on the sender's clock. Arrival times must not
     /// decrease.
     pub fn arrived(&mut self, sequence: u64, sent_ns: u64, now_ns: u64) {
         match self.sequences.mark(sequence) {
@@ -76,7 +74,7 @@ impl PathMeter {
         self.last_ns = now_ns;
     }
 
-    /// What is known at `now_ns`; a silence up to then counts as a gap.
+    /// Statistics as of `now_ns`; a silence up to then counts as a gap.
     pub fn statistics(&self, now_ns: u64) -> PathStatistics {
         let silence_ns = self.first_ns.map_or(0, |_| now_ns.saturating_sub(self.last_ns));
         let arrivals = self.received + self.too_late;
@@ -96,13 +94,13 @@ impl PathMeter {
     }
 }
 
-/// What became of the packets of one direction up to a time.
+/// Counts of the packets of one direction up to a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct PathStatistics {
-    /// Different sequences that arrived while they counted.
+    /// Different sequences that arrived in time.
     pub received: u64,
-    /// Packets that had arrived before.
+    /// Repeated packets.
     pub duplicate: u64,
     /// Packets from before the first, or so late that they are counted as lost.
     pub too_late: u64,
@@ -114,14 +112,14 @@ pub struct PathStatistics {
     pub reordering: Reordering,
     /// Interarrival jitter in ns (RFC 3550).
     pub jitter_ns: u64,
-    /// Mean rate of arrival in Hz.
+    /// Mean arrival rate in Hz.
     pub rate_hz: f64,
     /// Longest time in ns without a packet.
     pub worst_gap_ns: u64,
 }
 
 impl PathStatistics {
-    /// Share of the expected sequences that did not arrive; 0 before the first.
+    /// Fraction of the expected sequences that did not arrive; 0 before the first.
     pub fn loss(&self) -> f64 {
         if self.expected == 0 { 0.0 } else { self.losses.lost as f64 / self.expected as f64 }
     }
@@ -154,22 +152,22 @@ impl fmt::Display for PathStatistics {
     }
 }
 
-/// Runs of sequences that never arrived.
+/// Bursts of sequences that never arrived.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Bursts {
-    /// Sequences missing.
+    /// Missing sequences.
     pub lost: u64,
-    /// Runs that they stand in.
+    /// Number of bursts.
     pub bursts: u64,
-    /// The longest run.
+    /// Longest burst.
     pub longest: u64,
-    /// The run that is not ended yet.
+    /// Length of the present burst.
     run: u64,
 }
 
 impl Bursts {
-    /// Mean length of a run; 0 without any.
+    /// Mean length of a burst; 0 without any.
     pub fn mean(&self) -> f64 {
         if self.bursts == 0 { 0.0 } else { self.lost as f64 / self.bursts as f64 }
     }
@@ -193,20 +191,20 @@ impl Bursts {
     }
 }
 
-/// What a sequence is, seen against those before.
+/// Result of marking a sequence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Seen {
     /// Greater than all before.
     Newest,
     /// Missing until now.
     Behind,
-    /// There before.
+    /// Repeated.
     Duplicate,
-    /// Too far behind: not known.
+    /// Too far behind to be known.
     TooFar,
 }
 
-/// Which of the last [`WINDOW`] sequences arrived; what leaves the window unseen is lost for good.
+/// Arrivals among the last [`WINDOW`] sequences; one that leaves the window unseen is lost.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Sequences {
     there: [bool; PLACES],
@@ -220,9 +218,9 @@ impl Sequences {
         Self { there: [false; PLACES], first: None, newest: 0, settled: Bursts::default() }
     }
 
-    /// Counting starts with the first sequence to arrive: those before it were never expected.
+    /// Marks a sequence. The first to arrive starts the count: those before it are not expected.
     pub(super) fn mark(&mut self, sequence: u64) -> Seen {
-        // No link counts so far; what lies beyond it has no number.
+        // No link counts so far, and the sequence after it would overflow.
         if sequence == u64::MAX {
             return Seen::TooFar;
         }
@@ -259,21 +257,21 @@ impl Sequences {
 
     #[inline(never)]
     fn skip(&mut self, first: u64, sequence: u64) {
-        // Each new place is that of the sequence which leaves the window.
+        // Each new slot is that of the sequence which leaves the window.
         for passed in (self.newest + 1..=sequence).take(self.there.len()) {
             if passed.checked_sub(WINDOW).is_some_and(|left| left >= first) {
                 self.settled.take(self.there[slot(passed)]);
             }
             self.there[slot(passed)] = false;
         }
-        // Beyond that, places were passed twice: neither arrived nor in the window.
+        // Sequences beyond the window neither arrived nor are in the window.
         let skipped = sequence - self.newest;
         self.settled.miss(skipped.saturating_sub(WINDOW));
         self.there[slot(sequence)] = true;
         self.newest = sequence;
     }
 
-    /// Losses up to the newest, those included that may still arrive.
+    /// Losses up to the newest, including those that may still arrive.
     pub(super) fn bursts(&self) -> Bursts {
         let mut bursts = self.settled;
         if let Some(first) = self.first {
@@ -285,7 +283,7 @@ impl Sequences {
         bursts
     }
 
-    /// How many sequences lie between the first and the newest, both included.
+    /// Number of sequences from the first to the newest, inclusive.
     pub(super) fn span(&self) -> u64 {
         self.first.map_or(0, |first| self.newest - first + 1)
     }
@@ -295,7 +293,7 @@ fn slot(sequence: u64) -> usize {
     usize::try_from(sequence % WINDOW).unwrap_or(0)
 }
 
-/// Reordered packets and by how much they were late.
+/// Number of reordered packets, and their lateness.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Reordering {
@@ -303,7 +301,7 @@ pub struct Reordering {
     pub reordered: u64,
     /// Sum of their extents: arrivals since the first of a greater sequence.
     pub extent_sum: u64,
-    /// The greatest extent; at most 2048 is measured.
+    /// Largest extent; at most 2048 is measured.
     pub longest_extent: u64,
 }
 
@@ -314,16 +312,14 @@ impl Reordering {
     }
 }
 
-/// Measures the reordering extent `e = i - j` of the arrival `i`, where `j` is the first arrival with a greater
-/// sequence.
+/// Measures the reordering extent `e = i - j` of arrival `i`, where `j` is the first arrival with a greater sequence.
 ///
-/// The first greater sequence is also the first time that the greatest so far was greater, and the greatest so far
-/// only rises, so it is found by halving.
+/// The running maximum first exceeds the sequence at `j`, so a binary search finds it.
 ///
 /// Source: RFC 4737, section 3.3 (reordered), section 4.2.2 (extent).
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Extents {
-    /// The greatest sequence up to each of the last arrivals, in a ring.
+    /// Running maximum of the sequences at each of the last arrivals, in a ring.
     greatest: [u64; PLACES],
     arrivals: u64,
     counts: Reordering,
@@ -334,7 +330,7 @@ impl Extents {
         Self { greatest: [0; PLACES], arrivals: 0, counts: Reordering::default() }
     }
 
-    /// Takes a sequence in the order of arrival; no duplicates.
+    /// Takes a sequence in order of arrival, without duplicates.
     pub(super) fn arrived(&mut self, sequence: u64) {
         let arrival = self.arrivals;
         let before = arrival.checked_sub(1).map_or(sequence, |last| self.greatest[slot(last)]);
@@ -358,11 +354,10 @@ impl Extents {
     }
 }
 
-/// Mean deviation of the spacing of packets: `J += (|D| - J) / 16`, where `D` is by how much two packets arrived
-/// further apart than they were sent.
+/// Mean deviation of packet spacing: `J += (|D| - J) / 16`, where `D` is the spacing at arrival minus that at
+/// sending.
 ///
-/// It sees how the delay changes from packet to packet. A delay that wanders slowly over many packets has little of
-/// that jitter.
+/// A delay that varies slowly over many packets has little jitter.
 ///
 /// Source: RFC 3550, section 6.4.1 and appendix A.8 (integers, `J` scaled by 16).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -372,7 +367,7 @@ pub struct Jitter {
 }
 
 impl Jitter {
-    /// Takes a packet in the order of arrival; the clocks of both times may differ.
+    /// Takes a packet in order of arrival. The two times may be of different clocks.
     pub fn arrived(&mut self, sent_ns: u64, now_ns: u64) {
         let transit = difference(now_ns, sent_ns);
         if let Some(last) = self.last_transit_ns.replace(transit) {
@@ -381,7 +376,7 @@ impl Jitter {
         }
     }
 
-    /// The jitter in ns.
+    /// Jitter in ns.
     pub fn jitter_ns(&self) -> u64 {
         self.scaled >> 4
     }
@@ -410,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn two_delays_in_turn_end_at_their_difference() {
+    fn two_alternating_delays_converge_to_their_difference() {
         let mut jitter = Jitter::default();
         for n in 0..400u64 {
             // The sender's clock is far ahead of ours.

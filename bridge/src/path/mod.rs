@@ -1,9 +1,7 @@
-//! What one end knows of the path to its peer, from the frames alone: age, loss and order of the frames, the peer's
-//! clock.
+//! Path to the peer, from frames only: their age, loss and order, and the peer's clock.
 //!
-//! Two sides have two monotonic clocks with different beginnings and rates. [`PacketAge`] needs none but ours, so the
-//! ladder holds by it. [`PeerClock`] bounds how they differ, for logs. No function here takes a wall time, therefore a
-//! step of the wall clock changes nothing.
+//! The sides' monotonic clocks differ in origin and rate. [`PacketAge`] needs only ours, so the ladder holds by it.
+//! [`PeerClock`] bounds their difference, for logs. No function takes a wall time, so its steps have no effect.
 
 mod age;
 mod meter;
@@ -17,22 +15,21 @@ pub use age::{AgeBaseline, PacketAge};
 pub use meter::{Bursts, Jitter, PathMeter, PathStatistics, Reordering};
 pub use peer_clock::{ClockFault, MAX_DRIFT_PPB, PeerClock, PeerOffset, TimestampExchange};
 
-/// Parts per billion in one.
 pub(crate) const BILLION: u64 = 1_000_000_000;
 
-/// Age and counts of the peer's frames and its clock, of the run of the peer that lives.
+/// Age and counts of the peer's frames, and its clock, for its living run.
 ///
-/// [`Self::sent`] with each frame sent, [`Self::arrived`] with each authentic frame of the peer in the order of arrival,
-/// [`Self::newest`] with each of them that is newer than all before. Times are those of one monotonic clock.
+/// Call [`Self::sent`] per frame sent, [`Self::arrived`] per authentic frame in order of arrival, and
+/// [`Self::newest`] per frame newer than all before. All times are on one monotonic clock.
 #[derive(Clone, Debug)]
 pub struct PeerPath {
     age: PacketAge,
     baseline: AgeBaseline,
-    /// What decides nothing; none where nobody reads it.
+    /// Not used for decisions; `None` if nobody reads it.
     reported: Option<Box<Reported>>,
 }
 
-/// What of the path is followed for reports alone.
+/// Estimates for reports only.
 #[derive(Clone, Debug)]
 struct Reported {
     clock: PeerClock,
@@ -41,21 +38,21 @@ struct Reported {
     last_fault: Option<ClockFault>,
 }
 
-/// The path to the peer, for records and the summary of a run.
+/// Path from the peer, for records and the summary of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct PathReport {
     /// Loss, bursts, order, jitter, rate and gaps of the peer's frames.
     pub statistics: PathStatistics,
-    /// The peer's clock less ours.
+    /// Peer's clock minus ours.
     pub offset: Option<PeerOffset>,
-    /// How often a clock was proven to step.
+    /// Number of proven clock steps.
     pub steps: u64,
-    /// Exchanges that no healthy clocks make, steps included.
+    /// Number of exchanges that contradict healthy clocks, including steps.
     pub clock_faults: u64,
-    /// The last of them.
+    /// Last of these faults.
     pub last_fault: Option<ClockFault>,
-    /// Level of the ages in ns that the ladder measures against.
+    /// Level of the ages in ns that the ladder compares with.
     pub baseline_age_ns: Option<u64>,
 }
 
@@ -75,27 +72,27 @@ impl Default for PeerPath {
 }
 
 impl PeerPath {
-    /// Notes that the frame `sequence` left at `now_ns`.
+    /// Records that frame `sequence` was sent at `now_ns`.
     pub fn sent(&mut self, sequence: u64, now_ns: u64) {
         self.age.sent(sequence, now_ns);
     }
 
-    /// Follows the age of frames alone, by which the ladder holds.
+    /// Disables reports and keeps only the age of frames, by which the ladder holds.
     pub(crate) fn leave_out_reports(&mut self) {
         self.reported = None;
     }
 
-    /// Counts a frame that arrived by `now_ns`, be it late or there before.
+    /// Counts a frame that arrived by `now_ns`, including late and repeated ones.
     pub fn arrived(&mut self, sequence: u64, sent_ns: u64, now_ns: u64) {
         if let Some(reported) = &mut self.reported {
             reported.meter.arrived(sequence, sent_ns, now_ns);
         }
     }
 
-    /// Takes a frame newer than all before that the peer sent at `sent_ns` on its clock; `echo` is of our run.
+    /// Takes a frame newer than all before, sent at `sent_ns` on the peer's clock; `echo` is of our run.
     ///
-    /// It is taken at `now_ns` and had arrived by `by_ns`, which is later where the loop woke late. When ours left we
-    /// know ourselves; of the echo only the counter and the time held are used.
+    /// It is taken at `now_ns` and arrived by `by_ns`, later in a late loop. Only counter and hold time of the echo
+    /// are used: our send times are known here.
     #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     pub fn newest(&mut self, sent_ns: u64, echo: Option<&Echo>, now_ns: u64, by_ns: u64) {
         let exchanged = echo.and_then(|echo| Some((self.age.sent_at(echo.sequence)?, echo.held_ns)));
@@ -123,7 +120,7 @@ impl PeerPath {
         }
     }
 
-    /// The peer began a new run: its clock, its sequences and the age of its frames begin anew.
+    /// Restarts clock, sequences and age for a new run of the peer.
     pub fn begin(&mut self) {
         self.age.restart();
         self.baseline.restart();
@@ -133,24 +130,22 @@ impl PeerPath {
         }
     }
 
-    /// The two sides engage: ages are measured against what they are now.
+    /// Anchors the baseline at the present ages, when the sides engage.
     pub fn anchor(&mut self) {
         self.baseline.anchor();
     }
 
-    /// Largest age in ns that the newest frame of the peer can have at `now_ns`; none until the peer has echoed
-    /// anything.
+    /// Maximum age in ns of the newest frame at `now_ns`; `None` before the peer's first echo.
     pub fn max_age_ns(&self, now_ns: u64) -> Option<u64> {
         self.age.max_ns(now_ns)
     }
 
-    /// By how much the newest of the peer may be older at `now_ns` than the level of this link, in ns; none until the
-    /// peer has echoed anything.
+    /// Excess in ns of that age over the level of this link; `None` before the peer's first echo.
     pub fn over_baseline_ns(&self, now_ns: u64) -> Option<u64> {
         Some(self.max_age_ns(now_ns)?.saturating_sub(self.baseline.level_ns()?))
     }
 
-    /// What is known at `now_ns`.
+    /// Report as of `now_ns`.
     pub fn report(&self, now_ns: u64) -> PathReport {
         let baseline_age_ns = self.baseline.level_ns();
         let Some(reported) = &self.reported else {
@@ -167,17 +162,17 @@ impl PeerPath {
     }
 }
 
-/// What a rate of `ppb` makes of a duration, rounded up: for bounds.
+/// Product of a duration and a rate in parts per billion, rounded up, for bounds.
 pub(crate) fn share_up(duration_ns: u64, ppb: u64) -> u64 {
     if let Some(product) = duration_ns.checked_mul(ppb) {
-        // Of less than a day at any drift of a clock: no division of 128 bits.
+        // Less than a day at any drift of a clock: avoids a division of 128 bits.
         return product.div_ceil(BILLION);
     }
     let product = u128::from(duration_ns) * u128::from(ppb);
     u64::try_from(product.div_ceil(u128::from(BILLION))).unwrap_or(u64::MAX)
 }
 
-/// `later - earlier` in ns. Both are below 2^63, which is checked where they enter, so that the difference always fits.
+/// `later - earlier` in ns. Both are checked on input to be below 2^63, so the difference fits.
 pub(crate) fn difference(later: u64, earlier: u64) -> i64 {
     later.cast_signed().wrapping_sub(earlier.cast_signed())
 }

@@ -1,4 +1,4 @@
-//! The peer's clock, the age of its packets and their counts against closed forms, and on any path.
+//! Peer clock, packet age and path statistics against closed forms, and on random paths.
 
 use haptether_netsim::{Direction, Distribution, Link, LinkSettings, Packet, Verdict};
 use proptest::prelude::*;
@@ -9,7 +9,7 @@ const US: u64 = 1000;
 const MS: u64 = 1_000_000;
 const S: u64 = 1000 * MS;
 
-/// The peer's clock: ahead by `ahead_ns`, faster by `ppb`.
+/// Peer's clock: ahead by `ahead_ns`, faster by `ppb`.
 #[derive(Clone, Copy)]
 struct Peer {
     ahead_ns: u64,
@@ -49,8 +49,7 @@ fn an_asymmetric_delay_costs_half_the_asymmetry() {
             }
             let (error, bound) = peer.error(&clock, 5 * S);
             let half = (forward.cast_signed() - backward.cast_signed()) / 2;
-            // The upper line is older than the lower one by the round trip, of which it relaxes by 200 ppm: half of
-            // that, and the rounding of readings.
+            // The upper line, older by the round trip, has relaxed by 200 ppm of it: half of that, plus rounding.
             let parted = (forward + backward + 6 * US).cast_signed() / 10_000 + 3;
             assert!((half - 3..=half + parted).contains(&error), "{error} of {half}");
             assert!(error.unsigned_abs() <= bound);
@@ -58,7 +57,7 @@ fn an_asymmetric_delay_costs_half_the_asymmetry() {
     }
 }
 
-/// A day with clocks at their limits and a path whose queues add up to 20 ms in each direction.
+/// A day with clocks at their limits and queues of up to 20 ms in each direction.
 #[test]
 fn a_day_of_drift_stays_within_the_bound() {
     for ppb in [100_000, -100_000, 0] {
@@ -83,22 +82,21 @@ fn a_day_of_drift_stays_within_the_bound() {
                 worst = worst.max((error - 2_500_000).unsigned_abs());
             }
         }
-        // A queue of s ms has probability s / 20. A line relaxes by at most 0.03 ms between two exchanges, so that the
-        // least of 60 at most 1.8 ms old ones is above 14 ms with (14 / 20)^60 = 5e-10; an error of 8 ms needs that.
+        // A queue of s ms has probability s / 20. A line relaxes by at most 0.03 ms between exchanges. The least of
+        // 60, up to 1.8 ms old, exceeds 14 ms with (14 / 20)^60 = 5e-10. An error of 8 ms needs that.
         assert!(worst < 8 * MS, "{ppb}: {worst}");
     }
 }
 
 #[test]
-fn without_queues_the_error_is_what_the_clocks_part_within_an_exchange() {
+fn error_without_queues_is_drift_within_an_exchange() {
     for ppb in [100_000, -100_000] {
         let peer = Peer { ahead_ns: S, ppb };
         let mut clock = PeerClock::new(MAX_DRIFT_PPB);
         for n in 0..600_000 {
             clock.take(&peer.exchange(n * MS, 10 * MS, 100 * US, 10 * MS)).unwrap();
         }
-        // Of the upper line, 20.1 ms old, half of 200 ppm; the clocks part by 100 ppm meanwhile, half of which the
-        // offset at the end misses; the rest is rounding.
+        // Half of 200 ppm of the upper line, 20.1 ms old, plus half of the 100 ppm drift meanwhile, plus rounding.
         assert!(peer.error(&clock, 600 * S).0.unsigned_abs() < 2_010 + 1_005 + 10);
     }
 }
@@ -139,14 +137,14 @@ fn netsim_links_are_measured_within_the_bound() {
             let (error, bound) = peer.error(&clock, received_ns);
             assert!(error.unsigned_abs() <= bound);
         }
-        // Each direction adds up to 6.9 ms, evenly. A line relaxes by at most 2.5 us between two exchanges: the least
-        // of 240 within 0.6 ms of it is above 1.4 ms with (1 - 0.2)^(0.8 * 240) = 3e-19; an error of 1 ms needs that.
+        // Each direction adds up to 6.9 ms, evenly. A line relaxes by at most 2.5 us between exchanges. The least of
+        // 240 within 0.6 ms exceeds 1.4 ms with (1 - 0.2)^(0.8 * 240) = 3e-19. An error of 1 ms needs that.
         assert!(peer.error(&clock, 600 * S).0.unsigned_abs() < MS);
     }
 }
 
 #[test]
-fn a_suspended_peer_is_seen_and_the_estimate_begins_anew() {
+fn suspended_peer_is_detected_and_estimate_restarts() {
     for step in [300 * MS, 3_600 * S] {
         for back in [false, true] {
             let (mut peer, after) = (Peer { ahead_ns: 10_000 * S, ppb: 20_000 }, 30_000);
@@ -161,7 +159,7 @@ fn a_suspended_peer_is_seen_and_the_estimate_begins_anew() {
             let [ClockFault::Step { by_ns, at_least_ns, .. }] = faults[..] else { panic!("{faults:?}") };
             assert_eq!(by_ns < 0, back);
             assert!(by_ns.unsigned_abs().abs_diff(step) < MS, "{by_ns} of {step}");
-            // All but the two delays, which might have been others, and what 200 ppm make of 40 ms and rounding.
+            // Minus the two delays, which are not known, 200 ppm of 40 ms and rounding.
             assert!(
                 (step - 40 * MS - 20 * US..=step - 40 * MS).contains(&at_least_ns),
                 "{at_least_ns} of {step}"
@@ -211,14 +209,13 @@ fn a_packet_from_the_future_is_a_fault_of_a_clock() {
     let now = S + 30 * MS;
     let arrives = |early_ns| clock.check_arrival(peer.at(now + early_ns), now);
     assert_eq!(clock.check_arrival(peer.at(now - 10 * MS), now), Ok(()));
-    // The delay there, 200 ppm of the 30 ms since its beginning, and the rounding of readings in the bound and in this
-    // packet.
+    // The delay there, 200 ppm of the 30 ms since its beginning, and rounding.
     assert_eq!(arrives(10 * MS + 6 * US + 4), Ok(()));
     assert_eq!(arrives(10 * MS + 6 * US + 5), Err(ClockFault::NegativeDelay { by_ns: 1 }));
 }
 
 #[test]
-fn a_drift_that_no_clock_has_is_reported_when_it_is_proven() {
+fn excessive_drift_is_reported_when_proven() {
     let peer = Peer { ahead_ns: 0, ppb: 1_000_000 };
     let mut clock = PeerClock::new(MAX_DRIFT_PPB);
     let faults: Vec<_> = (0..10_000)
@@ -226,7 +223,7 @@ fn a_drift_that_no_clock_has_is_reported_when_it_is_proven() {
             clock.take(&peer.exchange(n * 20 * MS, 30 * MS, 0, 30 * MS)).err().map(|fault| (n, fault))
         })
         .collect();
-    // It leaves the 60 ms that causality allows with the 800 ppm that are too much: after 75 s each time.
+    // The excess of 800 ppm leaves the 60 ms that causality allows after 75 s each time.
     let [(first, ClockFault::Step { by_ns, .. }), (second, ClockFault::Step { .. })] = faults[..] else {
         panic!("{faults:?}")
     };
@@ -238,7 +235,7 @@ fn a_drift_that_no_clock_has_is_reported_when_it_is_proven() {
 }
 
 proptest! {
-    /// The true age is within its bound, whatever the delays, with any healthy clock.
+    /// The true age is within its bound, for any delays and any healthy clock.
     #[test]
     fn the_age_is_within_its_bound(
         ppb in -150_000i64..150_000,
@@ -281,7 +278,7 @@ fn the_age_is_the_round_trip_and_the_silence_since() {
 }
 
 #[test]
-fn a_sending_time_is_known_for_as_many_counters_as_are_kept() {
+fn send_times_are_known_for_the_kept_counters() {
     let mut age = PacketAge::new(MAX_DRIFT_PPB);
     let known = |age: &PacketAge, counters: [u64; 4]| counters.map(|counter| age.sent_at(counter));
     assert_eq!(known(&age, [0, 1, 4096, u64::MAX]), [None; 4]);
@@ -289,7 +286,7 @@ fn a_sending_time_is_known_for_as_many_counters_as_are_kept() {
         age.sent(n, n * MS);
     }
     assert_eq!(known(&age, [0, 1, 4096, 4097]), [None, Some(MS), Some(4096 * MS), None]);
-    // A counter that does not follow forgets those before, also at 0 and 2^64 - 1.
+    // A counter that does not follow clears those before, also at 0 and 2^64 - 1.
     age.sent(9_000, 5 * S);
     age.sent(9_001, 6 * S);
     assert_eq!(known(&age, [4096, 8_999, 9_000, 9_001]), [None, None, Some(5 * S), Some(6 * S)]);
@@ -299,9 +296,9 @@ fn a_sending_time_is_known_for_as_many_counters_as_are_kept() {
     }
 }
 
-/// What decides is the same whether or not anybody reads the reports, across a run of the peer that begins anew.
+/// Ages are the same with and without reports, across a new run of the peer.
 #[test]
-fn ages_are_those_of_a_path_whose_reports_are_read() {
+fn ages_do_not_depend_on_reports() {
     let (mut read, mut unread) = (PeerPath::default(), PeerPath::default());
     unread.leave_out_reports();
     for n in 0..3_000_u64 {
@@ -328,7 +325,7 @@ fn ages_are_those_of_a_path_whose_reports_are_read() {
 }
 
 #[test]
-fn while_our_direction_is_dead_the_age_grows() {
+fn age_grows_while_our_direction_is_dead() {
     let mut age = PacketAge::new(MAX_DRIFT_PPB);
     age.sent(0, 0);
     for n in 1..1_000 {
@@ -343,7 +340,7 @@ fn unknown_and_impossible_echoes_do_no_harm() {
     for n in 0..4100 {
         age.sent(n, n * MS);
     }
-    // Overwritten by 4096 later ones; never sent; and one that the peer held for longer than the exchange took.
+    // Overwritten by 4096 later ones; never sent; held by the peer for longer than the exchange took.
     age.received(4110 * MS, (3, 0)).unwrap();
     age.received(4110 * MS, (5000, 0)).unwrap();
     assert_eq!(age.max_ns(4110 * MS), None);
@@ -355,16 +352,16 @@ fn unknown_and_impossible_echoes_do_no_harm() {
     assert_eq!(age.max_ns(4113 * MS), None);
 }
 
-/// Clocks here drift up to the greatest allowed.
+/// Maximum drift of clocks in these tests.
 const MAX_PPB: i64 = MAX_DRIFT_PPB.cast_signed();
 const PARTS: i128 = BILLION as i128;
 
-/// A healthy clock that wanders: its rate changes with every second.
+/// A healthy clock whose rate changes with every second.
 #[derive(Clone, Debug)]
 struct Wandering {
     ahead_ns: u64,
     ppb: Vec<i64>,
-    /// When it jumps and how far.
+    /// Time and size of a jump.
     step: Option<(u64, i64)>,
 }
 
@@ -387,7 +384,7 @@ impl Wandering {
     }
 }
 
-/// Exchanges that overtake each other at will, in the order of arrival.
+/// Exchanges that may overtake each other, in order of arrival.
 fn exchanges(peer: &Wandering, packets: &[(u64, u64, u64, u64)]) -> Vec<TimestampExchange> {
     let mut sent = 0;
     let mut exchanges: Vec<_> = packets
@@ -407,7 +404,7 @@ fn exchanges(peer: &Wandering, packets: &[(u64, u64, u64, u64)]) -> Vec<Timestam
     exchanges
 }
 
-/// By how many parts the bounds of exchanges leave room for a clock, over all pairs: below 0 none fits.
+/// Slack of the bounds of exchanges for a clock in parts, over all pairs: below 0 none fits.
 fn slack(exchanges: &[TimestampExchange]) -> i128 {
     let pair = |upper: &TimestampExchange, lower: &TimestampExchange| {
         let most = i128::from(difference(upper.peer_received_ns, upper.sent_ns));
@@ -418,7 +415,7 @@ fn slack(exchanges: &[TimestampExchange]) -> i128 {
     exchanges.iter().flat_map(|upper| exchanges.iter().map(move |lower| pair(upper, lower))).min().unwrap()
 }
 
-/// Delays of any size, each with a chance of its own.
+/// Delays of four magnitudes, with equal chances.
 fn delay() -> impl Strategy<Value = u64> {
     prop_oneof![0..2_u64, 0..200 * US, 0..100 * MS, 0..20 * S]
 }
@@ -436,15 +433,15 @@ fn path() -> impl Strategy<Value = Vec<(u64, u64, u64, u64)>> {
     prop::collection::vec((gap, delay(), delay(), delay()), 1..60)
 }
 
-/// Any number, more often one at the ends of what is taken.
+/// Any number, more often at the ends of the valid range.
 fn number() -> impl Strategy<Value = u64> {
     prop_oneof![0..9_u64, any::<u64>(), (1 << 63) - 9..(1 << 63) + 9_u64, u64::MAX - 9..=u64::MAX]
 }
 
 proptest! {
-    /// Numbers at the ends of 64 bits, of times and of settings: taken or refused, but no overflow.
+    /// Numbers at the ends of 64 bits, for times and settings, are accepted or refused without overflow.
     #[test]
-    fn any_numbers_are_borne(
+    fn any_numbers_are_accepted_or_refused(
         max_drift_ppb in number(),
         packets in prop::collection::vec((number(), number(), number(), number(), number()), 1..50),
     ) {
@@ -460,9 +457,9 @@ proptest! {
         }
     }
 
-    /// Healthy clocks, whatever the delays do: no fault is reported and the truth is within the bound, then and later.
+    /// Healthy clocks and any delays: no fault, and the truth stays within the bound.
     #[test]
-    fn the_bound_holds_and_no_fault_is_reported_on_any_path(
+    fn bound_holds_without_fault_on_any_path(
         peer in wandering(),
         packets in path(),
         later_ns in prop_oneof![Just(0), 0..S, 0..10_000 * S],
@@ -480,8 +477,8 @@ proptest! {
         prop_assert_eq!(clock.steps(), 0);
     }
 
-    /// The bound is not wider than the best pair of bounds makes it: half the round trip and the drift, if one
-    /// exchange was all.
+    /// The bound is as narrow as the best pair of bounds allows: half the round trip plus the drift for a single
+    /// exchange.
     #[test]
     fn the_range_is_the_intersection_of_all(peer in wandering(), packets in path()) {
         let mut clock = PeerClock::new(MAX_DRIFT_PPB);
@@ -504,8 +501,8 @@ proptest! {
         }
     }
 
-    /// A step is reported only if no healthy clock fits all exchanges so far, and not later than when even twice what
-    /// the clocks may part in the longest exchange, and the rounding of four readings, explain it no more.
+    /// A step is reported only if no healthy clock fits all exchanges. At the latest it is when twice the drift over
+    /// the longest exchange, plus four roundings, does not explain it.
     #[test]
     fn a_step_is_reported_when_and_only_when_it_is_proven(
         mut peer in wandering(),
@@ -527,7 +524,7 @@ proptest! {
                     taken.push(times);
                     prop_assert!(slack(&taken) >= -unsure, "proven, but not reported");
                 }
-                // An exchange that is impossible by itself: its own two bounds, or a clock that went back.
+                // An exchange invalid by itself: its own two bounds, or a clock that went back.
                 Err(ClockFault::NegativeRoundTrip { .. }) => prop_assert!(slack(&[times]) < 0),
                 Err(ClockFault::Backwards { side: "peer", .. }) => prop_assert!(by_ns < 0),
                 Err(ClockFault::Step { by_ns: reported_ns, at_least_ns, .. }) => {
@@ -542,16 +539,15 @@ proptest! {
         }
     }
 
-    /// After a step the estimate begins anew with what is of after it, so the bound holds again, and it is reported
-    /// once.
+    /// After a step the estimate restarts with later exchanges: the bound holds again, and the step is reported once.
     #[test]
-    fn after_a_step_the_bound_holds_anew(
+    fn bound_holds_again_after_a_step(
         mut peer in wandering(),
         packets in path(),
         at_ns in 0..30 * S,
         back in any::<bool>(),
     ) {
-        // Of more than all that delays can explain.
+        // More than all that delays can explain.
         let by_ns = if back { -50 * S.cast_signed() } else { 80 * S.cast_signed() };
         peer.ahead_ns += 60 * S;
         peer.step = Some((at_ns, by_ns));
@@ -569,7 +565,7 @@ proptest! {
     }
 }
 
-/// What once made a fault of a healthy clock: a fit that took the path to be constant.
+/// Regression: a fit that assumed a constant path reported a fault of a healthy clock.
 #[test]
 fn long_and_varying_delays_are_no_step() {
     let peer = Wandering { ahead_ns: S, ppb: vec![44_637], step: None };
@@ -599,7 +595,7 @@ fn long_and_varying_delays_are_no_step() {
 }
 
 #[test]
-fn our_own_clock_that_goes_back_is_reported() {
+fn own_clock_that_goes_back_is_reported() {
     let peer = Wandering { ahead_ns: S, ppb: vec![0], step: None };
     let mut clock = PeerClock::new(MAX_DRIFT_PPB);
     let [first, second] = exchanges(&peer, &[(MS, MS, 0, MS), (MS, MS, 0, MS)])[..] else {
@@ -609,7 +605,7 @@ fn our_own_clock_that_goes_back_is_reported() {
     assert_eq!(clock.take(&first), Err(ClockFault::Backwards { side: "own", by_ns: MS }));
 }
 
-/// Sequence, sending time on the sender's clock, arrival on ours; in the order of arrival.
+/// Sequence, send time on the sender's clock, arrival on ours; in order of arrival.
 type Trace = Vec<(u64, u64, u64)>;
 
 fn through_link(settings: &LinkSettings, seed: u64, count: u64) -> Trace {
@@ -639,7 +635,7 @@ fn jittery(delay_s: f64, jitter_s: f64) -> LinkSettings {
 }
 
 #[test]
-fn statistics_of_a_link_are_what_its_settings_say() {
+fn statistics_of_a_link_match_its_settings() {
     let link = LinkSettings { loss: 0.05, keep_order: false, ..jittery(0.05, 0.002) };
     let count = 100_000;
     let trace = through_link(&link, 11, count);
@@ -681,7 +677,6 @@ fn independent_uniform_delays_have_the_jitter_of_their_law() {
     );
 }
 
-/// Everything by its definition, over the whole trace.
 fn by_definition(sequences: &[u64]) -> (u64, u64, u64, u64, u64, u64, u64) {
     let mut unique: Vec<u64> = Vec::new();
     let mut duplicate = 0;
@@ -714,11 +709,11 @@ fn by_definition(sequences: &[u64]) -> (u64, u64, u64, u64, u64, u64, u64) {
 
 proptest! {
     #[test]
-    fn statistics_are_what_their_definitions_say(
+    fn statistics_match_their_definitions(
         first in 0u64..1 << 40,
         order in prop::collection::vec(0u64..300, 1..400)
     ) {
-        // The first to arrive is the least: those before it are not expected.
+        // The first to arrive is the smallest: those before it are not expected.
         let mut sequences: Vec<u64> = order.iter().map(|n| first + 1 + n).collect();
         sequences.insert(0, first);
         let mut meter = PathMeter::new();
@@ -751,7 +746,7 @@ proptest! {
         prop_assert_eq!(losses.longest, gaps.into_iter().max().unwrap_or(0));
     }
 
-    /// Numbers at the ends of 64 bits: counted, but no overflow.
+    /// Numbers at the ends of 64 bits are counted without overflow.
     #[test]
     fn any_numbers_are_counted(
         packets in prop::collection::vec(

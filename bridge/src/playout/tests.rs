@@ -1,4 +1,4 @@
-//! The play-out against closed forms, brute force and links of known truth.
+//! Play-out against closed forms, brute force and links of known parameters.
 
 use haptether_netsim::{Direction, Distribution, Link, LinkSettings, Packet, Verdict};
 use proptest::prelude::*;
@@ -8,7 +8,7 @@ use super::*;
 const MS: u64 = 1_000_000;
 const S: u64 = 1000 * MS;
 
-/// Sequence, sending time on the sender's clock, arrival on ours; in the order of arrival.
+/// Sequence, send time on the sender's clock, arrival on ours; in order of arrival.
 type Trace = Vec<(u64, u64, u64)>;
 
 /// The sender's clock: an hour ahead, and `ppb` faster.
@@ -31,7 +31,6 @@ fn through_link(settings: &LinkSettings, seed: u64, count: u64, ppb: i64) -> Tra
     trace
 }
 
-/// Plays a trace in ticks of `tick_ns`.
 fn play(settings: PlayoutSettings, trace: &Trace, tick_ns: u64) -> (Vec<Played<u64>>, PlayoutCounts) {
     let mut playout = Playout::new(settings).unwrap();
     let mut played = Vec::new();
@@ -64,7 +63,7 @@ fn jittery(delay_s: f64, jitter_s: f64) -> LinkSettings {
 }
 
 #[test]
-fn a_constant_delay_is_exactly_periodic_when_the_jitter_is_within_it() {
+fn play_is_exactly_periodic_for_jitter_within_the_delay() {
     // Uniform over 2 sqrt(3) 1.5 ms = 5.2 ms, in order or not.
     for (seed, keep_order) in [(1, true), (2, false), (3, true), (4, false)] {
         let link = LinkSettings { keep_order, ..jittery(0.03, 0.0015) };
@@ -74,21 +73,21 @@ fn a_constant_delay_is_exactly_periodic_when_the_jitter_is_within_it() {
         let settled: Vec<_> = played.iter().filter(|packet| packet.play_ns > 2 * S).collect();
         assert!(settled.len() > 17_000);
         assert!(settled.windows(2).all(|pair| pair[1].play_ns - pair[0].play_ns == MS && pair[1].gap == 0));
-        // The least delay of thousands of packets is near the lowest possible, 30 - 2.6 ms; to it come the 6 ms.
+        // The minimum delay of thousands of packets is near the lowest possible, 30 - 2.6 ms, plus the 6 ms.
         let delay = settled[0].play_ns - settled[0].sequence * MS;
         assert!(delay.abs_diff(33_402_000) < 600_000, "{delay}");
     }
 }
 
 #[test]
-fn drifting_clocks_leave_the_constant_delay_where_it_is() {
+fn delay_stays_constant_despite_drift() {
     for ppb in [100_000, -100_000] {
         let trace = through_link(&jittery(0.03, 0.0005), 5, 120_000, ppb);
         let (played, counts) = play(PlayoutSettings::new(5 * MS), &trace, MS);
         assert_eq!((counts.late, counts.missing, counts.anew), (0, 0, 0), "{ppb}");
         for packet in played.iter().filter(|packet| packet.play_ns > 2 * S) {
-            // In 120 s the clocks part by 12 ms. The window lags by at most 10 s of drift, 1 ms; beyond the tolerance
-            // of 0.5 ms the play-out follows; the least delay is 0.87 ms below the mean.
+            // The clocks drift apart by 12 ms in 120 s. The window lags by at most 10 s of drift, 1 ms, and the
+            // play-out by the tolerance of 0.5 ms. The minimum delay is 0.87 ms below the mean.
             let delay = packet.play_ns - packet.sequence * MS;
             assert!(delay.abs_diff(30 * MS - 866_000 + 5 * MS) < 1_700_000, "{ppb}: {delay}");
         }
@@ -103,7 +102,7 @@ fn losses_are_gaps() {
     let arrived = trace.len() as u64;
     assert_eq!(counts.played + counts.superseded + counts.late, arrived);
     let gaps: u64 = played.iter().map(|packet| packet.gap).sum();
-    // From what arrived first, which a newer one may have superseded before it was played.
+    // From the smallest sequence, which a newer one may have superseded before it was played.
     let first = trace.iter().map(|(sequence, ..)| *sequence).min().unwrap();
     let span = played.last().unwrap().sequence - first + 1;
     assert_eq!(counts.missing, gaps);
@@ -111,11 +110,11 @@ fn losses_are_gaps() {
 }
 
 #[test]
-fn a_path_that_became_longer_is_learnt_after_a_while() {
+fn longer_path_is_learnt_after_200_ms() {
     let trace: Trace =
         (0..5_000u64).map(|n| (n, n * MS, n * MS + if n < 2_000 { 20 } else { 60 } * MS)).collect();
     let (played, counts) = play(PlayoutSettings::new(5 * MS), &trace, MS);
-    // Late until 200 ms have passed since the first late one.
+    // Late until 200 ms after the first late one.
     assert_eq!((counts.anew, counts.late, counts.missing), (1, 200, 200));
     let last = played.last().unwrap();
     assert_eq!(last.play_ns - last.sequence * MS, 65 * MS);
@@ -123,7 +122,7 @@ fn a_path_that_became_longer_is_learnt_after_a_while() {
 }
 
 #[test]
-fn a_step_of_the_senders_clock_starves_nobody() {
+fn step_of_senders_clock_restarts_play() {
     for step in [-1000 * S.cast_signed(), 1000 * S.cast_signed()] {
         let trace: Trace = (0..4_000u64)
             .map(|n| {
@@ -133,14 +132,14 @@ fn a_step_of_the_senders_clock_starves_nobody() {
             .collect();
         let (played, counts) = play(PlayoutSettings::new(5 * MS), &trace, MS);
         assert_eq!((counts.anew, counts.played + counts.missing), (1, 4_000), "{step}");
-        // Back, all are late for 200 ms; forth, what waited is dropped.
+        // Backwards, all are late for 200 ms; forwards, waiting packets are dropped.
         assert!(played.len() >= 3_790, "{counts:?}");
         assert_eq!(played.last().unwrap().sequence, 3_999);
     }
 }
 
 #[test]
-fn settings_that_play_nothing_are_refused() {
+fn invalid_settings_are_refused() {
     let none = PlayoutSettings::new(0);
     let cases = [
         (PlayoutSettings { capacity: 0, ..none }, "capacity = 0: must be from 1 to 1048576 sequences"),
@@ -160,9 +159,9 @@ fn settings_that_play_nothing_are_refused() {
 }
 
 proptest! {
-    /// By brute force: the least of the blocks that the window touches.
+    /// By brute force: the minimum over the blocks that the window touches.
     #[test]
-    fn is_the_least_of_the_last_eight_blocks(
+    fn window_minimum_is_minimum_of_last_eight_blocks(
         steps in prop::collection::vec((0u64..400, -50i64..50), 1..300)
     ) {
         let mut window = WindowMinimum::new(800);
@@ -177,9 +176,9 @@ proptest! {
         }
     }
 
-    /// Numbers at the ends of 64 bits: counted or refused, but no overflow.
+    /// Numbers at the ends of 64 bits are counted or refused without overflow.
     #[test]
-    fn any_numbers_are_borne(
+    fn any_numbers_are_accepted_or_refused(
         delay_ns in prop::sample::select(vec![0, 5 * MS, u64::MAX]),
         packets in prop::collection::vec(
             (prop_oneof![0..9_u64, u64::MAX - 9..=u64::MAX, any::<u64>()],
@@ -198,9 +197,9 @@ proptest! {
         }
     }
 
-    /// Whatever arrives and when: forward in sequence and in time, and every packet and sequence is counted once.
+    /// For any arrivals: play is forward in sequence and time, and every packet and sequence is counted once.
     #[test]
-    fn what_is_played_only_goes_forward(
+    fn play_only_goes_forward(
         delay_ns in prop::sample::select(vec![0, 5 * MS, 50 * MS]),
         packets in prop::collection::vec((0u64..200, 0u64..80, 0u64..3), 1..400)
     ) {
@@ -225,7 +224,7 @@ proptest! {
 }
 
 #[test]
-fn a_silence_of_centuries_costs_no_time_and_forgets_all() {
+fn silence_of_centuries_clears_the_window_at_once() {
     let mut window = WindowMinimum::new(8);
     window.add(0, -5);
     window.add(u64::MAX, 7);

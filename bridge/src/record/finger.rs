@@ -1,4 +1,4 @@
-//! What the records of a master have besides, where the finger feels its trigger.
+//! Additional fields of master records with force feedback at the trigger.
 
 use haptether_master::RotationSample;
 use haptether_safety::{Axes, SafetyTick};
@@ -9,10 +9,10 @@ use crate::{
     recorder::{Field, Recorded, Value},
 };
 
-/// One tick of a trigger that the finger feels; positive closes.
+/// One tick of a trigger with force feedback; positive closes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FingerTick {
-    /// In m/s, as estimated.
+    /// Estimated velocity in m/s.
     pub velocity: f64,
     /// `F_v` in N.
     pub rendered_force: f64,
@@ -20,7 +20,7 @@ pub struct FingerTick {
     pub safety_force: f64,
     /// `F_device` in N.
     pub device_force: f64,
-    /// Who tripped, [`haptether_safety::controller::Tripped::bits`].
+    /// Controllers that tripped, [`haptether_safety::controller::Tripped::bits`].
     pub tripped: u8,
 }
 
@@ -36,12 +36,12 @@ impl FingerTick {
     }
 }
 
-/// What a record has of a rotation, and what the finger feels.
+/// Rotation part of a record, plus the force feedback at the trigger.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Feeling<R> {
-    /// Of a rotation; nothing of a point.
+    /// Rotation; empty for a point.
     pub turn: R,
-    /// Of the trigger.
+    /// Trigger.
     pub finger: FingerTick,
 }
 
@@ -76,7 +76,6 @@ impl<R: MasterTurn> MasterTurn for Feeling<R> {
 }
 
 impl FingerTick {
-    /// Hands each field to `take`.
     fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>)) {
         let Self { velocity, rendered_force, safety_force, device_force, tripped } = *self;
         for field in [
@@ -95,8 +94,7 @@ impl FingerTick {
     }
 }
 
-/// The record of a master and what the finger felt at that tick: what a run in virtual time writes, whose own records
-/// are those of any trigger.
+/// Master record plus force feedback at the trigger, for runs in virtual time, whose records have one type.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct WithFinger<M> {
     record: M,
@@ -104,7 +102,7 @@ pub(crate) struct WithFinger<M> {
 }
 
 impl<M> WithFinger<M> {
-    /// Of a tick; `felt` is none where the finger felt nothing.
+    /// Combines a record with the finger's tick, if any.
     pub(crate) fn new(record: M, felt: Option<&SafetyTick<1>>) -> Self {
         Self { record, finger: felt.map_or_else(|| FingerTick::of(&SafetyTick::still()), FingerTick::of) }
     }

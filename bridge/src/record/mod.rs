@@ -1,4 +1,4 @@
-//! The records of a run: one flat record per tick and side.
+//! Records of a run: one flat record per tick and side.
 
 mod finger;
 mod rotation;
@@ -19,7 +19,7 @@ use crate::{
     plant::Truth,
 };
 
-/// What the records of both sides say of the ladder.
+/// Ladder fields of both sides' records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct LadderSnapshot {
     reason: u8,
@@ -29,13 +29,13 @@ pub(crate) struct LadderSnapshot {
     outliers: u64,
 }
 
-/// What stands for the codes of a peer that has not been heard.
+/// Codes of a peer that has not been heard.
 const NO_PEER: [u8; 3] = [u8::MAX, 0, 0];
 
 impl LadderSnapshot {
     pub(crate) fn of(exchange: &Exchange) -> Self {
         let reason = exchange.ladder().history().last().map_or(0, |last| last.reason.code());
-        // 0 is what the link says before the first.
+        // The link reports 0 before the first.
         let round_trip_ns = match exchange.link().statistics().round_trip_ns {
             0 => u64::MAX,
             round_trip_ns => round_trip_ns,
@@ -49,69 +49,69 @@ impl LadderSnapshot {
 /// One tick of the master.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MasterRecord<const N: usize, R = ()> {
-    /// Time since the run began, in ns.
+    /// Time since the start of the run in ns.
     pub time_ns: u64,
-    /// x in m, as measured.
+    /// Measured x in m.
     pub position: Axes<N>,
-    /// V in m/s as measured; NaN of a device that measures none.
+    /// Measured V in m/s; NaN if the device does not measure it.
     pub measured_velocity: Axes<N>,
     /// `F_e` in N of the peer's newest frame; zero before the first.
     pub received_force: Axes<N>,
-    /// `F_v` in N that the coupling requests of it.
+    /// `F_v` in N that the coupling requests for it.
     pub requested_force: Axes<N>,
-    /// The ladder's share of what is requested.
+    /// Fading gain of the ladder on the request.
     pub gain: f64,
-    /// Ticks that were left out since the last.
+    /// Ticks skipped since the last.
     pub missed: u64,
-    /// What the tick took over from the last.
+    /// State taken over from the last tick.
     pub past: Past,
-    /// Code of a fault that device or trigger gave the safety layer, 0 without.
+    /// Fault code reported by device or trigger, 0 without.
     pub given_fault: u8,
-    /// True position in m where the device is a model, else x as measured.
+    /// True position in m of a model, else measured x.
     pub true_position: Axes<N>,
-    /// True velocity in m/s where the device is a model, else V as estimated.
+    /// True velocity in m/s of a model, else estimated V.
     pub velocity: Axes<N>,
-    /// True force of the hand in N where the device is a model, else zero.
+    /// True force of the hand in N of a model, else zero.
     pub hand_force: Axes<N>,
     /// `F_v` in N.
     pub rendered_force: Axes<N>,
-    /// `F_h` in N, as estimated.
+    /// Estimated `F_h` in N.
     pub grasp_force: Axes<N>,
     /// `F_c` in N.
     pub safety_force: Axes<N>,
     /// `F_device` in N.
     pub device_force: Axes<N>,
-    /// The trigger that leads the gripper, 0 open to 1 closed; NaN where it is not known, or without a gripper.
+    /// Trigger of the gripper, 0 open to 1 closed; NaN if unknown or without.
     pub trigger: f64,
-    /// `S_vf`, `S_h`, `E_wso` and `E_so` in J; NaN where not observed.
+    /// `S_vf`, `S_h`, `E_wso` and `E_so` in J; NaN if not observed.
     pub observers: PerController<f64>,
-    /// Who tripped, [`haptether_safety::controller::Tripped::bits`].
+    /// Controllers that tripped, [`haptether_safety::controller::Tripped::bits`].
     pub tripped: u8,
-    /// Which bounds acted, [`haptether_safety::Acted::bits`].
+    /// Bounds that acted, [`haptether_safety::Acted::bits`].
     pub acted: u8,
     /// State of the ladder.
     pub state: LadderState,
-    /// Why it stands there, [`crate::Reason::code`]; 0 where it began.
+    /// Its reason, [`crate::Reason::code`]; 0 initially.
     pub reason: u8,
-    /// What the peer's newest frame says: state, reason and fault by their codes; 255, 0 and 0 before the first.
+    /// Codes of state, reason and fault of the peer; 255, 0 and 0 before its first frame.
     pub peer: [u8; 3],
-    /// Whether the clutch is closed, as far as this side knows.
+    /// True if the clutch is closed, as known to this side.
     pub clutch: bool,
     /// Silence of the peer in ns, `u64::MAX` before its first frame.
     pub age_ns: u64,
-    /// Round trip in ns of the newest echo, both loops' waits for their ticks included; `u64::MAX` before the first.
+    /// Newest round trip in ns, including both loops' waits; `u64::MAX` before the first.
     pub round_trip_ns: u64,
-    /// How late the loop woke, in ns; in virtual time only where the clock of this side is set.
+    /// Lateness in ns; in virtual time only if this side's clock is set.
     pub overshoot_ns: u64,
-    /// Samples so far that left the path of the others and were replaced.
+    /// Outliers replaced so far.
     pub outliers: u64,
-    /// The fault's code, 0 without.
+    /// Fault code, 0 without.
     pub fault: u8,
-    /// What it has of a rotation; nothing of a point.
+    /// Rotation; empty for a point.
     pub rotation: R,
 }
 
-/// A record of nothing: NaN and the largest integers where nothing is known.
+/// An empty record: NaN and the largest integers if unknown.
 impl<const N: usize, R: MasterTurn> Default for MasterRecord<N, R> {
     fn default() -> Self {
         let zeros = Axes::zeros();
@@ -151,7 +151,7 @@ impl<const N: usize, R: MasterTurn> Default for MasterRecord<N, R> {
 }
 
 impl<const N: usize, R: MasterTurn> MasterRecord<N, R> {
-    #[inline(always)] // what it is made of need not be in memory
+    #[inline(always)] // its parts need not be in memory
     pub(crate) fn new(
         time: TickTime,
         reading: &MasterReading<N>,
@@ -205,7 +205,7 @@ impl<const N: usize, R: MasterTurn> MasterRecord<N, R> {
 /// One tick of the slave.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlaveRecord<const N: usize, R = ()> {
-    /// Time since the run began, in ns.
+    /// Time since the start of the run in ns.
     pub time_ns: u64,
     /// Tool position in m.
     pub position: Axes<N>,
@@ -213,41 +213,41 @@ pub struct SlaveRecord<const N: usize, R = ()> {
     pub command: Axes<N>,
     /// `F_e` in N.
     pub environment_force: Axes<N>,
-    /// The gripper, 0 open to 1 closed; NaN without one, as all of it.
+    /// Gripper, 0 open to 1 closed; NaN without one, as the next two.
     pub gripper: f64,
     /// Its last command, 0 open to 1 closed.
     pub gripper_command: f64,
-    /// Between its jaws in N.
+    /// Force between its jaws in N.
     pub gripper_force: f64,
-    /// Whether something stops its jaws.
+    /// True if an object stops its jaws.
     pub holds_object: bool,
-    /// Whether a simulated tool touches something; false of an arm. In no recording.
+    /// True if a simulated tool touches something; false for an arm. Not recorded.
     pub touches: bool,
     /// State of the ladder.
     pub state: LadderState,
-    /// Why it stands there, [`crate::Reason::code`]; 0 where it began.
+    /// Its reason, [`crate::Reason::code`]; 0 initially.
     pub reason: u8,
-    /// What the peer's newest frame says: state, reason and fault by their codes; 255, 0 and 0 before the first.
+    /// Codes of state, reason and fault of the peer; 255, 0 and 0 before its first frame.
     pub peer: [u8; 3],
-    /// Whether the clutch is closed, as far as this side knows.
+    /// True if the clutch is closed, as known to this side.
     pub clutch: bool,
-    /// Which bounds acted on the command, [`crate::coupling::Limited::bits`].
+    /// Bounds that acted on the command, [`crate::coupling::Limited::bits`].
     pub limited: u8,
     /// Silence of the peer in ns, `u64::MAX` before its first frame.
     pub age_ns: u64,
-    /// Round trip in ns of the newest echo, both loops' waits for their ticks included; `u64::MAX` before the first.
+    /// Newest round trip in ns, including both loops' waits; `u64::MAX` before the first.
     pub round_trip_ns: u64,
-    /// How late the loop woke, in ns; in virtual time only where the clock of this side is set.
+    /// Lateness in ns; in virtual time only if this side's clock is set.
     pub overshoot_ns: u64,
-    /// Samples so far that left the path of the others and were replaced.
+    /// Outliers replaced so far.
     pub outliers: u64,
-    /// The fault's code, 0 without.
+    /// Fault code, 0 without.
     pub fault: u8,
-    /// What it has of a rotation; nothing of a point.
+    /// Rotation; empty for a point.
     pub rotation: R,
 }
 
-/// A record of nothing: NaN and the largest integers where nothing is known.
+/// An empty record: NaN and the largest integers if unknown.
 impl<const N: usize, R: SlaveTurn> Default for SlaveRecord<N, R> {
     fn default() -> Self {
         let zeros = Axes::zeros();
@@ -277,7 +277,7 @@ impl<const N: usize, R: SlaveTurn> Default for SlaveRecord<N, R> {
 }
 
 impl<const N: usize, R: SlaveTurn> SlaveRecord<N, R> {
-    #[inline(always)] // as of the master
+    #[inline(always)] // as for the master
     pub(crate) fn new(
         time: TickTime,
         reading: &SlaveReading<N>,

@@ -1,4 +1,4 @@
-//! What the records of a side that turns have besides.
+//! Additional fields of the records of a side that turns.
 
 use haptether_master::RotationSample;
 use haptether_safety::{Axes, SafetyTick, controller::PerController};
@@ -10,19 +10,18 @@ use crate::{
     recorder::{Field, Value},
 };
 
-/// What the record of a master has of a rotation: nothing of a point, so that it costs nothing there.
+/// Rotation part of a master record; empty, and free, for a point.
 pub trait MasterTurn: Copy + std::fmt::Debug + PartialEq + Send + 'static {
-    /// Whether there is one.
+    /// True if there is a rotation.
     const TURNS: bool;
 
-    /// Of nothing.
+    /// An empty part.
     fn empty() -> Self;
 
-    /// It, if there is one.
+    /// Rotation, if any.
     fn rotation(&self) -> Option<&MasterRotation>;
 
-    /// Of a tick: what the device measured, what no sensor measures, what the safety layer decided, and the torques that
-    /// were received and that the coupling requests of them.
+    /// Builds the part of a tick; `torques` are the received and the requested one.
     fn of(
         measured: Option<&RotationSample>,
         truth: Option<RotationTruth>,
@@ -30,31 +29,31 @@ pub trait MasterTurn: Copy + std::fmt::Debug + PartialEq + Send + 'static {
         torques: [Axes<3>; 2],
     ) -> Self;
 
-    /// The same with what the finger felt, where the record has that.
+    /// Adds the force feedback at the trigger, if the record has it.
     #[must_use]
     fn felt(self, _tick: Option<&SafetyTick<1>>) -> Self {
         self
     }
 
-    /// Hands each field to `take`.
+    /// Passes each field to `take`.
     fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>));
 }
 
-/// What the record of a slave has of a rotation.
+/// Rotation part of a slave record.
 pub trait SlaveTurn: Copy + std::fmt::Debug + PartialEq + Send + 'static {
-    /// Whether there is one.
+    /// True if there is a rotation.
     const TURNS: bool;
 
-    /// Of nothing.
+    /// An empty part.
     fn empty() -> Self;
 
-    /// It, if there is one.
+    /// Rotation, if any.
     fn rotation(&self) -> Option<&SlaveRotation>;
 
-    /// Of a tick: what the arm measured, and what it was commanded.
+    /// Builds the part from measured rotation and command.
     fn of<const N: usize>(measured: Option<&RotationState>, tick: &SlaveTick<N>) -> Self;
 
-    /// Hands each field to `take`.
+    /// Passes each field to `take`.
     fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>));
 }
 
@@ -92,41 +91,42 @@ impl SlaveTurn for () {
     fn fields<'a>(&'a self, _: &mut dyn FnMut(Field<'a>)) {}
 }
 
-/// One tick of a master's rotation, in its base frame about the tool point; orientations are unit quaternions w, x, y, z.
+/// One tick of a master's rotation, in the base frame about the tool point. Orientations are unit quaternions w, x,
+/// y, z.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MasterRotation {
-    /// As measured.
+    /// Measured orientation.
     pub orientation: [f64; 4],
-    /// In rad/s as measured; NaN of a device that measures none.
+    /// Measured, in rad/s; NaN if the device does not measure it.
     pub measured_angular_velocity: Axes<3>,
-    /// Of the peer's newest frame in N m; zero before the first.
+    /// Torque of the peer's newest frame in N m; zero before the first.
     pub received_torque: Axes<3>,
-    /// In N m that the coupling requests of it.
+    /// Torque in N m that the coupling requests for it.
     pub requested_torque: Axes<3>,
-    /// True orientation where the device is a model, else as measured.
+    /// True orientation of a model, else measured.
     pub true_orientation: [f64; 4],
-    /// True angular velocity in rad/s where the device is a model, else as estimated.
+    /// True angular velocity in rad/s of a model, else estimated.
     pub angular_velocity: Axes<3>,
-    /// True torque of the hand in N m where the device is a model, else zero.
+    /// True torque of the hand in N m of a model, else zero.
     pub hand_torque: Axes<3>,
-    /// Torque in N m that the remote side requests, as far as the device can render it.
+    /// Requested torque in N m within the limits of the device.
     pub rendered_torque: Axes<3>,
-    /// Of the hand in N m, as estimated.
+    /// Estimated torque of the hand in N m.
     pub grasp_torque: Axes<3>,
-    /// Of the controllers in N m.
+    /// Torque of the controllers in N m.
     pub safety_torque: Axes<3>,
-    /// Of the device in N m.
+    /// Torque of the device in N m.
     pub device_torque: Axes<3>,
-    /// `S_vf`, `S_h`, `E_wso` and `E_so` in J of the rotation; NaN where not observed.
+    /// `S_vf`, `S_h`, `E_wso` and `E_so` in J of the rotation; NaN if not observed.
     pub observers: PerController<f64>,
-    /// Who tripped of the rotation, [`haptether_safety::controller::Tripped::bits`].
+    /// Controllers of the rotation that tripped, [`haptether_safety::controller::Tripped::bits`].
     pub tripped: u8,
-    /// Which bounds of the torque acted, [`haptether_safety::Acted::bits`].
+    /// Bounds that acted on the torque, [`haptether_safety::Acted::bits`].
     pub acted: u8,
 }
 
 impl MasterRotation {
-    /// Hands over each signal of a run in virtual time, which has the truth: name, and its numbers.
+    /// Passes each signal of a run in virtual time, which has true values.
     pub(crate) fn signals(&self, take: &mut dyn FnMut(&'static str, &[f64])) {
         take("orientation", &self.true_orientation);
         take("measured_orientation", &self.orientation);
@@ -246,19 +246,20 @@ impl MasterTurn for MasterRotation {
     }
 }
 
-/// One tick of a slave's rotation, in its base frame about the tool point; orientations are unit quaternions w, x, y, z.
+/// One tick of a slave's rotation, in the base frame about the tool point. Orientations are unit quaternions w, x, y,
+/// z.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlaveRotation {
-    /// Of the tool.
+    /// Orientation of the tool.
     pub orientation: [f64; 4],
     /// Commanded orientation; the tool's own before the first command.
     pub command_orientation: [f64; 4],
-    /// Of the environment on the tool in N m.
+    /// Torque of the environment on the tool in N m.
     pub environment_torque: Axes<3>,
 }
 
 impl SlaveRotation {
-    /// Hands over each signal of a run in virtual time: name, and its numbers.
+    /// Passes each signal of a run in virtual time.
     pub(crate) fn signals(&self, take: &mut dyn FnMut(&'static str, &[f64])) {
         take("slave_orientation", &self.orientation);
         take("slave_command_orientation", &self.command_orientation);

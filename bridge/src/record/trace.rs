@@ -1,17 +1,17 @@
-//! The records of a run as columns, one for each field.
+//! Records of a run as columns, one per field.
 
 use crate::recorder::{Recorded, Value};
 
-/// The values of one field, tick by tick.
+/// Values of one field, tick by tick.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Column {
-    /// Vectors of so many numbers.
+    /// Vectors of the given length.
     Vectors(usize, Vec<f64>),
     /// Numbers.
     Numbers(Vec<f64>),
     /// Counts.
     Counts(Vec<u64>),
-    /// Bits, flags, and the codes of names.
+    /// Bits, flags, and codes of names.
     Codes(Vec<u8>),
 }
 
@@ -36,13 +36,13 @@ impl Column {
             (Self::Codes(column), Value::Bits(bits)) => column.push(bits as u8),
             (Self::Codes(column), Value::Code(code, _)) => column.push(code),
             (Self::Codes(column), Value::Flag(flag)) => column.push(flag.into()),
-            // A field has one type in all records; a name without a code has no column of numbers.
+            // A field has one type in all records; a name without a code has no column.
             _ => {}
         }
     }
 }
 
-/// The records of a run as columns.
+/// Records of a run as columns.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Trace {
     ticks: usize,
@@ -50,7 +50,7 @@ pub struct Trace {
 }
 
 impl Trace {
-    /// Columns of these records.
+    /// Columns of `records`.
     pub fn of<R: Recorded>(records: &[R]) -> Self {
         let mut columns = Vec::new();
         R::any().fields(&mut |(name, _, value)| columns.push((name, Column::of(value, records.len()))));
@@ -65,13 +65,13 @@ impl Trace {
         self.ticks
     }
 
-    /// The column of a field; none where the records lack it.
+    /// Column of a field; `None` if the records lack it.
     pub fn column(&self, name: &str) -> Option<&Column> {
         self.columns.iter().find(|(known, _)| *known == name).map(|(_, column)| column)
     }
 }
 
-/// Adds one record; compiled once for all types of records.
+/// Adds one record; compiled once for all record types.
 fn push(columns: &mut [(&'static str, Column)], record: &dyn Recorded) {
     let mut columns = columns.iter_mut();
     record.fields(&mut |(_, _, value)| {

@@ -1,4 +1,4 @@
-//! What the ticks of a frame come to: the range of each number, and the changes of all else.
+//! Content of a telemetry frame: ranges of numbers, and changes of all other signals.
 
 use serde_json::json;
 
@@ -9,16 +9,16 @@ use crate::{
 };
 use std::sync::atomic::Ordering;
 
-/// Of the lines, raised when a reader of before would misread them.
+/// Version of the lines, raised when older readers would misread them.
 const SCHEMA: u32 = 1;
-/// Changes of one frame that are sent; more are counted.
+/// Maximum number of changes sent per frame; further ones are counted.
 const MAX_EVENTS: usize = 256;
-/// Bytes of the longest scene that is sent; a reader takes lines of a megabyte.
+/// Maximum bytes of a scene that is sent; a reader takes lines of a megabyte.
 const MAX_SCENE: usize = 1 << 18;
 
-/// The first line that a reader gets: whose samples these are, and the name, kind, size and meaning of each signal.
+/// First line to a reader: the side, and name, kind, size and meaning of each signal.
 ///
-/// The scene is left out where it is longer than [`MAX_SCENE`], as one with recordings inside.
+/// A scene longer than [`MAX_SCENE`], such as one with embedded recordings, is omitted.
 pub(super) fn hello(any: &dyn Recorded, security: SecurityMark, scene: &str) -> Vec<u8> {
     let mut signals = Vec::new();
     any.fields(&mut |(name, meaning, value)| {
@@ -36,7 +36,7 @@ pub(super) fn hello(any: &dyn Recorded, security: SecurityMark, scene: &str) -> 
     }))
 }
 
-/// Why the two sides are not coupled, as a line.
+/// Line with the reason why the sides are not coupled.
 pub(super) fn cause(time_ns: u64, diagnosis: &Diagnosis) -> Vec<u8> {
     #[derive(serde::Serialize)]
     struct Cause {
@@ -48,24 +48,24 @@ pub(super) fn cause(time_ns: u64, diagnosis: &Diagnosis) -> Vec<u8> {
     line(&Cause { kind: "cause", time_ns, explanation: diagnosis.explain() })
 }
 
-/// That the cause of before is over, as a line.
+/// Line that ends the previous cause.
 pub(super) fn cleared(time_ns: u64) -> Vec<u8> {
     line(&json!({"kind": "cleared", "time_ns": time_ns}))
 }
 
-/// Why a reader gets nothing, as a line.
+/// Line with the reason why a reader is refused.
 pub(super) fn refused(text: &str) -> Vec<u8> {
     line(&json!({"kind": "refused", "text": text}))
 }
 
 fn line(of: &impl serde::Serialize) -> Vec<u8> {
-    // A vector takes all that is written, and JSON has all these values.
+    // Writing to a vector cannot fail, and JSON has all these values.
     let mut out = serde_json::to_vec(of).unwrap_or_default();
     out.push(b'\n');
     out
 }
 
-/// The field that is the time of each line and no signal.
+/// Name of the time field, which is no signal.
 const TIME: &str = "time_ns";
 
 fn kind(value: &Value<'_>) -> &'static str {
@@ -83,7 +83,7 @@ fn size(value: &Value<'_>) -> usize {
     if let Value::Axes(values) = value { values.len() } else { 1 }
 }
 
-/// A number in the ticks of a frame; what is none is left out of its bounds.
+/// Range of a number over a frame; NaN does not change the bounds.
 #[derive(Clone, Copy)]
 struct Range {
     min: f64,
@@ -98,17 +98,17 @@ impl Range {
         *self = Self { min: self.min.min(value), max: self.max.max(value), last: value };
     }
 
-    /// What is not finite becomes null: of a frame without a number all three.
+    /// Writes minimum, maximum and last value. Non-finite ones become null: all three without a number.
     fn write(&self, out: &mut Vec<u8>) {
         let _ = serde_json::to_writer(out, &[self.min, self.max, self.last]);
     }
 }
 
-/// What is no number.
+/// A value that is not a number.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Discrete {
     Count(u64),
-    /// Those of any tick of the frame, and of the last.
+    /// Union over the frame, and value at the last tick.
     Bits([u64; 2]),
     Name(&'static str),
     Flag(bool),
@@ -124,7 +124,6 @@ impl Discrete {
         };
     }
 
-    /// As it was at the last tick.
     fn last(self) -> serde_json::Value {
         match self {
             Self::Count(count) | Self::Bits([_, count]) => count.into(),
@@ -145,14 +144,14 @@ struct Signal {
     content: Content,
 }
 
-/// The ticks since the last sample.
+/// Ticks since the last sample.
 pub(super) struct Frame {
     signals: Vec<Signal>,
     time_ns: u64,
     ticks: u64,
     events: Vec<u8>,
     count: usize,
-    /// Changes that were not sent, over the run.
+    /// Changes not sent, over the run.
     unsent: u64,
     sample: Vec<u8>,
 }
@@ -179,7 +178,6 @@ impl Frame {
         }
     }
 
-    /// Adds a tick.
     pub(super) fn take(&mut self, record: &dyn Recorded) {
         let Self { signals, events, count, unsent, .. } = self;
         let time_ns = record.time_ns();
@@ -228,14 +226,14 @@ impl Frame {
         self.ticks += 1;
     }
 
-    /// Hands over the changes since they were last taken, one line each.
+    /// Passes the changes since the last call, one line each.
     pub(super) fn events(&mut self, take: impl FnOnce(&[u8])) {
         take(&self.events);
         self.events.clear();
         self.count = 0;
     }
 
-    /// The sample of the frame and how many ticks it stands for, and begins the next; none where there was no tick.
+    /// Takes the sample of the frame and its number of ticks; `None` without a tick.
     pub(super) fn sample(&mut self, counts: &Counts) -> Option<(&[u8], u64)> {
         if self.ticks == 0 {
             return None;
@@ -285,7 +283,6 @@ impl Frame {
         Some((&self.sample, ticks))
     }
 
-    /// The last line of a run.
     pub(super) fn end_line(&self) -> Vec<u8> {
         line(&json!({"kind": "end", "time_ns": self.time_ns}))
     }

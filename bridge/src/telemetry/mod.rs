@@ -1,9 +1,9 @@
-//! What a live loop shows of itself while it runs: samples and events over a Unix socket, to any number of readers.
+//! Telemetry of a live loop: samples and events over a Unix socket, to any number of readers.
 //!
-//! The loop hands each record to a bounded ring and never waits. A thread of its own decimates them: of each frame of
-//! 1/60 s the smallest, the largest and the last value of each signal, so that a spike of one tick survives, and every
-//! change of what is a name, a flag or a set of bits. A reader that is slow loses samples, which are counted to it, and
-//! none of the others notices. Lines of JSON; see docs/telemetry.md.
+//! The loop writes records to a bounded ring and never waits. A thread decimates them to frames of 1/60 s. A frame
+//! has minimum, maximum and last value of each signal, so that a spike of one tick survives. It has every change of a
+//! name, flag or set of bits, too. A slow reader loses samples, which are reported to it, and affects no others.
+//! Lines of JSON; see docs/telemetry.md.
 
 mod frame;
 mod readers;
@@ -30,43 +30,43 @@ use crate::{
     ring::{WaitingRecords, ring},
 };
 
-/// How telemetry is sent.
+/// Settings of telemetry.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TelemetrySettings {
-    /// Its Unix socket, for its owner alone. A socket that nobody listens at is replaced, anything else is refused.
+    /// Unix socket, for the owner only. Replaces a stale socket, and refuses anything else.
     pub path: PathBuf,
-    /// What the run is marked as.
+    /// Security mark of the run.
     pub security: SecurityMark,
-    /// The scene as JSON, which each reader gets first. Empty: none.
+    /// Scene as JSON, sent first to each reader. Empty for none.
     pub scene: String,
 }
 
-/// Records that wait for the thread: 0.5 s at 8 kHz, 4 s at 1 kHz.
+/// Ring of records to the thread: 0.5 s at 8 kHz, 4 s at 1 kHz.
 const RING: usize = 1 << 12;
-/// Diagnoses, and ends of them, that wait for the thread.
+/// Ring of diagnoses, and ends of them, to the thread.
 const NOTES: usize = 16;
-/// From one frame to the next.
+/// Period of frames.
 const FRAME: Duration = Duration::from_nanos(1_000_000_000 / 60);
-/// How long the end of a run waits for the thread.
+/// Maximum wait of the end of a run for the thread.
 const PATIENCE: Duration = Duration::from_millis(500);
-/// How long the thread then waits for readers that have not taken all yet.
+/// Maximum wait of the thread for readers at the end.
 const LAST: Duration = Duration::from_millis(200);
 
-/// How the loop stands.
+/// State of the loop.
 const RUNNING: u8 = 0;
 const ENDED: u8 = 1;
 /// It panicked, or never began.
 const FAILED: u8 = 2;
 
-/// Why the two sides are not coupled, so long after the run began; none where that is over.
+/// Time after the start in ns, and reason why the sides are not coupled; `None` ends it.
 type Note = (u64, Option<Diagnosis>);
 
-/// What the loop counts since its run began, as the thread reads it: each count is true, all together are not of one tick.
+/// Counts of the loop, as the thread reads them: each exact, but not all of one tick.
 #[derive(Debug, Default)]
 struct Counts {
-    /// Records that found the ring full.
+    /// Records dropped because the ring was full.
     dropped: AtomicU64,
-    /// Of [`LinkStatistics`].
+    /// From [`LinkStatistics`].
     sent: AtomicU64,
     fresh: AtomicU64,
     late: AtomicU64,
@@ -87,7 +87,7 @@ impl Counts {
     }
 }
 
-/// The loop's end of the ring.
+/// The loop's end of the rings.
 #[derive(Debug)]
 pub struct Telemetry<R> {
     records: rtrb::Producer<R>,
@@ -109,10 +109,9 @@ impl<R: Recorded> Telemetry<R> {
     }
 }
 
-/// The loop's ends of what leads to the thread that sends.
 type Sender = (rtrb::Producer<Note>, Arc<Counts>, Arc<AtomicU8>, mpsc::Receiver<()>);
 
-/// Starts the thread that sends; compiled once for all types of records.
+/// Starts the sending thread; compiled once for all record types.
 fn spawn_sender(readers: Readers, frame: Frame, mut waiting: Box<dyn WaitingRecords>) -> io::Result<Sender> {
     let (notes, noted) = ring(NOTES);
     let counts = Arc::<Counts>::default();
@@ -127,7 +126,7 @@ fn spawn_sender(readers: Readers, frame: Frame, mut waiting: Box<dyn WaitingReco
 }
 
 impl<R> Telemetry<R> {
-    /// Hands a record over, or drops and counts it where the thread does not keep up.
+    /// Passes a record on, or counts it as dropped if the thread is behind.
     #[inline]
     pub(crate) fn take(&mut self, record: R) {
         if self.records.push(record).is_err() {
@@ -135,37 +134,37 @@ impl<R> Telemetry<R> {
         }
     }
 
-    /// Takes what the link has counted.
+    /// Updates the counts of the link.
     #[inline]
     pub(crate) fn count_link(&self, link: &LinkStatistics) {
         self.counts.count_link(link);
     }
 
-    /// Hands over why the two sides are not coupled, `time_ns` after the run began; none where that is over.
+    /// Passes on why the sides are not coupled, at `time_ns` after the start; `None` ends it.
     pub(crate) fn note(&mut self, time_ns: u64, diagnosis: Option<&Diagnosis>) {
         let _ = self.notes.push((time_ns, diagnosis.copied()));
     }
 
-    /// The loop has ended in good order; what is dropped without it closes its readers without that line.
+    /// Ends telemetry in good order; a drop without it sends no end line.
     pub(crate) fn end(self) {
         self.state.store(ENDED, Ordering::Release);
     }
 }
 
 impl<R> Drop for Telemetry<R> {
-    /// Waits until all was sent, but not for readers that do not take it.
+    /// Waits until all is sent, but not for readers that stall.
     fn drop(&mut self) {
         await_sender(&self.state, &self.sent);
     }
 }
 
-/// Waits for a sender; compiled once for all types of records.
+/// Waits for the thread; compiled once for all record types.
 fn await_sender(state: &AtomicU8, sent: &mpsc::Receiver<()>) {
     let _ = state.compare_exchange(RUNNING, FAILED, Ordering::Release, Ordering::Relaxed);
     let _ = sent.recv_timeout(PATIENCE);
 }
 
-/// Sends a frame every 1/60 s until the loop is over and all was sent.
+/// Sends a frame every 1/60 s until the loop is over and all is sent.
 fn send_while_running(
     mut frame: Frame,
     mut readers: Readers,
@@ -174,10 +173,10 @@ fn send_while_running(
 ) {
     let mut due = Instant::now();
     loop {
-        // Looked at first: what was pushed before the end is seen below.
+        // Loaded first, so that all records pushed before the end are taken below.
         let state = state.load(Ordering::Acquire);
         readers.accept();
-        // What comes while it is taken waits for the next frame: a loop that is faster does not hold it here.
+        // Later records wait for the next frame: a faster loop cannot hold the thread.
         records.take(records.waiting(), &mut |record| frame.take(record));
         while let Ok((time_ns, diagnosis)) = notes.pop() {
             match diagnosis {

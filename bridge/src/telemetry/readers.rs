@@ -1,4 +1,4 @@
-//! Those who read the telemetry of a loop, each at its own speed.
+//! Readers of the telemetry of a loop, each at its own speed.
 
 use std::{
     io,
@@ -17,22 +17,22 @@ use rustix::{
 use super::frame;
 use crate::live_socket::LiveSocket;
 
-/// At once; another is sent `refused` and closed.
+/// Maximum number of readers; a further one is sent `refused` and closed.
 const MAX_READERS: usize = 16;
-/// Bytes that may wait for a reader before it loses samples.
+/// Backlog in bytes beyond which a reader loses samples.
 const MAX_BACKLOG: usize = 1 << 18;
-/// Bytes that may wait for a reader before it is closed: by then it has lost seconds of samples, and takes no events.
+/// Backlog in bytes beyond which a reader is closed: it has lost seconds of samples and takes no events.
 const MAX_EVENTS: usize = 1 << 20;
 
 struct Reader {
     stream: UnixStream,
     backlog: Vec<u8>,
-    /// Ticks whose samples it has not been sent.
+    /// Ticks of lost samples, not reported yet.
     lost: u64,
 }
 
 impl Reader {
-    /// Says how much was lost, if anything was.
+    /// Reports lost ticks, if any.
     fn count_lost(&mut self) {
         if self.lost > 0 {
             let lost = format!("{{\"kind\":\"lost\",\"ticks\":{}}}\n", std::mem::take(&mut self.lost));
@@ -40,7 +40,7 @@ impl Reader {
         }
     }
 
-    /// Sends what waits, as far as it goes; whether the reader is still there.
+    /// Sends as much backlog as possible. Returns whether the reader is there.
     fn flush(&mut self) -> bool {
         let mut seen = [PollFd::new(&self.stream, PollFlags::empty())];
         let is_gone = poll(&mut seen, Some(&Timespec::default())).is_ok_and(|count| count > 0);
@@ -64,11 +64,11 @@ impl Reader {
     }
 }
 
-/// The readers of a loop, and the socket at which more may come.
+/// Readers of a loop, and the socket for new ones.
 pub(super) struct Readers {
     socket: LiveSocket,
     hello: Vec<u8>,
-    /// The newest, for those that come later; empty where there is none.
+    /// Newest cause, for later readers; empty without one.
     cause: Vec<u8>,
     connected: Vec<Reader>,
 }
@@ -80,12 +80,12 @@ impl Readers {
         Ok(Self { socket, hello, cause: Vec::new(), connected: Vec::new() })
     }
 
-    /// Lets those in who wait; not more than one frame's worth.
+    /// Accepts waiting readers, a limited number per frame.
     pub(super) fn accept(&mut self) {
         for _ in 0..MAX_READERS {
             let Ok(Some(stream)) = self.socket.accept() else { return };
             if self.connected.len() == MAX_READERS {
-                // Some may have gone since.
+                // Some may have gone.
                 self.flush();
             }
             if self.connected.len() == MAX_READERS {
@@ -99,20 +99,20 @@ impl Readers {
         }
     }
 
-    /// Hands everybody a line that says why the two sides are not coupled.
+    /// Sends all readers the reason why the sides are not coupled.
     pub(super) fn cause(&mut self, cause: Vec<u8>) {
         self.events(&cause);
         self.cause = cause;
     }
 
-    /// Hands everybody a line that says that the cause of before is over; nothing where none was sent.
+    /// Sends all readers the end of the cause, if one was sent.
     pub(super) fn cleared(&mut self, cleared: &[u8]) {
         if !std::mem::take(&mut self.cause).is_empty() {
             self.events(cleared);
         }
     }
 
-    /// Hands everybody lines; a reader that has not taken a megabyte of before is closed.
+    /// Sends lines to all, closing readers more than a megabyte behind.
     pub(super) fn events(&mut self, lines: &[u8]) {
         self.connected.retain_mut(|reader| {
             reader.backlog.extend_from_slice(lines);
@@ -120,7 +120,7 @@ impl Readers {
         });
     }
 
-    /// Hands everybody a sample of so many ticks, but those who have not taken those before: these lose it.
+    /// Sends a sample of `ticks` ticks; a reader with a large backlog loses it.
     pub(super) fn sample(&mut self, sample: &[u8], ticks: u64) {
         for reader in &mut self.connected {
             if reader.backlog.len() + sample.len() > MAX_BACKLOG {
@@ -132,12 +132,12 @@ impl Readers {
         }
     }
 
-    /// Sends what waits, as far as each reader takes it at once.
+    /// Sends as much backlog as possible to all.
     pub(super) fn flush(&mut self) {
         self.connected.retain_mut(Reader::flush);
     }
 
-    /// Sends the last line and closes; waits for slow readers for so long. Whoever sees the end sees no socket's file.
+    /// Removes the socket file, sends the last line, and waits up to `patience` for slow readers.
     pub(super) fn end(mut self, last: &[u8], patience: Duration) {
         self.socket.remove();
         self.connected.iter_mut().for_each(Reader::count_lost);

@@ -20,7 +20,7 @@ use crate::{FaultText, LadderState, Reason, record::MasterRecord, wire::Role};
 
 type Record = MasterRecord<2>;
 
-/// A folder for the test of this name alone, empty.
+/// Creates an empty folder for the test `name`.
 fn folder(name: &str) -> PathBuf {
     let path = std::env::temp_dir().join(format!("haptether-telemetry-{}-{name}", std::process::id()));
     let _ = std::fs::remove_dir_all(&path);
@@ -55,7 +55,7 @@ fn of_kind<'a>(lines: &'a [Json], kind: &str) -> Vec<&'a Json> {
     lines.iter().filter(|line| line["kind"] == kind).collect()
 }
 
-/// Three records that were dropped, and of 40 frames one that did not arrive and two that were late.
+/// Three dropped records; of 40 frames one missing and two late.
 fn counts() -> Counts {
     let counts = Counts { dropped: 3.into(), ..Counts::default() };
     counts.count_link(&LinkStatistics {
@@ -68,7 +68,6 @@ fn counts() -> Counts {
     counts
 }
 
-/// The sample of a frame, and its changes.
 fn framed(records: &[Record]) -> (Json, Vec<Json>) {
     let mut frame = Frame::of(&Record::any());
     for record in records {
@@ -80,7 +79,7 @@ fn framed(records: &[Record]) -> (Json, Vec<Json>) {
 }
 
 #[test]
-fn a_frame_has_the_smallest_the_largest_and_the_last_of_each_axis() {
+fn frame_has_minimum_maximum_and_last_of_each_axis() {
     let mut records: Vec<_> = (0..17).map(record).collect();
     // A spike of one tick.
     records[5].position[1] = 7.0;
@@ -95,7 +94,7 @@ fn a_frame_has_the_smallest_the_largest_and_the_last_of_each_axis() {
 }
 
 #[test]
-fn what_is_no_number_bounds_nothing() {
+fn nan_does_not_change_the_bounds() {
     let mut records: Vec<_> = (0..3).map(record).collect();
     records[1].trigger = 0.5;
     records[0].trigger = f64::NAN;
@@ -134,13 +133,13 @@ fn bits_of_any_tick_and_changes_survive() {
     );
 }
 
-/// The next frame begins with nothing of the one before, but knows what a name was.
+/// A frame keeps nothing of the previous one, except the last value of a name.
 #[test]
 fn frames_follow_one_another() {
     let mut frame = Frame::of(&Record::any());
     frame.take(&Record { tripped: 2, ..record(9) });
     let _ = frame.sample(&Counts::default()).unwrap();
-    assert!(frame.sample(&Counts::default()).is_none(), "a frame without a tick says nothing");
+    assert!(frame.sample(&Counts::default()).is_none(), "a frame without a tick has no sample");
     frame.take(&Record { state: LadderState::Stop, ..record(1) });
     let sample = lines(frame.sample(&Counts::default()).unwrap().0).remove(0);
     assert_eq!(sample["signals"]["position"][0], serde_json::json!([1.0, 1.0, 1.0]));
@@ -151,7 +150,7 @@ fn frames_follow_one_another() {
 }
 
 #[test]
-fn changes_without_end_are_counted() {
+fn excess_changes_are_counted() {
     let mut frame = Frame::of(&Record::any());
     for tick in 0..1000 {
         frame.take(&Record { clutch: tick % 2 == 0, ..record(tick) });
@@ -163,7 +162,7 @@ fn changes_without_end_are_counted() {
 }
 
 #[test]
-fn a_scene_that_is_too_long_for_a_line_is_left_out() {
+fn too_long_scene_is_omitted() {
     for (length, is_sent) in [(1 << 17, true), (1 << 18, false)] {
         let scene = format!("{{\"title\": \"{}\"}}", "x".repeat(length));
         let hello = frame::hello(&Record::any(), SecurityMark::Secure, &scene);
@@ -209,11 +208,11 @@ fn read_to_end(mut stream: &UnixStream) -> Vec<Json> {
     lines(&bytes)
 }
 
-/// Takes one line; those who are connected have their first within a frame.
+/// Reads one line; a connected reader gets its first within a frame.
 fn hello_of(stream: &UnixStream) -> Json {
     stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
     let mut line = String::new();
-    // A byte at a time: what follows is left for others.
+    // One byte at a time, to leave the rest for later reads.
     BufReader::with_capacity(1, stream).read_line(&mut line).unwrap();
     serde_json::from_str(&line).unwrap()
 }
@@ -230,15 +229,15 @@ const SILENT: Diagnosis = Diagnosis {
     ends: false,
 };
 
-/// No reader keeps a cause that is over, nor does one that connects later get it.
+/// A cleared cause is withdrawn from all readers, and later ones do not get it.
 #[test]
-fn a_cause_that_is_over_is_taken_back() {
+fn cleared_cause_is_withdrawn() {
     let folder = folder("cleared");
     let path = folder.join("socket");
     let mut telemetry = Telemetry::<Record>::begin(&settings(&path)).unwrap();
     let first = UnixStream::connect(&path).unwrap();
     assert_eq!(hello_of(&first)["kind"], "hello");
-    // Nothing was said yet that could be over.
+    // Ignored: there is no cause to clear.
     telemetry.note(1, None);
     telemetry.note(2, Some(&SILENT));
     assert_eq!(hello_of(&first)["kind"], "cause");
@@ -253,9 +252,9 @@ fn a_cause_that_is_over_is_taken_back() {
     assert_eq!(read_to_end(&third), [serde_json::json!({"kind": "end", "time_ns": 0})]);
 }
 
-/// After a panic, or where the loop was never begun: what there was, and no end.
+/// After a panic, or for a loop that never began, readers get the records and no end line.
 #[test]
-fn without_an_end_in_good_order_there_is_no_line_of_it() {
+fn abnormal_end_sends_no_end_line() {
     let folder = folder("panic");
     let path = folder.join("socket");
     let telemetry = Telemetry::<Record>::begin(&settings(&path)).unwrap();
@@ -300,9 +299,9 @@ fn each_reader_gets_all_ticks_and_the_end() {
     assert!(!path.exists(), "its socket is gone");
 }
 
-/// One that does not read is not waited for and takes nothing from the others; what it lost is counted to it.
+/// A stalled reader does not delay the others, and its losses are reported to it.
 #[test]
-fn a_stalled_reader_loses_samples_and_is_told_how_many() {
+fn stalled_reader_loses_samples_and_gets_their_count() {
     for reads_on in [true, false] {
         let folder = folder(&format!("stalled-{reads_on}"));
         let path = folder.join("socket");
@@ -318,14 +317,14 @@ fn a_stalled_reader_loses_samples_and_is_told_how_many() {
             });
             read.map(|line| serde_json::from_str(&line.unwrap()).unwrap()).collect::<Vec<Json>>()
         });
-        // The line of before the samples.
+        // The line before the samples.
         read.recv_timeout(Duration::from_secs(20)).unwrap();
         let line = format!("{{\"kind\":\"sample\",\"ticks\":17,\"signals\":\"{}\"}}\n", "x".repeat(4000));
         let frames = |readers: &mut Readers| {
             for _ in 0..300 {
                 readers.sample(line.as_bytes(), 17);
                 readers.flush();
-                // The other one has read all before the next.
+                // The other reader has read all before the next.
                 read.recv_timeout(Duration::from_secs(20)).unwrap();
             }
         };
@@ -341,7 +340,7 @@ fn a_stalled_reader_loses_samples_and_is_told_how_many() {
             let ender =
                 thread::spawn(move || readers.end(b"{\"kind\":\"end\"}\n", Duration::from_millis(300)));
             ender.join().unwrap();
-            assert!(begun.elapsed() < Duration::from_secs(5), "its end is not held up");
+            assert!(begun.elapsed() < Duration::from_secs(5), "a stalled reader delays the end");
             let mut bytes = Vec::new();
             (&stalled).read_to_end(&mut bytes).unwrap();
             bytes.truncate(bytes.iter().rposition(|byte| *byte == b'\n').unwrap());
@@ -367,7 +366,7 @@ fn a_stalled_reader_loses_samples_and_is_told_how_many() {
 }
 
 #[test]
-fn a_loop_that_is_faster_than_the_thread_drops_and_counts() {
+fn faster_loop_drops_and_counts_records() {
     let folder = folder("fast");
     let path = folder.join("socket");
     let mut telemetry = Telemetry::<Record>::begin(&settings(&path)).unwrap();
@@ -387,7 +386,7 @@ fn a_loop_that_is_faster_than_the_thread_drops_and_counts() {
 }
 
 #[test]
-fn a_path_that_cannot_be_is_refused_with_what_to_do() {
+fn invalid_path_is_refused_with_remedy() {
     let folder = folder("refused");
     let begin = |path: &Path| Telemetry::<Record>::begin(&settings(path)).map(|_| ());
     let refusal = |path: &Path| begin(path).unwrap_err().to_string();
@@ -405,12 +404,12 @@ fn a_path_that_cannot_be_is_refused_with_what_to_do() {
     assert!(refusal(&taken).contains("another run"));
     assert!(taken.exists());
     drop(other);
-    // Of another kind, and alive.
+    // Another kind of socket, and alive.
     let datagrams = folder.join("datagrams");
     let _other = UnixDatagram::bind(&datagrams).unwrap();
     assert!(refusal(&datagrams).contains("is another program's socket"));
     assert!(datagrams.exists());
-    // Left behind by one that was killed: its file is there, and nobody listens.
+    // Left behind by a killed run: the file exists, and nobody listens.
     let stale = folder.join("stale");
     drop(UnixListener::bind(&stale).unwrap());
     assert!(stale.exists());
@@ -418,9 +417,9 @@ fn a_path_that_cannot_be_is_refused_with_what_to_do() {
     assert!(!stale.exists());
 }
 
-/// Whoever listens there but has too many waiting is neither waited for nor replaced.
+/// A full queue is neither awaited nor replaced.
 #[test]
-fn a_socket_whose_queue_is_full_is_left_alone() {
+fn socket_with_full_queue_is_left_alone() {
     let folder = folder("full");
     let path = folder.join("socket");
     let address = SocketAddrUnix::new(&path).unwrap();
@@ -442,9 +441,9 @@ fn a_socket_whose_queue_is_full_is_left_alone() {
     assert!(path.exists());
 }
 
-/// Of runs that begin at once at a path with a stale socket one gets it, and keeps it.
+/// At a path with a stale socket, one of several concurrent runs gets it and keeps it.
 #[test]
-fn one_of_those_that_begin_at_once_gets_the_path() {
+fn one_of_concurrent_runs_gets_the_path() {
     let folder = folder("at-once");
     let path = folder.join("socket");
     for _ in 0..50 {
@@ -471,7 +470,6 @@ fn one_of_those_that_begin_at_once_gets_the_path() {
     assert!(!path.exists());
 }
 
-/// A reader that goes, and many that come, change nothing.
 #[test]
 fn readers_come_and_go() {
     let folder = folder("come");

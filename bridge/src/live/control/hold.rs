@@ -1,39 +1,38 @@
-//! A press and hold from another program: only what a person does now is a press.
+//! A press and hold from another program: only an action of a person now counts.
 //!
-//! Whoever holds sends a beat at least five times a second. Each but the first bears the token that the beat before was
-//! answered with, and all bear for how long the button has been down. So a queue that stalled cannot play a hold: its
-//! beats know no token, arrive in a burst, or say another time than has passed here.
+//! The holder sends a beat at least five times a second. Each but the first carries the token answered to the
+//! previous one, and all carry the time held. So a stalled queue cannot imitate a hold: its beats lack the token,
+//! arrive in a burst, or disagree with the time here.
 
-/// How long a press is held, in ns.
+/// Duration of a press in ns.
 const HOLD_NS: u64 = 1_000_000_000;
-/// The longest time from one beat to the next, in ns; above it the hold has ended.
+/// Maximum time between two beats in ns; a longer gap ends the hold.
 const MAX_GAP_NS: u64 = 400_000_000;
-/// By how much the time of the sender may differ from that here, in ns.
+/// Maximum difference of the sender's time from the time here, in ns.
 const MAX_SKEW_NS: u64 = 250_000_000;
-/// Beats of a hold at least: five a second.
+/// Minimum number of beats of a hold: five a second.
 const MIN_BEATS: u32 = 5;
 
-/// One beat, as it arrives.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Beat {
-    /// Of whose connection.
+    /// Number of its connection.
     pub(super) from: u64,
-    /// When it arrived, in ns.
+    /// Arrival time in ns.
     pub(super) now_ns: u64,
-    /// For how long the button has been down, in ns, as its sender says.
+    /// Time in ns held so far, as reported.
     pub(super) held_ns: u64,
-    /// What the beat before was answered with; none of the first.
+    /// Token of the previous answer; `None` at first.
     pub(super) token: Option<u64>,
 }
 
-/// What a beat leads to.
+/// Result of a beat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Held {
-    /// It goes on: the token of the next beat.
+    /// The hold goes on; carries the token of the next beat.
     Goes(u64),
-    /// It was long enough: the clutch is to be pressed. The hold is over.
+    /// The hold was long enough and is over: press the clutch.
     Pressed,
-    /// It does not count, and the hold is over.
+    /// The hold is void and over.
     Void(&'static str),
 }
 
@@ -45,12 +44,11 @@ struct Running {
     beats: u32,
 }
 
-/// The one hold that may run at a time.
+/// At most one hold at a time.
 #[derive(Debug, Default)]
 pub(super) struct Hold(Option<Running>);
 
 impl Hold {
-    /// Takes a beat.
     pub(super) fn beat(&mut self, beat: Beat) -> Held {
         let Beat { from, now_ns, held_ns, token } = beat;
         let alive = self.0.filter(|running| now_ns.saturating_sub(running.last_ns) <= MAX_GAP_NS);
@@ -67,7 +65,7 @@ impl Hold {
             self.0 = Some(Running { from, began_ns: now_ns, last_ns: now_ns, beats: 1 });
             return Held::Goes(now_ns);
         };
-        // Of another connection's hold that has lapsed there is nothing to go on with.
+        // A lapsed hold of another connection cannot be continued.
         let Some(running) = before.filter(|running| running.from == from && running.last_ns == token) else {
             return Held::Void("the beat answers none that was sent here last: let go, and hold again");
         };
@@ -86,13 +84,13 @@ impl Hold {
                 Held::Void("fewer than five beats came in a second: let go, and hold again")
             };
         }
-        // A token is of one beat only, also of a clock that did not go on.
+        // Each token is unique, even if the clock stands still.
         let now_ns = now_ns.max(running.last_ns + 1);
         self.0 = Some(Running { last_ns: now_ns, beats, ..running });
         Held::Goes(now_ns)
     }
 
-    /// Whoever this is has let go, or is gone.
+    /// Ends the hold of connection `from`.
     pub(super) fn end(&mut self, from: u64) {
         self.0 = self.0.filter(|running| running.from != from);
     }
@@ -105,7 +103,7 @@ mod tests {
     const MS: u64 = 1_000_000;
     const START: u64 = 77_000 * MS;
 
-    /// Beats that arrive after so many ms, and say so many ms, each with the token before; what the last leads to.
+    /// Result of the last beat (arrival in ms, reported time in ms), each with the previous token.
     fn held(beats: &[(u64, u64)]) -> Held {
         let mut hold = Hold::default();
         let mut token = None;
@@ -132,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn beats_that_are_not_of_now_do_not_count() {
+    fn outdated_beats_are_void() {
         let burst: Vec<_> = (0..=11).map(|beat| (beat, beat * 100)).collect();
         assert!(matches!(held(&burst), Held::Void(_)), "a burst");
         let late: Vec<_> = (0..=5).map(|beat| (beat * 100, beat * 100)).chain([(1000, 600)]).collect();
@@ -146,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn a_token_is_of_the_last_beat_only() {
+    fn token_is_valid_for_one_beat() {
         let mut hold = Hold::default();
         let mut beat = |after_ms: u64, token| {
             hold.beat(Beat { from: 1, now_ns: START + after_ms * MS, held_ns: after_ms * MS, token })
@@ -157,16 +155,16 @@ mod tests {
     }
 
     #[test]
-    fn one_holds_at_a_time_and_a_gap_or_an_end_frees_it() {
+    fn one_hold_at_a_time_until_gap_or_end() {
         let mut hold = Hold::default();
         let first =
             |from, after_ms: u64| Beat { from, now_ns: START + after_ms * MS, held_ns: 0, token: None };
         assert!(matches!(hold.beat(first(1, 0)), Held::Goes(_)));
         assert!(matches!(hold.beat(first(2, 100)), Held::Void(_)));
-        let Held::Goes(_) = hold.beat(first(1, 200)) else { panic!("the other changes nothing") };
+        let Held::Goes(_) = hold.beat(first(1, 200)) else { panic!("the hold must go on") };
         assert!(matches!(hold.beat(first(2, 601)), Held::Goes(_)), "lapsed");
         hold.end(1);
-        assert!(matches!(hold.beat(first(1, 700)), Held::Void(_)), "that of another does not end by it");
+        assert!(matches!(hold.beat(first(1, 700)), Held::Void(_)), "connection 2 still holds");
         hold.end(2);
         assert!(matches!(hold.beat(first(1, 700)), Held::Goes(_)));
     }

@@ -1,8 +1,7 @@
-//! The control socket of a live side: what a person at another program may do to the loop while it runs.
+//! Control socket of a live side, for commands from other programs.
 //!
-//! Apart from telemetry, which nobody can command anything through: whoever only looks on must not be able to. A thread
-//! of its own serves it, without the interpreter, so that a stop acts whatever Python does; the loop sees of it what it
-//! sees of any other command. Lines of JSON, each answered by one; see docs/console.md.
+//! It is separate from telemetry, whose readers must not command. Its thread needs no interpreter, so a stop acts
+//! whatever Python does. The loop sees ordinary commands. Lines of JSON, see docs/console.md.
 
 mod hold;
 mod request;
@@ -33,39 +32,39 @@ use self::{
 use super::{handle::ControlPort, handle::Ineffective, own_thread::OwnThread};
 use crate::{command::OperatorCommand, live_socket::LiveSocket, wire::Role};
 
-/// At once; a further one closes the idlest, so that no program keeps a stop out.
+/// Maximum number of connections. A further one closes the idlest, so that none blocks a stop.
 const MAX_CONNECTIONS: usize = 32;
-/// Connections that are accepted before those that are open have their turn.
+/// Maximum number accepted before open ones are served.
 const MAX_ACCEPTED: usize = 8;
-/// How long a new connection counts as busy, in us: its first request is on its way.
+/// Time in us for which a new connection counts as busy, awaiting its first request.
 const NEW_US: u64 = 100_000;
 /// Bytes of a request, without its end.
 const MAX_REQUEST: usize = 512;
-/// Requests of a connection that are answered before others have their turn.
+/// Requests of a connection answered before others are served.
 const MAX_AT_ONCE: usize = 8;
-/// Between two looks at whether the loop is over.
+/// Interval of checks whether the loop is over.
 const LOOK_EVERY: Timespec = Timespec { tv_sec: 0, tv_nsec: 20_000_000 };
 const AT_ONCE: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
-/// How old the token of a request may be, in us.
+/// Maximum age of the token of a request in us.
 const MAX_TOKEN_US: u64 = 400_000;
-/// How long a stop waits for the loop to be at rest before it is answered.
+/// Maximum wait of a stop's answer for the loop to be at rest.
 const REST: Duration = Duration::from_millis(300);
 
-/// A control socket that listens; whoever connects waits until there is a loop.
+/// A listening control socket. Clients wait until there is a loop.
 pub struct ControlSocket {
     socket: LiveSocket,
     path: PathBuf,
 }
 
 impl ControlSocket {
-    /// Listens at `path`, for its owner alone. A socket that nobody listens at is replaced, anything else refused.
+    /// Listens at `path`, for the owner only. Replaces a stale socket, and refuses anything else.
     pub fn listen(path: &Path) -> io::Result<Self> {
         let socket = LiveSocket::listen(path, "another run is controlled there")?;
         Ok(Self { socket, path: path.to_owned() })
     }
 
-    /// Serves the loop of a side until it is over. Where a driver steps it, acknowledgements are for its device as well, and
-    /// the driver takes them: [`super::LiveHandle::take_acknowledgement`].
+    /// Serves the loop until it is over. A driver also takes acknowledgements, by
+    /// [`super::LiveHandle::take_acknowledgement`].
     pub fn serve(self, role: Role, port: ControlPort, has_driver: bool) -> io::Result<Control> {
         let is_over = Arc::<AtomicBool>::default();
         let theirs = Arc::clone(&is_over);
@@ -80,7 +79,7 @@ impl ControlSocket {
     }
 }
 
-/// The thread that serves a control socket, and ends with this.
+/// Thread that serves a control socket; dropping this ends it.
 #[derive(Debug)]
 pub struct Control {
     thread: OwnThread<()>,
@@ -89,7 +88,7 @@ pub struct Control {
 }
 
 impl Control {
-    /// Of its socket.
+    /// Path of the socket.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -102,8 +101,8 @@ impl Drop for Control {
     }
 }
 
-/// Time since the machine started in us, its sleep included: what was sent before a sleep is old after it. A page's numbers
-/// hold it for centuries.
+/// Time since boot in us, including suspends, so that messages from before one are old. Exact in a browser's numbers
+/// for centuries.
 fn now_us() -> u64 {
     let now = clock_gettime(ClockId::Boottime);
     #[allow(clippy::cast_sign_loss)] // it starts at boot
@@ -111,12 +110,11 @@ fn now_us() -> u64 {
     seconds * 1_000_000 + nanoseconds / 1000
 }
 
-/// Whether a token was issued shortly before.
 fn is_fresh(token: u64) -> bool {
     now_us().checked_sub(token).is_some_and(|age_us| age_us <= MAX_TOKEN_US)
 }
 
-/// A descriptor to be closed for a connection where no other is left.
+/// Duplicates a descriptor, to be freed for a connection when none is left.
 fn spare(socket: &LiveSocket) -> io::Result<OwnedFd> {
     Ok(fcntl_dupfd_cloexec(socket, 0)?)
 }
@@ -125,12 +123,12 @@ struct Connection {
     number: u64,
     stream: UnixStream,
     received: Vec<u8>,
-    /// Time of its last request, in us; for a new connection the time until which the first is awaited.
+    /// Time of the last request in us, or until which the first is awaited.
     active_us: u64,
 }
 
 impl Connection {
-    /// Sends a line; whether all of it was taken at once, as it is by whoever reads the answers.
+    /// Sends a line. Returns whether all was taken at once, as for a reading client.
     fn send(&self, line: &[u8]) -> bool {
         loop {
             match send(&self.stream, line, SendFlags::NOSIGNAL | SendFlags::DONTWAIT) {
@@ -141,9 +139,9 @@ impl Connection {
         }
     }
 
-    /// Takes what has arrived; whether it is still there.
+    /// Receives pending bytes. Returns whether the connection is still open.
     fn receive(&mut self) -> bool {
-        // Whoever sends faster than it is answered waits.
+        // A too fast client waits.
         if self.received.len() > MAX_REQUEST {
             return true;
         }
@@ -158,7 +156,7 @@ impl Connection {
         }
     }
 
-    /// The next whole line; an error where it is longer than a request can be.
+    /// Next complete line; an error if longer than a request may be.
     fn line(&mut self) -> Result<Option<Vec<u8>>, String> {
         let end = self.received.iter().position(|byte| *byte == b'\n');
         if end.unwrap_or(self.received.len()) > MAX_REQUEST {
@@ -174,20 +172,19 @@ impl Connection {
 
 struct Server {
     socket: LiveSocket,
-    /// None while a connection has it.
+    /// `None` while a connection uses it.
     spare: Option<OwnedFd>,
     role: Role,
     port: ControlPort,
     has_driver: bool,
     hold: Hold,
     connected: Vec<Connection>,
-    /// Number of the next connection.
     next: u64,
 }
 
 impl Server {
     fn serve(mut self, is_over: &AtomicBool) {
-        // What a stop has requested is answered before: it waits for the loop to be at rest.
+        // A stop is answered before this ends: it waits for the loop to be at rest.
         while !is_over.load(Ordering::Relaxed) && !self.port.handle().is_at_rest() {
             self.wait();
             self.accept();
@@ -199,12 +196,12 @@ impl Server {
                     self.hold.end(connection.number);
                 }
             }
-            // A connection that has ended may have held it.
+            // A closed connection may have used it.
             self.spare = self.spare.take().or_else(|| spare(&self.socket).ok());
         }
     }
 
-    /// Until somebody has sent something or wants in, or it is time to look around.
+    /// Waits for input, a new connection or the next check.
     fn wait(&self) {
         if self.connected.iter().any(|connection| connection.received.contains(&b'\n')) {
             return;
@@ -216,10 +213,10 @@ impl Server {
         }
     }
 
-    /// Takes connections; where there are too many, or no descriptor is left, the idlest is closed.
+    /// Accepts connections. Closes the idlest if too many, or without a free descriptor.
     fn accept(&mut self) {
         for _ in 0..MAX_ACCEPTED {
-            // Without a free descriptor `accept` fails even where nobody waits, and would cost a connection its place.
+            // Without a descriptor `accept` fails even if nobody waits, and would close a connection in vain.
             let mut waiting = [PollFd::new(&self.socket, PollFlags::IN)];
             if poll(&mut waiting, Some(&AT_ONCE)) != Ok(1) {
                 return;
@@ -243,7 +240,7 @@ impl Server {
         }
     }
 
-    /// Closes the idlest connection, with a reason; a request that has arrived is answered before. False without any.
+    /// Closes the idlest connection with a reason, after answering its request. False without any.
     fn displace(&mut self) -> bool {
         let idlest = (0..self.connected.len()).min_by_key(|at| self.connected[*at].active_us);
         let Some(mut idlest) = idlest.map(|at| self.connected.swap_remove(at)) else { return false };
@@ -256,7 +253,7 @@ impl Server {
         true
     }
 
-    /// Answers what a connection has sent; whether it stays.
+    /// Answers requests. Returns whether the connection stays.
     fn serve_one(&mut self, connection: &mut Connection) -> bool {
         let is_there = connection.receive();
         for _ in 0..MAX_AT_ONCE {
@@ -330,7 +327,7 @@ impl Server {
         }
     }
 
-    /// A device that a driver steps is told of it by that: the loop alone would count as mended what is not.
+    /// The driver takes the acknowledgement; the loop alone would clear a persisting fault.
     fn acknowledge(&mut self, answer: Answer) -> Answer {
         if self.has_driver {
             self.port.handle().acknowledge_device();
@@ -339,7 +336,7 @@ impl Server {
         self.command(OperatorCommand::Acknowledge, "what was wrong counts as mended", answer)
     }
 
-    /// Ends the loop, and waits a moment for it to be at rest: nobody has anything to request of it any more.
+    /// Ends the loop and waits briefly for rest; no later request needs this thread.
     fn stop(&mut self) -> &'static str {
         self.port.handle().stop();
         let end = Instant::now() + REST;

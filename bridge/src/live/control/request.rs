@@ -1,9 +1,9 @@
-//! A request at the control socket, and what it is answered with: a line of JSON each.
+//! Request at the control socket, and its answer: a line of JSON each.
 
 use serde::{Deserialize, Serialize};
 
-/// What a line asks for. Times are in ms, whole numbers: a page's numbers are exact up to 2^53. A token is what a `status`
-/// was answered with shortly before: what waited in a queue bears an old one.
+/// A request. Times are whole ms, exact in a browser up to 2^53. A token is from a recent `status`, so a queued
+/// request has an old one.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum Request {
@@ -19,15 +19,14 @@ pub(super) enum Request {
     RotationScale { scale: f64, token: u64 },
 }
 
-/// What there is, for the line that refuses anything else.
+/// Names of all requests, for the error text.
 const REQUESTS: &str = "stop, status, hold, let_go, release, acknowledge, force_scale, position_scale, torque_scale, \
                         rotation_scale";
 
 impl Request {
-    /// Reads a line.
     pub(super) fn of(line: &[u8]) -> Result<Self, String> {
         serde_json::from_slice(line).map_err(|error| {
-            // Its text repeats what was sent, which may be anything.
+            // The error's text repeats the input, which may be anything.
             let at = error.column();
             format!("no request (at column {at}): must be {{\"do\": NAME, ...}} with NAME one of {REQUESTS}")
         })
@@ -49,26 +48,25 @@ impl Request {
     }
 }
 
-/// The answer: what was done, or why nothing was.
+/// Answer: the action, or the reason for none.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct Answer {
-    /// The name of the request; empty where it was none.
+    /// Name of the request; empty if invalid.
     #[serde(rename = "to")]
     pub(super) request: &'static str,
     pub(super) done: bool,
     pub(super) text: String,
-    /// Of the next beat of a hold; of a `status` that of the request that follows it.
+    /// Token for the next beat, or for the request after a `status`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) token: Option<u64>,
-    /// Whether this beat has pressed the clutch.
+    /// True if this beat has pressed the clutch.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) pressed: Option<bool>,
-    /// Where the loop stands.
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
     pub(super) status: Option<Status>,
 }
 
-/// Where a loop stands.
+/// State of a loop.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Status {
     pub(super) side: &'static str,
@@ -76,7 +74,7 @@ pub(super) struct Status {
     pub(super) ticks: u64,
     pub(super) is_stopped: bool,
     pub(super) is_at_rest: bool,
-    /// Presses that did nothing, and why the last of them did not; none where the cause says so.
+    /// Ineffective presses and reason of the last; `None` if the diagnosis has it.
     pub(super) ineffective_presses: u64,
     pub(super) ineffective: Option<&'static str>,
 }
@@ -95,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_no_request_is_refused() {
+    fn invalid_request_is_refused() {
         for line in [
             "",
             "stop",
