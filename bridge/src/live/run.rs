@@ -318,7 +318,11 @@ impl DriverLoop for Pacing {
                 // Allocated before the memory is locked.
                 let room = Box::new(MaybeUninit::zeroed());
                 let (realtime, kept) = system::prepare(self.settings.realtime, LaterMemory::Locked);
-                realtime.check(self.settings.realtime.demand)?;
+                if let Err(refused) = realtime.check(self.settings.realtime.demand) {
+                    // The end closes the recording.
+                    self.stage = Stage::Ready(parts);
+                    return Err(refused.into());
+                }
                 (self.realtime, self.kept) = (realtime, Some(kept));
                 let (plant, socket, channel, channels) = *parts;
                 let now_ns = system::now_ns();
