@@ -185,6 +185,7 @@ pub struct ControlPort {
 }
 
 impl ControlPort {
+    /// Return the handle for requests of other threads.
     pub fn handle(&self) -> &LiveHandle {
         &self.handle
     }

@@ -31,6 +31,7 @@ impl Default for PathMeter {
 }
 
 impl PathMeter {
+    /// Create a meter before the first packet.
     pub fn new() -> Self {
         Self {
             sequences: Box::new(Sequences::new()),
