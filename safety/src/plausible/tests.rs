@@ -333,6 +333,25 @@ fn coarse_joint_in_slow_motion_bears_outliers() {
     }
 }
 
+/// The path of a device that samples every few ticks goes on at its new velocity after a change.
+#[test]
+fn slower_sensor_is_followed_after_a_change() {
+    for every in 2..=4 {
+        for (before, after) in [(0.0, 2.0), (1.0, 3.0), (2.0, -1.0)] {
+            let x = |n: usize| {
+                before * n.min(240) as f64 * PERIOD + after * n.saturating_sub(240) as f64 * PERIOD
+            };
+            let mut guard = guard(0.0);
+            let (all, ended) = taken(&mut guard, (0..400).map(|n| x(n - n % every)));
+            let worst = (240 + 5 * every..400).map(|n| (all[n] - x(n)).abs()).fold(0.0, f64::max);
+            let case = format!("every {every}, {before} to {after} m/s: {worst}");
+            assert_eq!(ended, None, "{case}");
+            // The path gives the position between two samples; a sample may be late by a tick less than `every`.
+            assert!(worst < f64::abs(after) * (every as f64 - 1.0) * PERIOD + 1e-9, "{case}");
+        }
+    }
+}
+
 /// A stop of a device that samples every few ticks is no fault up to its speed bound.
 #[test]
 fn stop_of_a_slower_sensor_is_no_fault() {
