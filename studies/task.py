@@ -179,8 +179,8 @@ def network_of(name: str) -> Network:
             raise ValueError(str(error).removeprefix("trace.file: ")) from None
     else:
         near = get_close_matches(name, PRESETS, 1)
-        hint = f": did you mean {near[0]}?" if near else ""
-        message = f"{name}: no such file, and no preset{hint}; presets are {', '.join(PRESETS)}"
+        hint = f"did you mean {near[0]}? " if near else ""
+        message = f"{name}: no such file, and no preset: {hint}presets are {', '.join(PRESETS)}"
         raise ValueError(message)
     forward_s, backward_s = (_mean_delay_s(link, way) for link, way in zip(of, DIRECTIONS, strict=True))
     if forward_s is None or backward_s is None:

@@ -12,7 +12,6 @@ from haptether.studies.intervals import poisson_interval, wilson_interval
 from haptether.studies.task import (
     FIXED,
     HANDS,
-    MAX_ROUND_TRIP_S,
     RELEASES,
     ROUND_TRIPS_S,
     THRESHOLD_TASKS,
@@ -27,6 +26,8 @@ from haptether.studies.thresholds.law import THRESHOLD_LAWS, ThresholdLaw
 
 Array = npt.NDArray[np.float64]
 
+MAX_ROUND_TRIP_S = 60.0
+"""Longest of a measurement; beyond what a ladder bears nothing engages."""
 MISSED_SPEED = THROWN_SPEED
 """Speed in m/s above which a release is missed."""
 LAWS_OWN = (

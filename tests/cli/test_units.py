@@ -69,8 +69,8 @@ REFUSED = {
         "--round-trip-s 100: must be 0 to 10 s; did you mean 0.1 (100 ms)?",
     ),
     "thresholds": (
-        ["thresholds", "remote_push", "--round-trip-s", "50"],
-        "--round-trip-s 50: must be 0 to 10 s; did you mean 0.05 (50 ms)?",
+        ["thresholds", "remote_push", "--round-trip-s", "100"],
+        "--round-trip-s 100: must be 0 to 60 s; did you mean 0.1 (100 ms)?",
     ),
     "tune": (
         ["tune", "a.mcap", "--round-trip-s", "20000"],

@@ -77,13 +77,14 @@ class Tune(PictureOptions):
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.picture import asked_picture
         from haptether.cli.shared.screen import screen
-        from haptether.cli.shared.unusual import ask_units, check_round_trips
+        from haptether.cli.shared.unusual import ask_units, check_times
         from haptether.studies import HandBounds, draw_tuning, tune
+        from haptether.studies.task import MAX_ROUND_TRIP_S
 
         check_target(self.json, force=self.force)
         check_random_seed(self.seed)
         round_trips_s = () if self.round_trip_s is None else (self.round_trip_s,)
-        check_round_trips(round_trips_s)
+        check_times("--round-trip-s", round_trips_s, MAX_ROUND_TRIP_S)
         picture = asked_picture(self.plot, self)
         check_files(*self.recording)
         console = screen(self.json)

@@ -87,18 +87,18 @@ class Evaluate(FileOptions):
         from haptether.cli.shared.numbers import check_random_seed
         from haptether.cli.shared.output import check_target, make_folder, require_matplotlib
         from haptether.cli.shared.screen import screen
-        from haptether.cli.shared.unusual import ask_units, check_round_trips, tasks_of
+        from haptether.cli.shared.unusual import ask_units, check_times, tasks_of
         from haptether.studies import (
             EVALUATED_CONTROLLERS,
             EvaluationLimits,
             HandBounds,
             evaluate,
         )
-        from haptether.studies.task import HANDS, RELEASES, ROUND_TRIPS_S
+        from haptether.studies.task import HANDS, MAX_ROUND_TRIP_S, RELEASES, ROUND_TRIPS_S
 
         check_target(self.json, force=self.force)
         check_random_seed(self.seed)
-        check_round_trips(self.round_trip_s or ())
+        check_times("--round-trip-s", self.round_trip_s or (), MAX_ROUND_TRIP_S)
         limits = {
             "speed": self.speed, "false_trips_per_h": self.false_trips_per_h, "thrown_share": self.thrown_share
         }  # fmt: skip

@@ -27,17 +27,6 @@ def ask_units(console: "Screen", scenes: Iterable["Scene"], values: Iterable[tup
         console.print(line, soft_wrap=True)
 
 
-def check_round_trips(values: Iterable[float]) -> None:
-    """Refuses values of `--round-trip-s` that no study runs.
-
-    Raises:
-        ValueError: As `check_times`.
-    """
-    from haptether.studies.task import MAX_ROUND_TRIP_S
-
-    check_times("--round-trip-s", values, MAX_ROUND_TRIP_S)
-
-
 def check_times(option: str, values: Iterable[float], most_s: float) -> None:
     """Refuses times of an option outside 0 to `most_s`.
 

@@ -264,10 +264,6 @@ class View(WaitOptions, FileOptions):
             )
             raise SceneError(message)
         are_recordings = self.what[0].endswith(RECORDINGS)
-        if are_recordings:
-            check_files(*map(Path, self.what), what="a recording (.mcap), or what Run.save wrote (.npz)")
-        else:
-            load_scene(self.what[0], self.set)
         most = 2 if self.what[0].endswith(".mcap") else 1
         if len(self.what) > most or any(not one.endswith(".mcap") for one in self.what[1:]):
             message = f"{' '.join(self.what)}: must be one scene, one .npz, or the .mcap of one side or of each"
@@ -278,6 +274,10 @@ class View(WaitOptions, FileOptions):
         if not are_recordings and (self.scene or self.slave_begun_s is not None):
             message = f"{self.what[0]}: --scene and --slave-begun-s are of recordings"
             raise ValueError(message)
+        if are_recordings:
+            check_files(*map(Path, self.what), what="a recording (.mcap), or what Run.save wrote (.npz)")
+        else:
+            load_scene(self.what[0], self.set)
 
     def _check_times(self, described: "list[Description]") -> None:
         begin_s, end_s = bounds(described)[0], max(one.timeline.over_s for one in described)
