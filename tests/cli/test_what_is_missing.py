@@ -1,4 +1,4 @@
-"""What a command says where an argument is missing, or names what there is not."""
+"""A missing argument, file, scene or controller is named in one line, with what there is."""
 
 from pathlib import Path
 

@@ -370,7 +370,7 @@ class Sweep(PictureOptions):
 
         check_distinct(json=self.json, out=self.out, plot=self.plot)
         check_target(self.json, force=self.force)
-        # What is resumed may replace the file that it was begun to replace.
+        # A sweep that --force began replaces the file when it is resumed, too.
         check_target(self.out, force=self.force or self.resume)
         if self.out is not None:
             check_suffix(self.out)
