@@ -51,9 +51,11 @@ SLAVES: dict[str, tuple[str, list[str], str]] = {
 class Bench:
     """A haptic device that is never open."""
 
+    axes = 1
+
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # of the case
         self.paces = "period_s" in options
-        for name, value in {"axes": 1, **options}.items():
+        for name, value in options.items():
             setattr(self, name, tuple(value) if isinstance(value, list) else value)
         self.share = 1 / self.axes
 
