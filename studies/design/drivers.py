@@ -25,24 +25,26 @@ def with_drivers(scene: Scene) -> tuple[Scene, tuple[Finding, ...]]:
     return scene, tuple(findings)
 
 
-def _with_master(scene: Scene) -> Scene:
-    return master_driver(scene)[0]
+def _with_master(scene: Scene) -> tuple[Scene, object]:
+    return master_driver(scene)
 
 
-def _with_slave(scene: Scene) -> Scene:
+def _with_slave(scene: Scene) -> tuple[Scene, object]:
     scene, arm, gripper = slave_drivers(scene)
     if arm is not None and gripper is not None:
         attach_gripper(gripper, arm)
-    return scene
+    return scene, arm
 
 
 def _judged(
-    scene: Scene, name: str, drivers: list[str], with_bounds: Callable[[Scene], Scene]
+    scene: Scene, name: str, drivers: list[str], with_bounds: Callable[[Scene], tuple[Scene, object]]
 ) -> tuple[Scene, Finding]:
     try:
-        changed = with_bounds(scene)
+        changed, device = with_bounds(scene)
     except (ValueError, DeviceError) as error:
         return scene, Finding(name=name, state="bad", text=" ".join(str(error).split()))
     names = " and ".join(drivers)
     text = f"{names} can be in this scene, with these options; no device was opened: `haptether check-device NAME` does"
+    if getattr(device, "paces", False) and getattr(device, "period_s", None) is None:
+        text += ", and shows the period by which it paces the loop: the scene must have the same"
     return changed, Finding(name=name, state="good", text=text)
