@@ -154,6 +154,25 @@ def test_flags_of_shown_commands_exist(page: str, capsys: pytest.CaptureFixture[
         assert all(flag in text for flag in flags), (name, flags)
 
 
+def test_the_readme_starts_what_check_link_measures() -> None:
+    (block,) = [one for one in re.findall(r"```sh\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+                if "haptether check-link" in one]  # fmt: skip
+    before = block.partition("haptether check-link")[0]
+    (peer, key) = re.findall(r"check-link --peer (\S+) --key (\S+)", block)[0]
+    (slave,) = re.findall(rf"haptether slave --listen (\S+) --key {key}", before)
+    assert f"haptether netsim proxy --listen {peer} --forward {slave}" in before
+    assert f"haptether keygen {key}" in before
+
+
+def test_it_is_said_how_many_hands_it_takes(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["evaluate", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    for text in (said, " ".join((ROOT / "docs/choosing.md").read_text().split())):
+        assert re.search(r"hatched.*35 hands", text)
+        assert "Few hands" in text or "few hands" in text
+
+
 def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text().splitlines()) <= 120
 
