@@ -88,6 +88,7 @@ def run_demo(
             "master", "--peer", netsim_address, "--listen", local, "--key", str(key), "--controller", controller,
             "--depth", str(scene.depth), "--release-at-s", str(scene.release_at_s),
             "--clutch", "auto", "--duration-s", str(scene.duration_s), "--json", str(result), "--trace", str(trace),
+            "--force",
         ))  # fmt: skip
         master.headline(stopped)
         _follow(scene, controller, master, show, stopped)

@@ -182,7 +182,7 @@ def run_follow(
         text.write_text(scene_text(scene, controller, leader.arm, (leader.port, follower.port), file), encoding="utf-8")
         slave = stack.enter_context(child_process(
             "slave", "--scene", str(text), "--listen", local, "--key", str(key), "--duration-s", limit,
-            "--patience-s", limit, "--record", str(recording), "--min-free-bytes", "0",
+            "--patience-s", limit, "--record", str(recording), "--force", "--min-free-bytes", "0",
         ))  # fmt: skip
         slave_address = slave.headline(stopped).rsplit(" ", 1)[-1]
         netsim = stack.enter_context(child_process(
@@ -193,7 +193,7 @@ def run_follow(
         netsim_address = netsim.headline(stopped).split(",")[0].rsplit(" ", 1)[-1]
         master = stack.enter_context(child_process(
             "master", "--scene", str(text), "--peer", netsim_address, "--listen", local, "--key", str(key),
-            "--duration-s", str(lasts_s), "--trace", str(trace), "--json", str(result), *CLUTCH,
+            "--duration-s", str(lasts_s), "--trace", str(trace), "--force", "--json", str(result), *CLUTCH,
         ))  # fmt: skip
         master.headline(stopped)
         stopped.sleep(scene.settle_s)

@@ -85,7 +85,7 @@ def run_pick(scene: PickScene, folder: Path, show: Callable[[str, float], None],
         arm = _ur_arm(limit, stack, stopped) if scene.slave == "ur" else SIMULATED
         slave = stack.enter_context(child_process(
             "slave", "--scene", SCENE, "--listen", local, "--key", str(key), "--duration-s", limit,
-            "--patience-s", limit, "--record", str(recording), "--min-free-bytes", "0", *arm,
+            "--patience-s", limit, "--record", str(recording), "--force", "--min-free-bytes", "0", *arm,
         ))  # fmt: skip
         slave_address = slave.headline(stopped).rsplit(" ", 1)[-1]
         netsim = stack.enter_context(child_process(
@@ -102,7 +102,7 @@ def run_pick(scene: PickScene, folder: Path, show: Callable[[str, float], None],
         lasts_s = duration_s + (0.0 if leader is None else LEADER_S)
         master = stack.enter_context(child_process(
             "master", "--scene", SCENE, "--peer", netsim_address, "--listen", local, "--key", str(key),
-            "--duration-s", str(lasts_s), "--trace", str(trace), *SIMULATED, *led,
+            "--duration-s", str(lasts_s), "--trace", str(trace), "--force", *SIMULATED, *led,
         ))  # fmt: skip
         master.headline(stopped)
         if leader is not None:

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from difflib import get_close_matches
 from math import exp, log
 from pathlib import Path
 
@@ -30,7 +31,6 @@ from haptether.bridge import (
     simulate,
 )
 from haptether.bridge.codes import LADDER_STATES
-from haptether.bridge.scene.errors import closest
 from haptether.bridge.scene.load import path_of, toml_value
 from haptether.netsim import (
     PRESETS,
@@ -63,6 +63,8 @@ THRESHOLD_TASKS = (
 """Bundled scenes in which a hand works."""
 ROUND_TRIPS_S = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5)
 """Round trips in s by default."""
+MAX_ROUND_TRIP_S = 10.0
+"""Longest that a study runs."""
 HANDS = 8
 """How many hands do each task by default."""
 RELEASES = 4
@@ -170,9 +172,15 @@ def network_of(name: str) -> Network:
     elif Path(name).is_file():
         trace = LinkSettings(trace=DelayTrace(file=name))
         title = f"the recording {name}, from its beginning in each run"
-        of = (with_files(trace, Path(), "forward"), with_files(trace, Path(), "backward"))
+        try:
+            of = (with_files(trace, Path(), "forward"), with_files(trace, Path(), "backward"))
+        except ValueError as error:
+            # The name of the file is the key here.
+            raise ValueError(str(error).removeprefix("trace.file: ")) from None
     else:
-        message = f"{name}: no preset of `haptether netsim list` and no such file: {closest(name, PRESETS)}"
+        near = get_close_matches(name, PRESETS, 1)
+        hint = f"did you mean {near[0]}? " if near else ""
+        message = f"{name}: no such file, and no preset: {hint}presets are {', '.join(PRESETS)}"
         raise ValueError(message)
     forward_s, backward_s = (_mean_delay_s(link, way) for link, way in zip(of, DIRECTIONS, strict=True))
     if forward_s is None or backward_s is None:

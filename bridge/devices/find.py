@@ -18,6 +18,11 @@ MASTERS = "haptether.masters"
 SLAVES = "haptether.slaves"
 GRIPPERS = "haptether.grippers"
 RESEARCH_CONTROLLERS = "haptether.controllers"
+OWN_CONTROLLERS = (
+    f"a controller of your own has a name once a package with an entry point of the group {RESEARCH_CONTROLLERS} is"
+    " installed, or after register_controller in Python: docs/own_controller.md"
+)
+"""How a controller in Python gets a name, where one is not known."""
 _KEYS = {
     MASTERS: "[master] driver",
     SLAVES: "[slave] device",
@@ -169,6 +174,8 @@ def _maker(group: str, name: str, others: Iterable[str] = ()) -> tuple[EntryPoin
         if group == MASTERS:
             there += "; without the key it is a model"
         hint = f"did you mean {near[0]}? {there}" if near else there
+        if group == RESEARCH_CONTROLLERS:
+            hint += f"; {OWN_CONTROLLERS}"
         message = f"{named} = {name}: no such {_what(group)} ({group}): {hint}"
         raise ValueError(message)
     if len({point.value for point in found}) > 1:

@@ -140,7 +140,7 @@ def opened(
                 device.close()
             message = "opened when nobody waited for it any more"
             raise TimeoutError(message)
-        _check_period(device, key, period_s)
+        check_period(device, key, period_s)
         QUIET.settle()
     except BaseException as error:
         # What it had opened by then, nobody else closes.
@@ -158,6 +158,20 @@ def opened(
         close_once(device, notes)
 
 
+def attach_gripper(gripper: "Gripper", device: "SlaveDevice") -> None:
+    """Tells a gripper at which arm it is, before either is open.
+
+    Raises:
+        DeviceError: It cannot be at this arm.
+    """
+    if (attach := getattr(gripper, "attach", None)) is None:
+        return
+    try:
+        attach(device)
+    except Exception as error:
+        raise failure(gripper, error) from error
+
+
 @contextlib.contextmanager
 def opened_gripper(gripper: "Gripper | None", device: "SlaveDevice") -> Iterator[None]:
     """Within it the gripper is open, if there is one; whatever ends it, the gripper keeps its grip.
@@ -172,9 +186,8 @@ def opened_gripper(gripper: "Gripper | None", device: "SlaveDevice") -> Iterator
     if gripper is None:
         yield
         return
+    attach_gripper(gripper, device)
     try:
-        if (attach := getattr(gripper, "attach", None)) is not None:
-            attach(device)
         gripper.open()
     except Exception as error:
         # What it had opened by then, nobody else closes.
@@ -188,10 +201,11 @@ def opened_gripper(gripper: "Gripper | None", device: "SlaveDevice") -> Iterator
             gripper.close()
 
 
-def _check_period(device: "MasterDevice | SlaveDevice", key: str, period_s: float | None) -> None:
+def check_period(device: "MasterDevice | SlaveDevice", key: str, period_s: float | None) -> None:
     """Refuses a device that paces a loop by a period of its own: limits, filters and fades would all be of another.
 
-    So it does one whose bus cannot be read and written to within a period.
+    It also refuses a device whose bus takes longer than a period. Before a device is open its times may be None, which
+    passes.
 
     Raises:
         DeviceError: With both periods and the remedy.

@@ -9,6 +9,7 @@ from typing import TypeAlias, cast
 
 from msgspec import ValidationError, inspect
 
+from haptether.bridge.devices.find import OWN_CONTROLLERS
 from haptether.bridge.scene.tables.session import Scene
 from haptether.printable import printable
 
@@ -251,7 +252,8 @@ def explained(error: ValidationError, raw: Raw) -> SceneError:
         key = missing[1]
         return SceneError(f"{place((*path, key))} is missing: must be {allowed_at((*path, key))}")
     seen = look_up(raw, path)
-    return wrong(path, seen, ": ".join(filter(None, (allowed_at(path, seen), REMOVED.get(path)))))
+    own = OWN_CONTROLLERS if path[:2] == ("safety", "controllers") and isinstance(seen, str) else None
+    return wrong(path, seen, ": ".join(filter(None, (allowed_at(path, seen), REMOVED.get(path), own))))
 
 
 def unknown_key(path: Path) -> SceneError:

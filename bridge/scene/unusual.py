@@ -26,8 +26,8 @@ def _usual(path: str, unit: str, most: float, *slipped: tuple[str, float]) -> _U
 _MS, _US, _MM = ("ms", 1e-3), ("us", 1e-6), ("mm", 1e-3)
 _USUAL = (
     # A geostationary satellite twice over takes 0.6 s one way.
-    _usual(r"link\.(forward|backward)\.(timeline\.\d+\.)?delay_s", "s", 2.0, _MS, _US),
-    _usual(r"link\.(forward|backward)\.jitter_s", "s", 0.5, _MS, _US),
+    _usual(r"(link\.(forward|backward)\.(timeline\.\d+\.)?)?delay_s", "s", 2.0, _MS, _US),
+    _usual(r"(link\.(forward|backward)\.)?jitter_s", "s", 0.5, _MS, _US),
     _usual(r"link\.(forward|backward)\.jitter_correlation_s", "s", 10.0, _MS, _US),
     _usual(r"round_trip_s", "s", 4.0, _MS, _US),
     _usual(r"(run|slave)\.period_s", "s", 0.02, _MS, _US),
@@ -65,17 +65,31 @@ def unusual_values(value: object, path: str = "", *, of_joints: bool = False) ->
 
     Args:
         value: A number, or tables and lists of them.
-        path: Where in a scene they belong, as `link.forward.delay_s`; "round_trip_s" is the sum of both delays.
+        path: Where in a scene they belong, as `link.forward.delay_s`; or the option that was typed, as `--delay-s` of
+            a link or `--round-trip-s` for the sum of both delays.
         of_joints: The units of positions and forces are others: nothing is said of them.
     """
     found = []
     for at, number in leaf_values(msgspec.to_builtins(value), path):
         if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
             continue
-        usual = next((one for one in _USUAL if one.path.fullmatch(at)), None)
+        usual = _usual_of(at)
         if usual is None or abs(number) <= usual.most or (of_joints and usual.unit != "s"):
             continue
-        meant = next((one for one in usual.slipped if abs(number) * one[1] <= usual.most), None)
-        question = f"; did you mean {number * meant[1]:.6g} ({number:g} {meant[0]})?" if meant is not None else ""
-        found.append(f"{at} = {number:g}: {usual.unit}, and beyond the usual {usual.most:g}{question}")
+        named = f"{at} {number:g}" if at.startswith("--") else f"{at} = {number:g}"
+        found.append(f"{named}: {usual.unit}, and beyond the usual {usual.most:g}{unit_question(number, at)}")
     return found
+
+
+def unit_question(number: float, path: str) -> str:
+    """The unit that an unusual number may have been meant in, as the end of a message; empty where none fits."""
+    usual = _usual_of(path)
+    if usual is None or not usual.most < abs(number) < math.inf:
+        return ""
+    meant = next((one for one in usual.slipped if abs(number) * one[1] <= usual.most), None)
+    return "" if meant is None else f"; did you mean {number * meant[1]:.6g} ({number:g} {meant[0]})?"
+
+
+def _usual_of(path: str) -> _Usual | None:
+    key = path[2:].replace("-", "_") if path.startswith("--") else path
+    return next((one for one in _USUAL if one.path.fullmatch(key)), None)

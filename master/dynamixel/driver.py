@@ -35,6 +35,8 @@ class DynamixelMaster:
         self._kinematics = ArmKinematics(arm)
         self._poses = self.options.kind == "pose"
         self._joints = len(arm.joints)
+        self.axes = 3 if self._poses else self._joints
+        """Of its samples."""
         self.max_speed = speed_limits(self.options, arm)
         """Of each joint in rad/s; beyond it is a fault."""
         if self.options.kind == "joints":

@@ -23,6 +23,17 @@ def refuse_link(path: Path) -> None:
         raise OSError(message)
 
 
+def refuse_existing(path: Path) -> None:
+    """Refuses to replace a file; pipes, devices and streams of this process are written to.
+
+    Raises:
+        FileExistsError: There is a file.
+    """
+    if path.is_file() and not is_stream(path):
+        message = f"{path}: is there already: --force replaces it, or give another file"
+        raise FileExistsError(message)
+
+
 def is_stream(path: Path) -> bool:
     """Whether it is a pipe, a device or a stream of this process, which stays what it is."""
     return path.exists() and (not path.is_file() or path.parent in STREAMS)

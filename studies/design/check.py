@@ -9,6 +9,7 @@ from haptether.bridge.scene.research import research_of
 from haptether.safety import THROWN_SPEED, EjectionBound, ejection_bound
 from haptether.studies.design.contact import rendered, scene_numbers, touched
 from haptether.studies.design.delay import largest_delay_s, stable_together
+from haptether.studies.design.drivers import with_drivers
 from haptether.studies.design.finding import MARGIN, DesignCheck, Finding, State, Units, link_delays_s
 from haptether.studies.design.idle import (
     MAX_ONCE_S,
@@ -47,6 +48,7 @@ def check_scene(scene: Scene, *, speed: float | None = None, remedies: bool = Tr
         SceneError: A scene that cannot be built.
     """
     limit = _limit(scene, speed)
+    scene, drivers = with_drivers(scene)
     research_of(scene)  # a controller that there is not would have no force
 
     bounds: dict[str, EjectionBound] = {}
@@ -62,7 +64,9 @@ def check_scene(scene: Scene, *, speed: float | None = None, remedies: bool = Tr
         return (*found, *_idle(changed, spec)) if link else found
 
     findings = judge(scene, link=True)
-    return DesignCheck(findings=with_remedies(scene, findings, judge, limit) if remedies else findings)
+    if remedies:
+        findings = with_remedies(scene, findings, judge, limit)
+    return DesignCheck(findings=(*drivers, *findings))
 
 
 def check_at_once(scene: Scene, bound: EjectionBound | None = None) -> tuple[Finding, ...]:

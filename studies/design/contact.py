@@ -106,14 +106,15 @@ def _beyond(scene: Scene, environment: dict[str, Any]) -> list[str]:
 def rendered(scene: Scene, spec: dict[str, Any]) -> frozenset[Rendered]:
     """What can push the device: a force, a torque on a handle that turns, a force at its trigger; or nothing.
 
-    A real arm may touch whatever is there; attacks on the way back may say anything.
+    A real arm may touch whatever is there. The peer of a real device, and attacks on the way back, may send any force.
     """
     slave, master, coupling = scene.slave, scene.master, spec["coupling"]
     environment = spec["environment"] or {}
     if slave is None:
         return frozenset({"force"}) if environment.get("objects") or environment.get("pushers") else frozenset()
     link = spec["link"] or {}
-    anything = slave.device != "simulated" or bool((link.get("backward") or {}).get("attacks"))
+    is_live = slave.device != "simulated" or master.driver is not None
+    anything = is_live or bool((link.get("backward") or {}).get("attacks"))
     turned = anything or any(environment.get(kind) for kind in ("torques", "holes", "handles", "bodies"))
     if slave.tool is not None and (environment.get("objects") or environment.get("pushers")):
         # A force at the coupled point has no moment about it.

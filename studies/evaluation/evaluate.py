@@ -10,6 +10,7 @@ import numpy.typing as npt
 from msgspec.structs import replace
 
 from haptether.bridge import RecordTable, Run, Scene, controller_names, simulate, sweep
+from haptether.bridge.devices.find import OWN_CONTROLLERS
 from haptether.safety import CONTROLLERS
 from haptether.studies.evaluation.result import (
     EVALUATED_CONTROLLERS,
@@ -23,6 +24,7 @@ from haptether.studies.intervals import median_interval
 from haptether.studies.task import (
     FIXED,
     HANDS,
+    MAX_ROUND_TRIP_S,
     RELEASES,
     ROUND_TRIPS_S,
     HandBounds,
@@ -166,11 +168,11 @@ def _check(
         if unknown := [part for part in parts if part not in known or (part == "none" and len(parts) > 1)]:
             message = (
                 f"controllers = {names_of_set!r}: {unknown[0]!r} is none of {', '.join(known)}; a set is joined"
-                ' by "+": "hsc+wsc"'
+                f' by "+": "hsc+wsc"; {OWN_CONTROLLERS}'
             )
             raise ValueError(message)
-    if wrong := [value for value in round_trips_s if not 0.0 <= value <= 10.0]:
-        message = f"round_trips_s: {wrong[0]}: must be between 0 and 10 s"
+    if wrong := [value for value in round_trips_s if not 0.0 <= value <= MAX_ROUND_TRIP_S]:
+        message = f"round_trips_s: {wrong[0]}: must be between 0 and {MAX_ROUND_TRIP_S:g} s"
         raise ValueError(message)
 
 

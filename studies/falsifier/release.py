@@ -36,6 +36,8 @@ TRAVEL_S = 0.5
 FINENESS = 3
 """Power of the numbers that times come from: most of their range is for short ones."""
 JITTER_OF_DELAY = 0.3
+MAX_DELAY_S, MAX_JITTER_S = 2.0, 0.5
+"""Of the bounds of a search, s."""
 STRONGEST = 10.0
 """Grip strength over the force that is held, where the hand lets go at once."""
 
@@ -69,8 +71,8 @@ class ReleaseBounds(Struct, frozen=True, kw_only=True):
             ("longest_s", self.shortest_s, 1.0),
             ("span_s", self.shortest_s * self.steps, 10.0),
             ("decay_s", 0.0, 1.0),
-            ("delay_s", 0.0, 2.0),
-            ("jitter_s", 0.0, 0.5),
+            ("delay_s", 0.0, MAX_DELAY_S),
+            ("jitter_s", 0.0, MAX_JITTER_S),
             ("loss", 0.0, 0.9),
         ):
             value = getattr(self, name)

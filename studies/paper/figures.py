@@ -34,6 +34,18 @@ READ: dict[str, Any] = {"color": PAPER, "ls": "none", "marker": "x", "ms": 5.0, 
 """How a value of the paper is drawn."""
 
 
+NAMES = (
+    "fig04_ejection", "fig05_mev", "fig06_observers", "fig08_to_11_controllers", "table1_window",
+    "fig12_to_15_active_force",
+)  # fmt: skip
+SENSITIVITY = "sensitivity"
+
+
+def paper_pictures(folder: Path, form: PictureFormat = "png", *, sensitivity: bool) -> list[Path]:
+    """The files that `draw_paper` writes, of a report with or without its sensitivity."""
+    return [folder / f"{name}.{form}" for name in (*NAMES, *([SENSITIVITY] if sensitivity else []))]
+
+
 def draw_paper(report: PaperReport, folder: Path, form: PictureFormat = "png", columns: Columns = 2) -> list[Path]:
     """Draws the figures of a report into `folder`, with its sensitivity if it has that, and returns their paths.
 
@@ -49,22 +61,14 @@ def draw_paper(report: PaperReport, folder: Path, form: PictureFormat = "png", c
     """
     bench = Bench(Conditions(operator=report.operator, encoder_quantum=report.device["encoder_quantum"]))
     folder.mkdir(parents=True, exist_ok=True)
-    drawn = {
-        "fig04_ejection": _ejection,
-        "fig05_mev": _mev,
-        "fig06_observers": _observers,
-        "fig08_to_11_controllers": _controllers,
-        "table1_window": _window,
-        "fig12_to_15_active_force": _active,
-    }
+    drawn = [_ejection, _mev, _observers, _controllers, _window, _active]
     if report.joint_fits:
-        drawn["sensitivity"] = _sensitivity
-    paths = []
-    for name, draw in drawn.items():
-        paths.append(folder / f"{name}.{form}")
+        drawn.append(_sensitivity)
+    paths = paper_pictures(folder, form, sensitivity=bool(report.joint_fits))
+    for path, draw in zip(paths, drawn, strict=True):
         with styled():
             figure = draw(bench, report, columns)
-        write_figure(figure, paths[-1])
+        write_figure(figure, path)
     return paths
 
 

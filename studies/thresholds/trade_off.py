@@ -26,6 +26,8 @@ from haptether.studies.thresholds.law import THRESHOLD_LAWS, ThresholdLaw
 
 Array = npt.NDArray[np.float64]
 
+MAX_ROUND_TRIP_S = 60.0
+"""Longest of a measurement; beyond what a ladder bears nothing engages."""
 MISSED_SPEED = THROWN_SPEED
 """Speed in m/s above which a release is missed."""
 LAWS_OWN = (
@@ -198,8 +200,8 @@ def measure_thresholds(
         if not several or len(set(several)) < len(several):
             message = f"{name} = {list(several)}: must be one or more, each once"
             raise ValueError(message)
-    if wrong := [value for value in round_trips_s if not 0.0 <= value <= 60.0]:
-        message = f"round_trips_s: {wrong[0]}: must be between 0 and 60 s"
+    if wrong := [value for value in round_trips_s if not 0.0 <= value <= MAX_ROUND_TRIP_S]:
+        message = f"round_trips_s: {wrong[0]}: must be between 0 and {MAX_ROUND_TRIP_S:g} s"
         raise ValueError(message)
     bounds, overrides = bounds or HandBounds(), tuple(overrides)
     refuse_fixed(overrides, (*FIXED, *LAWS_OWN, "safety.research"), "is the same for every law here, or the law's own")

@@ -142,7 +142,7 @@ def read_normal_operation(
     """
     fields, overrides = tuple(fields), tuple(overrides)
     if not files:
-        message = "no recording was given"
+        message = "which recordings? Name what --record of master wrote, of hands that hold"
         raise ValueError(message)
     seen: set[Path] = set()
     for path in (Path(file).resolve() for file in files if not isinstance(file, Recording)):

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from haptether.bridge import Recording, Scene, load_scene
 from haptether.studies.intervals import binomial_interval
-from haptether.studies.task import HandBounds, Task
+from haptether.studies.task import MAX_ROUND_TRIP_S, HandBounds, Task
 from haptether.studies.thresholds.law import ThresholdLaw
 from haptether.studies.thresholds.trade_off import MISSED_SPEED, TaskRuns
 from haptether.studies.tuning.exceedances import Boundary, Exceedances, hours_for
@@ -218,8 +218,8 @@ def _check(per_hour: float, confidence: float, round_trip_s: float | None, hands
     if not 0.5 <= confidence <= 0.9999:
         message = f"confidence = {confidence}: must be 0.5 to 0.9999"
         raise ValueError(message)
-    if round_trip_s is not None and not 0.0 <= round_trip_s <= 10.0:
-        message = f"round_trip_s = {round_trip_s}: must be 0 to 10"
+    if round_trip_s is not None and not 0.0 <= round_trip_s <= MAX_ROUND_TRIP_S:
+        message = f"round_trip_s = {round_trip_s}: must be 0 to {MAX_ROUND_TRIP_S:g}"
         raise ValueError(message)
     for name, value in (("hands", hands), ("releases", releases)):
         if value < 1:

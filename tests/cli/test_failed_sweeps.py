@@ -34,8 +34,8 @@ def test_a_sweep_of_failed_rows_fails(
     monkeypatch.chdir(tmp_path)
     given = arguments if "run.duration_s=1" in arguments else [*arguments, *SHORT]
     # Twice: nothing is left that keeps a second one from running.
-    for _ in range(2):
-        assert main(["sweep", "remote_push", *given, *stored, "--json", "rows.json"]) == status
+    for replaced in ([], ["--force"]):
+        assert main(["sweep", "remote_push", *given, *stored, "--json", "rows.json", *replaced]) == status
         errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("haptether: ")]
         assert errors == ([f"haptether: {said}"] if said else [])
     if status < 2:

@@ -55,13 +55,13 @@ WRITERS: dict[str, tuple[str, ...]] = {
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_file_that_is_there_is_replaced_and_a_link_is_refused(
+def test_force_replaces_a_file_that_is_there_and_no_link(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, victim = tmp_path / name, tmp_path / "victim"
     path.write_text("before")
     path.chmod(0o644)
-    main([*WRITERS[name], str(path)])
+    main([*WRITERS[name], str(path), "--force"])
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert path.read_bytes() != b"before" or name == "slave.flight"
     path.unlink()
@@ -69,7 +69,7 @@ def test_a_file_that_is_there_is_replaced_and_a_link_is_refused(
     capsys.readouterr()
     for to in (victim, tmp_path / "nowhere"):
         path.symlink_to(to)
-        assert main([*WRITERS[name], str(path)]) == 1
+        assert main([*WRITERS[name], str(path), "--force"]) == 1
         assert "is a symbolic link, must be a file" in capsys.readouterr().err
         assert path.is_symlink()
         path.unlink()
@@ -158,7 +158,7 @@ def test_what_opens_a_file_by_its_name_finds_a_private_one(tmp_path: Path) -> No
     with pytest.raises(OSError, match="symbolic link"):
         begin_private(tmp_path / "link.csv")
     with pytest.raises(OSError, match="symbolic link"):
-        Log.checked(tmp_path / "link.csv")
+        Log.checked(tmp_path / "link.csv", force=True)
     os.mkfifo(tmp_path / "pipe")
     # It would wait for a reader.
     begin_private(tmp_path / "pipe")

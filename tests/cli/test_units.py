@@ -28,9 +28,9 @@ ASKED = {
     ),
     "sweep of scenes": (["sweep", "remote_push", "--vary", "scene=slow.toml,remote_push", *SHORT], [FORWARD]),
     "evaluate": (
-        ["evaluate", "free_motion", "--round-trip-s", "50", "--hands", "1", "--releases", "1", "--controller", "none",
+        ["evaluate", "free_motion", "--round-trip-s", "5", "--hands", "1", "--releases", "1", "--controller", "none",
          "--network", "steady", "--set", "safety.limiter.max_force_n=7900"],
-        ["round_trip_s = 50: s, and beyond the usual 4; did you mean 0.05 (50 ms)?", PUSH],
+        ["--round-trip-s 5: s, and beyond the usual 4; did you mean 0.005 (5 ms)?", PUSH],
     ),
     "netsim sample": (["netsim", "sample", "--delay-s", "50", "--packets", "10"], [FORWARD]),
     "netsim sample backward": (
@@ -61,6 +61,39 @@ def test_a_unit_that_slipped_is_asked_about(
     said = "".join(capsys.readouterr())
     assert [said.count(line) for line in asked] == [1] * len(asked)
     assert said.count("beyond the usual") == len(asked)
+
+
+REFUSED = {
+    "evaluate": (
+        ["evaluate", "remote_push", "--quick", "--round-trip-s", "0", "100"],
+        "--round-trip-s 100: must be 0 to 10 s; did you mean 0.1 (100 ms)?",
+    ),
+    "thresholds": (
+        ["thresholds", "remote_push", "--round-trip-s", "100"],
+        "--round-trip-s 100: must be 0 to 60 s; did you mean 0.1 (100 ms)?",
+    ),
+    "tune": (
+        ["tune", "a.mcap", "--round-trip-s", "20000"],
+        "--round-trip-s 20000: must be 0 to 10 s; did you mean 0.02 (20000 us)?",
+    ),
+    "below": (["evaluate", "remote_push", "--quick", "--round-trip-s", "-1"], "--round-trip-s -1: must be 0 to 10 s"),
+    "falsify delay": (
+        ["falsify", "remote_push", "--delay-s", "100"],
+        "--delay-s 100: must be 0 to 2 s; did you mean 0.1 (100 ms)?",
+    ),
+    "falsify jitter": (
+        ["falsify", "remote_push", "--jitter-s", "5"],
+        "--jitter-s 5: must be 0 to 0.5 s; did you mean 0.005 (5 ms)?",
+    ),
+}
+
+
+@pytest.mark.parametrize(("arguments", "said"), REFUSED.values(), ids=REFUSED)
+def test_a_time_that_is_refused_is_asked_about_by_the_option_that_was_typed(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    assert "".join(capsys.readouterr()) == f"haptether: {said}\n"
 
 
 @pytest.mark.parametrize(

@@ -53,8 +53,13 @@ def install(package: Path, folder: Path) -> None:
 def test_what_it_writes_is_sound_and_its_own_test_passes_once_it_is_installed(
     tmp_path: Path, side: str, name: str
 ) -> None:
-    run(*COMMAND, "new-driver", side, name, "--out", str(tmp_path / "made"), cwd=tmp_path)
+    said = run(*COMMAND, "new-driver", side, name, "--out", str(tmp_path / "made"), cwd=tmp_path).stdout
     made = tmp_path / "made"
+    # The line that it advises is one that this environment has the means for.
+    advised = shlex.split(said.partition("next: ")[2].partition(" && ")[0])
+    assert advised[-2:] == ["-e", str(made)]
+    run(*advised, "--dry-run", "--no-deps", *(["--offline"] if advised[1] == "pip" else []), cwd=tmp_path,
+        environment=environment_of(tmp_path))  # fmt: skip
     package = name.replace("-", "_")
     written = sorted(str(path.relative_to(made)) for path in made.rglob("*") if path.is_file())
     assert written == sorted(target.replace("@PACKAGE@", package) for target in FILES.values())

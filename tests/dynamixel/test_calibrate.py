@@ -209,8 +209,8 @@ def test_a_file_is_not_replaced_unasked(emulated: EmulatedBus, tmp_path: Path) -
     path.write_text("mine")
     run = Calibration(emulated, path)
     status, said = run.end()
-    assert status == 2
-    assert "exists: name another, or take --force" in said
+    assert status == 1
+    assert "is there already: --force replaces it" in said
     assert path.read_text() == "mine"
 
 

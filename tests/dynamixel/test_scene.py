@@ -54,7 +54,8 @@ def test_joints_lead_servos(tmp_path: Path) -> None:
     with emulated_bus("--servos", "1=XM430-W350", "2=XL330-M288", "--start", "0.3", "0.0") as emulated:
         scene.write_text(SCENE.replace("PORT", emulated.port).replace("ARM", str(arm)))
         slave = subprocess.Popen(
-            [*command, "slave", "--listen", "127.0.0.1:0", "--insecure", "--scene", str(scene), "--json", str(ended)],
+            [*command, "slave", "--listen", "127.0.0.1:0", "--insecure", "--scene", str(scene), "--json", str(ended),
+             "--force"],
             stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
         try:

@@ -131,8 +131,8 @@ class Stage:
         """The side of the robot."""
         record = more.pop("record", self.path(f"{name}.mcap"))
         return self._begun(Process(
-            "slave", "--key", str(self.key), "--listen", listen, "--json", str(self.path(f"{name}.json")), *arguments,
-            record=record, **more,
+            "slave", "--key", str(self.key), "--listen", listen, "--json", str(self.path(f"{name}.json")),
+            "--force", *arguments, record=record, **more,
         ))  # fmt: skip
 
     def master(self, peer: str, name: str = "master", *arguments: str, key: Path | None = None, **more: Any) -> Process:  # noqa: ANN401  # those of Process
@@ -140,7 +140,7 @@ class Stage:
         record = more.pop("record", self.path(f"{name}.mcap"))
         return self._begun(Process(
             "master", "--key", str(key or self.key), "--peer", peer, "--json", str(self.path(f"{name}.json")),
-            *arguments, record=record, **more,
+            "--force", *arguments, record=record, **more,
         ))  # fmt: skip
 
     def _begun(self, process: Process) -> Process:

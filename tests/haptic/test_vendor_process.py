@@ -140,7 +140,7 @@ class Pair:
         ends = [] if duration_s is None else ["--duration-s", str(duration_s)]
         self.master = subprocess.Popen(
             [*COMMAND, "master", "--peer", found[1], "--insecure", "--scene", str(scene), "--trace",
-             str(tmp_path / "master.npz"), "--record", str(tmp_path / "master.mcap"), *ends],
+             str(tmp_path / "master.npz"), "--record", str(tmp_path / "master.mcap"), "--force", *ends],
             env=here, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
 

@@ -25,7 +25,7 @@ def run(*command: str) -> None:
 
 def haptether(*arguments: str) -> Maker:
     """A command whose last option takes the path of the picture."""
-    return lambda path: run(sys.executable, "-m", "haptether", *arguments, str(path))
+    return lambda path: run(sys.executable, "-m", "haptether", *arguments, str(path), "--force")
 
 
 def from_folder(name: str, *command: str) -> Maker:

@@ -39,7 +39,7 @@ def record_hands(folder: Path, hands: int = HANDS, seed: int = 1) -> list[Path]:
 
 def photograph_tuning(path: Path) -> None:
     """Draws what `haptether tune` draws of them."""
-    tune("--plot", str(path))
+    tune("--plot", str(path), "--force")
 
 
 def record_numbers() -> list[str]:

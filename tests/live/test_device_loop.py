@@ -599,7 +599,7 @@ def test_a_driver_of_another_package_is_driven_by_the_command_and_its_exception_
     slave = subprocess.Popen(
         [*command, "slave", "--listen", "127.0.0.1:0", "--insecure", "--scene", "remote_push", "--set",
          "slave.device=bench", "--set", "slave.options.stiffness=100.0", "--patience-s", "20", "--json",
-         str(tmp_path / "slave.json")],
+         str(tmp_path / "slave.json"), "--force"],
         env=environment, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:

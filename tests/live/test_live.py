@@ -110,7 +110,7 @@ def test_a_killed_slave_takes_the_force_from_the_hand(
     trace_path, json_path = tmp_path / "run.npz", tmp_path / "run.json"
     master = Child(
         "master", "--key", str(key), "--peer", slave.address(), "--controller", controller, "--duration-s", "3.5",
-        "--trace", str(trace_path), "--json", str(json_path), "--flight", str(tmp_path / "master.flight"),
+        "--trace", str(trace_path), "--json", str(json_path), "--flight", str(tmp_path / "master.flight"), "--force",
     )  # fmt: skip
     children.append(master)
     master.engaged()
@@ -150,7 +150,16 @@ def test_a_stopped_slave_holds_until_the_clutch_is_pressed_anew(
     children.append(slave)
     trace_path = tmp_path / "run.npz"
     master = Child(
-        "master", "--key", str(key), "--peer", slave.address(), "--duration-s", "4", "--trace", str(trace_path)
+        "master",
+        "--key",
+        str(key),
+        "--peer",
+        slave.address(),
+        "--duration-s",
+        "4",
+        "--trace",
+        str(trace_path),
+        "--force",
     )
     children.append(master)
     master.engaged()
@@ -243,7 +252,9 @@ def test_a_slave_ends_its_duration_after_engaging_however_long_it_waited(
     key: Path, children: list[Child], tmp_path: Path
 ) -> None:
     result = tmp_path / "slave.json"
-    slave = Child("slave", "--key", str(key), "--listen", "127.0.0.1:0", "--duration-s", "0.4", "--json", str(result))
+    slave = Child(
+        "slave", "--key", str(key), "--listen", "127.0.0.1:0", "--duration-s", "0.4", "--json", str(result), "--force"
+    )  # fmt: skip
     children.append(slave)
     assert "waits for a master, and ends 0.4 s after engaging; --patience-s bounds the wait" in slave.headline
     time.sleep(0.8)
@@ -262,12 +273,12 @@ def test_a_second_master_is_refused_while_the_first_lives(key: Path, children: l
     slave = Child("slave", "--key", str(key), "--listen", "127.0.0.1:0")
     children.append(slave)
     first_json, second_json = tmp_path / "first.json", tmp_path / "second.json"
-    first = Child("master", "--key", str(key), "--peer", slave.address(), "--json", str(first_json))
+    first = Child("master", "--key", str(key), "--peer", slave.address(), "--json", str(first_json), "--force")
     children.append(first)
     first.engaged()
     second = Child(
         "master", "--key", str(key), "--peer", slave.address(), "--patience-s", "0.8", "--duration-s", "2.5",
-        "--json", str(second_json),
+        "--json", str(second_json), "--force",
     )  # fmt: skip
     children.append(second)
     said = second.end()

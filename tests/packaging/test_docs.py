@@ -51,7 +51,7 @@ def test_each_decision_has_a_number_and_is_listed_once() -> None:
 def test_the_scene_of_the_page_can_be_built(tmp_path: Path) -> None:
     from haptether.bridge import load_scene
 
-    (text,) = re.findall(r"```toml\n(.*?)```", (ROOT / "docs/scenes.md").read_text(), re.DOTALL)
+    text = re.findall(r"```toml\n(.*?)```", (ROOT / "docs/scenes.md").read_text(), re.DOTALL)[0]
     (tmp_path / "scene.toml").write_text(text)
     assert load_scene(tmp_path / "scene.toml").record is not None
 
@@ -70,6 +70,20 @@ def test_scenes_in_documents_can_be_built(page: str, text: str, tmp_path: Path) 
 
     (tmp_path / "scene.toml").write_text(text)
     assert load_scene(tmp_path / "scene.toml").schema == 1, page
+
+
+@pytest.mark.parametrize(("page", "text"), SCENES, ids=[page for page, _ in SCENES])
+def test_drivers_of_scenes_in_documents_are_accepted(page: str, text: str, tmp_path: Path) -> None:
+    from haptether.bridge import load_scene
+    from haptether.studies import check_scene
+
+    (tmp_path / "scene.toml").write_text(text)
+    found = check_scene(load_scene(tmp_path / "scene.toml"), remedies=False).findings
+    of_drivers = [finding for finding in found if finding.name in {"master driver", "slave driver"}]
+    # An arm has a file of the user's own.
+    wrong = [finding.text for finding in of_drivers if finding.state == "bad" and "calibrate" not in finding.text]
+    assert not wrong, page
+    assert len(of_drivers) == text.count("driver = ") + len(re.findall(r'device = "(?:ur|dynamixel)"', text))
 
 
 def test_the_arm_of_the_page_is_the_one_that_is_emulated() -> None:
@@ -138,6 +152,25 @@ def test_flags_of_shown_commands_exist(page: str, capsys: pytest.CaptureFixture[
             main([*name.split(), "--help"])
         text = capsys.readouterr().out
         assert all(flag in text for flag in flags), (name, flags)
+
+
+def test_the_readme_starts_what_check_link_measures() -> None:
+    (block,) = [one for one in re.findall(r"```sh\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+                if "haptether check-link" in one]  # fmt: skip
+    before = block.partition("haptether check-link")[0]
+    (peer, key) = re.findall(r"check-link --peer (\S+) --key (\S+)", block)[0]
+    (slave,) = re.findall(rf"haptether slave --listen (\S+) --key {key}", before)
+    assert f"haptether netsim proxy --listen {peer} --forward {slave}" in before
+    assert f"haptether keygen {key}" in before
+
+
+def test_it_is_said_how_many_hands_it_takes(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["evaluate", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    for text in (said, " ".join((ROOT / "docs/choosing.md").read_text().split())):
+        assert re.search(r"hatched.*35 hands", text)
+        assert "Few hands" in text or "few hands" in text
 
 
 def test_the_readme_is_short() -> None:

@@ -80,7 +80,7 @@ def test_export_writes_what_was_recorded(master: Path, slave: Path, tmp_path: Pa
         np.testing.assert_array_equal(table["device_force"].to_numpy(), run.signals.device_force)
     with np.load(targets["npz"]) as arrays:
         assert set(arrays) == set(run.signals)
-    assert main(["export", str(master), str(slave), "--side", "slave", "--csv", str(targets["csv"])]) == 0
+    assert main(["export", str(master), str(slave), "--side", "slave", "--csv", str(targets["csv"]), "--force"]) == 0
     table = pl.read_csv(targets["csv"])
     np.testing.assert_array_equal(table["slave_time_s"].to_numpy(), run.signals.slave_time_s)
 

@@ -1,4 +1,4 @@
-"""Kept rows of a sweep: damaged batches are computed again, and another sweep's file is replaced on request only."""
+"""Kept rows of a sweep: damaged batches are computed again, and a file is replaced on request only."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -67,41 +67,35 @@ def test_a_damaged_request_is_said_without_advice_about_pickles(
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".parquet"])
-def test_the_file_of_another_sweep_is_not_replaced(suffix: str, tmp_path: Path) -> None:
+def test_a_file_that_is_there_is_replaced_on_request_only(suffix: str, tmp_path: Path) -> None:
     if suffix == ".parquet":
         pytest.importorskip("pyarrow")
     path = tmp_path / f"a{suffix}"
-    sweep_to_file("remote_push", path, GRID, overrides=SHORT, threads=1)
-    before = path.read_bytes()
-    # The same one gives the same bytes.
-    sweep_to_file("remote_push", path, GRID, overrides=SHORT, threads=1)
-    assert path.read_bytes() == before
-    others: list[tuple[str, dict[str, list[Any]], list[str]]] = [
-        ("remote_push", {**GRID, "run.seed": [1, 2, 3, 4, 5, 7]}, SHORT),
-        ("remote_push", {**GRID, "run.seed": [1, 2, 3, 4, 5]}, SHORT),
-        ("remote_push", {"link.backward.delay_s": GRID["link.forward.delay_s"], "run.seed": GRID["run.seed"]}, SHORT),
-        ("remote_push", GRID, [*SHORT, "operator.stiffness=321"]),
-        ("paper_wall", {"run.seed": GRID["run.seed"]}, SHORT),
-    ]
-    for scene, grid, overrides in others:
-        with pytest.raises(FileExistsError, match="has the rows of another sweep: --force replaces it"):
-            sweep_to_file(scene, path, grid, overrides=overrides, threads=1)
-        assert path.read_bytes() == before
-        assert not list(tmp_path.glob("*.partial"))
-    scene, grid, overrides = others[0]
-    sweep_to_file(scene, path, grid, overrides=overrides, threads=1, replace=True)
-    assert path.read_bytes() != before
-
-
-def test_the_command_replaces_another_sweep_with_force(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "a.csv"
     path.write_text("no sweep\n")
-    arguments = ["sweep", "remote_push", "--set", *SHORT, "--out", str(path), "--vary"]
-    assert main([*arguments, "link.forward.delay_s=0.01,0.02"]) == 0
-    capsys.readouterr()
-    assert main([*arguments, "link.forward.delay_s=0.01,0.03"]) == 1
-    assert "a.csv: has the rows of another sweep" in capsys.readouterr().err
-    assert main([*arguments, "link.forward.delay_s=0.01,0.03", "--force"]) == 0
+    with pytest.raises(FileExistsError, match="is there already: --force replaces it"):
+        sweep_to_file("remote_push", path, GRID, overrides=SHORT, threads=1)
+    assert path.read_text() == "no sweep\n"
+    assert not list(tmp_path.glob("*.partial"))
+    sweep_to_file("remote_push", path, GRID, overrides=SHORT, threads=1, replace=True)
+    before = path.read_bytes()
+    with pytest.raises(FileExistsError):
+        sweep_to_file("remote_push", path, GRID, overrides=SHORT, threads=1)
+    sweep_to_file("remote_push", path, GRID, overrides=SHORT, threads=1, replace=True)
+    # The same sweep gives the same bytes.
+    assert path.read_bytes() == before
+
+
+def test_a_sweep_that_replaces_a_file_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.csv"
+    kept(path, rows=4, monkeypatch=monkeypatch)
+    path.write_text("before\n")
+    arguments = ["sweep", "remote_push", "--set", *SHORT, "--out", str(path), "--threads", "1"]
+    for field, values in GRID.items():
+        arguments += ["--vary", f"{field}={','.join(map(str, values))}"]
+    assert main(arguments) == 1
+    assert path.read_text() == "before\n"
+    assert main([*arguments, "--resume"]) == 0
+    assert path.read_text() != "before\n"
 
 
 FAULTS: list[dict[str, list[float]]] = [

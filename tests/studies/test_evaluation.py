@@ -397,7 +397,7 @@ def test_the_delays_of_both_directions_of_a_recording_are_kept_apart(tmp_path: P
 
 def test_the_command_takes_presets_and_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, target = recording(tmp_path, 0.04), tmp_path / "cells.json"
-    arguments = ["--controller", "none", "--hands", "1", "--releases", "1", "--json", str(target)]
+    arguments = ["--controller", "none", "--hands", "1", "--releases", "1", "--json", str(target), "--force"]
     assert main(["evaluate", "remote_push", *arguments, "--network", "starlink", str(path)]) == 0
     report = json.loads(target.read_text())
     assert [cell["network"] for cell in report["cells"]] == ["starlink", "measured"]
@@ -408,8 +408,8 @@ def test_the_command_takes_presets_and_files(tmp_path: Path, capsys: pytest.Capt
     (tmp_path / "bad.csv").write_text("a,b\n1,2\n")
     (tmp_path / "lost.csv").write_text("time_s,delay_s\n0,\n1,\n")
     for network, said in (
-        (["starlin"], "--network starlin: must be of steady, jitter, loss, jitter+loss, or have a delay of its own"),
-        (["starlin"], "did you mean starlink?"),
+        (["starlin"], "--network starlin: no such file, and no preset: did you mean starlink?"),
+        (["starlin"], "at each --round-trip-s: steady, jitter, loss, jitter+loss"),
         ([str(tmp_path / "bad.csv")], "bad.csv"),
         ([str(tmp_path / "lost.csv")], "nothing arrives"),
         (["starlink", "--round-trip-s", "0.1"], "--round-trip-s: each --network has a delay of its own"),
@@ -475,7 +475,7 @@ def test_the_command_that_is_printed_is_the_one_that_ran() -> None:
 def test_the_worst_release_of_an_earlier_run_is_removed(tmp_path: Path) -> None:
     (tmp_path / "worst.toml").write_text("old")
     arguments = ["--controller", "none", "--round-trip-s", "0", "--hands", "1", "--releases", "1", "--threads", "1"]
-    assert main(["evaluate", "free_motion", *arguments, "--out", str(tmp_path)]) == 0
+    assert main(["evaluate", "free_motion", *arguments, "--out", str(tmp_path), "--force"]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["evaluation.html", "evaluation.md"]
 
 
@@ -490,8 +490,8 @@ def test_the_worst_release_of_an_earlier_run_is_removed(tmp_path: Path) -> None:
         (["--controller", "wsc+abc"], "'abc' is none of none, vfc, hsc, wsc, pc"),
         (["--controller", "none+wsc"], "'none' is none of"),
         (["--controller", "wsc", "wsc"], "must be one or more, each once"),
-        (["--round-trip-s", "-0.1"], "round_trips_s: -0.1: must be between 0 and 10 s"),
-        (["--network", "bad"], "--network bad: must be of steady, jitter, loss, jitter+loss"),
+        (["--round-trip-s", "-0.1"], "--round-trip-s -0.1: must be 0 to 10 s"),
+        (["--network", "bad"], "--network bad: no such file, and no preset: presets are"),
         (["--set", "safety.controllers=[wsc]"], "safety.controllers is what an evaluation varies"),
         (["--set", "link.forward.delay_s=0.1"], "link.forward.delay_s is what an evaluation varies"),
         (["--set", "link={forward={loss=0.1}}"], "link.forward.loss is what an evaluation varies"),

@@ -153,7 +153,7 @@ def test_the_command_has_a_row_for_each(tmp_path: Path, capsys: pytest.CaptureFi
         (["--plot", "picture"], "must end in .png"),
         (["--round-trip-s"], "round_trips_s = []: must be one or more, each once"),
         (["--round-trip-s", "0", "0.1", "0"], "round_trips_s = [0.0, 0.1, 0.0]: must be one or more, each once"),
-        (["--round-trip-s", "-0.1"], "round_trips_s: -0.1: must be between 0 and 60 s"),
+        (["--round-trip-s", "-0.1"], "--round-trip-s -0.1: must be 0 to 60 s"),
         (["--set", "safety.probe_force_n=0.6"], "safety.probe_force_n is the same for every law here, or the law"),
         (["--set", "safety.energy_threshold_j=-0.1"], "safety.energy_threshold_j is the same for every law here"),
     ],

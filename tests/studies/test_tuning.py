@@ -329,7 +329,7 @@ def another(table: str, key: str, value: object) -> Callable[[Recording], list[A
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda _: [], "no recording was given"),
+        (lambda _: [], "which recordings"),
         (other_side, "of the slave, must be of the master"),
         (never_engaged, "nobody was coupled: the two sides never engaged"),
         (of_joints, "of kind joints, must be linear or pose"),

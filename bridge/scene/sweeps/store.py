@@ -34,7 +34,6 @@ from haptether.bridge.scene.sweep import (
 )
 from haptether.bridge.scene.sweeps.cluster import computed_by_cluster
 from haptether.bridge.scene.sweeps.design import Design, Values, counts_of, design_of
-from haptether.bridge.scene.sweeps.finished import is_of_another
 from haptether.bridge.scene.sweeps.journal import Journal
 from haptether.bridge.scene.sweeps.limits import check_rows
 from haptether.bridge.scene.sweeps.population import Population, with_population
@@ -42,7 +41,7 @@ from haptether.bridge.scene.sweeps.reasons import RowReason, RowReasons
 from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice, with_scenes
 from haptether.bridge.scene.sweeps.table_file import REQUEST_KEY, STREAMED, check_suffix, table_file
 from haptether.bridge.scene.tables.session import Scene
-from haptether.private_file import is_stream, refuse_link
+from haptether.private_file import is_stream, refuse_existing, refuse_link
 
 HEAD_ROWS = 20
 """Rows of a stored sweep that stay in memory."""
@@ -116,7 +115,7 @@ def sweep_to_file(
         threads: How many threads; by default as many as there are processors.
         lanes: Whether rows may be advanced side by side in one thread; the numbers are the same.
         resume: Whether to go on with rows that are kept already.
-        replace: If true, the file of another sweep is replaced.
+        replace: If true, a file that is there is replaced.
         collect: Whether to return all rows, too.
         engine: Where rows are computed, which does not change the file: by threads of this process, or by the workers
             of a Dask cluster.
@@ -131,7 +130,7 @@ def sweep_to_file(
             scene, design, version or other metrics, with what differs; a tie to what does not vary; a metric that there
             is not; a seed, a number of threads or a `progress` that is none.
         ImportError: Parquet without PyArrow, or the engine dask without dask.distributed.
-        OSError: A file cannot be written; a symbolic link; as `FileExistsError`, another sweep's.
+        OSError: A file cannot be written; a symbolic link; as `FileExistsError`, one that is there.
     """
     path = Path(path)
     if engine not in {"local", "dask"} or (address is not None and engine != "dask"):
@@ -163,13 +162,7 @@ def sweep_to_file(
     if (sources := _controller_sources(base, design)) is not None:
         request["controllers in Python"] = sources
     if not resume and not replace and not Journal.is_begun(path):
-
-        def first_row() -> Metrics:
-            return measured(base, design.columns(0, 1), replace_fields(settings, threads=1, progress=None))
-
-        if is_of_another(path, design, request, first_row):
-            message = f"{path}: has the rows of another sweep: --force replaces it, or give another file"
-            raise FileExistsError(message)
+        refuse_existing(path)
     journal = Journal(path, request, resume=resume)
     try:
         resumed = journal.done

@@ -100,17 +100,6 @@ def table_file(suffix: str, file: IO[bytes], metadata: Mapping[str, str]) -> Tab
     return ParquetTable(file, metadata) if suffix == ".parquet" else CsvTable(file)
 
 
-def stored_request(path: Path) -> bytes:
-    """The request of a sweep, as JSON, from the metadata of a Parquet file; empty without one."""
-    arrow = importlib.import_module("pyarrow")
-    parquet = importlib.import_module("pyarrow.parquet")
-    try:
-        metadata: Mapping[bytes, bytes] = parquet.read_schema(path).metadata or {}
-    except (OSError, arrow.ArrowException):
-        return b""
-    return metadata.get(REQUEST_KEY.encode(), b"")
-
-
 class CsvTable:
     """Rows as CSV: what was not measured is empty."""
 

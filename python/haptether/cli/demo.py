@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from haptether.studies import DemoScene, FollowScene, PickScene, PushResult
 
 
+OWN_FOLDER = Path("out/demo")
+"""Where the files go that nobody has named a place for."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Demo(PictureOptions):
     """Watch a remote push reach a hand, with and without protection, or a hand pick something up, over real sockets.
@@ -63,8 +67,9 @@ class Demo(PictureOptions):
     emulated follower arm of Dynamixel servos."""
     task: Literal["push", "pick"] | None = None
     """A push that reaches the hand; or something that a gripper picks up. By default what the two arms can."""
-    out: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("out/demo")
-    """Folder of the picture and of every tick (.npz); or the picture (.png, .pdf, .svg), with a folder beside it."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Folder of the picture and of every tick (.npz), empty or new; or the picture (.png, .pdf, .svg), with a folder
+    beside it. By default out/demo, where a demo replaces the files of the one before."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Also write the table as JSON; - for standard output."""
 
@@ -82,7 +87,7 @@ class Demo(PictureOptions):
         from haptether.studies import DEMO_CONTROLLERS, DemoScene, FollowScene, Interrupted, PickScene, run_demo
 
         check_seed(self.seed)
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         times = {"delay_s": self.delay_s, "jitter_s": self.jitter_s}
         given = {name: value for name, value in times.items() if value is not None}
         task = self._task()
@@ -101,7 +106,7 @@ class Demo(PictureOptions):
         # Refuses early.
         link_spec(LinkSettings(delay_s=scene.delay_s, jitter_s=scene.jitter_s, loss=scene.loss), "forward")
         self._picture("demo")  # Refuses a bad path before the runs.
-        self._folder.mkdir(parents=True, exist_ok=True)
+        self._make_folder()
         if isinstance(scene, FollowScene):
             return self._follow(scene)
         if isinstance(scene, PickScene):
@@ -136,11 +141,29 @@ class Demo(PictureOptions):
     @property
     def _folder(self) -> Path:
         """Where ticks go: `--out`, or beside a picture that `--out` names, in a folder of its name."""
-        return self.out.with_suffix("") if self._is_picture else self.out
+        return self._out.with_suffix("") if self._is_picture else self._out
+
+    @property
+    def _out(self) -> Path:
+        return OWN_FOLDER if self.out is None else self.out
 
     @property
     def _is_picture(self) -> bool:
-        return bool(self.out.suffix) and not self.out.is_dir()
+        return bool(self._out.suffix) and not self._out.is_dir()
+
+    def _make_folder(self) -> None:
+        """Makes the folder of the ticks.
+
+        Raises:
+            FileExistsError: One of the user's, with something in it, without `--force`.
+        """
+        folder = self._folder
+        folder.mkdir(parents=True, exist_ok=True)
+        if self.out is not None and not self.force and any(folder.iterdir()):
+            message = (
+                f"{folder}: has files already: --force replaces those that the demo writes, or give another folder"
+            )
+            raise FileExistsError(message)
 
     def _picture(self, name: str) -> Path | None:
         """Where the picture goes; None without matplotlib.
@@ -154,9 +177,9 @@ class Demo(PictureOptions):
 
         if not is_installed("matplotlib"):
             return None
-        return (
-            picture_file(self.out, self.format) if self._is_picture else self._folder / f"{name}.{self.format or 'png'}"
-        )
+        if not self._is_picture:
+            return self._folder / f"{name}.{self.format or 'png'}"
+        return picture_file(self._out, self.format, force=self.force)
 
     def _name_picture(self, console: "Screen", picture: Path | None) -> None:
         from haptether.extras import missing

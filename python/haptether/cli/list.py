@@ -6,9 +6,11 @@ from typing import Annotated
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 
 @dataclass(frozen=True, kw_only=True)
-class List:
+class List(FileOptions):
     """Say what there is to name: drivers and presets of devices, scenes, hands, networks, and who watches a hand.
 
     Drivers and controllers in Python are entry points of the groups `haptether.masters`, `haptether.slaves`,
@@ -46,7 +48,7 @@ class List:
         from haptether.netsim import PRESETS
         from haptether.safety import CONTROLLERS, ESTIMATORS, OBSERVERS
 
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         kinds: dict[str, tuple[str, tuple[str, ...]]] = {
             "[master] driver": ("drivers of haptic devices; without one a model", device_names(MASTERS)),
             "[slave] device": ("drivers of arms, and a model", ("simulated", *device_names(SLAVES))),

@@ -50,12 +50,15 @@ class Paper(PictureOptions):
         from haptether.cli.shared.progress import counted
         from haptether.cli.shared.screen import screen
         from haptether.studies import draw_paper, paper_sensitivity, reproduce_paper
+        from haptether.studies.paper.figures import paper_pictures
 
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         check_picture_options(self.plot, self)
         if self.plot is not None:
             require_matplotlib()
             make_folder(self.plot)
+            pictures = paper_pictures(self.plot, self.format or "png", sensitivity=self.sensitivity)
+            check_target(*pictures, force=self.force)
         with counted("experiments") as progress:
             report = reproduce_paper(encoder_quantum=self.encoder_quantum, progress=progress)
         if self.sensitivity:

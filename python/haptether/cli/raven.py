@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.text import Text
@@ -16,7 +18,7 @@ COLOURS = {"yes": "red", "denies": "yellow", "delays": "yellow", "no": "green"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Raven:
+class Raven(FileOptions):
     """Attack a teleoperation as the RAVEN II study did, and say what each attack does.
 
     Each attack is a scene of its name, as raven_drop. Exit status 1 says that one did what it is not known to do, or
@@ -41,7 +43,7 @@ class Raven:
         from haptether.cli.shared.screen import screen
         from haptether.studies import raven_suite
 
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         with counted("attacks") as progress:
             report = raven_suite(progress=progress)
         self._print(screen(self.json), report)

@@ -1,7 +1,9 @@
 """`haptether new-driver`."""
 
+import importlib.util
 import keyword
 import re
+import shlex
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,8 +69,17 @@ class NewDriver:
             text = (templates / _filled(template, words)).read_text(encoding="utf-8")
             path.write_text(_filled(text, words), encoding="utf-8")
         print(f"{folder}: a driver of a {self.side}, to be filled in: {folder}/src/{package}/driver.py")
-        print(f"next: pip install -e {folder} && haptether check-device {self.name}")
+        print(f"next: {install_line(folder)} && haptether check-device {self.name}")
         return 0
+
+
+def install_line(folder: Path) -> str:
+    """The command that installs a package into the environment of this process, with pip or, where that is not, uv."""
+    if importlib.util.find_spec("pip") is not None:
+        return shlex.join([sys.executable, "-m", "pip", "install", "-e", str(folder)])
+    of_clone = Path(sys.prefix).parent / ".tools" / "uv" / "bin" / "uv"
+    uv = str(of_clone) if of_clone.is_file() else "uv"
+    return shlex.join([uv, "pip", "install", "--python", sys.executable, "-e", str(folder)])
 
 
 def checked_package(name: str) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
 from haptether.printable import printable
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ BLOCKED_S = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriverOptions:
+class DriverOptions(FileOptions):
     """A driver by its name, and what it is called with."""
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
@@ -56,7 +57,7 @@ def check_options(command: DriverOptions) -> None:
     """
     from haptether.cli.shared.output import check_target
 
-    check_target(command.json)
+    check_target(command.json, force=command.force)
     for name, value, low, high in (
         ("period-s", command.period_s, 1e-4, 0.1),
         ("open-s", command.open_s, 0.1, MAX_OPEN_S),

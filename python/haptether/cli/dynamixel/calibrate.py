@@ -6,13 +6,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 if TYPE_CHECKING:
     from haptether.dynamixel.arm import ServoSettings
     from haptether.dynamixel.arm.guide import FoundServo
 
 
 @dataclass(frozen=True, kw_only=True)
-class Calibrate:
+class Calibrate(FileOptions):
     """Find where the zero of an arm is, which way its joints turn, and how far; a person moves it, without torque.
 
     It writes the file of the arm, for the options of the drivers. Of each servo it keeps id, model, direction, offset
@@ -56,8 +58,6 @@ class Calibrate:
     """Level distance from the axis of the joint to the weight."""
     tolerance: float = 0.02
     """How far mass times lever may be wrong, as a share."""
-    force: bool = False
-    """Replace a file that is there."""
     yes: bool = False
     """A person answers, though standard input is no terminal."""
 
@@ -71,6 +71,7 @@ class Calibrate:
         from haptether.dynamixel import DynamixelBus
         from haptether.dynamixel.arm import write_calibration
         from haptether.dynamixel.arm.guide import Guide, calibrated
+        from haptether.private_file import refuse_existing
 
         check_terminal("calibrate", yes=self.yes)
         if not self.path.name:
@@ -78,9 +79,8 @@ class Calibrate:
             raise ValueError(message)
         if self.weigh is not None or self.mass is not None or self.lever is not None:
             return self._weigh()
-        if self.path.exists() and not self.force:
-            message = f"{self.path}: exists: name another, or take --force"
-            raise ValueError(message)
+        if not self.force:
+            refuse_existing(self.path)
         if not 0.0 <= self.margin <= 0.5:
             message = f"margin = {self.margin:g}: must be 0 to 0.5 rad"
             raise ValueError(message)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 if TYPE_CHECKING:
     from haptether.dynamixel.emulator import ArmLoad, Bus, Server, Servo, StreamLine
 
@@ -14,7 +16,7 @@ MAX_CONSTANT = 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class DynamixelEmulator:
+class DynamixelEmulator(FileOptions):
     """Emulate a bus of Dynamixel servos behind a pseudo-terminal, for the real client libraries.
 
     Servos of the X series speak Protocol 2.0 with the control tables of their models: EEPROM that is locked while
@@ -92,7 +94,7 @@ class DynamixelEmulator:
         from haptether.dynamixel.emulator import ControlLine, Server
 
         check_duration("duration_s", self.duration_s)
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         if not 0 <= self.seed < 2**64:
             message = f"seed = {self.seed}: must be 0 to 2^64 - 1"
             raise ValueError(message)

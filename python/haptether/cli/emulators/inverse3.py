@@ -6,11 +6,13 @@ from typing import Annotated
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 MAX_PORT = 65535
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inverse3Emulator:
+class Inverse3Emulator(FileOptions):
     """Emulate the vendor's service of a Haply Inverse3 with a VerseGrip, for the driver and other clients.
 
     It speaks the WebSocket and JSON of version 3.5, on this machine only: a frame on connection, then one for each
@@ -52,7 +54,7 @@ class Inverse3Emulator:
         from haptether.master.inverse3.emulator import ControlLine, EmulatedInverse3, EmulatedSettings, Server, Service
 
         check_duration("duration_s", self.duration_s)
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         for name in ("port", "event_port"):
             if not 0 <= getattr(self, name) <= MAX_PORT:
                 message = f"{name} = {getattr(self, name)}: must be 0 to {MAX_PORT}"

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 if TYPE_CHECKING:
     from haptether.slave import SceneTouch
     from haptether.slave.ur_emulator import Controller, GripperSettings, Server, ToolEnvironment
@@ -16,7 +18,7 @@ MAX_PORT = 65535
 
 
 @dataclass(frozen=True, kw_only=True)
-class UrEmulator:
+class UrEmulator(FileOptions):
     """Emulate the controller of a UR arm, for the real client libraries.
 
     It serves RTDE on port 30004, the dashboard on 29999 and scripts on 30001 to 30003 of one address; these ports are
@@ -92,7 +94,7 @@ class UrEmulator:
         if not 0.0 <= self.unlock_after_s <= MAX_UNLOCK_S:
             message = f"unlock_after_s = {self.unlock_after_s:g}: must be 0 to {MAX_UNLOCK_S:g} s"
             raise ValueError(message)
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         self._check_host()
         controller, environment = self._controller()
         faults = Faults(seed=self.seed)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 if TYPE_CHECKING:
     from haptether.studies import ContactLoop, LinkSummary, LinkVerdict
 
@@ -15,7 +17,7 @@ MAX_DURATION_S = 600.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckLink:
+class CheckLink(FileOptions):
     """Measure the link to a running slave, and say whether the coupling can bear it.
 
     Nothing moves: it is a master whose clutch nobody presses. It takes the slave's one place for a master, and gives it
@@ -84,7 +86,7 @@ class CheckLink:
         from haptether.studies.design.check import SHOWN_DELAY_S
         from haptether.studies.design.contact import scene_numbers, touched
 
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         key = session_key(self.key, insecure=self.insecure)
         if self.wall_stiffness is not None and not 0.0 < self.wall_stiffness <= MAX_STIFFNESS:
             message = f"wall-stiffness = {self.wall_stiffness:g}: must be above 0, at most {MAX_STIFFNESS:g} N/m"

@@ -6,13 +6,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 if TYPE_CHECKING:
     from haptether.bridge.flight import Flight, Tick
     from haptether.cli.shared.screen import Screen
 
 
 @dataclass(frozen=True, kw_only=True)
-class Explain:
+class Explain(FileOptions):
     """Say why a side held or stopped: print what `--flight` or `--record` of master or slave wrote.
 
     Prints the last 32 steps of the ladder with their reasons, the causes in the words of the side that had them, the
@@ -46,7 +48,7 @@ class Explain:
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
 
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         if self.ticks < 0:
             message = f"ticks = {self.ticks}: must be 0 or more"
             raise ValueError(message)

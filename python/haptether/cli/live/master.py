@@ -49,7 +49,8 @@ class Master(LiveOptions):
     peer: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
     """Where the slave, or netsim before it, listens."""
     controller: Controller = "wsc"
-    """Safety controller: velocity and force (vfc), windowed energy (wsc), grasp (hsc), or none."""
+    """Safety controller: velocity and force (vfc), windowed energy (wsc), grasp (hsc), or none. One of your own runs
+    in `simulate`, `sweep` and `evaluate` only: docs/own_controller.md."""
     listen: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
     """Own address, of the peer's kind (IPv4 or IPv6). By default that of the route to the peer, which is loopback for a
     peer on this machine, with a free port; 0.0.0.0:0 where the route may change during the run."""
@@ -98,7 +99,7 @@ class Master(LiveOptions):
         from haptether.studies import measure_push, save_master_trace, summarise_link
 
         check_duration("duration_s", self.duration_s)
-        check_target(self.json, self.trace, self.flight)
+        check_target(self.json, self.trace, self.flight, force=self.force)
         check_distinct(key=self.key, json=self.json, trace=self.trace, flight=self.flight, record=self.record)
         key = session_key(self.key, insecure=self.insecure)
         flight = FlightFile(self.flight)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 if TYPE_CHECKING:
     from haptether.cli.live.master import Master
     from haptether.cli.live.slave import Slave
@@ -18,7 +20,7 @@ TRACE_S = 600.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class LiveOptions:
+class LiveOptions(FileOptions):
     """The scene, real time and recording."""
 
     scene: Annotated[str | None, tyro.conf.arg(metavar="SCENE")] = None
@@ -57,7 +59,7 @@ def live_arguments(command: "Master | Slave", key: bytearray | None) -> dict[str
 
     from haptether.cli.shared.output import check_target
 
-    check_target(command.record)
+    check_target(command.record, force=command.force)
     if str(command.record) == "-":
         message = "record = -: must be a file"
         raise ValueError(message)

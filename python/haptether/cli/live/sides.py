@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from haptether.cli.live.master import Controller, Master
     from haptether.cli.live.slave import Slave
     from haptether.cli.shared.stop import Stopped
-    from haptether.master import MasterDevice
-    from haptether.slave import SlaveDevice
+    from haptether.cli.view.console import Console
 
 READY_S = 60.0
 """How long a driver may take to open its device."""
@@ -37,7 +36,7 @@ LOADED_S = time.monotonic()
 """Where the system does not say when this process began: when this was loaded."""
 
 
-def live_scene(command: "Master | Slave | CheckLink", instead: Iterable[str]) -> "Scene | None":
+def live_scene(command: "Master | Slave | CheckLink | Console", instead: Iterable[str]) -> "Scene | None":
     """The scene of a live command, if it names one; then its options `instead`, which say the same, must not be given.
 
     Raises:
@@ -58,7 +57,9 @@ def live_scene(command: "Master | Slave | CheckLink", instead: Iterable[str]) ->
         raise ValueError(message)
     scene = load_scene(command.scene, command.set)
     if scene.slave is None:
-        message = f"scene = {command.scene}: has no [slave]: a live scene has two sides"
+        message = (
+            f"scene = {command.scene}: has no [slave]: a live scene has two sides: add [slave], or take remote_push"
+        )
         raise ValueError(message)
     return scene
 
@@ -103,7 +104,8 @@ def start_master(
         KeyboardInterrupt: Ctrl-C while the device opened; it is closed.
         RuntimeError: The device did not open in time; it is closed.
     """
-    from haptether.bridge import LiveMaster, MasterLoop, MasterRun, load_master, scene_json, unusual_numbers
+    from haptether.bridge import LiveMaster, MasterLoop, MasterRun, scene_json, unusual_numbers
+    from haptether.bridge.devices.scene import master_driver
 
     arguments = {**arguments, "peer": command.peer, "started_s": started_s()}
     clutch: Literal["once", "auto"] = "auto" if command.clutch == "auto" else "once"
@@ -119,14 +121,10 @@ def start_master(
             encoder_quantum=command.encoder_quantum,
             clutch=clutch,
         )
-    device = None
-    if scene.master.driver is not None:
-        if arguments["started_s"] is None:
-            # A driver may take its time to be loaded: the start counts from here.
-            arguments["started_s"] = time.monotonic()
-        device = load_master(scene.master.driver, scene.master.options)
-        _check_axes(scene, device, "master")
-        scene = _bounded(scene, "master", device)
+    if scene.master.driver is not None and arguments["started_s"] is None:
+        # A driver may take its time to be loaded: the start counts from here.
+        arguments["started_s"] = time.monotonic()
+    scene, device = master_driver(scene)
     spec = scene_json(scene)
     said = [*unusual_numbers(scene), *announcement(scene), *design_lines(scene, command.scene, command.set)]
     if device is None:
@@ -147,7 +145,8 @@ def start_slave(
     command: "Slave", scene: "Scene | None", stopped: "Stopped", arguments: dict[str, Any]
 ) -> "LiveSlave | SlaveRun":
     """The slave of a scene, or of the command's options without one, begun; see `start_master`."""
-    from haptether.bridge import LiveSlave, SlaveLoop, SlaveRun, load_gripper, load_slave, scene_json, unusual_numbers
+    from haptether.bridge import LiveSlave, SlaveLoop, SlaveRun, scene_json, unusual_numbers
+    from haptether.bridge.devices.scene import slave_drivers, slave_period_s
 
     if scene is None:
         scene = baseline_scene(
@@ -161,27 +160,14 @@ def start_slave(
                 message = f"{flag} = {getattr(command, flag):g}: nothing pushes: give --push-at-s, or leave it out"
                 raise ValueError(message)
     _say(unusual_numbers(scene))
-    assert scene.slave is not None
-    jaws = scene.slave.gripper
-    is_driven = jaws is not None and jaws.device != "simulated"
-    if scene.slave.device == "simulated":
-        if jaws is not None and is_driven:
-            message = f"[slave.gripper] device = {jaws.device}: [slave] device must name the driver of its arm, too"
-            raise ValueError(message)
+    scene, device, gripper = slave_drivers(scene)
+    if device is None:
         return stopped.attached(LiveSlave(scene_json(scene), **arguments))
-    if jaws is not None and not is_driven:
-        message = (
-            "[slave.gripper] device = simulated: beside an arm with a driver it must name one, too, or be left out"
-        )
-        raise ValueError(message)
-    device = load_slave(scene.slave.device, scene.slave.options)
-    gripper = load_gripper(jaws.device, jaws.options) if jaws is not None and is_driven else None
-    spec = scene_json(_bounded(_within(scene, device), "slave", device))
-    period_s = scene.run.period_s if scene.slave.period_s is None else scene.slave.period_s
-    loop = stopped.attached(SlaveLoop(spec, **arguments))
-    _announce(f"[slave] device = {scene.slave.device}", device)
-    run = SlaveRun(device, loop, period_s=period_s, gripper=gripper)
-    return _opened(run, device, f"[slave] device = {scene.slave.device}", stopped)
+    assert scene.slave is not None
+    name = f"[slave] device = {scene.slave.device}"
+    loop = stopped.attached(SlaveLoop(scene_json(scene), **arguments))
+    _announce(name, device)
+    return _opened(SlaveRun(device, loop, period_s=slave_period_s(scene), gripper=gripper), device, name, stopped)
 
 
 def started_s() -> float | None:
@@ -198,42 +184,6 @@ def started_s() -> float | None:
     except (OSError, AttributeError, ValueError, IndexError):
         return LOADED_S
     return max(0.0, min(LOADED_S, time.monotonic() - age_s))
-
-
-def _check_axes(scene: "Scene", device: "MasterDevice | SlaveDevice", side: Literal["master", "slave"]) -> None:
-    """Refuses a device that has another number of axes than the scene."""
-    axes = getattr(device, "axes", None)
-    if axes is not None and axes != scene.master.axes:
-        kind = "device" if side == "master" else "arm"
-        message = (
-            f"{side}.options: the {kind} has {axes} axes, the scene {scene.master.axes}: must be as many;"
-            f" set axes = {axes} in [master], or `axes` in [{side}.options]"
-        )
-        raise ValueError(message)
-
-
-def _within(scene: "Scene", device: "SlaveDevice") -> "Scene":
-    """The scene, whose commands are no faster than the arm may follow: else it would go on after it was let go."""
-    from haptether.bridge import CouplingTable, override_scene
-
-    _check_axes(scene, device, "slave")
-    coupling = scene.coupling or CouplingTable()
-    slower = []
-    for key, bound in (("command_speed", "max_speed"), ("command_angular_speed", "max_angular_speed")):
-        most, now = getattr(device, bound, None), getattr(coupling, key)
-        if most is not None and (now if isinstance(now, int | float) else float("inf")) > most:
-            slower.append(f"coupling.{key}={most}")
-    return override_scene(scene, slower) if slower else scene
-
-
-def _bounded(scene: "Scene", side: Literal["master", "slave"], device: object) -> "Scene":
-    """The scene, whose samples are held against the speed bound of the driver where it has none of its own."""
-    from haptether.bridge import override_scene
-
-    bound: float | None = getattr(device, "speed_bound", None)
-    if bound is None or getattr(getattr(scene, side), "speed_bound", None) is not None:
-        return scene
-    return override_scene(scene, [f"{side}.speed_bound={bound}"])
 
 
 def _say(lines: Iterable[str]) -> None:

@@ -80,7 +80,7 @@ class Slave(LiveOptions):
         from haptether.cli.shared.stop import Stopped
         from haptether.safety import fault_message
 
-        check_target(self.json, self.flight)
+        check_target(self.json, self.flight, force=self.force)
         check_distinct(key=self.key, json=self.json, flight=self.flight, record=self.record)
         key = session_key(self.key, insecure=self.insecure)
         flight = FlightFile(self.flight)

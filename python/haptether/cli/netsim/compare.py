@@ -6,9 +6,11 @@ from typing import Annotated
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 
 @dataclass(frozen=True, kw_only=True)
-class Compare:
+class Compare(FileOptions):
     """Set what `tc netem` was asked for beside what it does and what netsim does for the same request.
 
     netem is reproduced with its quirks, as by the setting netem of a link; ours are the settings that do what was asked
@@ -46,7 +48,7 @@ class Compare:
 
         check_traffic(self.packets, self.rate, self.size)
         check_seed(self.seed)
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         found = compare_netem(self.arguments, sending_times(self.packets, self.rate), seed=self.seed, size=self.size)
         console = screen(self.json)
         columns = {"asked": found.asked, "netem": found.netem, "ours": found.ours}

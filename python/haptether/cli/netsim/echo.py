@@ -6,9 +6,11 @@ from typing import Annotated
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 
 @dataclass(frozen=True, kw_only=True)
-class Echo:
+class Echo(FileOptions):
     """Answer the probes of `haptether netsim record`: the far end of a measurement.
 
     It answers each probe by one of the same size, and nothing else, so that nobody can be flooded through it.
@@ -36,7 +38,7 @@ class Echo:
         from haptether.netsim import Echo as LiveEcho
 
         check_duration("duration_s", self.duration_s)
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         with Stopped() as stopped:
             echo = LiveEcho(listen=self.listen)
             wait(

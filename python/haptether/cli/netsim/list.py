@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 if TYPE_CHECKING:
     from haptether.netsim import Preset
 
 
 @dataclass(frozen=True, kw_only=True)
-class List:
+class List(FileOptions):
     """Say which presets there are, with their numbers and where these come from.
 
     Examples:
@@ -33,7 +35,7 @@ class List:
         from haptether.cli.shared.table import Column, Rows
         from haptether.netsim import PRESETS
 
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         table = Rows("preset", "round trip", Column("loss", numbers=True), "source", spaced=True)
         for name, preset in PRESETS.items():
             table.add(f"{name}\n{preset.title}", *_figures(preset), preset.source)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import tyro
 
 from haptether.cli.netsim.link_options import LinkOptions, Links
+from haptether.cli.shared.output import FileOptions
 from haptether.extras import require
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Proxy(LinkOptions):
+class Proxy(LinkOptions, FileOptions):
     """Impair a live UDP link: forward datagrams between two processes, and do to them what the link says.
 
     Datagrams that arrive at --listen go to --forward, and the answers back to whoever sent them. Clients of this
@@ -74,11 +75,11 @@ class Proxy(LinkOptions):
         if not 0.0 < self.max_error_s <= 1.0:
             message = f"max_error_s = {self.max_error_s:g}: must be above 0 and at most 1 s"
             raise ValueError(message)
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         links = self.links(self.scene)
         for line in links.unusual:
             print(line, file=sys.stderr, flush=True)
-        log = None if self.log is None else Log.checked(self.log)
+        log = None if self.log is None else Log.checked(self.log, force=self.force)
         if log is not None:
             begin_private(log.csv)
         with Stopped() as stopped, contextlib.ExitStack() as stack:
@@ -128,7 +129,7 @@ class Log:
     """What the proxy writes while it runs: the same, or for Parquet a file beside it."""
 
     @classmethod
-    def checked(cls, target: Path) -> Self:
+    def checked(cls, target: Path, *, force: bool) -> Self:
         """Refuses early what could not be written after the run.
 
         Raises:
@@ -142,10 +143,10 @@ class Log:
             message = f"log = {target}: must end in .csv or .parquet"
             raise ValueError(message)
         if target.suffix == ".csv":
-            check_target(target)
+            check_target(target, force=force)
             return cls(target, target)
         require(f"log = {target}", "polars")
-        check_target(target)
+        check_target(target, force=force)
         csv = target.with_name(f"{target.name}.csv")
         if csv.exists():
             message = f"{csv}: is there already; the log is written there until it is converted"

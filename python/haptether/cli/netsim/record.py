@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 if TYPE_CHECKING:
     from haptether.netsim import Recording
 
@@ -18,7 +20,7 @@ MIN_PROGRESS_S = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record:
+class Record(FileOptions):
     """Measure a real network to a `haptether netsim echo` and back, and write a file that netsim replays.
 
     The probes leave at a constant rate, each is answered, and the answer tells when the probe arrived. Only the round
@@ -53,8 +55,7 @@ class Record:
         from haptether.netsim import record
         from haptether.private_file import begin_private
 
-        check_target(self.csv)
-        check_target(self.json)
+        check_target(self.csv, self.json, force=self.force)
         if str(self.csv) == "-":
             message = "csv = -: must be a file: netsim replays it"
             raise ValueError(message)

@@ -60,7 +60,7 @@ class Sample(LinkOptions, PictureOptions):
         from haptether.netsim import asked, judge_all, realised
 
         self._check()
-        check_target(self.csv, self.json)
+        check_target(self.csv, self.json, force=self.force)
         picture = asked_picture(self.plot, self)
         links = self.links(self.scene)
         settings = getattr(links, self.direction)

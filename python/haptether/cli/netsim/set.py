@@ -7,10 +7,11 @@ from typing import Annotated, Any
 import tyro
 
 from haptether.cli.shared.assignments import refuse_twice
+from haptether.cli.shared.output import FileOptions
 
 
 @dataclass(frozen=True, kw_only=True)
-class Set:
+class Set(FileOptions):
     """Change the link of a proxy that runs with --control, from its next packets on, and say what each setting was.
 
     KEY=VALUE changes a setting in both directions, forward.KEY=VALUE and backward.KEY=VALUE in one. Values are TOML,
@@ -40,7 +41,7 @@ class Set:
         from haptether.cli.shared.screen import screen
         from haptether.netsim import ask_control
 
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         request = requested(self.settings)
         show = self.show or self.json is not None
         if not request and not show:

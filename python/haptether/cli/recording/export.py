@@ -8,6 +8,8 @@ from typing import IO, TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 if TYPE_CHECKING:
     import polars as pl
 
@@ -18,7 +20,7 @@ ROWS_AT_ONCE = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export:
+class Export(FileOptions):
     """Write a recorded run as Parquet, CSV or NumPy arrays, a column an axis and a row a tick, or for Foxglove.
 
     The two sides tick at times of their own, so that a table has one side; NumPy files have both.
@@ -68,7 +70,7 @@ class Export:
             FILE=self.file, OTHER=self.other, parquet=self.parquet, csv=self.csv, npz=self.npz, foxglove=self.foxglove
         )
         self._check_binary()
-        check_target(*targets)
+        check_target(*targets, force=self.force)
         if self.side is not None and self.parquet is None and self.csv is None:
             message = f"--side {self.side}: without --parquet or --csv there is no table of one side: leave it out"
             raise ValueError(message)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 if TYPE_CHECKING:
     from haptether.bridge import Recording
 
@@ -15,7 +17,7 @@ EVENTS_SHOWN = 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class Info:
+class Info(FileOptions):
     """Say what is in a recording: whose, how long, where the ladder stood, who tripped, why it held, what was set.
 
     Examples:
@@ -47,7 +49,7 @@ class Info:
             message = "which file? Name what --record of master or slave wrote"
             raise ValueError(message)
         check_files(*self.files)
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         console = screen(self.json)
         reports = []
         for file in self.files:

@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 if TYPE_CHECKING:
     from haptether.bridge import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
-class Playback:
+class Playback(FileOptions):
     """Play the remote force of a recording back to a hand, under safety layer, limiter and ladder.
 
     The force is what it is, whatever the hand does: an active force. Without --listen it acts on hand and device of the
@@ -58,9 +60,10 @@ class Playback:
         from haptether.bridge import playback_scene
         from haptether.cli.recording.files import check_files
         from haptether.cli.shared.output import check_distinct, check_target
+        from haptether.cli.shared.picture import picture_in
 
         check_distinct(FILE=self.file, key=self.key, json=self.json, out=self.out)
-        check_target(self.json, self.out)
+        check_target(self.json, self.out, force=self.force)
         virtual = {"--plot": self.plot, "--out": self.out}
         live = {"--key": self.key, "--insecure": self.insecure or None, "--patience-s": self.patience_s}
         unused = live if self.listen is None else virtual
@@ -68,26 +71,30 @@ class Playback:
             way = "without --listen there is no live side" if self.listen is None else "with --listen nothing is drawn"
             message = f"{', '.join(given)}: {way}: leave it out"
             raise ValueError(message)
-        check_files(self.file)
-        scene = playback_scene(self.file, overrides=self.set)
-        return self._simulate(scene) if self.listen is None else self._play(self.listen, scene)
-
-    def _simulate(self, scene: "Scene") -> int:
-        from haptether.bridge import simulate
-        from haptether.cli.scene.simulate import Simulate, spinner
-        from haptether.cli.shared.picture import picture_in
-        from haptether.cli.shared.screen import screen
-
         if self.out is not None and self.out.suffix != ".npz":
             message = f"{self.out}: must end in .npz"
             raise ValueError(message)
-        picture = None if self.plot is None else picture_in(self.plot, "playback", None)
+        check_files(self.file)
+        picture = None if self.plot is None else picture_in(self.plot, "playback", None, force=self.force)
+        scene = playback_scene(self.file, overrides=self.set)
+        return self._simulate(scene, picture) if self.listen is None else self._play(self.listen, scene)
+
+    def _simulate(self, scene: "Scene", picture: Path | None) -> int:
+        from haptether.bridge import simulate
+        from haptether.cli.scene.simulate import Simulate, spinner
+        from haptether.cli.shared.screen import screen
+
         with spinner(f"playing {self.file} back"):
             run = simulate(scene)
-        return Simulate(scene="playback", json=self.json, out=self.out).report(screen(self.json), run, picture)
+        return Simulate(scene="playback", json=self.json, out=self.out, force=self.force).report(
+            screen(self.json), run, picture
+        )
 
     def _play(self, listen: str, scene: "Scene") -> int:
         from haptether.cli.live.slave import Slave
 
-        side = Slave(listen=listen, key=self.key, insecure=self.insecure, patience_s=self.patience_s, json=self.json)
+        side = Slave(
+            listen=listen, key=self.key, insecure=self.insecure, patience_s=self.patience_s, json=self.json,
+            force=self.force,
+        )  # fmt: skip
         return side.run_scene(scene)

@@ -52,7 +52,9 @@ class Plot(PictureOptions):
         from haptether.cli.shared.picture import picture_file
         from haptether.cli.shared.screen import screen
 
-        picture = picture_file(self.out or self.file.with_suffix(f".{self.format or 'png'}"), self.format)
+        picture = picture_file(
+            self.out or self.file.with_suffix(f".{self.format or 'png'}"), self.format, force=self.force
+        )
         run = read_run(self.file, self.other, self.slave_begun_s)
         console = screen()
         span = None if self.whole else coupled_span(run.signals)

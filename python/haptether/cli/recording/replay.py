@@ -60,7 +60,7 @@ class Replay(PictureOptions):
 
         check_distinct(FILE=self.file, plot=self.plot, json=self.json)
         check_files(self.file)
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         picture = asked_picture(self.plot, self)
         with spinner(f"replaying {self.file}"):
             recording = read_recording(self.file)

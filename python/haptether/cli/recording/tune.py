@@ -77,12 +77,18 @@ class Tune(PictureOptions):
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.picture import asked_picture
         from haptether.cli.shared.screen import screen
+        from haptether.cli.shared.unusual import ask_units, check_times
         from haptether.studies import HandBounds, draw_tuning, tune
+        from haptether.studies.task import MAX_ROUND_TRIP_S
 
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         check_random_seed(self.seed)
+        round_trips_s = () if self.round_trip_s is None else (self.round_trip_s,)
+        check_times("--round-trip-s", round_trips_s, MAX_ROUND_TRIP_S)
         picture = asked_picture(self.plot, self)
         check_files(*self.recording)
+        console = screen(self.json)
+        ask_units(console, (), (("--round-trip-s", each) for each in round_trips_s))
         with spinner("tune") as say:
             found = tune(
                 self.recording,
@@ -99,7 +105,6 @@ class Tune(PictureOptions):
                 threads=self.threads,
                 progress=say,
             )
-        console = screen(self.json)
         self._print(console, found)
         if self.json is not None:
             fields = {name: getattr(found, name) for name in found.__struct_fields__}

@@ -6,11 +6,14 @@ from typing import Annotated
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 
 @dataclass(frozen=True, kw_only=True)
-class Check:
+class Check(FileOptions):
     """Hold a scene against what its loop, observers, limits and link bear by design, before anything moves.
 
+    Drivers that it names, with their options, as master and slave take them at their start; no device is opened.
     Delay margin of contact and the intervals beyond it, stiffness of rendered walls, how fast a device may become once
     it is let go and what of that no threshold lowers, thresholds against limits and against the hand's own motion,
     losses against the ladder: each with this scene's numbers and what would mend it. What is changed by a remedy was
@@ -45,7 +48,7 @@ class Check:
         from haptether.cli.shared.unusual import ask_units
         from haptether.studies import check_scene
 
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         scene, console = load_scene(self.scene, self.set), screen(self.json)
         ask_units(console, [scene])
         found = check_scene(scene, speed=self.speed)

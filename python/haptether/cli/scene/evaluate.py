@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -14,16 +16,22 @@ if TYPE_CHECKING:
 QUICK_ROUND_TRIPS_S = (0.0, 0.1, 0.3)
 QUICK_CONTROLLERS = ("none", "hsc", "wsc", "hsc+wsc")
 QUICK_HANDS, QUICK_RELEASES = 2, 2
+PAGES = ("evaluation.html", "evaluation.md", "worst.toml")
+"""Written into the folder of --out."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluate:
+class Evaluate(FileOptions):
     """Say how safe a set-up is under delay: controllers over round trips and networks, in tasks done by many hands.
 
     Hands hold throughout, where each intervention is a false trip, and let go under force, where a device faster than
     the limit has been thrown. Device, arm, coupling, thresholds and release law are the scene's. It prints up to which
     round trip each set of controllers is safe, and writes a page with numbers and their intervals, what was assumed,
     and the worst release as a scene of its own. The same seed finds the same.
+
+    Few hands show what throws, trips falsely or uncouples: one such run makes a cell red or yellow. Many hands are
+    needed before a cell is safe: with few it is hatched, "safe? 35 hands", and names the --hands that would confirm
+    it. So compare with --quick, and take the number of the hatched cells before a person holds the device.
 
     Examples:
 
@@ -48,7 +56,7 @@ class Evaluate:
     """What the network does: steady, jitter, loss or jitter+loss beside each round trip; or at a delay of its own a
     preset of `haptether netsim list`, or a recording of `haptether netsim record` (.csv) or IRTT (.json)."""
     hands: int | None = None
-    """How many hands do each task, 1 or more."""
+    """How many hands do each task, 1 or more; by default 8, with --quick 2. A hatched cell names how many it needs."""
     releases: int | None = None
     """At how many places of what they feel hands let go, 1 or more; each hand lets go once."""
     speed: float | None = None
@@ -79,17 +87,18 @@ class Evaluate:
         from haptether.cli.shared.numbers import check_random_seed
         from haptether.cli.shared.output import check_target, make_folder, require_matplotlib
         from haptether.cli.shared.screen import screen
-        from haptether.cli.shared.unusual import ask_units, tasks_of
+        from haptether.cli.shared.unusual import ask_units, check_times, tasks_of
         from haptether.studies import (
             EVALUATED_CONTROLLERS,
             EvaluationLimits,
             HandBounds,
             evaluate,
         )
-        from haptether.studies.task import HANDS, RELEASES, ROUND_TRIPS_S
+        from haptether.studies.task import HANDS, MAX_ROUND_TRIP_S, RELEASES, ROUND_TRIPS_S
 
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         check_random_seed(self.seed)
+        check_times("--round-trip-s", self.round_trip_s or (), MAX_ROUND_TRIP_S)
         limits = {
             "speed": self.speed, "false_trips_per_h": self.false_trips_per_h, "thrown_share": self.thrown_share
         }  # fmt: skip
@@ -97,15 +106,16 @@ class Evaluate:
             if value is not None and not 0.0 <= value < float("inf"):
                 message = f"{name.replace('_', '-')} = {value}: must be a number of at least 0"
                 raise ValueError(message)
-        networks = self._networks()
+        tasks, networks = self._tasks(), self._networks()
         if self.out is not None:
             require_matplotlib()
             make_folder(self.out)
-        console, tasks = screen(self.json), self._tasks()
+            check_target(*(self.out / name for name in PAGES), force=self.force)
+        console = screen(self.json)
         ask_units(
             console,
             tasks_of(tasks, self.set),
-            (("round_trip_s", each) for each in self.round_trip_s or ()),
+            (("--round-trip-s", each) for each in self.round_trip_s or ()),
         )
         with controller_timed(console), spinner("evaluate") as say:
             found = evaluate(
@@ -197,7 +207,7 @@ class Evaluate:
         """Those that are named.
 
         Raises:
-            ValueError: A name of none, or round trips for networks that have their own.
+            ValueError: No such network or file, or round trips for networks that have their own.
         """
         from haptether.studies import EVALUATED_NETWORKS, network_of
 
@@ -207,7 +217,8 @@ class Evaluate:
             try:
                 networks.append(known.get(name) or network_of(name))
             except ValueError as error:
-                message = f"--network {name}: must be of {', '.join(known)}, or have a delay of its own: {error}"
+                others = "" if Path(name).is_file() else f"; at each --round-trip-s: {', '.join(known)}"
+                message = f"--network {error}{others}"
                 raise ValueError(message) from None
         if self.round_trip_s is not None and all(network.own for network in networks):
             message = "--round-trip-s: each --network has a delay of its own: leave it out, or name steady, too"
@@ -215,9 +226,21 @@ class Evaluate:
         return networks
 
     def _tasks(self) -> tuple[str, ...]:
-        from haptether.bridge import load_scene
+        """The scenes that are named.
+
+        Raises:
+            SceneError: None is named.
+            ValueError: Others beside "all".
+        """
+        from haptether.bridge import SceneError, load_scene
         from haptether.studies import THRESHOLD_TASKS
 
+        if not self.scene:
+            message = (
+                "which scene? Name one or more of `haptether simulate --list`, paths of TOML files, or all for all"
+                " bundled ones in which a hand works"
+            )
+            raise SceneError(message)
         if "all" in self.scene and len(self.scene) > 1:
             message = 'SCENE: "all" has all bundled tasks: give it alone'
             raise ValueError(message)

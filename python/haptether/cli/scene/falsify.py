@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -14,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Falsify:
+class Falsify(FileOptions):
     """Search for the release after which a scene's device becomes fastest, and hold it to the bound on that speed.
 
     Device, loop, link, arm and safety are the scene's. Searched for, within bounds: what the hand holds, how firmly and
@@ -74,18 +76,20 @@ class Falsify:
         from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.output import check_target
         from haptether.cli.shared.screen import screen
-        from haptether.cli.shared.unusual import ask_units
+        from haptether.cli.shared.unusual import ask_units, check_times
         from haptether.studies import falsify
+        from haptether.studies.falsifier.release import MAX_DELAY_S, MAX_JITTER_S
 
         check_duration("seconds", self.seconds)
+        check_times("--delay-s", [self.delay_s], MAX_DELAY_S)
+        check_times("--jitter-s", [self.jitter_s], MAX_JITTER_S)
         out = self.out or Path(f"{Path(self.scene).stem}_worst.toml")
         if out.suffix != ".toml":
             message = f"{out}: must end in .toml"
             raise ValueError(message)
-        check_target(self.json, out)
+        check_target(self.json, out, force=self.force)
         scene, console = load_scene(self.scene, self.set), screen(self.json)
-        searched = {"link.forward.delay_s": self.delay_s, "link.forward.jitter_s": self.jitter_s}
-        ask_units(console, [scene], searched.items())
+        ask_units(console, [scene])
         controllers = (
             None if self.controller is None else tuple(filter(None, self.controller.replace("+", ",").split(",")))
         )

@@ -75,20 +75,20 @@ class Simulate(PictureOptions):
         if self.scene is None:
             message = "which scene? Name one of `haptether simulate --list`, or give the path of a TOML file"
             raise SceneError(message)
-        check_target(self.json, self.out)
+        check_target(self.json, self.out, force=self.force)
         if self.out is not None and self.out.suffix != ".npz":
             message = f"{self.out}: must end in .npz"
             raise ValueError(message)
         check_picture_options(self.plot, self)
         picture = None
         if self.plot is not None:
-            picture = picture_in(self.plot, Path(self.scene).stem, self.format)
+            picture = picture_in(self.plot, Path(self.scene).stem, self.format, force=self.force)
         scene = load_scene(self.scene, self.set)
         files = None
         if self.record is not None:
             make_folder(self.record)
             files = (self.record / "master.mcap", self.record / "slave.mcap")
-            check_target(*files)
+            check_target(*files, force=self.force)
         if scene.record is None and (self.plot is not None or self.out is not None):
             message = f"{self.scene} has no [record], so there are no signals to keep: add --set record.every=1"
             raise SceneError(message)

@@ -103,8 +103,6 @@ class Sweep(PictureOptions):
     """Write all rows as CSV, as Parquet or as NumPy arrays. They are kept in FILE.partial while the sweep runs."""
     resume: bool = False
     """Go on with the rows that an interrupted sweep has kept; all other options as they were."""
-    force: bool = False
-    """Replace a file of --out that is there and may be of another sweep."""
     engine: Literal["local", "dask"] = "local"
     """Where rows are computed, with --out: by threads here, or by the workers of a Dask cluster."""
     address: Annotated[str | None, tyro.conf.arg(metavar="tcp://HOST:PORT")] = None
@@ -371,7 +369,9 @@ class Sweep(PictureOptions):
         from haptether.cli.shared.output import check_distinct, check_target
 
         check_distinct(json=self.json, out=self.out, plot=self.plot)
-        check_target(self.json, self.out)
+        check_target(self.json, force=self.force)
+        # A sweep that --force began replaces the file when it is resumed, too.
+        check_target(self.out, force=self.force or self.resume)
         if self.out is not None:
             check_suffix(self.out)
         if self.address is not None and self.engine != "dask":

@@ -61,12 +61,14 @@ class Thresholds(PictureOptions):
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.picture import asked_picture
         from haptether.cli.shared.screen import screen
-        from haptether.cli.shared.unusual import ask_units, tasks_of
+        from haptether.cli.shared.unusual import ask_units, check_times, tasks_of
         from haptether.studies import THRESHOLD_LAWS, THRESHOLD_TASKS, HandBounds, draw_trade_off, measure_thresholds
         from haptether.studies.task import HANDS, RELEASES, ROUND_TRIPS_S
+        from haptether.studies.thresholds.trade_off import MAX_ROUND_TRIP_S
 
-        check_target(self.json)
+        check_target(self.json, force=self.force)
         check_random_seed(self.seed)
+        check_times("--round-trip-s", self.round_trip_s or (), MAX_ROUND_TRIP_S)
         known = sorted({law.controller for law in THRESHOLD_LAWS})
         names = known if self.controller is None else self.controller.split(",")
         if unknown := [name for name in names if name not in known]:
@@ -77,7 +79,7 @@ class Thresholds(PictureOptions):
         ask_units(
             console,
             tasks_of(tasks, self.set),
-            (("round_trip_s", each) for each in self.round_trip_s or ()),
+            (("--round-trip-s", each) for each in self.round_trip_s or ()),
         )
         with spinner("thresholds") as say:
             found = measure_thresholds(

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import BinaryIO, TextIO, cast
 
 from haptether.extras import require
-from haptether.private_file import is_stream, refuse_link, write_private
+from haptether.private_file import is_stream, refuse_existing, refuse_link, write_private
 
 
 def write_report(target: Path | None, report: object) -> None:
@@ -57,10 +57,23 @@ def require_matplotlib() -> None:
     require("pictures", "matplotlib")
 
 
-def check_target(*targets: Path | None) -> None:
+@dataclass(frozen=True, kw_only=True)
+class FileOptions:
+    """The option of a command that writes files."""
+
+    force: bool = False
+    """Replace files that are there; without it they are refused."""
+
+
+def check_target(*targets: Path | None, force: bool) -> None:
     """Refuses files that cannot be written, before the run rather than after it.
 
+    Args:
+        targets: Paths of files; `-` is standard output.
+        force: If true, files that are there are replaced.
+
     Raises:
+        FileExistsError: A file that is there, without `force`.
         OSError: With the path and what is in the way, be it a symbolic link.
         ValueError: One file twice: what is written last would destroy the other.
     """
@@ -76,7 +89,8 @@ def check_target(*targets: Path | None) -> None:
             message = f"{target}: is a folder, must be a file"
             raise OSError(message)
         refuse_link(target)
-        # A file that is there is replaced.
+        if not force:
+            refuse_existing(target)
         if not os.access(target if is_stream(target) else target.parent, os.W_OK):
             message = f"{target}: cannot be written: is the folder there, and yours?"
             raise OSError(message)

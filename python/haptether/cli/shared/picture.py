@@ -4,14 +4,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from haptether.cli.shared.output import check_target, make_folder, require_matplotlib
+from haptether.cli.shared.output import FileOptions, check_target, make_folder, require_matplotlib
 
 if TYPE_CHECKING:
     from haptether.view.style.figure import PictureFormat
 
 
 @dataclass(frozen=True, kw_only=True)
-class PictureOptions:
+class PictureOptions(FileOptions):
     """Options of a command that draws."""
 
     format: Literal["png", "pdf", "svg"] | None = None
@@ -25,12 +25,12 @@ class PictureOptions:
         return self.columns or 2
 
 
-def picture_file(path: Path, form: "PictureFormat | None") -> Path:
+def picture_file(path: Path, form: "PictureFormat | None", *, force: bool) -> Path:
     """Where a picture goes, refused early: its path ends in what it is, or gets that ending.
 
     Raises:
         ValueError: An ending that is no picture's, or another than `form`.
-        OSError: It cannot be written; a symbolic link.
+        OSError: It cannot be written; a symbolic link; a file that is there, without `force`.
         ImportError: matplotlib is not there.
     """
     from haptether.view.style.figure import FORMATS
@@ -45,7 +45,7 @@ def picture_file(path: Path, form: "PictureFormat | None") -> Path:
     elif form is not None and ending != form:
         message = f"{path}, format = {form}: the two differ: give one of them, or both alike"
         raise ValueError(message)
-    check_target(path)
+    check_target(path, force=force)
     return path
 
 
@@ -71,10 +71,10 @@ def asked_picture(plot: Path | None, options: PictureOptions) -> Path | None:
         OSError, ImportError: As `picture_file`.
     """
     check_picture_options(plot, options)
-    return None if plot is None else picture_file(plot, options.format)
+    return None if plot is None else picture_file(plot, options.format, force=options.force)
 
 
-def picture_in(place: Path, name: str, form: "PictureFormat | None") -> Path:
+def picture_in(place: Path, name: str, form: "PictureFormat | None", *, force: bool) -> Path:
     """Where the one picture of a command goes: into a folder, under a name, or to a path that ends in what it is.
 
     Raises:
@@ -85,10 +85,10 @@ def picture_in(place: Path, name: str, form: "PictureFormat | None") -> Path:
     from haptether.view.style.figure import FORMATS
 
     if place.suffix[1:].lower() in FORMATS and not place.is_dir():
-        return picture_file(place, form)
+        return picture_file(place, form, force=force)
     if place.suffix and not place.exists():
         message = f"{place}: must be a folder, or end in {', '.join(f'.{name}' for name in FORMATS)}"
         raise ValueError(message)
     require_matplotlib()
     make_folder(place)
-    return picture_file(place / f"{name}.{form or 'png'}", form)
+    return picture_file(place / f"{name}.{form or 'png'}", form, force=force)

@@ -15,7 +15,7 @@ def ask_units(console: "Screen", scenes: Iterable["Scene"], values: Iterable[tup
     Args:
         console: Where they are printed.
         scenes: All their numbers are asked about.
-        values: More of them, each with its path: what varies, or what is searched.
+        values: More of them, each with its path or its option: what varies, or what is searched.
     """
     from haptether.bridge.scene.unusual import unusual_numbers, unusual_values
 
@@ -25,6 +25,20 @@ def ask_units(console: "Screen", scenes: Iterable["Scene"], values: Iterable[tup
     lines += [line for path, value in values for line in unusual_values(value, path, of_joints=of_joints)]
     for line in dict.fromkeys(lines):
         console.print(line, soft_wrap=True)
+
+
+def check_times(option: str, values: Iterable[float], most_s: float) -> None:
+    """Refuses times of an option outside 0 to `most_s`.
+
+    Raises:
+        ValueError: With the option, the first such value, the bounds, and the unit that it may have been meant in.
+    """
+    from haptether.bridge.scene.unusual import unit_question
+
+    for value in values:
+        if not 0.0 <= value <= most_s:
+            message = f"{option} {value:g}: must be 0 to {most_s:g} s{unit_question(value, option)}"
+            raise ValueError(message)
 
 
 def tasks_of(names: Iterable[str], overrides: Iterable[str]) -> Iterator["Scene"]:

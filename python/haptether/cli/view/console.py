@@ -115,16 +115,19 @@ class Console(WaitOptions):
 
     def _start(self, folder: Path, stack: contextlib.ExitStack, stopped: "Stopped") -> None:
         """Starts slave and master of the scene on loopback, with a key of this run."""
-        from haptether.bridge import load_scene, write_key
+        from haptether.bridge import write_key
+        from haptether.cli.live.sides import live_scene
         from haptether.studies.processes import Interrupted, child_process
 
-        assert self.scene is not None
         # Said here, in one line, and not by a process that does not start.
-        scene = load_scene(self.scene, self.set)
-        jaws = None if scene.slave is None else scene.slave.gripper
+        scene = live_scene(self, ())
+        assert self.scene is not None
+        assert scene is not None
+        assert scene.slave is not None
+        jaws = scene.slave.gripper
         named = {
             "master.driver": scene.master.driver,
-            "slave.device": None if scene.slave is None else scene.slave.device,
+            "slave.device": scene.slave.device,
             "slave.gripper.device": None if jaws is None else jaws.device,
         }
         for key_of, device in named.items():

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from haptether.cli.shared.output import FileOptions
 from haptether.cli.view.connecting import WaitOptions
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ LIVE_PICTURE_S, LIVE_FILM_S = 1.0, 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(WaitOptions):
+class View(WaitOptions, FileOptions):
     """Show a run in three dimensions: hand and robot, what they touch, forces, trails, observers and a time line.
 
     WHAT is the name of a scene that comes with Haptether, or the path of a TOML file, which are run first; or the
@@ -125,7 +126,7 @@ class View(WaitOptions):
         self._check_numbers()
         files = {"screenshot": self.screenshot, "movie": self.movie, "html": self.html, "json": self.json}
         check_distinct(**files)
-        check_target(*files.values())
+        check_target(*files.values(), force=self.force)
         self._check_endings()
         if self.movie is not None:
             require_film(self.movie)
@@ -240,7 +241,9 @@ class View(WaitOptions):
         return 0
 
     def _check_what(self) -> None:
-        from haptether.bridge import SceneError
+        """Refuses what cannot be shown, before a display is looked for."""
+        from haptether.bridge import SceneError, load_scene
+        from haptether.cli.recording.files import check_files
 
         if self.wait_s and not self.connect:
             message = f"--wait-s {self.wait_s:g}: give --connect, which side is waited for"
@@ -271,6 +274,10 @@ class View(WaitOptions):
         if not are_recordings and (self.scene or self.slave_begun_s is not None):
             message = f"{self.what[0]}: --scene and --slave-begun-s are of recordings"
             raise ValueError(message)
+        if are_recordings:
+            check_files(*map(Path, self.what), what="a recording (.mcap), or what Run.save wrote (.npz)")
+        else:
+            load_scene(self.what[0], self.set)
 
     def _check_times(self, described: "list[Description]") -> None:
         begin_s, end_s = bounds(described)[0], max(one.timeline.over_s for one in described)
@@ -387,10 +394,6 @@ def recorded(path: Path, *other: Path, slave_begun_s: float | None = None) -> "R
     from haptether.bridge import load
     from haptether.view.saved import saved_run
 
-    for one in (path, *other):
-        if not one.is_file():
-            message = f"{one}: no such file"
-            raise ValueError(message)
     if path.suffix == ".npz":
         return saved_run(path)
     return load(path, *other, slave_begun_s=slave_begun_s)
