@@ -58,8 +58,7 @@ def settings_of(scene: Scene) -> EjectionSettings:
 
 
 def _free_s(spec: Spec) -> float:
-    """Return the longest time in s for which nobody holds the device; a grip that bears the force cap lasts to release.
-    """
+    """Return the longest time in s without a hand; a grip stronger than the force cap holds until the release."""
     operator, limiter = spec["operator"], spec["safety"]["limiter"]
     lasts_s: float = spec["run"]["duration_s"]
     if operator is None or operator["release"] is None or limiter is None:

@@ -1,4 +1,4 @@
-"""Tells the finished file of this sweep from that of another: the same sweep gives the same bits."""
+"""Check whether a finished file belongs to this sweep: the same sweep gives the same bits."""
 
 import csv
 from collections.abc import Callable, Mapping
@@ -15,14 +15,14 @@ from haptether.bridge.scene.sweeps.table_file import stored_request, values_of
 from haptether.input_file import read_npz
 
 COMPARED = 1000
-"""Rows whose values are compared."""
+"""Number of rows whose values are compared."""
 Columns = Mapping[str, npt.NDArray[Any]]
 
 
 def is_of_another(path: Path, design: Design, request: Mapping[str, Any], first_row: Callable[[], Columns]) -> bool:
-    """True if a file has the rows of another sweep.
+    """Return True if a file has the rows of another sweep.
 
-    Parquet files name their sweep. For other files the number of rows is compared, the varied values of the first
+    A Parquet file names its sweep. For other files, compare the number of rows, the varied values of the first
     `COMPARED` rows, and the metrics of the first row.
 
     Args:
@@ -37,7 +37,7 @@ def is_of_another(path: Path, design: Design, request: Mapping[str, Any], first_
         return stored_request(path) not in {b"", msgspec.json.encode(dict(request))}
     stored, rows = _stored(path)
     if "outcome" not in stored:
-        # Not the file of a sweep.
+        # The file is not a sweep.
         return False
     count = min(rows, design.rows, COMPARED)
     varied, first = labelled(design.columns(0, count)), first_row()
@@ -49,7 +49,7 @@ def is_of_another(path: Path, design: Design, request: Mapping[str, Any], first_
 
 
 def _stored(path: Path) -> tuple[dict[str, list[str]], int]:
-    """The first rows of each column as text, and how many rows there are; nothing of a file that is no table."""
+    """Return the first rows of each column as text and the number of rows; empty if the file is not a table."""
     if path.suffix == ".npz":
         try:
             arrays = read_npz(path)
@@ -74,5 +74,5 @@ def _stored(path: Path) -> tuple[dict[str, list[str]], int]:
 
 
 def _text(value: object) -> str:
-    """As CSV has it."""
+    """Format a value as CSV."""
     return "" if value is None else repr(value) if isinstance(value, float | np.floating) else str(value)
