@@ -193,8 +193,7 @@ class _Runs:
         self.uncontrolled_speeds = self._speeds(self.releases, None)[0] if self.releases else np.empty(0)
 
     def _speeds(self, releases: Releases, controllers: str | None) -> tuple[Array, Array]:
-        """Return the largest speed in m/s after each release (NaN if the run ended before it) and the time to a trip.
-        """
+        """Return the largest speed in m/s after each release (NaN if the run ended earlier) and the time to a trip."""
         scene = self.task.with_controllers(releases.scene, controllers, {})
         metrics = [*ejection_metrics(scene), "time_to_trip_s"]
         found = sweep(scene, samples=releases.rows, threads=self.threads, metrics=metrics)
