@@ -978,9 +978,8 @@ class SafetyLayer:
     def step(self, position: _Sample, rendered_force: _Sample, velocity: _Sample | None = None) -> SafetyTick:
         """Advance by one tick.
 
-        A number that is not finite or out of bounds, or a step beyond the speed bound of the device, returns zero force
-        and a
-        fault that stays. A sample off the path is held, and its prediction replaces it.
+        A number that is not finite or out of bounds returns zero force and a fault that stays; so does a step beyond
+        the device's speed bound. A sample off the path is held, and its prediction replaces it.
 
         Args:
             position: x in m.
@@ -2421,8 +2420,8 @@ class LiveMaster(_MasterSide):
             its own serves it without the interpreter.
 
     Raises:
-        ValueError: An address is invalid, a time is outside 0 to 1e9 s, a start is in the future, a key has the wrong
-            length, neither a key nor `insecure`, both, an invalid `realtime`, or a scene without a [slave] and a
+        ValueError: An address or `realtime` is invalid; a time is outside 0 to 1e9 s; a start is in the future; a key
+            has the wrong length; key and `insecure` are both given or both missing; or the scene lacks a [slave] or a
             [coupling].
         OSError: An address or a file cannot be used, or required real time is refused.
     """
@@ -2463,8 +2462,8 @@ class LiveSlave(_SlaveSide):
     The other arguments are those of `LiveMaster`.
 
     Raises:
-        ValueError: An address is invalid, a time is outside 0 to 1e9 s, a key has the wrong length, neither a key nor
-            `insecure`, both, an invalid `realtime`, or a scene without a [slave] and a [coupling].
+        ValueError: An address or `realtime` is invalid; a time is outside 0 to 1e9 s; a key has the wrong length; key
+            and `insecure` are both given or both missing; or the scene lacks a [slave] or a [coupling].
         OSError: An address or a file cannot be used, or required real time is refused.
     """
 
@@ -2504,9 +2503,9 @@ class MasterLoop(_MasterSide, _DrivenLoop):
     The other arguments are those of `LiveMaster`.
 
     Raises:
-        ValueError: An address is invalid, a time is outside 0 to 1e9 s, a start is in the future, a key has the wrong
-            length, neither a key nor `insecure`, both, an invalid `realtime` or `clutch`, or a scene without a [slave]
-            and a [coupling], or with times at which its operator presses.
+        ValueError: An address, `realtime` or `clutch` is invalid; a time is outside 0 to 1e9 s; a start is in the
+            future; a key has the wrong length; key and `insecure` are both given or both missing; or the scene lacks a
+            [slave] or a [coupling], or has times at which its operator presses.
         OSError: An address or a file cannot be used.
     """
 
@@ -2584,8 +2583,8 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
     The other arguments are those of `LiveMaster`.
 
     Raises:
-        ValueError: An address is invalid, a time is outside 0 to 1e9 s, a key has the wrong length, neither a key nor
-            `insecure`, both, an invalid `realtime`, or a scene without a [slave] and a [coupling].
+        ValueError: An address or `realtime` is invalid; a time is outside 0 to 1e9 s; a key has the wrong length; key
+            and `insecure` are both given or both missing; or the scene lacks a [slave] or a [coupling].
         OSError: An address or a file cannot be used.
     """
 
@@ -2700,9 +2699,8 @@ class DynamixelBus:
     """Servos on one serial port, with Protocol 2.0 in Rust; calls of several threads run one after the other.
 
     An answer must arrive within `timeout_s` beyond its transmission time. Before the first instruction, and after a
-    failed one, the line must be silent for that time, so that a late answer does not count as a new one. After eight
-    times that the call fails. A call that waits while another thread calls `stop` ends within a few ms with
-    `RuntimeError`.
+    failed one, the line must be silent for that time. A late answer thus never counts as a new one. After eight times
+    that the call fails. A call that waits while another thread calls `stop` ends within a few ms with `RuntimeError`.
 
     Args:
         port: Path of the serial port.

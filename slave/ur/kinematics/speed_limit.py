@@ -14,8 +14,8 @@ CLOSE: Final = 1e-9
 class SpeedLimit:
     """`|J qd| <= max_speed` as a cost `m/2 |J qd|^2`, with a search for the m that reaches the limit.
 
-    The speed falls with m. Searches on 1/speed, which is nearly linear in m for a fixed set of active bounds, has kinks
-    where the set changes, and is flat where bounds leave no freedom. Therefore: secants from the previous m, then
+    The speed falls with m. Searches on 1/speed, which is nearly linear in m for a fixed set of active bounds. It has
+    kinks where the set changes, and is flat where bounds leave no freedom. Therefore: secants from the previous m, then
     within a bracket, with bisection if secants do not halve it.
 
     Args:
