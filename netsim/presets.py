@@ -229,4 +229,3 @@ PRESETS: MappingProxyType[str, Preset] = MappingProxyType({
         backward=_GEO,
     ),
 })  # fmt: skip
-"""Presets by name."""

@@ -209,7 +209,6 @@ class SweepSettings:
     """Settings of how rows are run and measured."""
 
     threads: int
-    """Number of threads."""
     lanes: bool = True
     """True to advance rows side by side in one thread."""
     progress: Callable[[int], None] | None = None

@@ -122,7 +122,6 @@ class Inverse3:
         self._bound_n: float | None = 0.0
         """Bound of the norm in N while the force grows after a zero by the driver; None otherwise."""
         self._bound_s = 0.0
-        """Time of that bound."""
         self._added = 0
         self._forced: str | None = None
         """Device of a lost connection; the arrival of the last zero force is unknown."""

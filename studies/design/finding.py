@@ -29,7 +29,6 @@ class Finding(Struct, frozen=True, kw_only=True):
     """Limit of `value`, if it is a single number."""
     unit: str = ""
     remedy: str | None = None
-    """Remedy as text."""
     changes: tuple[str, ...] = ()
     """Overrides for `override_scene` that fix the finding: verified to improve or remove it without making another one
     worse. Empty if none was found.

@@ -31,7 +31,6 @@ class Section(Struct, frozen=True):
 
     title: str
     text: str = ""
-    """Paragraph."""
     items: tuple[str, ...] = ()
     table: Table | None = None
 

@@ -50,7 +50,6 @@ class Falsified(Struct, frozen=True, kw_only=True):
     tried: int
     """Number of tried releases."""
     seed: int
-    """Seed of the search."""
     interrupted: bool
     """True if the user ended the search."""
 

@@ -90,7 +90,6 @@ class LiveDescription:
         self.generation = 0
         """Counter of changes of the parts or sizes in `description`."""
         self.events: deque[Event] = deque(maxlen=MAX_EVENTS)
-        """Latest events."""
         self._ended: set[str] = set()
         self._reason: dict[str, str] = {}
         self._offset_s: dict[str, float] = {}

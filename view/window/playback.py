@@ -20,7 +20,6 @@ KEYS: Final = (
     ("?", "these keys"),
     ("q", "end"),
 )
-"""Keys of the window."""
 SPEEDS: Final = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 STEP_S: Final = 0.01
 

@@ -66,7 +66,6 @@ HAND_MODELS: Mapping[str, HandModel] = MappingProxyType({
         ("grasp_stiffness", "grasp_damping", "arm_stiffness", "arm_damping"), _grasp_and_arm
     ),
 })  # fmt: skip
-"""Hand models by name."""
 NOT_DRAWN = "mass_kg"
 """Figure that any model may have but no scene uses, because the modelled hand has no mass."""
 

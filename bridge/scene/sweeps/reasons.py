@@ -16,9 +16,7 @@ class RowReason:
     """Reason and the first row that has it."""
 
     outcome: str
-    """Outcome of the row."""
     reason: str
-    """Reason text."""
     row: int
     """Row number, from 0."""
     values: Mapping[str, Any]

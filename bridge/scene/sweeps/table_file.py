@@ -15,7 +15,6 @@ import numpy.typing as npt
 from haptether.extras import require
 
 ROW_GROUP = 65_536
-"""Rows per Parquet row group."""
 STREAMED = frozenset({".csv", ".parquet"})
 """Suffixes of files written without all rows in memory."""
 SUFFIXES = (".csv", ".parquet", ".npz")
